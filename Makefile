@@ -1,0 +1,106 @@
+# Only Python (3.11 to 3.13) with venv and pip is assumed; every target that needs the environment makes it first.
+#
+#   make setup     the environment in $(VENV), from the hash-checked lock; again only when the lock or pyproject.toml change
+#   make compare   the main job: comparison tables, figures and report in results/compare
+#   make test      the tests (under 8 minutes on 2 cores);  make test PYTEST_ARGS="-k spectrum -x"
+#   make lint      ruff, pyright, import-linter
+#   make validate  the tests that are too long for `make test`; writes validation.json
+#   make campaign, make speed, make report    the large campaign, the speed benchmarks, the HTML report again
+#   make readme    the README's headline table and picture again, from the comparison
+#   make lock      requirements.lock again from pyproject.toml (asks the package index)
+#
+# Another Python beside the first: make test PYTHON=python3.12 VENV=.venv-3.12
+
+PYTHON      ?= python3
+VENV        ?= .venv
+JOBS        ?= 2
+PYTEST_ARGS ?=
+
+BIN   := $(VENV)/bin
+STAMP := $(VENV)/.installed
+HERE  := $(dir $(abspath $(lastword $(MAKEFILE_LIST))))
+
+# Processes are the parallelism here; BLAS threads inside them would only fight, and would change the last bits.
+export OMP_NUM_THREADS      := 1
+export OPENBLAS_NUM_THREADS := 1
+export MKL_NUM_THREADS      := 1
+export NUMBA_NUM_THREADS    := 1
+# Nothing is written to the user's home: caches live and die with the environment.
+export MPLBACKEND           := Agg
+export MPLCONFIGDIR         := $(abspath $(VENV))/cache/matplotlib
+export NUMBA_CACHE_DIR      := $(abspath $(VENV))/cache/numba
+export PYRIGHT_PYTHON_CACHE_DIR := $(abspath $(VENV))/cache/pyright
+export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
+# The shared records and cases, where they lie beside the checkout.
+OED_DATA  ?= $(realpath $(HERE)../shared/data)
+OED_CASES ?= $(realpath $(HERE)../shared/cases)
+ifneq ($(OED_DATA),)
+export OED_DATA
+endif
+ifneq ($(OED_CASES),)
+export OED_CASES
+endif
+
+PYTHON_OK = $(shell $(PYTHON) -c 'import sys; print(int((3, 11) <= sys.version_info[:2] <= (3, 13)))' 2>/dev/null)
+PYTHON_IS = $(or $(shell $(PYTHON) -V 2>/dev/null),nothing that runs here)
+
+.DEFAULT_GOAL := help
+
+.PHONY: help readme setup compare test lint validate campaign speed report lock clean
+
+help:
+	@sed -n 's/^# \{0,1\}//p;/^$$/q' $(firstword $(MAKEFILE_LIST))
+
+setup: $(STAMP)
+
+# hatchling and editables are in the lock too: pip refuses an editable install in one command with hashes.
+$(STAMP): requirements.lock pyproject.toml
+	$(if $(filter 1,$(PYTHON_OK)),,$(error Python 3.11, 3.12 or 3.13 is needed, and $(PYTHON) is $(PYTHON_IS): name another, as in `make setup PYTHON=python3.12`))
+	@rm -f $@
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@mkdir -p $(MPLCONFIGDIR) $(NUMBA_CACHE_DIR) $(PYRIGHT_PYTHON_CACHE_DIR)
+	@touch $@
+
+compare: $(STAMP)
+	$(BIN)/oed compare --out results/compare
+
+readme: compare
+	$(BIN)/python -m benchmarks.readme results/compare README.md
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(PYTEST_ARGS)
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/lint-imports --no-cache
+
+validate: $(STAMP)
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m validate --validation-json validation.json $(PYTEST_ARGS)
+
+# All inputs on nine plants at six noise levels, 10000 samples a run; killed, it resumes.
+campaign: $(STAMP)
+	$(BIN)/oed compare --out results/campaign --samples 500 --experiments 20 --replicates 100 \
+	  $(foreach p,reference two-peaks peak-at-zero peak-at-pi delay nonminimum-phase order-20 bandit-fir hair-dryer,--plant $(p)) \
+	  $(foreach v,0.01 0.1 1 4 9 25,--noise-variance $(v)) \
+	  --methods white multisine prbs sweep power two-experiment krylov oracle-hinf oracle-D two-stage sequential bandit \
+	  --estimators gain mu corrected fir-selected frf pem
+
+speed: $(STAMP)
+	$(BIN)/oed speed
+
+report: $(STAMP)
+	$(BIN)/oed report results/compare
+
+# The versions already locked are kept where pyproject.toml still allows them; delete requirements.lock first to renew all.
+lock:
+	$(PYTHON) -m venv $(VENV)-lock
+	$(VENV)-lock/bin/python -m pip install --quiet uv
+	$(VENV)-lock/bin/uv pip compile pyproject.toml --extra dask --group lock --universal --python-version 3.11 \
+	  --generate-hashes --no-emit-index-url --no-header --no-annotate --quiet --output-file requirements.lock
+
+clean:
+	rm -rf results build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache

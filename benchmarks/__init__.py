@@ -1,0 +1,1 @@
+"""The comparison: campaigns, tables, figures, the report and the command line."""

@@ -1,0 +1,155 @@
+"""The command `oed`: one subcommand per file of `benchmarks.commands`.
+
+Exit status: 0 when the command did its job, 2 for bad input (one clear line), 1 for anything else. With
+`--json` standard output carries one JSON object and nothing else, whatever a solver prints below Python.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import os
+import pkgutil
+import sys
+import traceback
+from collections.abc import Iterator
+from importlib import import_module
+from typing import Any, NoReturn
+
+import benchmarks.commands
+import oed
+from oed.errors import CampaignError, InfeasibleDesign, InputError, NotIdentifiable, OedError
+
+__all__ = ["main"]
+
+SCHEMA_VERSION = 1
+BAD_INPUT = (InputError, NotIdentifiable, InfeasibleDesign, CampaignError)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaints are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help.\n")
+
+
+def _parser() -> _Parser:
+    parser = _Parser(
+        prog="oed",
+        description="Optimal experiment design: which input is worth applying, how good an estimate can get, "
+        "and what a model is missing.",
+    )
+    parser.add_argument("--version", action="version", version=f"oed {oed.__version__}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
+    for info in pkgutil.iter_modules(benchmarks.commands.__path__):
+        if info.name.startswith("_"):
+            continue
+        module = import_module(f"benchmarks.commands.{info.name}")
+        sub = subparsers.add_parser(
+            info.name.replace("_", "-"),
+            help=module.HELP,
+            description=module.HELP,
+            epilog=f"example: {module.EXAMPLE}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.configure(sub)
+        sub.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+        sub.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
+        sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
+        sub.set_defaults(run=module.run)
+    return parser
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON knows it: arrays as lists, numbers that are not finite as null.
+
+    Parameters
+    ----------
+    value : object
+        Numbers, strings, arrays, mappings and sequences of them.
+
+    Returns
+    -------
+    object
+        Ready for `json.dumps`.
+    """
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(v) for v in value]
+    listed = getattr(value, "tolist", None)
+    if listed is not None:
+        return plain(listed())
+    if isinstance(value, int):
+        return value
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value)
+
+
+@contextlib.contextmanager
+def _standard_output_reserved() -> Iterator[Any]:
+    """Send everything that is written to file descriptor 1 to standard error; yield the real one."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with os.fdopen(kept, "w", closefd=False) as out:
+            yield out
+    finally:
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : list of str, optional
+        Arguments, by default those of the process.
+
+    Returns
+    -------
+    int
+        Exit status: 0, 1 or 2.
+    """
+    args = _parser().parse_args(argv)
+    try:
+        if not args.json:
+            print(args.run(args)[1])
+            return 0
+        with _standard_output_reserved() as out:
+            payload = {"schema_version": SCHEMA_VERSION, **args.run(args)[0]}
+            out.write(json.dumps(plain(payload), allow_nan=False) + "\n")
+        return 0
+    except BAD_INPUT as error:
+        print(f"oed {args.command}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except OedError as error:
+        print(f"oed {args.command}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # the reader of our output has gone, such as `head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 1
+    except KeyboardInterrupt:
+        print(f"oed {args.command}: interrupted; what was finished is kept.", file=sys.stderr)
+        return 1
+    except Exception:
+        traceback.print_exc()
+        print(
+            f"oed {args.command}: this is a defect of oed {oed.__version__}, not of your input.",
+            file=sys.stderr,
+        )
+        return 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,193 @@
+"""`oed design`: an optimal input for a plant, with its certificate."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from benchmarks.plants import add_plant_arguments, load_plant
+from oed.errors import InputError
+
+HELP = "an optimal input: spectrum, loss, certified bound, and a signal that realises it"
+EXAMPLE = "oed design --plant reference --criterion D --realise 1000 --out input.csv"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this command."""
+    add_plant_arguments(parser)
+    parser.add_argument(
+        "--criterion", default="D", metavar="D|A|E|hinf|..", help="what the input is optimal for"
+    )
+    parser.add_argument(
+        "--parametrisation",
+        choices=("grid", "moments", "autocorrelation", "multisine"),
+        default="grid",
+        help="of the spectrum",
+    )
+    parser.add_argument(
+        "--lags", type=int, default=20, metavar="L", help="of the autocorrelation (default 20)"
+    )
+    parser.add_argument(
+        "--points", type=int, default=400, metavar="K", help="uniform part of the first frequency grid"
+    )
+    parser.add_argument(
+        "--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="rad/sample, default 0 pi"
+    )
+    parser.add_argument("--input-power", type=float, metavar="p", help="limit on the input power (default 1)")
+    parser.add_argument(
+        "--output-power", type=float, metavar="p", help="limit on the output's noise-free power"
+    )
+    parser.add_argument(
+        "--channel-power", type=float, nargs="+", metavar="p", help="limit on every input channel's power"
+    )
+    parser.add_argument("--amplitude", type=float, metavar="a", help="largest absolute input of the signal")
+    parser.add_argument(
+        "--solver", choices=("newton", "clarabel"), default="newton", help="how weights are found"
+    )
+    parser.add_argument("--realise", type=int, metavar="N", help="also make a signal of N samples")
+    parser.add_argument(
+        "--signal", choices=("multisine", "realise", "filtered-noise", "binary"), default="multisine"
+    )
+    parser.add_argument("--out", metavar="FILE", help="write the signal (.csv) or the design (.json)")
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Design, realise, write."""
+    import numpy as np
+
+    from oed import signals
+    from oed.design import solve_design
+    from oed.design.amplitude import amplitude_design
+
+    plant = load_plant(args.plant, args.noise_variance)
+    writer = _writer(args.out, args.realise)
+    limits = {
+        "input_power": args.input_power,
+        "output_power": args.output_power,
+        "band": args.band,
+        "solver": args.solver,
+        "points": args.points,
+    }
+    if args.parametrisation == "multisine":
+        # The lines of a period of N samples and no others.
+        if args.realise is None:
+            raise InputError(
+                "--parametrisation multisine puts the lines on 2 pi k / N; say N with --realise."
+            )
+        limits |= {"points": 2 * np.pi * np.arange(args.realise // 2 + 1) / args.realise, "refine": False}
+    made = None
+    if args.amplitude is not None:
+        if args.realise is None or args.channel_power is not None:
+            raise InputError(
+                "--amplitude limits a signal: say its length with --realise N, without --channel-power."
+            )
+        rng = np.random.default_rng(args.seed)
+        design, made = amplitude_design(plant, args.criterion, args.amplitude, args.realise, rng, **limits)
+    else:
+        design = solve_design(plant, args.criterion, channel_power=args.channel_power, **limits)
+    payload, text = design.to_dict(), str(design)
+    if args.parametrisation in ("moments", "autocorrelation"):
+        design, payload, text = _parametrised(args, plant, design, payload)
+    for line in payload["support"]:
+        line["frequency_hz"] = line["frequency"] / (2 * np.pi * plant.dt)
+    u = None
+    if args.realise is not None:
+        how = {
+            "multisine": signals.multisine,
+            "realise": signals.realise,
+            "filtered-noise": signals.filtered_noise,
+            "binary": signals.binary,
+        }[args.signal]
+        if made is None:
+            made = signals.realisation(plant, design, args.realise, np.random.default_rng(args.seed), how=how)
+        u = made.u
+        payload |= {
+            "realised_loss": made.loss,
+            "crest_factor": made.crest_factor,
+            "realised_power": made.power,
+            "realised_efficiency": made.efficiency,
+        }
+        text += f"\n{made!r}"
+    if writer is not None:
+        writer(payload, u)
+        payload["out"] = args.out
+    return payload, text
+
+
+def _parametrised(args: argparse.Namespace, plant: Any, design: Any, payload: dict[str, Any]) -> tuple:
+    """The same question in another parametrisation; the bound is the certified one over all spectra."""
+    from dataclasses import replace
+
+    from oed.design import autocorrelation_design, moment_design
+
+    if (
+        args.output_power is not None
+        or args.channel_power is not None
+        or args.band is not None
+        or args.amplitude
+    ):
+        raise InputError(
+            f"--parametrisation {args.parametrisation} knows a limit on the input power only; leave out "
+            "--output-power, --channel-power, --band and --amplitude, or use --parametrisation grid."
+        )
+    power = 1.0 if args.input_power is None else args.input_power
+    if args.parametrisation == "moments":
+        found = moment_design(plant, args.criterion, input_power=power)
+    else:
+        found = autocorrelation_design(plant, args.criterion, lags=args.lags, input_power=power)
+    design = replace(
+        design,
+        spectrum=found.spectrum,
+        loss=found.loss,
+        information=design.map.of_spectrum(found.spectrum),
+        power_used={"input power": found.spectrum.total_power},
+        solver="clarabel",
+    )
+    strongest = replace(design, spectrum=found.spectrum.strongest(1e-3))
+    payload = payload | {
+        "loss": found.loss,
+        "gap": design.gap,
+        "support": strongest.to_dict()["support"] if found.kind == "moments" else [],
+        "coefficients": found.coefficients.tolist(),
+        "parametrisation": args.parametrisation,
+        "solver": "clarabel",
+        "input_power": found.spectrum.total_power,
+        "power_used": design.power_used,
+        "information": design.information.tolist(),
+    }
+    return (
+        design,
+        payload,
+        f"{found!r}\nat least {design.bound:.12g} for every admissible spectrum (gap {design.gap:.1e})",
+    )
+
+
+def _writer(out: str | None, samples: int | None):
+    """A function that writes the result; complaints come before any work."""
+    if out is None:
+        return None
+    import json
+    import os
+    from pathlib import Path
+
+    path = Path(out)
+    if path.exists():
+        raise InputError(f"{out} exists already; choose another name or remove it.")
+    if not path.parent.is_dir():
+        raise InputError(f"the folder of {out} does not exist; create it first.")
+    if path.suffix not in (".csv", ".json"):
+        raise InputError(f"--out is {out}; name it .csv (the signal) or .json (the design).")
+    if path.suffix == ".csv" and samples is None:
+        raise InputError("--out with .csv writes the signal; say its length with --realise N.")
+
+    def write(payload: dict[str, Any], u: Any) -> None:
+        if path.suffix == ".json":
+            text = json.dumps(payload, indent=1)
+        else:
+            names = ["u"] if u.shape[1] == 1 else [f"u{j + 1}" for j in range(u.shape[1])]
+            text = "\n".join([",".join(names), *(",".join(map(repr, row)) for row in u.tolist())])
+        temporary = path.with_name(path.name + ".part")
+        temporary.write_text(text + "\n", encoding="utf-8")
+        os.replace(temporary, path)
+
+    return write

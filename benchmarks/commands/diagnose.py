@@ -1,0 +1,54 @@
+"""`oed diagnose`: what a linear model of a record lacks, and the error before and after it is added."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+HELP = "find the residual of a linear model, trace it to its cause, add the effect, report before and after"
+EXAMPLE = "oed diagnose train.csv --test test.csv --meta meta.json --json"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this command."""
+    parser.add_argument("train", metavar="TRAIN", help="training record; FILE[a:b] takes rows a to b-1")
+    parser.add_argument(
+        "--test", metavar="TEST", help="held-out record; without it the last quarter of TRAIN"
+    )
+    parser.add_argument(
+        "--meta", metavar="META.json", help="sampling time, structure and order known beforehand"
+    )
+    parser.add_argument(
+        "--skip", type=int, default=0, metavar="n", help="test samples that may set the initial state"
+    )
+    parser.add_argument(
+        "--order", type=int, help="order of the linear model (default: from --meta, else chosen)"
+    )
+    parser.add_argument("--inputs", metavar="NAMES", help="input columns, separated by commas")
+    parser.add_argument("--outputs", metavar="NAMES", help="output columns, separated by commas")
+    parser.add_argument("--dt", type=float, help="sampling time in seconds")
+    parser.add_argument(
+        "--alpha", type=float, default=0.01, help="false-alarm rate over all tests (default 0.01)"
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", help="write the simulated outputs, the result and figures there"
+    )
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Diagnose one pair of records."""
+    from estimators.diagnosis.cases import diagnose_files
+
+    result, notes = diagnose_files(
+        args.train, args.test, meta=args.meta, skip=args.skip, order=args.order, inputs=args.inputs,
+        outputs=args.outputs, dt=args.dt, alpha=args.alpha,
+    )  # fmt: skip
+    payload = result.to_dict() | {"notes": notes}
+    if args.meta:
+        payload["case"] = Path(args.meta).parent.name
+    if args.out:
+        from estimators.diagnosis.saving import save
+
+        payload["out"] = str(save(result, args.out))
+    return payload, "\n".join([*notes, str(result)])

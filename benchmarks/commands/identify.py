@@ -1,0 +1,197 @@
+"""`oed identify`: a model of measured data by prediction-error identification."""
+
+from __future__ import annotations
+
+import argparse
+
+HELP = "identify a model from data: parameters with standard errors, residual tests"
+EXAMPLE = "oed identify record.csv --structure oe --orders 2 2 --delay 3"
+
+ORDERS = {"fir": "nb", "arx": "na nb", "armax": "na nb nc", "oe": "nb nf", "bj": "nb nc nd nf", "ss": "n"}
+DEFAULTS = {"fir": [20], "arx": [2, 2], "armax": [2, 2, 2], "oe": [2, 2], "bj": [2, 2, 2, 2], "ss": [2]}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `oed identify`.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The subcommand's parser.
+    """
+    parser.add_argument(
+        "data",
+        nargs="+",
+        metavar="DATA",
+        help="csv, mat, parquet or npz; FILE[a:b] takes rows; several: one model",
+    )
+    parser.add_argument("--structure", choices=tuple(ORDERS), default="oe")
+    parser.add_argument(
+        "--orders",
+        nargs="+",
+        type=int,
+        help="; ".join(f"{k}: {v}" for k, v in ORDERS.items()) + " (default: 2)",
+    )
+    parser.add_argument("--delay", default="1", help="nk in samples, or auto (default 1)")
+    parser.add_argument("--diagonal", action="store_true", help="input i drives output i alone")
+    parser.add_argument(
+        "--no-offset", action="store_true", help="signals are deviations; no offset is estimated"
+    )
+    parser.add_argument("--remove-means", action="store_true", help="take the means as the offset")
+    parser.add_argument(
+        "--initial",
+        choices=("zero", "estimate", "backcast"),
+        help="initial states (default: estimate; with --no-offset zero)",
+    )
+    parser.add_argument("--missing", action="store_true", help="NaN in the outputs marks missing samples")
+    parser.add_argument("--robust", choices=("huber", "student"), help="a loss that withstands outliers")
+    parser.add_argument("--test", metavar="DATA", help="fresh data: the errors there are reported too")
+    parser.add_argument("--inputs", help="input columns, with commas (default: those that begin with u)")
+    parser.add_argument("--outputs", help="output columns, with commas (default: those that begin with y)")
+    parser.add_argument("--dt", type=float, help="sampling time in seconds")
+    parser.add_argument(
+        "--out", metavar="DIR", help="write model.json and residuals.csv into this new folder"
+    )
+
+
+def run(args: argparse.Namespace) -> tuple[dict, str]:
+    """Identify a model.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Options of `configure`.
+
+    Returns
+    -------
+    payload : dict
+        The JSON object.
+    text : str
+        What a person reads.
+    """
+    from estimators.choice import estimate_delay
+    from estimators.pem import identify
+    from estimators.residuals import residual_tests
+    from oed.files import read_record
+
+    notes: list[str] = []
+    reading = {
+        "inputs": args.inputs,
+        "outputs": args.outputs,
+        "dt": args.dt,
+        "notes": notes,
+        "missing": args.missing,
+    }
+    records = [read_record(spec, **reading) for spec in args.data]
+    out = _new_folder(args.out) if args.out else None
+    orders = args.orders or DEFAULTS[args.structure]
+    offset = "mean" if args.remove_means else not args.no_offset
+    initial = args.initial or ("zero" if args.no_offset else "estimate")
+    options = {
+        "offset": offset,
+        "initial": initial,
+        "diagonal": args.diagonal,
+        "missing": args.missing,
+        "robust": args.robust,
+    }
+    if args.delay == "auto":
+        found = estimate_delay(records, args.structure, orders, **options)
+        delay, fit = found.delay, found.fit
+    else:
+        delay = _whole(args.delay)
+        fit = identify(records, args.structure, orders, delay, **options)
+    complete = all(record.complete for record in records)
+    tests = residual_tests(fit, records) if complete else {}
+    if not complete:
+        notes.append("Samples are missing, so that no residual test was made.")
+    payload = fit.to_dict() | {
+        "structure": args.structure,
+        "orders": orders,
+        "delay": delay,
+        "residual_tests": {name: test.p_value for name, test in tests.items()},
+        "residual_lags": {name: test.significant().tolist() for name, test in tests.items()},
+        "notes": [*fit.notes, *notes],
+    }
+    if records[0].dt != 1:
+        import numpy as np
+
+        payload["hinf_frequency_hz"] = payload["hinf_frequency"] / (2 * np.pi * records[0].dt)
+    lines = [repr(fit)]
+    if offset:
+        lines += [
+            f"  level of {name}: {value:.6g}" + (f" +- {error:.2g}" if error else "")
+            for name, value, error in zip(
+                [*records[0].input_names, *records[0].output_names],
+                [*fit.input_level, *fit.output_level],
+                [*(0 * fit.input_level), *fit.output_level_errors],
+                strict=True,
+            )
+        ]
+    if tests:
+        lines += ["residual tests (p-values):", *(f"  {test!r}" for test in tests.values())]
+    if args.test:
+        fresh = read_record(args.test, **reading)
+        payload["test"] = _fresh(fit, fresh)
+        lines.append(
+            "on fresh data: simulation error {simulation_rmse:.6g} (fit {simulation_fit_percent:.2f} %), "
+            "one-step error {prediction_rmse:.6g}".format(**payload["test"])
+        )
+    lines += [f"note: {note}" for note in notes]
+    if out:
+        payload["out"] = _write(out, fit, records)
+        lines.append(f"written to {payload['out']}")
+    return payload, "\n".join(lines)
+
+
+def _whole(text: str) -> int:
+    from oed.errors import InputError
+
+    try:
+        return int(text)
+    except ValueError:
+        raise InputError(f"--delay is {text!r}; give a whole number of samples, or auto.") from None
+
+
+def _fresh(fit, record) -> dict:
+    """Errors on a record that was not fitted: simulated from rest, and one step ahead."""
+    import numpy as np
+
+    from estimators.pem.fit import fit_percent
+
+    simulated = fit.simulate(record.u)
+    e = fit.residuals_of(record, initial="estimate")
+    return {
+        "simulation_rmse": float(np.sqrt(np.mean((record.y - simulated) ** 2))),
+        "simulation_fit_percent": fit_percent(record.y, simulated),
+        "prediction_rmse": float(np.sqrt(np.mean(e**2))),
+    }
+
+
+def _new_folder(name: str):
+    from pathlib import Path
+
+    from oed.errors import InputError
+
+    folder = Path(name)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"--out {name} already holds something; give a new or empty folder.")
+    return folder
+
+
+def _write(folder, fit, records) -> str:
+    import os
+
+    import numpy as np
+
+    folder.mkdir(parents=True, exist_ok=True)
+    head = "record,t," + ",".join(f"e_{name}" for name in records[0].output_names)
+    rows = [
+        np.column_stack([np.full(len(e), k + 1), r.t, e])
+        for k, (r, e) in enumerate(zip(records, fit.residuals, strict=True))
+    ]
+    table = "\n".join(",".join(repr(float(x)) for x in row) for row in np.concatenate(rows))
+    for name, text in (("model.json", fit.model.to_json()), ("residuals.csv", f"{head}\n{table}")):
+        partial = folder / f".{name}.partial"
+        partial.write_text(text + "\n", encoding="utf-8")
+        os.replace(partial, folder / name)
+    return str(folder)

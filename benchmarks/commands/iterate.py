@@ -1,0 +1,121 @@
+"""`oed iterate`: run the power iterations on a plant and print the gains."""
+
+from __future__ import annotations
+
+import argparse
+
+HELP = "run the power iterations on a plant; estimates per iteration"
+EXAMPLE = "oed iterate --plant reference --algorithm siso --samples 1000 --iterations 50 --noise-variance 1"
+
+ALGORITHMS = ("siso", "procedure-1", "two-experiment", "mimo")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `oed iterate`.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The subcommand's parser.
+    """
+    parser.add_argument("--plant", default="reference", help="name or JSON file of the plant")
+    parser.add_argument("--algorithm", choices=ALGORITHMS, default="siso")
+    parser.add_argument("--samples", type=int, default=1000, help="samples per experiment")
+    parser.add_argument("--iterations", type=int, default=50)
+    parser.add_argument("--noise-variance", type=float, default=None)
+    parser.add_argument(
+        "--scaling",
+        choices=("none", "each", "common"),
+        default="none",
+        help="scaling of the second-stage inputs of mimo and two-experiment",
+    )
+    parser.add_argument("--replicate", type=int, default=0, help="which noise (of the same seed) is met")
+    parser.add_argument(
+        "--until-settled",
+        action="store_true",
+        help="stop before --iterations when the gain changes by less than its standard error",
+    )
+    parser.add_argument("--out", default=None, help="write inputs and outputs to this .npz or .csv file")
+
+
+def run(args: argparse.Namespace) -> tuple[dict, str]:
+    """Run the iterations.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Options of `configure`.
+
+    Returns
+    -------
+    payload : dict
+        The JSON object.
+    text : str
+        What a person reads.
+    """
+    import numpy as np
+
+    from benchmarks.plants import load_plant
+    from estimators.iterations import iterate
+    from estimators.peak_estimates import corrected
+    from estimators.stopping import settled
+    from estimators.worst_inputs import worst_case
+    from oed.errors import InputError, OedError
+    from oed.experiments import simulated
+
+    if args.iterations < 1:
+        raise InputError(f"--iterations is {args.iterations}; it must be at least 1.")
+    if args.replicate < 0:
+        raise InputError(f"--replicate is {args.replicate}; it must be at least 0.")
+    plant = load_plant(args.plant, args.noise_variance)
+    trace, gains = iterate(
+        simulated(plant, seed=args.seed, replicate=args.replicate),
+        algorithm=args.algorithm,
+        samples=args.samples,
+        iterations=args.iterations,
+        scaling=args.scaling,
+        rng=np.random.default_rng([args.seed, args.replicate]),
+        stop=settled() if args.until_settled else None,
+    )
+    worst = worst_case(trace)
+    local, reason = None, ""
+    try:
+        local = corrected(trace)
+    except OedError as error:  # too short for a local model: say so, and go on
+        reason = str(error)
+    if args.out:
+        from benchmarks.traces import write_trace
+
+        write_trace(trace, args.out)
+    complex_pairs = lambda v: [[float(x.real), float(x.imag)] for x in v]
+    payload = {
+        "plant": plant.name,
+        "algorithm": args.algorithm,
+        "scaling": args.scaling,
+        "gain": {name: g.values.tolist() for name, g in gains.items()},
+        "gain_status": {name: [s.name for s in g.statuses] for name, g in gains.items()},
+        "estimate": gains["gain"].last,
+        "estimate_status": gains["gain"].status.name,
+        "frequency": worst.frequency,
+        "frequency_error": worst.frequency_error,
+        "frequency_hz": worst.frequency_hz,
+        "direction": complex_pairs(worst.input_direction),
+        "output_direction": complex_pairs(worst.output_direction),
+        "corrected": None if local is None else [local.value, local.standard_error],
+        "corrected_interval": None if local is None else list(local.interval()),
+        "corrected_status": "FAILED" if local is None else local.status.name,
+        "experiments_used": trace.usage.experiments,
+        "samples": trace.usage.samples,
+        "energy": trace.usage.energy,
+        "status": trace.status.name,
+        "message": trace.message,
+    }
+    lines = [f"{plant}", f"{trace}"]
+    lines += [f"  {g}" for g in gains.values()]
+    if not gains["gain"].status.ok:
+        lines.append(f"  last gain: {gains['gain'].status.value}")
+    lines.append(f"  corrected: {local}" if local else f"  corrected: none. {reason}")
+    lines.append(f"  {worst}")
+    if args.out:
+        lines.append(f"  written to {args.out}")
+    return payload, "\n".join(lines)

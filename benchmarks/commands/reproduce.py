@@ -1,0 +1,64 @@
+"""`oed reproduce`: published figures and statements, recomputed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+HELP = "recompute what was published: figures, tables and theorems"
+EXAMPLE = "oed reproduce siso-theorem-9"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `oed reproduce`.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The subcommand's parser.
+    """
+    parser.add_argument("name", nargs="?", metavar="NAME", help="one of the items; default: all")
+    parser.add_argument("--strict", action="store_true", help="exit 1 if a row does not hold")
+
+
+def run(args: argparse.Namespace) -> tuple[dict, str]:
+    """Reproduce.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Options of `configure`.
+
+    Returns
+    -------
+    payload : dict
+        The JSON object.
+    text : str
+        What a person reads.
+
+    Raises
+    ------
+    OedError
+        With --strict, if a row does not hold.
+    """
+    from benchmarks.reproduced import rows_of
+    from oed.errors import OedError
+
+    progress = None if args.quiet else lambda name: print(f"reproducing {name}", file=sys.stderr)
+    rows = rows_of(args.name, progress)
+    failed = [r["name"] for r in rows if r["holds"] is False]
+    if args.strict and failed:
+        raise OedError(f"{len(failed)} of {len(rows)} rows do not hold: {', '.join(failed)}.")
+    show = lambda v: f"{v:.8g}" if isinstance(v, float) else "-" if v is None else str(v)
+    lines = []
+    for r in rows:
+        verdict = {True: "holds", False: "DOES NOT HOLD", None: "not judged"}[r["holds"]]
+        lines.append(f"{verdict:13}  {r['name']}  [{r['source']}]")
+        lines.append(
+            f"{'':15}published {show(r['published'])}, computed {show(r['computed'])}, "
+            f"tolerance {show(r['tolerance'])}"
+        )
+        lines.append(f"{'':15}{r['why']}")
+    held = sum(r["holds"] is True for r in rows)
+    lines.append(f"{held} of {len(rows)} rows hold, {len(failed)} do not, the rest are illustrations.")
+    return {"rows": rows}, "\n".join(lines)

@@ -1,0 +1,53 @@
+"""`oed speed`: the speed benchmarks, ours and a baseline in turn in one run."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+HELP = "speed benchmarks: ours against a baseline, same work, medians"
+EXAMPLE = "oed speed pem --json"
+
+COLUMNS = {
+    "name": "benchmark",
+    "size": "size",
+    "seconds": "seconds",
+    "baseline": "baseline",
+    "baseline_seconds": "its seconds",
+    "ratio": "ratio",
+    "target": "target",
+    "holds": "holds",
+    "peak_mb": "peak MB",
+}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this command."""
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help="which files of benchmarks/speed (default all)"
+    )
+    parser.add_argument("--strict", action="store_true", help="exit 1 where a target is missed")
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Run the benchmarks."""
+    import pkgutil
+    import sys
+    from importlib import import_module
+
+    import benchmarks.speed
+    from benchmarks.tables import to_text
+    from oed.errors import OedError, check_names
+
+    known = tuple(info.name for info in pkgutil.iter_modules(benchmarks.speed.__path__))
+    check_names(args.names, known, "speed benchmark")
+    rows: list[dict[str, Any]] = []
+    for name in args.names or known:
+        if not args.quiet:
+            print(f"oed speed: {name} ...", file=sys.stderr, flush=True)
+        rows += import_module(f"benchmarks.speed.{name}").rows()
+    missed = [row["name"] for row in rows if row.get("holds") is False]
+    text = to_text(rows, COLUMNS)
+    if missed and args.strict:
+        raise OedError(f"{len(missed)} targets are missed: {', '.join(missed)}.\n{text}")
+    return {"rows": rows}, text

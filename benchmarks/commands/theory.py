@@ -1,0 +1,50 @@
+"""`oed theory`: what the theory predicts for the power iterations on a plant."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from benchmarks.plants import add_plant_arguments, load_plant
+from oed.errors import InputError
+
+HELP = "what the theory predicts for the iterations: limit spectrum, bias, efficiency"
+EXAMPLE = "oed theory --plant reference --noise-variance 1 --json"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this command."""
+    add_plant_arguments(parser)
+    parser.add_argument(
+        "--algorithm", choices=("siso", "two-experiment", "mimo"), help="default: siso, mimo for a MIMO plant"
+    )
+    parser.add_argument(
+        "--scaling", choices=("none", "each", "common"), default="none", help="of Procedure 2's second stage"
+    )
+    parser.add_argument(
+        "--experiments", type=int, default=50, metavar="n", help="efficiencies of the first 1..n (default 50)"
+    )
+    parser.add_argument(
+        "--samples", type=int, metavar="N", help="also the prediction for experiments of N samples"
+    )
+
+
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """Compute the prediction."""
+    from benchmarks.predictions import mimo_prediction, siso_prediction
+
+    plant = load_plant(args.plant, args.noise_variance)
+    several = plant.n_inputs * plant.n_outputs > 1
+    algorithm = args.algorithm or ("mimo" if several else "siso")
+    if args.experiments < 1:
+        raise InputError(f"--experiments is {args.experiments}; it must be at least 1.")
+    if args.samples is not None and args.samples < 2:
+        raise InputError(f"--samples is {args.samples}; an experiment has at least 2.")
+    if several and algorithm != "mimo":
+        raise InputError(
+            f"the plant has {plant.n_outputs} outputs and {plant.n_inputs} inputs; --algorithm {algorithm} is for "
+            "one of each: use --algorithm mimo."
+        )
+    if algorithm == "siso":
+        return siso_prediction(plant, experiments=args.experiments, samples=args.samples)
+    return mimo_prediction(plant, algorithm, args.scaling, experiments=args.experiments, samples=args.samples)

@@ -1,0 +1,350 @@
+"""What a comparison leaves behind: tables, figures, the page, and the sentences at its top."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import figures
+from benchmarks.campaign import Settings
+from benchmarks.comparison import COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
+from benchmarks.hair_dryer import hair_dryer_story
+from benchmarks.report import save_figure, save_report, save_table
+from benchmarks.statistics import Target
+from benchmarks.tables import format_value, to_markdown
+from oed.theory.efficiency import peak_gain_efficiency_by_experiments
+
+__all__ = ["write_comparison"]
+
+Row = dict[str, Any]
+Targets = Mapping[tuple[str, float], Target]
+FIG3_ITERATIONS = 50
+FIG3_REPLICATES = 1000
+
+
+def write_comparison(
+    folder: Path,
+    settings: Settings,
+    replicates: int,
+    rows: list[Row],
+    information: list[Row],
+    known: Targets,
+) -> tuple[list[str], Path]:
+    """Write tables, figures and the page of a comparison.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder.
+    settings : Settings
+        The campaign.
+    replicates : int
+        Monte-Carlo runs.
+    rows, information : list of dict
+        Of `comparison_rows` and `information_rows`.
+    known : mapping
+        (plant, noise variance) to Target.
+
+    Returns
+    -------
+    sentences : list of str
+        What the numbers say.
+    page : Path
+        The report.
+    """
+    sentences = answers(rows, information, settings)
+    siso = [p for p in settings.plants if known[p, settings.noise_variances[0]].plant.n_inputs == 1]
+    siso = [p for p in siso if known[p, settings.noise_variances[0]].plant.n_outputs == 1]
+    comparison = {
+        "title": "The comparison",
+        "text": [
+            f"Every input had {settings.experiments} experiments of {settings.samples} samples at unit power, the same plants and "
+            f"the same noise, {replicates} times. rho is the root mean square error of the estimated H-infinity norm times the root of "
+            "the input energy over the noise variance: no unbiased method gets below 1 (a bound that holds locally and for "
+            "large samples). The column predicted is what the Fisher information of the same inputs promises to an efficient estimator.",
+        ],
+        "tables": [
+            save_table(
+                folder,
+                "comparison",
+                rows,
+                COLUMNS,
+                "Bias, RMSE and rho, each with its Monte-Carlo standard error.",
+            )
+        ],
+        "figures": [
+            save_figure(
+                folder,
+                "rho",
+                figures.rho_figure(rows, settings.plants),
+                "rho of every input and estimator (error bars: two standard errors) beside the prediction of the information.",
+            )
+        ],
+    }
+    carried = {
+        "title": "What each input carries",
+        "text": [
+            "Efficiency is the certified optimal loss over the loss of the information that the inputs carried, both at the same "
+            "energy: for the variance of the peak gain, and for D, A and E of all parameters. The information of the first n "
+            "experiments is the sum of their informations (Lemma 13).",
+        ],
+        "tables": [
+            save_table(
+                folder,
+                "information",
+                information,
+                INFORMATION_COLUMNS,
+                "Efficiencies of the first n experiments together, against certified optima; jackknife standard errors.",
+            )
+        ],
+        "figures": [
+            save_figure(
+                folder,
+                f"efficiency-{plant}",
+                figures.efficiency_figure(information, plant, _theory(known, settings, plant)),
+                f"{plant}: efficiency against the number of experiments, measured (markers) and predicted (line).",
+            )
+            for plant in siso
+        ],
+    }
+    best = headline_rows(rows)
+    answer = {
+        "title": "The answer in one table",
+        "tables": [
+            save_table(
+                folder,
+                "headline",
+                best,
+                HEADLINE,
+                f"What {settings.experiments} experiments of {settings.samples} samples carry, in shares of the certified optimum, "
+                "and the estimator that made most of them.",
+            )
+        ],
+    }
+    sections = [answer, comparison, carried, _theory_section(folder, settings, known, siso)]
+    if "hair-dryer" in settings.plants:
+        sections.append(_hair_dryer_section(folder))
+    headline = to_markdown(best, HEADLINE)
+    save_summary(folder, sentences, headline)
+    content = {
+        "title": "Which input is worth applying for the H-infinity norm?",
+        "lead": sentences,
+        "sections": sections,
+        "made": made(settings, replicates, folder),
+    }
+    return sentences, save_report(folder, content)
+
+
+HEADLINE = {
+    "plant": "plant",
+    "noise_variance": "noise",
+    "method": "input",
+    "c_efficiency": "efficiency, peak gain",
+    "d_efficiency": "efficiency, D",
+    "best_estimator": "best estimator",
+    "rho": "its rho",
+    "rho_predicted": "rho predicted",
+}
+
+
+def headline_rows(rows: Sequence[Row]) -> list[Row]:
+    """One row per plant, noise and input: what it carries, and its best estimator.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        Of `comparison_rows`.
+
+    Returns
+    -------
+    list of dict
+        For the README and the top of the page.
+    """
+    table: list[Row] = []
+    keys = list(dict.fromkeys((r["plant"], r["noise_variance"], r["method"]) for r in rows))
+    for key in keys:
+        mine = [r for r in rows if (r["plant"], r["noise_variance"], r["method"]) == key]
+        best = min(mine, key=lambda r: r["rho"] if is_number(r["rho"]) else np.inf)
+        predicted = next((r["rho_predicted"] for r in mine if is_number(r["rho_predicted"])), float("nan"))
+        table.append(best | {"best_estimator": best["estimator"], "rho_predicted": predicted})
+    return table
+
+
+def answers(rows: Sequence[Row], information: Sequence[Row], settings: Settings) -> list[str]:
+    """What the numbers say about the claim that the iterations are experiment design.
+
+    Parameters
+    ----------
+    rows, information : sequence of dict
+        The tables.
+    settings : Settings
+        The campaign.
+
+    Returns
+    -------
+    list of str
+        Sentences with their numbers.
+    """
+    sentences = []
+    at = {
+        (r["plant"], r["noise_variance"], r["method"]): r
+        for r in information
+        if r["experiments"] == settings.experiments
+    }
+    for plant in settings.plants:
+        found = []
+        for variance in settings.noise_variances:
+            power, white = at.get((plant, variance, "power")), at.get((plant, variance, "white"))
+            if power and white:
+                found.append(
+                    (
+                        variance,
+                        power["c_efficiency"],
+                        white["c_efficiency"],
+                        power["d_efficiency"],
+                        white["d_efficiency"],
+                    )
+                )
+        if found:
+            listed = "; ".join(
+                f"at noise {v:g}, {100 * c:.1f} % of the optimum for the peak gain (white noise {100 * cw:.1f} %) and "
+                f"{100 * d:.1f} % for D (white {100 * dw:.1f} %)"
+                for v, c, cw, d, dw in found
+            )
+            sentences.append(f"{plant}: {settings.experiments} power iterations carry, {listed}.")
+    for plant in settings.plants:
+        own = [
+            r
+            for r in rows
+            if r["plant"] == plant
+            and r["method"] == "power"
+            and r["estimator"] == "gain"
+            and is_number(r["rho"])
+        ]
+        pem = {
+            r["noise_variance"]: r
+            for r in rows
+            if r["plant"] == plant and r["method"] == "power" and r["estimator"] == "pem"
+        }
+        listed = "; ".join(
+            f"at noise {r['noise_variance']:g} rho is {format_value(r['rho'], r['rho_se'])} with beta_2 and "
+            f"{format_value(pem[r['noise_variance']]['rho'], pem[r['noise_variance']]['rho_se'])} with PEM"
+            for r in own
+            if r["noise_variance"] in pem and is_number(pem[r["noise_variance"]]["rho"])
+        )
+        if listed:
+            sentences.append(f"{plant}: on the same records of the iterations, {listed}.")
+    return sentences
+
+
+def _theory(known: Targets, settings: Settings, plant: str) -> dict[float, Any]:
+    return {
+        variance: peak_gain_efficiency_by_experiments(known[plant, variance].plant, settings.experiments)
+        for variance in settings.noise_variances
+    }
+
+
+def _theory_section(folder: Path, settings: Settings, known: Targets, siso: Sequence[str]) -> dict[str, Any]:
+    """[S] Fig. 2 and 3, and the limit spectra beside the optimal ones."""
+    from oed.design import solve_design
+
+    drawn = []
+    for plant in siso:
+        variances = settings.noise_variances
+        absolute = {v: known[plant, v].plant.noise_variance for v in variances}
+        base = known[plant, variances[0]].plant
+        drawn.append(
+            save_figure(
+                folder,
+                f"limit-spectra-{plant}",
+                figures.limit_spectrum_figure(base, list(absolute.values())),
+                f"{plant}: magnitude of the plant and limit spectra of the power iterations ([S] Fig. 2).",
+            )
+        )
+        optima = {
+            name: solve_design(base, key).spectrum
+            for name, key in (("peak gain", "hinf"), ("D", "D"))
+            if key != "hinf" or known[plant, variances[0]].peak.unique
+        }
+        drawn.append(
+            save_figure(
+                folder,
+                f"spectra-{plant}",
+                figures.spectra_against_optima_figure(base, list(absolute.values()), optima),
+                f"{plant}: where the power lies, iterations against optimal inputs (cumulative, since lines have no density).",
+            )
+        )
+        drawn.append(_estimated_gain(folder, settings, known, plant))
+    return {"title": "The theory beside it", "text": [], "tables": [], "figures": drawn}
+
+
+def _estimated_gain(folder: Path, settings: Settings, known: Targets, plant: str) -> dict[str, Any]:
+    """[S] Fig. 3 for a plant."""
+    from estimators.engine import monte_carlo
+    from estimators.gains import gain
+    from estimators.power import power_iterations
+    from estimators.trace import run
+    from oed.experiments import simulated
+    from oed.theory.finite import finite_norm
+
+    plants = {v: known[plant, v].plant for v in settings.noise_variances}
+    size: dict[str, Any] = {
+        "samples": settings.samples,
+        "iterations": FIG3_ITERATIONS,
+        "replicates": FIG3_REPLICATES,
+        "seed": settings.seed,
+    }
+    means = {v: monte_carlo(p, **size).mean["gain"] for v, p in plants.items()}
+    loudest = max(plants)
+    trace = run(
+        power_iterations,
+        simulated(plants[loudest], seed=settings.seed),
+        samples=settings.samples,
+        experiments=FIG3_ITERATIONS,
+        rng=np.random.default_rng(settings.seed),
+    )
+    figure = figures.estimated_gain_figure(
+        means, gain(trace).values, loudest, finite_norm(plants[loudest], settings.samples), FIG3_REPLICATES
+    )
+    return save_figure(
+        folder,
+        f"estimated-gain-{plant}",
+        figure,
+        f"{plant}: estimated gain beta_2 during the iterations ([S] Fig. 3), {FIG3_REPLICATES} runs of {settings.samples} "
+        "samples; runs whose square is negative are left out of that iteration's mean.",
+    )
+
+
+def _hair_dryer_section(folder: Path) -> dict[str, Any]:
+    story = hair_dryer_story()
+    return {
+        "title": "The loop closed on a real record: the hair dryer",
+        "text": story.sentences,
+        "tables": [
+            save_table(
+                folder,
+                "hair_dryer",
+                story.rows,
+                {
+                    "model": "model",
+                    "delay": "nk",
+                    "simulation_rmse": "simulation error (V)",
+                    "one_step_rmse": "one-step error (V)",
+                    "fit_percent": "fit (%)",
+                    "smallest_p_value": "p, input-residual lags 1-10",
+                },
+                "Errors on the second half of the record, which no model has seen.",
+            )
+        ],
+        "figures": [
+            save_figure(
+                folder,
+                "hair-dryer",
+                figures.hair_dryer_figure(story),
+                "Left: correlation of input and residual before and after the delay was added. Right: simulation on the second half.",
+            )
+        ],
+    }

@@ -1,0 +1,305 @@
+"""`compare`: run a campaign and turn it into tables, figures, a page and a sentence."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.campaign import Settings, run_campaign
+from benchmarks.statistics import comparison_rows, information_rows, targets
+from benchmarks.store import versions, write_atomically
+from benchmarks.tables import to_text
+from oed.errors import InputError
+
+__all__ = ["COLUMNS", "Comparison", "compare"]
+
+COLUMNS = {
+    "plant": "plant",
+    "noise_variance": "noise",
+    "method": "input",
+    "estimator": "estimator",
+    "rho": "rho",
+    "rho_predicted": "predicted",
+    "bias": "bias",
+    "rmse": "RMSE",
+    "c_efficiency": "eff. peak gain",
+    "d_efficiency": "eff. D",
+    "coverage": "coverage",
+    "n": "runs",
+    "n_failed": "failed",
+}
+INFORMATION_COLUMNS = {
+    "plant": "plant",
+    "noise_variance": "noise",
+    "method": "input",
+    "experiments": "experiments",
+    "energy": "energy",
+    "c_efficiency": "peak gain",
+    "d_efficiency": "D",
+    "a_efficiency": "A",
+    "e_efficiency": "E",
+    "rho_predicted": "best rho",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Result of `compare`.
+
+    Attributes
+    ----------
+    rows : list of dict
+        The comparison table.
+    information : list of dict
+        What the inputs carry, by number of experiments.
+    out : Path
+        Results folder.
+    page : Path or None
+        The report; None after a dry run.
+    sentences : list of str
+        What the numbers say.
+    """
+
+    rows: list[dict[str, Any]]
+    information: list[dict[str, Any]] = field(repr=False)
+    out: Path
+    page: Path | None
+    sentences: list[str]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The keys of `oed compare --json`.
+
+        Returns
+        -------
+        dict
+            rows, out, and more.
+        """
+        return {
+            "rows": self.rows,
+            "out": str(self.out),
+            "report": str(self.page) if self.page else None,
+            "summary": self.sentences,
+            "information": self.information,
+        }
+
+    def __str__(self) -> str:
+        where = [f"report: {self.page}"] if self.page else []
+        return "\n".join([to_text(self.rows, COLUMNS), "", *self.sentences, *where])
+
+
+class _Progress:
+    """A line on standard error with the time left."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.quiet = quiet
+        self.bar: Any = None
+
+    def __call__(self, done: int, total: int) -> None:
+        if self.quiet:
+            return
+        if self.bar is None:
+            from tqdm import tqdm
+
+            self.bar = tqdm(
+                total=total, initial=done, unit="part", desc="campaign", file=sys.stderr, leave=True
+            )
+        self.bar.update(done - self.bar.n)
+        if done == total:
+            self.bar.close()
+
+
+def compare(
+    *,
+    plants: Sequence[str] | None = None,
+    noise_variances: Sequence[float] | None = None,
+    samples: int = 1000,
+    experiments: int = 20,
+    replicates: int = 100,
+    methods: Sequence[str] | None = None,
+    estimators: Sequence[str] | None = None,
+    seed: int = 0,
+    out: str | Path = "results/compare",
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    dry_run: bool = False,
+    quiet: bool = False,
+) -> Comparison:
+    """Compare inputs and estimators for the H-infinity norm in Monte Carlo, at equal budgets.
+
+    Parameters
+    ----------
+    plants : sequence of str, optional
+        Names or JSON files.
+    noise_variances : sequence of float, optional
+        For every plant.
+    samples, experiments, replicates : int
+        Length of an experiment, experiments per run, Monte-Carlo runs.
+    methods, estimators : sequence of str, optional
+        Names of inputs and estimators.
+    seed : int
+        Of everything random.
+    out : str or Path
+        Results folder; the same settings resume it.
+    jobs : int, optional
+        Worker processes.
+    scheduler : str, optional
+        Address of a Dask scheduler.
+    dry_run : bool
+        Only try everything on a tiny size, in a folder that is thrown away.
+    quiet : bool
+        No progress on standard error.
+
+    Returns
+    -------
+    Comparison
+        Rows, sentences and the page.
+    """
+    given = {
+        "plants": plants,
+        "noise_variances": noise_variances,
+        "methods": methods,
+        "estimators": estimators,
+    }
+    settings = Settings(
+        samples=samples,
+        experiments=experiments,
+        seed=seed,
+        **{name: tuple(values) for name, values in given.items() if values},
+    )
+    if jobs is not None and jobs < 1:
+        raise InputError(f"jobs is {jobs}; it must be at least 1.")
+    if dry_run:
+        return _dry_run(settings, replicates, Path(out))
+    folder = Path(out)
+    raw = run_campaign(
+        settings, replicates, folder, jobs=jobs, scheduler=scheduler, progress=_Progress(quiet)
+    )
+    known = targets(raw)
+    information = information_rows(raw, known)
+    rows = comparison_rows(raw, information, known)
+    from benchmarks.compare_report import write_comparison
+
+    sentences, page = write_comparison(folder, settings, replicates, rows, information, known)
+    return Comparison(rows, information, folder, page, sentences)
+
+
+def _dry_run(settings: Settings, replicates: int, out: Path) -> Comparison:
+    """Every combination once, two tiny experiments each, nothing kept."""
+    from dataclasses import replace
+    from tempfile import TemporaryDirectory
+
+    tiny = replace(settings, samples=min(settings.samples, 200), experiments=min(settings.experiments, 2))
+    start = time.monotonic()
+    with TemporaryDirectory() as folder:
+        raw = run_campaign(tiny, 2, Path(folder), jobs=1)
+    seconds = time.monotonic() - start
+    combinations = {(row["plant"], row["noise_variance"], row["method"]) for row in raw}
+    failed = [row for row in raw if row["estimator"] and row["message"]]
+    size = settings.samples * settings.experiments * replicates
+    sentences = [
+        f"Dry run: {len(combinations)} combinations of plant, noise and input ran at {tiny.experiments} experiments of "
+        f"{tiny.samples} samples in {seconds:.1f} s; the full campaign has {size:,} samples in each of them, kept in {out}.",
+        f"{len(failed)} estimates of {sum(1 for row in raw if row['estimator'])} gave no number at this size.",
+    ]
+    return Comparison([], [], out, None, sentences)
+
+
+def command_line(settings: Settings, replicates: int, out: Path) -> str:
+    """The command that repeats a comparison.
+
+    Parameters
+    ----------
+    settings : Settings
+        The campaign.
+    replicates : int
+        Monte-Carlo runs.
+    out : Path
+        Results folder.
+
+    Returns
+    -------
+    str
+        For a shell.
+    """
+    words = ["oed", "compare"]
+    for plant in settings.plants:
+        words += ["--plant", plant]
+    for variance in settings.noise_variances:
+        words += ["--noise-variance", f"{variance:g}"]
+    words += ["--samples", str(settings.samples), "--experiments", str(settings.experiments)]
+    words += [
+        "--replicates",
+        str(replicates),
+        "--methods",
+        *settings.methods,
+        "--estimators",
+        *settings.estimators,
+    ]
+    return shlex.join([*words, "--seed", str(settings.seed), "--out", str(out)])
+
+
+def made(settings: Settings, replicates: int, out: Path) -> dict[str, str]:
+    """How a comparison was made, for the end of its page.
+
+    Parameters
+    ----------
+    settings : Settings
+        The campaign.
+    replicates : int
+        Monte-Carlo runs.
+    out : Path
+        Results folder.
+
+    Returns
+    -------
+    dict
+        Name to value.
+    """
+    values = {
+        name: ", ".join(map(str, v)) if isinstance(v, tuple) else str(v)
+        for name, v in asdict(settings).items()
+    }
+    return {
+        "command": command_line(settings, replicates, out),
+        **{name.replace("_", " "): value for name, value in values.items()},
+        "replicates": str(replicates),
+        **{f"version of {name}": value for name, value in versions().items()},
+    }
+
+
+def save_summary(folder: Path, sentences: Sequence[str], headline: str) -> None:
+    """Keep the sentences and the headline table as Markdown.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder.
+    sentences : sequence of str
+        What the numbers say.
+    headline : str
+        Markdown table.
+    """
+    write_atomically(folder / "summary.md", "\n\n".join([headline, *sentences]) + "\n")
+
+
+def is_number(value: Any) -> bool:
+    """Whether a table entry is a finite number.
+
+    Parameters
+    ----------
+    value : object
+        An entry.
+
+    Returns
+    -------
+    bool
+        False for None, text, NaN and infinities.
+    """
+    return isinstance(value, int | float) and bool(np.isfinite(value))

@@ -1,0 +1,96 @@
+"""The rows of `oed reproduce`: what was published, what comes out here, and whether that agrees."""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+from oed.errors import check_names
+
+__all__ = ["KEYS", "row", "row_names", "rows_of"]
+
+KEYS = ("name", "source", "published", "computed", "tolerance", "why", "holds")
+
+
+def row(
+    name: str,
+    source: str,
+    published: float | str | None,
+    computed: float | str,
+    tolerance: float | None,
+    why: str,
+    holds: bool | None = None,
+) -> dict[str, Any]:
+    """One published statement and what comes out here.
+
+    Parameters
+    ----------
+    name : str
+        Short name of the statement.
+    source : str
+        Where it was published: paper and equation, figure or theorem.
+    published : float, str or None
+        What was published; None for an illustration, which proves nothing by holding.
+    computed : float or str
+        What comes out here.
+    tolerance : float or None
+        Largest |computed - published| that counts as agreement.
+    why : str
+        Why the tolerance is what it is, and what was done.
+    holds : bool, optional
+        Whether it agrees; default by the tolerance. None with a reason in `why` where data are absent.
+
+    Returns
+    -------
+    dict
+        The row.
+    """
+    if holds is None and isinstance(published, int | float) and tolerance is not None:
+        holds = bool(abs(float(computed) - published) <= tolerance)
+    return dict(zip(KEYS, (name, source, published, computed, tolerance, why, holds), strict=True))
+
+
+def _modules() -> dict[str, str]:
+    import benchmarks.reproductions as home
+
+    found = sorted(info.name for info in pkgutil.iter_modules(home.__path__))
+    return {name.replace("_", "-"): f"{home.__name__}.{name}" for name in found}
+
+
+def row_names() -> tuple[str, ...]:
+    """Names of what can be reproduced.
+
+    Returns
+    -------
+    tuple of str
+        One per file of `benchmarks.reproductions`.
+    """
+    return tuple(_modules())
+
+
+def rows_of(name: str | None = None, progress: Callable[[str], None] | None = None) -> list[dict[str, Any]]:
+    """Reproduce one published item, or all.
+
+    Parameters
+    ----------
+    name : str, optional
+        One of `row_names`.
+    progress : callable, optional
+        Told the name of each item as it begins.
+
+    Returns
+    -------
+    list of dict
+        Rows with the keys of `KEYS`.
+    """
+    modules = _modules()
+    if name is not None:
+        check_names([name], tuple(modules), "reproduction")
+    rows = []
+    for each in [name] if name else modules:
+        if progress:
+            progress(each)
+        rows += import_module(modules[each]).rows()
+    return rows

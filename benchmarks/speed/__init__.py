@@ -1,0 +1,1 @@
+"""Speed benchmarks: ours and a baseline in turn, same work, medians."""

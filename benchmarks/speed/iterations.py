@@ -1,0 +1,212 @@
+"""Speed of the Monte-Carlo engine and of the norms, each beside its baseline, in turn in one run."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+__all__ = ["BENCHMARKS", "lfilter_campaign", "rows"]
+
+
+def lfilter_campaign(
+    samples: int, iterations: int, replicates: int, variance: float, seed: int = 0
+) -> np.ndarray:
+    """The baseline: Algorithm 1 on the reference plant as a loop over `scipy.signal.lfilter`.
+
+    Parameters
+    ----------
+    samples, iterations, replicates : int
+        Size.
+    variance : float
+        Noise variance.
+    seed : int
+        Seed of numpy's generator.
+
+    Returns
+    -------
+    ndarray
+        (replicates, iterations) squares of [S] (7).
+    """
+    from scipy.signal import lfilter
+
+    num, den = np.array([0, 0.2155, 0.2012]), np.array([1, -0.9854, 0.8187])
+    rng = np.random.default_rng(seed)
+    deviation, root = np.sqrt(variance), np.sqrt(samples)
+    squares = np.full((replicates, iterations), np.nan)
+    for r in range(replicates):
+        u = rng.standard_normal(samples)
+        u *= root / np.linalg.norm(u)
+        before, factor = u, 0.0
+        for m in range(iterations):
+            y = np.asarray(lfilter(num, den, u)) + deviation * rng.standard_normal(samples)
+            turned = y[::-1]
+            if m:
+                squares[r, m] = factor * (before @ turned) / samples
+            before, factor = u, np.linalg.norm(y) / root
+            u = turned / factor
+    return squares
+
+
+def _in_turn(ours: Callable[[], Any], theirs: Callable[[], Any], rounds: int) -> tuple[float, float]:
+    """Medians of the seconds of both, measured alternately after one unmeasured call of each."""
+    ours()
+    theirs()
+    seconds: tuple[list[float], list[float]] = ([], [])
+    for _ in range(rounds):
+        for kept, work in zip(seconds, (ours, theirs), strict=True):
+            begin = time.perf_counter()
+            work()
+            kept.append(time.perf_counter() - begin)
+    return float(np.median(seconds[0])), float(np.median(seconds[1]))
+
+
+def _peak_mb(work: Callable[[], Any]) -> float:
+    tracemalloc.start()
+    work()
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return most / 2**20
+
+
+def _row(
+    name: str, size: str, ours: float, baseline: str, theirs: float, target: float, peak_mb: float
+) -> dict[str, Any]:
+    ratio = theirs / ours
+    return {
+        "name": name,
+        "size": size,
+        "seconds": ours,
+        "baseline": baseline,
+        "baseline_seconds": theirs,
+        "ratio": ratio,
+        "target": target,
+        "holds": bool(ratio >= target),
+        "peak_mb": peak_mb,
+    }
+
+
+def siso_campaign() -> list[dict[str, Any]]:
+    """The Fig. 3 campaign: N = 1000, 50 iterations, three variances; target 20 times the baseline.
+
+    Returns
+    -------
+    list of dict
+        One row. Both do 64 runs per variance and round (the full campaign has 1000): the time per run does
+        not depend on their number.
+    """
+    from estimators.engine import monte_carlo
+    from oed.named import named_plant
+
+    plants = [named_plant("reference", v) for v in (1.0, 4.0, 9.0)]
+    ours = lambda: [monte_carlo(plant, 1000, 50, 64) for plant in plants]
+    theirs = lambda: [lfilter_campaign(1000, 50, 8, plant.noise_variance) for plant in plants]
+    a, b = _in_turn(ours, theirs, 7)
+    flat = _peak_mb(lambda: monte_carlo(plants[0], 1000, 50, 640))
+    size = "N=1000, 50 iterations, 1000 runs, 3 variances"
+    return [
+        _row("iterations-siso", size, a * 1000 / 64, "loop over scipy.signal.lfilter", b * 125, 20.0, flat)
+    ]
+
+
+def mimo_campaign() -> list[dict[str, Any]]:
+    """Procedure 2 on the 3 x 2 plant, seven experiments per iteration, against the plain loop.
+
+    Returns
+    -------
+    list of dict
+        One row.
+    """
+    from estimators.engine import monte_carlo, twin_batch
+    from oed.named import named_plant
+
+    plant = named_plant("three-by-two")
+    ours = lambda: monte_carlo(plant, 1000, 10, 64, algorithm="mimo")
+    theirs = lambda: [twin_batch(plant, "mimo", 1000, 10, 0, r) for r in range(2)]
+    a, b = _in_turn(ours, theirs, 5)
+    flat = _peak_mb(lambda: monte_carlo(plant, 1000, 10, 320, algorithm="mimo"))
+    size = "3 x 2, N=1000, 10 iterations, 64 runs"
+    return [_row("iterations-mimo", size, a, "the plain loop on scipy.signal.lfilter", b * 32, 20.0, flat)]
+
+
+def finite_time_norm() -> list[dict[str, Any]]:
+    """The norm over 1e5 samples; target: under a second.
+
+    Returns
+    -------
+    list of dict
+        One row; the baseline is the second that is allowed.
+    """
+    from oed.named import named_plant
+    from oed.theory.finite import finite_norm
+
+    plant = named_plant("reference")
+    finite_norm(plant, 1000)
+    begin = time.perf_counter()
+    finite_norm(plant, 100_000)
+    seconds = time.perf_counter() - begin
+    flat = _peak_mb(lambda: finite_norm(plant, 100_000))
+    return [_row("finite-norm", "N=1e5", seconds, "one second", 1.0, 1.0, flat)]
+
+
+def hinf_norm() -> list[dict[str, Any]]:
+    """The H-infinity norm of models of order 20 and 40 at 1e-10, against slycot's ab13dd; target: half as fast.
+
+    Returns
+    -------
+    list of dict
+        One row per order; none where slycot is not installed (it is no dependency, its licence is the GPL).
+    """
+    from importlib import import_module
+
+    from oed.named import named_plant
+    from oed.norms import peak
+    from oed.plants import Plant
+    from oed.realisations import state_space
+
+    try:
+        control = import_module("control")
+        solver = import_module("control.exception").slycot_check()
+    except ImportError:
+        solver = False
+    if not solver:
+        return []
+    rng = np.random.default_rng(0)
+    double = named_plant("order-20")
+    poles = 0.9 * np.exp(1j * np.linspace(0.2, 2.9, 20))
+    wide = Plant(np.r_[0, rng.standard_normal(20)], np.real(np.poly(np.r_[poles, np.conj(poles)])))
+    rows = []
+    for order, plant in ((20, double), (40, wide)):
+        A, B, C, D = state_space(plant)
+        system = control.StateSpace(A, B, C, D, 1.0)
+        a, b = _in_turn(
+            lambda plant=plant: peak(plant, tolerance=1e-10),
+            lambda system=system: control.linfnorm(system, tol=1e-10),
+            9,
+        )
+        memory = _peak_mb(lambda plant=plant: peak(plant, tolerance=1e-10))
+        rows.append(_row(f"hinf-norm-{order}", f"order {order}, 1e-10", a, "slycot ab13dd", b, 0.5, memory))
+    return rows
+
+
+BENCHMARKS: dict[str, Callable[[], list[dict[str, Any]]]] = {
+    "iterations-siso": siso_campaign,
+    "iterations-mimo": mimo_campaign,
+    "finite-norm": finite_time_norm,
+    "hinf-norm": hinf_norm,
+}
+"""What `oed speed` runs from this file, by name."""
+
+
+def rows() -> list[dict[str, Any]]:
+    """All rows of this file.
+
+    Returns
+    -------
+    list of dict
+        With the keys of `oed speed`.
+    """
+    return [row for benchmark in BENCHMARKS.values() for row in benchmark()]

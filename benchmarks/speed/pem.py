@@ -1,0 +1,251 @@
+"""Speed of prediction-error identification: output error of order 2 and 6, ours and the baselines in turn.
+
+The same data, the same start, the same optimum (checked: the baseline's loss must not be lower). Times are
+medians; the first call of each, which compiles or builds, is not counted.
+"""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Record
+
+__all__ = ["against_casadi", "against_scipy", "against_sippy", "memory", "monte_carlo", "rows"]
+
+RADIUS, NOISE = 0.9, 0.3
+
+
+def _case(order: int, samples: int) -> tuple[Record, NDArray, NDArray]:
+    """A record of a plant with resonances across the band, a start some per cent off, the true parameters."""
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng([order, samples])
+    angles = np.linspace(0.4, 2.4, order // 2)
+    f = np.real(np.poly(np.concatenate([RADIUS * np.exp(s * 1j * angles) for s in (1, -1)])))
+    b = np.concatenate([[0.0], rng.normal(size=order)])
+    u = rng.normal(size=samples)
+    clean = np.asarray(lfilter(b, f, u))
+    record = Record(u, clean + NOISE * clean.std() * rng.normal(size=samples))
+    theta = np.concatenate([b[1:], f[1:]])
+    return record, theta * (1 + 0.005 * rng.normal(size=len(theta))), theta
+
+
+def _times(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
+    taken, result = [], None
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        result = call()
+        taken.append(time.perf_counter() - begin)
+    return statistics.median(taken), result
+
+
+def _row(
+    name: str, size: str, seconds: float, baseline: str, other: float | None, target: float, **more: Any
+) -> dict:
+    ratio = None if other is None else other / seconds
+    return {
+        "name": name,
+        "size": size,
+        "seconds": seconds,
+        "baseline": baseline,
+        "baseline_seconds": other,
+        "ratio": ratio,
+        "target": target,
+        "holds": None if ratio is None else bool(ratio >= target and more.get("same", True)),
+        "peak_mb": more.get("peak_mb"),
+        "note": more.get("note", ""),
+    }
+
+
+def against_scipy(order: int, samples: int, repeats: int = 5) -> dict:
+    """Our fit against `scipy.optimize.least_squares` with `lfilter` and finite differences.
+
+    Parameters
+    ----------
+    order : int
+        nb = nf.
+    samples : int
+        Length of the record.
+    repeats : int
+        Runs of each, taken in turn.
+
+    Returns
+    -------
+    dict
+        One row.
+    """
+    from scipy.optimize import least_squares
+    from scipy.signal import lfilter
+
+    from estimators.pem import identify
+    from estimators.pem.kernel import compiler
+
+    record, start, _ = _case(order, samples)
+    u, y = record.u[:, 0], record.y[:, 0]
+    ours = lambda: identify(record, "oe", (order, order), start=start)
+    residual = lambda x: y - np.asarray(lfilter(np.r_[0.0, x[:order]], np.r_[1.0, x[order:]], u))
+    theirs = lambda: least_squares(residual, start)
+    fit = ours()
+    taken, other = [], []
+    solution = None
+    for _ in range(repeats):
+        taken.append(_times(ours, 1)[0])
+        seconds, solution = _times(theirs, 1)
+        other.append(seconds)
+    same = fit.loss <= (2 * solution.cost / samples if solution is not None else np.inf) * (1 + 1e-6)
+    target = (2.0 if samples >= 10_000 else 0.0) if compiler() else 1.0
+    return _row(
+        "pem-oe", f"order {order}, N = {samples}", statistics.median(taken),
+        "scipy least_squares with lfilter", statistics.median(other), target, same=same,
+    )  # fmt: skip
+
+
+def against_casadi(order: int, samples: int) -> dict:
+    """Our fit against the plain CasADi construction: mapaccum over the record, IPOPT with the exact Hessian.
+
+    Parameters
+    ----------
+    order : int
+        nb = nf.
+    samples : int
+        Length of the record.
+
+    Returns
+    -------
+    dict
+        One row; the baseline is timed from its second call on, after it has been built.
+    """
+    from estimators.pem import identify
+    from estimators.pem.plain import plain_output_error
+
+    record, start, _ = _case(order, samples)
+    ours = lambda: identify(record, "oe", (order, order), start=start)
+    fit = ours()
+    seconds, _ = _times(ours, 5)
+    solve = plain_output_error(record, order)
+    other, (_, loss) = _times(lambda: solve(start), 1)
+    return _row(
+        "pem-oe", f"order {order}, N = {samples}", seconds, "CasADi mapaccum with IPOPT", other, 100.0,
+        same=fit.loss <= loss * (1 + 1e-6),
+    )  # fmt: skip
+
+
+def against_sippy(samples: int = 10_000) -> dict:
+    """Our fit against SIPPY's output-error estimator, where it is installed.
+
+    Parameters
+    ----------
+    samples : int
+        Length of the record.
+
+    Returns
+    -------
+    dict
+        One row; without the package its seconds are null and the note says so.
+    """
+    from estimators.pem import identify
+
+    record, _, _ = _case(2, samples)
+    ours = lambda: identify(record, "oe", (2, 2))
+    ours()
+    seconds, _ = _times(ours, 5)
+    size = f"order 2, N = {samples}"
+    try:
+        from sippy_unipi import system_identification  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        return _row("pem-oe", size, seconds, "SIPPY", None, 100.0, note="sippy-unipi is not installed")
+    theirs = lambda: system_identification(
+        record.y.T, record.u.T, "OE", OE_orders=[[2], [2], [1]], max_iterations=300
+    )
+    return _row("pem-oe", size, seconds, "SIPPY", _times(theirs, 1)[0], 100.0)
+
+
+def monte_carlo(replicates: int = 1000, samples: int = 1000) -> dict:
+    """Many fits with their own starts, in one process; two processes take half of it.
+
+    Parameters
+    ----------
+    replicates : int
+        Number of fits.
+    samples : int
+        Length of each record.
+
+    Returns
+    -------
+    dict
+        One row; the target is 10 s on two cores, so that holds means 20 s in this one process.
+    """
+    from scipy.signal import lfilter
+
+    from estimators.pem import identify
+
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=samples)
+    clean = np.asarray(lfilter([0, 0.2155, 0.2012], [1, -0.9854, 0.8187], u))
+    records = [Record(u, clean + rng.normal(size=samples)) for _ in range(replicates)]
+    identify(records[0])
+    seconds, _ = _times(lambda: [identify(r) for r in records], 1)
+    row = _row("pem-monte-carlo", f"{replicates} fits, N = {samples}", seconds / 2, "limit", 10.0, 1.0)
+    return row | {"note": "half of the time in one process: fits are independent"}
+
+
+def memory(order: int = 6, samples: int = 100_000) -> dict:
+    """Peak memory of a fit above the process after its imports, measured in a fresh process.
+
+    Parameters
+    ----------
+    order : int
+        nb = nf.
+    samples : int
+        Length of the record.
+
+    Returns
+    -------
+    dict
+        One row with `peak_mb`; holds up to 150 MB.
+    """
+    script = (
+        "import re, resource, sys, time\n"
+        "from pathlib import Path\n"
+        "from benchmarks.speed.pem import _case\n"
+        "from estimators.pem import identify\n"
+        "def peak():\n"
+        "    status = Path('/proc/self/status')  # ru_maxrss would be that of the process that started this one\n"
+        "    if status.exists():\n"
+        "        return float(re.search(r'VmHWM:\\s+(\\d+)', status.read_text())[1]) / 1024\n"
+        "    size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "    return size / (2**20 if sys.platform == 'darwin' else 1024)\n"
+        f"small, start, _ = _case({order}, 1000)\n"
+        f"identify(small, 'oe', ({order}, {order}), start=start)\n"
+        "before = peak()\n"
+        f"record, start, _ = _case({order}, {samples})\n"
+        "begin = time.perf_counter()\n"
+        f"identify(record, 'oe', ({order}, {order}), start=start)\n"
+        "print(time.perf_counter() - begin, peak() - before)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    seconds, peak = map(float, done.stdout.split())
+    row = _row(
+        "pem-memory", f"order {order}, N = {samples}", seconds, "limit 150 MB", None, 150.0, peak_mb=peak
+    )
+    return row | {"holds": peak <= 150.0}
+
+
+def rows() -> list[dict]:
+    """Every row of this file.
+
+    Returns
+    -------
+    list of dict
+        name, size, seconds, baseline, baseline_seconds, ratio, target, holds, peak_mb, note.
+    """
+    table = [against_scipy(order, samples) for order in (2, 6) for samples in (1000, 10_000, 100_000)]
+    return [*table, against_casadi(2, 100_000), against_sippy(), monte_carlo(), memory()]

@@ -1,0 +1,269 @@
+"""Choosing a delay and orders: the same model fitted with each, compared by a criterion that is stated."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Record, frozen
+from oed.errors import InputError, OedError
+
+if TYPE_CHECKING:
+    from estimators.pem.fit import Fit
+
+__all__ = ["Choice", "Delay", "estimate_delay", "select_orders"]
+
+
+@dataclass(frozen=True, eq=False)
+class Delay:
+    """The delay under which a model fits best.
+
+    Attributes
+    ----------
+    delay : int
+        nk with the smallest loss.
+    delays : ndarray of int
+        Those tried.
+    loss : ndarray
+        Mean square of the residual for each; NaN where the model could not be fitted.
+    weights : ndarray
+        exp(-difference of AIC / 2), normalised: how the data weigh the delays against each other.
+    fit : Fit
+        The model with that delay.
+    """
+
+    delay: int
+    delays: NDArray[np.int64]
+    loss: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    fit: Fit
+
+    def to_dict(self) -> dict:
+        """Plain numbers.
+
+        Returns
+        -------
+        dict
+            delay, delays, loss, weights.
+        """
+        return {"delay": self.delay} | {x: getattr(self, x).tolist() for x in ("delays", "loss", "weights")}
+
+    def __repr__(self) -> str:
+        rows = ", ".join(f"{k}: {v:.4g}" for k, v in zip(self.delays, self.loss, strict=True))
+        return f"delay {self.delay} (weight {self.weights.max():.3g}); loss by delay {rows}"
+
+
+def estimate_delay(
+    records: Record | Sequence[Record],
+    structure: str = "oe",
+    orders: Any = (2, 2),
+    *,
+    delays: Iterable[int] = range(9),
+    **options: Any,
+) -> Delay:
+    """The delay nk under which a structure of given orders leaves the smallest residual.
+
+    All candidates have the same number of parameters, so that the loss alone decides: it is the profile
+    likelihood of the delay.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        The data.
+    structure : str
+        As in `identify`.
+    orders : sequence of int
+        As in `identify`.
+    delays : iterable of int
+        Candidates, in samples.
+    **options : object
+        Passed to `identify` (offset, initial, ...).
+
+    Returns
+    -------
+    Delay
+        The delay, and the loss of every candidate.
+
+    Raises
+    ------
+    InputError
+        If no candidate can be fitted.
+    """
+    from estimators.pem import identify
+
+    tried = np.array(sorted(set(delays)), dtype=int)
+    fits: list[Fit | None] = []
+    for nk in tried:
+        try:
+            fits.append(identify(records, structure, orders, int(nk), **options))
+        except InputError:
+            if nk == tried[-1] and not any(fits):
+                raise
+            fits.append(None)
+        except OedError:
+            fits.append(None)
+    loss = np.array([f.loss if f is not None else np.nan for f in fits])
+    if not np.isfinite(loss).any():
+        raise InputError(f"no delay of {tried.tolist()} gives a model that can be fitted; lower the orders.")
+    best = fits[int(np.nanargmin(loss))]
+    aic = np.array([f.aic if f is not None else np.inf for f in fits])
+    weights = np.exp(-(aic - aic.min()) / 2)
+    if best is None:
+        raise InputError("no delay gives a finite loss; lower the orders.")
+    return Delay(
+        int(tried[np.nanargmin(loss)]),
+        frozen(tried, int),
+        frozen(loss),
+        frozen(weights / weights.sum()),
+        best,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Models of several orders, best first.
+
+    Attributes
+    ----------
+    criterion : str
+        bic, aic or cv.
+    rows : tuple of dict
+        orders, delay, n, value of the criterion, loss, status; sorted by the criterion.
+    fit : Fit
+        The best model, fitted to all data.
+    """
+
+    criterion: str
+    rows: tuple[dict, ...]
+    fit: Fit
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Orders of the best model."""
+        return self.rows[0]["orders"]
+
+    def to_dict(self) -> dict:
+        """Plain numbers.
+
+        Returns
+        -------
+        dict
+            criterion and rows.
+        """
+        return {"criterion": self.criterion, "rows": [dict(row) for row in self.rows]}
+
+    def __repr__(self) -> str:
+        head = f"orders by {self.criterion}: {self.orders} with delay {self.rows[0]['delay']}"
+        return "\n".join(
+            [head]
+            + [
+                f"  {row['orders']!s:>16} nk {row['delay']}: {row['value']:.6g} (loss {row['loss']:.5g}, {row['status']})"
+                for row in self.rows[:10]
+            ]
+        )
+
+
+def select_orders(
+    records: Record | Sequence[Record],
+    structure: str,
+    orders: Iterable[Sequence[int]] | Sequence[Iterable[int]],
+    *,
+    delays: Iterable[int] = (1,),
+    criterion: str = "bic",
+    folds: int = 5,
+    **options: Any,
+) -> Choice:
+    """Fit models of many orders and rank them.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        The data.
+    structure : str
+        As in `identify`.
+    orders : sequence
+        Order tuples to try; or one range per order, of which all combinations are tried.
+    delays : iterable of int
+        Delays to try with each.
+    criterion : {"bic", "aic", "cv"}
+        Schwarz, Akaike, or the mean squared one-step error on blocks left out in turn (cross-validation).
+    folds : int
+        Blocks for cv; with several records these are left out one by one instead.
+    **options : object
+        Passed to `identify`.
+
+    Returns
+    -------
+    Choice
+        The ranking and the best model.
+
+    Raises
+    ------
+    InputError
+        If the criterion is unknown or no model can be fitted.
+    """
+    from estimators.pem import identify
+
+    if criterion not in ("aic", "bic", "cv"):
+        raise InputError(f"the criterion is {criterion!r}; choose aic, bic or cv.")
+    given = list(orders)
+    tuples: list[tuple[int, ...]] = (
+        [tuple(map(int, o)) for o in itertools.product(*given)]  # type: ignore[arg-type]
+        if any(isinstance(o, range) for o in given)
+        else [tuple(map(int, o)) for o in given]  # type: ignore[arg-type]
+    )
+    rows, fits, first_error = [], {}, None
+    for chosen, nk in itertools.product(tuples, delays):
+        try:
+            fit = identify(records, structure, chosen, nk, **options)
+            value = (
+                _left_out(records, structure, chosen, nk, folds, options)
+                if criterion == "cv"
+                else float(getattr(fit, criterion))
+            )
+        except OedError as error:
+            first_error = first_error or error
+            continue
+        fits[chosen, nk] = fit
+        rows.append(
+            {
+                "orders": chosen,
+                "delay": int(nk),
+                "n": fit.model.structure.n,
+                "value": value,
+                "loss": fit.loss,
+                "status": fit.status.name,
+            }
+        )
+    if not rows:
+        raise InputError(f"none of {len(tuples)} orders could be fitted; the first said: {first_error}")
+    rows.sort(key=lambda row: (row["value"], row["n"]))
+    return Choice(criterion, tuple(rows), fits[rows[0]["orders"], rows[0]["delay"]])
+
+
+def _left_out(records: Any, structure: str, orders: Any, nk: int, folds: int, options: dict) -> float:
+    """Mean squared one-step error on what was left out, each block predicted by a model of the others."""
+    from estimators.pem import identify
+
+    given = [records] if isinstance(records, Record) else list(records)
+    if len(given) > 1:
+        blocks = [([r for r in given if r is not left], left) for left in given]
+    else:
+        edges = np.linspace(0, len(given[0]), folds + 1).astype(int)
+        blocks = []
+        for a, b in itertools.pairwise(edges):
+            rest = [given[0][s:e] for s, e in ((0, a), (b, len(given[0]))) if e - s > 1]
+            blocks.append((rest, given[0][a:b]))
+    loss, count = 0.0, 0
+    for rest, left in blocks:
+        opening = "zero" if options.get("initial", "zero") == "zero" and len(given) > 1 else "estimate"
+        settings: dict[str, Any] = {**options, "initial": opening}
+        fit = identify(rest, structure, orders, nk, **settings)
+        e = fit.residuals_of(left, initial=opening)
+        loss, count = loss + float((e**2).sum()), count + e.size
+    return loss / count

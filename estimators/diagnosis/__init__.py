@@ -1,0 +1,1 @@
+"""From a residual to its cause: detection, attribution, the augmented model, the error before and after."""

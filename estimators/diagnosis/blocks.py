@@ -1,0 +1,142 @@
+"""Wiener-Hammerstein models: a static nonlinearity between two linear blocks, found by splitting the linear model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.fitting import Channel, Fit, fit
+from estimators.diagnosis.linear import fit_linear, plant_scales
+from estimators.diagnosis.structure import Part, sandwiched
+
+__all__ = ["sandwich"]
+
+Array = NDArray[Any]
+
+
+def _groups(roots: Array) -> list[Array]:
+    """Real roots alone, complex ones with their conjugates."""
+    out = [np.array([z.real]) for z in roots if abs(z.imag) < 1e-9]
+    return out + [np.array([z, np.conj(z)]) for z in roots if z.imag >= 1e-9]
+
+
+def _subsets(groups: list[Array], most: int) -> list[tuple[Array, Array]]:
+    """Every way to share the roots between the two blocks: (first, second)."""
+    out = []
+    for count in range(len(groups) + 1):
+        for chosen in combinations(range(len(groups)), count):
+            first = [groups[i] for i in chosen]
+            second = [groups[i] for i in range(len(groups)) if i not in chosen]
+            a = np.concatenate(first) if first else np.zeros(0)
+            b = np.concatenate(second) if second else np.zeros(0)
+            if 1 <= len(a) <= most and len(b) >= 1:
+                out.append((a, b))
+    return out
+
+
+def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 6) -> Fit | None:
+    """Wiener-Hammerstein model from the poles and zeros of a linear model of a higher order.
+
+    Parameters
+    ----------
+    channel : Channel
+        Data.
+    base : Fit
+        Linear fit; its offset and initial state are kept.
+    order : int
+        Order of the linear model whose poles are shared between the blocks.
+    corners : int
+        Most corners of the broken line.
+
+    Returns
+    -------
+    Fit or None
+        The best split, or None where none was admissible.
+
+    Notes
+    -----
+    Every split of the poles is tried with a few steps and one corner; the best are fitted to the end, and
+    corners are added while Schwarz's criterion gains. The blocks' zeros are free, they start at the origin in
+    the first block and by least squares in the second.
+    """
+    s = base.structure
+    if s.layout != "tf" or s.effects or len(s.inputs) != 1:
+        return None
+    j = s.inputs[0]
+    wide = fit_linear(channel, replace(s, order=order, taps=order, delay=0))
+    poles = np.roots(np.concatenate(([1.0], wide.p[:order])))
+    trials: list[Fit] = []
+    for first, second in _subsets(_groups(poles), order - 1):
+        n1, n2 = len(first), len(second)
+        f1, f2 = np.real(np.poly(first))[1:], np.real(np.poly(second))[1:]
+        x = sandwiched(channel.u[:, j], np.concatenate((f1, np.zeros(n1))), n1)
+        part = Part("sandwich", j, n1 + 100)
+        parts = tuple(replace(q) for q in s.parts)
+        new = replace(s, order=n2, taps=n2 + 1, delay=0, parts=(*parts, part))
+        from estimators.diagnosis.linear import _numerators
+
+        b = _numerators(channel.y - np.mean(channel.y), x[:, None], f2, n2 + 1, 0, channel.keep)
+        nuisance = [np.zeros(q.count(n2)) for q in s.parts]
+        for q, values in zip(s.parts, nuisance):
+            if q.key == "offset":
+                values[:] = np.mean(channel.y[channel.keep])
+        for level, slope in ((0.5, -0.3), (0.0, -0.3), (-0.5, 0.3)):
+            shape = [slope, level * float(np.std(x))]
+            p = np.concatenate((f2, b, *nuisance, f1, np.zeros(n1), shape))
+            trials.append(fit(channel, new, p, _scales(new, p, channel), iterations=6, colour=False))
+    trials = sorted((f for f in trials if np.isfinite(f.deviance)), key=lambda f: f.deviance)
+    splits: list[Fit] = []
+    for f in trials:
+        if all(f.structure.order != g.structure.order or abs(f.deviance - g.deviance) > 1.0 for g in splits):
+            splits.append(f)
+    splits = [fit(channel, f.structure, f.p, f.scales, iterations=12, colour=False) for f in splits[:8]]
+    splits = sorted((f for f in splits if np.isfinite(f.deviance)), key=lambda f: f.deviance)[:4]
+    if not splits:
+        return None
+    splits = [_grown(channel, f, 2) for f in splits]
+    best = _grown(channel, min(splits, key=lambda f: f.criterion), corners)
+    return fit(channel, best.structure, best.p, best.scales, iterations=40)
+
+
+def _grown(channel: Channel, f: Fit, corners: int) -> Fit:
+    """Corners added while Schwarz's criterion gains."""
+    while f.structure.parts[-1].size // 100 < corners:
+        more = _cornered(channel, f)
+        if more is None or more.criterion > f.criterion:
+            break
+        f = more
+    return f
+
+
+def _scales(s, p: Array, channel: Channel) -> Array:
+    out = np.ones(len(p))
+    out[: s.plant_size] = plant_scales(s, p)
+    sy = float(np.std(channel.y)) + 1e-300
+    for part, sl in zip(s.parts, s.slices(), strict=True):
+        if part.key != "sandwich":
+            out[sl] = sy
+    return out
+
+
+def _cornered(channel: Channel, f: Fit) -> Fit | None:
+    """One more corner, at the best of several places."""
+    s, part = f.structure, f.structure.parts[-1]
+    order = part.size % 100
+    sl = s.slices()[-1]
+    x = sandwiched(channel.u[:, part.channel], np.concatenate((f.p[sl][: 2 * order], [0.0, 0.0])), order)
+    new = replace(s, parts=(*s.parts[:-1], Part("sandwich", part.channel, part.size + 100)))
+    trials = []
+    for level in (0.03, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97):
+        p = np.concatenate((f.p, [0.0, float(np.quantile(x, level))]))
+        trials.append(
+            fit(channel, new, p, np.concatenate((f.scales, [1.0, 1.0])), iterations=4, colour=False)
+        )
+    trials = [t for t in trials if np.isfinite(t.deviance)]
+    if not trials:
+        return None
+    best = min(trials, key=lambda t: t.deviance)
+    return fit(channel, new, best.p, best.scales, iterations=15, colour=False)

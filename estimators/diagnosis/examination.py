@@ -1,0 +1,330 @@
+"""One output examined: measurement faults first, then the attribution of what is left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.fitting import Channel, Fit, fit, innovations
+from estimators.diagnosis.linear import fit_linear
+from estimators.diagnosis.measurement import Signature, held_samples, rounding_step, wild_samples
+from estimators.diagnosis.selection import Attribution, attribute
+from estimators.diagnosis.structure import Part, Structure, simulate
+from estimators.effects.catalogue import CATALOGUE, Clock
+from oed.data import Record
+
+__all__ = ["Examined", "Setting", "examine", "thinned"]
+
+Array = NDArray[Any]
+LONG = 8000
+SCREEN = 4096
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the user knows and wants.
+
+    Attributes
+    ----------
+    orders : tuple of int
+        Suggested order per output; empty to choose.
+    structure : str
+        "SISO", "diagonal" or "full".
+    deviations : bool
+        Whether signals are deviations from the operating point: the linear model then has no offset, and
+        starts at rest.
+    skip : int
+        Test samples that may set the initial state and are left out of the error.
+    alpha : float
+        False-alarm rate over all tests together.
+    separate : bool
+        Whether the two records are on separate clocks.
+    """
+
+    orders: tuple[int, ...] = ()
+    structure: str = "full"
+    deviations: bool = True
+    skip: int = 0
+    alpha: float = 0.01
+    separate: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """All that was found for one output.
+
+    Attributes
+    ----------
+    channel : int
+        Which output, from 0.
+    attribution : Attribution
+        Causes and fits.
+    signatures : object
+        Traces of the measurement: outliers, quantisation, held samples.
+    naive : object
+        The linear fit before anything was added.
+    thin : int
+        By how much the record was thinned for screening.
+    """
+
+    channel: Channel
+    attribution: Attribution
+    signatures: list[Signature]
+    naive: Fit
+    thin: int = 1
+
+
+def _structure(setting: Setting, record: Record, i: int, order: int) -> tuple[Structure, tuple[int, ...]]:
+    every = tuple(range(record.n_inputs))
+    if setting.structure == "diagonal" and record.n_inputs == record.n_outputs:
+        inputs = (i,)
+    else:
+        inputs = every
+    s = Structure(order, inputs)
+    if not setting.deviations:
+        s = s.adding(Part("offset")).adding(Part("initial"))
+        s = replace(s, base=2)
+    return s, tuple(j for j in every if j not in inputs)
+
+
+def _order(channel: Channel, record: Record, setting: Setting, i: int) -> int:
+    """Smallest order that, with some delay, comes within a quarter of the best error of orders 1 to 6."""
+    errors = []
+    for order in range(1, 7):
+        s, _ = _structure(setting, record, i, order)
+        row = []
+        for delay in (0, 1, 2, 3):
+            f = fit_linear(channel, replace(s, delay=delay))
+            row.append(float(np.sqrt(np.mean(f.residual**2))) if np.isfinite(f.deviance) else np.inf)
+        errors.append(min(row))
+    for order, error in enumerate(errors, start=1):
+        if error <= 1.25 * min(errors):
+            return order
+    return 2
+
+
+def _thinning(y: Array, n_most: int = LONG) -> int:
+    """Factor by which a long record is thinned out: as far as its spectrum allows, its movement oversampled 10 times."""
+    n = len(y)
+    if n <= n_most:
+        return 1
+    power = np.abs(np.fft.rfft((y - y.mean()) * np.hanning(n))) ** 2
+    share = np.cumsum(power) / np.sum(power)
+    top = float(np.searchsorted(share, 0.999) / (n / 2))  # of the Nyquist frequency
+    return int(max(1, min(0.2 / max(top, 1e-6), n // 1500)))
+
+
+def thinned(record: Record, by: int) -> Record:
+    """Every `by`-th sample, the input averaged over the interval that it acts in.
+
+    Parameters
+    ----------
+    record : Record
+        The record.
+    by : int
+        Factor, 1 for no change.
+
+    Returns
+    -------
+    Record
+        The shorter record.
+    """
+    if by == 1:
+        return record
+    n = len(record) // by
+    u = record.u[: n * by].reshape(n, by, -1).mean(axis=1)
+    return record.replace(u=u, y=record.y[: n * by : by], dt=record.dt * by)
+
+
+def examine(record: Record, i: int, setting: Setting) -> Examined:
+    """Find what the linear model of one output lacks.
+
+    Parameters
+    ----------
+    record : Record
+        Training record.
+    i : int
+        Output.
+    setting : Setting
+        What is known.
+
+    Returns
+    -------
+    Examined
+        The outcome.
+    """
+    thin = _thinning(np.nan_to_num(record.y[:, i]))
+    record = thinned(record, thin)
+    if len(record) > LONG:
+        short = _examined(record[:SCREEN], i, setting)
+        return replace(_lengthened(record, i, short, setting), thin=thin)
+    return replace(_examined(record, i, setting), thin=thin)
+
+
+def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Examined:
+    """What was found on the first part of a long record, fitted to all of it."""
+    n = len(record)
+    y = np.array(record.y[:, i])
+    missing = ~np.isfinite(y)
+    y[missing] = 0.0
+    keep = ~missing
+    if any(sig.key == "held" for sig in short.signatures):
+        keep &= ~held_samples(y)
+    channel = Channel(record.u, y, Clock(np.arange(n, dtype=float), n), keep, short.channel.step)
+    ratio = n / len(short.channel)
+
+    def again(f: Fit, white: bool = False) -> Fit:
+        p = f.p.copy()
+        for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
+            for k, unit in enumerate(part.effect.units[: sl.stop - sl.start]):
+                if unit.endswith("/record"):
+                    p[sl.start + k] *= ratio
+        return fit(channel, f.structure, p, f.scales, noise=None if white else f.noise, iterations=40)
+
+    a = short.attribution
+    found = replace(
+        a, base=again(a.base, True), coloured=again(a.coloured), final=again(a.final, not setting.deviations)
+    )
+    if any(sig.key == "outliers" for sig in short.signatures):
+        wild = wild_samples(found.final.residual, keep)
+        channel = replace(channel, keep=keep & ~wild)
+        found = replace(found, final=again(found.final))
+    return Examined(channel, found, short.signatures, found.base)
+
+
+def _examined(record: Record, i: int, setting: Setting) -> Examined:
+    y = record.y[:, i].copy()
+    n = len(y)
+    missing = ~np.isfinite(y)
+    y[missing] = 0.0
+    keep = ~missing
+    clock = Clock(np.arange(n, dtype=float), n)
+    signatures: list[Signature] = []
+    step = rounding_step(y)
+    if step == 0.0:
+        held = held_samples(y) & keep
+        if held.sum() >= max(3, 0.004 * n):
+            keep &= ~held
+            share = float(held.mean())
+            signatures.append(Signature("held", i, int(held.sum()), share,
+                f"{record.output_names[i]}: {int(held.sum())} of {n} samples repeat the one before exactly"))  # fmt: skip
+    channel = Channel(record.u, y, clock, keep)
+    order = setting.orders[i] if setting.orders else _order(channel, record, setting, i)
+    s, others = _structure(setting, record, i, order)
+    first = fit_linear(channel, s)
+    naive = fit_linear(replace(channel, keep=~missing), s) if not np.array_equal(keep, ~missing) else first
+    if step > 0.0:
+        sigma = float(np.sqrt(np.mean(first.residual[keep] ** 2)))
+        if step > 0.8 * sigma:
+            channel = replace(channel, step=step)
+            levels = len(np.unique(y))
+            signatures.append(Signature("quantised", i, levels, step,
+                f"{record.output_names[i]}: all samples lie on {levels} levels {step:.5g} apart, "
+                f"{step / sigma:.2g} times the residual's standard deviation"))  # fmt: skip
+    wild = _wild(channel, s, first) if channel.step == 0.0 else np.zeros(n, dtype=bool)
+    if wild.any():
+        found = attribute(replace(channel, keep=keep & ~wild), s, others=others, alpha=setting.alpha)
+        residual = y - simulate(found.final.structure, found.final.p, channel.u, clock)
+        again = _enough(
+            wild_samples(residual, keep) & wild_samples(innovations(residual, found.final.noise), keep), n
+        )
+        if np.sum(again & wild) >= 0.5 * wild.sum():
+            wild = again
+            found = _refitted(replace(channel, keep=keep & ~wild), found)
+        else:
+            wild = again
+            found = attribute(replace(channel, keep=keep & ~wild), s, others=others, alpha=setting.alpha)
+    else:
+        found = attribute(channel, s, others=others, alpha=setting.alpha)
+        if channel.step == 0.0 and found.chosen:
+            residual = y - simulate(found.final.structure, found.final.p, channel.u, clock)
+            wild = _enough(wild_samples(residual, keep), n)
+            if wild.any():
+                found = _refitted(replace(channel, keep=keep & ~wild), found)
+    channel = replace(channel, keep=keep & ~wild)
+    if not setting.deviations and channel.step == 0.0:
+        found = _structured(channel, found)
+    if wild.any():
+        simulated = simulate(found.final.structure, found.final.p, channel.u, channel.clock)
+        size = float(np.median(np.abs((y - simulated)[wild])))
+        spread = float(np.sqrt(np.mean(found.final.residual[channel.keep] ** 2)))
+        if size < 4.0 * spread:  # they stood out from a model error only
+            channel = replace(channel, keep=keep)
+            return Examined(
+                channel, _simulating(channel, _refitted(channel, found), setting), signatures, naive
+            )
+        signatures.append(Signature("outliers", i, int(wild.sum()), size,
+            f"{record.output_names[i]}: {int(wild.sum())} isolated samples are off by about {size:.3g}, "
+            f"{size / max(spread, 1e-300):.0f} standard deviations of the rest"))  # fmt: skip
+    return Examined(channel, _simulating(channel, found, setting), signatures, naive)
+
+
+def _simulating(channel: Channel, a: Attribution, setting: Setting) -> Attribution:
+    """For records that are not deviations: the chosen model fitted to the simulation error itself.
+
+    A noise model weighs the fit for one-step prediction; where the structure is only nearly right, that costs
+    simulation error, which is what is reported. The noise model is then of the residual that remains.
+    """
+    if setting.deviations or not len(a.final.noise) or channel.step > 0:
+        return a
+    return replace(a, final=fit(channel, a.final.structure, a.final.p, a.final.scales, iterations=40))
+
+
+def _structured(channel: Channel, a: Attribution) -> Attribution:
+    """Block structures, where a nonlinearity was found but its model leaves a coloured residual."""
+    from estimators.diagnosis.blocks import sandwich
+    from estimators.diagnosis.outflow import tanks
+    from estimators.diagnosis.selection import Claim, significance
+
+    if not len(a.final.noise):
+        return a
+    natures = {q.effect.nature for q in a.final.structure.effects}
+    order = a.base.structure.order
+    trials = [("outflow", tanks(channel, a.base))]
+    if any("nonlinearity" in nature for nature in natures):
+        trials.append(("sandwich", sandwich(channel, a.base, max(order + 2, min(2 * order, 6)))))
+    found = [(key, f) for key, f in trials if f is not None and f.criterion < a.final.criterion - 0.02 * f.n]
+    if not found:
+        return a
+    key, f = min(found, key=lambda pair: pair[1].criterion)
+    claims = [
+        Claim(k, CATALOGUE[k].label, a.coloured.criterion - g.criterion, significance(a.coloured, g), g)
+        for k, g in sorted(found, key=lambda pair: pair[1].criterion)
+    ]
+    chosen = [key] + (["coloured"] if len(f.noise) else [])
+    return replace(a, final=f, claims=[*claims, *a.claims], chosen=chosen, p_values={key: claims[0].p_value})
+
+
+def _enough(wild: NDArray[np.bool_], n: int) -> NDArray[np.bool_]:
+    """The wild samples, or none where they are too few to be a fault."""
+    return wild if wild.sum() >= max(3, 0.001 * n) else np.zeros(n, dtype=bool)
+
+
+def _wild(channel: Channel, s: Structure, first: Fit) -> NDArray[np.bool_]:
+    """Wild samples of the linear model's residual, found again after each refit without them."""
+    wild = np.zeros(len(channel), dtype=bool)
+    keep = channel.keep
+    for _ in range(4):
+        found = wild_samples(first.residual, keep & ~wild)
+        if not found.any():
+            break
+        wild |= found
+        first = fit_linear(replace(channel, keep=keep & ~wild), s)
+    return _enough(wild, len(channel))
+
+
+def _refitted(channel: Channel, a: Attribution) -> Attribution:
+    """The chosen models fitted again where the samples that count have changed."""
+
+    def again(f: Fit) -> Fit:
+        return fit(channel, f.structure, f.p, f.scales, noise=f.noise)
+
+    return replace(
+        a,
+        base=fit(channel, a.base.structure, a.base.p, a.base.scales),
+        coloured=again(a.coloured),
+        final=again(a.final),
+    )

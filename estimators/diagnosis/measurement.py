@@ -1,0 +1,132 @@
+"""Faults of the measurement that show in the samples themselves: held, rounded and wild samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Signature", "held_samples", "rounding_step", "wild_samples"]
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Signature:
+    """A fault of the measurement found in one output.
+
+    Attributes
+    ----------
+    key : str
+        Key of the catalogue: held, quantised or outliers.
+    output : int
+        Which output.
+    count : int
+        How many samples show it.
+    size : float
+        Step, share or amplitude.
+    sentence : str
+        The evidence.
+    """
+
+    key: str
+    output: int
+    count: int
+    size: float
+    sentence: str
+
+
+def rounding_step(y: Array) -> float:
+    """Step of the lattice on which all samples lie, 0 if there is none.
+
+    Parameters
+    ----------
+    y : ndarray
+        (N,) samples.
+
+    Returns
+    -------
+    float
+        The step, in units of y.
+    """
+    y = y[np.isfinite(y)]
+    values = np.unique(y)
+    if len(values) < 2 or len(values) > 0.5 * len(y):
+        return 0.0
+    gaps = np.diff(values)
+    top = float(np.max(np.abs(values)))
+    gaps = gaps[gaps > 1e-6 * top]
+    if not len(gaps):
+        return 0.0
+    step = float(np.min(gaps))
+    step = float(np.mean(gaps[gaps < 1.5 * step]))
+    off = gaps / step
+    return step if np.max(np.abs(off - np.round(off))) < 0.05 else 0.0
+
+
+def held_samples(y: Array) -> NDArray[np.bool_]:
+    """Samples that repeat the one before exactly, where values do not recur by coarseness or at an end stop.
+
+    Parameters
+    ----------
+    y : ndarray
+        (N,) samples.
+
+    Returns
+    -------
+    ndarray of bool
+        (N,) True where a sample is a repeat.
+    """
+    held = np.zeros(len(y), dtype=bool)
+    held[1:] = (y[1:] == y[:-1]) & (y[1:] != np.max(y)) & (y[1:] != np.min(y))
+    fresh = y[~held]
+    if len(np.unique(fresh)) < 0.97 * len(fresh):  # values recur anyway: a coarse scale, not a lost sample
+        held[:] = False
+    return held
+
+
+def wild_samples(residual: Array, keep: NDArray[np.bool_], limit: float = 5.0) -> NDArray[np.bool_]:
+    """Isolated samples whose residual stands out from its neighbours' by more than Gaussian noise could.
+
+    The statistic is the residual minus the median of its four neighbours, in robust standard deviations of
+    that difference; it must also stand out from the residual's own spread. With limit 5 about one record of
+    a thousand with 1000 Gaussian samples shows one.
+
+    Parameters
+    ----------
+    residual : ndarray
+        (N,) residual.
+    keep : ndarray of bool
+        Samples that count.
+    limit : float
+        In standard deviations.
+
+    Returns
+    -------
+    ndarray of bool
+        (N,) True where the sample is wild.
+    """
+    n = len(residual)
+    r = np.where(keep, residual, np.nan)
+    shifted = np.full((6, n), np.nan)
+    for row, d in enumerate((-3, -2, -1, 1, 2, 3)):
+        if d < 0:
+            shifted[row, -d:] = r[:d]
+        else:
+            shifted[row, : n - d] = r[d:]
+    with np.errstate(all="ignore"):
+        centre = np.nanmedian(np.where(np.isfinite(shifted), shifted, np.nanmedian(r)), axis=0)
+    d = np.where(np.isfinite(r), r - centre, 0.0)
+    spread = 1.4826 * np.median(np.abs(d[keep])) + 1e-300
+    local = np.array(spread)
+    if n >= 60:  # a model error comes in bursts: the spread around the sample counts too
+        window = np.lib.stride_tricks.sliding_window_view(np.pad(np.abs(d), 20, mode="reflect"), 41)
+        local = 1.4826 * np.median(window, axis=1)
+    own = 1.4826 * np.median(np.abs(r[keep] - np.median(r[keep]))) + 1e-300
+    return (
+        (np.abs(d) > limit * np.maximum(spread, local))
+        & (np.abs(np.where(np.isfinite(r), r, 0.0)) > 4.0 * own)
+        & keep
+    )

@@ -1,0 +1,169 @@
+"""The result of a diagnosis: causes, evidence, the models before and after, and their errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Diagnosis", "ErrorFigure"]
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class ErrorFigure:
+    """A root mean square error with its bootstrap interval.
+
+    Attributes
+    ----------
+    value : float
+        In units of the output.
+    low, high : float
+        95 % interval from a block bootstrap.
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What a linear model of a record lacks, and what adding it does to the error on data not used.
+
+    Attributes
+    ----------
+    detected : bool
+        Whether something is missing.
+    effect : str
+        The first cause, "none" or "unknown".
+    variant : str
+        A finer name of the cause.
+    nature : str
+        The kind of cause.
+    ranked : tuple of str
+        Causes, best first.
+    p_value : float
+        Smallest corrected p-value: false alarms over all tests together are at most this frequent.
+    rmse_before, rmse_after : ErrorFigure
+        Simulation errors on the test record, all outputs.
+    pred_rmse_before, pred_rmse_after : ErrorFigure
+        One-step-ahead errors.
+    difference : ErrorFigure
+        Paired difference before - after of the simulation error.
+    noise_floor : float
+        Estimated error of a perfect model.
+    yhat_before, yhat_after : ndarray
+        (N, ny) simulated test output.
+    evidence : tuple of str
+        Sentences.
+    parameters : dict
+        Effect parameters: name -> (value, standard error, unit).
+    confusable : tuple of str
+        Causes that this record cannot tell from the first.
+    remaining : str
+        What the final residual still shows.
+    held_out : str
+        What the errors were measured on.
+    extra : dict
+        Fits and tables for figures, not part of the JSON.
+    """
+
+    detected: bool
+    effect: str
+    variant: str
+    nature: str
+    ranked: tuple[str, ...]
+    p_value: float
+    rmse_before: ErrorFigure
+    rmse_after: ErrorFigure
+    pred_rmse_before: ErrorFigure
+    pred_rmse_after: ErrorFigure
+    difference: ErrorFigure
+    noise_floor: float
+    yhat_before: Array
+    yhat_after: Array
+    evidence: tuple[str, ...] = ()
+    parameters: dict[str, tuple[float, float, str]] = field(default_factory=dict)
+    confusable: tuple[str, ...] = ()
+    remaining: str = ""
+    held_out: str = "test record"
+    extra: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def removed(self) -> float:
+        """Fraction of the removable error removed, (before - after)/(before - noise floor)."""
+        room = self.rmse_before.value - self.noise_floor
+        if room <= 0.02 * self.noise_floor:
+            return float("nan")
+        return (self.rmse_before.value - self.rmse_after.value) / room
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON: the fields of the results file, and more.
+
+        Returns
+        -------
+        dict
+            Lists, numbers and strings.
+        """
+        one = self.yhat_before.shape[1] == 1
+
+        def signal(y: Array) -> list:
+            return (y[:, 0] if one else y).tolist()
+
+        return {
+            "detected": self.detected,
+            "effect": self.effect,
+            "variant": self.variant,
+            "nature": self.nature,
+            "ranked": list(self.ranked),
+            "p_value": self.p_value,
+            "rmse_before": self.rmse_before.value,
+            "rmse_after": self.rmse_after.value,
+            "rmse_before_interval": [self.rmse_before.low, self.rmse_before.high],
+            "rmse_after_interval": [self.rmse_after.low, self.rmse_after.high],
+            "difference": self.difference.value,
+            "difference_interval": [self.difference.low, self.difference.high],
+            "pred_rmse_before": self.pred_rmse_before.value,
+            "pred_rmse_after": self.pred_rmse_after.value,
+            "pred_rmse_after_interval": [self.pred_rmse_after.low, self.pred_rmse_after.high],
+            "noise_floor": self.noise_floor,
+            "removed": self.removed,
+            "evidence": list(self.evidence),
+            "parameters": {k: [v, se] for k, (v, se, _) in self.parameters.items()},
+            "units": {k: unit for k, (_, _, unit) in self.parameters.items()},
+            "confusable": list(self.confusable),
+            "remaining": self.remaining,
+            "held_out": self.held_out,
+            "yhat_before": signal(self.yhat_before),
+            "yhat_after": signal(self.yhat_after),
+        }
+
+    def __str__(self) -> str:
+        lines = [
+            f"cause: {self.effect}" + (f" ({self.variant})" if self.variant else "") + f"; {self.nature}"
+        ]
+        if not self.detected:
+            lines = ["Nothing is missing from the linear model at the stated false-alarm rate."]
+        lines += [f"  - {sentence}" for sentence in self.evidence]
+        for name, (value, se, unit) in self.parameters.items():
+            lines.append(f"  {name} = {value:.5g} +- {se:.2g} {unit}")
+        lines.append(f"simulation error on the {self.held_out}: {self.rmse_before} -> {self.rmse_after}")
+        lines.append(
+            f"one-step error: {self.pred_rmse_before} -> {self.pred_rmse_after}; noise floor {self.noise_floor:.4g}"
+        )
+        if np.isfinite(self.removed):
+            lines.append(f"removed {100 * self.removed:.0f} % of the removable error")
+        if self.confusable:
+            lines.append("this record cannot tell it from: " + ", ".join(self.confusable))
+        if len(self.ranked) > 1:
+            lines.append("ranked: " + ", ".join(self.ranked[:6]))
+        if self.remaining:
+            lines.append(self.remaining)
+        return "\n".join(lines)

@@ -1,0 +1,71 @@
+"""A diagnosis written to a folder: the result as JSON, the simulated outputs as CSV, the figures."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+
+from estimators.diagnosis.report import Diagnosis
+from oed.errors import InputError
+
+__all__ = ["save"]
+
+
+def save(result: Diagnosis, folder: str | os.PathLike[str]) -> Path:
+    """Write a diagnosis to a new folder.
+
+    Parameters
+    ----------
+    result : Diagnosis
+        What `diagnose` returned.
+    folder : path
+        Must not exist, or be empty.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        If the folder holds something already.
+    """
+    path = Path(folder)
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(
+            f"{path} exists and is not an empty folder; nothing is overwritten: give another name."
+        )
+    path.mkdir(parents=True, exist_ok=True)
+
+    def write(name: str, text: str) -> None:
+        part = path / (name + ".part")
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path / name)
+
+    data = {k: v for k, v in result.to_dict().items() if k not in ("yhat_before", "yhat_after")}
+
+    def clean(value: object) -> object:
+        if isinstance(value, float) and not np.isfinite(value):
+            return None
+        if isinstance(value, np.generic):
+            return clean(value.item())
+        if isinstance(value, dict):
+            return {k: clean(v) for k, v in value.items()}
+        return [clean(v) for v in value] if isinstance(value, list | tuple) else value
+
+    write("diagnosis.json", json.dumps(clean(data), indent=1, allow_nan=False) + "\n")
+    ny = result.yhat_before.shape[1]
+    names = [f"{when}{i + 1}" for when in ("before", "after") for i in range(ny)]
+    rows = np.concatenate((result.yhat_before, result.yhat_after), axis=1)
+    lines = [",".join(names)] + [",".join(f"{v:.10g}" for v in row) for row in rows]
+    write("simulated.csv", "\n".join(lines) + "\n")
+    write("summary.txt", str(result) + "\n")
+
+    from estimators.diagnosis.plots import save_figures
+
+    save_figures(result, path)
+    return path

@@ -1,0 +1,369 @@
+"""A linear model with effects around and inside it, as one function of one parameter vector.
+
+    u -> input effects -> plant (+ feedback effects) -> + paths -> output effects -> + added -> y
+
+The linear part is B/F in the shift operator with a common F per output, or, where an effect sits inside the
+plant, a continuous-time layout with physical states that is integrated exactly between samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from estimators.diagnosis.layouts import CHANGES, LAYOUTS, changed_states, states
+from estimators.effects.catalogue import CATALOGUE, Clock, Effect
+
+__all__ = ["Part", "Structure", "free_responses", "sandwiched", "simulate", "stable_polynomial"]
+
+Array = NDArray[Any]
+
+_PLANT_SLOTS = {
+    "stiffness_cubic": (1,), "stiffness": (0, 1), "drag": (3,), "bilinear": (4,), "coulomb": (5,),
+    "coulomb_asymmetric": (5, 8), "stribeck": (5, 6, 7),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Part:
+    """One effect in a structure: its key in the catalogue, the input it concerns, how many terms it has.
+
+    Attributes
+    ----------
+    key : str
+        Key of the effect in the catalogue.
+    channel : int
+        The input it concerns, from 0.
+    size : int
+        How many terms it has.
+    """
+
+    key: str
+    channel: int = 0
+    size: int = 1
+
+    @property
+    def effect(self) -> Effect:
+        """The catalogue's entry."""
+        return CATALOGUE[self.key]
+
+    def count(self, order: int) -> int:
+        """Number of parameters, given the order of the linear part.
+
+        Parameters
+        ----------
+        order : int
+            Order of the linear part.
+
+        Returns
+        -------
+        int
+            Number of parameters.
+        """
+        if self.key == "tones":
+            return 3 * self.size
+        if (
+            self.key == "sandwich"
+        ):  # size = order of the first block + 100 times the corners of the nonlinearity
+            return 2 * (self.size % 100) + 2 * (self.size // 100)
+        if self.key in ("cross", "mode"):
+            return 2 * self.size
+        if self.key == "initial":
+            return order
+        return len(self.effect.parameters)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The linear part's order and layout, and the parts added to it.
+
+    Attributes
+    ----------
+    order : int
+        Order of the linear part.
+    inputs : tuple of int
+        Which inputs act on this output.
+    layout : str
+        "tf" or a key of LAYOUTS.
+    delay : int
+        Whole samples of delay beyond the first.
+    taps : int
+        Numerator coefficients per input.
+    parts : tuple of Part
+        Effects.
+    base : int
+        How many of the parts belong to the linear model itself (offset, initial state of real records).
+    """
+
+    order: int
+    inputs: tuple[int, ...] = (0,)
+    layout: str = "tf"
+    delay: int = 0
+    taps: int = 0
+    parts: tuple[Part, ...] = ()
+    base: int = 0
+
+    def __post_init__(self) -> None:
+        if self.taps == 0:
+            object.__setattr__(self, "taps", self.order)
+
+    @property
+    def plant_size(self) -> int:
+        """Number of parameters of the linear part."""
+        if self.layout == "tf":
+            return self.order + self.taps * len(self.inputs)
+        if self.layout == "tanks":
+            return LAYOUTS["tanks"][1]
+        return LAYOUTS[self.layout][1] + self.order + self.taps * (len(self.inputs) - 1)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return self.plant_size + sum(p.count(self.order) for p in self.parts)
+
+    def slices(self) -> list[slice]:
+        """Where each part's parameters stand in the vector.
+
+        Returns
+        -------
+        list of slice
+            One per part.
+        """
+        return self._slices
+
+    @cached_property
+    def _slices(self) -> list[slice]:
+        out, start = [], self.plant_size
+        for part in self.parts:
+            out.append(slice(start, start + part.count(self.order)))
+            start = out[-1].stop
+        return out
+
+    def adding(self, part: Part) -> Structure:
+        """The structure with one more part.
+
+        Parameters
+        ----------
+        part : Part
+            The effect to add.
+
+        Returns
+        -------
+        Structure
+            A new structure.
+        """
+        return replace(self, parts=(*self.parts, part))
+
+    @property
+    def effects(self) -> tuple[Part, ...]:
+        """The parts that are not of the linear model itself."""
+        return self.parts[self.base :]
+
+
+def stable_polynomial(f: Array, limit: float = 0.99999) -> bool:
+    """Whether 1 + f1 z^-1 + ... has all its roots inside the circle of radius `limit`.
+
+    Parameters
+    ----------
+    f : ndarray
+        (nf,) denominator coefficients after the leading 1.
+    limit : float
+        Radius.
+
+    Returns
+    -------
+    bool
+        Whether it is stable.
+    """
+    a = np.concatenate(([1.0], f))
+    if not np.all(np.isfinite(a)):
+        return False
+    for m in range(len(f), 0, -1):  # Schur-Cohn step-down
+        k = a[m]
+        if abs(k) >= limit:
+            return False
+        a = (a[: m + 1] - k * a[m::-1])[:m] / (1.0 - k * k)
+    return True
+
+
+def _plant(s: Structure, p: Array, U: Array, clock: Clock, rest: bool, start: Array | None) -> Array | None:
+    if s.layout == "tf":
+        f = p[: s.order]
+        if not stable_polynomial(f):
+            return None
+        from estimators.effects.recursion_kernels import rational
+
+        b = p[s.order : s.plant_size].reshape(len(s.inputs), s.taps)
+        return rational(np.ascontiguousarray(U), np.ascontiguousarray(b), f, s.delay)
+    if s.layout == "tanks":
+        from estimators.effects.recursion_kernels import tank_levels
+
+        a, b, k1, k2, k3, brim, share, level = p[:8]
+        flow = np.array([*np.exp(np.clip([a, k1, k2, k3], -40, 40)), b, brim, share])[[0, 4, 1, 2, 3, 5, 6]]
+        x0 = np.abs(p[8:10] if start is None else start)
+        return tank_levels(np.ascontiguousarray(U[:, 0]), flow, x0, 4)[:, 1] + level
+    n_rates = LAYOUTS[s.layout][1]
+    c = np.zeros(9)
+    c[7] = 1.0
+    active = False
+    for part, sl in zip(s.parts, s.slices(), strict=True):
+        for where, value in zip(_PLANT_SLOTS.get(part.key, ()), p[sl], strict=False):
+            c[where] = abs(value) if where in (3, 5, 7) else value
+            active = True
+    c[7] = max(c[7], 1e-9)
+    c[8] = np.clip(c[8], -1.0, 1.0)
+    if not active:
+        c[7] = 0.0
+    u = U[:, 0] if s.delay == 0 else np.concatenate((np.zeros(s.delay), U[: -s.delay, 0]))
+    change = [(part.key, p[sl]) for part, sl in zip(s.parts, s.slices(), strict=True) if part.key in CHANGES]
+    x0 = np.zeros(s.order) if start is None else np.array(start, dtype=float)
+    if not rest:
+        for part, sl in zip(s.parts, s.slices(), strict=True):
+            x0 = p[sl].copy() if part.key == "initial" else x0
+    if change:
+        X = changed_states(s.layout, p[:n_rates], u, c, *change[0], clock, x0)
+    else:
+        X = states(s.layout, p[:n_rates], u, c, x0)
+    if not np.isfinite(X[-1, 0]):
+        return None
+    return X @ p[n_rates : n_rates + s.order]
+
+
+def sandwiched(u: Array, p: Array, order: int) -> Array:
+    """First block (unit first tap, denominator then numerator) and broken line of a Wiener-Hammerstein model.
+
+    Parameters
+    ----------
+    u : ndarray
+        (N,) input.
+    p : ndarray
+        Denominator, numerator, then slopes and corners.
+    order : int
+        Order of the first block.
+
+    Returns
+    -------
+    ndarray
+        (N,) what enters the second block.
+    """
+    from estimators.effects.recursion_kernels import hinges
+
+    x = lfilter(np.concatenate(([1.0], p[order : 2 * order])), np.concatenate(([1.0], p[:order])), u)
+    return hinges(x, p[2 * order :])
+
+
+def _inside(at: float, n: int) -> bool:
+    """Whether a change lies well within the record: at its very ends it would be another effect."""
+    return 0.02 * n < at < 0.98 * n
+
+
+def simulate(
+    s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False, start: Array | None = None
+) -> Array:
+    """Output of a structure.
+
+    Parameters
+    ----------
+    s : Structure
+        The model's form.
+    p : ndarray
+        (s.size,) its parameters.
+    u : ndarray
+        (N, nu) all inputs of the record.
+    clock : Clock
+        Sample numbers on the common clock.
+    rest : bool
+        A second experiment: no initial state, and a disturbance that began earlier has settled.
+    start : ndarray, optional
+        (s.order,) state of a physical layout at the start of a second experiment.
+
+    Returns
+    -------
+    ndarray
+        (N,) simulated output; infinite where the parameters make no stable model.
+    """
+    n = len(u)
+    settle = 0
+    if rest and any(part.key == "step_input" for part in s.parts):
+        settle = 2000
+        u = np.concatenate((np.zeros((settle, u.shape[1])), u))
+        clock = Clock(np.concatenate((np.full(settle, clock.k[0]), clock.k)), clock.length)
+    U = u[:, list(s.inputs)]
+    slices = s.slices()
+    copied = False
+    for part, sl in zip(s.parts, slices, strict=True):
+        e = part.effect
+        if part.effect.per_sample and part.key != "tones" and not rest and not _inside(p[sl][-1], n):
+            return np.full(n, np.inf)
+        if e.slot == "input" and e.apply is not None:
+            if not copied:
+                U, copied = U.copy(), True
+            j = s.inputs.index(part.channel)
+            if part.key == "delay" and (p[sl][0] < 0 or p[sl][0] > n / 4):
+                return np.full(n, np.inf)
+            U[:, j] = e.apply(U[:, j], p[sl], clock)
+        elif part.key == "sandwich":
+            order = part.size % 100
+            if not stable_polynomial(p[sl][:order]):
+                return np.full(n, np.inf)
+            U = U.copy()
+            j = s.inputs.index(part.channel)
+            U[:, j] = sandwiched(U[:, j], p[sl], order)
+    y = _plant(s, p, U, clock, rest, start)
+    if y is None:
+        return np.full(n, np.inf)
+    for part, sl in zip(s.parts, slices, strict=True):
+        if part.effect.slot == "path":
+            half = part.count(s.order) // 2
+            b, f = p[sl][:half], p[sl][half:]
+            if not stable_polynomial(f):
+                return np.full(n, np.inf)
+            lead = np.zeros(1 + s.delay)
+            y = y + lfilter(np.concatenate((lead, b)), np.concatenate(([1.0], f)), u[:, part.channel])
+        elif part.effect.slot == "start" and not rest and s.layout == "tf":
+            impulse = np.zeros(len(y))
+            impulse[: s.order] = p[sl]
+            y = y + lfilter([1.0], np.concatenate(([1.0], p[: s.order])), impulse)
+    for slot in ("output", "added"):
+        for part, sl in zip(s.parts, slices, strict=True):
+            if part.effect.slot == slot and part.effect.apply is not None:
+                y = part.effect.apply(y, p[sl], clock)
+    return y[settle:]
+
+
+def free_responses(s: Structure, p: Array, n: int) -> Array:
+    """Responses to the parameters of an initial state, one column each, with the effects inside the plant left out.
+
+    Parameters
+    ----------
+    s : Structure
+        The model's form.
+    p : ndarray
+        Its parameters.
+    n : int
+        Samples.
+
+    Returns
+    -------
+    ndarray
+        (n, s.order).
+    """
+    if s.layout == "tf":
+        impulse = np.zeros(n)
+        impulse[0] = 1.0
+        g = lfilter([1.0], np.concatenate(([1.0], p[: s.order])), impulse)
+        return np.stack([np.concatenate((np.zeros(i), g[: n - i])) for i in range(s.order)], axis=1)
+    head = LAYOUTS[s.layout][1]
+    rest = np.zeros(n)
+    return np.stack(
+        [
+            states(s.layout, p[:head], rest, np.zeros(9), x0) @ p[head : head + s.order]
+            for x0 in np.eye(s.order)
+        ],
+        axis=1,
+    )

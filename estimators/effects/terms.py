@@ -1,0 +1,169 @@
+"""The effects' terms in CasADi: the definition that the NumPy maps and compiled recursions are held to.
+
+A static term is out = f(x, p); a time-dependent one out = f(x, t, p); a recursive one advances its own state.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["feedback_step", "play_step", "rate_step", "static_term", "timed_term"]
+
+
+def _clip(ca: Any, x: Any, low: Any, high: Any) -> Any:
+    return ca.fmin(ca.fmax(x, low), high)
+
+
+def static_term(key: str) -> Any:
+    """CasADi function (x, p) -> out of a static effect.
+
+    Parameters
+    ----------
+    key : str
+        Key of the catalogue, in the slots input or output.
+
+    Returns
+    -------
+    casadi.Function
+        Inputs x (1) and p (number of parameters).
+
+    Raises
+    ------
+    KeyError
+        If the effect is not static.
+    """
+    import casadi as ca
+
+    from estimators.effects.catalogue import CATALOGUE
+
+    x = ca.SX.sym("x")
+    p = ca.SX.sym("p", max(1, len(CATALOGUE[key].parameters)))
+    limit = ca.fabs(p[0])
+    second = p[1] if p.numel() > 1 else p[0]
+    terms = {
+        "saturation": lambda: _clip(ca, x, -limit, limit),
+        "saturation_asymmetric": lambda: _clip(ca, x, ca.fmin(p[0], second), ca.fmax(p[0], second)),
+        "saturation_upper": lambda: ca.fmin(x, p[0]),
+        "saturation_lower": lambda: ca.fmax(x, p[0]),
+        "dead_zone": lambda: ca.fmax(x - limit, 0) + ca.fmin(x + limit, 0),
+        "dead_zone_asymmetric": lambda: ca.fmax(x - ca.fabs(second), 0) + ca.fmin(x + limit, 0),
+        "input_quadratic": lambda: x + p[0] * x**2,
+        "input_cubic": lambda: x + p[0] * x**3,
+        "input_polynomial": lambda: x + p[0] * x**2 + second * x**3,
+        "output_quadratic": lambda: x + p[0] * x**2,
+        "output_cubic": lambda: x + p[0] * x**3,
+        "output_polynomial": lambda: x + p[0] * x**2 + second * x**3,
+        "output_arctan": lambda: ca.atan(p[0] * x) / p[0],
+        "output_tanh": lambda: ca.tanh(p[0] * x) / p[0],
+        "output_clip": lambda: _clip(ca, x, -limit, limit),
+        "output_clip_upper": lambda: ca.fmin(x, p[0]),
+        "output_clip_lower": lambda: ca.fmax(x, p[0]),
+        "output_dead_zone": lambda: ca.fmax(x - limit, 0) + ca.fmin(x + limit, 0),
+        "output_absolute": lambda: x + p[0] * ca.fabs(x),
+        "offset": lambda: x + p[0],
+    }
+    return ca.Function(key, [x, p], [terms[key]()])
+
+
+def timed_term(key: str) -> Any:
+    """CasADi function (x, k, n, p) -> out of an effect that depends on time.
+
+    Parameters
+    ----------
+    key : str
+        gain_drift, gain_change, step_input, step_output, drift or tones (one sinusoid).
+
+    Returns
+    -------
+    casadi.Function
+        Inputs x, sample number k, samples n of the training record, parameters p.
+
+    Raises
+    ------
+    KeyError
+        If the effect does not depend on time alone.
+    """
+    import casadi as ca
+
+    from estimators.effects.catalogue import CATALOGUE
+
+    x, k, n = ca.SX.sym("x"), ca.SX.sym("k"), ca.SX.sym("n")
+    p = ca.SX.sym("p", len(CATALOGUE[key].parameters))
+    second = p[1] if p.numel() > 1 else p[0]
+    third = p[2] if p.numel() > 2 else p[0]
+    after = _clip(ca, k - second, 0, 1)
+    terms = {
+        "gain_drift": lambda: (1 + p[0] * k / n) * x,
+        "gain_change": lambda: x * (1 + p[0] * after),
+        "step_input": lambda: x + p[0] * after,
+        "step_output": lambda: x + p[0] * after,
+        "drift": lambda: x + p[0] + second * k / n,
+        "tones": lambda: x + second * ca.cos(p[0] * k) + third * ca.sin(p[0] * k),
+    }
+    return ca.Function(key, [x, k, n, p], [terms[key]()])
+
+
+def play_step() -> Any:
+    """CasADi function (m, v, half_width) -> next m of a play operator.
+
+    Returns
+    -------
+    casadi.Function
+        One step.
+    """
+    import casadi as ca
+
+    m, v, h = ca.SX.sym("m"), ca.SX.sym("v"), ca.SX.sym("h")
+    return ca.Function("play", [m, v, h], [_clip(ca, m, v - h, v + h)])
+
+
+def rate_step() -> Any:
+    """CasADi function (v, command, rate) -> (next v, mean over the interval) of a rate-limited actuator.
+
+    Returns
+    -------
+    casadi.Function
+        One step.
+    """
+    import casadi as ca
+
+    v, u, r = ca.SX.sym("v"), ca.SX.sym("u"), ca.SX.sym("r")
+    gap = u - v
+    reached = ca.fabs(gap) <= r
+    mean = ca.if_else(reached, u - 0.5 * gap * ca.fabs(gap) / r, v + 0.5 * r * ca.sign(gap))
+    return ca.Function("rate", [v, u, r], [v + _clip(ca, gap, -r, r), mean])
+
+
+def feedback_step(order: int) -> Any:
+    """CasADi function of one exponential Heun step of a plant with nonlinear feedback.
+
+    x+ = phi x + gamma_u u - gamma_w w with w = k2 p^2 + k3 p^3 + k5 |p| p + drag |v| v - beta u p + friction.
+
+    Parameters
+    ----------
+    order : int
+        Number of states.
+
+    Returns
+    -------
+    casadi.Function
+        Inputs x, u, phi, gamma_u, gamma_w, position, velocity, c (9).
+    """
+    import casadi as ca
+
+    x, u = ca.SX.sym("x", order), ca.SX.sym("u")
+    phi, gu, gw = ca.SX.sym("phi", order, order), ca.SX.sym("gu", order), ca.SX.sym("gw", order)
+    position, velocity = ca.SX.sym("position", order), ca.SX.sym("velocity", order)
+    c = ca.SX.sym("c", 9)
+
+    def load(at: Any) -> Any:
+        p, v = ca.dot(position, at), ca.dot(velocity, at)
+        return (c[0] + c[1] * p) * p**2 + c[2] * ca.fabs(p) * p + c[3] * ca.fabs(v) * v - c[4] * u * p
+
+    free = phi @ x + gu * u
+    before = load(x)
+    w = 0.5 * (before + load(free - gw * before))
+    level = c[5] + c[6] * ca.exp(-((ca.dot(velocity, x) / c[7]) ** 2))
+    push = ca.dot(velocity, free - gw * w) / ca.dot(velocity, gw)
+    w = w + _clip(ca, push, -level * (1 - c[8]), level * (1 + c[8]))
+    return ca.Function("feedback", [x, u, phi, gu, gw, position, velocity, c], [free - gw * w])

@@ -1,0 +1,224 @@
+"""Impulse response by least squares, and its peak gain: the plug-in estimate.
+
+y_t = sum_k g_k u_(t-k) + e_t with n taps g_k (ny x nu), from rest, over all records together:
+
+    g^ = R^-1 F,   R = sum phi phi',   F = sum phi y',   cov = lambda_e R^-1
+
+The number of taps is given, or chosen by an information criterion, or made harmless by a kernel that expects the
+response to decay (TC: cov(g_i, g_j) = c a^max(i, j), c and a by marginal likelihood).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.peak_estimates import PeakEstimate
+from estimators.trace import Trace
+from oed.data import Record, frozen
+from oed.errors import InputError, Status, check_names
+
+__all__ = ["FirModel", "peak_of_fir", "plug_in", "select_taps"]
+
+
+@dataclass(frozen=True, eq=False)
+class FirModel:
+    """An estimated impulse response.
+
+    Attributes
+    ----------
+    taps : ndarray
+        (n, ny, nu).
+    covariance : ndarray
+        (n nu, n nu) covariance of one output's taps per unit of noise variance, tap-major.
+    noise : ndarray
+        (ny,) estimated noise variances.
+    loss : float
+        Sum over outputs of log residual variance.
+    samples : int
+        Samples used.
+    """
+
+    taps: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    loss: float
+    samples: int
+
+
+def _records(data: Trace | Sequence[Record]) -> list[Record]:
+    records = list(data.records) if isinstance(data, Trace) else list(data)
+    if not records:
+        raise InputError("there are no records; give at least one.")
+    if not all(r.complete for r in records):
+        raise InputError("a record has missing samples (NaN); this estimator needs complete records.")
+    return records
+
+
+def _moments(records: list[Record], taps: int) -> tuple[NDArray, NDArray, NDArray, int]:
+    """R, F and sum y y' of all records, with zeros before the first sample."""
+    nu, ny = records[0].n_inputs, records[0].n_outputs
+    R, F, S = np.zeros((taps * nu, taps * nu)), np.zeros((taps * nu, ny)), np.zeros((ny, ny))
+    for record in records:
+        padded = np.vstack([np.zeros((taps - 1, nu)), record.u])
+        windows = np.lib.stride_tricks.sliding_window_view(padded, taps, axis=0)[:, :, ::-1]
+        phi = windows.transpose(0, 2, 1).reshape(len(record), taps * nu)
+        R += phi.T @ phi
+        F += phi.T @ record.y
+        S += record.y.T @ record.y
+    return R, F, S, sum(len(r) for r in records)
+
+
+def plug_in(data: Trace | Sequence[Record], taps: int, *, kernel: str = "none") -> FirModel:
+    """Impulse response of given length from all records together.
+
+    Parameters
+    ----------
+    data : Trace or sequence of Record
+        Experiments from rest.
+    taps : int
+        Number of taps n, g_0 included.
+    kernel : {"none", "tc"}
+        Least squares, or regularised by the TC kernel.
+
+    Returns
+    -------
+    FirModel
+        The taps with their covariance (with a kernel: the posterior's).
+
+    Raises
+    ------
+    InputError
+        If there are fewer samples than taps, or the input does not excite all of them.
+    """
+    check_names([kernel], ("none", "tc"), "kernel")
+    records = _records(data)
+    longest = max(map(len, records))
+    if not isinstance(taps, int | np.integer) or not 1 <= taps < longest:
+        raise InputError(f"taps is {taps!r}; it must be a positive integer below the {longest} samples.")
+    R, F, S, samples = _moments(records, int(taps))
+    if kernel == "none" and not np.linalg.cond(R) < 1e12:
+        raise InputError(
+            f"the input does not excite {taps} taps (condition {np.linalg.cond(R):.1e}); "
+            "take fewer taps, a richer input, or kernel='tc'."
+        )
+    return _solve(R, F, S, samples, int(taps), kernel)
+
+
+def _solve(R: NDArray, F: NDArray, S: NDArray, samples: int, taps: int, kernel: str) -> FirModel:
+    n, ny = F.shape
+    nu = n // taps
+    g, noise = np.zeros((n, ny)), np.zeros(ny)
+    covariance = np.linalg.pinv(R, hermitian=True)
+    plain = covariance @ F
+    for i in range(ny):
+        g[:, i] = plain[:, i]
+        noise[i] = max(S[i, i] - F[:, i] @ plain[:, i], 1e-300) / max(samples - n, 1)
+        if kernel == "tc":
+            P = _tc(R, F[:, i], noise[i], taps, nu)
+            g[:, i] = P @ np.linalg.solve(R @ P + noise[i] * np.eye(n), F[:, i])
+            covariance = P @ np.linalg.inv(R @ P / noise[i] + np.eye(n)) / noise[i]
+    loss = float(np.sum(np.log(np.maximum(noise * max(samples - n, 1) / samples, 1e-300))))
+    response = g.reshape(taps, nu, ny).transpose(0, 2, 1)
+    return FirModel(frozen(response), frozen((covariance + covariance.T) / 2), frozen(noise), loss, samples)
+
+
+def _tc(R: NDArray, f: NDArray, noise: float, taps: int, nu: int) -> NDArray:
+    """The TC kernel that makes the data likeliest, (n nu, n nu) tap-major."""
+    from scipy.optimize import minimize
+
+    later = np.maximum.outer(np.arange(taps), np.arange(taps)) + 1.0
+    decay = lambda x: float(1 / (1 + np.exp(-x)))
+    kernel = lambda x: np.exp(x[0]) * np.kron(decay(x[1]) ** later, np.eye(nu))
+
+    def minus_log_likelihood(x: NDArray) -> float:
+        P = kernel(x)
+        L = np.linalg.cholesky(P + 1e-12 * np.trace(P) / len(P) * np.eye(len(P)))
+        inner = np.eye(len(P)) + L.T @ R @ L / noise
+        v = L.T @ f / noise
+        return float(np.linalg.slogdet(inner)[1] - v @ np.linalg.solve(inner, v))
+
+    return kernel(
+        minimize(minus_log_likelihood, [0.0, 2.0], method="Nelder-Mead", options={"maxiter": 200}).x
+    )
+
+
+def select_taps(
+    data: Trace | Sequence[Record], candidates: Sequence[int] = (2, 3, 5, 8, 12, 18, 27, 40, 60, 90)
+) -> int:
+    """Number of taps with the smallest Bayesian information criterion.
+
+    Parameters
+    ----------
+    data : Trace or sequence of Record
+        Experiments from rest.
+    candidates : sequence of int
+        Numbers of taps to choose from; those that the data cannot determine are left out.
+
+    Returns
+    -------
+    int
+        The choice.
+    """
+    records = _records(data)
+    longest = max(min(len(r) for r in records) // 2, 1)
+    tried = [n for n in candidates if n <= longest] or [1]
+    nu = records[0].n_inputs
+    R, F, S, samples = _moments(records, max(tried))
+    scores = {}
+    for n in tried:
+        part = slice(0, n * nu)
+        if np.linalg.cond(R[part, part]) < 1e12:
+            model = _solve(R[part, part], F[part], S, samples, n, "none")
+            scores[n] = samples * model.loss + np.log(samples) * n * nu * F.shape[1]
+    if not scores:
+        raise InputError("the input is zero or excites no tap; apply another input.")
+    return min(scores, key=scores.__getitem__)
+
+
+def peak_of_fir(model: FirModel, points: int = 4096) -> PeakEstimate:
+    """Largest gain of an impulse response, with the delta method's standard error.
+
+    Parameters
+    ----------
+    model : FirModel
+        The estimate.
+    points : int
+        Lines of the grid on which the peak is first sought.
+
+    Returns
+    -------
+    PeakEstimate
+        The plug-in estimate of the norm. The maximum over frequencies is biased up where the noise at other
+        frequencies reaches the peak.
+    """
+    from scipy.optimize import minimize_scalar
+
+    n, ny, _ = model.taps.shape
+    k = np.arange(n)
+    response = lambda w: np.einsum("k,kij->ij", np.exp(-1j * w * k), model.taps)
+    height = lambda w: float(np.linalg.norm(response(w), 2))
+    heights = np.linalg.norm(np.fft.rfft(model.taps, max(points, 2 * n), axis=0), 2, axis=(1, 2))
+    step = np.pi / (len(heights) - 1)
+    at = int(np.argmax(heights))
+    omega = at * step
+    if 0 < at < len(heights) - 1:
+        ends = (omega - step, omega + step)
+        found = minimize_scalar(lambda w: -height(w), bounds=ends, method="bounded", options={"xatol": 1e-10})
+        omega = float(found.x)
+    U, s, Vh = np.linalg.svd(response(omega))
+    wave = np.exp(-1j * omega * k)
+    variance = 0.0
+    for i in range(ny):  # d sigma = Re(u^* dG v)
+        c = np.real(np.conj(U[i, 0]) * wave[:, None] * np.conj(Vh[0])[None, :]).ravel()
+        variance += model.noise[i] * float(c @ model.covariance @ c)
+    h = 1e-4
+    bend = -(height(omega + h) ** 2 - 2 * height(omega) ** 2 + height(omega - h) ** 2) / h**2
+    status = Status.OK if np.isfinite(s[0]) else Status.NOT_FINITE
+    error = float(np.sqrt(max(variance, 0.0)))
+    return PeakEstimate(
+        float(s[0]), error, omega, float("nan"), float(bend), float(model.noise.mean()), status
+    )

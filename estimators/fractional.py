@@ -1,0 +1,135 @@
+"""A delay between two samples: the input shifted by any fraction, and the fraction that fits best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Record
+from oed.errors import InputError
+
+if TYPE_CHECKING:
+    from estimators.pem.fit import Fit
+
+__all__ = ["FractionalDelay", "estimate_fractional_delay", "shifted"]
+
+HALF = 24
+"""Samples on each side of the interpolation kernel, a sinc under a Kaiser window: exact to 1e-4 up to 0.9 pi."""
+
+
+@dataclass(frozen=True, eq=False)
+class FractionalDelay:
+    """A delay in samples, not a whole number.
+
+    Attributes
+    ----------
+    delay : float
+        Total delay of the first numerator coefficient, in samples.
+    standard_error : float
+        From the curvature of the profile likelihood.
+    fit : Fit
+        The model of the input shifted by the fraction, with the whole part as its nk.
+    fraction : float
+        Shift of the input, in samples.
+    """
+
+    delay: float
+    standard_error: float
+    fit: Fit
+    fraction: float
+
+    def __repr__(self) -> str:
+        return f"delay {self.delay:.4f} +- {self.standard_error:.2g} samples\n{self.fit!r}"
+
+
+def shifted(signal: NDArray, fraction: float) -> NDArray[np.float64]:
+    """A band-limited signal later by a fraction of a sample.
+
+    Parameters
+    ----------
+    signal : ndarray
+        (N, n_channels); held at its first and last sample outside.
+    fraction : float
+        Samples, of either sign, between -4 and 4.
+
+    Returns
+    -------
+    ndarray
+        (N, n_channels).
+    """
+    if abs(fraction) > 4:
+        raise InputError(f"the shift is {fraction} samples; it must lie between -4 and 4: the rest is nk's.")
+    if fraction == 0:
+        return np.array(signal, dtype=float)
+    whole = round(fraction)
+    rest, k = fraction - whole, np.arange(-HALF, HALF + 1)
+    window = np.i0(8.0 * np.sqrt(np.maximum(1 - ((k - rest) / (HALF + 1)) ** 2, 0))) / np.i0(8.0)
+    kernel = np.sinc(k - rest) * window
+    kernel = kernel / kernel.sum()
+    signal = np.asarray(signal, dtype=float)
+    padded = np.pad(signal, ((HALF + 4, HALF + 4), (0, 0)), mode="edge")
+    at = slice(4 - whole, 4 - whole + len(signal))
+    return np.column_stack([np.convolve(column, kernel, "valid")[at] for column in padded.T])
+
+
+def estimate_fractional_delay(
+    records: Record | Sequence[Record],
+    structure: str = "oe",
+    orders: Any = (1, 1),
+    delay: int = 1,
+    **options: Any,
+) -> FractionalDelay:
+    """The delay within one sample of nk under which a model fits best, with its standard error.
+
+    The inputs are taken as band-limited. A second numerator coefficient imitates a fraction of a delay; with one
+    the fraction is well determined.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        The data.
+    structure : str
+        As in `identify`.
+    orders : sequence of int
+        As in `identify`.
+    delay : int
+        The whole number of samples about which to search, as `estimate_delay` finds it.
+    **options : object
+        Passed to `identify`.
+
+    Returns
+    -------
+    FractionalDelay
+        Delay, standard error and model.
+
+    Raises
+    ------
+    InputError
+        If the records or orders break a rule of `identify`.
+    """
+    from scipy.optimize import minimize_scalar
+
+    from estimators.pem import identify
+
+    given = [records] if isinstance(records, Record) else list(records)
+    total = sum(map(len, given))
+
+    def fitted(fraction: float) -> Fit:
+        moved = [r.replace(u=shifted(r.u, float(fraction))) for r in given]
+        return identify(moved, structure, orders, delay, **options)
+
+    log_loss = lambda fraction: float(np.log(fitted(fraction).loss))
+    coarse = np.linspace(-1, 1, 9)
+    values = [log_loss(x) for x in coarse]
+    best = int(np.argmin(values))
+    low, high = coarse[max(best - 1, 0)], coarse[min(best + 1, 8)]
+    found = minimize_scalar(log_loss, bounds=(low, high), method="bounded", options={"xatol": 1e-5})
+    fraction = float(found.x)
+    h = 0.02
+    curvature = (log_loss(fraction + h) + log_loss(fraction - h) - 2 * log_loss(fraction)) / h**2
+    error = float(np.sqrt(2 / (total * curvature))) if curvature > 0 else float("inf")
+    return FractionalDelay(delay + fraction, error, fitted(fraction), fraction)

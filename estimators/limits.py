@@ -1,0 +1,125 @@
+"""Limits on the input, and the largest multiple of a signal that meets them ([M] Sec. III-C)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oed.errors import ExperimentError, InputError
+
+__all__ = ["Limits", "scaled", "white_start"]
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits on the input; those that are None do not bind.
+
+    Attributes
+    ----------
+    power : float or None
+        Sum over channels of the mean square, in squared input units (default 1).
+    energy : float or None
+        Sum over channels and samples of the squares.
+    amplitude : float or array_like or None
+        Largest absolute value, common or per channel.
+    channel_power : array_like or None
+        Mean square of each channel, (nu,).
+    """
+
+    power: float | None = 1.0
+    energy: float | None = None
+    amplitude: Any = None
+    channel_power: Any = None
+
+    def __post_init__(self) -> None:
+        given = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        for name, value in given.items():
+            if value is None:
+                continue
+            array = np.asarray(value, dtype=float)
+            if not np.isfinite(array).all() or not (array > 0).all():
+                raise InputError(
+                    f"the limit on the input's {name} is {value}; it must be positive and finite: "
+                    "no signal but zero meets it."
+                )
+        if all(value is None for value in given.values()):
+            raise InputError(
+                "no limit on the input is given; give a power, an energy or an amplitude, "
+                "or the iterations grow without bound."
+            )
+
+
+def scaled(x: ArrayLike, limits: Limits) -> NDArray[np.float64]:
+    """The largest positive multiple of a signal that meets the limits.
+
+    Parameters
+    ----------
+    x : array_like
+        (N, nu).
+    limits : Limits
+        What must be met.
+
+    Returns
+    -------
+    ndarray
+        (N, nu).
+
+    Raises
+    ------
+    ExperimentError
+        If the signal is zero: it has no direction to go on with.
+    """
+    x = np.asarray(x, dtype=float)
+    N, nu = x.shape
+    peak = np.abs(x).max(axis=0)
+    if not peak.any():
+        raise ExperimentError(
+            "the next input would be zero, because the measured output was; "
+            "check the actuator, or start from another input."
+        )
+    power = np.mean(np.square(x), axis=0)
+    factors = []
+    if limits.power is not None:
+        factors.append(np.sqrt(limits.power / power.sum()))
+    if limits.energy is not None:
+        factors.append(np.sqrt(limits.energy / (N * power.sum())))
+    with np.errstate(divide="ignore"):
+        if limits.amplitude is not None:
+            factors.append(np.min(_per_channel(limits.amplitude, nu, "amplitude") / peak))
+        if limits.channel_power is not None:
+            factors.append(np.min(np.sqrt(_per_channel(limits.channel_power, nu, "channel_power") / power)))
+    return x * min(factors)
+
+
+def white_start(
+    samples: int, n_inputs: int, rng: np.random.Generator, limits: Limits | None = None
+) -> NDArray[np.float64]:
+    """White Gaussian noise scaled to the limits (exactly unit power by default).
+
+    Parameters
+    ----------
+    samples, n_inputs : int
+        Size.
+    rng : numpy.random.Generator
+        Source of the noise.
+    limits : Limits, optional
+        Default: total power 1.
+
+    Returns
+    -------
+    ndarray
+        (samples, n_inputs).
+    """
+    return scaled(rng.standard_normal((samples, n_inputs)), limits or Limits())
+
+
+def _per_channel(value: Any, nu: int, name: str) -> NDArray[np.float64]:
+    array = np.asarray(value, dtype=float)
+    if array.ndim and array.shape != (nu,):
+        raise InputError(
+            f"the limit {name} has shape {array.shape} for {nu} inputs; give one number or one per input."
+        )
+    return np.broadcast_to(array, (nu,))

@@ -1,0 +1,53 @@
+"""Prediction-error identification: every parameter with its standard error.
+
+    from estimators.pem import identify
+    fit = identify(record, "oe", (2, 2), delay=3, offset=True)
+    fit                                    # prints the parameters with their standard errors
+    fit.hinf_norm                          # (value, standard error, frequency)
+
+`identify(records, structure="oe", orders=(2, 2), delay=1, *, diagonal=False, offset=False,
+initial="zero", start=None, ...) -> Fit`
+
+- `records`: one `oed.data.Record` or a list of them (several experiments, one model).
+- `structure`, `orders`: fir nb; arx na nb; armax na nb nc; oe nb nf; bj nb nc nd nf; ss n. Each order is a
+  number, or for MIMO one per entry (ny, nu); `diagonal=True` lets input i drive output i alone and takes
+  one order per channel. `delay` is nk (number or (ny, nu)), 1 by default.
+- `offset`: the model holds for deviations from levels: the input's is its mean, the output's is estimated.
+- `initial`: "zero" (at rest before the first sample), "estimate", "backcast"; per experiment.
+- `start`: parameters to start from; otherwise several starts are tried and the best optimum is kept
+  (`search`: auto, quick, thorough).
+- `fixed`, `bounds`, `prior`: by parameter name. `robust`: "huber" or "student". `prefilter`: (num, den).
+  `missing=True`: NaN in the outputs marks missing samples.
+
+`Fit` (frozen): `model` (`oed.models.Model`), `theta`, `names`, `covariance`, `standard_errors`,
+`noise_variance`, `noise_covariance`, `loss`, `fit_percent`, `aic`, `bic`, `status`, `residuals` (list of
+(N, ny)), `iterations`, `hinf_norm`, `input_level`, `output_level`; verbs `simulate(u)`, `predict(record)`,
+`simulate_record(record, window=n)`, `residuals_of(record)`, `linearised(record)`, `to_plant()`, `to_dict()`.
+
+Beside it: `pem.uncertainty` (sandwich, profile_interval, bode_band, step_band, pole_covariances), `pem.greybox`
+(physically parametrised models), `pem.plots`, `estimators.residuals`, `estimators.choice`, `estimators.fractional`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from estimators.pem.estimation import identify
+    from estimators.pem.fit import Fit
+
+__all__ = ["Fit", "identify"]
+
+_HOME = {"Fit": "estimators.pem.fit", "identify": "estimators.pem.estimation"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        from importlib import import_module
+
+        return getattr(import_module(_HOME[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

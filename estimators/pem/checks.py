@@ -1,0 +1,110 @@
+"""What is refused before any work: records and orders that cannot give a model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from estimators.pem.predictors import Structure
+from oed.data import Record
+from oed.errors import InputError
+from oed.models import Polynomial, StateSpace, polynomial, state_space
+
+__all__ = ["check_records", "structure_for"]
+
+
+def structure_for(
+    structure: Any, orders: Any, delay: Any, diagonal: bool, records: list[Record]
+) -> Structure:
+    """The structure that was asked for, sized to the records.
+
+    Parameters
+    ----------
+    structure : str or Polynomial or StateSpace
+        As in `identify`.
+    orders, delay : object
+        As in `identify`.
+    diagonal : bool
+        As in `identify`.
+    records : list of Record
+        The data.
+
+    Returns
+    -------
+    Polynomial or StateSpace
+        InputError if the orders do not fit the structure or the records.
+    """
+    if not records or not all(isinstance(r, Record) for r in records):
+        raise InputError("records must be one oed.data.Record or a non-empty list of them.")
+    for what in ("n_inputs", "n_outputs", "dt"):
+        values = {getattr(r, what) for r in records}
+        if len(values) > 1:
+            raise InputError(f"the records differ in {what}: {sorted(values)}; one model needs one value.")
+    ny, nu = records[0].n_outputs, records[0].n_inputs
+    if isinstance(structure, Polynomial | StateSpace):
+        if (structure.n_outputs, structure.n_inputs) != (ny, nu):
+            raise InputError(
+                f"the structure has {structure.n_outputs} outputs and {structure.n_inputs} inputs, "
+                f"the records {ny} and {nu}; they must agree."
+            )
+        return structure
+    if structure == "ss":
+        order = np.ravel(orders)
+        if len(order) != 1 or np.ndim(delay) or diagonal:
+            raise InputError(
+                f"ss takes n, one delay for all and no diagonal; orders {orders}, delay {delay}, diagonal={diagonal}."
+            )
+        return state_space(int(order[0]), n_outputs=ny, n_inputs=nu, delay=int(delay))
+    return polynomial(structure, orders, delay, n_outputs=ny, n_inputs=nu, diagonal=diagonal)
+
+
+def check_records(records: list[Record], form: Structure, offset: bool, missing: bool = False) -> None:
+    """Refuse records that cannot determine the structure, before any work.
+
+    Parameters
+    ----------
+    records : list of Record
+        The data.
+    form : Polynomial or StateSpace
+        The structure.
+    offset : bool
+        Whether levels are unknown.
+    missing : bool
+        Whether outputs may be missing.
+    """
+    total = (
+        sum(int(np.isfinite(r.y).all(axis=1).sum()) for r in records) if missing else sum(map(len, records))
+    )
+    count = form.n + (form.n_outputs if offset else 0)
+    if total * form.n_outputs < 2 * count:
+        raise InputError(
+            f"{total} samples cannot determine {count} parameters; give at least {-(-2 * count // form.n_outputs)} "
+            "samples or lower the orders."
+        )
+    for k, record in enumerate(records):
+        which = f"record {k + 1}" if len(records) > 1 else "the record"
+        gaps = ~np.isfinite(record.u)
+        if missing and gaps.any():
+            raise InputError(
+                f"{which} has {int(gaps.sum())} missing input samples; only outputs may be missing: the input that "
+                "was applied must be known (hold its last value if that is what the actuator did)."
+            )
+        if not missing and not record.complete:
+            bad = int((~np.isfinite(record.u)).sum() + (~np.isfinite(record.y)).sum())
+            raise InputError(
+                f"{which} has {bad} missing samples (NaN); ask for them to be treated as missing (missing=True) "
+                "or remove them."
+            )
+    for j in range(form.n_inputs):
+        values = np.concatenate([r.u[:, j] for r in records])
+        constant = np.ptp(values) == 0
+        if (
+            constant
+            and (offset or not values.any())
+            and (isinstance(form, StateSpace) or form.nb[:, j].any())
+        ):
+            raise InputError(
+                f"input {records[0].input_names[j]} is constant ({values[0]:g}) in all records; "
+                "a constant input cannot be told from an offset: excite it, or leave it out."
+            )

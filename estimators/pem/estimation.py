@@ -1,0 +1,299 @@
+"""The verb `identify`: records in, a fitted model with its uncertainty out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimators.pem.checks import check_records, structure_for
+from estimators.pem.extras import (
+    Settings,
+    bridged,
+    filtered_record,
+    robust_scale,
+    robustly,
+    with_limits,
+    with_prior,
+    without_outliers,
+)
+from estimators.pem.fit import Fit
+from estimators.pem.gauss_newton import Optimum
+from estimators.pem.predictors import Structure
+from estimators.pem.problem import Problem, prepare
+from estimators.pem.results import result
+from estimators.pem.search import best_optimum
+from estimators.pem.statespace import state_space_of_armax, subspace_candidates
+from oed.data import Record
+from oed.errors import InputError, Status
+from oed.models import Polynomial, StateSpace, polynomial
+
+__all__ = ["identify"]
+
+_INITIAL = ("zero", "estimate", "backcast")
+
+
+def identify(
+    records: Record | Sequence[Record],
+    structure: str | Polynomial | StateSpace = "oe",
+    orders: Any = (2, 2),
+    delay: Any = 1,
+    *,
+    diagonal: bool = False,
+    offset: bool | str = False,
+    initial: str = "zero",
+    start: ArrayLike | None = None,
+    search: str = "auto",
+    fixed: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    prior: Mapping[str, tuple[float, float]] | None = None,
+    robust: str | None = None,
+    prefilter: tuple[ArrayLike, ArrayLike] | None = None,
+    missing: bool = False,
+    max_iterations: int = 100,
+    tolerance: float = 1e-16,
+) -> Fit:
+    """Prediction-error estimate of a model: the parameters that minimise the one-step prediction errors.
+
+    One output: V(theta) = mean e(t, theta)^2. Several: the determinant of their second moment, the
+    Gaussian maximum likelihood.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        One experiment, or several that share the model.
+    structure : str or Polynomial or StateSpace
+        fir, arx, armax, oe, bj, ss; or a structure, whose orders and delays then count.
+    orders : sequence of int
+        fir nb; arx na nb; armax na nb nc; oe nb nf; bj nb nc nd nf; ss n. See `oed.models.polynomial`.
+    delay : int or array_like
+        nk in samples, a number or (ny, nu).
+    diagonal : bool
+        Whether input i drives output i alone.
+    offset : bool or "mean"
+        Whether signals are deviations from unknown levels: the inputs' means, and output levels that are
+        estimated (True) or also taken as the means ("mean").
+    initial : {"zero", "estimate", "backcast"}
+        At rest before the first sample; or initial states estimated for every record, counted as parameters
+        (estimate) or not (backcast: the best ones at every theta, held while the parameters move).
+    start : array_like, optional
+        (n,) parameters to start from; by default several starts are made from the data.
+    search : {"auto", "quick", "thorough"}
+        How hard the global optimum is looked for: quick tries the starts got by linear algebra; auto also moves
+        modes to other frequencies, where there are more than two and up to 20000 samples; thorough always does.
+    fixed : mapping of str to float, optional
+        Known parameters by name: {"f1": -0.9}.
+    bounds : mapping of str to tuple, optional
+        Lower and upper bound by name.
+    prior : mapping of str to tuple, optional
+        Mean and standard deviation by name: regularisation by what was known before.
+    robust : {"huber", "student"}, optional
+        A loss that outliers cannot dominate: Huber's (1.345 standard deviations) or Student's t (4 degrees of
+        freedom).
+    prefilter : tuple of array_like, optional
+        (num, den) of a filter for inputs and outputs: the frequencies it passes count.
+    missing : bool
+        Whether NaN in the outputs marks missing samples, which a Kalman filter bridges.
+    max_iterations : int
+        Most Gauss-Newton steps from each start.
+    tolerance : float
+        Stop once a further step promises less than this relative decrease of the loss.
+
+    Returns
+    -------
+    Fit
+        Model, covariance, figures of merit, residuals, status.
+
+    Raises
+    ------
+    InputError
+        If the records or orders break a rule.
+    NotIdentifiable
+        If the information matrix is singular; the parameters in its null space are named.
+    """
+    experiments = [records] if isinstance(records, Record) else list(records)
+    form = structure_for(structure, orders, delay, diagonal, experiments)
+    if initial not in _INITIAL:
+        raise InputError(f"initial is {initial!r}; choose one of {', '.join(_INITIAL)}.")
+    if offset not in (True, False, "mean"):
+        raise InputError(f"offset is {offset!r}; choose True, False or 'mean'.")
+    if search not in ("auto", "quick", "thorough"):
+        raise InputError(f"search is {search!r}; choose auto, quick or thorough.")
+    if robust not in (None, "huber", "student"):
+        raise InputError(f"robust is {robust!r}; choose huber, student or None.")
+    if missing and (robust or isinstance(form, StateSpace)):
+        raise InputError("missing samples are bridged for polynomial models with the squared loss only.")
+    if prefilter is not None:
+        experiments = [filtered_record(r, *prefilter) for r in experiments]
+    means = offset == "mean"
+    if means:
+        experiments, levels = _about_means(experiments)
+    offset = bool(offset) and not means
+    missing = missing and not all(r.complete for r in experiments)
+    check_records(experiments, form, offset or means, missing)
+    how = Settings(offset, initial != "zero", missing, search, max_iterations, tolerance)
+    joint = prepare(form, experiments, offset=offset, initial=how.unknown, missing=missing)
+    joint = with_limits(joint, fixed or {}, bounds or {})
+    begin = None if start is None else _scaled_start(start, joint)
+    problem, optimum = _fitted(form, experiments, joint, begin, how)
+    if prior:
+        problem, optimum = with_prior(problem, optimum, prior, how)
+    if robust:
+        ends = [robustly(problem, optimum, robust, how)]
+        if begin is None:  # outliers may have led the squared loss to a wrong optimum: once more without them
+            cleaned = without_outliers(experiments, problem.residuals(optimum.point))
+            again = prepare(form, cleaned, offset=offset, initial=how.unknown)
+            z = _fitted(form, cleaned, with_limits(again, fixed or {}, bounds or {}), None, how)[1].point.z
+            z = z * again.scale / problem.scale
+            point = problem.evaluate(problem.projected(z))
+            if point is not None:
+                ends.append(
+                    robustly(problem, Optimum(point, Status.OK, optimum.iterations, np.inf), robust, how)
+                )
+        problem, optimum = min(ends, key=lambda end: robust_scale(*end))
+    fit = result(problem, optimum, experiments, offset, initial, robust)
+    return replace(fit, input_level=levels[0], output_level=levels[1]) if means else fit
+
+
+def _fitted(
+    form: Structure, records: list[Record], joint: Problem, begin: NDArray | None, how: Settings
+) -> tuple[Problem, Optimum]:
+    """The optimum of all outputs together."""
+    if isinstance(form, StateSpace):
+        found = [_fit_state_space(form, records, joint, begin, how)]
+        z = found[0].point.z
+    else:
+        found = [_fit_row(form, i, records, joint, begin, how) for i in range(form.n_outputs)]
+        theta = [f.point.z[: len(f.point.z) - how.offset] for f in found]
+        z = np.concatenate([*theta, *([f.point.z[-1]] for f in found if how.offset)])
+    if form.n_outputs == 1:
+        return joint, found[0]
+    iterations = max(f.iterations for f in found)
+    if how.missing:  # the outputs one by one: where some are missing their joint weight changes in time
+        diagonal = np.diag([1 / f.point.extra[1][0, 0] for f in found])
+        joint = joint.replace(weight=diagonal)
+        point = joint.evaluate(z) or found[0].point
+        worst = max(found, key=lambda f: f.decrement)
+        return joint, Optimum(point, worst.status, iterations, worst.decrement)
+    return _fit_together(joint, z, iterations, how)
+
+
+def _about_means(records: list[Record]) -> tuple[list[Record], tuple[NDArray, NDArray]]:
+    total = sum(map(len, records))
+    u, y = (
+        np.sum([x.sum(axis=0) for x in side], axis=0) / total for side in zip(*((r.u, r.y) for r in records))
+    )
+    return [r.replace(u=r.u - u, y=r.y - y) for r in records], (u, y)
+
+
+def _scaled_start(start: ArrayLike, problem: Problem) -> NDArray:
+    n = problem.structure.n
+    values = np.asarray(start, dtype=float)
+    if values.shape != (n,) or not np.isfinite(values).all():
+        raise InputError(f"start has the shape {values.shape}; it must be {n} finite numbers.")
+    z = np.zeros(problem.n_parameters)
+    z[:n] = values / problem.scale[:n]
+    return z
+
+
+def _fit_row(
+    form: Polynomial, i: int, records: list[Record], joint: Problem, begin: NDArray | None, how: Settings
+) -> Optimum:
+    """The best optimum of output i alone."""
+    if form.n_outputs == 1:
+        problem, own, rows = joint, begin, records
+    else:
+        rows = [r.replace(y=r.y[:, [i]], output_names=(), output_units=()) for r in records]
+        scales = joint.input_scale, joint.output_scale[i : i + 1]
+        problem = prepare(
+            form.row(i), rows, offset=how.offset, initial=how.unknown, scales=scales, missing=how.missing
+        )
+        at = np.r_[_row_slice(form, i), [form.n + i] * how.offset]
+        if joint.lower is not None and joint.upper is not None:
+            problem = problem.replace(lower=joint.lower[at], upper=joint.upper[at])
+        own = None if begin is None else begin[at]
+    if how.missing and own is None:
+        whole = prepare(
+            problem.structure, [bridged(r) for r in rows], offset=how.offset, initial=how.unknown,
+            scales=(problem.input_scale, problem.output_scale),
+        ).replace(lower=problem.lower, upper=problem.upper)  # fmt: skip
+        own = best_optimum(whole, None, how).point.z
+        if how.offset:
+            own[-1] += (whole.output_level[0] - problem.output_level[0]) / problem.output_scale[0]
+    return best_optimum(problem, own, how)
+
+
+def _fit_state_space(
+    form: StateSpace, records: list[Record], joint: Problem, begin: NDArray | None, how: Settings
+) -> Optimum:
+    """One output: the ARMAX model of the same order is the same model. Several: subspace starts."""
+    if begin is not None:
+        starts = [begin]
+    elif form.n_outputs == 1:
+        starts = [_by_armax(form, records, joint, how)]
+    else:
+        starts = subspace_candidates(form, joint)
+    points = [p for z in starts if (p := joint.evaluate(z)) is not None]
+    if not points:
+        raise InputError(
+            "no start of the state-space model has a stable predictor; raise or lower the order."
+        )
+    points.sort(key=lambda p: np.linalg.slogdet(p.extra[1])[1])
+    found = []
+    for point in points[:4]:
+        whitened = joint.replace(weight=np.linalg.inv(point.extra[1])) if form.n_outputs > 1 else joint
+        at = whitened.evaluate(point.z, point.extra[0])
+        if at is not None:
+            most, near = (10, 1e-5) if form.n_outputs > 1 else (how.max_iterations, how.tolerance)
+            found.append(whitened.descend(at, max_iterations=most, tolerance=near))
+    return min(found, key=lambda f: np.linalg.slogdet(f.point.extra[1])[1])
+
+
+def _by_armax(form: StateSpace, records: list[Record], joint: Problem, how: Settings) -> NDArray:
+    n, nu, direct = form.order, form.n_inputs, int(form.feedthrough)
+    twin = polynomial("armax", [n, n + direct, n], 1 - direct, n_inputs=nu)
+    scales = joint.input_scale, joint.output_scale
+    problem = prepare(twin, records, offset=how.offset, initial=how.unknown, scales=scales)
+    z = best_optimum(problem, None, how).point.z
+    return np.concatenate([state_space_of_armax(form, twin, z[: twin.n]), z[twin.n :]])
+
+
+def _row_slice(form: Polynomial, i: int) -> slice:
+    before = sum(form.row(k).n for k in range(i) if _has_parameters(form, k))
+    return slice(before, before + form.row(i).n)
+
+
+def _has_parameters(form: Polynomial, i: int) -> bool:
+    return bool(form.na[i] + form.nb[i].sum() + form.nc[i] + form.nd[i])
+
+
+def _fit_together(problem: Problem, z: NDArray, iterations: int, how: Settings) -> tuple[Problem, Optimum]:
+    """All outputs together, weighted by the inverse of their residual covariance until that settles."""
+    ny = problem.structure.n_outputs
+    point = problem.evaluate(z)
+    if point is None:
+        raise InputError(
+            "the loss is not finite at the optimum of the single outputs; this should not happen."
+        )
+    optimum = Optimum(point, Status.MAX_ITERATIONS, iterations, np.inf)
+    for _ in range(max(how.max_iterations, 1)):
+        covariance = point.extra[1]
+        floor = 1e-12 * np.trace(covariance) / ny * np.eye(ny)
+        problem = problem.replace(weight=np.linalg.inv(covariance + floor))
+        before = problem.evaluate(point.z, point.extra[0])
+        if before is None:
+            break
+        optimum = problem.descend(
+            before,
+            max_iterations=4,
+            tolerance=how.tolerance,
+        )
+        iterations += optimum.iterations
+        moved = optimum.point.z - before.z
+        point = optimum.point
+        if optimum.status is Status.CONVERGED and float(moved @ point.hessian @ moved) < 1e-10:
+            break
+    return problem, Optimum(point, optimum.status, iterations, optimum.decrement)

@@ -1,0 +1,422 @@
+"""A fitted model with its uncertainty, and what can be asked of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimators.pem.predictors import samples
+from estimators.pem.problem import prepare
+from oed.data import Record, as_signal
+from oed.errors import InputError, Status
+from oed.models import Model, Polynomial, StateSpace
+
+__all__ = ["Fit", "fit_percent", "noise_free", "peak_gain"]
+
+
+def fit_percent(y: NDArray, y_hat: NDArray) -> float:
+    """100 (1 - |y - y_hat| / |y - mean y|), the mean over outputs.
+
+    Parameters
+    ----------
+    y, y_hat : ndarray
+        (N, ny) measured and modelled; rows with NaN in y are left out.
+
+    Returns
+    -------
+    float
+        Percent; 100 is perfect, 0 no better than the mean.
+    """
+    values = []
+    for i in range(y.shape[1]):
+        known, error = y[:, i], y[:, i] - y_hat[:, i]
+        if np.isnan(known).any():
+            error, known = error[np.isfinite(known)], known[np.isfinite(known)]
+        about = known - known.sum() / max(len(known), 1)
+        size = float(about @ about)
+        if size > 0:
+            values.append(100 * (1 - np.sqrt(float(error @ error) / size)))
+    return float(np.mean(values)) if values else float("nan")
+
+
+def peak_gain(model: Any, points: int = 512) -> tuple[float, float, NDArray[np.float64]]:
+    """Largest gain over frequencies, where it is, and its gradient by the envelope theorem.
+
+    Parameters
+    ----------
+    model : object
+        Anything with `response(omega) -> (G, dG)`.
+    points : int
+        Of the grid on [0, pi] that is refined at its largest value.
+
+    Returns
+    -------
+    gamma : float
+        max over omega of the largest singular value of G.
+    omega : float
+        Where, in rad/sample.
+    gradient : ndarray
+        (n,) d gamma / d theta = Re(u* dG v) with the singular vectors u, v at the peak.
+    """
+    poles = np.concatenate([np.zeros(0), *model.poles()])
+    turns = np.abs(np.angle(poles[np.abs(poles) > 0.5]))
+    near = [
+        turns + s * (1 - np.minimum(np.abs(poles[np.abs(poles) > 0.5]), 1))
+        for s in (-2, -1, -0.5, 0, 0.5, 1, 2)
+    ]
+    grid = np.unique(np.clip(np.concatenate([np.linspace(0, np.pi, points), *near]), 0, np.pi))
+    gain = lambda w: np.linalg.norm(model.response(w)[0], 2, axis=(1, 2))
+    values = gain(grid)
+    k = int(np.argmax(values))
+    left, right = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
+    for _ in range(8):
+        inner = np.linspace(left, right, 11)
+        values = gain(inner)
+        k = int(np.argmax(values))
+        left, right = inner[max(k - 1, 0)], inner[min(k + 1, 10)]
+    near_end = [end for end in (0.0, np.pi) if abs(inner[k] - end) < 1e-6]
+    omega = near_end[0] if near_end else float(inner[k])  # by symmetry the slope vanishes there
+    g, dg = model.response([omega])
+    left_vectors, singular, right_vectors = np.linalg.svd(g[0])
+    gradient = np.real(np.einsum("i,kij,j->k", left_vectors[:, 0].conj(), dg[0], right_vectors[0].conj()))
+    return float(singular[0]), omega, gradient
+
+
+def noise_free(model: Model) -> tuple[Polynomial | StateSpace, NDArray[np.float64]]:
+    """The output-error structure with the same G, and its parameters.
+
+    Parameters
+    ----------
+    model : Model
+        Any model.
+
+    Returns
+    -------
+    structure : Polynomial or StateSpace
+        Without a noise model: H = 1.
+    theta : ndarray
+        Its parameters.
+    """
+    form = model.structure
+    if isinstance(form, StateSpace):
+        bare = StateSpace(form.blocks, form.n_inputs, form.feedthrough, noise=False)
+        return bare, np.array(
+            [v for (x, _, _), v in zip(form.entries(), model.theta, strict=True) if x != "K"]
+        )
+    none = np.zeros_like(form.na)
+    degree = np.where(form.nb > 0, form.nf + form.na[:, None], 0)
+    theta = []
+    for i, row in enumerate(form.coefficients(model.theta)):
+        theta += [row["b"][j][form.nk[i, j] :] for j in range(form.n_inputs)]
+        theta += [np.convolve(row["a"][0], row["f"][j])[1:] for j in range(form.n_inputs) if form.nb[i, j]]
+    return Polynomial(none, form.nb, none, none, degree, form.nk, "oe"), np.concatenate(theta)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The result of a prediction-error identification.
+
+    Attributes
+    ----------
+    model : Model
+        Structure, parameters, noise covariance.
+    covariance : ndarray
+        (n, n) covariance of the parameters: lambda (sum J'J)^-1, or (sum J' Lambda^-1 J)^-1 for several outputs.
+    loss : float
+        det of the residuals' second moment (one output: the mean square).
+    n_samples : int
+        Samples of all records together.
+    n_estimated : int
+        Everything that was estimated: parameters, levels and initial states.
+    fit_percent : float
+        Of the one-step prediction for models with a noise model, of the simulation for fir and oe, on the data
+        that were fitted.
+    status : Status
+        How the search ended.
+    iterations : int
+        Gauss-Newton steps from the start that won.
+    decrement : float
+        Relative decrease of the loss that a further step promises: the optimality residual.
+    residuals : list of ndarray
+        (N, ny) one-step prediction errors of each record.
+    input_level, output_level : ndarray
+        Levels from which the model's signals deviate; zero unless an offset was asked for.
+    output_level_errors : ndarray
+        (ny,) standard errors of the output levels.
+    initial : str
+        How the initial states were treated.
+    notes : tuple of str
+        What a reader should know beside the numbers.
+    """
+
+    model: Model
+    covariance: NDArray[np.float64]
+    loss: float
+    n_samples: int
+    n_estimated: int
+    fit_percent: float
+    status: Status
+    iterations: int
+    decrement: float
+    residuals: list[NDArray[np.float64]]
+    input_level: NDArray[np.float64]
+    output_level: NDArray[np.float64]
+    output_level_errors: NDArray[np.float64]
+    initial: str = "zero"
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        """(n,) parameters."""
+        return self.model.theta
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.model.names
+
+    @property
+    def standard_errors(self) -> NDArray[np.float64]:
+        """(n,) standard errors of the parameters."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def noise_covariance(self) -> NDArray[np.float64]:
+        """(ny, ny) covariance of the innovations, corrected for the degrees of freedom."""
+        return self.model.noise_covariance
+
+    @property
+    def noise_variance(self) -> float:
+        """Mean innovation variance per output, tr(Lambda) / ny."""
+        return float(np.trace(self.noise_covariance)) / self.model.structure.n_outputs
+
+    @property
+    def log_likelihood(self) -> float:
+        """Gaussian log-likelihood at the optimum."""
+        ny = self.model.structure.n_outputs
+        return -0.5 * self.n_samples * (np.log(max(self.loss, 1e-300)) + ny * (1 + np.log(2 * np.pi)))
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion, -2 log L + 2 n."""
+        return -2 * self.log_likelihood + 2 * self.n_estimated
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion, -2 log L + n log N."""
+        return -2 * self.log_likelihood + self.n_estimated * np.log(self.n_samples)
+
+    @property
+    def hinf_norm(self) -> tuple[float, float, float]:
+        """Peak gain of G, its standard error by the delta method, and its frequency in rad/sample.
+
+        The gradient is Re(u* dG v) at the peak (envelope theorem). Not a number where G is unstable.
+        """
+        if not self.model.stable:
+            return float("nan"), float("nan"), float("nan")
+        gamma, omega, slope = peak_gain(self.model)
+        return gamma, float(np.sqrt(max(slope @ self.covariance @ slope, 0.0))), omega
+
+    def simulate(self, u: ArrayLike) -> NDArray[np.float64]:
+        """Noise-free output for an input, from rest at the levels.
+
+        Parameters
+        ----------
+        u : array_like
+            (N, nu) input in the units of the data.
+
+        Returns
+        -------
+        ndarray
+            (N, ny) output.
+        """
+        u = as_signal(u, "the input u")
+        structure = self.model.structure
+        if u.shape[1] != structure.n_inputs:
+            raise InputError(f"the input has {u.shape[1]} channels; the model has {structure.n_inputs}.")
+        return self.output_level + self.model.simulate(u - self.input_level)
+
+    def simulate_record(self, record: Record, *, window: int) -> NDArray[np.float64]:
+        """Simulated output of a record whose first samples set the initial state.
+
+        Parameters
+        ----------
+        record : Record
+            Its input is simulated; its output is used in the window alone.
+        window : int
+            Samples to which the initial state is fitted by least squares; 0 starts at rest.
+
+        Returns
+        -------
+        ndarray
+            (N, ny). Leave the window out of an error.
+        """
+        if window <= 0:
+            return self.simulate(record.u)
+        structure, theta = noise_free(self.model)
+        data = samples(structure, record.u - self.input_level, record.y - self.output_level)
+        ones = np.ones(structure.n_inputs), np.ones(structure.n_outputs)
+        short = prepare(structure, [record[:window]], initial=True, scales=ones).replace(data=data[:window])
+        point = short.evaluate(theta)
+        if point is None:
+            raise InputError(
+                "the model is unstable, so that its initial state cannot be told from its output."
+            )
+        e = short.kernel.trace(data, np.concatenate([theta, point.extra[0][0]]), False)[0]
+        return record.y - e
+
+    def linearised(
+        self, record: Record, *, initial: str | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """One-step prediction errors on any record and their sensitivities to everything that was fitted.
+
+        Parameters
+        ----------
+        record : Record
+            Data in the units of those fitted.
+        initial : {"zero", "estimate"}, optional
+            Whether the record starts at rest; by default as in the fit.
+
+        Returns
+        -------
+        residuals : ndarray
+            (N, ny).
+        jacobian : ndarray
+            (N, ny, n + levels + initial states): parameters first.
+        """
+        structure = self.model.structure
+        unknown = (initial or self.initial) != "zero"
+        ones = np.ones(structure.n_inputs), np.ones(structure.n_outputs)
+        offset = bool(self.output_level_errors.any())
+        problem = prepare(structure, [record], offset=offset, initial=unknown, scales=ones)
+        data = samples(structure, record.u - self.input_level, record.y - self.output_level)
+        problem = problem.replace(data=data)
+        point = problem.evaluate(np.concatenate([self.theta, np.zeros(problem.n_parameters - structure.n)]))
+        if point is None:
+            raise InputError(
+                "the predictor of this model is unstable, so that it has no residuals on this record."
+            )
+        states = np.zeros(0) if point.extra[0] is None else point.extra[0][0]
+        e, jacobian = problem.kernel.trace(problem.data, np.concatenate([point.z, states]), True)
+        return e, np.asarray(jacobian)
+
+    def residuals_of(self, record: Record, *, initial: str | None = None) -> NDArray[np.float64]:
+        """One-step prediction errors on any record.
+
+        Parameters
+        ----------
+        record : Record
+            Data in the units of those fitted.
+        initial : {"zero", "estimate"}, optional
+            Whether the record starts at rest; by default as in the fit.
+
+        Returns
+        -------
+        ndarray
+            (N, ny).
+        """
+        return self.linearised(record, initial=initial)[0]
+
+    def predict(self, record: Record, *, initial: str | None = None) -> NDArray[np.float64]:
+        """One-step-ahead prediction of the output of a record.
+
+        Parameters
+        ----------
+        record : Record
+            Data in the units of those fitted.
+        initial : {"zero", "estimate"}, optional
+            Whether the record starts at rest; by default as in the fit.
+
+        Returns
+        -------
+        ndarray
+            (N, ny).
+        """
+        return record.y - self.residuals_of(record, initial=initial)
+
+    def to_plant(self, name: str = "identified") -> Any:
+        """The model's G and noise as a plant to design experiments for.
+
+        Parameters
+        ----------
+        name : str
+            What the plant is called.
+
+        Returns
+        -------
+        Plant
+            With the same G; InputError if it is unstable, or if outputs have different noise filters.
+        """
+        from oed.plants import Plant
+
+        structure, num, den, filters = self.model.structure, [], [], []
+        if isinstance(structure, StateSpace):
+            return Plant.from_control(
+                self.model.to_control(), noise_covariance=self.noise_covariance, name=name
+            )
+        for i, row in enumerate(structure.coefficients(self.theta)):
+            num.append(
+                [row["b"][j] if structure.nb[i, j] else np.zeros(1) for j in range(structure.n_inputs)]
+            )
+            den.append([np.convolve(row["a"][0], row["f"][j]) for j in range(structure.n_inputs)])
+            filters.append((row["c"][0], np.convolve(row["a"][0], row["d"][0])))
+        first = filters[0]
+        if any(len(p) != len(q) or np.any(p != q) for f in filters for p, q in zip(f, first, strict=True)):
+            raise InputError(
+                "the outputs have different noise filters; a plant has one for all: use an output-error model."
+            )
+        return Plant(
+            num=num, den=den, dt=self.model.dt, noise_covariance=self.noise_covariance,
+            noise_num=first[0], noise_den=first[1], name=name,
+        )  # fmt: skip
+
+    def to_dict(self) -> dict:
+        """Plain numbers: the model, its uncertainty and the figures of merit.
+
+        Returns
+        -------
+        dict
+            Ready for JSON.
+        """
+        gamma, error, omega = self.hinf_norm
+        return {
+            "model": self.model.to_dict(),
+            "parameters": {
+                k: [float(v), float(s)]
+                for k, v, s in zip(self.names, self.theta, self.standard_errors, strict=True)
+            },
+            "covariance": self.covariance.tolist(),
+            "input_level": self.input_level.tolist(),
+            "output_level": [
+                [float(v), float(s)] for v, s in zip(self.output_level, self.output_level_errors, strict=True)
+            ],
+            "noise_variance": self.noise_variance,
+            "noise_covariance": self.noise_covariance.tolist(),
+            "loss": self.loss,
+            "fit_percent": self.fit_percent,
+            "aic": self.aic,
+            "bic": self.bic,
+            "hinf_norm": [gamma, error],
+            "hinf_frequency": omega,
+            "n_samples": self.n_samples,
+            "initial": self.initial,
+            "status": self.status.name,
+            "notes": list(self.notes),
+        }
+
+    def __repr__(self) -> str:
+        gamma, error, omega = self.hinf_norm
+        rows = [f"{self.model.structure!r} fitted to {self.n_samples} samples: {self.status.value}"]
+        rows += [
+            f"  {k:>8} = {v:12.6g} +- {s:.2g}"
+            for k, v, s in zip(self.names, self.theta, self.standard_errors, strict=True)
+        ]
+        rows += [
+            f"  noise variance {self.noise_variance:.6g}, loss {self.loss:.6g}, fit {self.fit_percent:.2f} %",
+            f"  peak gain {gamma:.6g} +- {error:.2g} at {omega:.5g} rad/sample",
+            *(f"  note: {note}" for note in self.notes),
+        ]
+        return "\n".join(rows)

@@ -1,0 +1,185 @@
+"""Damped Gauss-Newton (Levenberg 1944, Marquardt 1963) with a secant correction where residuals are large.
+
+V(z + d) is about V + 2 g'd + d'(H + S)d. H is the Gauss-Newton matrix; S, the second-order part that it leaves out,
+starts at zero and is learned from differences of gradients (Dennis, Gay, Welsch 1981, ACM TOMS 7, 348: NL2SOL).
+The model that foretold the last step better is used for the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.errors import Status
+
+__all__ = ["Optimum", "Point", "minimise"]
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """The loss at some parameters and its Gauss-Newton model.
+
+    Attributes
+    ----------
+    z : ndarray
+        (n,) parameters.
+    loss : float
+        Sum of weighted squares.
+    gradient, hessian : ndarray
+        (n,) half the gradient, (n, n) Gauss-Newton matrix.
+    follow : callable
+        d -> whatever `evaluate` needs to evaluate at z + d (initial states that go along).
+    extra : object
+        What the evaluation carries along.
+    """
+
+    z: NDArray[np.float64]
+    loss: float
+    gradient: NDArray[np.float64]
+    hessian: NDArray[np.float64]
+    follow: Callable[[NDArray[np.float64]], Any]
+    extra: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """Where the search ended.
+
+    Attributes
+    ----------
+    point : Point
+        The last accepted point.
+    status : Status
+        CONVERGED, MAX_ITERATIONS or INACCURATE.
+    iterations : int
+        Accepted and rejected steps.
+    decrement : float
+        gradient' hessian^-1 gradient / loss at the end: the relative decrease still to be had.
+    """
+
+    point: Point
+    status: Status
+    iterations: int
+    decrement: float
+
+
+def _solve(hessian: NDArray, damping: float, gradient: NDArray, scale: NDArray) -> NDArray | None:
+    """-(hessian + damping diag)^-1 gradient in scaled variables; None where that is not positive definite."""
+    matrix = hessian * np.outer(scale, scale)
+    matrix.flat[:: len(matrix) + 1] += damping
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return None
+    return scale * np.linalg.solve(matrix, -gradient * scale)
+
+
+def _secant(S: NDArray, step: NDArray, change: NDArray, remainder: NDArray) -> NDArray:
+    """Symmetric update after which S step = remainder; `change` is the difference of gradients."""
+    curvature = float(change @ step)
+    if curvature <= 0:
+        return S
+    own = S @ step
+    size = abs(float(step @ own))
+    if size > 0:  # sizing: an S learned where residuals were larger must not stay too large
+        S = S * min(1.0, abs(float(step @ remainder)) / size)
+        own = S @ step
+    missed = remainder - own
+    cross = np.outer(missed, change)
+    return S + (cross + cross.T) / curvature - float(missed @ step) / curvature**2 * np.outer(change, change)
+
+
+def _held(point: Point, bounds: tuple[NDArray, NDArray] | None) -> NDArray[np.bool_]:
+    """Which parameters sit at a bound that the gradient pushes them against."""
+    if bounds is None:
+        return np.zeros(len(point.z), bool)
+    lower, upper = bounds
+    return (point.z <= lower) & (point.gradient >= 0) | (point.z >= upper) & (point.gradient <= 0)
+
+
+def minimise(
+    evaluate: Callable[[NDArray, Any], Point | None],
+    start: Point,
+    *,
+    tolerance: float = 1e-16,
+    max_iterations: int = 100,
+    free: NDArray | None = None,
+    project: Callable[[NDArray], NDArray] | None = None,
+    bounds: tuple[NDArray, NDArray] | None = None,
+) -> Optimum:
+    """Minimise a sum of squares from a point.
+
+    Parameters
+    ----------
+    evaluate : callable
+        (z, extra) -> Point, or None where the predictor is unstable or the loss not finite.
+    start : Point
+        Where to begin.
+    tolerance : float
+        Stop once gradient' hessian^-1 gradient falls below this fraction of the loss.
+    max_iterations : int
+        At most so many steps, rejected ones included.
+    free : ndarray of bool, optional
+        (n,) which parameters may move; all by default.
+    project : callable, optional
+        z -> the nearest z that is allowed; applied to every trial.
+    bounds : tuple of ndarray, optional
+        Lower and upper bounds; a parameter at its bound that the gradient pushes outwards stays there.
+
+    Returns
+    -------
+    Optimum
+        The last accepted point and how it ended.
+    """
+    point, damping = start, 0.0
+    allowed = np.ones(len(start.z), bool) if free is None else np.asarray(free)
+    S, corrected = np.zeros((len(start.z), len(start.z))), False
+    decrement, stalled = np.inf, 0
+    for iteration in range(max_iterations):
+        moves = np.flatnonzero(allowed & ~_held(point, bounds))
+        if not moves.size:
+            return Optimum(point, Status.CONVERGED, iteration, 0.0)
+        gradient, hessian = point.gradient[moves], point.hessian[moves[:, None], moves]
+        learned = S[moves[:, None], moves]
+        diagonal = np.diag(hessian)
+        scale = 1 / np.sqrt(np.maximum(diagonal, max(1e-14 * diagonal.max(), np.finfo(float).tiny)))
+        newton = _solve(hessian, 1e-14, gradient, scale)
+        newton = _solve(hessian, 1e-9, gradient, scale) if newton is None else newton
+        decrement = np.inf if newton is None else float(-gradient @ newton) / max(point.loss, 1e-300)
+        if decrement <= tolerance:
+            return Optimum(point, Status.CONVERGED, iteration, decrement)
+        inner = newton if not corrected and damping == 0 else None
+        while inner is None:
+            inner = _solve(hessian + learned if corrected else hessian, damping, gradient, scale)
+            if inner is None:
+                damping, corrected = max(4 * damping, 1e-6), corrected and damping < 1
+        step = np.zeros(len(point.z))
+        step[moves] = inner
+        linear, plain, bent = 2 * gradient @ inner, inner @ hessian @ inner, inner @ learned @ inner
+        predicted = -(linear + plain + (bent if corrected else 0.0))
+        if project is not None:
+            step = project(point.z + step) - point.z
+        trial = evaluate(point.z + step, point.follow(step))
+        if trial is not None and trial.loss <= point.loss:
+            fall = point.loss - trial.loss
+            gain = fall / max(predicted, 1e-30 * point.loss, 1e-300)
+            stalled = stalled + 1 if fall <= 1e-15 * point.loss else 0
+            change = trial.gradient - point.gradient
+            S = _secant(S, step, change, change - trial.hessian @ step)
+            corrected = abs(fall + linear + plain + bent) < abs(fall + linear + plain)
+            point = trial
+            damping *= 0.1 if gain > 0.75 else (4.0 if gain < 0.25 else 1.0)
+            damping = 0.0 if damping < 1e-7 else damping
+        else:
+            stalled += predicted <= 1e-14 * point.loss
+            damping = max(damping * 8, 1e-3)
+            if damping > 1e3:
+                corrected = False
+        if stalled >= 3 or damping > 1e12:
+            status = Status.CONVERGED if decrement < 1e-9 else Status.INACCURATE
+            return Optimum(point, status, iteration + 1, decrement)
+    return Optimum(point, Status.MAX_ITERATIONS, max_iterations, decrement)

@@ -1,0 +1,209 @@
+"""Figures of an identified model: measured against modelled, residuals, gain and phase, poles and zeros, step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from estimators.pem.fit import Fit, fit_percent
+from estimators.pem.uncertainty import bode_band, pole_covariances, step_band
+from estimators.residuals import ResidualTest
+from oed.data import Record
+
+__all__ = ["plot_bode", "plot_compare", "plot_poles", "plot_residual_tests", "plot_step"]
+
+BLUE, ORANGE, GREY = "#1f77b4", "#d95f02", "#777777"
+
+
+def plot_compare(fits: Fit | Mapping[str, Fit], record: Record, *, window: int = 0) -> Figure:
+    """Measured output against the simulated output of one or several models.
+
+    Parameters
+    ----------
+    fits : Fit or mapping of str to Fit
+        Models, by the name in the legend.
+    record : Record
+        Data, fresh ones if there are any.
+    window : int
+        Samples that set the initial state; 0 starts at rest.
+
+    Returns
+    -------
+    Figure
+        One row per output.
+    """
+    named = {"model": fits} if isinstance(fits, Fit) else dict(fits)
+    figure = Figure(figsize=(8, 2.6 * record.n_outputs), layout="constrained")
+    axes = figure.subplots(record.n_outputs, 1, squeeze=False, sharex=True)[:, 0]
+    simulated = {name: fit.simulate_record(record, window=window) for name, fit in named.items()}
+    for i, ax in enumerate(axes):
+        ax.plot(record.t, record.y[:, i], color="black", lw=1, alpha=0.6, label="measured")
+        for name, y in simulated.items():
+            fit = fit_percent(record.y[window:, [i]], y[window:, [i]])
+            ax.plot(record.t, y[:, i], lw=1, label=f"{name}: {fit:.1f} %")
+        unit = record.output_units[i]
+        ax.set_ylabel(record.output_names[i] + (f" [{unit}]" if unit else ""))
+        ax.legend(loc="upper right", fontsize="small")
+    axes[-1].set_xlabel("time [s]" if record.dt != 1 else "sample")
+    return figure
+
+
+def plot_residual_tests(tests: Mapping[str, ResidualTest], *, level: float = 0.99) -> Figure:
+    """Correlations over their lags, with the band that holds them where nothing is missing.
+
+    Parameters
+    ----------
+    tests : mapping of str to ResidualTest
+        As `estimators.residuals.residual_tests` returns them.
+    level : float
+        Of the band, at each lag by itself.
+
+    Returns
+    -------
+    Figure
+        One panel per test.
+    """
+    from scipy.special import ndtri
+
+    half = float(ndtri((1 + level) / 2))
+    figure = Figure(figsize=(4 * min(len(tests), 3), 2.6 * -(-len(tests) // 3)), layout="constrained")
+    axes = figure.subplots(-(-len(tests) // 3), min(len(tests), 3), squeeze=False).ravel()
+    for ax, (name, test) in zip(axes, tests.items(), strict=False):
+        ax.fill_between(test.lags, -half * test.deviation, half * test.deviation, color=BLUE, alpha=0.2, lw=0)
+        out = np.abs(test.correlation) > half * test.deviation
+        ax.vlines(test.lags, 0, test.correlation, color=GREY, lw=1)
+        ax.plot(test.lags[~out], test.correlation[~out], "o", ms=3, color=BLUE)
+        ax.plot(test.lags[out], test.correlation[out], "o", ms=3, color=ORANGE)
+        ax.axhline(0, color="black", lw=0.5)
+        ax.set_title(f"{name}: p = {test.p_value:.2g}", fontsize="medium")
+        ax.set_xlabel("lag [samples]")
+    for ax in axes[len(tests) :]:
+        ax.remove()
+    return figure
+
+
+def _band(ax: Axes, x: Any, value: Any, low: Any, high: Any, name: str) -> None:
+    (line,) = ax.plot(x, value, lw=1.2, label=name)
+    ax.fill_between(x, low, high, color=line.get_color(), alpha=0.25, lw=0)
+
+
+def plot_bode(fits: Fit | Mapping[str, Fit], *, level: float = 0.95, points: int = 400) -> Figure:
+    """Gain and phase of every entry of G with pointwise confidence bands.
+
+    Parameters
+    ----------
+    fits : Fit or mapping of str to Fit
+        Models, by the name in the legend.
+    level : float
+        Coverage of the bands at each frequency.
+    points : int
+        Frequencies between 0.01 and pi rad/sample.
+
+    Returns
+    -------
+    Figure
+        Gain above phase, one column per entry.
+    """
+    named = {"model": fits} if isinstance(fits, Fit) else dict(fits)
+    omega = np.geomspace(0.01, np.pi, points)
+    first = next(iter(named.values())).model.structure
+    entries = [(i, j) for i in range(first.n_outputs) for j in range(first.n_inputs)]
+    figure = Figure(figsize=(max(5.0, 3.2 * len(entries)), 5), layout="constrained")
+    axes = figure.subplots(2, len(entries), squeeze=False, sharex=True)
+    for name, fit in named.items():
+        gain, phase = bode_band(fit, omega)
+        for column, (i, j) in enumerate(entries):
+            for ax, band, factor in ((axes[0, column], gain, 1.0), (axes[1, column], phase, 180 / np.pi)):
+                low, high = band.interval(level)
+                floor = 1e-3 * band.value[:, i, j].max() if ax is axes[0, column] else -np.inf
+                _band(
+                    ax,
+                    omega,
+                    factor * band.value[:, i, j],
+                    np.maximum(factor * low[:, i, j], floor),
+                    factor * high[:, i, j],
+                    name,
+                )
+    for column, (i, j) in enumerate(entries):
+        there = any(
+            line.get_ydata().max() > 0 for line in axes[0, column].lines
+        )  # an absent entry has no logarithm
+        axes[0, column].set(xscale="log", yscale="log" if there else "linear")
+        axes[0, column].set_title(f"input {j + 1} to output {i + 1}" if len(entries) > 1 else "")
+        axes[1, column].set_xlabel("frequency [rad/sample]")
+    axes[0, 0].set_ylabel("gain")
+    axes[1, 0].set_ylabel("phase [deg]")
+    axes[0, 0].legend(fontsize="small")
+    return figure
+
+
+def plot_poles(fit: Fit, *, level: float = 0.95) -> Figure:
+    """Poles with confidence ellipses, and zeros of the entries of a polynomial model.
+
+    Parameters
+    ----------
+    fit : Fit
+        The model.
+    level : float
+        Coverage of an ellipse.
+
+    Returns
+    -------
+    Figure
+        The unit circle and what lies around it.
+    """
+    radius = np.sqrt(-2 * np.log(1 - level))  # chi-squared with two degrees of freedom
+    turn = np.linspace(0, 2 * np.pi, 100)
+    figure = Figure(figsize=(5, 5), layout="constrained")
+    ax = figure.subplots()
+    ax.plot(np.cos(turn), np.sin(turn), color=GREY, lw=0.8)
+    for pole, covariance in pole_covariances(fit):
+        values, vectors = np.linalg.eigh(covariance)
+        axes = vectors * (radius * np.sqrt(np.maximum(values, 0)))
+        curve = axes @ np.stack([np.cos(turn), np.sin(turn)])
+        ax.plot(pole.real, pole.imag, "x", color=BLUE)
+        ax.plot(pole.real + curve[0], pole.imag + curve[1], color=BLUE, lw=0.8)
+    structure = fit.model.structure
+    if structure.kind != "ss":
+        for row in structure.coefficients(fit.theta):  # type: ignore[union-attr]
+            for b in row["b"]:
+                zeros = np.roots(np.trim_zeros(b, "f"))
+                ax.plot(zeros.real, zeros.imag, "o", color=ORANGE, fillstyle="none")
+    ax.set(xlabel="real", ylabel="imaginary", xlim=(-1.5, 1.5), ylim=(-1.5, 1.5), aspect="equal")
+    ax.set_title(f"poles x with {100 * level:g} % ellipses, zeros o", fontsize="medium")
+    return figure
+
+
+def plot_step(fit: Fit, samples: int = 100, *, level: float = 0.95) -> Figure:
+    """Step response of every entry with pointwise confidence bands.
+
+    Parameters
+    ----------
+    fit : Fit
+        The model.
+    samples : int
+        Length.
+    level : float
+        Coverage of the bands at each sample.
+
+    Returns
+    -------
+    Figure
+        One panel per entry.
+    """
+    band = step_band(fit, samples)
+    low, high = band.interval(level)
+    ny, nu = band.value.shape[1:]
+    figure = Figure(figsize=(max(5.0, 3.2 * nu), 2.8 * ny), layout="constrained")
+    axes = figure.subplots(ny, nu, squeeze=False, sharex=True)
+    for i in range(ny):
+        for j in range(nu):
+            _band(axes[i, j], band.x, band.value[:, i, j], low[:, i, j], high[:, i, j], "step response")
+            axes[i, j].set_title(f"input {j + 1} to output {i + 1}" if ny * nu > 1 else "")
+    axes[-1, 0].set_xlabel("sample")
+    axes[0, 0].set_ylabel("step response")
+    return figure

@@ -1,0 +1,120 @@
+"""From the optimum to the result: covariance, noise, figures of merit, in the user's units."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.pem.extras import robust_factor, unweighted
+from estimators.pem.fit import Fit, fit_percent
+from estimators.pem.gauss_newton import Optimum, Point
+from estimators.pem.problem import Problem
+from oed.data import Record
+from oed.errors import NotIdentifiable, Status
+from oed.models import Model
+
+__all__ = ["result"]
+
+
+def result(
+    problem: Problem,
+    optimum: Optimum,
+    records: list[Record],
+    offset: bool,
+    initial: str,
+    robust: str | None = None,
+) -> Fit:
+    """A fit from the optimum that was found.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was minimised.
+    optimum : Optimum
+        Where it ended.
+    records : list of Record
+        The data.
+    offset : bool
+        Whether levels were estimated.
+    initial : str
+        How the initial states were treated.
+    robust : str, optional
+        Which robust loss was used.
+
+    Returns
+    -------
+    Fit
+        In the user's units. NotIdentifiable if the information matrix is singular.
+    """
+    form, point, n = problem.structure, optimum.point, problem.structure.n
+    ny, total = form.n_outputs, problem.n_observed
+    n_states = problem.n_initial * len(records) if initial == "estimate" else 0
+    free = np.ones(problem.n_parameters, bool)
+    if problem.lower is not None and problem.upper is not None:
+        free = problem.lower < problem.upper
+        at_bound = (point.z <= problem.lower) | (point.z >= problem.upper)
+    else:
+        at_bound = np.zeros_like(free)
+    estimated = int(free.sum()) + n_states
+    inner, status = _covariance(problem, point, optimum.status, np.flatnonzero(free & ~at_bound))
+    spread = np.zeros((problem.n_parameters, problem.n_parameters))
+    kept = np.flatnonzero(free & ~at_bound)
+    spread[kept[:, None], kept] = inner
+    scaled = point.extra[1]
+    freedom = total / max(total - estimated / ny, 1.0)
+    noise = scaled * np.outer(problem.output_scale, problem.output_scale) * freedom
+    if robust:
+        spread = spread * robust_factor(problem, point, robust) * freedom
+    elif ny == 1:
+        spread = spread * (float(scaled[0, 0]) * freedom)
+    spread = spread * np.outer(problem.scale, problem.scale)
+    theta = point.z[:n] * problem.scale[:n]
+    level, level_error = problem.output_level, np.zeros(ny)
+    if offset:
+        level = level + point.z[n:] * problem.scale[n:]
+        level_error = np.sqrt(np.maximum(np.diag(spread)[n:], 0))
+    model = Model(form, theta, noise, records[0].dt)
+    residuals = unweighted(problem).residuals(point)
+    if problem.variant == "missing":
+        residuals = [np.where(np.isfinite(r.y), e, np.nan) for r, e in zip(records, residuals, strict=True)]
+    names = np.array([*form.names, *[f"level{i + 1}" for i in range(ny)] * offset])
+    notes = [f"{name} is at its bound; it has no standard error." for name in names[free & at_bound]]
+    notes += [
+        f"{name} is {value:.4g} with a standard error of {error:.4g}: its 95 % interval exceeds the estimate."
+        for name, value, error in zip(
+            form.names, theta, np.sqrt(np.maximum(np.diag(spread)[:n], 0)), strict=True
+        )
+        if 1.96 * error > abs(value) > 0
+    ]
+    predicted = [r.y - e for r, e in zip(records, residuals, strict=True)]
+    fit = fit_percent(np.concatenate([r.y for r in records]), np.concatenate(predicted))
+    if status.ok and form.kind in ("arx", "armax", "ss") and not model.stable:
+        status = Status.UNSTABLE
+    loss = float(np.linalg.det(noise / freedom))
+    covariance = (spread[:n, :n] + spread[:n, :n].T) / 2
+    return Fit(
+        model, covariance, loss, total, estimated, fit, status, optimum.iterations, optimum.decrement,
+        residuals, problem.input_level, level, level_error, initial, tuple(notes),
+    )  # fmt: skip
+
+
+def _covariance(problem: Problem, point: Point, status: Status, moves: NDArray) -> tuple[NDArray, Status]:
+    """Inverse of the Gauss-Newton matrix, or the names of what it does not determine."""
+    hessian = point.hessian[moves[:, None], moves]
+    if not moves.size:
+        return hessian, status
+    diagonal = np.diag(hessian)
+    size = np.sqrt(np.maximum(diagonal, max(1e-16 * diagonal.max(), np.finfo(float).tiny)))
+    values, vectors = np.linalg.eigh(hessian / np.outer(size, size))
+    if values[0] <= 1e-15 * max(values[-1], 1.0):
+        names = [*problem.structure.names, *(f"level{i + 1}" for i in range(problem.structure.n_outputs))]
+        null = vectors[:, values <= 1e-15 * values[-1]] / size[:, None]
+        null = np.abs(null).max(axis=1)
+        guilty = [names[moves[k]] for k in range(len(null)) if null[k] > 1e-2 * null.max()]
+        raise NotIdentifiable(
+            f"the data do not determine a combination of {', '.join(guilty)}: the information matrix is singular "
+            "(its smallest eigenvalue over the largest is "
+            f"{max(values[0], 0) / values[-1]:.1e}); lower the orders or excite more frequencies."
+        )
+    inverse = (vectors / values) @ vectors.T / np.outer(size, size)
+    return inverse, status

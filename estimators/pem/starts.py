@@ -1,0 +1,327 @@
+"""Where the search begins: several models got by linear algebra alone, so that the best optimum is the global one.
+
+1. A high-order ARX model by least squares, from correlations (Ljung 1999, section 10.1).
+2. From it, by weighted null-space fitting (Galrinho, Rojas, Hjalmarsson 2019, IEEE TAC 64(7)), the entry
+   B / F: with G = B_n / A_n of high order, F B_n - B A_n = 0 is linear in the coefficients of B and F.
+3. Steiglitz-McBride iterations on the data (1965): least squares of F y = B u on data filtered by 1 / F.
+4. The noise model by two-stage least squares (Hannan, Rissanen 1982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "arma_start",
+    "armax_start",
+    "filtered",
+    "high_order",
+    "lagged_gram",
+    "null_space_fit",
+    "reflected",
+    "steiglitz_mcbride",
+]
+
+Signals = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
+"""One (y (N,), u (N, nu)) per record; the inputs are already delayed."""
+
+
+def filtered(b: ArrayLike, a: ArrayLike, x: NDArray) -> NDArray:
+    """x filtered by b / a from rest, along the last axis.
+
+    Parameters
+    ----------
+    b, a : array_like
+        Coefficients in powers of q^-1.
+    x : ndarray
+        Signal.
+
+    Returns
+    -------
+    ndarray
+        Of the shape of x.
+    """
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter(b, a, x))
+
+
+def reflected(tail: NDArray, most: float = 0.999) -> NDArray:
+    """A monic polynomial with its unstable roots mirrored into the unit circle.
+
+    Parameters
+    ----------
+    tail : ndarray
+        Coefficients after the leading 1.
+    most : float
+        Largest modulus that is left.
+
+    Returns
+    -------
+    ndarray
+        Coefficients after the leading 1.
+    """
+    if not len(tail):
+        return np.zeros(0)
+    roots = np.roots(np.concatenate([[1.0], tail])).astype(complex)
+    size = np.abs(roots)
+    if size.size == 0 or size.max() < most:
+        return np.array(tail, dtype=float)
+    out = size > 1
+    roots[out] = 1 / np.conj(roots[out])
+    size = np.abs(roots)
+    roots = np.where(size > most, roots * (most / np.maximum(size, 1e-300)), roots)
+    mirrored = np.real(np.poly(roots))[1:]
+    return np.concatenate([mirrored, np.zeros(len(tail) - len(mirrored))])
+
+
+def lagged_gram(channels: Iterable[NDArray], lags: int) -> NDArray[np.float64]:
+    """Sums over t of x_c(t - i) x_d(t - j) with zeros before the record, in O(N lags) by the shift structure.
+
+    Parameters
+    ----------
+    channels : iterable of ndarray
+        For each record, (N, n_channels).
+    lags : int
+        Delays 0 ... lags - 1.
+
+    Returns
+    -------
+    ndarray
+        (n_channels, lags, n_channels, lags).
+    """
+    records = list(channels)
+    width = records[0].shape[1]
+    gap = np.zeros((lags, width))
+    joined = np.ascontiguousarray(np.concatenate([part for x in records for part in (x, gap)]).T)
+    tails = np.zeros((len(records), width, lags))
+    for tail, x in zip(tails, records, strict=True):
+        last = x[::-1][:lags]
+        tail[:, : len(last)] = last.T
+    gram = -np.einsum("rci,rdj->cidj", tails, tails)
+    length, total = joined.shape[1], np.zeros((width, lags, width, lags))
+    for k in range(lags):
+        product = joined[:, : length - k] @ joined[:, k:].T  # sum_t x_c(t - k) x_d(t)
+        total[:, k, :, 0], total[:, 0, :, k] = product, product.T
+    for i in range(1, lags):
+        total[:, i, :, 1:] = total[:, i - 1, :, :-1] + gram[:, i - 1, :, :-1]
+    return total
+
+
+def high_order(gram: NDArray, order: int, lead: int) -> tuple[NDArray, list[NDArray], NDArray]:
+    """ARX model of high order: A y = sum_j B_j u_j, all of `order` coefficients.
+
+    Parameters
+    ----------
+    gram : ndarray
+        `lagged_gram` of the channels (y, u_1, ..., u_nu) with at least order + 1 lags.
+    order : int
+        Number of coefficients of A after the 1, and of each B.
+    lead : int
+        1 where B begins with q^0 of the delayed input.
+
+    Returns
+    -------
+    A : ndarray
+        (order,) after the leading 1.
+    B : list of ndarray
+        (order,) for each input, from q^0.
+    covariance : ndarray
+        Of (-A, B_1, ...), up to the noise variance: the inverse Gram matrix of the regressors.
+    """
+    width, lags = gram.shape[:2]
+    flat = gram.reshape(width * lags, width * lags)
+    index = [k + 1 for k in range(order)]
+    for c in range(1, width):
+        index += [c * lags + k + 1 - lead for k in range(order)]
+    precision = flat[np.ix_(index, index)].copy()
+    size = np.sqrt(np.maximum(np.diag(precision), np.finfo(float).tiny))
+    inverse = np.linalg.inv(precision / np.outer(size, size) + 1e-10 * np.eye(len(size)))
+    covariance = inverse / np.outer(size, size)
+    parts = np.split(covariance @ flat[index, 0], width)
+    return -parts[0], parts[1:], covariance
+
+
+def null_space_fit(
+    A: NDArray, B: NDArray, covariance: NDArray, nb: int, nf: int, iterations: int = 3
+) -> tuple[NDArray, NDArray]:
+    """B / F of low order from a high-order pair, by weighted null-space fitting.
+
+    Parameters
+    ----------
+    A, B : ndarray
+        (n,) coefficients after the leading 1, and from q^0.
+    covariance : ndarray
+        (2n, 2n) covariance of (-A, B), up to a factor.
+    nb, nf : int
+        Number of coefficients of B, degree of F.
+    iterations : int
+        Reweightings.
+
+    Returns
+    -------
+    b, f : ndarray
+        (nb,) and (nf,).
+    """
+    n = len(B)
+    full = np.concatenate([[1.0], A])[:n]
+    shifted = lambda x, k: np.concatenate([np.zeros(k), x[: n - k]])
+    design = np.column_stack(
+        [shifted(full, k) for k in range(nb)] + [-shifted(B, k) for k in range(1, nf + 1)]
+    )  # B = design (b, f)
+    theta = np.linalg.lstsq(design, B, rcond=None)[0]
+    for _ in range(iterations):
+        b, f = theta[:nb], reflected(theta[nb:])
+        by_b = sum((c * np.eye(n, k=-k) for k, c in enumerate([1.0, *f])), np.zeros((n, n)))
+        by_a = sum((c * np.eye(n, k=-(k + 1)) for k, c in enumerate(b)), np.zeros((n, n)))
+        slope = np.hstack([by_a, by_b])  # of F B - B_low A in (-A, B), the order of the regression
+        try:
+            spread = slope @ covariance @ slope.T
+            factor = np.linalg.cholesky(spread + 1e-12 * np.trace(spread) / n * np.eye(n))
+            whitened = np.linalg.solve(factor, np.column_stack([design, B]))
+        except np.linalg.LinAlgError:
+            break
+        theta = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
+    return theta[:nb], reflected(theta[nb:])
+
+
+def steiglitz_mcbride(signals: Signals, nb: int, f: NDArray, iterations: int = 10) -> tuple[NDArray, NDArray]:
+    """Least squares of F y = B u on data filtered by 1 / F, repeated; one input.
+
+    Parameters
+    ----------
+    signals : list of tuple
+        (y, u) of each record.
+    nb : int
+        Number of coefficients of B.
+    f : ndarray
+        (nf,) F to begin with.
+    iterations : int
+        Repetitions.
+
+    Returns
+    -------
+    b, f : ndarray
+        (nb,) and (nf,).
+    """
+    nf, longest = len(f), max(len(y) for y, _ in signals)
+    seen = np.zeros((len(signals), longest))
+    both = np.zeros((2, len(signals), longest))
+    for r, (y, u) in enumerate(signals):
+        seen[r, : len(y)], both[0, r, : len(y)], both[1, r, : len(y)] = 1.0, y, u[:, 0]
+    b = np.zeros(nb)
+    columns = np.zeros((nb + nf, len(signals), longest))
+    for _ in range(iterations):
+        shaped = filtered([1.0], np.concatenate([[1.0], f]), both) * seen
+        for k in range(nb):
+            columns[k, :, k:] = shaped[1, :, : longest - k]
+        for k in range(nf):
+            columns[nb + k, :, k + 1 :] = -shaped[0, :, : longest - k - 1]
+        flat = (columns * seen).reshape(nb + nf, -1)
+        gram, right = flat @ flat.T, flat @ shaped[0].ravel()
+        if not np.isfinite(gram).all():
+            break
+        theta = np.linalg.lstsq(gram, right, rcond=1e-13)[0]
+        before, b, f = f, theta[:nb], reflected(theta[nb:])
+        if np.abs(f - before).max(initial=0.0) < 1e-4:
+            break
+    return b, f
+
+
+def _least_squares(blocks: list[tuple[list[NDArray], NDArray]]) -> NDArray:
+    gram, right = 0.0, 0.0
+    for columns, target in blocks:
+        x = np.column_stack(columns)
+        gram, right = gram + x.T @ x, right + x.T @ target
+    return np.linalg.lstsq(np.atleast_2d(gram), np.atleast_1d(right), rcond=1e-13)[0]
+
+
+def _delayed(x: NDArray, k: int) -> NDArray:
+    return np.concatenate([np.zeros(min(k, len(x))), x[: max(len(x) - k, 0)]])
+
+
+def arma_start(noise: list[NDArray], nc: int, nd: int, order: int = 30) -> tuple[NDArray, NDArray]:
+    """C and D of D v = C e by two-stage least squares.
+
+    Parameters
+    ----------
+    noise : list of ndarray
+        v (N,) of each record.
+    nc, nd : int
+        Degrees.
+    order : int
+        Order of the first, long autoregression.
+
+    Returns
+    -------
+    c, d : ndarray
+        (nc,) and (nd,).
+    """
+    if not nc + nd:
+        return np.zeros(0), np.zeros(0)
+    order = max(1, min(order, min(map(len, noise)) // 4))
+    long_ar, _, _ = high_order(lagged_gram((v[:, None] for v in noise), order + 1), order, 1)
+    white = [filtered(np.concatenate([[1.0], long_ar]), [1.0], v) for v in noise]
+    theta = _least_squares(
+        [
+            ([-_delayed(v, k + 1) for k in range(nd)] + [_delayed(e, k + 1) for k in range(nc)], v)
+            for v, e in zip(noise, white, strict=True)
+        ]
+    )
+    return reflected(theta[nd:], 0.98), reflected(theta[:nd], 0.98)
+
+
+def armax_start(
+    signals: Signals, na: int, nb: list[int], nc: int, order: int, rounds: int = 4
+) -> list[NDArray[np.float64]]:
+    """A, B, C of A y = B u + C e by extended least squares, its residuals first those of a long ARX model.
+
+    Parameters
+    ----------
+    signals : list of tuple
+        (y, u) of each record.
+    na : int
+        Degree of A.
+    nb : list of int
+        Number of coefficients of B for every input.
+    nc : int
+        Degree of C.
+    order : int
+        Order of the long ARX model.
+    rounds : int
+        How often the residuals are renewed.
+
+    Returns
+    -------
+    list of ndarray
+        One parameter vector (a, b, c) per round.
+    """
+    channels = [np.column_stack([y, u]) for y, u in signals]
+    A, B, _ = high_order(lagged_gram(channels, order + 1), order, 1)
+    long_a = np.concatenate([[1.0], A])
+    white = [
+        filtered(long_a, [1.0], y) - sum((filtered(b, [1.0], u[:, j]) for j, b in enumerate(B)), 0 * y)
+        for y, u in signals
+    ]
+    found = []
+    for _ in range(rounds):
+        blocks = []
+        for (y, u), e in zip(signals, white, strict=True):
+            columns = [-_delayed(y, k + 1) for k in range(na)]
+            columns += [_delayed(u[:, j], k) for j, count in enumerate(nb) for k in range(count)]
+            blocks.append((columns + [_delayed(e, k + 1) for k in range(nc)], y))
+        theta = _least_squares(blocks)
+        theta[len(theta) - nc :] = reflected(theta[len(theta) - nc :], 0.98)
+        found.append(theta)
+        a, c = np.concatenate([[1.0], theta[:na]]), np.concatenate([[1.0], theta[len(theta) - nc :]])
+        white = []
+        for y, u in signals:
+            v, at = filtered(a, [1.0], y), na
+            for j, count in enumerate(nb):
+                v = v - filtered(theta[at : at + count], [1.0], u[:, j]) if count else v
+                at += count
+            white.append(filtered([1.0], c, v))
+    return found

@@ -1,0 +1,207 @@
+"""Sequential experiments: a rule that asks for inputs, the loop that runs it, and the trace it leaves.
+
+A *rule* is a generator function. It yields the next input, (N, nu), or a `Step` where the input has a part
+to play (`kind`), and receives the measured output, (N, ny):
+
+    def repeat(samples, n_inputs, n_outputs, rng):
+        while True:
+            y = yield np.ones((samples, n_inputs))
+
+`run` is the only loop. Because a rule never sees the rig, the same generator can be driven by a simulated
+plant, by a person with files, or by records played back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Record, as_signal
+from oed.errors import ExperimentError, InputError, OedError, Status
+from oed.experiments import Experiment, Usage
+
+__all__ = ["Rule", "Step", "Trace", "run"]
+
+Rule = Callable[[int, int, int, np.random.Generator], Generator[Any, NDArray[np.float64], None]]
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """An input with its part in the method.
+
+    Attributes
+    ----------
+    u : ndarray
+        (N, nu) the input to apply.
+    kind : str
+        What the experiment is for: "power", "forward", "transpose 1 2" (input 1, output 2), "white", ...
+        One iteration of a method begins at every kind that is not "transpose ...".
+    """
+
+    u: NDArray[np.float64]
+    kind: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """What a sequential method did and measured.
+
+    Attributes
+    ----------
+    records : tuple of Record
+        Input and output of every experiment, in order.
+    kinds : tuple of str
+        The part of each experiment in the method (`Step.kind`).
+    usage : Usage
+        Experiments, samples, energy and largest input.
+    status : Status
+        OK if the rule ended by itself, BUDGET if the experiments were used up, CONVERGED if the stopping
+        rule said so, FAILED if an experiment went wrong (what was measured before is kept).
+    message : str
+        The sentence a user reads.
+    """
+
+    records: tuple[Record, ...]
+    kinds: tuple[str, ...]
+    usage: Usage
+    status: Status
+    message: str
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    @property
+    def iterations(self) -> list[slice]:
+        """Where each iteration of the method lies among the records."""
+        starts = [k for k, kind in enumerate(self.kinds) if not kind.startswith("transpose")]
+        return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(self.records)], strict=True)]
+
+    def first(self, experiments: int) -> Trace:
+        """The trace as it was after its first experiments.
+
+        Parameters
+        ----------
+        experiments : int
+            How many to keep.
+
+        Returns
+        -------
+        Trace
+            With the usage of what is kept; status BUDGET if something was cut off.
+        """
+        if experiments >= len(self.records):
+            return self
+        return _trace(
+            self.records[:experiments], self.kinds[:experiments], Status.BUDGET, Status.BUDGET.value
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"Trace of {self.usage.experiments} experiments, {self.usage.samples} samples, "
+            f"input energy {self.usage.energy:.6g}: {self.message}"
+        )
+
+
+def run(
+    rule: Rule,
+    experiment: Experiment,
+    *,
+    samples: int,
+    experiments: int,
+    rng: np.random.Generator,
+    stop: Callable[[Trace], bool] | None = None,
+) -> Trace:
+    """Run a sequential method on a system.
+
+    Parameters
+    ----------
+    rule : callable
+        Generator function of (samples, n_inputs, n_outputs, rng); options by `functools.partial`.
+    experiment : Experiment
+        The system.
+    samples : int
+        Length N of every experiment.
+    experiments : int
+        Budget of experiments.
+    rng : numpy.random.Generator
+        For what the rule draws at random.
+    stop : callable, optional
+        From the trace so far to whether that is enough; asked after every experiment.
+
+    Returns
+    -------
+    Trace
+        All that was measured. If an experiment fails after the first, what was measured before is kept
+        and the status is FAILED.
+
+    Raises
+    ------
+    InputError
+        If an argument breaks a rule, or the first input breaks a limit of the experiment.
+    ExperimentError
+        If the first experiment fails.
+    """
+    if not isinstance(experiment, Experiment):
+        raise InputError(
+            f"experiment is {experiment!r}; wrap a function u -> y as oed.experiments.Experiment(apply, nu, ny)."
+        )
+    for name, value, least in (("samples", samples, 2), ("experiments", experiments, 1)):
+        if not isinstance(value, int | np.integer) or value < least:
+            raise InputError(f"{name} is {value!r}; it must be an integer of at least {least}.")
+    records: list[Record] = []
+    kinds: list[str] = []
+    generator = rule(int(samples), experiment.n_inputs, experiment.n_outputs, rng)
+    y: NDArray[np.float64] | None = None
+    status = Status.BUDGET
+    message = status.value
+    while len(records) < experiments:
+        try:
+            asked = next(generator) if y is None else generator.send(y)
+        except StopIteration:
+            status, message = Status.OK, Status.OK.value
+            break
+        except ExperimentError as error:  # the rule cannot go on from what was measured
+            if not records:
+                raise
+            status, message = Status.FAILED, f"{error} The {len(records)} experiments before are kept."
+            break
+        step = asked if isinstance(asked, Step) else Step(asked)
+        u = as_signal(step.u, "the input that the rule asks for")
+        try:
+            y = experiment(u)
+            _check_varies(u, y, step.kind, len(records) + 1)
+        except Exception as error:
+            if not records:
+                raise
+            reason = str(error) if isinstance(error, OedError) else f"{type(error).__name__}: {error}"
+            status, message = Status.FAILED, f"{reason} The {len(records)} experiments before are kept."
+            break
+        records.append(Record(u, y, dt=experiment.dt))
+        kinds.append(step.kind)
+        if stop is not None and stop(_trace(tuple(records), tuple(kinds), Status.OK, "running")):
+            status, message = Status.CONVERGED, Status.CONVERGED.value
+            break
+    generator.close()
+    return _trace(tuple(records), tuple(kinds), status, message)
+
+
+def _trace(records: tuple[Record, ...], kinds: tuple[str, ...], status: Status, message: str) -> Trace:
+    usage = Usage()
+    for record in records:
+        usage = usage.add(record.u)
+    return Trace(records, kinds, usage, status, message)
+
+
+def _check_varies(u: NDArray, y: NDArray, kind: str, number: int) -> None:
+    """A rig that answers a varying input by a constant has a stuck sensor or a dead actuator."""
+    if kind.startswith("transpose"):
+        return  # an input without influence is possible there
+    if len(y) > 2 and not np.ptp(y, axis=0).any() and np.ptp(u, axis=0).any():
+        raise ExperimentError(
+            f"experiment {number} returned the constant output {y[0].tolist()} for an input that varies; "
+            "check the sensor, the actuator and the wiring."
+        )

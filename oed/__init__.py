@@ -1,0 +1,83 @@
+"""What is true before any data is fitted: plants, spectra, information, optimal inputs and the theory.
+
+The names below are imported when they are first used, so that `import oed` is quick.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from oed.data import Record, Spectrum
+    from oed.design import solve_design
+    from oed.errors import ExperimentError, InputError, OedError, Status
+    from oed.experiments import Experiment, replayed, simulated
+    from oed.files import read_record, write_record
+    from oed.information import information_of_records, information_of_signal, information_of_spectrum
+    from oed.named import named_plant
+    from oed.norms import peak
+    from oed.plant_files import plant_from_json, plant_to_json
+    from oed.plants import Plant
+    from oed.theory import limit_spectrum
+
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Experiment": "oed.experiments",
+    "ExperimentError": "oed.errors",
+    "InputError": "oed.errors",
+    "OedError": "oed.errors",
+    "Plant": "oed.plants",
+    "Record": "oed.data",
+    "Spectrum": "oed.data",
+    "Status": "oed.errors",
+    "information_of_records": "oed.information",
+    "information_of_signal": "oed.information",
+    "information_of_spectrum": "oed.information",
+    "limit_spectrum": "oed.theory",
+    "named_plant": "oed.named",
+    "peak": "oed.norms",
+    "plant_from_json": "oed.plant_files",
+    "plant_to_json": "oed.plant_files",
+    "read_record": "oed.files",
+    "replayed": "oed.experiments",
+    "simulated": "oed.experiments",
+    "solve_design": "oed.design",
+    "write_record": "oed.files",
+}
+
+__all__ = [
+    "Experiment",
+    "ExperimentError",
+    "InputError",
+    "OedError",
+    "Plant",
+    "Record",
+    "Spectrum",
+    "Status",
+    "information_of_records",
+    "information_of_signal",
+    "information_of_spectrum",
+    "limit_spectrum",
+    "named_plant",
+    "peak",
+    "plant_from_json",
+    "plant_to_json",
+    "read_record",
+    "replayed",
+    "simulated",
+    "solve_design",
+    "write_record",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(_HOME[name]), name)
+    raise AttributeError(f"module 'oed' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_HOME]

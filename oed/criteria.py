@@ -1,0 +1,384 @@
+"""Criteria of optimal design: what an information matrix is worth. Numpy only.
+
+Every criterion is a loss of V' M^-1 V, where M (n, n) is the Fisher information and V (n, s) says which
+combinations of the parameters matter:
+
+    D   det(V' M^-1 V)^(1/s)      V = identity: D-optimality; selected columns: D_s
+    A   trace(V' M^-1 V)          V = identity: A; V V' = W: A(W), also called L; s = 1: c-optimality
+    E   largest eigenvalue        V = identity: E
+    G   max_k trace(V_k' M^-1 V_k)  V of shape (K, n, s): the worst of several
+
+and has the lower bound, valid for every X (n, s), also where M is singular (Cauchy-Schwarz):
+
+    loss(M) >= numerator(X) / trace(X' M X),
+    numerator:  D  s det(V'X)^(2/s),   A  trace(V'X)^2,   E  |V'X|_F^2,   G  sum_k trace(V_k'X_k)^2
+
+so that one number, the largest trace(X' M X) over all admissible spectra, bounds the loss of all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oed.data import frozen
+from oed.errors import InputError
+
+__all__ = ["Criterion", "a_criterion", "c_criterion", "d_criterion", "e_criterion", "g_criterion"]
+
+OUTSIDE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Criterion:
+    """A loss of the information matrix.
+
+    Attributes
+    ----------
+    kind : {"D", "A", "E", "G"}
+        Which function of V' M^-1 V.
+    V : ndarray
+        (n, s), or (K, n, s) for G.
+    name : str
+        What it is called in tables.
+    """
+
+    kind: str
+    V: NDArray[np.float64]
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        V = np.array(self.V, dtype=float)
+        axes = 3 if self.kind == "G" else 2
+        if self.kind not in ("D", "A", "E", "G"):
+            raise InputError(f"the criterion is of kind {self.kind!r}; choose D, A, E or G.")
+        if V.ndim != axes or not np.isfinite(V).all() or not np.any(V):
+            raise InputError(
+                f"the combinations V of a {self.kind} criterion have the shape {V.shape}; "
+                f"they must be a finite, nonzero array of {axes} axes."
+            )
+        object.__setattr__(self, "V", frozen(V))
+        object.__setattr__(self, "name", self.name or self.kind)
+
+    @property
+    def n(self) -> int:
+        """Number of parameters."""
+        return self.V.shape[-2]
+
+    @property
+    def columns(self) -> NDArray[np.float64]:
+        """All combinations side by side, (n, s) or (n, K s)."""
+        return self.V if self.V.ndim == 2 else np.concatenate(list(self.V), axis=1)
+
+    def loss(self, information: ArrayLike) -> float:
+        """Loss of an information matrix; infinite where it does not determine what is asked.
+
+        Parameters
+        ----------
+        information : array_like
+            (n, n) Fisher information M.
+
+        Returns
+        -------
+        float
+            The loss. Where M is singular it is finite if the combinations lie in the range of M (to 1e-6
+            of their length after scaling the parameters to equal information).
+        """
+        covariance = covariance_of(np.asarray(information, dtype=float), self.columns)
+        return self._of_covariance(covariance) if covariance is not None else np.inf
+
+    def loss_of_factor(self, factor: NDArray[np.float64]) -> float:
+        """Loss of the information factor factor', with twice the digits of `loss` where that is singular.
+
+        Parameters
+        ----------
+        factor : ndarray
+            (n, k).
+
+        Returns
+        -------
+        float
+            The loss.
+        """
+        covariance = _covariance_of_factor(factor, self.columns)
+        return self._of_covariance(covariance) if covariance is not None else np.inf
+
+    def _of_covariance(self, covariance: NDArray[np.float64]) -> float:
+        if self.kind == "D":
+            sign, logdet = np.linalg.slogdet(covariance)
+            return float(np.exp(logdet / len(covariance))) if sign > 0 else 0.0
+        if self.kind == "A":
+            return float(np.trace(covariance))
+        if self.kind == "E":
+            return float(np.linalg.eigvalsh(covariance)[-1])
+        return float(np.diag(covariance).reshape(self.V.shape[0], -1).sum(axis=1).max())
+
+    def numerator(self, X: NDArray[np.float64]) -> float:
+        """Numerator of the lower bound: loss(M) >= numerator(X) / trace(X' M X) for every M.
+
+        Parameters
+        ----------
+        X : ndarray
+            (n, s), or (n, K s) for G.
+
+        Returns
+        -------
+        float
+            The numerator.
+        """
+        if self.kind == "G":
+            parts = X.reshape(len(X), self.V.shape[0], -1)
+            return float(np.sum(np.einsum("kns,nks->k", self.V, parts) ** 2))
+        product = self.V.T @ X
+        if self.kind == "D":
+            sign, logdet = np.linalg.slogdet(product)
+            return float(len(product) * np.exp(2 * logdet / len(product))) if sign != 0 else 0.0
+        return float(np.trace(product) ** 2 if self.kind == "A" else np.sum(product**2))
+
+    def direction(
+        self, information: NDArray[np.float64], weight: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """The X that makes the bound tight at a nonsingular optimum: Z = X X' is minus a subgradient.
+
+        Parameters
+        ----------
+        information : ndarray
+            (n, n), positive definite.
+        weight : ndarray, optional
+            E: (s, s) positive semidefinite, trace 1, on the largest eigenvalues of V' M^-1 V;
+            G: (K,) weights on the worst of the combinations. By default the single worst.
+
+        Returns
+        -------
+        ndarray
+            X, of the shape of `columns`.
+        """
+        Y = _solve(information, self.columns)
+        covariance = self.columns.T @ Y
+        if self.kind == "D":
+            return Y @ np.linalg.inv(np.linalg.cholesky(covariance)).T
+        if self.kind == "A":
+            return Y
+        if self.kind == "E":
+            if weight is None:
+                worst = np.linalg.eigh(covariance)[1][:, -1:]
+                weight = worst @ worst.T
+            values, vectors = np.linalg.eigh(weight)
+            return Y @ (vectors * np.sqrt(np.clip(values, 0, None))) @ vectors.T
+        K, s = self.V.shape[0], self.V.shape[2]
+        worst = np.eye(K)[np.argmax(np.diag(covariance).reshape(K, s).sum(axis=1))]
+        return Y * np.repeat(np.sqrt(np.clip(worst if weight is None else weight, 0, None)), s)
+
+    def transformed(self, R: NDArray[np.float64]) -> tuple[Criterion, float]:
+        """The same criterion for parameters R theta, and the factor between the losses.
+
+        Parameters
+        ----------
+        R : ndarray
+            (n, n), upper triangular and nonsingular.
+
+        Returns
+        -------
+        criterion : Criterion
+            For the information R^-T M R^-1.
+        factor : float
+            loss = factor * transformed loss.
+        """
+        from scipy.linalg import solve_triangular
+
+        columns = solve_triangular(R, self.columns, trans=1)
+        if self.kind == "G":
+            V = np.swapaxes(columns.reshape(self.n, self.V.shape[0], -1), 0, 1)
+            scale = np.sqrt(np.sum(V**2, axis=(1, 2)).max())
+            return Criterion("G", V / scale, self.name), scale**2
+        if self.kind == "D":
+            Q, T = np.linalg.qr(columns)
+            logdet = np.sum(np.log(np.abs(np.diag(T)))) if np.all(np.diag(T)) else -np.inf
+            return Criterion("D", Q, self.name), float(np.exp(2 * logdet / columns.shape[1]))
+        scale = np.linalg.norm(columns)
+        return Criterion(self.kind, columns / scale, self.name), float(scale**2)
+
+    def __repr__(self) -> str:
+        return (
+            f"Criterion {self.name} ({self.kind}, {self.n} parameters, {self.columns.shape[1]} combinations)"
+        )
+
+
+def _solve(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64]:
+    from scipy.linalg import cho_factor, cho_solve
+
+    scale = 1 / np.sqrt(np.diag(M))
+    return scale[:, None] * cho_solve(cho_factor(M * np.outer(scale, scale)), scale[:, None] * V)
+
+
+def covariance_of(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """V' M^-1 V, or None where M does not determine V' theta.
+
+    Parameters
+    ----------
+    M : ndarray
+        (n, n), positive semidefinite.
+    V : ndarray
+        (n, s).
+
+    Returns
+    -------
+    ndarray or None
+        (s, s).
+    """
+    if not np.isfinite(M).all():
+        return None
+    scale = np.sqrt(np.clip(np.diag(M), 0, None))
+    if np.any((scale <= 0) & np.any(V != 0, axis=1)):
+        return None
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(M / np.outer(scale, scale))
+    root = np.sqrt(np.clip(values, 0, None))
+    return _inverted(vectors, root, V / scale[:, None], 3e-7)
+
+
+def _covariance_of_factor(factor: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    if not np.isfinite(factor).all():
+        return None
+    scale = np.linalg.norm(factor, axis=1)
+    if np.any((scale <= 0) & np.any(V != 0, axis=1)):
+        return None
+    scale = np.where(scale > 0, scale, 1.0)
+    U, values, _ = np.linalg.svd(factor / scale[:, None], full_matrices=True)
+    return _inverted(U, np.concatenate([values, np.zeros(len(U) - len(values))]), V / scale[:, None], 1e-12)
+
+
+def _inverted(
+    U: NDArray[np.float64], root: NDArray[np.float64], V: NDArray[np.float64], threshold: float
+) -> NDArray[np.float64] | None:
+    """V' (U root^2 U')^-1 V on the range; None where V leaves it."""
+    T = U.T @ V
+    null = root <= threshold * root.max()
+    if np.any(null):
+        length = np.linalg.norm(T, axis=0)
+        if np.any(np.linalg.norm(T[null], axis=0) > OUTSIDE * length):
+            return None
+        root, T = root[~null], T[~null]
+    half = T / root[:, None]
+    return half.T @ half
+
+
+def d_criterion(n: int, columns: ArrayLike | None = None, *, name: str = "") -> Criterion:
+    """D-optimality, det(M^-1)^(1/n); with columns D_s, the same of the named parameters' covariance.
+
+    Parameters
+    ----------
+    n : int
+        Number of parameters.
+    columns : array_like, optional
+        Indices of the parameters that matter, or an (n, s) matrix of combinations.
+    name : str
+        What it is called in tables.
+
+    Returns
+    -------
+    Criterion
+        The criterion.
+    """
+    return Criterion("D", _combinations(n, columns), name or ("D" if columns is None else "Ds"))
+
+
+def a_criterion(n: int, weight: ArrayLike | None = None, *, name: str = "") -> Criterion:
+    """A-optimality, trace(W M^-1).
+
+    Parameters
+    ----------
+    n : int
+        Number of parameters.
+    weight : array_like, optional
+        (n, n) symmetric positive semidefinite W; by default the identity.
+    name : str
+        What it is called in tables.
+
+    Returns
+    -------
+    Criterion
+        The criterion.
+    """
+    if weight is None:
+        return Criterion("A", np.eye(n), name or "A")
+    W = np.asarray(weight, dtype=float)
+    if W.shape != (n, n) or not np.allclose(W, W.T, rtol=1e-10, atol=1e-12 * np.abs(W).max()):
+        raise InputError(f"the weight W has the shape {W.shape}; it must be a symmetric {n} x {n} matrix.")
+    values, vectors = np.linalg.eigh(W)
+    if values[0] < -1e-10 * abs(values[-1]):
+        raise InputError(f"the weight W has the eigenvalue {values[0]:g}; it must be positive semidefinite.")
+    keep = values > 1e-14 * values[-1]
+    return Criterion("A", vectors[:, keep] * np.sqrt(values[keep]), name or "L")
+
+
+def c_criterion(c: ArrayLike, *, name: str = "") -> Criterion:
+    """c-optimality: the variance c' M^-1 c of one combination c' theta.
+
+    Parameters
+    ----------
+    c : array_like
+        (n,) gradient of what is to be known.
+    name : str
+        What it is called in tables.
+
+    Returns
+    -------
+    Criterion
+        The criterion.
+    """
+    return Criterion("A", np.asarray(c, dtype=float).reshape(-1, 1), name or "c")
+
+
+def e_criterion(n: int, columns: ArrayLike | None = None, *, name: str = "") -> Criterion:
+    """E-optimality: the largest eigenvalue of V' M^-1 V, by default of M^-1.
+
+    Parameters
+    ----------
+    n : int
+        Number of parameters.
+    columns : array_like, optional
+        Indices of parameters, or an (n, s) matrix of combinations.
+    name : str
+        What it is called in tables.
+
+    Returns
+    -------
+    Criterion
+        The criterion.
+    """
+    return Criterion("E", _combinations(n, columns), name or "E")
+
+
+def g_criterion(combinations: ArrayLike, *, name: str = "") -> Criterion:
+    """The worst of several: max_k trace(V_k' M^-1 V_k).
+
+    Parameters
+    ----------
+    combinations : array_like
+        (K, n) or (K, n, s) V_k.
+    name : str
+        What it is called in tables.
+
+    Returns
+    -------
+    Criterion
+        The criterion.
+    """
+    V = np.asarray(combinations, dtype=float)
+    return Criterion("G", V[:, :, None] if V.ndim == 2 else V, name or "G")
+
+
+def _combinations(n: int, columns: ArrayLike | None) -> NDArray[np.float64]:
+    if columns is None:
+        return np.eye(n)
+    chosen = np.asarray(columns)
+    if chosen.ndim == 1 and np.issubdtype(chosen.dtype, np.integer):
+        if len(set(chosen.tolist())) != len(chosen) or chosen.min() < 0 or chosen.max() >= n:
+            raise InputError(
+                f"the parameters {chosen.tolist()} were chosen of {n}; give each index of 0 to {n - 1} once."
+            )
+        return np.eye(n)[:, chosen]
+    return chosen.astype(float)

@@ -1,0 +1,89 @@
+"""Optimal inputs by convex optimisation, each with a certificate that is computed here.
+
+The public verb and what it returns:
+
+    solve_design(model, criterion="D", *, input_power=1.0, output_power=None, channel_power=None,
+                 band=None, points=400, prior=None, solver="newton", refine=True, tolerance=1e-9) -> Design
+
+    Design.spectrum         Spectrum: the optimal lines (one-sided; powers sum to the input power)
+    Design.loss             D: det(I^-1)^(1/n), A: trace I^-1, E: largest eigenvalue of I^-1, c: c'I^-1 c;
+                            per sample, at the stated power and the plant's own noise
+    Design.bound, .gap      no admissible spectrum has a smaller loss than bound; gap = (loss - bound) / bound
+    Design.certificate      Certificate: X (Z = X X'), sensitivity(omega), value, bound
+    Design.status           Status.OK, or INACCURATE where the gap is above the tolerance
+    Design.information      (n, n) Fisher information per sample
+    Design.efficiency_white loss bound over the loss of white noise of the same input power
+    Design.efficiency(s)    bound over the loss of another Spectrum
+    Design.to_dict(), str(design)
+
+Beside it: `robust_design` (several plants: average, minimax), `least_power_design` and `application_criterion`,
+`closed_loop_map` (the reference of a loop with a known controller), `masked_design` (limits per frequency),
+`amplitude_design` (finite signals within an amplitude), `moment_design` and `autocorrelation_design` (other
+parametrisations, by CVXPY). Figures are in `oed.design.plots`.
+
+`model` is a Plant, a Model, an InformationMap (what all designs reduce to), or anything with
+`response(omega) -> (G (K, ny, nu), dG (K, n, ny, nu))` through `information_map(model, noise_covariance=..)`.
+`criterion` is "D", "A", "E", "hinf", "static-gain", ... or a Criterion of `oed.criteria`.
+Signals from spectra are in `oed.signals`: multisine, realise, filtered_noise, binary.
+
+CVXPY and Clarabel are imported only in this package, and only when a design needs them.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from oed.design.amplitude import amplitude_design
+    from oed.design.autocorrelation import autocorrelation_design, moment_design
+    from oed.design.certificate import Certificate
+    from oed.design.closed_loop import closed_loop_map
+    from oed.design.least_power import application_criterion, least_power_design
+    from oed.design.maps import InformationMap, information_map
+    from oed.design.masked import masked_design
+    from oed.design.result import Design
+    from oed.design.robust import robust_design
+    from oed.design.solve import solve_design
+
+_HOME = {
+    "amplitude_design": "amplitude",
+    "application_criterion": "least_power",
+    "autocorrelation_design": "autocorrelation",
+    "Certificate": "certificate",
+    "closed_loop_map": "closed_loop",
+    "Design": "result",
+    "InformationMap": "maps",
+    "information_map": "maps",
+    "least_power_design": "least_power",
+    "masked_design": "masked",
+    "moment_design": "autocorrelation",
+    "robust_design": "robust",
+    "solve_design": "solve",
+}
+
+__all__ = [
+    "Certificate",
+    "Design",
+    "InformationMap",
+    "amplitude_design",
+    "application_criterion",
+    "autocorrelation_design",
+    "closed_loop_map",
+    "information_map",
+    "least_power_design",
+    "masked_design",
+    "moment_design",
+    "robust_design",
+    "solve_design",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(f"oed.design.{_HOME[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,260 @@
+"""Autocorrelation and moment parametrisations: the spectrum as a few numbers instead of many lines.
+
+Autocorrelation (a finite moving average): Phi(w) = r_0 + 2 sum_{l=1}^{L} r_l cos(l w) >= 0, linear information
+M = sum_l r_l T_l, and nonnegativity everywhere by the positive-real lemma: r_l = trace of the l-th diagonal of some
+positive semidefinite Q, (L+1) x (L+1) (trace parametrisation; B. Dumitrescu, Positive Trigonometric Polynomials).
+
+Moments: for a rational plant of one input with denominator A and numerators of degree d of the gradient,
+M depends on Phi / |A A H|^2 through its moments m_0 ... m_d only; a sequence is one of moments exactly when its
+Toeplitz matrix is positive semidefinite (Caratheodory), and then a few lines have these moments.
+Source: R. Hildebrand, M. Gevers, "Identification for control: optimal input design with respect to a worst-case
+nu-gap cost function", SIAM J. Control and Optimization 41 (2003) 1586-1608.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.criteria import Criterion
+from oed.data import Spectrum
+from oed.design.maps import InformationMap, information_map
+from oed.design.named_criteria import criterion_of
+from oed.errors import InputError, SolverFailure
+from oed.plants import Plant
+
+__all__ = ["Autocorrelated", "autocorrelation_design", "moment_design"]
+
+
+@dataclass(frozen=True, eq=False)
+class Autocorrelated:
+    """The best spectrum of a parametrisation.
+
+    Attributes
+    ----------
+    spectrum : Spectrum
+        As lines: of a density, the nodes of a quadrature that is exact for the information.
+    coefficients : ndarray
+        (L + 1,) autocorrelation r_0 ... r_L, or moments m_0 ... m_d.
+    loss : float
+        Loss per sample at the stated power.
+    kind : str
+        "autocorrelation" or "moments".
+    """
+
+    spectrum: Spectrum
+    coefficients: NDArray[np.float64]
+    loss: float
+    kind: str
+
+    def __repr__(self) -> str:
+        return f"{self.kind} of {len(self.coefficients)} numbers: loss {self.loss:.9g}"
+
+
+def _conic(criterion: Criterion, constraints: list, M: Any) -> None:
+    """Solve max of the criterion over a matrix expression in CVXPY."""
+    import warnings
+
+    import cvxpy as cp
+
+    V = criterion.columns
+    if criterion.kind == "D" and V.shape[1] == criterion.n:
+        objective = cp.Maximize(cp.log_det(M))
+    elif criterion.kind == "A":
+        objective = cp.Minimize(cp.matrix_frac(V, M))
+    elif criterion.kind == "E":
+        t = cp.Variable()
+        constraints = [*constraints, M - t * (V @ V.T) >> 0]
+        objective = cp.Maximize(t)
+    else:
+        raise InputError(
+            f"the criterion {criterion.name} is not available with this parametrisation; use grid."
+        )
+    problem = cp.Problem(objective, constraints)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
+        except cp.error.SolverError as error:
+            raise SolverFailure(f"Clarabel failed: {error}") from None
+    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        raise SolverFailure(f"Clarabel stopped with status {problem.status}.")
+
+
+def _prepared(
+    model: Any, criterion: str | Criterion, points: int
+) -> tuple[InformationMap, Criterion, Criterion, float, NDArray, NDArray, NDArray]:
+    """Map, criterion (own and scaled), factor of the losses, nodes, scaled atoms (K, n, n) and R."""
+    information = information_map(model)
+    if information.n_inputs != 1:
+        raise InputError(
+            f"this parametrisation is for one input; the plant has {information.n_inputs}: use grid."
+        )
+    wanted = criterion_of(criterion, model, information)
+    omega = (np.arange(points) + 0.5) * np.pi / points
+    D = np.moveaxis(information.factor(omega)[..., 0], 1, 0).reshape(information.n, -1)
+    rows = np.concatenate([D.real, D.imag], axis=1) / np.sqrt(points)
+    R = np.asarray(np.linalg.qr(rows.T, mode="r"))
+    scaled, factor = wanted.transformed(R)
+    F = np.linalg.solve(R.T, D).reshape(information.n, points, -1)
+    atoms = np.einsum("nkr,mkr->knm", F, F.conj()).real
+    return information, wanted, scaled, factor, omega, atoms, R
+
+
+def autocorrelation_design(
+    model: Any,
+    criterion: str | Criterion = "D",
+    *,
+    lags: int = 20,
+    input_power: float = 1.0,
+    points: int = 4096,
+) -> Autocorrelated:
+    """The best moving-average spectrum with a given number of lags (MOOSE2's FIR parametrisation).
+
+    Parameters
+    ----------
+    model : Plant, Model or InformationMap
+        One input.
+    criterion : str or Criterion
+        D, A, E or c.
+    lags : int
+        L: the signal is white noise through a filter of L + 1 taps.
+    input_power : float
+        r_0.
+    points : int
+        Nodes of the midpoint rule for the information.
+
+    Returns
+    -------
+    Autocorrelated
+        Its loss is above the grid design's and falls towards it as L grows.
+    """
+    import cvxpy as cp
+
+    if int(lags) != lags or lags < 0:
+        raise InputError(f"the number of lags is {lags}; it must be a whole number of at least 0.")
+    information, wanted, scaled, _, omega, atoms, R = _prepared(model, criterion, points)
+    cosines = np.cos(np.outer(np.arange(lags + 1), omega)) * np.where(np.arange(lags + 1) == 0, 1, 2)[:, None]
+    lagged = np.einsum("lk,knm->lnm", cosines, atoms) / points
+    inverse = np.linalg.inv(R)
+    constant = inverse.T @ information.constant @ inverse
+    Q = cp.Variable((lags + 1, lags + 1), PSD=True)
+    r = [cp.trace(Q)] + [
+        cp.sum(cp.hstack([Q[i, i + lag] for i in range(lags + 1 - lag)])) for lag in range(1, lags + 1)
+    ]
+    M = constant + input_power * sum(r[lag] * lagged[lag] for lag in range(lags + 1))
+    _conic(scaled, [cp.trace(Q) == 1], (M + M.T) / 2)
+    q = np.asarray(Q.value, dtype=float)
+    values, vectors = np.linalg.eigh((q + q.T) / 2)
+    q = (vectors * np.clip(values, 0, None)) @ vectors.T
+    coefficients = np.array([np.trace(q, offset=lag) for lag in range(lags + 1)])
+    coefficients *= input_power / coefficients[0]
+    density = np.clip(coefficients @ cosines, 0, None)
+    density *= input_power / density.mean()
+    spectrum = Spectrum(omega, density / points)
+    loss = wanted.loss(information.of_spectrum(spectrum))
+    return Autocorrelated(spectrum, coefficients, loss, "autocorrelation")
+
+
+def moment_design(
+    plant: Plant, criterion: str | Criterion = "D", *, input_power: float = 1.0
+) -> Autocorrelated:
+    """The optimum by finitely many moments: exact, without any frequency grid in the problem.
+
+    Parameters
+    ----------
+    plant : Plant
+        One input and one output.
+    criterion : str or Criterion
+        D, A, E or c.
+    input_power : float
+        Limit on the input power.
+
+    Returns
+    -------
+    Autocorrelated
+        Its spectrum has the few lines of the moments' Caratheodory representation.
+    """
+    import cvxpy as cp
+
+    if not isinstance(plant, Plant) or plant.n_inputs * plant.n_outputs > 1:
+        raise InputError("the moment parametrisation needs a Plant of one input and one output; use grid.")
+    A = plant.den[0][0]
+    weight = np.convolve(np.convolve(A, A), plant.noise_num)
+    # Gradient numerators over A A C / D: information and power are trigonometric polynomials against the
+    # measure Phi / |A A C|^2, of a degree that the numerators and the weight itself bound.
+    degree = max(len(weight), len(plant.num[0][0]) + len(A) + len(plant.noise_den)) - 1
+    _, _, scaled, factor, omega, atoms, _ = _prepared(plant, criterion, 4 * (degree + 1) + 64)
+    modulus = np.abs(np.polyval(weight[::-1], np.exp(-1j * omega))) ** 2
+    basis = np.cos(np.outer(omega, np.arange(degree + 1)))
+    rows = np.concatenate(
+        [(atoms * modulus[:, None, None]).reshape(len(omega), -1), modulus[:, None]], axis=1
+    )
+    coefficients = np.linalg.lstsq(basis, rows, rcond=None)[0]
+    misfit = np.abs(basis @ coefficients - rows).max() / np.abs(rows).max()
+    if misfit > 1e-9:
+        raise SolverFailure(
+            f"the moments of degree {degree} miss the information by {misfit:.1e}; use the grid parametrisation."
+        )
+    # Coordinates in which white noise has the identity as its Toeplitz matrix: the resonance would spoil others.
+    lag = np.abs(np.subtract.outer(np.arange(degree + 1), np.arange(degree + 1)))
+    white = (basis / modulus[:, None]).mean(axis=0)
+    inverse = np.linalg.inv(np.linalg.cholesky(white[lag]))
+    toeplitz = np.stack([inverse @ (lag == k) @ inverse.T for k in range(degree + 1)])
+    scale = np.abs(toeplitz).max(axis=(1, 2))
+    n = scaled.n
+    x = cp.Variable(degree + 1)
+    T = cp.reshape((toeplitz / scale[:, None, None]).reshape(degree + 1, -1).T @ x, lag.shape, order="C")
+    M = cp.reshape((coefficients[:, :-1] / scale[:, None]).T @ x, (n, n), order="C")
+    _conic(scaled, [(T + T.T) / 2 >> 0, (coefficients[:, -1] / scale) @ x == 1], (M + M.T) / 2)
+    moments = np.asarray(x.value, dtype=float) / scale
+    information = (coefficients[:, :-1].T @ moments).reshape(n, n) * input_power
+    loss = factor * scaled.loss(information)
+    lines = caratheodory(moments)
+    at_lines = np.cos(np.outer(np.arange(degree + 1), lines))
+    from scipy.optimize import nnls
+
+    strength, _ = nnls(at_lines / np.abs(moments[0]), moments / np.abs(moments[0]))
+    power = strength * np.abs(np.polyval(weight[::-1], np.exp(-1j * lines))) ** 2
+    keep = power > 1e-6 * power.max()
+    spectrum = Spectrum(lines[keep], power[keep] * input_power / power[keep].sum())
+    return Autocorrelated(spectrum, moments * input_power, loss, "moments")
+
+
+def caratheodory(moments: NDArray[np.float64], tolerance: float = 1e-6) -> NDArray[np.float64]:
+    """Frequencies in [0, pi] of the lines that have given cosine moments, from the Toeplitz matrix's null space.
+
+    Parameters
+    ----------
+    moments : ndarray
+        (d + 1,) m_0 ... m_d of a symmetric positive measure.
+    tolerance : float
+        Relative size below which an eigenvalue counts as null.
+
+    Returns
+    -------
+    ndarray
+        Frequencies, increasing (V. F. Pisarenko's harmonic retrieval).
+    """
+    d = len(moments) - 1
+    T = moments[np.abs(np.subtract.outer(np.arange(d + 1), np.arange(d + 1)))]
+    values, vectors = np.linalg.eigh(T)
+    null = vectors[:, values < tolerance * values[-1]]
+    if null.shape[1] == 0:
+        null = vectors[:, :1]
+    # On the lines sum |p_i(e^jw)|^2 over the null vectors vanishes.
+    grid = np.linspace(0, np.pi, 40 * (d + 1) + 1)
+    height = lambda w: np.sum(np.abs(np.exp(-1j * np.outer(w, np.arange(d + 1))) @ null) ** 2, axis=1)
+    h = np.concatenate([[np.inf], height(grid), [np.inf]])
+    at = np.flatnonzero((h[1:-1] <= h[:-2]) & (h[1:-1] <= h[2:]))
+    low, high = grid[np.maximum(at - 1, 0)], grid[np.minimum(at + 1, len(grid) - 1)]
+    for _ in range(12):
+        trial = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, 9)
+        best = np.argmin(height(trial.ravel()).reshape(trial.shape), axis=1)
+        rows = np.arange(len(best))
+        low, high = trial[rows, np.maximum(best - 1, 0)], trial[rows, np.minimum(best + 1, 8)]
+    omega = (low + high) / 2
+    return omega[height(omega) < 1e-2 * null.shape[1]]

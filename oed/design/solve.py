@@ -1,0 +1,210 @@
+"""The verb: solve_design."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oed.criteria import Criterion
+from oed.data import Spectrum
+from oed.design.certificate import Certificate
+from oed.design.collapse import better, collapsed
+from oed.design.column_generation import Exchange, evaluated_bound, exchange, seed_columns
+from oed.design.columns import Columns, Problem
+from oed.design.gain_scaling import peak_sinusoid
+from oed.design.grid import bands_of, frequency_grid
+from oed.design.limits import power_budgets
+from oed.design.maps import information_map
+from oed.design.named_criteria import criterion_of
+from oed.design.result import Design
+from oed.errors import InputError, Status
+
+__all__ = ["certified", "solve_design"]
+
+
+def solve_design(
+    model: Any,
+    criterion: str | Criterion = "D",
+    *,
+    input_power: float | None = None,
+    output_power: float | None = None,
+    channel_power: ArrayLike | None = None,
+    band: Sequence[float] | Sequence[Sequence[float]] | None = None,
+    points: int | ArrayLike = 400,
+    prior: ArrayLike | None = None,
+    solver: str = "newton",
+    refine: bool = True,
+    tolerance: float = 1e-7,
+) -> Design:
+    """The input spectrum that is optimal for a criterion, with its certificate.
+
+    Minimises the loss of the Fisher information per sample over all spectra within the limits: lines at any
+    frequency of the band, with a positive semidefinite power each.
+
+    Parameters
+    ----------
+    model : Plant, Model, InformationMap or object
+        What is to be identified; anything that `information_map` takes.
+    criterion : str or Criterion
+        "D", "A", "E", "hinf" (the peak gain), or another name of `oed.design.named_criteria`.
+    input_power : float, optional
+        Limit on the input power summed over channels, squared input units; 1 where no power is limited.
+    output_power : float, optional
+        Limit on the power of the noise-free output, summed over channels.
+    channel_power : array_like, optional
+        (nu,) limit on the power of every input channel.
+    band : (low, high) or sequence of them, optional
+        Where lines are allowed, rad/sample; by default [0, pi].
+    points : int or array_like
+        Size of the uniform part of the first frequency grid, or the frequencies themselves.
+    prior : array_like, optional
+        (n, n) information of experiments already done, per sample of the new one.
+    solver : {"newton", "clarabel"}
+        Own column generation, or CVXPY with Clarabel on the whole grid.
+    refine : bool
+        Whether lines may lie between those of the grid.
+    tolerance : float
+        Relative gap to reach.
+
+    Returns
+    -------
+    Design
+        Status OK where the gap is within the tolerance; the bound holds whatever the status.
+
+    Raises
+    ------
+    InputError
+        If an argument breaks its rule.
+    NotIdentifiable
+        If no input in the band determines the parameters (the combinations are named).
+
+    Notes
+    -----
+    Source: theory.md sections 4 and 5 of the design notes; V. V. Fedorov, Theory of Optimal Experiments (1972),
+    for the equivalence theorem; G. Elfving (1952) for singular designs. Twin: tests/oracles.
+    """
+    if solver not in ("newton", "clarabel"):
+        raise InputError(f"the solver is {solver!r}; choose newton or clarabel.")
+    if not 1e-14 < tolerance < 1:
+        raise InputError(f"the tolerance is {tolerance}; a relative gap lies between 1e-14 and 1.")
+    information = information_map(model)
+    wanted = criterion_of(criterion, model, information)
+    if prior is not None:
+        information = information.with_prior(prior)
+    budgets = power_budgets(information, input_power, output_power, channel_power)
+    bands = bands_of(band)
+    omega = frequency_grid(information, bands, points)
+    problem = Problem(information, wanted, budgets, omega, bands)
+    if solver == "clarabel":
+        from oed.design.reference import reference_exchange
+
+        found = reference_exchange(problem, refine=refine, tolerance=tolerance)
+    elif (
+        refine and (known := peak_sinusoid(problem, model, criterion)) is not None and known.gap <= tolerance
+    ):
+        found = known
+    else:
+        found = exchange(problem, refine=refine, tolerance=max(tolerance, 1e-6) if refine else tolerance)
+    if refine:
+        found = collapsed(found, tolerance)
+        for _ in range(2):
+            found = _looked_at_again(found)
+            if found.gap <= tolerance or solver != "newton":
+                break
+            again = exchange(
+                found.problem,
+                columns=found.columns + seed_columns(problem),
+                tolerance=tolerance,
+                max_rounds=10,
+            )
+            found = collapsed(better(found, again), tolerance)
+    return certified(found, tolerance=tolerance, solver=solver)
+
+
+def _looked_at_again(found: Exchange) -> Exchange:
+    """The certificate evaluated anew on a grid twice as fine, and much finer around the support."""
+    problem = found.problem
+    scale = problem.length_scale(found.columns.omega)
+    offsets = np.concatenate([side * np.geomspace(1e-3, 0.3, 8) for side in (-1, 1)])
+    near = (found.columns.omega[:, None] + scale[:, None] * offsets).ravel()
+    between = (problem.omega[1:] + problem.omega[:-1]) / 2
+    points = np.concatenate([near, between])
+    inside = np.zeros(len(points), dtype=bool)
+    for low, high in problem.bands:
+        inside |= (points >= low) & (points <= high)
+    problem = problem.extended(np.unique(points[inside]))
+    bound, price, frequency = evaluated_bound(problem, found.X, found.nu)
+    return replace(
+        found,
+        problem=problem,
+        nu=found.nu * price,
+        bound=bound,
+        price=max(found.price, price),
+        frequency=frequency,
+    )
+
+
+def certified(found: Exchange, *, tolerance: float, solver: str) -> Design:
+    """Make a Design of the outcome of the loop, in the model's own units.
+
+    Parameters
+    ----------
+    found : Exchange
+        The outcome.
+    tolerance : float
+        Relative gap that was asked for.
+    solver : str
+        Name of the solver.
+
+    Returns
+    -------
+    Design
+        The design.
+    """
+    problem, spectrum = found.problem, _spectrum(found.columns, found.w)
+    loss, bound = found.loss * problem.scale, found.bound * problem.scale
+    X = np.asarray(np.linalg.solve(problem.R, found.X), dtype=np.float64)
+    numerator = problem.original.numerator(X)
+    used = found.columns.q.T @ found.w
+    certificate = Certificate(
+        X=X,
+        multipliers={b.name: float(v) for b, v in zip(problem.budgets, found.nu, strict=True)},
+        numerator=numerator,
+        value=numerator / bound,
+        bound=bound,
+        largest_price=found.price,
+        frequency=found.frequency,
+        price=lambda omega: problem.prices_at(omega, found.X, found.nu).ratio,
+    )
+    return Design(
+        spectrum=spectrum,
+        criterion=problem.original,
+        loss=loss,
+        bound=bound,
+        certificate=certificate,
+        status=Status.OK if loss - bound <= tolerance * bound else Status.INACCURATE,
+        information=problem.map.of_spectrum(spectrum),
+        map=problem.map,
+        power_used={b.name: float(v * b.limit) for b, v in zip(problem.budgets, used, strict=True)},
+        limits={b.name: b.limit for b in problem.budgets},
+        solver=solver,
+        rounds=found.rounds,
+    )
+
+
+def _spectrum(columns: Columns, w: NDArray[np.float64], threshold: float = 1e-9) -> Spectrum:
+    """Lines of the weights: equal frequencies together, those without power left out."""
+    lines, where = np.unique(columns.omega, return_inverse=True)
+    nu = columns.direction.shape[1]
+    power = np.zeros((len(lines), nu, nu), dtype=complex)
+    np.add.at(
+        power, where, w[:, None, None] * np.einsum("mq,mr->mqr", columns.direction, columns.direction.conj())
+    )
+    share = np.einsum("kii->k", power).real
+    keep = share > threshold * share.sum()
+    factor = share.sum() / share[keep].sum()
+    return Spectrum(lines[keep], power[keep] * factor)

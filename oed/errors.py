@@ -1,0 +1,93 @@
+"""The exceptions of the suite, and the outcomes that are data rather than exceptions.
+
+At the border (user input, a rig, a solver that broke) the suite raises; inside loops a failure is a
+`Status` beside the number, so that a campaign of thousands of runs records it and goes on.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from enum import Enum
+
+__all__ = [
+    "CampaignError",
+    "ExperimentError",
+    "InfeasibleDesign",
+    "InputError",
+    "NotIdentifiable",
+    "OedError",
+    "SolverFailure",
+    "Status",
+]
+
+
+class OedError(Exception):
+    """Base of every exception that the suite raises on purpose."""
+
+
+class InputError(OedError, ValueError):
+    """An argument, file or option breaks a rule; the message gives the value, the rule and the remedy."""
+
+
+class ExperimentError(OedError, RuntimeError):
+    """The system under test returned something that is not a measurement of the right shape."""
+
+
+class NotIdentifiable(OedError, ValueError):
+    """The data or the input carry no information on some combination of parameters, which is named."""
+
+
+class InfeasibleDesign(OedError, ValueError):
+    """No input satisfies all constraints; the message names those that clash."""
+
+
+class SolverFailure(OedError, RuntimeError):
+    """An optimiser stopped without a point whose own certificate could be trusted."""
+
+
+class CampaignError(OedError, RuntimeError):
+    """A folder of results cannot be used as asked: other settings, another version, or damage."""
+
+
+class Status(Enum):
+    """How a computation ended; the value is the sentence that a user reads."""
+
+    OK = "The result is complete."
+    CONVERGED = "The change of the estimate fell below its own standard error."
+    BUDGET = "The budget of experiments was used up."
+    NEGATIVE_SQUARE = (
+        "The squared gain estimate is negative: the noise outweighs the signal in this pair of experiments, "
+        "so no gain is reported for it."
+    )
+    NOT_FINITE = "The result is not finite."
+    MAX_ITERATIONS = "The iteration limit was reached before the optimality residual met its tolerance."
+    INACCURATE = "The result is usable, but its certificate is wider than the tolerance asked for."
+    UNSTABLE = "The estimated model is unstable."
+    SINGULAR = "The information matrix is singular: some combination of parameters is not determined."
+    TIME_LIMIT = "The time limit was reached."
+    FAILED = "The computation failed."
+
+    @property
+    def ok(self) -> bool:
+        """Whether the numbers beside this status can be used as they stand."""
+        return self in (Status.OK, Status.CONVERGED, Status.BUDGET)
+
+
+def check_names(names: Iterable[str], known: Sequence[str], what: str) -> None:
+    """Raise an InputError that lists what exists, if one of the names does not.
+
+    Parameters
+    ----------
+    names : iterable of str
+        What was asked for.
+    known : sequence of str
+        What exists.
+    what : str
+        "plant", "method", ...
+    """
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, 1)
+            hint = f" (did you mean {close[0]}?)" if close else ""
+            raise InputError(f"there is no {what} named {name!r}{hint}; choose from {', '.join(known)}.")

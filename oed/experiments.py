@@ -1,0 +1,256 @@
+"""Experiments: the system under test as a callable u -> y, with its limits and a count of what was used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Record, as_signal
+from oed.errors import ExperimentError, InputError
+from oed.noise import noise_key, standard_noise
+from oed.plants import Plant
+
+__all__ = ["Experiment", "Usage", "replayed", "simulated"]
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a series of experiments has cost.
+
+    Attributes
+    ----------
+    experiments : int
+        Number of experiments.
+    samples : int
+        Samples over all experiments.
+    energy : float
+        Input energy: squares summed over samples, experiments and channels.
+    peak : float
+        Largest absolute input.
+    """
+
+    experiments: int = 0
+    samples: int = 0
+    energy: float = 0.0
+    peak: float = 0.0
+
+    def add(self, u: NDArray[np.float64]) -> Usage:
+        """The usage after one more experiment with the input u, (N, nu).
+
+        Parameters
+        ----------
+        u : ndarray
+            (N, nu).
+
+        Returns
+        -------
+        Usage
+            The sum.
+        """
+        return Usage(
+            self.experiments + 1,
+            self.samples + len(u),
+            self.energy + float(np.sum(np.square(u))),
+            max(self.peak, float(np.abs(u).max())),
+        )
+
+
+class Experiment:
+    """The system under test.
+
+    Calling it applies an input from rest and returns the output; it checks the input against the limits
+    before the system sees it and the output before anybody uses it, and it counts what was used.
+
+    Parameters
+    ----------
+    apply : callable
+        u (N, nu) -> y (N, ny), or (N,) where ny = 1; starts from rest at every call.
+    n_inputs, n_outputs : int
+        Number of channels.
+    dt : float
+        Sampling time in seconds.
+    amplitude : float, optional
+        Largest absolute input allowed.
+    """
+
+    def __init__(
+        self,
+        apply: Callable[[NDArray[np.float64]], object],
+        n_inputs: int = 1,
+        n_outputs: int = 1,
+        *,
+        dt: float = 1.0,
+        amplitude: float | None = None,
+    ) -> None:
+        if not callable(apply):
+            raise InputError(
+                f"apply is {apply!r}; it must be a function from an input (N, nu) to an output (N, ny)."
+            )
+        self._apply = apply
+        self.n_inputs, self.n_outputs, self.dt, self.amplitude = n_inputs, n_outputs, dt, amplitude
+        self.used = Usage()
+
+    def __call__(self, u: object) -> NDArray[np.float64]:
+        """Apply an input.
+
+        Parameters
+        ----------
+        u : array_like
+            (N, nu).
+
+        Returns
+        -------
+        ndarray
+            (N, ny) measured output; ExperimentError if the system returned anything else.
+        """
+        u = as_signal(u, "the input")  # type: ignore[arg-type]
+        if u.shape[1] != self.n_inputs:
+            raise InputError(
+                f"the input has {u.shape[1]} channels and the system {self.n_inputs}; give (N, {self.n_inputs})."
+            )
+        if self.amplitude is not None and np.abs(u).max() > self.amplitude * (1 + 1e-12):
+            t, channel = np.unravel_index(np.argmax(np.abs(u)), u.shape)
+            raise InputError(
+                f"the input reaches {u[t, channel]:g} at sample {t}, channel {channel + 1}; the limit is "
+                f"{self.amplitude:g}: scale the input down. Nothing was applied."
+            )
+        try:
+            y = as_signal(self._apply(u), "the measured output")  # type: ignore[arg-type]
+        except InputError as error:
+            raise ExperimentError(f"experiment {self.used.experiments + 1}: {error}") from None
+        if y.shape != (len(u), self.n_outputs):
+            raise ExperimentError(
+                f"experiment {self.used.experiments + 1} returned an output of shape {y.shape}; "
+                f"it must be {(len(u), self.n_outputs)}, one row per input sample: check the rig's recording."
+            )
+        self.used = self.used.add(u)
+        return y
+
+
+def simulated(plant: Plant, *, seed: int = 0, replicate: int = 0, first: int = 0) -> Experiment:
+    """An experiment on a simulated plant; experiment k of replicate r always meets the same noise.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant, with its noise.
+    seed, replicate : int
+        Coordinates of the noise (`oed.noise`).
+    first : int
+        Number of the first experiment.
+
+    Returns
+    -------
+    Experiment
+        From rest at every call.
+    """
+    key = noise_key(seed, plant.name)
+    factor = noise_factor(plant)
+    count = first
+
+    def apply(u: NDArray[np.float64]) -> NDArray[np.float64]:
+        nonlocal count
+        e = standard_noise(key, replicate, count, len(u), plant.n_outputs) @ factor.T
+        count += 1
+        return plant.simulate(u) + coloured(plant, e)
+
+    return Experiment(apply, plant.n_inputs, plant.n_outputs, dt=plant.dt)
+
+
+def noise_factor(plant: Plant) -> NDArray[np.float64]:
+    """A square root L of the noise covariance, L L' = Lambda (also where Lambda is singular).
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+
+    Returns
+    -------
+    ndarray
+        (ny, ny).
+    """
+    deviations = np.sqrt(np.diag(plant.noise_covariance))
+    if np.count_nonzero(plant.noise_covariance) == np.count_nonzero(deviations):
+        return np.diag(deviations)
+    values, vectors = np.linalg.eigh(plant.noise_covariance)
+    return vectors * np.sqrt(np.clip(values, 0, None))
+
+
+def coloured(plant: Plant, e: NDArray[np.float64]) -> NDArray[np.float64]:
+    """White noise through the plant's noise filter H, from rest.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    e : ndarray
+        (N, ny).
+
+    Returns
+    -------
+    ndarray
+        (N, ny).
+    """
+    if plant.white_noise:
+        return e
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter(plant.noise_num, plant.noise_den, e, axis=0))
+
+
+def decoloured(plant: Plant, v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Noise through the inverse of the plant's noise filter, H^-1 v, from rest: undoes `coloured`.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    v : ndarray
+        (N, ny).
+
+    Returns
+    -------
+    ndarray
+        (N, ny).
+    """
+    if plant.white_noise:
+        return v
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter(plant.noise_den, plant.noise_num, v, axis=0))
+
+
+def replayed(records: Sequence[Record]) -> Experiment:
+    """An experiment that plays back records in their order, and refuses an input that was not recorded.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        What was measured.
+
+    Returns
+    -------
+    Experiment
+        It returns the recorded output for the recorded input.
+    """
+    if not records:
+        raise InputError("there are no records to replay; give at least one.")
+    waiting = iter(enumerate(records, 1))
+
+    def apply(u: NDArray[np.float64]) -> NDArray[np.float64]:
+        number, record = next(waiting, (0, None))
+        if record is None:
+            raise ExperimentError(
+                f"all {len(records)} records have been replayed; there is no further experiment."
+            )
+        if record.u.shape != u.shape or not np.allclose(record.u, u, rtol=1e-9, atol=1e-12):
+            raise ExperimentError(
+                f"the input differs from that of record {number}; a replay answers only what was asked."
+            )
+        return record.y
+
+    return Experiment(apply, records[0].n_inputs, records[0].n_outputs, dt=records[0].dt)

@@ -1,0 +1,139 @@
+"""The sampling time that a column of times implies, and whether the times are uniform."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.errors import InputError
+
+__all__ = ["sampling_time"]
+
+UNIFORM = 1e-6
+"""Largest deviation from a uniform clock that needs no explanation, in steps."""
+
+
+def sampling_time(t: NDArray[np.float64], source: str, *, first_row: int = 0) -> tuple[float, float]:
+    """Sampling time of uniform times t_k = t_0 + k dt, and how well the times determine it.
+
+    Deviations up to 1e-6 of the step are accepted, and so are larger ones that rounding to the digits
+    printed explains: a line through the times exists with all of them within half a unit of the last digit.
+
+    Parameters
+    ----------
+    t : ndarray
+        (N,) times in seconds, N >= 2.
+    source : str
+        What the times are called in messages.
+    first_row : int
+        Row of t[0] in the file, for messages.
+
+    Returns
+    -------
+    dt : float
+        Sampling time in seconds: where it can be, the number with the fewest digits that reproduces t.
+    tolerance : float
+        Half the width of the interval of sampling times that t allows, in seconds.
+
+    Raises
+    ------
+    InputError
+        If the times are not finite, do not increase or are not uniform; the first bad row is named.
+    """
+    bad = ~np.isfinite(t)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(
+            f"{source} is {t[row]} in row {row + first_row} (counting from 0); times must be finite: "
+            "fill the gaps of the clock, or leave the column out and give the sampling time."
+        )
+    steps = np.diff(t)
+    if (steps <= 0).any():
+        row = int(np.argmax(steps <= 0))
+        raise InputError(
+            f"{source} goes from {t[row]:.12g} to {t[row + 1]:.12g} at row {row + 1 + first_row} (counting from 0); "
+            "times must increase: sort the rows, or split the file where the clock restarts."
+        )
+    k = np.arange(len(t))
+    mean = float((t[-1] - t[0]) / (len(t) - 1))
+    floating = 4 * float(np.spacing(np.abs(t).max()))
+    slack = UNIFORM * mean
+    if np.abs(steps - mean).max() > slack + floating:
+        rounding = _rounding_unit(t)
+        explains = rounding <= mean / 3  # a coarser clock cannot tell rounding from a lost sample
+        if not explains or _line_deviation(t) > rounding / 2 * (1 + 1e-6) + floating:
+            _refuse(t, steps, max(slack, rounding if explains else 0.0) + floating, source, first_row)
+        slack = max(slack, rounding)
+    return _simplest(t, k, mean, floating), (slack + floating) / (len(t) - 1) + UNIFORM * mean
+
+
+def _rounding_unit(t: NDArray[np.float64]) -> float:
+    """Unit of the last digit of times that look printed to fixed decimals or stored in single precision, else 0."""
+    largest = float(np.abs(t).max())
+    for digits in range(10):
+        if (np.abs(t - np.round(t, digits)) <= 2 * np.spacing(largest)).all():
+            return 10.0**-digits
+    single = t.astype(np.float32)
+    return float(np.spacing(np.float32(largest))) if (single == t).all() else 0.0
+
+
+def _line_deviation(t: NDArray[np.float64]) -> float:
+    """Least largest deviation of t from any line in k, by exchange of the three points that support it."""
+    k = np.arange(len(t), dtype=float)
+    if len(t) < 3:
+        return 0.0
+    support = np.array([0, len(t) // 2, len(t) - 1])
+    deviation = 0.0
+    for _ in range(100):
+        i, j, m = support
+        slope = (t[m] - t[i]) / (k[m] - k[i])
+        chord = t[j] - t[i] - slope * (k[j] - k[i])
+        residual = t - (t[i] + chord / 2 + slope * (k - k[i]))
+        deviation = abs(chord) / 2
+        worst = int(np.argmax(np.abs(residual)))
+        if worst in support or abs(residual[worst]) <= deviation * (1 + 1e-9):
+            return float(abs(residual[worst]))
+        support = _exchange(support, residual, worst)
+    return float(np.abs(residual).max())
+
+
+def _exchange(support: NDArray[np.int64], residual: NDArray[np.float64], worst: int) -> NDArray[np.int64]:
+    """Put the worst point into the support so that the signs of the residuals still alternate."""
+    sign = np.sign(residual[worst])
+    i, j, m = support
+    if worst < i:
+        return np.array([worst, j, m] if np.sign(residual[i]) == sign else [worst, i, j])
+    if worst > m:
+        return np.array([i, j, worst] if np.sign(residual[m]) == sign else [j, m, worst])
+    if worst < j:
+        return np.array([worst, j, m] if np.sign(residual[i]) == sign else [i, worst, m])
+    return np.array([i, j, worst] if np.sign(residual[m]) == sign else [i, worst, m])
+
+
+def _simplest(t: NDArray[np.float64], k: NDArray[np.int64], mean: float, floating: float) -> float:
+    """The shortest number that reproduces t bit for bit, else the shortest one within rounding, else the mean."""
+    shortest = [float(f"{mean:.{digits}e}") for digits in range(17)]
+    near = [d for d in shortest if np.abs(t - (t[0] + d * k)).max() <= floating]
+    half = np.spacing(np.abs(t[1:])) / 2
+    low, high = ((t[1:] - t[0] - half) / k[1:]).max(), ((t[1:] - t[0] + half) / k[1:]).min()
+    middle = float(low + (high - low) / 2)
+    inside = [float(f"{middle:.{digits}e}") for digits in range(17)] if low <= high else []
+    neighbours = [middle + n * float(np.spacing(middle)) for n in (0, 1, -1, 2, -2, 3, -3)]
+    for candidate in (*near, *inside, float(t[1] - t[0]), *neighbours):
+        if (t[0] + candidate * k == t).all():
+            return candidate
+    return near[0] if near else mean
+
+
+def _refuse(t: NDArray, steps: NDArray, tolerance: float, source: str, first_row: int) -> None:
+    usual = float(np.median(steps))
+    wrong = np.abs(steps - usual) > tolerance
+    if not wrong.any():  # a slow drift: no single step shows it
+        line = t - (t[0] + usual * np.arange(len(t)))
+        wrong = np.abs(line[1:]) > min(tolerance, np.abs(line).max() / 2)
+    row = int(np.argmax(wrong))
+    raise InputError(
+        f"{source} is not uniform: from row {row + first_row} to row {row + 1 + first_row} (counting from 0) it goes "
+        f"from {t[row]:.12g} to {t[row + 1]:.12g}, a step of {steps[row]:.9g} s where the others are {usual:.9g} s; "
+        "steps must be equal to 1e-6: resample the record, or read the uniform part with FILE[a:b]."
+    )

@@ -1,0 +1,403 @@
+"""A table of named columns, whatever file or object it came from, and the record that is made of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oed.data import Record
+from oed.errors import InputError
+from oed.files.clock import sampling_time
+
+__all__ = ["Table", "column_name", "numbers", "record_of", "split_unit"]
+
+TIME = ("t", "t_s")
+UNITS = frozenset(
+    (
+        *(
+            "V",
+            "mV",
+            "uV",
+            "kV",
+            "A",
+            "mA",
+            "kA",
+            "W",
+            "mW",
+            "kW",
+            "MW",
+            "J",
+            "kJ",
+            "N",
+            "mN",
+            "kN",
+            "Nm",
+            "N/m",
+        ),
+        *(
+            "Pa",
+            "kPa",
+            "MPa",
+            "bar",
+            "mbar",
+            "psi",
+            "m",
+            "mm",
+            "cm",
+            "um",
+            "nm",
+            "km",
+            "m2",
+            "m3",
+            "s",
+            "ms",
+            "us",
+        ),
+        *(
+            "min",
+            "rad",
+            "deg",
+            "rpm",
+            "Hz",
+            "kHz",
+            "MHz",
+            "K",
+            "degC",
+            "degF",
+            "°C",
+            "kg",
+            "mol",
+            "L",
+            "mL",
+            "dB",
+        ),
+        *("m/s", "m/s2", "m/s^2", "rad/s", "rad/s2", "rad/s^2", "deg/s", "L/min", "kg/s", "m3/s", "m^3/s"),
+        *("pct", "percent", "%", "ppm", "ohm"),
+    )
+)
+"""Suffixes after the last underscore of a column's name that are read as its unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns by name, loaded only when asked for.
+
+    Attributes
+    ----------
+    source : str
+        What the table is called in messages.
+    names : tuple of str
+        Names of the columns.
+    load : callable
+        Takes names, gives one float array (N,) each.
+    units : mapping
+        Unit by column name, where the source says it.
+    inputs, outputs : tuple of str
+        The columns that the source itself marks as inputs and outputs; empty where it does not.
+    labels : mapping
+        Channel name by column name, where it is not the column's name.
+    dt, t0 : float or None
+        Sampling time and time of the first sample that the source itself states.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    load: Callable[[Sequence[str]], list[NDArray[np.float64]]]
+    units: Mapping[str, str] = field(default_factory=dict)
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    labels: Mapping[str, str] = field(default_factory=dict)
+    dt: float | None = None
+    t0: float | None = None
+
+
+def split_unit(column: str) -> tuple[str, str]:
+    """Name and unit of a column such as `vir_V` or `flow [ft^3/min]`.
+
+    Parameters
+    ----------
+    column : str
+        Name of the column.
+
+    Returns
+    -------
+    name : str
+        The column's name without the unit.
+    unit : str
+        The unit, empty where the name has none: only known units are split off an underscore.
+    """
+    bracket = re.fullmatch(r"(.*\S) \[(.*)\]", column)
+    if bracket:
+        return bracket[1], bracket[2]
+    name, underscore, unit = column.rpartition("_")
+    return (name, unit) if underscore and name and unit in UNITS else (column, "")
+
+
+def column_name(name: str, unit: str) -> str:
+    """Name of a column that `split_unit` takes apart again.
+
+    Parameters
+    ----------
+    name : str
+        Name of the channel.
+    unit : str
+        Its unit, or an empty string.
+
+    Returns
+    -------
+    str
+        `name_unit` for known units, otherwise `name [unit]`.
+    """
+    for column in (f"{name}_{unit}" if unit else name, f"{name} [{unit}]"):
+        if split_unit(column) == (name, unit):
+            return column
+    raise InputError(
+        f"the channel name {name!r} with the unit {unit!r} cannot be the name of a column; "
+        "use names without brackets and without spaces at their ends."
+    )
+
+
+def record_of(
+    table: Table,
+    *,
+    inputs: Sequence[str] | str | None = None,
+    outputs: Sequence[str] | str | None = None,
+    dt: float | None = None,
+    missing: bool = False,
+    rows: tuple[int | None, int | None] = (None, None),
+    notes: list[str] | None = None,
+) -> Record:
+    """Record of some columns of a table; the arguments are those of `oed.files.read_record`.
+
+    Parameters
+    ----------
+    table : Table
+        The columns.
+    inputs, outputs : sequence of str or str, optional
+        Names of columns, with or without their units; a string is split at commas.
+    dt : float, optional
+        Sampling time in seconds.
+    missing : bool
+        Whether NaN is allowed, as the mark of a missing sample.
+    rows : tuple
+        First row and the row after the last.
+    notes : list of str, optional
+        Sentences on what was assumed are appended to it.
+
+    Returns
+    -------
+    Record
+        With the names and units of its columns.
+
+    Raises
+    ------
+    InputError
+        If columns are absent, ambiguous or not finite, or the times are not uniform or contradict dt.
+    """
+    notes = [] if notes is None else notes
+    if dt is not None and not (np.isfinite(dt) and dt > 0):
+        raise InputError(f"the sampling time given is {dt}; it must be a positive number of seconds.")
+    named = [name for name in table.names if name]
+    repeated = sorted({name for name in named if named.count(name) > 1})
+    if repeated:
+        raise InputError(
+            f"{table.source} has more than one column {', '.join(map(repr, repeated))}; give each column its own name."
+        )
+    u_columns = _chosen(table, inputs, "input", "u", table.inputs)
+    y_columns = _chosen(table, outputs, "output", "y", table.outputs)
+    both = sorted(set(u_columns) & set(y_columns))
+    if both:
+        raise InputError(
+            f"the columns {', '.join(both)} are asked for as inputs and as outputs; choose one for each."
+        )
+    clocks = [name for name in named if name in TIME and name not in (*u_columns, *y_columns)]
+    loaded = dict(
+        zip([*u_columns, *y_columns, *clocks[:1]], table.load([*u_columns, *y_columns, *clocks[:1]]))
+    )
+    lengths = {name: len(values) for name, values in loaded.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
+        raise InputError(
+            f"the columns of {table.source} have unequal lengths ({listed}); they must be equal."
+        )
+    length = next(iter(lengths.values()))
+    if length == 0:
+        raise InputError(f"{table.source} has no rows of data; at least one is needed.")
+    start, stop = _rows(rows, length, table.source)
+    cut = {name: values[start:stop] for name, values in loaded.items()}
+    _check_finite({name: cut[name] for name in (*u_columns, *y_columns)}, missing, table.source, start)
+    dt, t0 = _clock(table, cut[clocks[0]] if clocks else None, clocks, dt, start, notes)
+    unused = [name for name in named if name not in loaded and name not in TIME]
+    if unused:
+        notes.append(f"columns of {table.source} that are not used: {', '.join(unused)}.")
+    names = _labels(table, (*u_columns, *y_columns))
+    return Record(
+        np.column_stack([cut[name] for name in u_columns]),
+        np.column_stack([cut[name] for name in y_columns]),
+        dt=dt,
+        t0=t0,
+        input_names=tuple(names[name][0] for name in u_columns),
+        output_names=tuple(names[name][0] for name in y_columns),
+        input_units=tuple(names[name][1] for name in u_columns),
+        output_units=tuple(names[name][1] for name in y_columns),
+    )
+
+
+def _chosen(
+    table: Table, asked: Sequence[str] | str | None, side: str, letter: str, marked: tuple[str, ...]
+) -> list[str]:
+    named = [name for name in table.names if name]
+    if asked is None:
+        found = list(marked) or [name for name in named if name.lower().startswith(letter)]
+        if not found:
+            raise InputError(
+                f"{table.source} has no column that begins with {letter} (its columns: {', '.join(named) or 'none'}); "
+                f"name the {side}s with --{side}s (in Python {side}s=[...])."
+            )
+        return found
+    asked = [name.strip() for name in asked.split(",")] if isinstance(asked, str) else list(asked)
+    if not asked:
+        raise InputError(f"no {side} is named; name at least one of the columns {', '.join(named)}.")
+    chosen = []
+    for name in asked:
+        fits = [column for column in named if column == name] or [
+            column for column in named if name in (split_unit(column)[0], table.labels.get(column))
+        ]
+        if len(fits) != 1:
+            what = "is not a column" if not fits else f"may be any of the columns {', '.join(fits)}"
+            raise InputError(
+                f"the {side} {name!r} {what} of {table.source}; its columns are {', '.join(named)}."
+            )
+        if fits[0] in chosen:
+            raise InputError(f"the {side} {name!r} is named twice; name each column once.")
+        chosen.append(fits[0])
+    return chosen
+
+
+def _rows(rows: tuple[int | None, int | None], length: int, source: str) -> tuple[int, int]:
+    start = 0 if rows[0] is None else rows[0]
+    stop = length if rows[1] is None else rows[1]
+    if not 0 <= start < stop <= length:
+        asked = f"[{'' if rows[0] is None else start}:{'' if rows[1] is None else stop}]"
+        raise InputError(
+            f"the rows {asked} are not in {source}, which has {length} rows; [a:b] takes rows a to b-1 "
+            f"with 0 <= a < b <= {length}."
+        )
+    return start, stop
+
+
+def _check_finite(columns: dict[str, NDArray], missing: bool, source: str, start: int) -> None:
+    bad = {name: np.flatnonzero(np.isinf(v) if missing else ~np.isfinite(v)) for name, v in columns.items()}
+    total = sum(map(len, bad.values()))
+    if total:
+        row, name = min((where[0], name) for name, where in bad.items() if len(where))
+        remedy = (
+            "mark missing samples by NaN"
+            if missing
+            else "fill the gaps, or say that NaN marks missing samples (missing=True)"
+        )
+        raise InputError(
+            f"{source} has {total} samples that are not finite, the first {columns[name][row]} in row {row + start} "
+            f"(counting from 0), column {name}; samples must be finite: {remedy}."
+        )
+
+
+def _clock(
+    table: Table, t: NDArray | None, clocks: list[str], dt: float | None, start: int, notes: list[str]
+) -> tuple[float, float]:
+    """Sampling time and time of the first row, from what is given, what the source states and the column of times."""
+    stated, tolerance, t0 = table.dt, 0.0, table.t0
+    where = f"the sampling time that {table.source} states"
+    if t is not None and not _follows(
+        t, stated, t0, start
+    ):  # the column rules: rows may have been taken away
+        t0 = float(t[0])
+        if len(t) > 1:
+            where = f"the column {clocks[0]} of {table.source}"
+            step, tolerance = sampling_time(t, where, first_row=start)
+            if stated is not None and table.t0 is None and abs(step - stated) > max(tolerance, 1e-6 * step):
+                raise InputError(
+                    f"{table.source} states the sampling time {stated:.9g} s, but {where} gives {step:.9g} s; "
+                    "they must agree: correct the one or leave it out."
+                )
+            stated = step
+    elif t0 is not None:
+        t0 += start * stated if start and stated else 0.0
+    if len(clocks) > 1:
+        notes.append(
+            f"{table.source} has the columns {' and '.join(clocks)}; the times are those of {clocks[0]}."
+        )
+    if dt is not None and stated is not None and abs(dt - stated) > max(tolerance, 1e-6 * stated):
+        raise InputError(
+            f"the sampling time given is {dt:.9g} s, but {where} gives {stated:.9g} s; they must agree: "
+            "leave one of them out or correct it."
+        )
+    step = dt if dt is not None else stated
+    if step is None:
+        step = 1.0
+        notes.append(
+            f"{table.source} has no column t or t_s and no sampling time is given: 1 s is assumed (--dt)."
+        )
+    return step, start * step if t0 is None else t0
+
+
+def _follows(t: NDArray, dt: float | None, t0: float | None, start: int) -> bool:
+    """Whether times are those that the source states, bit for bit."""
+    if dt is None or t0 is None:
+        return False
+    return bool((t0 + dt * np.arange(start, start + len(t)) == t).all())
+
+
+def _labels(table: Table, columns: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Channel name and unit of each column; a name that two columns would share keeps its unit in it."""
+    split = {
+        c: (table.labels.get(c, c), table.units[c]) if c in table.units else split_unit(c) for c in columns
+    }
+    bare = [name for name, _ in split.values()]
+    return {
+        c: (name if c in table.labels or bare.count(name) == 1 else c, unit)
+        for c, (name, unit) in split.items()
+    }
+
+
+def numbers(values: ArrayLike, name: str, source: str) -> NDArray[np.float64]:
+    """Values of a column as float64, refused where they are not real numbers.
+
+    Parameters
+    ----------
+    values : array_like
+        (N,).
+    name : str
+        Name of the column.
+    source : str
+        What the table is called in messages.
+
+    Returns
+    -------
+    ndarray
+        (N,).
+    """
+    array = np.asarray(values)
+    if array.dtype.kind in "biuf":
+        return array.astype(float)
+    if array.dtype.kind in "mM" and name in TIME:  # seconds; dates count from the first
+        since = array - array[:1] if array.dtype.kind == "M" else array
+        return since / np.timedelta64(1, "s")
+    if array.dtype.kind == "O":
+        for row, value in enumerate(array.ravel()):
+            if not (value is None or isinstance(value, int | float | np.number)) or isinstance(
+                value, complex
+            ):
+                raise InputError(
+                    f"column {name} of {source} holds {value!r} in row {row} (counting from 0); "
+                    "samples must be real numbers: correct the entry or leave the column out."
+                )
+        return np.array([np.nan if value is None else float(value) for value in array.ravel()])
+    raise InputError(
+        f"column {name} of {source} holds {array.dtype} values; samples must be real numbers: "
+        "convert it or leave the column out."
+    )

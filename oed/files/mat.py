@@ -1,0 +1,217 @@
+"""MAT files: v5 through SciPy, v7.3 through h5py; plain arrays, or a struct with iddata's fields."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from oed.data import Record
+from oed.errors import InputError
+from oed.files.arrays import arrays_of, first_line, scalar, table_of_arrays, texts
+from oed.files.columns import Table, numbers
+
+__all__ = ["mat_bytes", "mat_table"]
+
+FIELDS = {
+    "u": ("inputdata", "u"),
+    "y": ("outputdata", "y"),
+    "dt": ("ts", "dt"),
+    "t0": ("tstart", "t0"),
+    "t": ("samplinginstants", "t"),
+    "input_names": ("inputname", "input_names"),
+    "output_names": ("outputname", "output_names"),
+    "input_units": ("inputunit", "input_units"),
+    "output_units": ("outputunit", "output_units"),
+    "time_unit": ("timeunit",),
+}
+"""Our names, and the names of iddata's fields in lower case that stand for them."""
+
+SECONDS = {
+    "nanoseconds": 1e-9,
+    "microseconds": 1e-6,
+    "milliseconds": 1e-3,
+    "seconds": 1.0,
+    "minutes": 60.0,
+    "hours": 3600.0,
+}
+SECONDS |= {"": 1.0, "s": 1.0, "days": 86400.0}
+
+
+def mat_table(content: bytes, source: str) -> Table:
+    """Table of a MAT file: its arrays, or its one struct with the fields InputData and OutputData (or u and y).
+
+    Parameters
+    ----------
+    content : bytes
+        The file.
+    source : str
+        What it is called in messages.
+
+    Returns
+    -------
+    Table
+        Its columns.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or holds objects, several structs or several experiments.
+    """
+    offsets = (
+        0,
+        512,
+        1024,
+        2048,
+    )  # where HDF5 allows its signature to stand; MATLAB writes 512 bytes of text first
+    hdf5 = any(content[k : k + 8] == b"\x89HDF\r\n\x1a\n" for k in offsets)
+    reader = _read_hdf5 if hdf5 else _read_v5
+    try:
+        variables = reader(content)
+    except Exception as error:  # the parsers raise many kinds on damaged files
+        raise InputError(
+            f"{source} is not a whole MAT file ({first_line(error)}); save it again with save(..., '-v7')."
+        ) from None
+    structs = {name: v for name, v in variables.items() if isinstance(v, Mapping) and _has_signals(v)}
+    if len(structs) > 1:
+        raise InputError(f"{source} holds several records ({', '.join(structs)}); save one per file.")
+    if structs:
+        return _struct_table(*structs.popitem(), source)
+    arrays = {name: v for name, v in variables.items() if isinstance(v, np.ndarray)}
+    if not arrays:
+        raise InputError(
+            f"{source} holds no arrays of numbers (its variables: {', '.join(variables) or 'none'}); iddata objects "
+            "cannot be read outside MATLAB: save the arrays u, y and Ts, or struct('InputData', z.u, 'OutputData', "
+            "z.y, 'Ts', z.Ts)."
+        )
+    return table_of_arrays({name: array.shape for name, array in arrays.items()}, arrays.__getitem__, source)
+
+
+def _field(struct: Mapping[str, Any], name: str) -> Any:
+    by_lower = {key.lower(): value for key, value in struct.items()}
+    return next((by_lower[field] for field in FIELDS[name] if field in by_lower), None)
+
+
+def _has_signals(struct: Mapping[str, Any]) -> bool:
+    return _field(struct, "u") is not None and _field(struct, "y") is not None
+
+
+def _struct_table(name: str, struct: Mapping[str, Any], source: str) -> Table:
+    source = f"the struct {name} of {source}"
+    arrays: dict[str, Any] = {}
+    for side in ("u", "y"):
+        signal = np.asarray(_field(struct, side))
+        if signal.dtype.kind == "O" and signal.size > 1:
+            raise InputError(f"{source} holds {signal.size} experiments; save one per file.")
+        if signal.dtype.kind == "O" and signal.size == 1:
+            signal = np.asarray(signal.ravel()[0])
+        signal = signal.T if signal.ndim == 2 and signal.shape[0] == 1 else signal
+        arrays[side] = numbers(signal.ravel(), side, source).reshape(signal.shape)
+        if signal.size == 0:
+            raise InputError(
+                f"{source} has no {'input' if side == 'u' else 'output'} samples; a record needs both."
+            )
+    for side, letter in (("input", "u"), ("output", "y")):
+        n = 1 if arrays[letter].ndim == 1 else arrays[letter].shape[1]
+        for what in ("names", "units"):
+            value = _field(struct, f"{side}_{what}")
+            entries = texts(value) if value is not None and np.size(value) else []
+            default = [letter] if n == 1 else [f"{letter}{k + 1}" for k in range(n)]
+            fallback = default if what == "names" else [""] * n
+            arrays[f"{side}_{what}"] = np.array(entries if len(entries) == n else fallback, dtype=str)
+    unit = "".join(texts(_field(struct, "time_unit"))) if _field(struct, "time_unit") is not None else ""
+    if unit.lower() not in SECONDS:
+        raise InputError(
+            f"{source} has the time unit {unit!r}; known are {', '.join(filter(None, SECONDS))}."
+        )
+    for key in ("dt", "t0"):
+        value = _field(struct, key)
+        value = np.ravel(
+            value[0] if isinstance(value, np.ndarray) and value.dtype.kind == "O" and value.size else value
+        )
+        if value.size == 1 and value[0] is not None:
+            arrays[key] = np.array(scalar(value, key, source) * SECONDS[unit.lower()])
+    if "dt" not in arrays and np.size(_field(struct, "t")) > 1:
+        from oed.files.clock import sampling_time
+
+        times = numbers(np.ravel(_field(struct, "t")), "t", source) * SECONDS[unit.lower()]
+        arrays |= {"dt": np.array(sampling_time(times, f"the clock of {source}")[0]), "t0": times[:1]}
+    return table_of_arrays({key: array.shape for key, array in arrays.items()}, arrays.__getitem__, source)
+
+
+def _read_v5(content: bytes) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    variables = loadmat(io.BytesIO(content), squeeze_me=False, struct_as_record=True, chars_as_strings=True)
+    return {name: _plain(value) for name, value in variables.items() if not name.startswith("__")}
+
+
+def _plain(value: Any) -> Any:
+    """A struct of SciPy's as a dictionary; objects that only MATLAB understands as None."""
+    if type(value) is not np.ndarray:
+        return None
+    if value.dtype.names is None:
+        return value
+    if value.size != 1:
+        return None
+    entry = value.ravel()[0]
+    return {field: entry[field] for field in value.dtype.names}
+
+
+def _read_hdf5(content: bytes) -> dict[str, Any]:
+    import h5py
+
+    with h5py.File(io.BytesIO(content), "r") as file:
+        return {str(name): _node(file[name], file) for name in file if not str(name).startswith("#")}
+
+
+def _node(node: Any, file: Any) -> Any:
+    """A variable of a v7.3 file: axes reversed, characters as text, cells as object arrays, structs as dictionaries."""
+    import h5py
+
+    kind = node.attrs.get("MATLAB_class", b"")
+    kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+    if isinstance(node, h5py.Group):
+        return {name: _node(node[name], file) for name in node}
+    if node.attrs.get("MATLAB_empty", 0):
+        return np.empty(0, dtype=str if kind == "char" else float)
+    if kind == "char":
+        return np.array(["".join(map(chr, row)) for row in np.atleast_2d(node[()].T)], dtype=str)
+    if h5py.check_ref_dtype(node.dtype) is not None:
+        references = node[()].T
+        cells = np.empty(references.shape, dtype=object)
+        for index in np.ndindex(references.shape):
+            cells[index] = _node(file[references[index]], file)
+        return cells
+    if node.attrs.get("MATLAB_object_decode", 0) or (kind not in _NUMERIC and kind):
+        return None
+    return node[()].T
+
+
+_NUMERIC = {"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64))}
+
+
+def mat_bytes(record: Record) -> bytes:
+    """A record as a MAT file of version 5, with the variables u, y, dt, t0 and the channels' names and units.
+
+    Parameters
+    ----------
+    record : Record
+        What is written.
+
+    Returns
+    -------
+    bytes
+        The file's content.
+    """
+    from scipy.io import savemat
+
+    variables = arrays_of(record)
+    for name in variables:
+        if name.endswith(("_names", "_units")):
+            variables[name] = variables[name].astype(object)[:, None]
+    stream = io.BytesIO()
+    savemat(stream, variables, do_compression=True, oned_as="column")
+    return stream.getvalue()

@@ -1,0 +1,284 @@
+"""Records from and to pandas, xarray and python-control objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Record
+from oed.errors import InputError
+from oed.files.clock import sampling_time
+from oed.files.columns import TIME, Table, column_name, numbers, record_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+__all__ = ["from_control", "from_pandas", "from_xarray", "to_control", "to_pandas", "to_xarray"]
+
+
+def from_pandas(
+    frame: pd.DataFrame,
+    *,
+    inputs: Sequence[str] | str | None = None,
+    outputs: Sequence[str] | str | None = None,
+    dt: float | None = None,
+    missing: bool = False,
+    notes: list[str] | None = None,
+) -> Record:
+    """Record of a DataFrame, one row per sample; the times are a column or the index called t or t_s, or an index of dates.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Columns as in `oed.files.read_record`.
+    inputs, outputs : sequence of str or str, optional
+        Names of the columns; by default those that begin with u and with y.
+    dt : float, optional
+        Sampling time in seconds.
+    missing : bool
+        Whether NaN is allowed, as the mark of a missing sample.
+    notes : list of str, optional
+        Sentences on what was assumed or left out are appended to it.
+
+    Returns
+    -------
+    Record
+        A copy of the samples.
+
+    Raises
+    ------
+    InputError
+        If the columns, samples or times cannot be used.
+    """
+    import pandas as pd
+
+    source = "the DataFrame"
+    names = [str(name) for name in frame.columns]
+    extra: dict[str, NDArray] = {}
+    if isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex):
+        extra["t"] = frame.index.to_numpy()
+    elif frame.index.name in TIME:
+        extra[str(frame.index.name)] = frame.index.to_numpy()
+    extra = {name: values for name, values in extra.items() if name not in names}
+
+    def load(wanted: Sequence[str]) -> list[NDArray[np.float64]]:
+        return [
+            numbers(extra[n] if n in extra else _values(frame.iloc[:, names.index(n)]), n, source)
+            for n in wanted
+        ]
+
+    table = Table(source, (*names, *extra), load)
+    return record_of(table, inputs=inputs, outputs=outputs, dt=dt, missing=missing, notes=notes)
+
+
+def _values(column: pd.Series) -> NDArray:
+    """A column as an array; pandas' own mark of a missing number becomes NaN."""
+    import pandas as pd
+
+    if pd.api.types.is_numeric_dtype(column.dtype) and column.dtype.kind in "biuf":
+        return column.to_numpy(dtype=float, na_value=np.nan)
+    return column.to_numpy(dtype=object, na_value=None) if column.isna().any() else column.to_numpy()
+
+
+def to_pandas(record: Record) -> pd.DataFrame:
+    """DataFrame of a record: the index t in seconds, one column per channel called name or name_unit.
+
+    Parameters
+    ----------
+    record : Record
+        What is converted.
+
+    Returns
+    -------
+    DataFrame
+        (N, nu + ny), inputs first.
+    """
+    import pandas as pd
+
+    columns = [
+        *map(column_name, record.input_names, record.input_units),
+        *map(column_name, record.output_names, record.output_units),
+    ]
+    return pd.DataFrame(np.hstack([record.u, record.y]), index=pd.Index(record.t, name="t"), columns=columns)
+
+
+def from_xarray(
+    dataset: xr.Dataset,
+    *,
+    inputs: Sequence[str] | str | None = None,
+    outputs: Sequence[str] | str | None = None,
+    dt: float | None = None,
+    missing: bool = False,
+    notes: list[str] | None = None,
+) -> Record:
+    """Record of a Dataset whose variables have time as their only dimension, one variable per channel.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The attributes `units` of the variables and, where it has them, `role` (input or output) are used, and
+        the coordinate t or t_s, otherwise that of the dimension.
+    inputs, outputs : sequence of str or str, optional
+        Names of the variables; by default by role, otherwise those that begin with u and with y.
+    dt : float, optional
+        Sampling time in seconds.
+    missing : bool
+        Whether NaN is allowed, as the mark of a missing sample.
+    notes : list of str, optional
+        Sentences on what was assumed or left out are appended to it.
+
+    Returns
+    -------
+    Record
+        A copy of the samples.
+
+    Raises
+    ------
+    InputError
+        If the variables, samples or times cannot be used.
+    """
+    source = "the Dataset"
+    wide = [str(name) for name, v in dataset.data_vars.items() if v.ndim > 1]
+    columns = {str(name): v for name, v in dataset.variables.items() if v.ndim == 1}
+    if wide and not any(str(name) in columns for name in dataset.data_vars):
+        raise InputError(
+            f"the variables {', '.join(wide)} of {source} have more than one dimension; give one variable per channel, "
+            "with time as its only dimension."
+        )
+
+    for axis in sorted({str(v.dims[0]) for v in columns.values()} & set(columns)):
+        if not set(TIME) & set(columns):  # xarray's own way to say what the samples lie along
+            columns["t"] = columns.pop(axis)
+
+    def load(wanted: Sequence[str]) -> list[NDArray[np.float64]]:
+        return [numbers(columns[name].values, name, source) for name in wanted]
+
+    roles = {name: v.attrs.get("role") for name, v in columns.items()}
+    step, start = (dataset.attrs.get(key) for key in ("dt", "t0"))
+    table = Table(
+        source,
+        tuple(columns),
+        load,
+        units={name: str(v.attrs["units"]) for name, v in columns.items() if "units" in v.attrs},
+        inputs=tuple(name for name, role in roles.items() if role == "input"),
+        outputs=tuple(name for name, role in roles.items() if role == "output"),
+        dt=None if step is None else float(step),
+        t0=None if start is None else float(start),
+    )
+    return record_of(table, inputs=inputs, outputs=outputs, dt=dt, missing=missing, notes=notes)
+
+
+def to_xarray(record: Record) -> xr.Dataset:
+    """Dataset of a record: one variable per channel along t, with the attributes units and role.
+
+    Parameters
+    ----------
+    record : Record
+        What is converted; the names of its channels must differ.
+
+    Returns
+    -------
+    Dataset
+        With the attributes dt and t0 in seconds.
+    """
+    import xarray as xr
+
+    names = [*record.input_names, *record.output_names]
+    if len({*names, "t"}) <= len(names):
+        raise InputError(
+            f"the channels are called {', '.join(names)}; a Dataset needs different names, none of them t."
+        )
+    roles = ["input"] * record.n_inputs + ["output"] * record.n_outputs
+    signals = np.hstack([record.u, record.y])
+    units = [*record.input_units, *record.output_units]
+    return xr.Dataset(
+        {n: ("t", signals[:, k], {"units": units[k], "role": roles[k]}) for k, n in enumerate(names)},
+        coords={"t": ("t", record.t, {"units": "s"})},
+        attrs={"dt": record.dt, "t0": record.t0},
+    )
+
+
+def from_control(response: Any, *, trace: int | None = None, missing: bool = False) -> Record:
+    """Record of a python-control TimeResponseData.
+
+    Parameters
+    ----------
+    response : control.TimeResponseData
+        With inputs; its raw arrays `u` and `y` are used, whose axes do not depend on squeezing.
+    trace : int, optional
+        Which trace of a response with several (a step response of a system with several inputs has one per input).
+    missing : bool
+        Whether NaN is allowed, as the mark of a missing sample.
+
+    Returns
+    -------
+    Record
+        With the labels of the response as names.
+
+    Raises
+    ------
+    InputError
+        If the response has no input, several traces and none is chosen, or times that are not uniform.
+    """
+    if response.u is None:
+        raise InputError(
+            "the time response has no input; give TimeResponseData(..., inputs=u) the input applied."
+        )
+    traces = response.ntraces
+    if trace is None and traces > 1:
+        raise InputError(
+            f"the time response has {traces} traces; choose one with trace=0, ..., {traces - 1}."
+        )
+    if trace is not None and not 0 <= trace < max(traces, 1):
+        raise InputError(
+            f"trace {trace} is not in the time response, which has {max(traces, 1)}; they count from 0."
+        )
+    u, y = np.asarray(response.u), np.asarray(response.y)
+    if traces:  # (channels, traces, N), the channels left out where there is one
+        u = u.reshape(response.ninputs, traces, -1)[:, trace or 0]
+        y = y.reshape(response.noutputs, traces, -1)[:, trace or 0]
+    t = np.asarray(response.t, dtype=float)
+    source = "the time of the response"
+    loaded = {f"u{k}": row for k, row in enumerate(u)} | {f"y{k}": row for k, row in enumerate(y)}
+    labels = [*(response.input_labels or []), *(response.output_labels or [])]
+    if len(labels) != len(loaded):
+        labels = [*Record(u.T, y.T).input_names, *Record(u.T, y.T).output_names]
+    table = Table(
+        "the time response",
+        tuple(loaded),
+        lambda wanted: [numbers(loaded[name], name, "the time response") for name in wanted],
+        units=dict.fromkeys(loaded, ""),
+        labels=dict(zip(loaded, map(str, labels))),
+        dt=sampling_time(t, source)[0] if len(t) > 1 else None,
+        t0=float(t[0]),
+    )
+    return record_of(table, missing=missing)
+
+
+def to_control(record: Record) -> Any:
+    """The record as a python-control TimeResponseData, signals (channels, N) as it keeps them.
+
+    Parameters
+    ----------
+    record : Record
+        What is converted.
+
+    Returns
+    -------
+    control.TimeResponseData
+        With `issiso` where there is one input and one output.
+    """
+    from control.timeresp import TimeResponseData
+
+    return TimeResponseData(
+        record.t,
+        record.y.T,
+        inputs=record.u.T,
+        issiso=record.n_inputs == record.n_outputs == 1,
+        input_labels=list(record.input_names),
+        output_labels=list(record.output_names),
+    )

@@ -1,0 +1,149 @@
+"""Parquet: one column per channel and t; sampling time, names and units in the file's metadata."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Record
+from oed.errors import InputError
+from oed.files.arrays import first_line
+from oed.files.columns import TIME, Table, numbers
+
+__all__ = ["parquet_bytes", "parquet_table"]
+
+KEY = b"oed.record"
+
+
+def parquet_table(content: bytes, source: str) -> Table:
+    """Table of a Parquet file.
+
+    Parameters
+    ----------
+    content : bytes
+        The file.
+    source : str
+        What it is called in messages.
+
+    Returns
+    -------
+    Table
+        Its columns, read when they are loaded.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        file = parquet.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
+        schema = file.schema_arrow
+        own = json.loads((schema.metadata or {}).get(KEY, b"null"))
+        marks = {} if own is None else _marks(own, schema.names)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(
+            f"{source} is not a whole Parquet file ({first_line(error)}); write it again."
+        ) from None
+
+    def load(wanted: Sequence[str]) -> list[NDArray[np.float64]]:
+        try:
+            table = file.read(columns=list(wanted), use_pandas_metadata=False)
+            return [_values(table[name], name, source) for name in wanted]
+        except (pa.ArrowException, OSError) as error:
+            raise InputError(
+                f"{source} cannot be read ({first_line(error)}); it is damaged: write it again."
+            ) from None
+
+    return Table(source, tuple(schema.names), load, **marks)
+
+
+def _marks(own: Any, names: list[str]) -> dict[str, Any]:
+    """What `parquet_bytes` noted of the columns, where they are all still there."""
+    try:
+        if not {*own["inputs"], *own["outputs"]} <= set(names):
+            return {}
+        return {
+            "units": dict(own["units"]),
+            "inputs": tuple(own["inputs"]),
+            "outputs": tuple(own["outputs"]),
+            "labels": dict(own["labels"]),
+            "dt": float.fromhex(own["dt"]),
+            "t0": float.fromhex(own["t0"]),
+        }
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"its metadata are damaged at {error}") from None
+
+
+def _values(column: Any, name: str, source: str) -> NDArray[np.float64]:
+    import pyarrow as pa
+
+    kind = column.type
+    if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind):
+        return np.asarray(
+            column.to_numpy(zero_copy_only=False) if isinstance(column, pa.Array) else _numpy(column)
+        )
+    if pa.types.is_decimal(kind):
+        return numbers(_numpy(column.cast(pa.float64())), name, source)
+    if name in TIME and (pa.types.is_timestamp(kind) or pa.types.is_duration(kind)):
+        return numbers(column.to_numpy(), name, source)
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        return numbers(np.array(column.to_pylist(), dtype=object), name, source)
+    raise InputError(
+        f"column {name} of {source} holds values of type {kind}; samples must be real numbers: "
+        "convert it or leave the column out."
+    )
+
+
+def _numpy(column: Any) -> NDArray[np.float64]:
+    import pyarrow as pa
+
+    return column.cast(pa.float64(), safe=False).fill_null(float("nan")).to_numpy().astype(float)
+
+
+def parquet_bytes(record: Record) -> bytes:
+    """A record as a Parquet file.
+
+    Parameters
+    ----------
+    record : Record
+        What is written.
+
+    Returns
+    -------
+    bytes
+        The file's content.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    channels = {}
+    for side, signal in (("input", record.u), ("output", record.y)):
+        names, units = getattr(record, f"{side}_names"), getattr(record, f"{side}_units")
+        channels[side] = [(name, unit, signal[:, k]) for k, (name, unit) in enumerate(zip(names, units))]
+    listed = [*channels["input"], *channels["output"]]
+    bare = [name for name, _, _ in listed]
+    unique = len({*bare, "t"}) == len(bare) + 1
+    columns = bare if unique else [f"{name}_{k + 1}" for k, name in enumerate(bare)]
+    n = len(channels["input"])
+    own = {
+        "dt": record.dt.hex(),
+        "t0": float(record.t0).hex(),
+        "inputs": columns[:n],
+        "outputs": columns[n:],
+        "units": dict(zip(columns, (unit for _, unit, _ in listed))),
+        "labels": dict(zip(columns, bare)),
+    }
+    table = pa.table({"t": record.t, **dict(zip(columns, (np.ascontiguousarray(v) for _, _, v in listed)))})
+    stream = io.BytesIO()
+    parquet.write_table(
+        table.replace_schema_metadata({KEY: json.dumps(own).encode()}), stream, write_page_checksum=True
+    )
+    return stream.getvalue()

@@ -1,0 +1,113 @@
+"""Reading a record from a file, by its suffix."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import re
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from oed.data import Record
+from oed.errors import InputError
+from oed.files.arrays import npz_table
+from oed.files.columns import Table, record_of
+from oed.files.mat import mat_table
+from oed.files.parquet import parquet_table
+from oed.files.text import csv_table
+
+__all__ = ["read_record"]
+
+READERS = {".csv": csv_table, ".mat": mat_table, ".npz": npz_table, ".parquet": parquet_table}
+
+
+def read_record(
+    spec: str | os.PathLike[str],
+    *,
+    inputs: Sequence[str] | str | None = None,
+    outputs: Sequence[str] | str | None = None,
+    dt: float | None = None,
+    missing: bool = False,
+    notes: list[str] | None = None,
+) -> Record:
+    """Record in a CSV, MAT, Parquet or npz file, gzipped or not.
+
+    Parameters
+    ----------
+    spec : str or path
+        The file, `FILE[a:b]` for its rows a to b-1, counted from 0 (also `FILE[a:]` and `FILE[:b]`).
+    inputs, outputs : sequence of str or str, optional
+        Names of the columns, with or without their units, or one string with commas between them; by default
+        what the file marks as such, otherwise the columns that begin with u and with y.
+    dt : float, optional
+        Sampling time in seconds; by default the file's own, from the column `t` or `t_s`, otherwise 1 with a note.
+    missing : bool
+        Whether NaN is allowed, as the mark of a missing sample.
+    notes : list of str, optional
+        Sentences on what was assumed or left out are appended to it.
+
+    Returns
+    -------
+    Record
+        Its names and units are those of the columns: `vir_V` is the channel vir in V.
+
+    Raises
+    ------
+    InputError
+        If the file, its columns, its samples or its times cannot be used; the message says where.
+    """
+    path, rows = _split_spec(spec)
+    return record_of(
+        _table(path), inputs=inputs, outputs=outputs, dt=dt, missing=missing, rows=rows, notes=notes
+    )
+
+
+def _split_spec(spec: str | os.PathLike[str]) -> tuple[Path, tuple[int | None, int | None]]:
+    text = os.fspath(spec)
+    if Path(text).exists() or not text.endswith("]"):
+        return Path(text), (None, None)
+    parts = re.fullmatch(r"(.*)\[\s*(-?\d*)\s*:\s*(-?\d*)\s*\]", text)
+    if not parts:
+        raise InputError(f"the rows of {text!r} are not understood; write FILE[a:b], FILE[a:] or FILE[:b].")
+    start, stop = (int(part) if part not in ("", "-") else None for part in parts.groups()[1:])
+    return Path(parts[1]), (start, stop)
+
+
+def _table(path: Path) -> Table:
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    zipped = suffixes[-1:] == [".gz"]
+    suffix = "".join(suffixes[-2:-1] if zipped else suffixes[-1:])
+    if suffix not in READERS:
+        raise InputError(
+            f"{path.name!r} has the suffix {(suffix or 'none')!r}; files are read by suffix: "
+            f"{', '.join(READERS)}, each also with .gz."
+        )
+    content = _content(path)
+    if content[:2] == b"\x1f\x8b":
+        content = _unzipped(content, path.name)
+    elif zipped:
+        raise InputError(f"{path.name} is not gzipped although its suffix says so; rename it without .gz.")
+    if not content:
+        raise InputError(f"{path.name} is empty (0 bytes); it may not have been written to the end.")
+    return READERS[suffix](content, path.name)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"the file {str(path)!r} does not exist; check the name and the folder.") from None
+    except IsADirectoryError:
+        raise InputError(f"{str(path)!r} is a folder; give a file.") from None
+    except OSError as error:
+        raise InputError(f"the file {str(path)!r} cannot be read: {error.strerror or error}.") from None
+
+
+def _unzipped(content: bytes, name: str) -> bytes:
+    try:
+        return gzip.decompress(content)
+    except (EOFError, zlib.error, OSError) as error:
+        raise InputError(
+            f"{name} cannot be decompressed ({error}); it is cut off or damaged: fetch or write it again."
+        ) from None

@@ -1,0 +1,160 @@
+"""CSV: a header row, then numbers; every float is read to the last bit."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Record
+from oed.errors import InputError
+from oed.files.columns import Table, column_name
+
+__all__ = ["csv_bytes", "csv_table"]
+
+BLANK = ("", "na", "n/a", "nan", "null", "none", "-nan")
+"""Entries, in lower case, that mark a missing sample."""
+
+
+def csv_table(content: bytes, source: str) -> Table:
+    """Table of a CSV file: comma, semicolon or tab between the columns, lines before the header that begin with #.
+
+    Parameters
+    ----------
+    content : bytes
+        The file, in UTF-8.
+    source : str
+        What it is called in messages.
+
+    Returns
+    -------
+    Table
+        Its columns, parsed when they are loaded.
+
+    Raises
+    ------
+    InputError
+        If the file is empty or not text, or has no header.
+    """
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{source} is not text in UTF-8 ({error}); save it as UTF-8.") from None
+    if "\0" in text:
+        raise InputError(f"{source} is not a text file (it has null characters); its suffix says CSV.")
+    stream = io.StringIO(text, newline="")
+    header, comment = "", ""
+    for header in stream:
+        if header.strip() and not header.startswith("#"):
+            break
+        comment, header = header.strip() or comment, ""
+    delimiter = next((mark for mark in (",", ";", "\t") if mark in header), ",")
+    names = _fields(header, delimiter)
+    body = stream.tell()
+    if header and all(_is_number(name) for name in names):
+        if len(names) != len(_fields(comment.lstrip("# "), delimiter)) or not comment:
+            raise InputError(
+                f"{source} has no header: its first row is {header.strip()[:60]!r}; "
+                "the first row must name the columns, for example t,u,y."
+            )
+        names = _fields(comment.lstrip("# "), delimiter)  # NumPy's savetxt marks its header as a comment
+        body -= len(header)
+    if not any(names):
+        raise InputError(f"{source} is empty; a CSV file has a header row such as t,u,y and rows of numbers.")
+
+    def load(wanted: Sequence[str]) -> list[NDArray[np.float64]]:
+        return _parse(text[body:], names, wanted, delimiter, source)
+
+    return Table(source, tuple(names), load)
+
+
+def _fields(line: str, delimiter: str) -> list[str]:
+    return [name.strip() for name in next(csv.reader([line.strip()], delimiter=delimiter), [])]
+
+
+def _is_number(entry: str) -> bool:
+    try:
+        float(entry)
+    except ValueError:
+        return False
+    return True
+
+
+def _parse(
+    body: str, names: list[str], wanted: Sequence[str], delimiter: str, source: str
+) -> list[NDArray[np.float64]]:
+    """The fast reader; where it stops, the slow one either understands the entry or says where it stands."""
+    if not body.strip():
+        return [np.empty(0) for _ in wanted]
+    where = [names.index(name) for name in wanted]
+    try:
+        table = np.loadtxt(io.StringIO(body), delimiter=delimiter, usecols=where, ndmin=2, comments=None)
+        even = body.count(delimiter) == len(table) * (
+            len(names) - 1
+        )  # loadtxt lets rows be longer than the header
+    except ValueError:
+        even = False
+    if not even:
+        table = _parse_slowly(body, names, where, delimiter, source)
+    return list(table.T.copy())
+
+
+def _parse_slowly(
+    body: str, names: list[str], where: list[int], delimiter: str, source: str
+) -> NDArray[np.float64]:
+    rows: list[list[float]] = []
+    for fields in csv.reader(io.StringIO(body, newline=""), delimiter=delimiter):
+        if not any(field.strip() for field in fields):
+            continue
+        row = len(rows)
+        if len(fields) < len(names) or any(field.strip() for field in fields[len(names) :]):
+            raise InputError(
+                f"row {row} (counting from 0) of {source} has {len(fields)} entries where the header has {len(names)} "
+                "columns; they must be equal: the file may be cut off, or have commas for decimal points."
+            )
+        rows.append([_number(fields[k], row, names[k], source) for k in where])
+    return np.array(rows, dtype=float)
+
+
+def _number(entry: str, row: int, column: str, source: str) -> float:
+    entry = entry.strip()
+    if entry.lower() in BLANK:
+        return math.nan
+    if _is_number(entry) and "_" not in entry:
+        return float(entry)
+    hint = (
+        "write decimal points, not commas"
+        if _is_number(entry.replace(",", "."))
+        else "correct it or leave the column out"
+    )
+    raise InputError(
+        f"row {row} (counting from 0), column {column} of {source} is {entry[:40]!r}; entries must be numbers: {hint}."
+    )
+
+
+def csv_bytes(record: Record) -> bytes:
+    """A record as CSV: the column t, the inputs, the outputs, each number with all its digits.
+
+    Parameters
+    ----------
+    record : Record
+        What is written.
+
+    Returns
+    -------
+    bytes
+        The file's content.
+    """
+    columns = [
+        *map(column_name, record.input_names, record.input_units),
+        *map(column_name, record.output_names, record.output_units),
+    ]
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["t", *columns])
+    writer.writerows(np.column_stack([record.t, record.u, record.y]).tolist())
+    return stream.getvalue().encode()

@@ -1,0 +1,316 @@
+"""Fisher information of an input about the parameters of a plant or model.
+
+For Gaussian noise with spectrum Phi_v = H Lambda H*, per sample and asymptotically ([S] Lemma 13)
+
+    I_ij = sum_k Re tr( dG_i(w_k) P_k dG_j(w_k)* Phi_v(w_k)^-1 ),
+
+which is linear in the spectrum, hence additive over experiments.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oed.data import Spectrum, as_signal
+from oed.errors import InputError, NotIdentifiable
+
+__all__ = [
+    "Responding",
+    "covariance",
+    "information_of_records",
+    "information_of_signal",
+    "information_of_spectrum",
+    "line_information",
+    "null_directions",
+    "whitened_gradient",
+]
+
+
+class Responding(Protocol):
+    """What information and design ask of any model: its response with derivatives, and its noise."""
+
+    @property
+    def noise_covariance(self) -> NDArray[np.float64]:
+        """Covariance Lambda of the white noise e, (ny, ny)."""
+        ...
+
+    def response(self, omega: ArrayLike) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """G (K, ny, nu) and dG (K, n, ny, nu).
+
+        Parameters
+        ----------
+        omega : array_like
+            (K,) rad/sample.
+
+        Returns
+        -------
+        tuple of ndarray
+            G and dG.
+        """
+        ...
+
+    def noise_response(self, omega: ArrayLike) -> NDArray | tuple[NDArray, NDArray]:
+        """Noise filter H(e^jw).
+
+        Parameters
+        ----------
+        omega : array_like
+            (K,) rad/sample.
+
+        Returns
+        -------
+        ndarray or tuple
+            H (K,), one filter for all outputs; or (H, dH) with H (K, ny, ny), as a Model has it.
+        """
+        ...
+
+
+def _inverse_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """W with W' W = Lambda^-1; an InputError where Lambda is singular."""
+    try:
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            "the noise covariance is singular (some combination of outputs is free of noise), so the information "
+            "is infinite; give every output a positive noise variance."
+        ) from None
+
+
+def whitened_gradient(model: Responding, omega: ArrayLike) -> NDArray[np.complex128]:
+    """dG with the noise whitened, Phi_v^-1/2 dG_i.
+
+    Parameters
+    ----------
+    model : Plant or model
+        Anything with `response`, `noise_response` and `noise_covariance`.
+    omega : array_like
+        (K,) rad/sample.
+
+    Returns
+    -------
+    ndarray
+        (K, n, ny, nu).
+    """
+    W = _inverse_root(model.noise_covariance)
+    dG = model.response(omega)[1]
+    H = model.noise_response(omega)
+    if isinstance(H, tuple):
+        return np.einsum("kpr,knrq->knpq", W @ np.linalg.inv(H[0]), dG)
+    return np.einsum("pr,knrq->knpq", W, dG) / H[:, None, None, None]
+
+
+def line_information(model: Responding, omega: ArrayLike) -> NDArray[np.complex128]:
+    """Information of unit power at each frequency, as a Hermitian form in the line's power.
+
+    I_ij(P) = Re sum_qr atoms[k, i, j, q, r] P_rq with atoms[k, i, j] = (dG_j)^* Phi_v^-1 dG_i (transposed so
+    that the trace with P gives the information).
+
+    Parameters
+    ----------
+    model : Plant or model
+        The model.
+    omega : array_like
+        (K,) rad/sample.
+
+    Returns
+    -------
+    ndarray
+        (K, n, n, nu, nu), complex: tr(atoms[k, i, j] P) is entry ij before the real part is taken.
+    """
+    psi = whitened_gradient(model, omega)
+    return np.einsum("kjpq,kipr->kijqr", psi.conj(), psi)
+
+
+def information_of_spectrum(model: Responding, spectrum: Spectrum) -> NDArray[np.float64]:
+    """Fisher information per sample of an input with a given spectrum, [S] Lemma 13.
+
+    Parameters
+    ----------
+    model : Plant or model
+        The model.
+    spectrum : Spectrum
+        One-sided lines whose powers sum to the input power.
+
+    Returns
+    -------
+    ndarray
+        (n, n), symmetric; multiply by the number of samples for an experiment. It is what the input brings:
+        what noise alone tells of a Model's noise filter is the constant part of its `information_map`.
+
+    Notes
+    -----
+    Source: [S] Lemma 13. Twin: brute-force integration with finite differences in tests/oracles.
+    """
+    root = power_root(spectrum)
+    psi = np.einsum("knpq,kqr->knpr", whitened_gradient(model, spectrum.omega), root)
+    flat = np.moveaxis(psi, 1, 0).reshape(psi.shape[1], -1)
+    return flat.real @ flat.real.T + flat.imag @ flat.imag.T
+
+
+def power_root(spectrum: Spectrum) -> NDArray[np.complex128]:
+    """R_k with R_k R_k^* = P_k for every line.
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        The spectrum.
+
+    Returns
+    -------
+    ndarray
+        (K, nu, nu).
+    """
+    if spectrum.n_inputs == 1:
+        return np.sqrt(np.clip(spectrum.power.real, 0, None)).astype(complex)
+    values, vectors = np.linalg.eigh(spectrum.power)
+    return vectors * np.sqrt(np.clip(values, 0, None))[:, None, :]
+
+
+def information_of_signal(plant: Responding, u: ArrayLike) -> NDArray[np.float64]:
+    """Fisher information of a finite experiment from rest: sum over samples of psi_t Lambda^-1 psi_t'.
+
+    psi_t is the exact derivative of the whitened one-step prediction, by the filters dG_i / H applied to the
+    input, so edge effects are in it (the spectrum's information times N leaves them out).
+
+    Parameters
+    ----------
+    plant : Plant or model
+        With `gradient_filters()` or, for a Plant, its rational form.
+    u : array_like
+        (N, nu) input.
+
+    Returns
+    -------
+    ndarray
+        (n, n), for the whole experiment.
+    """
+    psi = signal_gradient(plant, u)
+    W = _inverse_root(plant.noise_covariance)
+    flat = np.einsum("pr,tnr->ntp", W, psi).reshape(psi.shape[1], -1)
+    return flat @ flat.T
+
+
+def signal_gradient(plant: Responding, u: ArrayLike) -> NDArray[np.float64]:
+    """Derivative of the one-step prediction with respect to the parameters, from rest.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    u : array_like
+        (N, nu).
+
+    Returns
+    -------
+    ndarray
+        (N, n, ny).
+    """
+    from scipy.signal import lfilter
+
+    from oed.plants import Plant
+
+    if not isinstance(plant, Plant):
+        to_plant = getattr(plant, "to_plant", None)
+        if to_plant is None:
+            raise InputError(
+                f"the information of a finite signal needs a Plant or a model with to_plant(), not {type(plant).__name__}."
+            )
+        plant = to_plant()
+    u = as_signal(u, "the input")
+    if u.shape[1] != plant.n_inputs:
+        raise InputError(
+            f"the input has {u.shape[1]} channels and the plant {plant.n_inputs}; they must agree."
+        )
+    rows = [row for row in plant._parameters() if row[0] in plant.free]
+    psi = np.zeros((len(u), len(rows), plant.n_outputs))
+    whiten = (lambda x: x) if plant.white_noise else (lambda x: lfilter(plant.noise_den, plant.noise_num, x))
+    base: dict[tuple[str, int, int], NDArray] = {}
+    for n, (_, letter, power, i, j, _) in enumerate(rows):
+        A, B = plant.den[i][j], plant.num[i][j]
+        if (letter, i, j) not in base:
+            x = np.asarray(whiten(lfilter([1.0], A, u[:, j])))
+            base[letter, i, j] = x if letter == "b" else -np.asarray(lfilter(B, A, x))
+        psi[power:, n, i] = base[letter, i, j][: max(len(u) - power, 0)] if power else base[letter, i, j]
+    return psi
+
+
+def information_of_records(plant: Responding, inputs: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Fisher information of several experiments together, the sum over experiments ([S] (19)).
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    inputs : list of ndarray
+        (N_k, nu) each.
+
+    Returns
+    -------
+    ndarray
+        (n, n).
+    """
+    return sum(
+        (information_of_signal(plant, u) for u in inputs[1:]), start=information_of_signal(plant, inputs[0])
+    )
+
+
+def null_directions(information: NDArray[np.float64], names: tuple[str, ...]) -> list[str]:
+    """Combinations of parameters on which there is no information, in words.
+
+    Parameters
+    ----------
+    information : ndarray
+        (n, n).
+    names : tuple of str
+        The parameters.
+
+    Returns
+    -------
+    list of str
+        One combination per null direction, such as "0.71 b1 - 0.71 b2"; empty where all are determined.
+    """
+    scale = np.sqrt(np.clip(np.diag(information), 0, None))
+    dead = scale <= 0
+    safe = np.where(dead, 1.0, scale)
+    values, vectors = np.linalg.eigh(information / np.outer(safe, safe))
+    null = vectors[:, values <= len(values) * 4e-15 * max(values.max(), 1e-300)] / safe[:, None]
+    sentences = []
+    for direction in null.T:
+        direction = direction / np.linalg.norm(direction)
+        terms = [f"{c:+.2g} {name}" for c, name in zip(direction, names, strict=True) if abs(c) > 0.01]
+        sentences.append(" ".join(terms).lstrip("+"))
+    return sentences
+
+
+def covariance(information: NDArray[np.float64], names: tuple[str, ...] = ()) -> NDArray[np.float64]:
+    """Inverse of the information: the Cramer-Rao bound on the covariance of unbiased estimates.
+
+    Parameters
+    ----------
+    information : ndarray
+        (n, n).
+    names : tuple of str
+        Names of the parameters, for the message.
+
+    Returns
+    -------
+    ndarray
+        (n, n).
+
+    Raises
+    ------
+    NotIdentifiable
+        If the information is singular; the message names the null directions.
+    """
+    names = names or tuple(f"theta{i + 1}" for i in range(len(information)))
+    null = null_directions(information, names)
+    if null:
+        raise NotIdentifiable(
+            f"the input carries no information on {'; '.join(null)}: excite more frequencies, or hold some of these "
+            "parameters fixed."
+        )
+    scale = 1 / np.sqrt(np.diag(information))
+    return scale[:, None] * np.linalg.inv(scale[:, None] * information * scale) * scale

@@ -1,0 +1,157 @@
+"""How good an experiment the iterations are: efficiencies of their spectra against certified optima.
+
+The efficiency of a spectrum for a criterion is the optimal loss over its own loss, at equal power; for the
+peak gain (c) it is lambda_e / (c' I^-1 c) wherever the gain-scaling theorem holds (theory.md section 4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Spectrum
+from oed.information import whitened_gradient
+from oed.norms import gain_gradient, peak
+from oed.plants import Plant
+from oed.theory.limit import spectra_of_iterations
+
+__all__ = ["Losses", "losses", "peak_gain_efficiency_by_experiments"]
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Losses of an information matrix under the four criteria; infinite where it is singular.
+
+    Attributes
+    ----------
+    c : float
+        c' I^-1 c, the variance of the estimated peak gain (NaN where the peak is not unique).
+    D : float
+        det(I^-1)^(1/n).
+    A : float
+        trace I^-1.
+    E : float
+        Largest eigenvalue of I^-1.
+    """
+
+    c: float
+    D: float
+    A: float
+    E: float
+
+    def efficiency(self, optimum: Losses) -> Losses:
+        """Efficiencies optimum / loss, criterion by criterion.
+
+        Parameters
+        ----------
+        optimum : Losses
+            Of the optimal designs.
+
+        Returns
+        -------
+        Losses
+            Four numbers in [0, 1] (0 where the loss is infinite).
+        """
+        return Losses(*(getattr(optimum, k) / getattr(self, k) for k in ("c", "D", "A", "E")))
+
+
+def losses(information: NDArray[np.float64], c: NDArray[np.float64] | None = None) -> Losses:
+    """Losses of an information matrix under c, D, A and E.
+
+    Parameters
+    ----------
+    information : ndarray
+        (n, n).
+    c : ndarray, optional
+        (n,) gradient of the peak gain; without it the c-loss is NaN.
+
+    Returns
+    -------
+    Losses
+        Infinite where the information is singular (c: where it carries nothing along c).
+    """
+    scale = np.sqrt(np.clip(np.diag(information), 0, None))
+    if not np.all(scale > 0):
+        return Losses(np.inf if c is not None else np.nan, np.inf, np.inf, np.inf)
+    try:
+        factor = np.linalg.cholesky(information / np.outer(scale, scale))
+    except np.linalg.LinAlgError:
+        return Losses(_singular_c(information, c), np.inf, np.inf, np.inf)
+    root = np.linalg.inv(factor) / scale  # I^-1 = root' root
+    logdet = 2 * (np.log(np.diag(factor)).sum() + np.log(scale).sum())
+    inverse = root.T @ root
+    return Losses(
+        c=float(np.sum((root @ c) ** 2)) if c is not None else np.nan,
+        D=float(np.exp(-logdet / len(scale))),
+        A=float(np.trace(inverse)),
+        E=float(np.linalg.eigvalsh(inverse)[-1]),
+    )
+
+
+def _singular_c(information: NDArray, c: NDArray | None) -> float:
+    """c' I^+ c where c lies in the range of a singular I, infinite where it does not."""
+    if c is None:
+        return np.nan
+    values, vectors = np.linalg.eigh(information)
+    keep = values > 1e-12 * values[-1]
+    along = vectors.T @ c
+    if np.linalg.norm(along[~keep]) > 1e-6 * np.linalg.norm(c):
+        return np.inf
+    return float(np.sum(along[keep] ** 2 / values[keep]))
+
+
+def peak_gain_efficiency_by_experiments(plant: Plant, experiments: int) -> NDArray[np.float64]:
+    """c-efficiency of the first k experiments of Algorithm 1 together, from a white start.
+
+    Their information is summed (Lemma 13) and compared with k experiments at the optimum lambda_e.
+
+    Parameters
+    ----------
+    plant : Plant
+        One input, one output, white noise, a unique peak.
+    experiments : int
+        Up to which k.
+
+    Returns
+    -------
+    ndarray
+        (experiments,) (lambda_e / k) / (c' (sum I)^-1 c).
+
+    Notes
+    -----
+    Source: [S] Lemmas 6 and 13; table of theory.md section 4.
+    """
+    top = peak(plant)
+    if not top.unique:
+        return np.full(experiments, np.nan)
+    c = gain_gradient(plant, top)
+    nodes, Phi, _ = spectra_of_iterations(plant, experiments)
+    psi = whitened_gradient(plant, nodes.omega)[:, :, 0, 0]
+    variance = float(plant.noise_covariance[0, 0])
+    efficiency, total = np.zeros(experiments), np.zeros((len(c), len(c)))
+    for k in range(experiments):
+        weighted = psi * np.sqrt(nodes.weight * Phi[k])[:, None]
+        total = total + (weighted.real.T @ weighted.real + weighted.imag.T @ weighted.imag)
+        efficiency[k] = variance / ((k + 1) * losses(total, c).c)
+    return efficiency
+
+
+def flat_spectrum(plant: Plant, points: int = 4000) -> Spectrum:
+    """White noise of unit power as the lines of a midpoint rule.
+
+    Parameters
+    ----------
+    plant : Plant
+        Sets the number of inputs, which share the power equally.
+    points : int
+        Number of lines.
+
+    Returns
+    -------
+    Spectrum
+        Of total power 1.
+    """
+    omega = (np.arange(points) + 0.5) * np.pi / points
+    return Spectrum(omega, np.tile(np.eye(plant.n_inputs) / (plant.n_inputs * points), (points, 1, 1)))

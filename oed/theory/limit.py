@@ -1,0 +1,437 @@
+"""The limit spectrum of the SISO power iterations, [S] Theorem 7, without loss of digits at little noise.
+
+    Phi(w) = lambda_e |H|^2 / (mu^2 - |G|^2),   (1/2pi) int Phi dw = 1.
+
+As the noise vanishes mu tends to gamma and the spectrum's poles close in on the unit circle, so that grids
+fail and mu^2 - |G|^2 cancels. Two measures keep every digit: the unknown is the excess
+delta = mu^2 - gamma^2, and gamma^2 |A|^2 - |B|^2, a polynomial in x = cos w with a double root at every peak, is
+divided by these roots before it is evaluated. Three ways to the same number:
+
+- `limit_spectrum`: quadrature on panels that shrink towards every peak;
+- `method="lyapunov"`: the integral is a squared H2 norm, of the spectral factor of mu^2 A A* - B B*;
+- `limit_spectrum_on_grid`: the eigenproblem of the matrix H_d of [S] Sec. 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from oed.data import Spectrum
+from oed.errors import InputError, SolverFailure
+from oed.norms import Peak, peak
+from oed.plants import Plant
+from oed.theory.quadrature import Nodes, graded_nodes
+
+__all__ = ["LimitSpectrum", "limit_spectrum", "limit_spectrum_on_grid", "spectra_of_iterations"]
+
+
+@dataclass(frozen=True, eq=False)
+class LimitSpectrum:
+    """Limit of the input spectrum under Algorithm 1, and what follows from it.
+
+    Attributes
+    ----------
+    plant : Plant
+        The plant, with its noise.
+    peak : Peak
+        Its H-infinity norm.
+    mu2_excess : float
+        delta = mu^2 - gamma^2, solved for directly.
+    spectrum : Spectrum
+        Phi as the nodes of a quadrature: its powers sum to 1.
+    method : str
+        How the excess was found.
+    """
+
+    plant: Plant
+    peak: Peak
+    mu2_excess: float
+    spectrum: Spectrum = field(repr=False)
+    method: str = "quadrature"
+
+    @property
+    def mu2(self) -> float:
+        """mu^2, the limit of the squared output power; [S] (10)."""
+        return self.peak.value**2 + self.mu2_excess
+
+    @property
+    def beta2_mean(self) -> float:
+        """Limit of E beta_2^2 = mu^2 - lambda_e (1/2pi) int |H|^2 dw; [S] Lemma 11."""
+        noise = self.plant.noise_covariance[0, 0] * _noise_power(self.plant)
+        return float(self.mu2 - noise)
+
+    @property
+    def spectrum_max(self) -> float:
+        """max Phi = lambda_e |H(w^)|^2 / delta (at white noise; [S] Theorem 8, 2)."""
+        return float(self.density(np.array(self.peak.frequencies)).max())
+
+    @property
+    def spectrum_min(self) -> float:
+        """min Phi over a fine grid, refined at the minima of |G| ([S] Theorem 8, 3)."""
+        return _minimum(self)
+
+    def density(self, omega: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Phi at given frequencies.
+
+        Parameters
+        ----------
+        omega : ndarray
+            (K,) rad/sample.
+
+        Returns
+        -------
+        ndarray
+            (K,) spectral density, normalised to (1/2pi) int Phi dw = 1.
+        """
+        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        gap = _Gap(self.plant, self.peak)
+        tops = np.array(self.peak.frequencies)
+        nearest = tops[np.argmin(np.abs(omega[:, None] - tops), axis=1)]
+        distance = gap(nearest, omega - nearest)
+        return (
+            self.plant.noise_covariance[0, 0] * _noise_shape(self.plant, omega) / (self.mu2_excess + distance)
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"LimitSpectrum of {self.plant.name} at noise variance {self.plant.noise_variance:g}: "
+            f"mu^2 = {self.mu2:.12g} (gamma^2 + {self.mu2_excess:.6g}), E beta_2^2 = {self.beta2_mean:.9g}, "
+            f"density from {self.spectrum_min:.6g} to {self.spectrum_max:.6g}"
+        )
+
+
+def _check(plant: Plant) -> None:
+    if plant.n_inputs * plant.n_outputs != 1:
+        raise InputError(
+            f"the plant has {plant.n_outputs} outputs and {plant.n_inputs} inputs; this limit spectrum is that of "
+            "Algorithm 1 for one input and one output: use oed.theory.mimo for Procedure 2."
+        )
+    if not plant.noise_covariance[0, 0] > 0:
+        raise InputError(
+            f"the noise variance is {plant.noise_covariance[0, 0]:g}; the limit spectrum needs a positive one "
+            "(without noise the iterations end in sinusoids at the peaks, which have no density)."
+        )
+
+
+def _autocorrelation(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    """|p(e^jw)|^2 as a Chebyshev series in x = cos w."""
+    r = np.correlate(p, p, "full")[len(p) - 1 :]
+    return np.concatenate([r[:1], 2 * r[1:]])
+
+
+class _Gap:
+    """gamma^2 - |G|^2 near a peak, evaluated without cancellation."""
+
+    def __init__(self, plant: Plant, top: Peak) -> None:
+        B, A = plant.num[0][0], plant.den[0][0]
+        self.a = _autocorrelation(A)
+        b = _autocorrelation(B)
+        self.q = chebyshev.chebsub(top.value**2 * self.a, b)
+        self.centres = top.frequencies
+        for (
+            w
+        ) in top.frequencies:  # divide by (x - x^)^2 inside, by (x - x^) at 0 and pi, where x moves as w^2
+            for _ in range(1 if w in (0.0, np.pi) else 2):
+                self.q = chebyshev.chebdiv(self.q, [-np.cos(w), 1.0])[0]
+
+    def _factor(self, centre: NDArray, offset: NDArray) -> NDArray:
+        """The product of what was divided out; cos w - cos c = -2 sin((w + c)/2) sin((w - c)/2)."""
+        product = np.ones_like(offset)
+        for c in self.centres:
+            distance = np.where(centre == c, offset, centre + offset - c)
+            factor = -2 * np.sin((centre + offset + c) / 2) * np.sin(distance / 2)
+            if c in (0.0, np.pi):
+                # sin((w + c)/2) = +-sin(distance/2) there: the factor is -2 sin^2 at 0 and +2 sin^2 at pi
+                factor = (-2 if c == 0 else 2) * np.sin(distance / 2) ** 2
+                product = product * factor
+            else:
+                product = product * factor**2
+        return product
+
+    def __call__(self, centre: NDArray, offset: NDArray) -> NDArray:
+        """gamma^2 - |G|^2 at centre + offset."""
+        x = np.cos(centre + offset)
+        value = self._factor(centre, offset) * chebyshev.chebval(x, self.q) / chebyshev.chebval(x, self.a)
+        return np.maximum(value, 0.0)
+
+
+def _noise_shape(plant: Plant, omega: NDArray) -> NDArray:
+    """|H|^2."""
+    return np.ones(len(omega)) if plant.white_noise else np.abs(plant.noise_response(omega)) ** 2
+
+
+def _noise_power(plant: Plant) -> float:
+    """(1/2pi) int |H|^2 dw."""
+    if plant.white_noise:
+        return 1.0
+    nodes = graded_nodes(_pole_angles(plant.noise_den))
+    return float(nodes.weight @ _noise_shape(plant, nodes.omega))
+
+
+def _pole_angles(den: NDArray) -> list[float]:
+    roots = np.roots(den)
+    return [float(abs(np.angle(root))) for root in roots if root.imag >= 0]
+
+
+def _centres(plant: Plant, top: Peak) -> list[float]:
+    """Where the integrands have features: peaks (exact), local maxima, poles of G and of H."""
+    others = [w for w, _ in top.local_maxima] + _pole_angles(plant.den[0][0]) + _pole_angles(plant.noise_den)
+    exact = list(top.frequencies)
+    return exact + [w for w in others if min(abs(w - e) for e in exact) > 1e-9]
+
+
+def limit_spectrum(plant: Plant, *, method: str = "quadrature") -> LimitSpectrum:
+    """Limit of the input spectrum under Algorithm 1 with noise, [S] Theorem 7.
+
+    Solves (1/2pi) int lambda_e |H|^2 / (delta + gamma^2 - |G|^2) dw = 1 for the excess delta = mu^2 - gamma^2.
+
+    Parameters
+    ----------
+    plant : Plant
+        One input, one output, positive noise variance; H may be any rational filter.
+    method : {"quadrature", "lyapunov"}
+        Graded quadrature, or the H2 norm of the spectral factor (white noise only).
+
+    Returns
+    -------
+    LimitSpectrum
+        mu^2, its excess, the spectrum and the mean of beta_2^2.
+
+    Raises
+    ------
+    InputError
+        If the plant is MIMO or without noise.
+    SolverFailure
+        If the Lyapunov way disagrees with the quadrature by more than 1e-6.
+
+    Notes
+    -----
+    Source: [S] (9)-(10), solved as theory.md section 2 advises. The quadrature keeps at least 9 digits down to
+    delta / gamma^2 = 1e-12, and 7 where gamma^2 - |G|^2 itself keeps its digits, to 1e-19; the Lyapunov way may
+    break down from about 1e-12 on, and says so. Twins: `limit_spectrum_on_grid`, and adaptive quadrature in tests/oracles.
+    """
+    _check(plant)
+    if method not in ("quadrature", "lyapunov"):
+        raise InputError(
+            f"there is no method {method!r} for the limit spectrum; choose quadrature or lyapunov."
+        )
+    top = peak(plant)
+    variance = float(plant.noise_covariance[0, 0])
+    nodes = graded_nodes(_centres(plant, top))
+    gap = _Gap(plant, top)(nodes.centre, nodes.offset)
+    shape = variance * _noise_shape(plant, nodes.omega)
+    if method == "lyapunov":
+        if not plant.white_noise:
+            raise InputError(
+                "the Lyapunov way is written for white noise; use method='quadrature' for coloured noise."
+            )
+        total = _integral_by_lyapunov(plant, top)
+        power = lambda delta: variance * total(delta)
+    else:
+        power = lambda delta: float(nodes.weight @ (shape / (delta + gap)))
+    upper = variance * float(nodes.weight @ (shape / variance))
+    if method == "lyapunov":
+        delta = _solve_lyapunov(power, upper)
+        if not abs(float(nodes.weight @ (shape / (delta + gap))) - 1) < 1e-6:
+            raise SolverFailure(
+                f"at noise variance {variance:g} the spectrum's poles are too close to the unit circle for the Lyapunov "
+                "equation, which has lost its digits; use method='quadrature'."
+            )
+    else:
+        delta = _solve(power, upper)
+    return LimitSpectrum(
+        plant, top, delta, Spectrum(nodes.omega, nodes.weight * shape / (delta + gap)), method
+    )
+
+
+def _solve(power: Callable[[float], float], upper: float) -> float:
+    """The delta in (0, upper] with power(delta) = 1; power falls, and power(upper) <= 1."""
+    from scipy.optimize import brentq
+
+    lower = upper
+    while power(lower) < 1:
+        lower *= 1e-2
+    f = lambda log_delta: power(float(np.exp(log_delta))) - 1
+    if lower == upper:
+        return float(upper)
+    return float(np.exp(np.asarray(brentq(f, np.log(lower), np.log(upper), xtol=1e-15))))
+
+
+def _solve_lyapunov(power: Callable[[float], float], upper: float) -> float:
+    """The same where the power may break down near the unit circle: NaN then."""
+    from warnings import catch_warnings, simplefilter
+
+    with catch_warnings():
+        simplefilter("ignore")  # what scipy warns of is decided by the caller's check
+        try:
+            return _solve(power, upper)
+        except (ValueError, ArithmeticError):  # LinAlgError is a ValueError
+            return float("nan")
+
+
+def _integral_by_lyapunov(plant: Plant, top: Peak) -> Callable[[float], float]:
+    """delta -> (1/2pi) int dw / (delta + gamma^2 - |G|^2) = ||A/S||_2^2 with S S* = mu^2 A A* - B B*."""
+    from scipy.linalg import solve_discrete_lyapunov
+
+    gap = _Gap(plant, top)
+    A = plant.den[0][0]
+    if np.abs(gap.q).max(initial=0.0) <= 1e-12 * top.value**2 * np.abs(gap.a).max():
+        return lambda delta: 1 / delta  # the gain is the same at all frequencies
+
+    def total(delta: float) -> float:
+        roots = _factor_roots(gap, delta)
+        S = np.real(np.poly(roots))
+        x = np.linspace(-0.9, 0.9, 7)
+        w = np.arccos(x)
+        target = (delta + gap(np.zeros(7), w)) * chebyshev.chebval(x, gap.a)
+        z = np.exp(-1j * w)
+        scale2 = float(np.median(target / np.abs(np.polyval(S[::-1], z)) ** 2))
+        n = max(len(S), len(A)) - 1
+        if n == 0:
+            return 1 / scale2
+        den, num = (np.concatenate([p, np.zeros(n + 1 - len(p))]) for p in (S, A))
+        F = np.vstack([-den[1:], np.eye(n)[:-1]])
+        c = num[1:] - num[0] * den[1:]
+        P = solve_discrete_lyapunov(F, np.outer(np.eye(n)[0], np.eye(n)[0]))
+        return float(c @ P @ c + num[0] ** 2) / scale2
+
+    return total
+
+
+def _factor_roots(gap: _Gap, delta: float) -> NDArray[np.complex128]:
+    """Roots in z, inside the unit circle, of delta |A|^2 + (gamma^2 |A|^2 - |B|^2).
+
+    The polynomial in x is assembled for starting values; Newton steps on its factored form then restore the
+    digits that assembling loses for the roots that close in on the peaks.
+    """
+    product = gap.q
+    divisors: list[tuple[float, int]] = [(np.cos(w), 1 if w in (0.0, np.pi) else 2) for w in gap.centres]
+    for xc, times in divisors:
+        for _ in range(times):
+            product = chebyshev.chebmul(product, [-xc, 1.0])
+    full = chebyshev.chebadd(delta * gap.a, product)
+    starts = list(chebyshev.chebroots(np.trim_zeros(full, "b")).astype(complex))
+    # x - 1 and x + 1 are kept apart: x = 1 + 1e-11 would have lost its digits.
+    below, above = [x - 1 for x in starts], [x + 1 for x in starts]
+    da, dq = chebyshev.chebder(gap.a), chebyshev.chebder(gap.q)
+    value = lambda poly, x: complex(chebyshev.chebval(x, poly)) if len(poly) else 0j
+    for xc, times in divisors:
+        # Near a peak: delta a + (x - xc)^times r(x) = 0, with r from the other factors.
+        rest = value(gap.q, xc) * np.prod([(xc - o) ** t for o, t in divisors if o != xc])
+        ratio = -delta * value(gap.a, xc) / rest
+        for root in [np.sqrt(ratio + 0j), -np.sqrt(ratio + 0j)] if times == 2 else [ratio]:
+            guess = xc + root
+            k = int(np.argmin([abs(s - guess) for s in starts]))
+            d = root
+            for _ in range(60):  # Newton in d = x - xc
+                x = xc + d
+                others = np.prod([(d + xc - o) ** t for o, t in divisors if o != xc])
+                slope_others = sum(t / (d + xc - o) for o, t in divisors if o != xc)
+                f = delta * value(gap.a, x) + d**times * others * value(gap.q, x)
+                df = delta * value(da, x) + others * (
+                    times * d ** (times - 1) * value(gap.q, x)
+                    + d**times * (value(dq, x) + slope_others * value(gap.q, x))
+                )
+                step = f / df
+                d = d - step
+                if abs(step) <= 4e-16 * abs(d):
+                    break
+            starts[k], below[k], above[k] = xc + d, (xc - 1) + d, (xc + 1) + d
+    x = np.array(starts)
+    root = np.sqrt(np.array(below)) * np.sqrt(np.array(above))
+    z = x - root
+    return np.where(np.abs(z) < 1, z, x + root)
+
+
+def _minimum(limit: LimitSpectrum) -> float:
+    from scipy.optimize import minimize_scalar
+
+    omega = np.unique(np.concatenate([np.linspace(0, np.pi, 4001), limit.spectrum.omega[::16]]))
+    values = limit.density(omega)
+    k = int(np.argmin(values))
+    low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
+    best = minimize_scalar(
+        lambda w: float(limit.density(np.array([w]))[0]),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 1e-12},
+    )
+    return float(min(values[k], best.fun))
+
+
+def limit_spectrum_on_grid(plant: Plant, points: int = 1000) -> LimitSpectrum:
+    """Limit spectrum by the eigenvector of the matrix H_d, as [S] Sec. 5 prints it.
+
+    The grid is w_k = (k - 1/2) pi / n, k = 1..n. It fails where the spectrum is narrower than the grid (the
+    excess can even come out negative): it is here as the second, independent way.
+
+    Parameters
+    ----------
+    plant : Plant
+        One input, one output, white noise of positive variance.
+    points : int
+        n_omega.
+
+    Returns
+    -------
+    LimitSpectrum
+        With the grid as the lines of its spectrum.
+
+    Notes
+    -----
+    Source: [S] Sec. 5. H_d is diagonal plus one row and one column, so its largest eigenvalue L solves
+    1 = (1/n) sum_k lambda_e / (L - |G_k|^2) exactly; a dense eigensolver is the twin in the tests.
+    """
+    _check(plant)
+    if not plant.white_noise:
+        raise InputError("H_d of [S] is for white noise; use limit_spectrum for coloured noise.")
+    omega = (np.arange(points) + 0.5) * np.pi / points
+    gain2 = np.abs(plant.response(omega)[0][:, 0, 0]) ** 2
+    variance = float(plant.noise_covariance[0, 0])
+    top = float(gain2.max())
+    excess = _solve(lambda d: float(np.mean(variance / (d + (top - gain2)))), variance)
+    Phi = variance / (excess + (top - gain2))
+    found = peak(plant)
+    return LimitSpectrum(
+        plant, found, top + excess - found.value**2, Spectrum(omega, Phi / points), f"H_d on {points} lines"
+    )
+
+
+def spectra_of_iterations(
+    plant: Plant, experiments: int
+) -> tuple[Nodes, NDArray[np.float64], NDArray[np.float64]]:
+    """Input spectra of the first experiments from a white start, by the recursion of [S] Lemma 6.
+
+    Parameters
+    ----------
+    plant : Plant
+        One input, one output.
+    experiments : int
+        How many.
+
+    Returns
+    -------
+    nodes : Nodes
+        Frequencies and weights.
+    Phi : ndarray
+        (experiments, K) densities, each of unit power.
+    mu2 : ndarray
+        (experiments,) output power of each experiment, the square of [S] (3).
+    """
+    top = peak(plant)
+    nodes = graded_nodes(_centres(plant, top))
+    gain2 = np.abs(plant.response(nodes.omega)[0][:, 0, 0]) ** 2
+    noise = plant.noise_covariance[0, 0] * _noise_shape(plant, nodes.omega)
+    Phi = np.ones((experiments, len(gain2)))
+    mu2 = np.zeros(experiments)
+    for k in range(experiments):
+        output = gain2 * Phi[k] + noise
+        mu2[k] = nodes.weight @ output
+        if k + 1 < experiments:
+            Phi[k + 1] = output / mu2[k]
+    return nodes, Phi, mu2

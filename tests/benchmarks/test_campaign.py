@@ -1,0 +1,213 @@
+"""Campaigns: the same tables however the work is done, and nothing lost when it is interrupted."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import benchmarks.methods as methods
+from benchmarks.campaign import CHUNK, Settings, checkpoints, parts, run_campaign
+from benchmarks.statistics import comparison_rows, information_rows, mean_with_error, targets
+from oed.errors import CampaignError, InputError
+
+SMALL = Settings(
+    plants=("reference",), noise_variances=(1.0,), methods=("white", "power"), samples=100, experiments=3
+)
+
+
+def same(a: list[dict], b: list[dict]) -> bool:
+    """Bit-identical rows; NaN equals NaN."""
+    return repr(a) == repr(b)
+
+
+def test_serial_and_processes_agree_bit_for_bit(tmp_path):
+    serial = run_campaign(SMALL, 12, tmp_path / "serial", jobs=1)
+    processes = run_campaign(SMALL, 12, tmp_path / "processes", jobs=2)
+    assert same(serial, processes)
+
+
+def test_more_replicates_extend_and_fewer_parts_are_reread(tmp_path):
+    run_campaign(SMALL, CHUNK, tmp_path / "a", jobs=1)
+    stamps = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "a" / "parts").iterdir()}
+    extended = run_campaign(SMALL, 2 * CHUNK, tmp_path / "a", jobs=1)
+    assert {p: (tmp_path / "a" / "parts" / p).stat().st_mtime_ns for p in stamps} == stamps
+    assert same(extended, run_campaign(SMALL, 2 * CHUNK, tmp_path / "b", jobs=1))
+
+
+def test_a_damaged_part_is_named_and_computed_again(tmp_path, capsys):
+    whole = run_campaign(SMALL, CHUNK, tmp_path, jobs=1)
+    victim = sorted((tmp_path / "parts").iterdir())[0]
+    victim.write_bytes(victim.read_bytes()[: victim.stat().st_size // 2])
+    assert same(run_campaign(SMALL, CHUNK, tmp_path, jobs=1), whole)
+    assert victim.name in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_killed_campaign_resumes_bit_identical(tmp_path):
+    """kill -9 of the command after its first part; the resumed table equals an undisturbed one."""
+    command = [
+        sys.executable, "-m", "benchmarks.cli", "compare", "--plant", "reference", "--noise-variance", "1", "--methods",
+        "white", "power", "--samples", "100", "--experiments", "3", "--replicates", "40", "--jobs", "1", "--quiet",
+    ]  # fmt: skip
+    folder = tmp_path / "killed"
+    process = subprocess.Popen(
+        [*command, "--out", str(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    deadline = time.monotonic() + 120
+    while not list(folder.glob("parts/*.parquet")) and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    done = len(list(folder.glob("parts/*.parquet")))
+    assert 0 < done < len(parts(SMALL, 40))
+    assert same(run_campaign(SMALL, 40, folder, jobs=1), run_campaign(SMALL, 40, tmp_path / "whole", jobs=1))
+
+
+def test_another_campaigns_folder_is_left_alone(tmp_path):
+    run_campaign(SMALL, 2, tmp_path / "a", jobs=1)
+    before = {p: p.read_bytes() for p in sorted((tmp_path / "a").rglob("*")) if p.is_file()}
+    other = Settings(
+        plants=("reference",), noise_variances=(4.0,), methods=("white",), samples=100, experiments=3
+    )
+    with pytest.raises(
+        CampaignError,
+        match=r"other settings .*noise_variances: there \[1.0\], asked \[4.0\].*Nothing was written",
+    ):
+        run_campaign(other, 2, tmp_path / "a")
+    assert {p: p.read_bytes() for p in sorted((tmp_path / "a").rglob("*")) if p.is_file()} == before
+
+
+def test_a_folder_with_other_files_is_refused(tmp_path):
+    (tmp_path / "thesis.tex").write_text("mine")
+    with pytest.raises(CampaignError, match="not empty and holds no readable campaign.json"):
+        run_campaign(SMALL, 2, tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_another_version_is_said_not_mixed(tmp_path):
+    run_campaign(SMALL, 2, tmp_path, jobs=1)
+    file = tmp_path / "campaign.json"
+    content = json.loads(file.read_text())
+    content["versions"]["numpy"] = "1.0"
+    file.write_text(json.dumps(content))
+    with pytest.raises(CampaignError, match=r"other versions \(numpy: there 1.0"):
+        run_campaign(SMALL, 2, tmp_path, jobs=1)
+
+
+def test_a_method_that_raises_is_a_row(tmp_path, monkeypatch):
+    def broken(plant):
+        def method(experiment, **kwargs):
+            raise RuntimeError("the amplifier is off")
+
+        return method
+
+    monkeypatch.setitem(methods.METHODS, "broken", broken)
+    settings = Settings(
+        plants=("reference",),
+        noise_variances=(1.0,),
+        methods=("broken", "white"),
+        estimators=("pem",),
+        samples=100,
+        experiments=2,
+    )
+    raw = run_campaign(settings, 4, tmp_path, jobs=1)
+    known = targets(raw)
+    rows = {r["method"]: r for r in comparison_rows(raw, information_rows(raw, known), known)}
+    assert rows["broken"]["n_failed"] == rows["broken"]["n"] == 4
+    assert rows["white"]["n_failed"] == 0
+    assert any("the amplifier is off" in r["message"] for r in raw)
+
+
+def test_all_methods_meet_the_same_noise(tmp_path):
+    """The output noise of experiment k in replicate r is the same whatever the method."""
+    from oed.experiments import simulated
+    from oed.named import named_plant
+
+    plant = named_plant("reference")
+    errors = []
+    for name in ("white", "multisine", "power"):
+        experiment = simulated(plant, seed=0, replicate=3)
+        trace = methods.method_for(name, plant)(
+            experiment, samples=100, iterations=2, rng=np.random.default_rng(0)
+        )
+        errors.append(np.concatenate([r.y - plant.simulate(r.u) for r in trace.records]))
+    assert np.allclose(errors[0], errors[1], atol=1e-12)
+    assert np.allclose(errors[0], errors[2], atol=1e-12)
+
+
+def test_rho_of_a_known_estimator(tmp_path):
+    """Energy, RMSE and rho by hand from the stored rows."""
+    raw = run_campaign(SMALL, 10, tmp_path, jobs=1)
+    known = targets(raw)
+    rows = comparison_rows(raw, information_rows(raw, known), known)
+    row = next(r for r in rows if (r["method"], r["estimator"]) == ("power", "mu"))
+    mine = [r["estimate"] for r in raw if (r["method"], r["estimator"]) == ("power", "mu")]
+    gamma = known["reference", 1.0].gamma
+    assert np.isclose(row["energy"], 300.0)
+    assert np.isclose(row["rho"], np.sqrt(np.mean((np.array(mine) - gamma) ** 2) * 300), rtol=1e-12)
+    mean, se = mean_with_error(np.array(mine) - gamma)
+    assert (row["bias"], row["bias_se"]) == (mean, se)
+
+
+def test_checkpoints():
+    assert checkpoints(20) == [1, 2, 5, 10, 20]
+    assert checkpoints(1) == [1]
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"plants": ("referense",)}, "did you mean reference"),
+        ({"methods": ("whit",)}, "did you mean white"),
+        ({"noise_variances": (-1.0,)}, "noise variance is -1"),
+        ({"noise_variances": (1.0, 1.0)}, "each once"),
+        ({"samples": 2}, "samples is 2"),
+        ({"experiments": 0}, "experiments is 0"),
+    ],
+)
+def test_settings_are_checked(changes, words):
+    with pytest.raises(InputError, match=words):
+        Settings(**changes)
+
+
+def test_one_replicate_is_refused(tmp_path):
+    with pytest.raises(InputError, match="replicates is 1"):
+        run_campaign(SMALL, 1, tmp_path)
+    assert not list(Path(tmp_path).iterdir())
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_agrees_bit_for_bit_and_loses_nothing_when_a_worker_dies(tmp_path):
+    """Two real worker processes, one of them killed while the campaign runs."""
+    distributed = pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    serial = run_campaign(SMALL, 30, tmp_path / "serial", jobs=1)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
+    ) as cluster:
+        victims = [worker.process.pid for worker in cluster.workers.values()]
+        killed = []
+
+        def progress(done: int, total: int) -> None:
+            if done >= 2 and not killed:
+                killed.append(victims[0])
+                os.kill(victims[0], signal.SIGKILL)
+
+        spread = run_campaign(
+            SMALL, 30, tmp_path / "dask", scheduler=cluster.scheduler_address, progress=progress
+        )
+    assert killed
+    assert same(serial, spread)
+
+
+def test_a_scheduler_that_is_not_there(tmp_path):
+    pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    with pytest.raises(InputError, match=r"no Dask scheduler answers at tcp://127.0.0.1:9"):
+        run_campaign(SMALL, 2, tmp_path, scheduler="tcp://127.0.0.1:9")

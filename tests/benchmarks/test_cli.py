@@ -1,0 +1,161 @@
+"""The command line: exit statuses, one line for bad input, one JSON object on standard output."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from benchmarks.cli import main
+
+
+def oed(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "benchmarks.cli", *words], capture_output=True, text=True, check=False
+    )
+
+
+def payload(capfd: pytest.CaptureFixture[str], *words: str) -> dict:
+    assert main([*words, "--json", "--quiet"]) == 0
+    out = capfd.readouterr().out
+    assert out.count("\n") == 1
+    return json.loads(out)
+
+
+def test_help_lists_every_command_and_version_is_the_package():
+    done = oed("--help")
+    assert done.returncode == 0
+    for name in ("compare", "theory", "iterate", "design", "identify", "report"):
+        assert name in done.stdout
+    assert oed("--version").stdout.startswith("oed ")
+
+
+@pytest.mark.parametrize("name", ["compare", "theory", "iterate", "design", "identify", "report"])
+def test_every_command_has_help_with_an_example(name, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main([name, "--help"])
+    assert stopped.value.code == 0
+    out = capsys.readouterr().out
+    assert "example: oed" in out
+    for option in ("--json", "--seed", "--quiet"):
+        assert option in out
+
+
+def test_theory_of_the_reference_plant(capfd):
+    """theory.md sections 2 and 4 through the command line."""
+    found = payload(capfd, "theory", "--plant", "reference", "--noise-variance", "1", "--experiments", "10")
+    assert found["schema_version"] == 1
+    assert abs(found["hinf_norm"] - 2.411554068769) < 1e-12
+    assert abs(found["mu2"] - 5.818127937783) < 1e-12
+    assert abs(found["beta2_mean"] - 4.818127937783) < 1e-12
+    assert abs(found["c_efficiency"] - 0.81125) < 5e-6
+    assert np.allclose(found["c_efficiency_by_experiments"][9], 0.50952, atol=5e-6)
+    assert abs(found["d_efficiency"] - 0.033674015758 / 0.093712276) < 1e-8
+
+
+def test_theory_at_vanishing_noise_keeps_its_digits(capfd):
+    found = payload(capfd, "theory", "--plant", "reference", "--noise-variance", "1e-4", "--experiments", "1")
+    assert np.isclose(found["mu2_excess"], 2e-8 / 1148.953609, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "criterion, loss",
+    [("D", 0.033674015758), ("A", 0.339118600620), ("E", 0.230078614237), ("hinf", 1.0)],
+)
+def test_design_of_the_reference_plant(capfd, criterion, loss):
+    """theory.md section 4, second table."""
+    found = payload(
+        capfd, "design", "--plant", "reference", "--criterion", criterion, "--noise-variance", "1"
+    )
+    assert np.isclose(found["loss"], loss, rtol=1e-7)
+    assert 0 <= found["gap"] <= 1e-6
+    assert np.isclose(sum(line["power"] for line in found["support"]), 1.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "words, sentence",
+    [
+        (("theory", "--plant", "referense"), "did you mean reference"),
+        (("theory", "--plant", "reference", "--noise-variance", "-1"), "noise variance is -1"),
+        (("theory", "--plant", "reference", "--noise-variance", "x"), "invalid float value"),
+        (("theory", "--plant", "nowhere.json"), "cannot read the plant file"),
+        (("theory",), "--plant"),
+        (("design", "--plant", "reference", "--criterion", "D", "--input-power", "0"), "power"),
+        (("compare", "--plant", "reference", "--methods", "whit"), "did you mean white"),
+        (("compare", "--replicates", "1"), "replicates is 1"),
+        (("report", "nowhere"), "there is no folder nowhere"),
+        (("nonsense",), "invalid choice"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_status_2(words, sentence, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    try:
+        status = main(list(words))
+    except SystemExit as stopped:
+        status = stopped.code
+    captured = capsys.readouterr()
+    assert status == 2
+    assert captured.out == ""
+    assert sentence in captured.err
+    assert captured.err.count("\n") == 1
+    assert not list(tmp_path.iterdir())  # nothing was written
+
+
+@pytest.mark.parametrize(
+    "num, den, sentence",
+    [
+        ([0, 1], [1, -1.5], "must be stable"),
+        ([1], [0, 1], "improper"),
+        ([0], [1], "zero"),
+        ([1, None], [1], "num"),
+    ],
+)
+def test_bad_plant_files(num, den, sentence, tmp_path, capsys):
+    file = tmp_path / "plant.json"
+    file.write_text(json.dumps({"num": num, "den": den}))
+    assert main(["theory", "--plant", str(file)]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "content, sentence",
+    [
+        ("1,2\n3,4\n", "header"),
+        ("u,y\n1,2\nthree,4\n", "three"),
+        ("u,y\n1,nan\n3,4\n", "nan"),
+        ("u,y\n1,2\n3\n", "row"),
+    ],
+)
+def test_bad_records(content, sentence, tmp_path, capsys):
+    file = tmp_path / "record.csv"
+    file.write_text(content)
+    assert main(["identify", str(file)]) == 2
+    err = capsys.readouterr().err
+    assert sentence in err.lower()
+    assert err.count("\n") == 1
+
+
+def test_json_is_alone_on_standard_output_even_below_python(tmp_path):
+    """A library that writes to file descriptor 1 must not disturb the object."""
+    script = (
+        "import os, sys, benchmarks.commands.report as r\n"
+        "r.run = lambda args: (os.write(1, b'banner'), ({'path': float('nan')}, ''))[1]\n"
+        "from benchmarks.cli import main\nsys.exit(main(['report', 'x', '--json']))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert json.loads(done.stdout) == {"schema_version": 1, "path": None}
+    assert "banner" in done.stderr
+
+
+def test_a_defect_is_exit_status_1_with_its_traceback(monkeypatch, capsys):
+    import benchmarks.commands.report as command
+
+    monkeypatch.setattr(command, "run", lambda args: 1 / 0)
+    assert main(["report", "x"]) == 1
+    err = capsys.readouterr().err
+    assert "ZeroDivisionError" in err
+    assert "defect" in err

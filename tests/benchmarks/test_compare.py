@@ -1,0 +1,143 @@
+"""The main job end to end on a small size: tables, figures, page, README; and the hair dryer's story."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from benchmarks.comparison import compare
+from benchmarks.hair_dryer import hair_dryer_story
+from benchmarks.readme import END, START, with_headline, write_readme
+from benchmarks.report import write_report
+from benchmarks.tables import from_parquet
+from oed.errors import CampaignError, InputError
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compare")
+    result = compare(
+        plants=["reference"],
+        noise_variances=[1.0, 9.0],
+        samples=200,
+        experiments=4,
+        replicates=6,
+        out=folder,
+        jobs=1,
+        quiet=True,
+    )
+    return folder, result
+
+
+@pytest.mark.slow
+def test_every_row_has_its_keys_and_errors(finished):
+    _, result = finished
+    keys = "plant noise_variance method estimator samples experiments energy rho rho_se bias bias_se rmse rmse_se"
+    keys += " c_efficiency d_efficiency a_efficiency e_efficiency n n_failed"
+    payload = json.loads(json.dumps(result.to_dict()["rows"]))
+    assert len(payload) == 2 * (4 + 4)  # two noise levels; power with four estimators, four inputs with PEM
+    for row in payload:
+        assert set(keys.split()) <= set(row)
+        assert row["samples"] == 800
+        assert np.isclose(row["energy"], 800)
+        assert 0 <= row["c_efficiency"] <= 1 + 1e-6
+        assert row["n"] == 6
+
+
+@pytest.mark.slow
+def test_files_of_a_comparison(finished):
+    folder, result = finished
+    for name in ("comparison", "information", "headline"):
+        for suffix in (".parquet", ".csv", ".md", ".tex"):
+            assert (folder / "tables" / f"{name}{suffix}").stat().st_size > 100
+        assert r"\toprule" in (folder / "tables" / f"{name}.tex").read_text()
+    for name in (
+        "rho",
+        "efficiency-reference",
+        "limit-spectra-reference",
+        "spectra-reference",
+        "estimated-gain-reference",
+    ):
+        assert (folder / "figures" / f"{name}.svg").read_text().startswith("<?xml")
+        assert (folder / "figures" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+    page = (folder / "report.html").read_text()
+    assert page.count("<svg") == 5
+    assert not re.findall(r'(?:src|href)="(?!data:|#)[^"]+"', page)  # it opens offline
+    identifiers = re.findall(r'\bid="([^"]+)"', page)
+    assert len(identifiers) == len(set(identifiers))
+    assert all(sentence.split(":")[0] in page for sentence in result.sentences)
+
+
+@pytest.mark.slow
+def test_the_same_settings_give_the_same_tables(finished, tmp_path):
+    folder, result = finished
+    again = compare(
+        plants=["reference"],
+        noise_variances=[1.0, 9.0],
+        samples=200,
+        experiments=4,
+        replicates=6,
+        out=tmp_path / "b",
+        jobs=2,
+        quiet=True,
+    )
+    assert repr(again.rows) == repr(result.rows)
+    assert repr(again.information) == repr(result.information)
+    assert (
+        from_parquet(folder / "tables/comparison.parquet")[0].__repr__()
+        == from_parquet(tmp_path / "b/tables/comparison.parquet")[0].__repr__()
+    )
+
+
+@pytest.mark.slow
+def test_the_page_can_be_made_again(finished):
+    folder, _ = finished
+    page = (folder / "report.html").read_text()
+    (folder / "report.html").unlink()
+    assert write_report(folder).read_text() == page
+
+
+def test_a_folder_without_a_report_is_refused(tmp_path):
+    with pytest.raises(InputError, match="has no report.json"):
+        write_report(tmp_path)
+    (tmp_path / "report.json").write_text("{")
+    with pytest.raises(CampaignError, match="damaged"):
+        write_report(tmp_path)
+
+
+@pytest.mark.slow
+def test_readme_is_written_from_the_results(finished, tmp_path):
+    folder, _ = finished
+    readme = tmp_path / "README.md"
+    readme.write_text(f"# x\n\n{START}\nold\n{END}\n\nrest\n")
+    write_readme(folder, readme)
+    text = readme.read_text()
+    assert "old" not in text
+    assert "rest" in text
+    assert "| reference" in text
+    assert (tmp_path / "docs" / "efficiency.svg").exists()
+    with pytest.raises(InputError, match="lacks the marks"):
+        with_headline("# x", "table")
+
+
+def test_dry_run_writes_nothing(tmp_path):
+    result = compare(
+        plants=["reference"], methods=["white"], noise_variances=[1.0], out=tmp_path / "x", dry_run=True
+    )
+    assert "Dry run: 1 combination" in result.sentences[0]
+    assert not list(tmp_path.iterdir())
+
+
+def test_hair_dryer_story():
+    """Issue: input-correlated residuals at lags 1 to 3 with nk = 1, then nk = 3; simulation about 0.145 to 0.116 V."""
+    story = hair_dryer_story()
+    assert {1, 2, 3} <= set(story.suspicious_lags)
+    assert story.delay == 3
+    before, after = story.rows
+    assert abs(before["simulation_rmse"] - 0.145) < 0.003
+    assert abs(after["simulation_rmse"] - 0.116) < 0.003
+    assert after["one_step_rmse"] < 0.5 * before["one_step_rmse"]
+    assert before["smallest_p_value"] < 1e-20

@@ -1,0 +1,83 @@
+"""`oed design`: parametrisations, written files, refusals; and that the speed rows measure the same work."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks.commands import design
+from benchmarks.speed.design import against_cvxpy
+from oed.errors import InputError
+
+
+def _run(*words: str) -> dict:
+    parser = argparse.ArgumentParser()
+    design.configure(parser)
+    args = parser.parse_args(["--plant", "reference", *words])
+    args.seed, args.quiet = 0, True
+    return design.run(args)[0]
+
+
+def test_grid_and_moments_agree_and_autocorrelation_is_above():
+    grid = _run("--criterion", "A")
+    moments = _run("--criterion", "A", "--parametrisation", "moments")
+    lags = _run("--criterion", "A", "--parametrisation", "autocorrelation", "--lags", "6")
+    assert moments["loss"] == pytest.approx(grid["loss"], rel=1e-7)
+    assert moments["gap"] < 1e-7
+    assert lags["loss"] > grid["loss"]
+    assert lags["gap"] > 0.1
+    assert len(lags["coefficients"]) == 7
+    assert sum(line["power"] for line in grid["support"]) == pytest.approx(1.0)
+
+
+def test_a_realised_signal_is_written_once(tmp_path):
+    out = tmp_path / "input.csv"
+    payload = _run("--realise", "300", "--out", str(out), "--input-power", "2")
+    u = np.loadtxt(out, skiprows=1)
+    assert u.shape == (300,)
+    assert np.mean(u**2) == pytest.approx(2.0) == pytest.approx(payload["realised_power"])
+    assert payload["realised_loss"] > payload["loss"]
+    with pytest.raises(InputError, match="exists already"):
+        _run("--realise", "300", "--out", str(out))
+    described = tmp_path / "design.json"
+    _run("--out", str(described))
+    assert json.loads(described.read_text())["loss"] == pytest.approx(0.033674015758, rel=1e-9)
+
+
+def test_amplitude_limits_and_multisine_lines():
+    payload = _run("--criterion", "hinf", "--amplitude", "1.5", "--realise", "600")
+    # The relaxation: power a^2. A square wave has 8 / pi^2 of it in its fundamental, so 1.2337 at best.
+    assert payload["bound"] == pytest.approx(1 / 1.5**2, rel=1e-9)
+    assert payload["realised_power"] <= 1.5**2 * (1 + 1e-12)
+    assert 1.2 < payload["realised_loss"] / payload["bound"] < 1.6
+    lines = _run("--parametrisation", "multisine", "--realise", "500")
+    for line in lines["support"]:
+        assert line["frequency"] * 500 / (2 * np.pi) == pytest.approx(
+            round(line["frequency"] * 500 / (2 * np.pi))
+        )
+    assert lines["loss"] > _run()["loss"]
+    with pytest.raises(InputError, match="say its length"):
+        _run("--amplitude", "1")
+    with pytest.raises(InputError, match="say N"):
+        _run("--parametrisation", "multisine")
+
+
+def test_bad_options_are_named(tmp_path):
+    with pytest.raises(InputError, match="say its length"):
+        _run("--out", str(tmp_path / "u.csv"))
+    with pytest.raises(InputError, match="csv"):
+        _run("--out", str(tmp_path / "u.txt"))
+    with pytest.raises(InputError, match="input power only"):
+        _run("--parametrisation", "moments", "--output-power", "1")
+    with pytest.raises(InputError, match="at least 8"):
+        _run("--points", "3")
+
+
+def test_speed_rows_reach_the_gap():
+    row = against_cvxpy("D", 4, 300, 1.0, repeats=1)
+    assert row["seconds"] > 0
+    assert row["baseline_seconds"] > 0
+    assert "gap" in row["note"]

@@ -1,0 +1,117 @@
+"""`oed identify`: the keys of its contract, and one clear line for bad input."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from benchmarks.cli import main
+from oed.models import model_from_json
+
+
+@pytest.fixture
+def data(tmp_path, rng):
+    u = rng.normal(size=400) + 3
+    y = 2 + lfilter([0, 0, 0, 0.5, 0.2], [1, -1.2, 0.6], u - 3) + 0.1 * rng.normal(size=400)
+    path = tmp_path / "data.csv"
+    np.savetxt(
+        path, np.column_stack([np.arange(400) * 0.1, u, y]), delimiter=",", header="t,u,y", comments=""
+    )
+    return path
+
+
+def answer(capfd, *arguments) -> dict:
+    assert main(["identify", *map(str, arguments), "--json"]) == 0
+    return json.loads(capfd.readouterr().out)
+
+
+def test_keys_of_the_contract(data, capfd) -> None:
+    found = answer(capfd, data, "--delay", 3)
+    assert {
+        *("parameters", "noise_variance", "loss", "fit_percent", "aic", "bic", "hinf_norm", "residual_tests"),
+        "status",
+    } <= set(found)
+    assert list(found["parameters"]) == ["b3", "b4", "f1", "f2"]
+    for name, true in (("b3", 0.5), ("b4", 0.2), ("f1", -1.2), ("f2", 0.6)):
+        value, error = found["parameters"][name]
+        assert abs(value - true) < 4.5 * error
+    assert set(found["residual_tests"]) == {"whiteness", "input", "feedback"}
+    assert found["hinf_frequency_hz"] == pytest.approx(found["hinf_frequency"] / (0.2 * np.pi))
+    assert found["output_level"][0][0] == pytest.approx(2, abs=0.1)
+
+
+def test_delay_is_found_and_fresh_data_are_judged(data, capfd) -> None:
+    found = answer(capfd, f"{data}[:300]", "--delay", "auto", "--test", f"{data}[300:]")
+    assert found["delay"] == 3
+    assert found["test"]["prediction_rmse"] == pytest.approx(0.1, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    "structure, orders",
+    [("fir", [25]), ("arx", [2, 2]), ("armax", [2, 2, 2]), ("bj", [2, 1, 1, 2]), ("ss", [5])],
+)
+def test_every_structure(data, capfd, structure, orders) -> None:
+    delay = 1 if structure == "ss" else 3
+    found = answer(capfd, data, "--structure", structure, "--orders", *orders, "--delay", delay)
+    assert found["fit_percent"] > 80
+
+
+def test_missing_samples_and_outliers(data, capfd) -> None:
+    lines = data.read_text().splitlines()
+    for k in range(50, 400, 9):
+        lines[k] = lines[k].rsplit(",", 1)[0] + ",nan"
+    data.write_text("\n".join(lines) + "\n")
+    assert main(["identify", str(data), "--delay", "3"]) == 2
+    assert "not finite" in capfd.readouterr().err
+    found = answer(capfd, data, "--delay", 3, "--missing")
+    value, error = found["parameters"]["b3"]
+    assert abs(value - 0.5) < 4.5 * error
+    assert found["residual_tests"] == {}
+
+
+def test_robust_loss(data, capfd) -> None:
+    lines = data.read_text().splitlines()
+    for k in range(50, 400, 40):
+        lines[k] = lines[k].rsplit(",", 1)[0] + ",60"
+    data.write_text("\n".join(lines) + "\n")
+    found = answer(capfd, data, "--delay", 3, "--robust", "student")
+    value, error = found["parameters"]["b3"]
+    assert abs(value - 0.5) < 4.5 * error
+
+
+def test_several_files_and_output_folder(data, capfd, tmp_path) -> None:
+    out = tmp_path / "new"
+    found = answer(capfd, f"{data}[:200]", f"{data}[200:]", "--delay", 3, "--out", out)
+    model = model_from_json((out / "model.json").read_text())
+    assert dict(zip(model.names, model.theta, strict=True)) == {
+        k: v[0] for k, v in found["parameters"].items()
+    }
+    assert len((out / "residuals.csv").read_text().splitlines()) == 401
+    assert main(["identify", str(data), "--out", str(out)]) == 2
+    assert "already holds" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["--orders", "2"], "oe takes nb nf"),
+        (["--delay", "x"], "whole number"),
+        (["--delay", "-1"], "causal"),
+        (["--inputs", "v"], "v"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(data, capfd, arguments, words) -> None:
+    assert main(["identify", str(data), *arguments]) == 2
+    said = capfd.readouterr().err.strip()
+    assert words in said
+    assert len(said.splitlines()) == 1
+
+
+def test_text_names_what_matters(data, capfd) -> None:
+    assert main(["identify", str(data), "--delay", "3", "--quiet"]) == 0
+    said = capfd.readouterr().out
+    for words in ("b3", "peak gain", "residual tests", "noise variance", "level of y"):
+        assert words in said

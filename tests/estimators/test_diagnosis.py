@@ -1,0 +1,125 @@
+"""Diagnosis: practice cases, detection at its stated rate, errors of the border."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.diagnosis.cases import diagnose_files
+from estimators.diagnosis.fitting import ar_model
+from estimators.diagnosis.loop import Setting, diagnose
+from estimators.diagnosis.measurement import held_samples, rounding_step, wild_samples
+from estimators.diagnosis.selection import feedback_test
+from oed.data import Record
+from oed.errors import InputError
+
+CASES = os.environ.get("OED_CASES")
+
+
+def linear_record(rng, n, *, sigma=0.1, start=0, bend=0.0):
+    u = np.repeat(rng.uniform(-2, 2, n // 4 + 1), 4)[:n]
+    v = u + bend * u**3
+    y = lfilter([0.0, 0.1, 0.1], [1.0, -1.5, 0.7], v)
+    return Record(u, y + sigma * rng.standard_normal(n), t0=float(start))
+
+
+SETTING = Setting(orders=(2,), structure="SISO")
+
+
+def test_nothing_is_found_in_a_linear_record():
+    # negative control: the next test plants a nonlinearity in the same record
+    rng = np.random.default_rng(11)
+    result = diagnose(linear_record(rng, 500), linear_record(rng, 400, start=600), SETTING)
+    assert not result.detected
+    assert result.ranked == ("none",)
+    np.testing.assert_array_equal(result.yhat_before, result.yhat_after)
+
+
+def test_a_planted_nonlinearity_is_found_and_removed():
+    rng = np.random.default_rng(11)
+    train = linear_record(rng, 500, bend=-0.08)
+    test = linear_record(rng, 400, start=600, bend=-0.08)
+    result = diagnose(train, test, SETTING)
+    assert result.effect == "hammerstein"
+    assert result.rmse_after.value < 1.05 * 0.1
+    assert result.rmse_before.value > 1.2 * result.rmse_after.value
+    assert result.difference.low > 0
+    value, se, _ = result.parameters["input_cubic.c3"]
+    assert abs(value + 0.08) < 5 * se
+    assert "hammerstein" in str(result)
+    json.dumps(result.to_dict())
+
+
+@pytest.mark.skipif(CASES is None, reason="OED_CASES does not name the folder of the practice cases")
+@pytest.mark.parametrize(
+    "case, effect", [("case_011", "none"), ("case_013", "output_nonlinearity"), ("case_048", "output_offset")]
+)
+def test_practice_cases(case, effect):
+    folder = Path(CASES) / "undeclared" / "practice" / "public" / "P" / case
+    result, _ = diagnose_files(folder / "train.csv", folder / "test.csv", meta=folder / "meta.json")
+    assert result.effect == effect
+
+
+@pytest.mark.validate
+def test_false_alarms_stay_within_the_stated_rate():
+    # 500 linear records with white noise: at 1 % the count is below 13 with probability 0.995
+    alarms = 0
+    for seed in range(500):
+        rng = np.random.default_rng([77, seed])
+        alarms += diagnose(linear_record(rng, 300), linear_record(rng, 100, start=400), SETTING).detected
+    assert alarms <= 12
+
+
+def test_rounded_and_held_samples_are_recognised():
+    rng = np.random.default_rng(3)
+    y = np.cumsum(rng.standard_normal(400))
+    assert rounding_step(np.round(y / 0.5) * 0.5) == pytest.approx(0.5)
+    assert rounding_step(y) == 0.0
+    held = y.copy()
+    held[100:104] = held[99]
+    assert held_samples(held).sum() == 4
+    assert held_samples(y).sum() == 0
+    assert held_samples(np.round(y)).sum() == 0  # values recur: coarse, not lost
+
+
+def test_wild_samples_are_recognised_and_gaussian_ones_are_not():
+    rng = np.random.default_rng(4)
+    r = rng.standard_normal(2000)
+    keep = np.ones(2000, dtype=bool)
+    assert wild_samples(r, keep).sum() == 0
+    r[[50, 700, 1500]] += 12
+    assert set(np.flatnonzero(wild_samples(r, keep))) == {50, 700, 1500}
+
+
+def test_the_noise_model_finds_its_order():
+    rng = np.random.default_rng(5)
+    e = rng.standard_normal(3000)
+    assert len(ar_model(e)[0]) == 0
+    r = np.zeros(3000)
+    for k in range(2, 3000):
+        r[k] = 1.2 * r[k - 1] - 0.6 * r[k - 2] + e[k]
+    a, _ = ar_model(r)
+    np.testing.assert_allclose(a[:2], [-1.2, 0.6], atol=0.06)
+
+
+def test_feedback_shows_in_the_input_and_open_loop_does_not():
+    rng = np.random.default_rng(6)
+    e, r = 0.1 * rng.standard_normal(1500), np.repeat(rng.choice([-1.0, 1.0], 150), 10)
+    assert feedback_test(r - 0.5 * np.concatenate(([0.0], e[:-1])), e) < 1e-10
+    assert feedback_test(r, e) > 1e-3
+
+
+def test_bad_input_is_refused_with_its_remedy():
+    rng = np.random.default_rng(7)
+    record = linear_record(rng, 300)
+    with pytest.raises(InputError, match="give data that were not used"):
+        diagnose(record, record[100:], SETTING)
+    with pytest.raises(InputError, match="no excitation"):
+        diagnose(record.replace(u=np.ones((300, 1))), None, SETTING)
+    with pytest.raises(InputError, match="sampling times"):
+        diagnose(record, linear_record(rng, 200, start=500).replace(dt=2.0), SETTING)
+    with pytest.raises(InputError, match="at least 50"):
+        diagnose(record[:40], None, SETTING)

@@ -1,0 +1,109 @@
+"""The NumPy maps and compiled recursions of the catalogue against their CasADi definitions."""
+
+import numpy as np
+import pytest
+
+from estimators.effects import terms
+from estimators.effects.catalogue import CATALOGUE, Clock
+from estimators.effects.recursion_kernels import (
+    held_response,
+    hinges,
+    play,
+    rate_limited_mean,
+    rational,
+    simulate_feedback,
+)
+
+STATIC = [
+    k
+    for k, e in CATALOGUE.items()
+    if e.apply is not None and e.slot in ("input", "output", "added")
+    and k not in ("rate_limit", "backlash_input", "backlash_output", "delay", "lag", "gain_drift", "gain_change",
+                  "step_input", "step_output", "drift", "tones")
+]  # fmt: skip
+TIMED = ["gain_drift", "gain_change", "step_input", "step_output", "drift", "tones"]
+
+
+@pytest.mark.parametrize("key", STATIC)
+def test_static_maps_agree_with_casadi(key):
+    rng = np.random.default_rng(1)
+    x = 2 * rng.standard_normal(200)
+    p = (
+        np.array([-0.7, 0.4])
+        if key == "saturation_asymmetric"
+        else np.array([0.3, 0.2])[: len(CATALOGUE[key].parameters)]
+    )
+    ours = CATALOGUE[key].apply(x, p, Clock(np.arange(200.0), 200))
+    theirs = np.array(terms.static_term(key)(x[None, :], p)).ravel()
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("key", TIMED)
+def test_timed_maps_agree_with_casadi(key):
+    x, k = np.random.default_rng(2).standard_normal(150), np.arange(150.0)
+    p = {"gain_change": [0.3, 70.4], "step_input": [0.3, 70.4], "step_output": [0.3, 70.4], "tones": [0.2, 0.5, -0.4],
+         "drift": [0.1, 0.7], "gain_drift": [0.4]}[key]  # fmt: skip
+    ours = CATALOGUE[key].apply(x, np.array(p), Clock(k, 150))
+    theirs = np.array(terms.timed_term(key)(x[None, :], k[None, :], 150.0, p)).ravel()
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+
+
+def test_play_agrees_with_casadi():
+    v = np.cumsum(np.random.default_rng(3).standard_normal(300))
+    theirs = np.array(terms.play_step().mapaccum(300)(0.0, v[None, :], 0.8)).ravel()
+    np.testing.assert_allclose(play(v, 0.8), theirs, atol=1e-12)
+
+
+def test_rate_limit_agrees_with_casadi():
+    u = np.repeat(np.random.default_rng(4).standard_normal(60), 5)
+    _, mean = terms.rate_step().mapaccum(300)(0.0, u[None, :], 0.31)
+    np.testing.assert_allclose(rate_limited_mean(u, 0.31), np.array(mean).ravel(), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "c",
+    [
+        [0.1, 0.3, 0.05, 0.2, 0.1, 0.0, 0.0, 1.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.3, 0.2, 0.15, 0.2],
+        [0.0, 0.2, 0.0, 0.3, 0.0, 0.2, 0.0, 1.0, 0.0],
+    ],
+)
+def test_feedback_recursion_agrees_with_casadi(c):
+    rng = np.random.default_rng(5)
+    A = np.array([[0.0, 1.0], [-0.09, -0.06]])
+    columns = np.array([[0.0, 0.0], [0.09, 0.09]])
+    phi, gamma = held_response(A, columns, 0.2)
+    position, velocity, u = np.array([1.0, 0.0]), np.array([0.0, 1.0]), rng.standard_normal(120)
+    gu, gw, c = gamma[:, 0].copy(), gamma[:, 1].copy(), np.array(c)
+    ours = simulate_feedback(u, phi, gu, gw, position, velocity, c, np.zeros(2), 5)
+    step, x, theirs = terms.feedback_step(2), np.zeros(2), []
+    for value in u:
+        theirs.append(x)
+        for _ in range(5):
+            x = np.array(step(x, value, phi, gu, gw, position, velocity, c)).ravel()
+    np.testing.assert_allclose(ours, np.array(theirs), rtol=1e-9, atol=1e-9)
+
+
+def test_held_response_is_the_matrix_exponential():
+    from scipy.linalg import expm
+
+    rng = np.random.default_rng(6)
+    A, B = rng.standard_normal((4, 4)), rng.standard_normal((4, 2))
+    phi, gamma = held_response(A, B, 0.7)
+    np.testing.assert_allclose(phi, expm(0.7 * A), rtol=1e-10, atol=1e-11)
+    np.testing.assert_allclose(A @ gamma, (expm(0.7 * A) - np.eye(4)) @ B, rtol=1e-9, atol=1e-10)
+
+
+def test_rational_agrees_with_lfilter():
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(7)
+    u, b, f = rng.standard_normal((200, 2)), np.array([[0.5, 0.2], [0.1, -0.3]]), np.array([-1.5, 0.7])
+    expected = sum(lfilter([0.0, 0.0, *b[j]], [1.0, *f], u[:, j]) for j in range(2))
+    np.testing.assert_allclose(rational(u, b, f, 1), expected, rtol=1e-9, atol=1e-11)
+
+
+def test_hinges_bend_at_their_corners():
+    x = np.linspace(-2, 2, 41)
+    expected = x + 0.5 * np.maximum(x - 0.3, 0) - 0.2 * np.maximum(x + 1, 0)
+    np.testing.assert_allclose(hinges(x, np.array([0.5, 0.3, -0.2, -1.0])), expected, atol=1e-12)

@@ -1,0 +1,127 @@
+"""Residual tests hold their level where nothing is missing and see what is missing, coloured noise included."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import binom
+
+from estimators.pem import identify
+from estimators.residuals import feedback, input_correlation, noise_filter, residual_tests, whiteness
+from oed.data import Record
+from oed.errors import InputError
+from tests.oracles import residuals as oracle
+
+B, A = [0.0, 0.2155, 0.2012], [1.0, -0.9854, 0.8187]
+RUNS, LEVEL = 200, 0.05
+# 200 tests at level 0.05 reject between these numbers of times with probability 0.999.
+LOW, HIGH = binom.ppf([0.0005, 0.9995], RUNS, LEVEL)
+
+
+def fitted(seed, colour=(), order="oe", orders=(2, 2), length=500):
+    rng = np.random.default_rng(seed)
+    u = lfilter([1], [1, -0.8], rng.normal(size=length))
+    e = lfilter([1], [1, *colour], rng.normal(size=length))
+    record = Record(u, lfilter(B, A, u) + e)
+    return identify(record, order, orders, start=[0.2155, 0.2012, -0.9854, 0.8187]), record
+
+
+def test_level_of_the_input_test_in_coloured_noise() -> None:
+    """p < 0.05 in 5 % of the runs although the noise is coloured and the input too; false alarms: 0.001."""
+    p, alone = [], []
+    for seed in range(RUNS):
+        fit, record = fitted(seed, colour=(-0.9,))
+        e, jacobian = fit.linearised(record)
+        p.append(input_correlation(e, record.u, lags=20, jacobian=jacobian[:, 0]).p_value)
+        white = e[:, 0]
+        alone.append(
+            np.abs(oracle.cross_correlations(white, record.u[:, 0], range(21))).max()
+            > 3.1 / np.sqrt(len(white))
+        )
+    assert LOW <= np.sum(np.array(p) < LEVEL) <= HIGH
+    # The negative control: the textbook bound for white residuals (3.1 sigma for 21 lags) fails here.
+    assert np.sum(alone) > HIGH
+
+
+def test_level_of_the_whiteness_test() -> None:
+    p = []
+    for seed in range(RUNS):
+        fit, record = fitted(1000 + seed)
+        p.append(residual_tests(fit, record, lags=20)["whiteness"].p_value)
+    assert LOW <= np.sum(np.array(p) < LEVEL) <= HIGH
+
+
+def test_level_on_fresh_data() -> None:
+    p = []
+    for seed in range(RUNS):
+        fit, _ = fitted(2000 + seed, colour=(-0.7,), length=300)
+        p.append(residual_tests(fit, fitted(9000 + seed, (-0.7,))[1], lags=15, fresh=True)["input"].p_value)
+    # The covariance of the parameters assumes white noise, so that the level is only near its value.
+    assert np.sum(np.array(p) < LEVEL) <= HIGH + 10
+
+
+def test_power_against_a_missing_delay_and_coloured_noise() -> None:
+    """The planted errors are seen: p < 0.001 in every one of ten runs."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        u = rng.normal(size=600)
+        y = lfilter([0, *B], A, u) + 0.2 * lfilter([1], [1, -0.6], rng.normal(size=600))
+        record = Record(u, y)
+        tests = residual_tests(identify(record, "oe", (2, 2), 1), record)
+        assert tests["whiteness"].p_value < 1e-3
+        assert tests["input"].p_value < 1e-3
+        good = residual_tests(identify(record, "oe", (2, 2), 2), record)
+        assert good["input"].p_value > 1e-4
+        assert good["whiteness"].p_value < 1e-3
+
+
+def test_feedback_is_seen_and_not_invented(rng) -> None:
+    e = rng.normal(size=(2, 1000))
+    y, u = np.zeros(1000), np.zeros(1000)
+    for t in range(1, 1000):
+        y[t] = 0.5 * y[t - 1] + 0.4 * u[t - 1] + e[0, t]
+        u[t] = -0.4 * y[t] + e[1, t]
+    assert feedback(e[0], lfilter([1], [1, -0.5], e[1])).p_value > 1e-3
+    assert feedback(e[0], np.r_[0, u[:-1]]).p_value < 1e-6
+
+
+def test_without_jacobian_it_is_the_permutation_test(rng) -> None:
+    """White noise: the chi-squared p-value is that of 2000 permutations within their error (0.011 at p = 0.5)."""
+    e, u = rng.normal(size=400), rng.normal(size=400)
+    theirs = oracle.independence_p_value(e, u - u.mean(), range(11), rng)
+    assert input_correlation(e, u, lags=10).p_value == pytest.approx(theirs, abs=0.05)
+    assert whiteness(e, lags=10).p_value == pytest.approx(oracle.whiteness_p_value(e, 10, rng), abs=0.05)
+
+
+def test_noise_filter_finds_an_autoregression(rng) -> None:
+    a = noise_filter([lfilter([1], [1, -1.5, 0.8], rng.normal(size=4000))])
+    assert a[:3] == pytest.approx([1, -1.5, 0.8], abs=0.06)
+    assert np.abs(np.roots(a)).max() < 1
+    assert len(noise_filter([np.zeros(100)])) == 1
+
+
+def test_several_records_and_channels(rng) -> None:
+    records = []
+    for _ in range(3):
+        u = rng.normal(size=(300, 2))
+        y = np.column_stack([lfilter(B, A, u[:, 0]), lfilter([0, 0, 1], [1, -0.5], u[:, 1])])
+        records.append(Record(u, y + 0.1 * rng.normal(size=(300, 2))))
+    fit = identify(records, "oe", (2, 1), initial="estimate", offset=True, diagonal=True)
+    tests = residual_tests(fit, records)
+    assert set(tests) == {
+        *("whiteness_1", "whiteness_2"),
+        *(f"{k}_{i}{j}" for k in ("input", "feedback") for i in (1, 2) for j in (1, 2)),
+    }
+    assert tests["input_11"].p_value < 1e-6  # F of degree 1 cannot resonate
+    assert tests["input_22"].p_value > 1e-4
+    assert tests["input_11"].significant().size > 0
+
+
+def test_bad_input_is_told(rng) -> None:
+    with pytest.raises(InputError, match="equal, record by record"):
+        input_correlation(rng.normal(size=50), rng.normal(size=49))
+    with pytest.raises(InputError, match="one channel at a time"):
+        whiteness(rng.normal(size=(50, 2)))
+    with pytest.raises(InputError, match="lags"):
+        whiteness(rng.normal(size=3))

@@ -1,0 +1,84 @@
+"""Losses and their bounds, against textbook formulas and random matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from oed.criteria import a_criterion, c_criterion, d_criterion, e_criterion, g_criterion
+from oed.errors import InputError
+
+
+def _random_information(rng, n=4):
+    B = rng.standard_normal((n, n + 2))
+    return B @ B.T
+
+
+def _all(rng, n=4):
+    W = rng.standard_normal((n, 2))
+    return [
+        d_criterion(n),
+        d_criterion(n, np.array([0, 2])),
+        a_criterion(n),
+        a_criterion(n, W @ W.T),
+        c_criterion(rng.standard_normal(n)),
+        e_criterion(n),
+        e_criterion(n, np.array([1, 3])),
+        g_criterion(rng.standard_normal((6, n))),
+        g_criterion(rng.standard_normal((5, n, 2))),
+    ]
+
+
+def test_losses_are_the_textbook_formulas(rng):
+    M = _random_information(rng)
+    C = np.linalg.inv(M)
+    c = rng.standard_normal(4)
+    rows = rng.standard_normal((6, 4))
+    W = np.diag([1.0, 2.0, 0.0, 3.0])
+    assert d_criterion(4).loss(M) == pytest.approx(np.linalg.det(C) ** 0.25)
+    assert d_criterion(4, np.array([0, 2])).loss(M) == pytest.approx(
+        np.linalg.det(C[np.ix_([0, 2], [0, 2])]) ** 0.5
+    )
+    assert a_criterion(4).loss(M) == pytest.approx(np.trace(C))
+    assert a_criterion(4, W).loss(M) == pytest.approx(np.trace(W @ C))
+    assert c_criterion(c).loss(M) == pytest.approx(c @ C @ c)
+    assert e_criterion(4).loss(M) == pytest.approx(np.linalg.eigvalsh(C)[-1])
+    assert g_criterion(rows).loss(M) == pytest.approx(max(r @ C @ r for r in rows))
+
+
+def test_the_bound_holds_for_every_direction_and_is_tight_at_its_own(rng):
+    for criterion in _all(rng):
+        M = _random_information(rng)
+        loss = criterion.loss(M)
+        X = criterion.direction(M)
+        assert criterion.numerator(X) / np.trace(X.T @ M @ X) == pytest.approx(loss, rel=1e-9)
+        for _ in range(40):
+            Y = X + rng.standard_normal(X.shape) * rng.exponential()
+            assert criterion.numerator(Y) / np.trace(Y.T @ M @ Y) <= loss * (1 + 1e-12)
+
+
+def test_transformed_losses_are_the_same(rng):
+    R = np.triu(rng.standard_normal((4, 4))) + 3 * np.eye(4)
+    inverse = np.linalg.inv(R)
+    for criterion in _all(rng):
+        M = _random_information(rng)
+        other, factor = criterion.transformed(R)
+        assert factor * other.loss(inverse.T @ M @ inverse) == pytest.approx(criterion.loss(M), rel=1e-9)
+
+
+def test_singular_information():
+    M = np.diag([2.0, 0.0])
+    assert c_criterion([1.0, 0.0]).loss(M) == pytest.approx(0.5)
+    assert c_criterion([1.0, 1e-3]).loss(M) == np.inf
+    assert d_criterion(2).loss(M) == np.inf
+
+
+def test_bad_input_is_named():
+    with pytest.raises(InputError, match="eigenvalue -1"):
+        a_criterion(2, np.diag([1.0, -1.0]))
+    with pytest.raises(InputError, match="symmetric 2 x 2"):
+        a_criterion(2, np.eye(3))
+    with pytest.raises(InputError, match="once"):
+        d_criterion(3, np.array([0, 0]))
+    with pytest.raises(InputError, match="nonzero"):
+        c_criterion([0.0, 0.0])

@@ -1,0 +1,73 @@
+"""Designs of random plants: at least 195 of 200 with a gap of at most 1e-5, for each criterion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from oed.design import solve_design
+from oed.errors import OedError
+from oed.plants import Plant
+
+
+def random_plant(rng: np.random.Generator, several: bool = False) -> Plant:
+    """Order 1 to 10, damping 0.002 to 1, one input and output or two of each."""
+    size = 2 if several else 1
+    num, den = [], []
+    for _ in range(size):
+        nums, dens = [], []
+        for _ in range(size):
+            order = int(rng.integers(1, 4 if several else 11))
+            poly, left = np.ones(1), order
+            while left:
+                if left >= 2 and rng.uniform() < 0.7:
+                    damping, natural = 10 ** rng.uniform(np.log10(0.002), 0), rng.uniform(0.2, 2.6)
+                    pole = np.exp(-damping * natural + 1j * natural * np.sqrt(1 - damping**2))
+                    poly, left = np.convolve(poly, [1, -2 * pole.real, abs(pole) ** 2]), left - 2
+                else:
+                    poly, left = np.convolve(poly, [1, -rng.uniform(-0.6, 0.97)]), left - 1
+            zeros = rng.standard_normal(order) if order > 1 else np.ones(1)
+            nums.append(np.concatenate([[0.0], zeros]))
+            dens.append(poly)
+        num.append(nums)
+        den.append(dens)
+    return Plant(num, den, noise_covariance=0.1, name="random")
+
+
+def outcomes(plants: list[Plant], criterion: str) -> list[tuple[str, float]]:
+    """Status and gap of every design; a refusal counts by its name."""
+    rows = []
+    for plant in plants:
+        try:
+            design = solve_design(plant, criterion)
+            rows.append((design.status.name, design.gap))
+        except OedError as error:
+            rows.append((type(error).__name__, np.inf))
+    return rows
+
+
+def random_plants(count: int) -> list[Plant]:
+    """The same plants at every call."""
+    rng = np.random.default_rng(20)
+    return [random_plant(rng, several=k % 4 == 3) for k in range(count)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "criterion", ["D", "hinf"]
+)  # A and E of ill-conditioned plants take minutes: see validate
+def test_a_few_random_plants(criterion):
+    rows = outcomes(random_plants(3), criterion)
+    assert all(abs(gap) <= 1e-5 for _, gap in rows), rows
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize("criterion", ["D", "A", "E", "hinf"])
+def test_two_hundred_random_plants(criterion, record_figure):
+    rows = outcomes(random_plants(200), criterion)
+    good = sum(abs(gap) <= 1e-5 for _, gap in rows)
+    record_figure("designs with a gap of at most 1e-5, of 200", good, criterion=criterion)
+    left = [row for row in rows if not abs(row[1]) <= 1e-5]
+    assert good >= 195, left
+    # What is left says why: a status other than OK, or an exception of its own.
+    assert all(name != "OK" for name, _ in left)

@@ -1,0 +1,59 @@
+"""The README's Python runs, top to bottom, in one namespace, as a reader would paste it."""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import io
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+README = Path(__file__).resolve().parent.parent / "README.md"
+FENCE = re.compile(r"^(?P<indent> *)```python[^\n]*\n(?P<code>.*?)^ *```", re.MULTILINE | re.DOTALL)
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+def blocks(text: str) -> list[tuple[int, str]]:
+    """Each ```python block's first line number and its code, the fence's indent removed."""
+    found = []
+    for hit in FENCE.finditer(text):
+        code = re.sub(rf"^{hit['indent']}", "", hit["code"], flags=re.MULTILINE)
+        found.append((text[: hit.start("code")].count("\n") + 1, code))
+    return found
+
+
+def run(text: str, name: str) -> int:
+    """Run every block of the text in order; the number of blocks. A wrong example raises AssertionError."""
+    namespace: dict[str, object] = {"__name__": "__main__"}
+    found = blocks(text)
+    for line, code in found:
+        if ">>>" not in code:
+            with contextlib.redirect_stdout(io.StringIO()):
+                exec(compile("\n" * (line - 1) + code, name, "exec"), namespace)
+            continue
+        test = doctest.DocTestParser().get_doctest(code, namespace, f"{name}, line {line}", name, line - 1)
+        runner, said = doctest.DocTestRunner(optionflags=FLAGS), []
+        runner.run(test, out=said.append, clear_globs=False)
+        namespace = test.globs
+        if runner.failures:
+            raise AssertionError("".join(said))
+    return len(found)
+
+
+@pytest.mark.skipif(not README.exists(), reason="there is no README.md yet")
+def test_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(README.read_text(encoding="utf-8"), "README.md") > 0, "README.md shows no Python"
+    assert os.getcwd() == str(tmp_path)
+
+
+def test_a_wrong_example_is_caught() -> None:
+    assert run("```python\na = 2\n```\n\n```python\n>>> a + 1\n3\n```\n", "right") == 2
+    with pytest.raises(AssertionError, match="Expected"):
+        run("```python\n>>> 1 + 1\n3\n```\n", "wrong")
+    with pytest.raises(ZeroDivisionError):
+        run("```python\n1 / 0\n```\n", "wrong")
+    assert run("no code\n", "none") == 0

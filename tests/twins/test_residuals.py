@@ -1,0 +1,37 @@
+"""estimators.residuals against permutation: p-values of the same statistics without any distribution theory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimators.residuals import input_correlation, whiteness
+from tests.oracles import lti, residuals
+
+
+@pytest.mark.parametrize("case", range(4))
+def test_whiteness(case, rng) -> None:
+    """A permutation p-value of 999 has the standard error sqrt(p (1 - p) / 999) < .016; the chi-squared is a large-sample law and the
+    statistics weigh the lags by N - k against 1: 0.08 apart at N = 300 allows five errors of the first. Control: case 3 is coloured.
+    """
+    e = rng.standard_normal(300)
+    if case == 3:
+        e = lti.difference_equation([1.0], [1.0, -0.5], e)
+    oracle = residuals.whiteness_p_value(e, 10, rng, permutations=999)
+    assert whiteness(e, lags=10).p_value == pytest.approx(oracle, abs=0.08)
+    assert whiteness(e, lags=10).correlation == pytest.approx(residuals.autocorrelations(e, 10), abs=1e-12)
+    assert (oracle < 0.01) == (case == 3)
+
+
+@pytest.mark.parametrize("case", range(4))
+def test_input_correlation(case, rng) -> None:
+    """As above; the residual is white, so that permutation is a fair reference, and the input is not. Control: case 3 leaks."""
+    e, u = rng.standard_normal(300), lti.difference_equation([1.0], [1.0, -0.8], rng.standard_normal(300))
+    u = u - u.mean()
+    if case == 3:
+        e = e + 0.3 * np.r_[0.0, u[:-1]]
+    oracle = residuals.independence_p_value(e, u, range(8), rng, permutations=999)
+    found = input_correlation(e, u, lags=7)
+    assert found.p_value == pytest.approx(oracle, abs=0.08)
+    assert found.correlation == pytest.approx(residuals.cross_correlations(e, u, range(8)), abs=1e-12)
+    assert (oracle < 0.01) == (case == 3)
