@@ -19,6 +19,8 @@ __all__ = ["Peak", "gain_gradient", "peak", "response_derivatives", "singular_va
 
 EQUAL = 1e-10
 """Relative difference below which two local maxima count as equal peaks."""
+NEAR = 1e-4
+"""Distance in rad/sample up to which rounding may split a flat top in two (a quartic one: eps^(1/4))."""
 FLAT = 1e-13
 """Relative range of the squared gain below which it is constant (an all-pass plant)."""
 
@@ -182,12 +184,26 @@ def _local_maxima(plant: Plant, omega: NDArray) -> list[tuple[float, float]]:
             continue
         w = _refine(plant, omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)])
         found.append((w, float(np.sqrt(_slope(plant, np.array([w]))[0][0]))))
-    found.sort(key=lambda row: -row[1])
+    return sorted(_distinct(plant, found), key=lambda row: -row[1])
+
+
+def _distinct(plant: Plant, found: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The maxima without their doubles: rounding near a flat top makes two of one, with no dip between them."""
     distinct: list[tuple[float, float]] = []
-    for w, s in found:
-        if all(abs(w - other) > 1e-9 for other, _ in distinct):
+    for w, s in sorted(found):
+        if not distinct or not _same_top(plant, distinct[-1], (w, s)):
             distinct.append((w, s))
+        elif distinct[-1][0] != 0.0 and (w == np.pi or s > distinct[-1][1]):
+            distinct[-1] = (w, s)  # an end of the axis is exact, else the higher of the two
     return distinct
+
+
+def _same_top(plant: Plant, one: tuple[float, float], other: tuple[float, float]) -> bool:
+    distance = other[0] - one[0]
+    if distance <= 1e-9 or distance > NEAR:
+        return distance <= 1e-9
+    between = _slope(plant, np.linspace(one[0], other[0], 11)[1:-1])[0]
+    return bool(between.min() >= min(one[1], other[1]) ** 2 * (1 - 8 * np.finfo(float).eps))
 
 
 def _crossings(plant: Plant, level: float) -> NDArray[np.float64]:

@@ -133,9 +133,8 @@ class _Gap:
         b = _autocorrelation(B)
         self.q = chebyshev.chebsub(top.value**2 * self.a, b)
         self.centres = top.frequencies
-        for (
-            w
-        ) in top.frequencies:  # divide by (x - x^)^2 inside, by (x - x^) at 0 and pi, where x moves as w^2
+        # divided by (x - x^)^2 inside, by (x - x^) at 0 and pi, where x moves as w^2
+        for w in top.frequencies:
             for _ in range(1 if w in (0.0, np.pi) else 2):
                 self.q = chebyshev.chebdiv(self.q, [-np.cos(w), 1.0])[0]
 

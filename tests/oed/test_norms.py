@@ -11,6 +11,7 @@ from oed.named import NAMES, named_plant
 from oed.norms import gain_gradient, peak, response_derivatives
 from oed.plants import Plant
 from oed.realisations import state_space
+from oed.theory import limit_spectrum
 
 
 def test_reference_plant_to_the_printed_digits():
@@ -124,3 +125,12 @@ def test_a_stalled_eigenvalue_iteration_is_started_again(monkeypatch):
 def test_a_coefficient_near_underflow_changes_nothing():
     plant = Plant(num=[[[0, 0.5]]], den=[[[1.0, 2.2e-305]]])
     assert peak(plant).value == pytest.approx(0.5, rel=1e-14)
+
+
+@pytest.mark.parametrize("num", [[0.5], [0.0, 0.5]])
+@pytest.mark.parametrize("relative", [0.0, 1e-15, 1e-16])
+def test_rounding_at_a_flat_top_makes_no_second_peak(num, relative):
+    """A double pole: crossings of the level set a hundred-millionth from the peak at 0."""
+    plant = Plant(num=[[num]], den=[[[1.0, -0.1875, 0.0087890625 * (1 + relative)]]])
+    assert peak(plant).frequencies == (0.0,)
+    assert limit_spectrum(plant).mu2_excess == pytest.approx(0.893142882687, rel=1e-11)
