@@ -183,7 +183,10 @@ def _local_maxima(plant: Plant, omega: NDArray) -> list[tuple[float, float]]:
             found.append((float(omega[k]), float(np.sqrt(height[k]))))
             continue
         w = _refine(plant, omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)])
-        found.append((w, float(np.sqrt(_slope(plant, np.array([w]))[0][0]))))
+        top = (w, float(np.sqrt(_slope(plant, np.array([w]))[0][0])))
+        end = 0.0 if w < np.pi / 2 else np.pi  # a top there is exact, and rounding may move it off
+        at_end = (end, float(np.sqrt(_slope(plant, np.array([end]))[0][0])))
+        found.append(at_end if _same_top(plant, *sorted([top, at_end])) else top)
     return sorted(_distinct(plant, found), key=lambda row: -row[1])
 
 
@@ -199,6 +202,7 @@ def _distinct(plant: Plant, found: list[tuple[float, float]]) -> list[tuple[floa
 
 
 def _same_top(plant: Plant, one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether two maxima, the lower frequency first, have no dip between them that rounding could not make."""
     distance = other[0] - one[0]
     if distance <= 1e-9 or distance > NEAR:
         return distance <= 1e-9

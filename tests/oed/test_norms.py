@@ -134,3 +134,11 @@ def test_rounding_at_a_flat_top_makes_no_second_peak(num, relative):
     plant = Plant(num=[[num]], den=[[[1.0, -0.1875, 0.0087890625 * (1 + relative)]]])
     assert peak(plant).frequencies == (0.0,)
     assert limit_spectrum(plant).mu2_excess == pytest.approx(0.893142882687, rel=1e-11)
+
+
+def test_double_poles_peak_exactly_at_the_ends(rng):
+    for _ in range(100):
+        r = rng.uniform(0.01, 0.9) * rng.choice([-1, 1])
+        den = np.convolve([1, -r], [1, -r]) * [1, 1, 1 + rng.choice([0, 1e-16, 1e-15, -1e-15])]
+        plant = Plant(num=[[np.r_[np.zeros(rng.integers(3)), 0.562]]], den=[[den]])
+        assert peak(plant).frequencies == ((0.0,) if r > 0 else (np.pi,))
