@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 
 from oed.data import Record, frozen
 from oed.errors import InputError, OedError
+from oed.files.objects import as_records
 
 if TYPE_CHECKING:
     from estimators.pem.fit import Fit
 
 __all__ = ["Choice", "Delay", "estimate_delay", "select_orders"]
+
+NEAR = 10.0
+"""Difference of AIC up to which a delay is looked at closely: beyond it the best is 150 times as likely."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +73,8 @@ def estimate_delay(
     """The delay nk under which a structure of given orders leaves the smallest residual.
 
     All candidates have the same number of parameters, so that the loss alone decides: it is the profile
-    likelihood of the delay.
+    likelihood of the delay. Every candidate is fitted with the quick search; those that come near the best are
+    fitted once more with the search that was asked for.
 
     Parameters
     ----------
@@ -100,13 +105,17 @@ def estimate_delay(
     fits: list[Fit | None] = []
     for nk in tried:
         try:
-            fits.append(identify(records, structure, orders, int(nk), **options))
+            fits.append(identify(records, structure, orders, int(nk), **{**options, "search": "quick"}))
         except InputError:
             if nk == tried[-1] and not any(fits):
                 raise
             fits.append(None)
         except OedError:
             fits.append(None)
+    best_aic = min((f.aic for f in fits if f is not None), default=np.inf)
+    for k, found in enumerate(fits):
+        if found is not None and found.aic < best_aic + NEAR and options.get("search") != "quick":
+            fits[k] = identify(records, structure, orders, int(tried[k]), **options)
     loss = np.array([f.loss if f is not None else np.nan for f in fits])
     if not np.isfinite(loss).any():
         raise InputError(f"no delay of {tried.tolist()} gives a model that can be fitted; lower the orders.")
@@ -250,7 +259,7 @@ def _left_out(records: Any, structure: str, orders: Any, nk: int, folds: int, op
     """Mean squared one-step error on what was left out, each block predicted by a model of the others."""
     from estimators.pem import identify
 
-    given = [records] if isinstance(records, Record) else list(records)
+    given = as_records(records, missing=bool(options.get("missing")))
     if len(given) > 1:
         blocks = [([r for r in given if r is not left], left) for left in given]
     else:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from oed.data import Record
 from oed.errors import InputError
+from oed.files.objects import as_records
 
 if TYPE_CHECKING:
     from estimators.pem.fit import Fit
@@ -115,7 +116,7 @@ def estimate_fractional_delay(
 
     from estimators.pem import identify
 
-    given = [records] if isinstance(records, Record) else list(records)
+    given = as_records(records)
     total = sum(map(len, given))
 
     def fitted(fraction: float) -> Fit:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.data import Record, frozen
 from oed.errors import InputError
+from oed.files.objects import as_records
 
 __all__ = ["ResidualTest", "feedback", "input_correlation", "noise_filter", "residual_tests", "whiteness"]
 
@@ -301,7 +302,7 @@ def residual_tests(
         "whiteness", "input" and "feedback"; with several channels one per output or pair, such as
         "whiteness_2" and "input_21" (output 2, input 1).
     """
-    given = [records] if isinstance(records, Record) else list(records)
+    given = as_records(records)
     linear = [fit.linearised(r) for r in given]
     shared = len(fit.covariance)
     levels = int(bool(np.any(fit.output_level_errors))) * given[0].n_outputs

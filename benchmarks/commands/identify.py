@@ -43,9 +43,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
         choices=("zero", "estimate", "backcast"),
         help="initial states (default: estimate; with --no-offset zero)",
     )
+    parser.add_argument(
+        "--iterations", type=int, default=100, metavar="n", help="most steps of the search (default 100)"
+    )
+    parser.add_argument(
+        "--search",
+        choices=("quick", "auto", "thorough"),
+        default="auto",
+        help="how hard the optimum is looked for",
+    )
     parser.add_argument("--missing", action="store_true", help="NaN in the outputs marks missing samples")
     parser.add_argument("--robust", choices=("huber", "student"), help="a loss that withstands outliers")
     parser.add_argument("--test", metavar="DATA", help="fresh data: the errors there are reported too")
+    parser.add_argument(
+        "--skip", type=int, default=0, metavar="n",
+        help="the first n samples of --test are left out of its errors and, unless --initial zero, set the initial state",
+    )  # fmt: skip
     parser.add_argument("--inputs", help="input columns, with commas (default: those that begin with u)")
     parser.add_argument("--outputs", help="output columns, with commas (default: those that begin with y)")
     parser.add_argument("--dt", type=float, help="sampling time in seconds")
@@ -71,8 +84,10 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     """
     from estimators.choice import estimate_delay
     from estimators.pem import identify
+    from estimators.pem.results import needed
     from estimators.residuals import residual_tests
     from oed.files import read_record
+    from oed.inspection import defects
 
     notes: list[str] = []
     reading = {
@@ -93,6 +108,8 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         "diagonal": args.diagonal,
         "missing": args.missing,
         "robust": args.robust,
+        "max_iterations": args.iterations,
+        "search": args.search,
     }
     if args.delay == "auto":
         found = estimate_delay(records, args.structure, orders, **options)
@@ -100,6 +117,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     else:
         delay = _whole(args.delay)
         fit = identify(records, args.structure, orders, delay, **options)
+    seen = defects(records, order=needed(fit.model.structure))
     complete = all(record.complete for record in records)
     tests = residual_tests(fit, records) if complete else {}
     if not complete:
@@ -110,6 +128,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         "delay": delay,
         "residual_tests": {name: test.p_value for name, test in tests.items()},
         "residual_lags": {name: test.significant().tolist() for name, test in tests.items()},
+        "data_defects": [defect.to_dict() for defect in seen],
         "notes": [*fit.notes, *notes],
     }
     if records[0].dt != 1:
@@ -117,6 +136,8 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
 
         payload["hinf_frequency_hz"] = payload["hinf_frequency"] / (2 * np.pi * records[0].dt)
     lines = [repr(fit)]
+    if seen:
+        lines += ["seen in the data, and left as it is:", *(f"  {defect}" for defect in seen)]
     if offset:
         lines += [
             f"  level of {name}: {value:.6g}" + (f" +- {error:.2g}" if error else "")
@@ -131,7 +152,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         lines += ["residual tests (p-values):", *(f"  {test!r}" for test in tests.values())]
     if args.test:
         fresh = read_record(args.test, **reading)
-        payload["test"] = _fresh(fit, fresh)
+        payload["test"] = _fresh(fit, fresh, args.skip)
         lines.append(
             "on fresh data: simulation error {simulation_rmse:.6g} (fit {simulation_fit_percent:.2f} %), "
             "one-step error {prediction_rmse:.6g}".format(**payload["test"])
@@ -152,18 +173,24 @@ def _whole(text: str) -> int:
         raise InputError(f"--delay is {text!r}; give a whole number of samples, or auto.") from None
 
 
-def _fresh(fit, record) -> dict:
-    """Errors on a record that was not fitted: simulated from rest, and one step ahead."""
+def _fresh(fit, record, skip: int) -> dict:
+    """Errors on a record that was not fitted: simulated, and one step ahead; the first samples left out."""
     import numpy as np
 
     from estimators.pem.fit import fit_percent
+    from oed.errors import InputError
 
-    simulated = fit.simulate(record.u)
-    e = fit.residuals_of(record, initial="estimate")
+    if not 0 <= skip < len(record):
+        raise InputError(f"--skip {skip} of {len(record)} test samples; leave some to judge by.")
+    window = 0 if fit.initial == "zero" else skip
+    simulated = fit.simulate_record(record, window=window)[skip:]
+    e = fit.residuals_of(record, initial="estimate")[skip:]
+    y = record.y[skip:]
     return {
-        "simulation_rmse": float(np.sqrt(np.mean((record.y - simulated) ** 2))),
-        "simulation_fit_percent": fit_percent(record.y, simulated),
+        "simulation_rmse": float(np.sqrt(np.mean((y - simulated) ** 2))),
+        "simulation_fit_percent": fit_percent(y, simulated),
         "prediction_rmse": float(np.sqrt(np.mean(e**2))),
+        "skipped": skip,
     }
 
 

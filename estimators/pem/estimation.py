@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -29,6 +29,7 @@ from estimators.pem.search import best_optimum
 from estimators.pem.statespace import state_space_of_armax, subspace_candidates
 from oed.data import Record
 from oed.errors import InputError, Status
+from oed.files.objects import as_records
 from oed.models import Polynomial, StateSpace, polynomial
 
 __all__ = ["identify"]
@@ -37,7 +38,7 @@ _INITIAL = ("zero", "estimate", "backcast")
 
 
 def identify(
-    records: Record | Sequence[Record],
+    records: Any,
     structure: str | Polynomial | StateSpace = "oe",
     orders: Any = (2, 2),
     delay: Any = 1,
@@ -63,8 +64,9 @@ def identify(
 
     Parameters
     ----------
-    records : Record or sequence of Record
-        One experiment, or several that share the model.
+    records : Record or DataFrame or Dataset or TimeResponseData, or a sequence of them
+        One experiment, or several that share the model (`oed.files.objects.as_records` says how others than
+        `oed.Record` are read).
     structure : str or Polynomial or StateSpace
         fir, arx, armax, oe, bj, ss; or a structure, whose orders and delays then count.
     orders : sequence of int
@@ -114,7 +116,7 @@ def identify(
     NotIdentifiable
         If the information matrix is singular; the parameters in its null space are named.
     """
-    experiments = [records] if isinstance(records, Record) else list(records)
+    experiments = as_records(records, missing=missing)
     form = structure_for(structure, orders, delay, diagonal, experiments)
     if initial not in _INITIAL:
         raise InputError(f"initial is {initial!r}; choose one of {', '.join(_INITIAL)}.")

@@ -101,6 +101,21 @@ def _held(point: Point, bounds: tuple[NDArray, NDArray] | None) -> NDArray[np.bo
     return (point.z <= lower) & (point.gradient >= 0) | (point.z >= upper) & (point.gradient <= 0)
 
 
+def _along(normals: NDArray, point: Point, moves: NDArray) -> NDArray:
+    """(n, k) orthonormal basis of the directions along the walls that the Gauss-Newton step would cross."""
+    n = len(moves)
+    if not len(normals):
+        return np.eye(n)
+    hessian, gradient = point.hessian[moves[:, None], moves], point.gradient[moves]
+    scale = 1 / np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
+    inner = _solve(hessian, 1e-9, gradient, scale)
+    outward = normals[normals @ (inner if inner is not None else -gradient) > 0]
+    if not len(outward):
+        return np.eye(n)
+    _, singular, right = np.linalg.svd(outward)
+    return right[int(np.sum(singular > 1e-9 * singular[0])) :].T
+
+
 def minimise(
     evaluate: Callable[[NDArray, Any], Point | None],
     start: Point,
@@ -109,6 +124,8 @@ def minimise(
     max_iterations: int = 100,
     free: NDArray | None = None,
     project: Callable[[NDArray], NDArray] | None = None,
+    clip: Callable[[NDArray], NDArray] | None = None,
+    walls: Callable[[NDArray], NDArray] | None = None,
     bounds: tuple[NDArray, NDArray] | None = None,
 ) -> Optimum:
     """Minimise a sum of squares from a point.
@@ -126,7 +143,11 @@ def minimise(
     free : ndarray of bool, optional
         (n,) which parameters may move; all by default.
     project : callable, optional
-        z -> the nearest z that is allowed; applied to every trial.
+        z -> a z that is allowed; applied to every trial.
+    clip : callable, optional
+        z -> the z on the edge of what is allowed, tried where the other is no better than the start of the step.
+    walls : callable, optional
+        z -> (m, n) outward normals of the edges on which it lies; steps that lead out of them go along them.
     bounds : tuple of ndarray, optional
         Lower and upper bounds; a parameter at its bound that the gradient pushes outwards stays there.
 
@@ -143,8 +164,11 @@ def minimise(
         moves = np.flatnonzero(allowed & ~_held(point, bounds))
         if not moves.size:
             return Optimum(point, Status.CONVERGED, iteration, 0.0)
-        gradient, hessian = point.gradient[moves], point.hessian[moves[:, None], moves]
-        learned = S[moves[:, None], moves]
+        along = np.eye(len(point.z))[:, moves]
+        if walls is not None:
+            along = along @ _along(walls(point.z)[:, moves], point, moves)
+        gradient, hessian = along.T @ point.gradient, along.T @ point.hessian @ along
+        learned = along.T @ S @ along
         diagonal = np.diag(hessian)
         scale = 1 / np.sqrt(np.maximum(diagonal, max(1e-14 * diagonal.max(), np.finfo(float).tiny)))
         newton = _solve(hessian, 1e-14, gradient, scale)
@@ -157,13 +181,19 @@ def minimise(
             inner = _solve(hessian + learned if corrected else hessian, damping, gradient, scale)
             if inner is None:
                 damping, corrected = max(4 * damping, 1e-6), corrected and damping < 1
-        step = np.zeros(len(point.z))
-        step[moves] = inner
+        step = along @ inner
         linear, plain, bent = 2 * gradient @ inner, inner @ hessian @ inner, inner @ learned @ inner
         predicted = -(linear + plain + (bent if corrected else 0.0))
+        wanted = point.z + step
         if project is not None:
-            step = project(point.z + step) - point.z
+            step = project(wanted) - point.z
         trial = evaluate(point.z + step, point.follow(step))
+        if clip is not None and (trial is None or trial.loss > point.loss):
+            edge = clip(wanted) - point.z
+            if (edge != step).any():
+                other = evaluate(point.z + edge, point.follow(edge))
+                if other is not None and other.loss <= point.loss:
+                    step, trial = edge, other
         if trial is not None and trial.loss <= point.loss:
             fall = point.loss - trial.loss
             gain = fall / max(predicted, 1e-30 * point.loss, 1e-300)

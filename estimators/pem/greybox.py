@@ -21,6 +21,7 @@ from estimators.pem.kernel import kernel_of
 from estimators.pem.statespace import differentiated
 from oed.data import Record, as_signal
 from oed.errors import InputError, NotIdentifiable, Status
+from oed.files.objects import as_records
 
 __all__ = ["GreyBox", "GreyBoxFit", "identify_grey_box"]
 
@@ -176,7 +177,7 @@ def identify_grey_box(
     """
     import casadi as ca
 
-    given = [records] if isinstance(records, Record) else list(records)
+    given = as_records(records)
     if not given or initial not in ("zero", "estimate"):
         raise InputError(f"{len(given)} records, initial {initial!r}; give records and zero or estimate.")
     ny, nu, dt = given[0].n_outputs, given[0].n_inputs, given[0].dt

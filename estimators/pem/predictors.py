@@ -15,9 +15,19 @@ from estimators.pem.starts import reflected
 from estimators.pem.statespace import state_space_recursion
 from oed.models import Polynomial, StateSpace
 
-__all__ = ["Structure", "kernel_for", "parameter_scale", "predictor_is_stable", "projected", "samples"]
+__all__ = [
+    "Structure",
+    "kernel_for",
+    "parameter_scale",
+    "predictor_is_stable",
+    "projected",
+    "samples",
+    "walls",
+]
 
 Structure = Polynomial | StateSpace
+EDGE = 1e-7
+"""How far inside the unit circle the roots of a predictor stay."""
 
 
 @lru_cache(maxsize=128)
@@ -110,7 +120,7 @@ def predictor_is_stable(structure: Structure, z: NDArray) -> bool:
     )
 
 
-def projected(structure: Structure, z: NDArray) -> NDArray:
+def projected(structure: Structure, z: NDArray, mirror: bool = True) -> NDArray:
     """Parameters with the unstable roots of C and F mirrored into the unit circle; of state space, as they are.
 
     Parameters
@@ -119,6 +129,8 @@ def projected(structure: Structure, z: NDArray) -> NDArray:
         The structure.
     z : ndarray
         Parameters, with whatever follows them.
+    mirror : bool
+        False leaves such roots on the circle.
 
     Returns
     -------
@@ -131,8 +143,46 @@ def projected(structure: Structure, z: NDArray) -> NDArray:
     for place in structure.places():
         for part in (*place["c"], *place["f"]):
             if part.stop > part.start and not is_stable(np.concatenate([[1.0], z[part]])):
-                z[part] = reflected(z[part], 1 - 1e-7)
+                z[part] = reflected(z[part], 1 - EDGE, mirror)
     return z
+
+
+def walls(structure: Structure, z: NDArray) -> NDArray[np.float64]:
+    """Where roots of C and F lie on the edge of stability, the gradient of their modulus.
+
+    With p(r) = 0 the root moves by dr = -r^(n-k) dz_k / p'(r), its modulus by Re(conj(r) dr) / |r|.
+
+    Parameters
+    ----------
+    structure : Polynomial or StateSpace
+        The structure.
+    z : ndarray
+        (n,) parameters, with whatever follows them.
+
+    Returns
+    -------
+    ndarray
+        (m, n) outward normals, one for each root, or pair of them, that lies there; none for state space.
+    """
+    found: list[NDArray] = []
+    if isinstance(structure, StateSpace):
+        return np.zeros((0, len(z)))
+    for place in structure.places():
+        for part in (*place["c"], *place["f"]):
+            degree = part.stop - part.start
+            whole = np.concatenate([[1.0], z[part]])
+            if is_stable(whole / (1 - 20 * EDGE) ** np.arange(degree + 1)):
+                continue
+            slope = np.polyder(whole)
+            for root in np.roots(whole):
+                if abs(root) < 1 - 20 * EDGE or root.imag < 0:
+                    continue
+                moved = -(root ** np.arange(degree - 1, -1, -1)) / np.polyval(slope, root)
+                normal = np.zeros(len(z))
+                normal[part] = np.real(np.conj(root) * moved) / abs(root)
+                if np.isfinite(normal).all():
+                    found.append(normal)
+    return np.array(found).reshape(len(found), len(z))
 
 
 def parameter_scale(structure: Structure, su: NDArray, sy: NDArray) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ from estimators.pem.predictors import (
     predictor_is_stable,
     projected,
     samples,
+    walls,
 )
 from oed.data import Record
 
@@ -84,20 +85,22 @@ class Problem:
         """Number of parameters and levels."""
         return len(self.scale)
 
-    def projected(self, z: NDArray) -> NDArray:
-        """The nearest parameters whose predictor is stable, where there is a simple way to them.
+    def projected(self, z: NDArray, mirror: bool = True) -> NDArray:
+        """Parameters nearby whose predictor is stable, where there is a simple way to them.
 
         Parameters
         ----------
         z : ndarray
             Scaled parameters.
+        mirror : bool
+            Whether unstable roots are mirrored into the unit circle; else they go to its edge.
 
         Returns
         -------
         ndarray
             The same where the predictor is stable.
         """
-        z = projected(self.structure, z)
+        z = projected(self.structure, z, mirror)
         return z if self.lower is None else np.clip(z, self.lower, self.upper)
 
     def descend(
@@ -125,7 +128,8 @@ class Problem:
         if self.lower is not None and self.upper is not None:
             bounds = self.lower, self.upper
         return minimise(
-            self.evaluate, point, project=self.projected, max_iterations=max_iterations,
+            self.evaluate, point, project=self.projected, clip=lambda z: self.projected(z, mirror=False),
+            walls=lambda z: walls(self.structure, z), max_iterations=max_iterations,
             tolerance=tolerance, free=free, bounds=bounds,
         )  # fmt: skip
 

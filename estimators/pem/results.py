@@ -8,12 +8,14 @@ from numpy.typing import NDArray
 from estimators.pem.extras import robust_factor, unweighted
 from estimators.pem.fit import Fit, fit_percent
 from estimators.pem.gauss_newton import Optimum, Point
+from estimators.pem.predictors import Structure
 from estimators.pem.problem import Problem
 from oed.data import Record
 from oed.errors import NotIdentifiable, Status
-from oed.models import Model
+from oed.inspection import excitation_order
+from oed.models import Model, StateSpace
 
-__all__ = ["result"]
+__all__ = ["needed", "result"]
 
 
 def result(
@@ -56,7 +58,8 @@ def result(
     else:
         at_bound = np.zeros_like(free)
     estimated = int(free.sum()) + n_states
-    inner, status = _covariance(problem, point, optimum.status, np.flatnonzero(free & ~at_bound))
+    moves = np.flatnonzero(free & ~at_bound)
+    inner, status = _covariance(problem, point, optimum.status, moves, records)
     spread = np.zeros((problem.n_parameters, problem.n_parameters))
     kept = np.flatnonzero(free & ~at_bound)
     spread[kept[:, None], kept] = inner
@@ -98,7 +101,9 @@ def result(
     )  # fmt: skip
 
 
-def _covariance(problem: Problem, point: Point, status: Status, moves: NDArray) -> tuple[NDArray, Status]:
+def _covariance(
+    problem: Problem, point: Point, status: Status, moves: NDArray, records: list[Record]
+) -> tuple[NDArray, Status]:
     """Inverse of the Gauss-Newton matrix, or the names of what it does not determine."""
     hessian = point.hessian[moves[:, None], moves]
     if not moves.size:
@@ -114,7 +119,35 @@ def _covariance(problem: Problem, point: Point, status: Status, moves: NDArray) 
         raise NotIdentifiable(
             f"the data do not determine a combination of {', '.join(guilty)}: the information matrix is singular "
             "(its smallest eigenvalue over the largest is "
-            f"{max(values[0], 0) / values[-1]:.1e}); lower the orders or excite more frequencies."
+            f"{max(values[0], 0) / values[-1]:.1e}); {_excitation(records, needed(problem.structure))} lower the "
+            "orders or excite more frequencies."
         )
     inverse = (vectors / values) @ vectors.T / np.outer(size, size)
     return inverse, status
+
+
+def needed(form: Structure) -> int:
+    """The order of persistent excitation that tells the parameters of G apart, for the entry with the most.
+
+    Parameters
+    ----------
+    form : Polynomial or StateSpace
+        The structure.
+
+    Returns
+    -------
+    int
+        nb + nf + na; of n states n for each input and output, and n more.
+    """
+    if isinstance(form, StateSpace):
+        return 2 * form.order + form.feedthrough
+    return int((form.nb + form.nf + form.na[:, None])[form.nb > 0].max(initial=0))
+
+
+def _excitation(records: list[Record], most: int) -> str:
+    """How far the inputs excite, in words."""
+    names, reached = records[0].input_names, []
+    for j, name in enumerate(names):
+        order = excitation_order([r.u[:, j] for r in records], most)
+        reached.append(f"{name} of order {order}" + (" at least" if order == most else ""))
+    return f"persistently exciting are {', '.join(reached)}, and this structure has use for order {most};"

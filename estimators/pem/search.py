@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from estimators.pem.extras import Settings
 from estimators.pem.gauss_newton import Optimum, Point
+from estimators.pem.moves import drawn, integrating, relocations
 from estimators.pem.problem import Problem
 from estimators.pem.starts import (
     arma_start,
@@ -22,10 +23,15 @@ from estimators.pem.starts import (
 )
 from oed.errors import InputError
 
-__all__ = ["best_optimum", "candidates", "relocations"]
+__all__ = ["best_optimum", "candidates"]
 
 MANY = 20_000
 """Samples on which the search goes through all starts; more only refine what it finds."""
+FEW, SOME = 400, 3000
+"""Samples up to which models of one or two modes are searched for at all, and those of more closely: noise makes
+more optima of few samples."""
+DRAWS = 12
+"""Random starts for every mode on up to 1000 samples."""
 
 
 def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimum:
@@ -59,143 +65,101 @@ def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimu
         ]
     if not points:
         raise InputError("the loss is not finite at any start; are the samples of a usable size?")
+    if own is None:
+        points += [
+            p
+            for z in integrating(problem, points)
+            if (p := problem.evaluate(problem.projected(z))) is not None
+        ]
     points.sort(key=lambda p: p.loss)
     if large:
         own_first = problem.evaluate(problem.projected(zs[-1]))
         points = [own_first, *points[:1]] if own_first is not None else points
-    best = problem.descend(
-        points[0],
-        max_iterations=max_iterations,
-        tolerance=tolerance,
-    )
-    best = _better(problem, best, points[1:], max_iterations, tolerance)
+    best = problem.descend(points[0], max_iterations=max_iterations, tolerance=tolerance)
+    best, _ = _better(problem, best, points[1:], how)
+    moves = own is None and search != "quick" and bool(problem.structure.nc[0] or problem.structure.nf.any())
+    if moves and (search == "thorough" or problem.n_samples <= 1.5 * MANY):
+        best = _explored(problem, best, how)
+    return best
+
+
+def _explored(problem: Problem, best: Optimum, how: Settings) -> Optimum:
+    """The best optimum after modes were moved about it until that no longer helps, and then drawn at random."""
     form = problem.structure
-    modes = max(form.nf.max(), form.na[0]) + form.nc[0] + form.nd[0]
-    moves = bool(form.nc[0] or form.nf.any()) and own is None and search != "quick"
-    if moves and (search == "thorough" or (modes > 2 and problem.n_samples <= 1.5 * MANY)):
-        for _ in range(4):
-            before = best.point.loss
-            best = _better(problem, best, relocations(problem, best.point), max_iterations, tolerance)
-            if best.point.loss > before * (1 - 1e-10):
+    modes, hard = int(form.nf[0].sum() + form.nc[0] + form.nd[0]), how.search == "thorough"
+    if modes <= 2 and problem.n_samples > FEW and not hard:
+        return best
+    closely = hard or problem.n_samples <= SOME
+    draws = int(modes * DRAWS * min(1.0, 1000 / problem.n_samples)) * closely * (4 if hard else 1)
+    rng, width = np.random.default_rng(0), 3 if closely else 1
+    for _ in range(4):
+        before = best.point.loss
+        for _ in range(6):
+            start = best.point.loss
+            points = relocations(problem, best.point, width, closely)
+            points += _other_noise_models(problem, best.point)
+            best, _ = _better(problem, best, points, how)
+            if best.point.loss > start * (1 - 1e-7):
                 break
+        if not draws:
+            break
+        best, rivals = _better(problem, best, drawn(problem, best.point, draws, rng), how)
+        for rival in rivals:
+            best, _ = _better(problem, best, relocations(problem, rival, 1, closely), how)
+        if best.point.loss > before * (1 - 1e-7):
+            break
     return best
 
 
-def _better(problem: Problem, best: Optimum, points: list[Point], most: int, tolerance: float) -> Optimum:
-    """The best optimum, after a look along the way from each point: most run to the optimum that is known."""
+def _better(
+    problem: Problem, best: Optimum, points: list[Point], how: Settings
+) -> tuple[Optimum, list[Point]]:
+    """The best optimum, after a look along the way from each point, and the two next best that were met."""
+    rivals: list[Point] = []
     for point in points:
-        if _same_basin(point, best.point, problem):
+        near, lost = point, False
+        for steps in (0, 4, 10):
+            if steps:
+                end = problem.descend(near, max_iterations=steps, tolerance=1e-5)
+                near, left = end.point, 3 * end.decrement
+                lost = left < 0.3 and near.loss * (1 - left) > best.point.loss
+                if lost:
+                    rivals.append(near)
+            lost = lost or _same_basin(near, best.point, problem)
+            if lost:
+                break
+        if lost:
             continue
-        near = problem.descend(point, max_iterations=12, tolerance=1e-5).point
-        if _same_basin(near, best.point, problem):
-            continue
-        optimum = problem.descend(near, max_iterations=most, tolerance=tolerance)
+        optimum = problem.descend(near, max_iterations=how.max_iterations, tolerance=how.tolerance)
         if optimum.point.loss < best.point.loss:
-            best = optimum
-    return best
+            best, optimum = optimum, best
+        rivals.append(optimum.point)
+    return best, _apart(rivals, best.point, problem)
 
 
-def relocations(problem: Problem, point: Point, keep: int = 6) -> list[Point]:
-    """Each mode of G in turn taken out and put back at another frequency, the numerators refitted.
-
-    A local optimum differs from the global one by a mode that has settled in the wrong place, mostly on top of
-    a zero. With the denominators held the residual of fir, oe and bj models is linear in the numerators.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of one output.
-    point : Point
-        An optimum.
-    keep : int
-        How many of the best new places are returned.
-
-    Returns
-    -------
-    list of Point
-        Starts, lowest loss first.
-    """
-    form, place = problem.structure, problem.structure.places()[0]
-    linear = np.zeros(problem.n_parameters, bool)
-    for part in place["b"]:
-        linear[part] = True
-    linear[form.n :] = True
-    new_modes = [(r, w) for r in (0.7, 0.9, 0.98) for w in np.linspace(0.0, np.pi, 12)]
-    found: list[Point] = []
-    letter = "a" if form.na[0] else "f"
-    for part in place[letter]:
-        for rest, degree in _without_each_mode(point.z[part]):
-            for radius, angle in new_modes:
-                mode = np.array([1.0, -2 * radius * np.cos(angle), radius**2])
-                mode = mode if degree == 2 else np.array([1.0, -radius * np.sign(np.cos(angle))])
-                if degree == 1 and angle not in (0.0, np.pi):
-                    continue
-                z = point.z.copy()
-                z[part] = np.convolve(rest, mode)[1:]
-                ways = [z]
-                if letter == "a":
-                    ways.append(z.copy())
-                    ways[1][place["c"][0]] = _moved(point.z[place["c"][0]], mode)
-                for z in ways:
-                    trial = problem.evaluate(problem.projected(z))
-                    if trial is None:
-                        continue
-                    trial = problem.descend(trial, max_iterations=2, tolerance=1e-4, free=linear).point
-                    found.append(trial)
-    noise = [problem.evaluate(problem.projected(z)) for z in _other_noise_models(problem, point)]
-    found.sort(key=lambda p: p.loss)
-    return found[:keep] + sorted((p for p in noise if p is not None), key=lambda p: p.loss)[:keep]
+def _apart(points: list[Point], best: Point, problem: Problem) -> list[Point]:
+    """The two lowest points in other basins than the best and than each other."""
+    kept: list[Point] = []
+    for point in sorted(points, key=lambda p: p.loss):
+        if len(kept) < 2 and not any(_same_basin(point, other, problem) for other in [best, *kept]):
+            kept.append(point)
+    return kept
 
 
-def _other_noise_models(problem: Problem, point: Point) -> list[NDArray]:
-    """The same G with C and D found anew from what G leaves, or with a mode of both moved elsewhere."""
+def _other_noise_models(problem: Problem, point: Point) -> list[Point]:
+    """The same G with C and D found anew from what G leaves."""
     form, place = problem.structure, problem.structure.places()[0]
     nc, nd = int(form.nc[0]), int(form.nd[0])
     if form.na[0] or not nc + nd:
         return []
     bs, fs = ([point.z[s] for s in place[x] if x == "f" or s.stop > s.start] for x in "bf")
     fs = [f for f, s in zip(fs, place["b"], strict=True) if s.stop > s.start]
-    pairs = [_noise_start(_signals(problem), bs, fs, nc, nd, order) for order in (8, 15, 30, 60)]
-    c, d = point.z[place["c"][0]], point.z[place["d"][0]]
-    for rest_c, taken_c in _without_each_mode(c):
-        for rest_d, taken_d in _without_each_mode(d):
-            if taken_c == taken_d:
-                turns = np.linspace(0, np.pi, 9) if taken_c == 2 else np.array([0.0, np.pi])
-                for angle in turns:
-                    mode = np.array([1.0, -1.8 * np.cos(angle), 0.81])
-                    mode = mode if taken_c == 2 else np.array([1.0, -0.9 * np.cos(angle)])
-                    pairs.append((np.convolve(rest_c, mode)[1:], np.convolve(rest_d, mode)[1:]))
-    moved = []
-    for c, d in pairs:
+    found = []
+    for order in (8, 15, 30, 60):
         z = point.z.copy()
-        z[place["c"][0]], z[place["d"][0]] = c, d
-        moved.append(z)
-    return moved
-
-
-def _without_each_mode(tail: NDArray) -> list[tuple[NDArray, int]]:
-    """The polynomial without one pair of roots, or without one real root, each in turn: (rest, degree taken)."""
-    roots = np.roots(np.concatenate([[1.0], tail])).astype(complex)
-    pairs = [k for k in range(len(roots)) if roots[k].imag > 1e-9]
-    real = [k for k in range(len(roots)) if abs(roots[k].imag) <= 1e-9]
-    taken: list[tuple[int, ...]] = [(k, int(np.argmin(np.abs(roots - roots[k].conj())))) for k in pairs]
-    taken += [(k,) for k in real]
-    taken += [(a, b) for n, a in enumerate(real) for b in real[n + 1 :]]
-    return [(np.atleast_1d(np.real(np.poly(np.delete(roots, list(t))))), len(t)) for t in taken]
-
-
-def _moved(tail: NDArray, mode: NDArray) -> NDArray:
-    """C with the roots nearest to a mode replaced by it, so that A / C keeps its shape elsewhere."""
-    degree = len(mode) - 1
-    if len(tail) < degree:
-        return tail
-    target = np.roots(mode)[0]
-    choices = [(rest, degree_out) for rest, degree_out in _without_each_mode(tail) if degree_out == degree]
-    if not choices:
-        return tail
-    whole = np.concatenate([[1.0], tail])
-    away = [abs(np.polyval(whole, target)) / max(abs(np.polyval(rest, target)), 1e-12) for rest, _ in choices]
-    return reflected(np.convolve(choices[int(np.argmin(away))][0], mode)[1:], 0.995)
+        z[place["c"][0]], z[place["d"][0]] = _noise_start(_signals(problem), bs, fs, nc, nd, order)
+        found.append(problem.evaluate(problem.projected(z)))
+    return sorted((p for p in found if p is not None), key=lambda p: p.loss)
 
 
 def _same_basin(point: Point, best: Point, problem: Problem) -> bool:
@@ -243,7 +207,8 @@ def candidates(problem: Problem) -> list[NDArray[np.float64]]:
     shortest = min(len(y) for y, _ in signals)
     total = sum(len(y) for y, _ in signals)
     most = max(2, min(shortest // 3, total // (4 * (1 + len(nb)))))
-    orders = sorted({min(most, p) for p in (2 * (sum(nf[:1]) + na) + 4, 20, 40)})
+    least = max([*nb, *nf]) + 1
+    orders = sorted({min(most, max(least, p)) for p in (2 * (sum(nf[:1]) + na) + 4, 20, 40)})
     found: list[NDArray] = []
     if na or not any(nf):
         for order in orders[1:] or orders:

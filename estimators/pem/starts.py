@@ -49,7 +49,7 @@ def filtered(b: ArrayLike, a: ArrayLike, x: NDArray) -> NDArray:
     return np.asarray(lfilter(b, a, x))
 
 
-def reflected(tail: NDArray, most: float = 0.999) -> NDArray:
+def reflected(tail: NDArray, most: float = 0.999, mirror: bool = True) -> NDArray:
     """A monic polynomial with its unstable roots mirrored into the unit circle.
 
     Parameters
@@ -58,6 +58,8 @@ def reflected(tail: NDArray, most: float = 0.999) -> NDArray:
         Coefficients after the leading 1.
     most : float
         Largest modulus that is left.
+    mirror : bool
+        False moves them to that modulus instead.
 
     Returns
     -------
@@ -71,7 +73,8 @@ def reflected(tail: NDArray, most: float = 0.999) -> NDArray:
     if size.size == 0 or size.max() < most:
         return np.array(tail, dtype=float)
     out = size > 1
-    roots[out] = 1 / np.conj(roots[out])
+    if mirror:
+        roots[out] = 1 / np.conj(roots[out])
     size = np.abs(roots)
     roots = np.where(size > most, roots * (most / np.maximum(size, 1e-300)), roots)
     mirrored = np.real(np.poly(roots))[1:]
@@ -168,7 +171,7 @@ def null_space_fit(
     """
     n = len(B)
     full = np.concatenate([[1.0], A])[:n]
-    shifted = lambda x, k: np.concatenate([np.zeros(k), x[: n - k]])
+    shifted = lambda x, k: np.concatenate([np.zeros(min(k, n)), x[: max(n - k, 0)]])
     design = np.column_stack(
         [shifted(full, k) for k in range(nb)] + [-shifted(B, k) for k in range(1, nf + 1)]
     )  # B = design (b, f)

@@ -18,6 +18,7 @@ from estimators.pem.gauss_newton import minimise
 from estimators.pem.problem import Problem, prepare
 from oed.data import Record
 from oed.errors import InputError
+from oed.files.objects import as_records
 
 __all__ = ["Band", "bode_band", "pole_covariances", "profile_interval", "sandwich", "step_band"]
 
@@ -61,7 +62,7 @@ class Band:
 
 def _problem(fit: Fit, records: Record | Sequence[Record]) -> tuple[Problem, NDArray]:
     """The problem that a fit solved and where it ended, in scaled parameters."""
-    given = [records] if isinstance(records, Record) else list(records)
+    given = as_records(records)
     offset = bool(fit.output_level_errors.any())
     if not offset:
         given = [r.replace(u=r.u - fit.input_level, y=r.y - fit.output_level) for r in given]

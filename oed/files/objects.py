@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-__all__ = ["from_control", "from_pandas", "from_xarray", "to_control", "to_pandas", "to_xarray"]
+__all__ = ["as_records", "from_control", "from_pandas", "from_xarray", "to_control", "to_pandas", "to_xarray"]
 
 
 def from_pandas(
@@ -282,3 +282,55 @@ def to_control(record: Record) -> Any:
         input_labels=list(record.input_names),
         output_labels=list(record.output_names),
     )
+
+
+def as_records(given: Any, *, missing: bool = False) -> list[Record]:
+    """Records of whatever holds them: records, DataFrames, Datasets, time responses, or a sequence of these.
+
+    Parameters
+    ----------
+    given : Record or DataFrame or Dataset or control.TimeResponseData, or a sequence of them
+        Inputs and outputs are found by name, as `from_pandas` and its neighbours do.
+    missing : bool
+        Whether NaN is allowed, as the mark of a missing sample.
+
+    Returns
+    -------
+    list of Record
+        One for each.
+
+    Raises
+    ------
+    InputError
+        If something is none of these, or cannot be used.
+    """
+    one = _record_of_object(given, missing)
+    if one is not None:
+        return [one]
+    if isinstance(given, str | bytes) or not isinstance(given, Iterable):
+        raise InputError(f"data are given as {type(given).__name__}; {_WANTED}.")
+    found = [_record_of_object(item, missing) for item in given]
+    records = [record for record in found if record is not None]
+    if not records or len(records) < len(found):
+        raise InputError(f"the sequence of data is empty or holds something else; {_WANTED}.")
+    return records
+
+
+_WANTED = (
+    "give a Record, a pandas DataFrame, an xarray Dataset or a control TimeResponseData, or a list of these "
+    "(arrays: oed.Record(u, y, dt))"
+)
+
+
+def _record_of_object(item: Any, missing: bool) -> Record | None:
+    """The record of one object, told by the names of its classes: none of the libraries is imported for it."""
+    if isinstance(item, Record):
+        return item
+    kinds = {(c.__module__.partition(".")[0], c.__name__) for c in type(item).__mro__}
+    if ("pandas", "DataFrame") in kinds:
+        return from_pandas(item, missing=missing)
+    if ("xarray", "Dataset") in kinds:
+        return from_xarray(item, missing=missing)
+    if ("control", "TimeResponseData") in kinds:
+        return from_control(item, missing=missing)
+    return None

@@ -115,3 +115,24 @@ def test_text_names_what_matters(data, capfd) -> None:
     said = capfd.readouterr().out
     for words in ("b3", "peak gain", "residual tests", "noise variance", "level of y"):
         assert words in said
+
+
+def test_what_the_data_suffer_from_is_told(data, capfd) -> None:
+    """The offset of u and a spike of y; the record that is fitted is the one that was given."""
+    lines = data.read_text().splitlines()
+    lines[201] = lines[201].rsplit(",", 1)[0] + ",60"
+    data.write_text("\n".join(lines) + "\n")
+    found = answer(capfd, data, "--delay", 3)
+    assert {("offset", "u"), ("outliers", "y")} <= {(d["kind"], d["channel"]) for d in found["data_defects"]}
+    assert main(["identify", str(data), "--delay", "3"]) == 0
+    assert "left as it is" in capfd.readouterr().out
+
+
+def test_first_test_samples_are_left_out(data, capfd) -> None:
+    """From rest in the middle of a record the first samples are wrong; a window sets the state."""
+    split = [f"{data}[:200]", "--delay", 3, "--test", f"{data}[200:]"]
+    rest, window = answer(capfd, *split)["test"], answer(capfd, *split, "--skip", 20)["test"]
+    assert window["simulation_rmse"] < rest["simulation_rmse"]
+    assert (rest["skipped"], window["skipped"]) == (0, 20)
+    assert main(["identify", *map(str, split), "--skip", "200"]) == 2
+    assert "--skip 200" in capfd.readouterr().err

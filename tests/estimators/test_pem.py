@@ -13,6 +13,7 @@ from estimators.pem.kernel import kernel_of
 from estimators.pem.recursion import polynomial_recursion
 from oed.data import Record
 from oed.errors import InputError, NotIdentifiable, Status
+from oed.files import to_control, to_pandas, to_xarray
 from oed.models import armax, arx, bj, fir, model_from_json, oe, polynomial
 from tests.oracles import pem as oracle
 
@@ -195,9 +196,10 @@ def test_filters_are_the_twin_of_the_recursion(initial, weighted, rng, monkeypat
 
 def test_fit_without_a_compiler_is_the_same(rng, monkeypatch) -> None:
     data = records(rng, 2, 300)
-    ours = identify(data, "bj", (2, 1, 1, 2), initial="estimate", offset=True)
+    how = {"initial": "estimate", "offset": True, "search": "quick"}
+    ours = identify(data, "bj", (2, 1, 1, 2), **how)
     monkeypatch.setenv("OED_CC", "none")
-    other = identify(data, "bj", (2, 1, 1, 2), initial="estimate", offset=True)
+    other = identify(data, "bj", (2, 1, 1, 2), **how)
     assert other.theta == pytest.approx(ours.theta, abs=1e-5 * ours.standard_errors.min())
 
 
@@ -222,6 +224,21 @@ def test_unexcited_directions_are_named(rng) -> None:
     u = np.sin(0.7 * t)
     with pytest.raises(NotIdentifiable, match="b1|b2|b3"):
         identify(Record(u, u * 0.5 + rng.normal(size=400)), "fir", 5, 1, initial="estimate")
+    with pytest.raises(NotIdentifiable, match="u of order 2, and this structure has use for order 5"):
+        identify(Record(u, u * 0.5 + rng.normal(size=400)), "fir", 5, 1, initial="estimate")
+
+
+def test_tables_and_time_responses_are_data(rng) -> None:
+    """A DataFrame, a Dataset and a TimeResponseData give what the record gives, alone and several together."""
+    (record,) = records(rng, length=300)
+    theta = identify(record).theta
+    for given in (to_pandas(record), to_xarray(record), to_control(record)):
+        assert identify(given).theta.tobytes() == theta.tobytes()
+    both = identify([record, to_pandas(record)]).theta
+    assert both == pytest.approx(identify([record, record]).theta, abs=1e-12)
+    for wrong in (5, "data.csv", [], [record, record.u]):
+        with pytest.raises(InputError, match="give a Record, a pandas DataFrame"):
+            identify(wrong)
 
 
 @pytest.mark.parametrize(

@@ -106,8 +106,8 @@ def defects(records: Record | Sequence[Record], *, order: int = 0) -> list[Defec
             reached = excitation_order([r.u[:, j] for r in given], order + 1)
             if reached < order:
                 words = (
-                    f"persistently exciting of order {reached}, and {order} is needed; what lies beyond is told by "
-                    "the transient at the start alone: excite more frequencies, or lower the orders."
+                    f"persistently exciting of order {reached} to 1e-9 of its power, and {order} is needed: what lies "
+                    "beyond is all but undetermined; excite more frequencies, or lower the orders."
                 )
                 found.append(Defect("excitation", name, reached, words))
     return found

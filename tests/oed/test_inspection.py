@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from oed.data import Record
-from oed.defects import defects, excitation_order
 from oed.errors import InputError
+from oed.inspection import defects, excitation_order
 
 
 def clean(seed, pole=0.0, samples=500):
