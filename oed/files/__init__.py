@@ -11,7 +11,7 @@ from oed.files.objects import (
     to_pandas,
     to_xarray,
 )
-from oed.files.reading import read_record
+from oed.files.reading import read_record, read_table
 from oed.files.writing import write_bytes, write_record
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "from_pandas",
     "from_xarray",
     "read_record",
+    "read_table",
     "to_control",
     "to_pandas",
     "to_xarray",

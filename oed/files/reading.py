@@ -17,7 +17,7 @@ from oed.files.mat import mat_table
 from oed.files.parquet import parquet_table
 from oed.files.text import csv_table
 
-__all__ = ["read_record"]
+__all__ = ["read_record", "read_table"]
 
 READERS = {".csv": csv_table, ".mat": mat_table, ".npz": npz_table, ".parquet": parquet_table}
 
@@ -59,7 +59,7 @@ def read_record(
     """
     path, rows = _split_spec(spec)
     return record_of(
-        _table(path), inputs=inputs, outputs=outputs, dt=dt, missing=missing, rows=rows, notes=notes
+        read_table(path), inputs=inputs, outputs=outputs, dt=dt, missing=missing, rows=rows, notes=notes
     )
 
 
@@ -74,7 +74,24 @@ def _split_spec(spec: str | os.PathLike[str]) -> tuple[Path, tuple[int | None, i
     return Path(parts[1]), (start, stop)
 
 
-def _table(path: Path) -> Table:
+def read_table(path: Path) -> Table:
+    """The columns of a file, whatever they are: for those who know by themselves which they want.
+
+    Parameters
+    ----------
+    path : Path
+        A CSV, MAT, Parquet or npz file, gzipped or not.
+
+    Returns
+    -------
+    Table
+        Its columns, parsed when they are loaded.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is none of these.
+    """
     suffixes = [suffix.lower() for suffix in path.suffixes]
     zipped = suffixes[-1:] == [".gz"]
     suffix = "".join(suffixes[-2:-1] if zipped else suffixes[-1:])

@@ -1,0 +1,164 @@
+"""The estimate that a session has so far, with its uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.peak_estimates import PeakEstimate, local_peak
+from estimators.sessions.settings import Settings
+from estimators.trace import Trace
+from oed.errors import OedError, Status
+
+__all__ = ["SessionEstimate", "estimate_of"]
+
+
+@dataclass(frozen=True, eq=False)
+class SessionEstimate:
+    """Peak gain of what the session experiments on.
+
+    Attributes
+    ----------
+    value : float
+        H-infinity norm; NaN before the first measurement.
+    standard_error : float
+        NaN where there is none yet.
+    interval : tuple of float
+        95 % interval.
+    frequency : float
+        Where the gain peaks, in rad/sample.
+    direction : ndarray
+        (nu,) complex: the worst-case input direction there.
+    estimator : str
+        Which estimator the numbers are from.
+    status : Status
+        Whether they can be trusted.
+    gains : tuple of float
+        The method's own estimate after every iteration, where it has one.
+    noise_floor : tuple of float
+        Standard deviation of the noise on one sample of each output, after averaging; from the scatter of the
+        periods where there are several, otherwise from the estimator, the same for all outputs.
+    message : str
+        What a reader should know.
+    """
+
+    value: float
+    standard_error: float
+    interval: tuple[float, float]
+    frequency: float
+    direction: NDArray[np.complex128]
+    estimator: str
+    status: Status
+    gains: tuple[float, ...] = ()
+    noise_floor: tuple[float, ...] = ()
+    message: str = ""
+
+    def __str__(self) -> str:
+        if not np.isfinite(self.value):
+            return self.message or self.status.value
+        tail = "" if self.status.ok else f" ({self.status.value})"
+        return (
+            f"peak gain {self.value:.6g}, 95 % interval {self.interval[0]:.6g} to {self.interval[1]:.6g}, at "
+            f"{self.frequency:.6g} rad/sample, by {self.estimator}{tail}"
+        )
+
+
+def estimate_of(
+    settings: Settings, records: Trace, own: Trace, scatter: NDArray[np.float64] | None = None
+) -> SessionEstimate:
+    """Estimate from what was measured.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the session.
+    records : Trace
+        Inputs as applied and outputs as measured.
+    own : Trace
+        The same as the method sees them (different where experiments from rest have ramps).
+    scatter : ndarray, optional
+        (ny,) variance of the noise from the scatter of repeated periods.
+
+    Returns
+    -------
+    SessionEstimate
+        Never an exception for want of data: then the interval is infinite or the value NaN, and the status says so.
+    """
+    nan = float("nan")
+    if not len(records):
+        return SessionEstimate(
+            nan, nan, (nan, nan), nan, np.zeros(settings.n_inputs, complex), "none", Status.SINGULAR,
+            message="there is no estimate yet: nothing is recorded.",
+        )  # fmt: skip
+    found, name, why = _peak(settings, records)
+    gains = _gains(own)
+    direction = _direction(records)
+    if not np.isfinite(found.value):  # the crude one, with an interval that says how crude
+        value = next((g for g in reversed(gains) if np.isfinite(g)), _ratio(own))
+        found = PeakEstimate(value, float("inf"), _frequency(records), nan, nan, nan, Status.INACCURATE)
+        name = "gain"
+    floor = scatter if scatter is not None and np.isfinite(scatter).all() else None
+    noise = np.full(settings.n_outputs, found.noise_variance) if floor is None else floor
+    low, high = found.interval() if np.isfinite(found.standard_error) else (0.0, float("inf"))
+    return SessionEstimate(
+        found.value, found.standard_error, (max(low, 0.0), high), found.frequency, direction, name, found.status,
+        gains, tuple(float(np.sqrt(v)) if v >= 0 else nan for v in noise), why,
+    )  # fmt: skip
+
+
+def _peak(settings: Settings, records: Trace) -> tuple[PeakEstimate, str, str]:
+    """The method's estimator, and the local model where that fails."""
+    why = ""
+    if settings.method in ("two-stage", "sequential"):
+        try:
+            return _by_model(settings, records), "model", ""
+        except OedError as error:
+            why = f"no model of the orders {settings.orders} fits yet: {error}"
+    if settings.method == "bandit" and settings.periodic:  # from rest its lines leak into each other
+        from estimators.bandit import best_arm
+
+        return best_arm(records), "best line", ""
+    try:
+        return local_peak(records), "local model", why
+    except OedError as error:
+        nan = float("nan")
+        return PeakEstimate(nan, nan, nan, nan, nan, nan, Status.SINGULAR), "none", str(error)
+
+
+def _by_model(settings: Settings, records: Trace) -> PeakEstimate:
+    from estimators.pem import identify
+
+    fit = identify(list(records.records), "oe", settings.orders, delay=settings.delay)
+    value, error, frequency = fit.hinf_norm
+    nan = float("nan")
+    return PeakEstimate(
+        float(value), float(error), float(frequency), nan, nan, float(fit.noise_variance), fit.status
+    )
+
+
+def _gains(own: Trace) -> tuple[float, ...]:
+    if own.kinds[0] not in ("power", "forward"):
+        return ()
+    from estimators.gains import gain
+
+    return tuple(map(float, gain(own).values))
+
+
+def _ratio(own: Trace) -> float:
+    last: Any = next((r for r in reversed(own.records) if r.u.any()), own.records[0])
+    return float(np.linalg.norm(last.y) / max(float(np.linalg.norm(last.u)), 1e-300))
+
+
+def _frequency(records: Trace) -> float:
+    from estimators.worst_inputs import dominant_frequency
+
+    return dominant_frequency(records.records[records.iterations[-1].start].u)
+
+
+def _direction(records: Trace) -> NDArray[np.complex128]:
+    from estimators.worst_inputs import worst_case
+
+    return worst_case(records).input_direction

@@ -1,0 +1,254 @@
+"""The files of a session: whole or not at all, added and never changed, readable by a person.
+
+    session.json          the settings, written once
+    README.txt            what the files are
+    input-0007.csv        what the rig is to apply in step 7; input-0007-2.csv the same at half the size, and so on
+    output-0007.csv       what was measured, as it is used
+    flagged-0007-1.csv    a measurement that was not used
+    journal.txt           one line per event: time, step, file, fingerprint
+
+The state is `session.json` and the inputs and outputs; the journal adds their fingerprints and is mended where a kill
+came between a file and its line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+
+from oed.errors import CampaignError, InputError
+
+__all__ = ["Folder", "write_whole"]
+
+NAME = re.compile(r"(input|output|flagged)-(\d{4,})(?:-(\d+))?\.csv")
+MESSAGES = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
+README = """A session of experiments on a rig. To go on, in this folder's parent:
+
+  oed session next DIR                 writes the next input-NNNN.csv (time in seconds, one column per input)
+  oed session record DIR output.csv    stores what was measured (columns: the outputs' names, one row per input row;
+                                       with the inputs' names too, they are compared with what was asked for)
+  oed session status DIR               where the session stands
+  oed session estimate DIR             the estimate so far with its uncertainty
+
+Every file here is written once and never changed. Every command can be repeated.
+"""
+
+
+def write_whole(path: Path, content: bytes) -> Path:
+    """Write a file so that it is there as a whole or not at all, also after a power cut.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    content : bytes
+        What it will hold.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the system refuses; nothing is left behind.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise _refused(path, error) from None
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+    return path
+
+
+def _sync_folder(folder: Path) -> None:
+    if (
+        os.name != "posix"
+    ):  # elsewhere a folder cannot be opened, and the rename is in the file system's journal
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _refused(path: Path, error: OSError) -> InputError:
+    reason = MESSAGES.get(error.errno or 0, error.strerror or str(error))
+    return InputError(f"{path} cannot be written: {reason}. The session is unharmed; make room and repeat.")
+
+
+class Folder:
+    """The folder of a session.
+
+    Parameters
+    ----------
+    path : Path
+        It exists.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def find(self, kind: str) -> dict[tuple[int, int], Path]:
+        """The files of a kind by step and version.
+
+        Parameters
+        ----------
+        kind : str
+            "input", "output" or "flagged".
+
+        Returns
+        -------
+        dict
+            (step, version) -> file, in order; the version is 1 where the name has none.
+        """
+        found = {}
+        for entry in os.listdir(self.path):
+            hit = NAME.fullmatch(entry)
+            if hit and hit[1] == kind:
+                found[int(hit[2]), int(hit[3] or 1)] = self.path / entry
+        return dict(sorted(found.items()))
+
+    def input_path(self, step: int, version: int = 1) -> Path:
+        """Name of an input file.
+
+        Parameters
+        ----------
+        step : int
+            From 1.
+        version : int
+            1, or 1 plus the number of times it was halved.
+
+        Returns
+        -------
+        Path
+            The file, there or not.
+        """
+        return self.path / (f"input-{step:04d}" + (f"-{version}" if version > 1 else "") + ".csv")
+
+    def output_path(self, step: int) -> Path:
+        """Name of an output file.
+
+        Parameters
+        ----------
+        step : int
+            From 1.
+
+        Returns
+        -------
+        Path
+            The file, there or not.
+        """
+        return self.path / f"output-{step:04d}.csv"
+
+    def tidy(self) -> None:
+        """Remove what a killed process left half written, and add the journal lines it could not add."""
+        for entry in os.listdir(self.path):
+            if entry.startswith(".") and entry.endswith(".tmp"):
+                (self.path / entry).unlink(missing_ok=True)
+        known = self.fingerprints()
+        for kind in ("input", "output", "flagged"):
+            for (step, _), file in self.find(kind).items():
+                if file.name not in known:
+                    self.note(step, kind, file)
+
+    def note(self, step: int, event: str, file: Path | None, words: str = "") -> None:
+        """Add a line to the journal.
+
+        Parameters
+        ----------
+        step : int
+            Of the session.
+        event : str
+            "input", "output", "flagged", ...
+        file : Path or None
+            The file it is about: its fingerprint is noted.
+        words : str
+            Anything else a reader should know.
+        """
+        stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        about = f"{file.name} {fingerprint(file.read_bytes())}" if file is not None else "- -"
+        line = " ".join([stamp, f"{step:04d}", event, about, *words.split()]) + "\n"
+        journal = self.path / "journal.txt"
+        try:
+            with journal.open("ab+") as stream:
+                if stream.tell():
+                    stream.seek(-1, os.SEEK_END)
+                    if stream.read(1) != b"\n":  # the last line was cut off by a kill
+                        line = "\n" + line
+                stream.write(line.encode())
+                stream.flush()
+                os.fsync(stream.fileno())
+        except OSError as error:
+            raise _refused(journal, error) from None
+
+    def fingerprints(self) -> dict[str, str]:
+        """What the journal says of each file.
+
+        Returns
+        -------
+        dict
+            File name -> fingerprint of its content.
+        """
+        journal = self.path / "journal.txt"
+        if not journal.is_file():
+            return {}
+        found = {}
+        for line in journal.read_text(encoding="utf-8", errors="replace").splitlines():
+            words = line.split()
+            if len(words) >= 5 and NAME.fullmatch(words[3]) and re.fullmatch(r"[0-9a-f]{16}", words[4]):
+                found[words[3]] = words[4]
+        return found
+
+    def check_unchanged(self, file: Path, content: bytes) -> None:
+        """Raise if a file is not what the journal says it was.
+
+        Parameters
+        ----------
+        file : Path
+            An input or output of this folder.
+        content : bytes
+            What it holds now.
+
+        Raises
+        ------
+        CampaignError
+            If it was changed after it was written.
+        """
+        known = self.fingerprints().get(file.name)
+        if known is not None and known != fingerprint(content):
+            raise CampaignError(
+                f"{file} was changed after the session wrote it; restore it (its fingerprint in journal.txt is {known}), "
+                "or start another session."
+            )
+
+
+def fingerprint(content: bytes) -> str:
+    """Short checksum of a file's content.
+
+    Parameters
+    ----------
+    content : bytes
+        The content.
+
+    Returns
+    -------
+    str
+        16 hexadecimal digits of its SHA-256.
+    """
+    return hashlib.sha256(content).hexdigest()[:16]

@@ -1,0 +1,98 @@
+"""The sequential methods that a session can run, each as a rule for `estimators.trace`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.limits import Limits
+from estimators.sessions.settings import Settings
+from estimators.trace import Rule
+from oed.errors import InputError
+
+__all__ = ["rule_of"]
+
+FROM_REST = ("two-stage", "sequential", "diagnose-next")
+
+
+def rule_of(settings: Settings, known: Sequence[NDArray[np.float64]] = ()) -> Rule:
+    """The rule of a session's method.
+
+    Parameters
+    ----------
+    settings : Settings
+        Method and options.
+    known : sequence of ndarray
+        Inputs of the first steps where they are on record: a method whose inputs depend on nothing but the records
+        takes them from here and does not compute them again.
+
+    Returns
+    -------
+    callable
+        For `run`, or to be driven by a session.
+
+    Raises
+    ------
+    InputError
+        If the method does not go with another setting.
+    """
+    if settings.method in FROM_REST and settings.periodic:
+        raise InputError(
+            f"the method {settings.method} fits models to experiments from rest; use one period and no warm-up."
+        )
+    if settings.method == "power":
+        from estimators.power import power_iterations
+
+        return partial(power_iterations, limits=_limits(settings))
+    if settings.method == "procedure-2":
+        from estimators.procedure2 import procedure_2
+
+        return partial(procedure_2, limits=_limits(settings), scaling=settings.scaling)
+    power = nominal_power(settings)
+    if settings.method == "bandit":
+        from estimators.bandit import thompson_sampling
+
+        return partial(thompson_sampling, power=power)
+    if settings.method == "diagnose-next":
+        from estimators.sessions.proposals import diagnose_next
+
+        amplitude = settings.amplitude[0] if settings.amplitude else 3 * float(np.sqrt(power))
+        return partial(diagnose_next, power=power, amplitude=amplitude, seed=settings.seed, known=known)
+    from estimators import adaptive
+
+    make = adaptive.two_stage if settings.method == "two-stage" else adaptive.sequential
+    return make(
+        settings.orders, settings.delay, criterion=settings.criterion, experiments=settings.experiments, power=power
+    )  # fmt: skip
+
+
+def _limits(settings: Settings) -> Limits:
+    """What the iterations scale their inputs to; what they do not know of, the session scales down to."""
+    energy = None
+    if settings.energy is not None:
+        energy = sum(settings.energy) / (settings.periods + settings.warm_up)
+    return Limits(power=settings.power, amplitude=settings.amplitude, energy=energy)
+
+
+def nominal_power(settings: Settings) -> float:
+    """Power of the inputs of methods that know of no other limit.
+
+    Parameters
+    ----------
+    settings : Settings
+        With a power, or with amplitudes or energies.
+
+    Returns
+    -------
+    float
+        The power, or the most that the amplitudes or energies could allow.
+    """
+    if settings.power is not None:
+        return settings.power
+    if settings.amplitude is not None:
+        return float(np.sum(np.square(settings.amplitude)))
+    total = settings.samples * (settings.periods + settings.warm_up)
+    return float(np.sum(settings.energy or (1.0,))) / total

@@ -1,0 +1,175 @@
+"""Diagnose, then ask: the next experiment is the one that best tells the two likeliest causes apart."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.trace import Step
+from oed.data import Record
+from oed.errors import InputError, OedError
+
+__all__ = ["Proposal", "diagnose_next", "joined", "propose"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """The next input, and what it is for.
+
+    Attributes
+    ----------
+    u : ndarray
+        (N,) input.
+    causes : tuple of str
+        The two causes between which it decides; empty where none could be told apart.
+    power : float
+        Predicted probability of the right decision with it; NaN where there is none.
+    white : float
+        The same with white noise of the same length within the same limits.
+    candidates : tuple of str
+        All that were considered.
+    """
+
+    u: Array
+    causes: tuple[str, ...] = ()
+    power: float = float("nan")
+    white: float = float("nan")
+    candidates: tuple[str, ...] = field(default=())
+
+
+def diagnose_next(
+    samples: int,
+    n_inputs: int,
+    n_outputs: int,
+    rng: np.random.Generator,
+    *,
+    power: float = 1.0,
+    amplitude: float = 3.0,
+    seed: int = 0,
+    known: Sequence[Array] = (),
+) -> Generator[Step, Array, None]:
+    """Experiments that find out what a linear model lacks: each decides between the two likeliest causes so far.
+
+    Parameters
+    ----------
+    samples : int
+        Length; the last eighth of it is silence, in which the system comes to rest, so that the records of
+        several experiments can be joined to one.
+    n_inputs, n_outputs : int
+        One each.
+    rng : numpy.random.Generator
+        Not used: what is drawn in experiment k depends on the seed and k alone.
+    power, amplitude : float
+        Limits on the inputs.
+    seed : int
+        For what is drawn.
+    known : sequence of ndarray
+        Inputs of the first experiments where they are on record, which saves designing them again.
+
+    Yields
+    ------
+    Step
+        "levels", then "decide".
+    """
+    if (n_inputs, n_outputs) != (1, 1):
+        raise InputError(
+            f"experiments that diagnose need one input and one output, not {n_inputs} and {n_outputs}."
+        )
+    if samples < 120:
+        raise InputError(f"experiments that diagnose have {samples} samples; give at least 120.")
+    records: list[Record] = []
+    for k in count():
+        if k < len(known):
+            u = known[k]
+        else:
+            u = propose(records, samples, power, amplitude, np.random.default_rng([seed, k])).u[:, None]
+        y = yield Step(u, "decide" if k else "levels")
+        records.append(Record(u, y))
+
+
+def joined(records: Sequence[Record]) -> Record:
+    """One record of several that each begin and end at rest.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        In order.
+
+    Returns
+    -------
+    Record
+        All of them, one after the other.
+    """
+    return records[0].replace(
+        u=np.concatenate([r.u for r in records]), y=np.concatenate([r.y for r in records])
+    )
+
+
+def propose(
+    records: Sequence[Record], samples: int, power: float, amplitude: float, rng: np.random.Generator
+) -> Proposal:
+    """The next input of `diagnose_next`.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        What was measured, each experiment from rest and back to it.
+    samples : int
+        Length of the input, its silent end included.
+    power, amplitude : float
+        Limits.
+    rng : numpy.random.Generator
+        For levels, phases and the search.
+
+    Returns
+    -------
+    Proposal
+        Random levels while there is nothing to decide.
+    """
+    length = samples - samples // 8
+    levels = Proposal(_silenced(_levels(length, power, amplitude, rng), samples))
+    if not records:
+        return levels
+    from estimators.diagnosis.discrimination import discriminate
+    from estimators.diagnosis.examination import Setting, examine
+
+    try:
+        found = examine(joined(records), 0, Setting()).attribution
+        rivals = {c.label: c.fit for c in reversed(found.claims[:6])}
+        names = tuple(reversed(rivals))
+        pair = [(name, rivals[name]) for name in names[:2]]
+        if len(pair) < 2:
+            pair.append(("none", found.base))
+        if len(pair) < 2 or pair[0][1] is pair[1][1]:
+            return levels
+        (a, first), (b, second) = pair
+        design = discriminate(
+            first, second, length=length, amplitude=amplitude, power=power, rng=rng, rounds=4, size=10
+        )
+    except OedError:
+        return levels  # nothing could be fitted: another general-purpose experiment is the honest next one
+    if not design.distance > 0:
+        return levels
+    from scipy.stats import norm
+
+    white = float(norm.cdf(np.sqrt(design.white) / 2))
+    return Proposal(_silenced(design.u, samples), (a, b), design.power, white, names)
+
+
+def _levels(length: int, power: float, amplitude: float, rng: np.random.Generator) -> Array:
+    """Random levels held for 1 to 16 samples: they show statics and dynamics."""
+    u = np.zeros(0)
+    while len(u) < length:
+        u = np.append(u, np.full(int(2 ** rng.integers(0, 5)), rng.uniform(-1, 1)))
+    u = u[:length] * amplitude
+    return u * min(1.0, float(np.sqrt(power / np.mean(u**2))))
+
+
+def _silenced(u: Array, samples: int) -> Array:
+    return np.concatenate((u, np.zeros(samples - len(u))))

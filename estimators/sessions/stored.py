@@ -1,0 +1,413 @@
+"""A session in a folder: the same session, whose inputs and outputs are files."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimators.sessions.checking import read_output
+from estimators.sessions.estimates import SessionEstimate
+from estimators.sessions.folder import README, Folder, write_whole
+from estimators.sessions.lock import locked
+from estimators.sessions.session import FlaggedMeasurement, Session
+from estimators.sessions.settings import Settings, settings_from_json, settings_to_json
+from oed.errors import CampaignError, InputError
+from oed.files.columns import column_name
+from oed.files.text import csv_table
+
+__all__ = ["StoredSession", "open_session", "start_session"]
+
+Array = NDArray[np.float64]
+AGREE = 1e-9
+
+
+def start_session(path: str | os.PathLike[str], settings: Settings) -> StoredSession:
+    """Start a session in a folder, or open it if it was started there with the same settings.
+
+    Parameters
+    ----------
+    path : str or path
+        The folder; it is made if it does not exist.
+    settings : Settings
+        Method, channels, lengths, limits.
+
+    Returns
+    -------
+    StoredSession
+        The session.
+
+    Raises
+    ------
+    CampaignError
+        If the folder holds another session or other files.
+    InputError
+        If it cannot be written.
+    """
+    folder = Path(path)
+    Session(settings)  # whatever is wrong with the settings is said before anything is written
+    text = settings_to_json(settings)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"the folder {folder} cannot be made: {error.strerror or error}.") from None
+    with locked(folder):
+        file = folder / "session.json"
+        if file.exists():
+            _check_same(file, text)
+            return StoredSession(folder)
+        ours = {"README.txt", "lock", "journal.txt"}
+        foreign = sorted(e for e in os.listdir(folder) if e not in ours and not e.endswith(".tmp"))
+        if foreign:
+            raise CampaignError(
+                f"the folder {folder} is not empty ({', '.join(foreign[:3])}...) and holds no session; "
+                "start in a folder of its own."
+            )
+        write_whole(folder / "README.txt", README.encode())
+        write_whole(file, text.encode())
+    return StoredSession(folder)
+
+
+def _check_same(file: Path, text: str) -> None:
+    was, now = settings_from_json(file.read_text(encoding="utf-8"), str(file)), settings_from_json(text, "")
+    differ = [name for name in was.__dataclass_fields__ if getattr(was, name) != getattr(now, name)]
+    if differ:
+        listed = (
+            ", ".join(f"{name} {getattr(was, name)!r}" for name in differ if name != "model") or "its model"
+        )
+        raise CampaignError(
+            f"the folder {file.parent} holds another session ({listed}); go on with its settings, or start in another "
+            "folder."
+        )
+
+
+def open_session(path: str | os.PathLike[str]) -> StoredSession:
+    """Open a session where it stands, whatever happened to the process that worked on it.
+
+    Parameters
+    ----------
+    path : str or path
+        Its folder.
+
+    Returns
+    -------
+    StoredSession
+        The session.
+
+    Raises
+    ------
+    CampaignError
+        If there is no session, or its files are not those that it wrote.
+    """
+    return StoredSession(Path(path))
+
+
+class StoredSession:
+    """A session whose state is a folder; several processes may take turns at it, one at a time.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of a session that was started.
+    """
+
+    def __init__(self, path: Path) -> None:
+        file = path / "session.json"
+        try:
+            text = file.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError):
+            raise CampaignError(
+                f"there is no session in {path} (no readable session.json); start one with `oed session start {path}`."
+            ) from None
+        self.path = path
+        self.folder = Folder(path)
+        self.settings = settings_from_json(text, str(file))
+        self.session = Session(self.settings, self._known())
+        self._halved = 0
+        self.refresh()
+
+    def _known(self) -> list[Array]:
+        """The inputs on record, where they are the method's own to the last bit."""
+        s = self.settings
+        altered = s.ramp or any(s.level) or s.rate or s.energy
+        inputs = self.folder.find("input")
+        if s.method != "diagnose-next" or altered or any(version > 1 for _, version in inputs):
+            return []
+        return [_read(file, s.inputs)[: s.samples] for file in inputs.values()]
+
+    @property
+    def step(self) -> int | None:
+        """Number of the step whose output is waited for, None when the session is finished."""
+        return self.session.step
+
+    def refresh(self) -> None:
+        """Take in what the folder holds beyond what is known.
+
+        Raises
+        ------
+        CampaignError
+            If a file is missing, was changed or belongs to another session.
+        """
+        outputs, inputs = self.folder.find("output"), self.folder.find("input")
+        steps = [step for step, _ in outputs]
+        if steps != list(range(1, len(steps) + 1)):
+            gap = next(k for k, step in enumerate([*steps, 0], start=1) if k != step)
+            raise CampaignError(f"output-{gap:04d}.csv is missing from {self.path}; restore it.")
+        for step in range(len(self.session.rig_records) + 1, len(steps) + 1):
+            if self.session.step is None:
+                raise CampaignError(
+                    f"{outputs[step, 1]} is beyond the end of the session; it is of another session."
+                )
+            file = self._current_input(step, inputs)
+            if file is None:
+                raise CampaignError(
+                    f"{self.folder.input_path(step).name} is missing from {self.path}; restore it."
+                )
+            self._check_input(file)
+            content = outputs[step, 1].read_bytes()
+            self.folder.check_unchanged(outputs[step, 1], content)
+            y = _read(outputs[step, 1], self.settings.outputs)
+            self.session.use(self.session.asked(), y)
+        if self.session.step is not None:
+            self._current_input(self.session.step, inputs)
+
+    def _current_input(self, step: int, inputs: dict[tuple[int, int], Path]) -> Path | None:
+        """The latest version of a step's input; the session is halved as often as the versions say."""
+        versions = [version for at, version in inputs if at == step]
+        if not versions:
+            return None
+        earlier = sum(1 for at, version in inputs if version > 1 and at < step)
+        while self._halved < earlier + max(versions) - 1:
+            self.session.reduce()
+            self._halved += 1
+        return inputs[step, max(versions)]
+
+    def _check_input(self, file: Path) -> None:
+        asked = self.session.asked()
+        content = file.read_bytes()
+        if content == self._content(asked.whole, self.settings.inputs, self.settings.input_units):
+            return
+        self.folder.check_unchanged(file, content)
+        u = _read(file, self.settings.inputs)
+        size = np.abs(asked.whole).max()
+        if u.shape != asked.whole.shape or np.abs(u - asked.whole).max() > AGREE * max(size, 1e-300):
+            raise CampaignError(
+                f"{file} is not the input that step {asked.step} of this session has; it is of another session or "
+                "was written by another version: go on with the folder and version that wrote it."
+            )
+
+    def next_input(self, *, reduce: bool = False) -> Path | None:
+        """Write the next input, or find it written.
+
+        Parameters
+        ----------
+        reduce : bool
+            Halve it, and all that follow, after an output went beyond its abort level.
+
+        Returns
+        -------
+        Path or None
+            The file; None when the session is finished.
+
+        Raises
+        ------
+        InputError
+            If the input violates a limit or cannot be written.
+        CampaignError
+            If another process is at it, or the folder is damaged.
+        """
+        with locked(self.path):
+            self.folder.tidy()
+            self.refresh()
+            step = self.session.step
+            if step is None:
+                return None
+            written = self._current_input(step, self.folder.find("input"))
+            if reduce:
+                if written is None:
+                    raise InputError(f"step {step} has no input yet that could be reduced; ask for it first.")
+                self.session.reduce()
+                self._halved += 1
+            elif written is not None:
+                self._check_input(written)
+                return written
+            asked = self.session.asked()
+            version = 1 + sum(at == step for at, _ in self.folder.find("input"))
+            content = self._content(asked.whole, self.settings.inputs, self.settings.input_units)
+            file = write_whole(self.folder.input_path(step, version), content)
+            words = f"{asked.kind}" + (f", times {asked.factor:.6g}: {asked.limit}" if asked.limit else "")
+            self.folder.note(step, "input", file, words)
+            return file
+
+    def record(self, path: str | os.PathLike[str], *, accept: bool = False) -> tuple[int, Path]:
+        """Check a recorded output and store it.
+
+        Parameters
+        ----------
+        path : str or path
+            What the rig wrote.
+        accept : bool
+            Whether to use it although it looks saturated or held.
+
+        Returns
+        -------
+        step : int
+            Which step it was the output of.
+        file : Path
+            Where it is stored.
+
+        Raises
+        ------
+        InputError
+            If it is not the output of the step that waits; nothing has changed.
+        FlaggedMeasurement
+            If it is unfit for use: it is kept as a flagged file, and the step waits for another measurement.
+        """
+        with locked(self.path):
+            self.folder.tidy()
+            self.refresh()
+            done, step = len(self.session.rig_records), self.session.step
+            waiting = step is not None and self._current_input(step, self.folder.find("input")) is not None
+            reading = read_output(Path(path), self.settings, step if step and waiting else done)
+            if not waiting and done and np.array_equal(reading.y, self.session.rig_records[-1].y):
+                return done, self.folder.output_path(done)  # the same command once more
+            if step is None:
+                raise InputError(f"the session is finished after {done} experiments; it waits for no output.")
+            if not waiting:
+                raise InputError(
+                    f"step {step} has no input yet, so this cannot be its output; ask for it with `oed session next`."
+                )
+            return step, self._store(step, reading.y, reading.u, accept)
+
+    def _store(self, step: int, y: Array, u: Array | None, accept: bool) -> Path:
+        asked = self.session.asked()
+        names, units = self.settings.outputs, self.settings.output_units
+        if u is not None:
+            names, units = (*self.settings.inputs, *names), (*self.settings.input_units, *units)
+        content = lambda: self._content(y if u is None else np.column_stack([u, y]), names, units)
+        try:
+            values = self.session.checked(y, u, accept=accept)
+        except FlaggedMeasurement as fault:
+            flagged = [file for (at, _), file in self.folder.find("flagged").items() if at == step]
+            if not any(file.read_bytes() == content() for file in flagged):
+                name = f"flagged-{step:04d}-{len(flagged) + 1}.csv"
+                self.folder.note(step, "flagged", write_whole(self.path / name, content()), str(fault))
+            raise
+        file = write_whole(self.folder.output_path(step), content())
+        self.folder.note(step, "output", file)
+        self.session.use(asked, values)
+        return file
+
+    def _content(self, signal: Array, names: tuple[str, ...], units: tuple[str, ...]) -> bytes:
+        """A signal as CSV with the time in seconds, every number with all its digits."""
+        stream = io.StringIO(newline="")
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["t_s", *map(column_name, names, units)])
+        t = np.arange(len(signal), dtype=float) * self.settings.dt
+        writer.writerows(np.column_stack([t, signal]).tolist())
+        return stream.getvalue().encode()
+
+    def ask(self) -> Array:
+        """The input to apply next, as `Session.ask`; its file is written.
+
+        Returns
+        -------
+        ndarray
+            (rows, nu).
+        """
+        self.next_input()
+        return self.session.ask()
+
+    def tell(self, y: ArrayLike, u: ArrayLike | None = None, *, accept: bool = False) -> None:
+        """Hand over the output, as `Session.tell`; it is stored.
+
+        Parameters
+        ----------
+        y, u : array_like
+            Output, and the input as it was recorded beside it.
+        accept : bool
+            Whether to use it although it looks saturated or held.
+        """
+        before = self.session.step
+        with locked(self.path):
+            self.folder.tidy()
+            self.refresh()
+            step = self.session.step
+            if step is None or step != before:
+                raise InputError(
+                    f"step {before} was recorded meanwhile by another process; ask for the next input."
+                )
+            if self._current_input(step, self.folder.find("input")) is None:
+                raise InputError(f"step {step} has no input yet; ask for it first.")
+            rows = np.asarray(y, dtype=float)
+            beside = None if u is None else np.asarray(u, dtype=float).reshape(len(rows), -1)
+            self._store(step, rows[:, None] if rows.ndim == 1 else rows, beside, accept)
+
+    def run(self, apply: Callable[[Array], object]) -> SessionEstimate:
+        """Go on to the end with a rig that is a Python callable.
+
+        Parameters
+        ----------
+        apply : callable
+            (rows, nu) -> (rows, ny).
+
+        Returns
+        -------
+        SessionEstimate
+            The final estimate.
+        """
+        while self.session.step:
+            y: Any = apply(self.ask())
+            self.tell(y)
+        return self.estimate()
+
+    def estimate(self) -> SessionEstimate:
+        """The estimate so far, as `Session.estimate`.
+
+        Returns
+        -------
+        SessionEstimate
+            Value, interval, frequency, direction.
+        """
+        return self.session.estimate()
+
+    def status(self) -> dict[str, Any]:
+        """Where the session stands.
+
+        Returns
+        -------
+        dict
+            Method, step, the file of the input that waits, the last output stored, experiments, energy, flagged
+            files, and the status: READY (ask for the next input), WAITING (for an output), or how it ended.
+        """
+        s, done = self.session, len(self.session.rig_records)
+        step = s.step
+        waiting = None if step is None else self._current_input(step, self.folder.find("input"))
+        state = s.finished.name if s.finished else "WAITING" if waiting else "READY"
+        usage = s.trace.usage
+        return {
+            "method": self.settings.method, "step": step, "input": None if waiting is None else str(waiting),
+            "output": str(self.folder.output_path(done)) if done else None,
+            "experiments": done, "budget": self.settings.experiments, "samples": usage.samples,
+            "energy": usage.energy, "peak": usage.peak,
+            "flagged": [str(file) for file in self.folder.find("flagged").values()],
+            "status": state, "message": s.message,
+        }  # fmt: skip
+
+    def __repr__(self) -> str:
+        return f"{self.session!r} in {self.path}"
+
+
+def _read(file: Path, names: tuple[str, ...]) -> Array:
+    """The last columns of a file that the session wrote: those of the channels named."""
+    try:
+        table = csv_table(file.read_bytes(), file.name)
+        return np.column_stack(table.load(table.names[-len(names) :]))
+    except (InputError, ValueError) as error:
+        raise CampaignError(f"{file} is damaged ({error}); restore it.") from None
