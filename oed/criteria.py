@@ -7,6 +7,7 @@ combinations of the parameters matter:
     A   trace(V' M^-1 V)          V = identity: A; V V' = W: A(W), also called L; s = 1: c-optimality
     E   largest eigenvalue        V = identity: E
     G   max_k trace(V_k' M^-1 V_k)  V of shape (K, n, s): the worst of several
+    K   condition number of V' M^-1 V: modified E (its certificate is a ratio of two: `oed.design.condition`)
 
 and has the lower bound, valid for every X (n, s), also where M is singular (Cauchy-Schwarz):
 
@@ -26,7 +27,15 @@ from numpy.typing import ArrayLike, NDArray
 from oed.data import frozen
 from oed.errors import InputError
 
-__all__ = ["Criterion", "a_criterion", "c_criterion", "d_criterion", "e_criterion", "g_criterion"]
+__all__ = [
+    "Criterion",
+    "a_criterion",
+    "c_criterion",
+    "condition_criterion",
+    "d_criterion",
+    "e_criterion",
+    "g_criterion",
+]
 
 OUTSIDE = 1e-6
 
@@ -37,7 +46,7 @@ class Criterion:
 
     Attributes
     ----------
-    kind : {"D", "A", "E", "G"}
+    kind : {"D", "A", "E", "G", "K"}
         Which function of V' M^-1 V.
     V : ndarray
         (n, s), or (K, n, s) for G.
@@ -52,8 +61,8 @@ class Criterion:
     def __post_init__(self) -> None:
         V = np.array(self.V, dtype=float)
         axes = 3 if self.kind == "G" else 2
-        if self.kind not in ("D", "A", "E", "G"):
-            raise InputError(f"the criterion is of kind {self.kind!r}; choose D, A, E or G.")
+        if self.kind not in ("D", "A", "E", "G", "K"):
+            raise InputError(f"the criterion is of kind {self.kind!r}; choose D, A, E, G or K.")
         if V.ndim != axes or not np.isfinite(V).all() or not np.any(V):
             raise InputError(
                 f"the combinations V of a {self.kind} criterion have the shape {V.shape}; "
@@ -113,6 +122,9 @@ class Criterion:
             return float(np.trace(covariance))
         if self.kind == "E":
             return float(np.linalg.eigvalsh(covariance)[-1])
+        if self.kind == "K":
+            values = np.linalg.eigvalsh(covariance)
+            return float(values[-1] / values[0]) if values[0] > 0 else np.inf
         return float(np.diag(covariance).reshape(self.V.shape[0], -1).sum(axis=1).max())
 
     def numerator(self, X: NDArray[np.float64]) -> float:
@@ -131,6 +143,8 @@ class Criterion:
         if self.kind == "G":
             parts = X.reshape(len(X), self.V.shape[0], -1)
             return float(np.sum(np.einsum("kns,nks->k", self.V, parts) ** 2))
+        if self.kind == "K":
+            raise InputError("a condition number has no bound by one direction; see `condition_design`.")
         product = self.V.T @ X
         if self.kind == "D":
             sign, logdet = np.linalg.slogdet(product)
@@ -369,6 +383,29 @@ def g_criterion(combinations: ArrayLike, *, name: str = "") -> Criterion:
     """
     V = np.asarray(combinations, dtype=float)
     return Criterion("G", V[:, :, None] if V.ndim == 2 else V, name or "G")
+
+
+def condition_criterion(n: int, lengths: ArrayLike | None = None, *, name: str = "") -> Criterion:
+    """Modified E: the condition number of M, the parameters in given units.
+
+    Parameters
+    ----------
+    n : int
+        Number of parameters.
+    lengths : array_like, optional
+        (n,) unit of every parameter, positive; 1 by default. The condition number depends on it.
+    name : str
+        What it is called in tables.
+
+    Returns
+    -------
+    Criterion
+        The criterion.
+    """
+    unit = np.ones(n) if lengths is None else np.asarray(lengths, dtype=float)
+    if unit.shape != (n,) or not (np.isfinite(unit) & (unit > 0)).all():
+        raise InputError(f"the units of the parameters are {unit}; give {n} positive numbers.")
+    return Criterion("K", np.diag(1 / unit), name or "modified-E")
 
 
 def _combinations(n: int, columns: ArrayLike | None) -> NDArray[np.float64]:

@@ -18,8 +18,8 @@ The public verb and what it returns:
 
 Beside it: `robust_design` (several plants: average, minimax), `least_power_design` and `application_criterion`,
 `closed_loop_map` (the reference of a loop with a known controller), `masked_design` (limits per frequency),
-`amplitude_design` (finite signals within an amplitude), `moment_design` and `autocorrelation_design` (other
-parametrisations, by CVXPY). Figures are in `oed.design.plots`.
+`amplitude_design` (finite signals within an amplitude and a rate), `moment_design` and `autocorrelation_design` (other
+parametrisations, by CVXPY), `basis_design` and `autoregressive_design` (spectra of a given shape). Figures are in `oed.design.plots`.
 
 `model` is a Plant, a Model, an InformationMap (what all designs reduce to), or anything with
 `response(omega) -> (G (K, ny, nu), dG (K, n, ny, nu))` through `information_map(model, noise_covariance=..)`.
@@ -44,12 +44,16 @@ if TYPE_CHECKING:
     from oed.design.masked import masked_design
     from oed.design.result import Design
     from oed.design.robust import robust_design
+    from oed.design.shaped import autoregressive_design, band_basis, basis_design
     from oed.design.solve import solve_design
 
 _HOME = {
     "amplitude_design": "amplitude",
     "application_criterion": "least_power",
     "autocorrelation_design": "autocorrelation",
+    "autoregressive_design": "shaped",
+    "band_basis": "shaped",
+    "basis_design": "shaped",
     "Certificate": "certificate",
     "closed_loop_map": "closed_loop",
     "Design": "result",
@@ -69,6 +73,9 @@ __all__ = [
     "amplitude_design",
     "application_criterion",
     "autocorrelation_design",
+    "autoregressive_design",
+    "band_basis",
+    "basis_design",
     "closed_loop_map",
     "information_map",
     "least_power_design",

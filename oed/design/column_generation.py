@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.design.columns import Columns, Prices, Problem, local_maxima
+from oed.design.cone import largest_eigenvalue
 from oed.design.eigenvalue import eigenvalue_weights
 from oed.design.interior import Weights, interior_point
 from oed.design.minimax import minimax_weights
-from oed.errors import InputError, Status
+from oed.errors import InputError, SolverFailure, Status
 
 __all__ = [
     "Exchange",
@@ -30,6 +31,10 @@ __all__ = [
 
 RIDGE = 1e-5
 KEEP = 0.5
+MANY = 200
+PATIENCE = 6
+MOST_NEW = 40
+CONIC = 40_000
 Master = Callable[[Problem, Columns, NDArray[np.float64] | None, float], Weights]
 
 
@@ -109,12 +114,36 @@ def solve_weights(
     """
     criterion, constant = problem.criterion, problem.constant
     if criterion.kind == "E":
-        return eigenvalue_weights(columns, criterion, constant, start=start, tolerance=max(accuracy, 1e-12))
+        return _eigenvalue(problem, columns, start, max(accuracy, 1e-12))
     if criterion.kind == "G":
         return minimax_weights(columns, criterion, constant, start=start, tolerance=max(accuracy, 1e-11))
     if criterion.columns.shape[1] < criterion.n:
         constant = constant + ridge * np.eye(criterion.n)
     return interior_point(columns, criterion, constant, start=start, tolerance=accuracy)
+
+
+def _eigenvalue(
+    problem: Problem, columns: Columns, start: NDArray[np.float64] | None, accuracy: float
+) -> Weights:
+    """E by our interior-point method; where that stalls on few columns, by Clarabel if its gap is smaller."""
+    criterion, constant = problem.criterion, problem.constant
+    own = eigenvalue_weights(columns, criterion, constant, start=start, tolerance=accuracy)
+    if own.status.ok or len(columns) * criterion.n**2 > CONIC:
+        return own
+    try:
+        other = largest_eigenvalue(columns, criterion, constant)
+    except SolverFailure:
+        return own
+    return min((own, other), key=lambda weights: _gap_within(problem, columns, weights))
+
+
+def _gap_within(problem: Problem, columns: Columns, weights: Weights) -> float:
+    """Relative gap if there were no other columns than these."""
+    used = float((columns.q.T @ weights.w).max())
+    bound = lower_bound(problem, weights.X, weights.nu, float(columns.prices(weights.X, weights.nu).max()))
+    if not (used > 0 and bound > 0):
+        return np.inf
+    return problem.loss(columns, weights.w / used) / bound - 1
 
 
 def exchange(
@@ -125,6 +154,7 @@ def exchange(
     refine: bool = True,
     tolerance: float = 1e-9,
     max_rounds: int = 40,
+    accuracy: float = 1e-4,
 ) -> Exchange:
     """Run the loop.
 
@@ -142,6 +172,8 @@ def exchange(
         Relative gap at which to stop.
     max_rounds : int
         Limit of rounds.
+    accuracy : float
+        Of the weights in the first round; smaller where the columns come from an earlier loop.
 
     Returns
     -------
@@ -150,13 +182,15 @@ def exchange(
     """
     master = master or solve_weights
     columns = seed_columns(problem) if columns is None else columns
-    criterion, start, accuracy = problem.criterion, None, 1e-4
-    best_loss, best_bound, stalled = np.inf, 0.0, 0
+    criterion, start = problem.criterion, None
+    best_loss, best_bound, reference, stalled = np.inf, 0.0, np.inf, 0
     kept, proof = None, None
     status, rounds = Status.MAX_ITERATIONS, 0
     # A singular optimum leaves X free in many directions: what holds it there must not be dropped.
     free = criterion.kind in ("E", "G") or criterion.columns.shape[1] < criterion.n
     keep_above = KEEP if free else 0.99
+    # Multipliers well inside their set move little from round to round; at a vertex of it they jump.
+    centred = 0.1 if free else 1e-3
     while rounds < max(max_rounds, 1):
         rounds += 1
         weights = master(problem, columns, start, accuracy)
@@ -166,25 +200,25 @@ def exchange(
         prices = problem.prices(weights.X, weights.nu)
         omega, peaks = _maxima(problem, prices, weights, refine)
         bound = lower_bound(problem, weights.X, weights.nu, float(peaks.ratio.max()))
-        progress = loss < best_loss * (1 - 0.01 * tolerance) or bound > best_bound * (1 + 0.01 * tolerance)
-        stalled = 0 if progress else stalled + 1
         if loss <= best_loss or kept is None:
             best_loss, kept = loss, (columns, w)
         if bound > best_bound or proof is None:
             best_bound, proof = bound, (weights.X, weights.nu)
         gap = (best_loss - best_bound) / best_bound
-        if gap <= tolerance or stalled >= 5:
+        stalled = 0 if gap < 0.8 * reference else stalled + 1
+        reference = gap if stalled == 0 else reference
+        if gap <= tolerance or stalled >= PATIENCE:
             # Bounds of early rounds may have missed a maximum that the grid did not show then.
             best_bound = evaluated_bound(problem, *proof, refine=refine)[0]
             gap = (best_loss - best_bound) / best_bound
-            if gap <= tolerance or stalled >= 5:
+            if gap <= tolerance or stalled >= PATIENCE:
                 status = Status.CONVERGED if gap <= tolerance else Status.INACCURATE
                 break
             proof = None if bound < best_bound else proof
-        accuracy = min(accuracy, max(1e-3 * gap, 1e-2 * tolerance, 1e-13))
+        accuracy = min(accuracy, max(centred * gap, 1e-2 * tolerance, 1e-13))
         own = columns.prices(weights.X, weights.nu)
-        stay = (w > 1e-7 * w.max()) | (own > keep_above)
-        new = peaks.ratio > 1 + 0.02 * tolerance
+        stay = (w > 1e-7 * w.max()) | (own > (keep_above if len(w) < MANY else 0.9))
+        new = peaks.ratio > max(1 + 0.02 * tolerance, _level_of(peaks.ratio, MOST_NEW))
         if refine and new.any():
             problem = problem.extended(_around(problem, omega[new]))
         columns, start = _with_new(problem, columns.take(stay), w[stay], omega[new], peaks.direction[new])
@@ -194,6 +228,11 @@ def exchange(
     return Exchange(
         *kept, best_loss, proof[0], proof[1] * price, best_bound, price, frequency, rounds, status, problem
     )
+
+
+def _level_of(values: NDArray[np.float64], count: int) -> float:
+    """What only the largest few of some values exceed."""
+    return float(np.sort(values)[-count - 1]) if len(values) > count else -np.inf
 
 
 def lower_bound(problem: Problem, X: NDArray[np.float64], nu: NDArray[np.float64], price: float) -> float:

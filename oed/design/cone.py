@@ -20,7 +20,7 @@ from oed.design.columns import Columns
 from oed.design.interior import Weights
 from oed.errors import SolverFailure, Status
 
-__all__ = ["elfving", "largest_eigenvalue"]
+__all__ = ["elfving", "largest_eigenvalue", "linear_matrix_programme", "smat", "svec"]
 
 
 def _solve(P: Any, q: NDArray, A: Any, b: NDArray, cones: list, tolerance: float) -> Any:
@@ -122,39 +122,100 @@ def largest_eigenvalue(
     Weights
         Weights, X with X X' = Z the multiplier of the inequality, and the budgets' multipliers.
     """
-    import clarabel
-    from scipy import sparse
-
     V, F, Q = criterion.columns, columns.F, columns.q.T
     (m, n, _), J = F.shape, len(Q)
     atoms = F @ np.swapaxes(F, 1, 2)
     # Variables w (m), t. Slack: svec(M_0 + sum w A - t V V'), 1 - Q w, w.
-    psd = np.concatenate([-_svec(atoms).T, _svec((V @ V.T)[None]).T], axis=1)
+    psd = np.concatenate([-svec(atoms).T, svec((V @ V.T)[None]).T], axis=1)
     budget = np.concatenate([Q, np.zeros((J, 1))], axis=1)
     positive = np.concatenate([-np.eye(m), np.zeros((m, 1))], axis=1)
-    A = sparse.csc_matrix(np.concatenate([psd, budget, positive]))
-    b = np.concatenate([_svec(constant[None])[0], np.ones(J), np.zeros(m)])
-    cones = [clarabel.PSDTriangleConeT(n), clarabel.NonnegativeConeT(J + m)]
     objective = np.zeros(m + 1)
     objective[-1] = -1.0
-    solution = _solve(sparse.csc_matrix((m + 1, m + 1)), objective, A, b, cones, tolerance)
-    status = _status(solution)
-    z = np.array(solution.z)
+    solution, x, z, status = linear_matrix_programme(
+        objective,
+        [psd, np.concatenate([budget, positive])],
+        [svec(constant[None])[0], np.ones(J), np.zeros(m)],
+        [n],
+        tolerance,
+    )
     k = n * (n + 1) // 2
-    values, vectors = np.linalg.eigh(_smat(z[:k], n))
+    values, vectors = np.linalg.eigh(smat(z[:k], n))
     X = vectors * np.sqrt(np.clip(values, 0, None))
-    w = np.maximum(np.array(solution.x)[:m], 0.0)
+    w = np.maximum(x[:m], 0.0)
     return Weights(w, X, np.maximum(z[k : k + J], 0), status, int(solution.iterations))
 
 
-def _svec(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Upper triangles column by column, off-diagonal entries times sqrt 2: (k, n, n) -> (k, n (n+1)/2)."""
+def linear_matrix_programme(
+    objective: NDArray[np.float64],
+    blocks: list[NDArray[np.float64]],
+    offsets: list[NDArray[np.float64]],
+    sizes: list[int],
+    tolerance: float,
+) -> tuple[Any, NDArray[np.float64], NDArray[np.float64], Status]:
+    """Minimise objective' x subject to offset - block x in each cone, by Clarabel.
+
+    Parameters
+    ----------
+    objective : ndarray
+        (m,).
+    blocks, offsets : list of ndarray
+        First one per positive semidefinite cone, as `svec`; then one for the nonnegative orthant.
+    sizes : list of int
+        n of each semidefinite cone.
+    tolerance : float
+        Clarabel's.
+
+    Returns
+    -------
+    solution : object
+        Clarabel's.
+    x, z : ndarray
+        Solution and multipliers, those of the cones one after the other.
+    status : Status
+        CONVERGED or INACCURATE.
+    """
+    import clarabel
+    from scipy import sparse
+
+    cones = [clarabel.PSDTriangleConeT(n) for n in sizes] + [clarabel.NonnegativeConeT(len(blocks[-1]))]
+    A, m = sparse.csc_matrix(np.concatenate(blocks)), len(objective)
+    solution = _solve(sparse.csc_matrix((m, m)), objective, A, np.concatenate(offsets), cones, tolerance)
+    return solution, np.array(solution.x), np.array(solution.z), _status(solution)
+
+
+def svec(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Upper triangles column by column, off-diagonal entries times sqrt 2.
+
+    Parameters
+    ----------
+    matrices : ndarray
+        (k, n, n) symmetric.
+
+    Returns
+    -------
+    ndarray
+        (k, n (n + 1) / 2).
+    """
     n = matrices.shape[1]
     j, i = np.tril_indices(n)
     return matrices[:, i, j] * np.where(i == j, 1.0, np.sqrt(2))
 
 
-def _smat(vector: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+def smat(vector: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """The symmetric matrix of one row of `svec`.
+
+    Parameters
+    ----------
+    vector : ndarray
+        (n (n + 1) / 2,).
+    n : int
+        Size.
+
+    Returns
+    -------
+    ndarray
+        (n, n).
+    """
     j, i = np.tril_indices(n)
     matrix = np.zeros((n, n))
     matrix[i, j] = matrix[j, i] = vector / np.where(i == j, 1.0, np.sqrt(2))

@@ -1,6 +1,6 @@
 """Criteria by name: D, A, E, and the variance of scalars of the model (peak gain, gain, damping, a pole, ...).
 
-D, A, E                     of all parameters
+D, A, E, modified-E         of all parameters; modified-E is the condition number of the information
 Ds:b1,b2                    D of the named parameters, the others being nuisance
 hinf                        peak gain
 static-gain, gain:0.5       largest singular value of G at 0, or at a frequency in rad/sample
@@ -16,7 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.criteria import Criterion, a_criterion, c_criterion, d_criterion, e_criterion, g_criterion
+from oed.criteria import (
+    Criterion,
+    a_criterion,
+    c_criterion,
+    condition_criterion,
+    d_criterion,
+    e_criterion,
+    g_criterion,
+)
 from oed.design.maps import InformationMap
 from oed.errors import InputError, check_names
 from oed.norms import gain_gradient, peak
@@ -24,7 +32,7 @@ from oed.plants import Plant
 
 __all__ = ["NAMES", "criterion_of", "response_combinations", "scalar_criterion"]
 
-NAMES = ("D", "A", "E", "Ds", "hinf", "static-gain", "gain", "pole", "damping", "I", "G")
+NAMES = ("D", "A", "E", "modified-E", "Ds", "hinf", "static-gain", "gain", "pole", "damping", "I", "G")
 
 
 def criterion_of(criterion: str | Criterion, model: Any, information: InformationMap) -> Criterion:
@@ -58,8 +66,9 @@ def criterion_of(criterion: str | Criterion, model: Any, information: Informatio
     name, *arguments = str(criterion).split(":")
     check_names([name], NAMES, "criterion")
     n = information.n
-    if name in ("D", "A", "E"):
-        return {"D": d_criterion, "A": a_criterion, "E": e_criterion}[name](n)
+    if name in ("D", "A", "E", "modified-E"):
+        makers = {"D": d_criterion, "A": a_criterion, "E": e_criterion, "modified-E": condition_criterion}
+        return makers[name](n)
     if name == "Ds":
         chosen = [part for part in ":".join(arguments).split(",") if part]
         check_names(chosen, information.names, "parameter")
