@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks import figures
-from benchmarks.campaign import Settings
-from benchmarks.comparison import COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
+from benchmarks.answer import answer_rows, answer_sentences
+from benchmarks.comparison import BUDGET, COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
+from benchmarks.comparison_sections import answer_section, head_to_head_section, profile_section
 from benchmarks.hair_dryer import hair_dryer_story
 from benchmarks.report import save_figure, save_report, save_table
+from benchmarks.settings import Settings
 from benchmarks.statistics import Target
 from benchmarks.tables import format_value, to_markdown
+from benchmarks.tabulation import Tables
 from oed.theory.efficiency import peak_gain_efficiency_by_experiments
 
 __all__ = ["write_comparison"]
@@ -26,12 +30,7 @@ FIG3_REPLICATES = 1000
 
 
 def write_comparison(
-    folder: Path,
-    settings: Settings,
-    replicates: int,
-    rows: list[Row],
-    information: list[Row],
-    known: Targets,
+    folder: Path, settings: Settings, replicates: int, tables: Tables
 ) -> tuple[list[str], Path]:
     """Write tables, figures and the page of a comparison.
 
@@ -43,10 +42,8 @@ def write_comparison(
         The campaign.
     replicates : int
         Monte-Carlo runs.
-    rows, information : list of dict
-        Of `comparison_rows` and `information_rows`.
-    known : mapping
-        (plant, noise variance) to Target.
+    tables : Tables
+        Of `tabulate`.
 
     Returns
     -------
@@ -55,7 +52,11 @@ def write_comparison(
     page : Path
         The report.
     """
-    sentences = answers(rows, information, settings)
+    rows, information, known = tables.rows, tables.information, tables.known
+    made_with = made(settings, replicates, folder)
+    save = partial(save_table, folder, metadata=made_with)
+    answer = answer_rows(tables)
+    sentences = [*answer_sentences(answer, settings), *answers(rows, information, settings)]
     siso = [p for p in settings.plants if known[p, settings.noise_variances[0]].plant.n_inputs == 1]
     siso = [p for p in siso if known[p, settings.noise_variances[0]].plant.n_outputs == 1]
     comparison = {
@@ -67,8 +68,7 @@ def write_comparison(
             "large samples). The column predicted is what the Fisher information of the same inputs promises to an efficient estimator.",
         ],
         "tables": [
-            save_table(
-                folder,
+            save(
                 "comparison",
                 rows,
                 COLUMNS,
@@ -92,8 +92,7 @@ def write_comparison(
             "experiments is the sum of their informations (Lemma 13).",
         ],
         "tables": [
-            save_table(
-                folder,
+            save(
                 "information",
                 information,
                 INFORMATION_COLUMNS,
@@ -111,11 +110,10 @@ def write_comparison(
         ],
     }
     best = headline_rows(rows)
-    answer = {
-        "title": "The answer in one table",
+    inputs = {
+        "title": "What each input carries, and the estimator that made most of it",
         "tables": [
-            save_table(
-                folder,
+            save(
                 "headline",
                 best,
                 HEADLINE,
@@ -124,16 +122,22 @@ def write_comparison(
             )
         ],
     }
-    sections = [answer, comparison, carried, _theory_section(folder, settings, known, siso)]
+    sections = [answer_section(folder, save, tables, answer, settings)] if answer else []
+    sections += [inputs, comparison, profile_section(folder, save, tables), carried]
+    if answer:
+        section, sentence = head_to_head_section(folder, save)
+        sections.append(section)
+        sentences.append(sentence)
+    sections.append(_theory_section(folder, settings, known, siso))
     if "hair-dryer" in settings.plants:
-        sections.append(_hair_dryer_section(folder))
+        sections.append(_hair_dryer_section(folder, save))
     headline = to_markdown(best, HEADLINE)
     save_summary(folder, sentences, headline)
     content = {
         "title": "Which input is worth applying for the H-infinity norm?",
         "lead": sentences,
         "sections": sections,
-        "made": made(settings, replicates, folder),
+        "made": made_with,
     }
     return sentences, save_report(folder, content)
 
@@ -142,6 +146,7 @@ HEADLINE = {
     "plant": "plant",
     "noise_variance": "noise",
     "method": "input",
+    **BUDGET,
     "c_efficiency": "efficiency, peak gain",
     "d_efficiency": "efficiency, D",
     "best_estimator": "best estimator",
@@ -318,14 +323,13 @@ def _estimated_gain(folder: Path, settings: Settings, known: Targets, plant: str
     )
 
 
-def _hair_dryer_section(folder: Path) -> dict[str, Any]:
+def _hair_dryer_section(folder: Path, save: Any) -> dict[str, Any]:
     story = hair_dryer_story()
     return {
         "title": "The loop closed on a real record: the hair dryer",
         "text": story.sentences,
         "tables": [
-            save_table(
-                folder,
+            save(
                 "hair_dryer",
                 story.rows,
                 {

@@ -12,19 +12,30 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.campaign import Settings, run_campaign
-from benchmarks.statistics import comparison_rows, information_rows, targets
+from benchmarks.campaign import TIME_LIMIT, Settings, fill_store, run_campaign, stored_runs
+from benchmarks.own import Own
+from benchmarks.settings import Limit, default_limits
 from benchmarks.store import versions, write_atomically
 from benchmarks.tables import to_text
+from benchmarks.tabulation import tabulate
 from oed.errors import InputError
 
 __all__ = ["COLUMNS", "Comparison", "compare"]
 
+BUDGET = {
+    "channels": "channels",
+    "samples": "samples",
+    "experiments": "experiments",
+    "energy": "energy",
+    "energy_per_input": "per input",
+    "peak_amplitude": "peak |u|",
+}
 COLUMNS = {
     "plant": "plant",
     "noise_variance": "noise",
     "method": "input",
     "estimator": "estimator",
+    **BUDGET,
     "rho": "rho",
     "rho_predicted": "predicted",
     "bias": "bias",
@@ -34,13 +45,13 @@ COLUMNS = {
     "coverage": "coverage",
     "n": "runs",
     "n_failed": "failed",
+    "failures": "how",
 }
 INFORMATION_COLUMNS = {
     "plant": "plant",
     "noise_variance": "noise",
     "method": "input",
-    "experiments": "experiments",
-    "energy": "energy",
+    **BUDGET,
     "c_efficiency": "peak gain",
     "d_efficiency": "D",
     "a_efficiency": "A",
@@ -65,6 +76,8 @@ class Comparison:
         The report; None after a dry run.
     sentences : list of str
         What the numbers say.
+    pairs : list of dict
+        Paired differences with corrected p-values.
     """
 
     rows: list[dict[str, Any]]
@@ -72,6 +85,7 @@ class Comparison:
     out: Path
     page: Path | None
     sentences: list[str]
+    pairs: list[dict[str, Any]] = field(default_factory=list, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of `oed compare --json`.
@@ -87,6 +101,7 @@ class Comparison:
             "report": str(self.page) if self.page else None,
             "summary": self.sentences,
             "information": self.information,
+            "pairs": self.pairs,
         }
 
     def __str__(self) -> str:
@@ -122,12 +137,15 @@ def compare(
     samples: int = 1000,
     experiments: int = 20,
     replicates: int = 100,
-    methods: Sequence[str] | None = None,
-    estimators: Sequence[str] | None = None,
+    methods: Sequence[Any] | None = None,
+    estimators: Sequence[Any] | None = None,
+    limits: Sequence[Limit] | None = None,
+    profile_replicates: int = 10,
     seed: int = 0,
     out: str | Path = "results/compare",
     jobs: int | None = None,
     scheduler: str | None = None,
+    time_limit: float | None = TIME_LIMIT,
     dry_run: bool = False,
     quiet: bool = False,
 ) -> Comparison:
@@ -141,8 +159,12 @@ def compare(
         For every plant.
     samples, experiments, replicates : int
         Length of an experiment, experiments per run, Monte-Carlo runs.
-    methods, estimators : sequence of str, optional
-        Names of inputs and estimators.
+    methods, estimators : sequence, optional
+        Names of inputs and estimators; one's own as functions or `FILE.py:FUNCTION` (see `benchmarks.own`).
+    limits : sequence of Limit, optional
+        What has fewer replicates than the rest.
+    profile_replicates : int
+        For so many replicates the estimators are also run after every checkpoint of the budget.
     seed : int
         Of everything random.
     out : str or Path
@@ -151,6 +173,8 @@ def compare(
         Worker processes.
     scheduler : str, optional
         Address of a Dask scheduler.
+    time_limit : float, optional
+        Seconds for one run of a method, and for one estimate; what takes longer is a row that says so.
     dry_run : bool
         Only try everything on a tiny size, in a folder that is thrown away.
     quiet : bool
@@ -161,52 +185,70 @@ def compare(
     Comparison
         Rows, sentences and the page.
     """
+    brought = Own(methods or (), estimators or ())
     given = {
         "plants": plants,
         "noise_variances": noise_variances,
-        "methods": methods,
-        "estimators": estimators,
+        "methods": brought.methods,
+        "estimators": brought.estimators,
+        "limits": limits,
+        "sources": brought.sources,
     }
+    if limits is None:
+        blank = Settings()
+        given["limits"] = default_limits(plants or blank.plants, brought.methods or blank.methods)
     settings = Settings(
         samples=samples,
         experiments=experiments,
         seed=seed,
+        profile_replicates=profile_replicates,
         **{name: tuple(values) for name, values in given.items() if values},
     )
     if jobs is not None and jobs < 1:
         raise InputError(f"jobs is {jobs}; it must be at least 1.")
+    options = {"time_limit": time_limit, "own": brought.functions}
     if dry_run:
-        return _dry_run(settings, replicates, Path(out))
+        return _dry_run(settings, replicates, Path(out), options)
     folder = Path(out)
-    raw = run_campaign(
-        settings, replicates, folder, jobs=jobs, scheduler=scheduler, progress=_Progress(quiet)
+    store = fill_store(
+        settings,
+        replicates,
+        folder,
+        jobs=jobs,
+        scheduler=scheduler,
+        progress=_Progress(quiet),
+        **options,
     )
-    known = targets(raw)
-    information = information_rows(raw, known)
-    rows = comparison_rows(raw, information, known)
+    tables = tabulate(stored_runs(store, settings, replicates, **options), settings)
     from benchmarks.compare_report import write_comparison
 
-    sentences, page = write_comparison(folder, settings, replicates, rows, information, known)
-    return Comparison(rows, information, folder, page, sentences)
+    sentences, page = write_comparison(folder, settings, replicates, tables)
+    return Comparison(tables.rows, tables.information, folder, page, sentences, tables.pairs)
 
 
-def _dry_run(settings: Settings, replicates: int, out: Path) -> Comparison:
+def _dry_run(settings: Settings, replicates: int, out: Path, options: dict[str, Any]) -> Comparison:
     """Every combination once, two tiny experiments each, nothing kept."""
     from dataclasses import replace
     from tempfile import TemporaryDirectory
 
-    tiny = replace(settings, samples=min(settings.samples, 200), experiments=min(settings.experiments, 2))
+    tiny = replace(
+        settings,
+        samples=min(settings.samples, 200),
+        experiments=min(settings.experiments, 2),
+        profile_replicates=0,
+    )
     start = time.monotonic()
     with TemporaryDirectory() as folder:
-        raw = run_campaign(tiny, 2, Path(folder), jobs=1)
+        raw = run_campaign(tiny, 2, Path(folder), jobs=1, **options)
     seconds = time.monotonic() - start
-    combinations = {(row["plant"], row["noise_variance"], row["method"]) for row in raw}
-    failed = [row for row in raw if row["estimator"] and row["message"]]
+    combinations = [runs.key for runs in raw]
+    found = [estimates for runs in raw for estimates in runs.final.values()]
+    failed = sum(int((~estimates.good).sum()) for estimates in found)
     size = settings.samples * settings.experiments * replicates
     sentences = [
         f"Dry run: {len(combinations)} combinations of plant, noise and input ran at {tiny.experiments} experiments of "
         f"{tiny.samples} samples in {seconds:.1f} s; the full campaign has {size:,} samples in each of them, kept in {out}.",
-        f"{len(failed)} estimates of {sum(1 for row in raw if row['estimator'])} gave no number at this size.",
+        f"{failed} estimates of {sum(map(len, found))} gave no number at this size.",
     ]
     return Comparison([], [], out, None, sentences)
 
@@ -233,6 +275,8 @@ def command_line(settings: Settings, replicates: int, out: Path) -> str:
         words += ["--plant", plant]
     for variance in settings.noise_variances:
         words += ["--noise-variance", f"{variance:g}"]
+    for limit in settings.limits:
+        words += ["--limit", ",".join(f"{k}={v}" for k, v in asdict(limit).items() if v != "")]
     words += ["--samples", str(settings.samples), "--experiments", str(settings.experiments)]
     words += [
         "--replicates",
@@ -242,6 +286,7 @@ def command_line(settings: Settings, replicates: int, out: Path) -> str:
         "--estimators",
         *settings.estimators,
     ]
+    words += ["--profile-replicates", str(settings.profile_replicates)]
     return shlex.join([*words, "--seed", str(settings.seed), "--out", str(out)])
 
 

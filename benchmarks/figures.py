@@ -18,6 +18,7 @@ __all__ = [
     "estimated_gain_figure",
     "hair_dryer_figure",
     "limit_spectrum_figure",
+    "panels",
     "rho_figure",
     "spectra_against_optima_figure",
 ]
@@ -28,7 +29,23 @@ MARKERS = ("o", "s", "^", "D", "v", "x")
 GREY = "#5b6770"
 
 
-def _axes(columns: int = 1, *, width: float = 9.0, height: float = 3.6) -> tuple[Figure, list[Any]]:
+def panels(columns: int = 1, *, width: float = 9.0, height: float = 3.6) -> tuple[Figure, list[Any]]:
+    """A figure with panels side by side, in the style of all figures here.
+
+    Parameters
+    ----------
+    columns : int
+        Panels.
+    width, height : float
+        In inches.
+
+    Returns
+    -------
+    figure : Figure
+        The figure.
+    axes : list
+        Its panels.
+    """
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = [figure.add_subplot(1, columns, k + 1) for k in range(columns)]
     for ax in axes:
@@ -67,7 +84,7 @@ def limit_spectrum_figure(plant: Plant, noise_variances: Sequence[float]) -> Fig
     Figure
         Two panels.
     """
-    figure, (left, right) = _axes(2)
+    figure, (left, right) = panels(2)
     limits = [limit_spectrum(plant.replace(noise_variance=v)) for v in noise_variances]
     omega = _fine_frequencies(limits[0])
     left.plot(omega, np.abs(plant.response(omega)[0][:, 0, 0]), color=COLOURS[0])
@@ -127,7 +144,7 @@ def estimated_gain_figure(
     Figure
         Two panels.
     """
-    figure, (left, right) = _axes(2)
+    figure, (left, right) = panels(2)
     n = np.arange(1, len(single) + 1)
     left.plot(n, single, "-.", color=COLOURS[2], linewidth=1, label="one run")
     left.plot(n, averages[single_variance], "--", color="black", label=f"mean of {replicates} runs")
@@ -166,7 +183,7 @@ def spectra_against_optima_figure(
     Figure
         One panel.
     """
-    figure, (ax,) = _axes(1, width=7.0, height=3.8)
+    figure, (ax,) = panels(1, width=7.0, height=3.8)
     for k, variance in enumerate(noise_variances):
         spectrum = limit_spectrum(plant.replace(noise_variance=variance)).spectrum
         share = np.cumsum(spectrum.power[:, 0, 0].real) / spectrum.total_power
@@ -277,7 +294,7 @@ def rho_figure(rows: Sequence[Mapping[str, Any]], plants: Sequence[str]) -> Figu
         Log scale; the line at 1 is the bound.
     """
     pairs = list(dict.fromkeys((row["method"], row["estimator"]) for row in rows))
-    figure, axes = _axes(len(plants), width=9.5, height=1.6 + 0.34 * len(pairs))
+    figure, axes = panels(len(plants), width=9.5, height=1.6 + 0.34 * len(pairs))
     for ax, plant in zip(axes, plants, strict=True):
         mine = [row for row in rows if row["plant"] == plant]
         variances = sorted({row["noise_variance"] for row in mine})
@@ -324,7 +341,7 @@ def hair_dryer_figure(story: Any) -> Figure:
     Figure
         Two panels.
     """
-    figure, (left, right) = _axes(2)
+    figure, (left, right) = panels(2)
     for k, (name, values) in enumerate(story.correlations.items()):
         left.plot(
             story.lags,

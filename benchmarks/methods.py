@@ -25,7 +25,7 @@ from oed.errors import InputError, OedError, Status, check_names
 from oed.experiments import Experiment
 from oed.plants import Plant
 
-__all__ = ["ESTIMATORS", "METHODS", "Estimate", "Estimator", "Method", "compatible", "method_for"]
+__all__ = ["ESTIMATORS", "METHODS", "Estimate", "Estimator", "Method", "compatible", "fits", "method_for"]
 
 Method = Callable[..., Trace]
 
@@ -116,9 +116,29 @@ METHODS: dict[str, Callable[[Plant], Method]] = {
 }
 
 
+def complete(trace: Trace) -> Trace:
+    """The trace without a last iteration that the budget cut short.
+
+    Parameters
+    ----------
+    trace : Trace
+        Of any method; with p outputs and q inputs an iteration of Procedure 2 has 1 + pq experiments.
+
+    Returns
+    -------
+    Trace
+        The same where every iteration is whole, or there is only one.
+    """
+    iterations = trace.iterations
+    if len(iterations) < 2:
+        return trace
+    sizes = [part.stop - part.start for part in iterations]
+    return trace if sizes[-1] == sizes[0] else trace.first(iterations[-1].start)
+
+
 def _from_gains(name: str, compute: Callable[[Trace], Any]) -> Estimator:
     def estimate(trace: Trace, plant: Plant) -> Estimate:
-        gains = compute(trace)
+        gains = compute(complete(trace))
         return Estimate(
             gains.last, status=gains.status, message="" if gains.status.ok else gains.status.value
         )
@@ -330,6 +350,28 @@ def compatible(method: str, estimator: str) -> bool:
     return method in APPLIES.get(estimator, (method,))
 
 
+SINGLE_CHANNEL = ("power", "two-experiment", "krylov", "bandit")
+"""Inputs that are made for one input and one output."""
+
+
+def fits(method: str, plant: Plant) -> bool:
+    """Whether an input is made for the channels of a plant.
+
+    Parameters
+    ----------
+    method : str
+        Name; one's own are taken to fit.
+    plant : Plant
+        The plant.
+
+    Returns
+    -------
+    bool
+        False for inputs made for one channel on a plant with several.
+    """
+    return plant.n_inputs * plant.n_outputs == 1 or method not in SINGLE_CHANNEL
+
+
 def method_for(name: str, plant: Plant) -> Method:
     """A method by name, ready for a plant (oracle methods compute their input from it).
 
@@ -346,7 +388,7 @@ def method_for(name: str, plant: Plant) -> Method:
         `method(experiment, *, samples, iterations, rng) -> Trace`.
     """
     check_names([name], tuple(METHODS), "method")
-    if name in ("power", "two-experiment") and plant.n_inputs * plant.n_outputs != 1:
+    if not fits(name, plant):
         raise InputError(
             f"the method {name} is for one input and one output and {plant.name} has {plant.n_inputs} and "
             f"{plant.n_outputs}; use procedure-2."

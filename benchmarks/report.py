@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -87,7 +88,13 @@ dialog.addEventListener('click', () => dialog.close());
 
 
 def save_table(
-    folder: Path, name: str, rows: list[dict[str, Any]], columns: dict[str, str], caption: str
+    folder: Path,
+    name: str,
+    rows: list[dict[str, Any]],
+    columns: dict[str, str],
+    caption: str,
+    *,
+    metadata: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Save a table as Parquet, CSV, Markdown and LaTeX, and describe it for the report.
 
@@ -103,6 +110,8 @@ def save_table(
         What people see: key to heading.
     caption : str
         One sentence.
+    metadata : mapping, optional
+        How it was made, kept in the Parquet file.
 
     Returns
     -------
@@ -111,7 +120,7 @@ def save_table(
     """
     where = folder / "tables"
     where.mkdir(parents=True, exist_ok=True)
-    to_parquet(rows, where / f"{name}.parquet", overwrite=True)
+    to_parquet(rows, where / f"{name}.parquet", metadata, overwrite=True)
     to_csv(rows, where / f"{name}.csv", overwrite=True)
     write_atomically(where / f"{name}.md", to_markdown(rows, columns) + "\n")
     write_atomically(

@@ -6,13 +6,14 @@ estimators (a local, large-sample bound), whatever the method.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.columns import Estimates, Runs
 from benchmarks.plants import load_plant
 from benchmarks.predictions import CRITERIA, optimal_losses
 from oed.errors import Status
@@ -20,7 +21,7 @@ from oed.norms import gain_gradient, peak
 from oed.plants import Plant
 from oed.theory.efficiency import Losses, losses
 
-__all__ = ["comparison_rows", "information_rows", "mean_with_error"]
+__all__ = ["Target", "comparison_rows", "information_rows", "mean_with_error", "targets"]
 
 Row = dict[str, Any]
 
@@ -44,7 +45,15 @@ def mean_with_error(values: NDArray[np.float64]) -> tuple[float, float]:
 
 
 class Target:
-    """What the estimates of one plant at one noise level are compared with."""
+    """What the estimates of one plant at one noise level are compared with.
+
+    Parameters
+    ----------
+    spec : str
+        Plant, as on the command line.
+    noise_variance : float
+        Level.
+    """
 
     def __init__(self, spec: str, noise_variance: float) -> None:
         self.plant: Plant = load_plant(spec, noise_variance)
@@ -54,12 +63,38 @@ class Target:
         self.optimum = _optimum(spec, noise_variance)
 
     def efficiencies(self, information: NDArray[np.float64], energy: float) -> dict[str, float]:
-        """Efficiencies of a total information at a total input energy against the certified optima."""
+        """Efficiencies of a total information against the certified optima at the same energy.
+
+        Parameters
+        ----------
+        information : ndarray
+            (n, n) of all experiments.
+        energy : float
+            Of their inputs.
+
+        Returns
+        -------
+        dict
+            c_efficiency, d_efficiency, a_efficiency, e_efficiency.
+        """
         share = losses(information / energy, self.c).efficiency(self.optimum)
         return {f"{k.lower()}_efficiency": float(getattr(share, k)) for k in CRITERIA}
 
     def predicted_rho(self, information: NDArray[np.float64], energy: float) -> float:
-        """Rho of an efficient estimator on these inputs: sqrt(c' I^-1 c energy / lambda_e)."""
+        """Rho of an efficient estimator on these inputs: sqrt(c' I^-1 c energy / lambda_e).
+
+        Parameters
+        ----------
+        information : ndarray
+            (n, n) of all experiments.
+        energy : float
+            Of their inputs.
+
+        Returns
+        -------
+        float
+            At least 1 up to the finite length.
+        """
         return float(np.sqrt(losses(information, self.c).c * energy / self.plant.noise_variance))
 
 
@@ -76,74 +111,81 @@ def _optimum(spec: str, noise_variance: float) -> Losses:
     return Losses(*(getattr(losses_then, k) * ratio for k in CRITERIA))
 
 
-def _groups(rows: Sequence[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
-    grouped: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        grouped.setdefault(tuple(row[key] for key in keys), []).append(row)
-    return grouped
+Targets = Mapping[tuple[str, float], Target]
 
 
-def targets(rows: Sequence[Row]) -> dict[tuple[str, float], Target]:
-    """Targets of all plants and noise levels in a campaign.
+def targets(keys: Iterable[tuple[str, float]]) -> dict[tuple[str, float], Target]:
+    """Targets of plants at noise levels.
 
     Parameters
     ----------
-    rows : sequence of dict
-        Of `run_campaign`.
+    keys : iterable of tuple
+        Plant and noise variance.
 
     Returns
     -------
     dict
         (plant, noise variance) to Target.
     """
-    return {key: Target(*key) for key in _groups(rows, "plant", "noise_variance")}
+    return {key: Target(*key) for key in dict.fromkeys(keys)}
 
 
-def information_rows(rows: Sequence[Row], known: dict[tuple[str, float], Target]) -> list[Row]:
-    """What each input carries: efficiencies after every checkpoint, with jackknife standard errors.
+def _budget(target: Target, samples: float, experiments: float, energy: float, amplitude: float) -> Row:
+    """What was spent, as every table states it."""
+    plant = target.plant
+    return {
+        "channels": f"{plant.n_outputs} x {plant.n_inputs}",
+        "samples": int(samples),
+        "experiments": int(experiments),
+        "energy": float(energy),
+        "energy_per_input": float(energy) / plant.n_inputs,
+        "peak_amplitude": float(amplitude),
+    }
+
+
+def information_rows(runs: Runs, target: Target) -> list[Row]:
+    """What an input carries: efficiencies after every checkpoint, with jackknife standard errors.
 
     Parameters
     ----------
-    rows : sequence of dict
-        Of `run_campaign`.
-    known : dict
-        Targets.
+    runs : Runs
+        One combination.
+    target : Target
+        Of its plant.
 
     Returns
     -------
     list of dict
-        plant, noise_variance, method, experiments, samples, energy, the four efficiencies each with _se, and
-        rho_predicted, the rho of an efficient estimator.
+        plant, noise_variance, method, the budget, the four efficiencies each with _se, and rho_predicted, the rho of an
+        efficient estimator.
     """
+    n = len(target.plant.free)
+    marks: dict[int, list[Row]] = {}
+    for row in runs.information:
+        marks.setdefault(row["experiments"], []).append(row)
     table = []
-    kept = [row for row in rows if row["estimator"] == ""]
-    for (plant, variance, method, experiments), group in _groups(
-        kept, "plant", "noise_variance", "method", "experiments"
-    ).items():
-        target = known[plant, variance]
-        n = len(target.plant.free)
-        information = np.array([row["information"] for row in group]).reshape(len(group), n, n)
-        energy = float(np.mean([row["energy"] for row in group]))
-        values = target.efficiencies(information.mean(axis=0), energy)
+    for experiments, group in sorted(marks.items()):
+        sums = np.array([row["information"] for row in group]).reshape(len(group), n, n)
+        counts = np.array([row["count"] for row in group], dtype=float)
+        energy = sum(row["energy"] for row in group) / counts.sum()
+        mean = sums.sum(axis=0) / counts.sum()
+        values = target.efficiencies(mean, energy)
         blocks = np.array_split(np.arange(len(group)), min(10, len(group)))
         left_out = [
-            target.efficiencies(np.delete(information, block, axis=0).mean(axis=0), energy)
+            target.efficiencies(
+                np.delete(sums, block, axis=0).sum(axis=0) / np.delete(counts, block).sum(), energy
+            )
             for block in blocks
             if len(blocks) > 1
         ]
-        row: Row = {
-            "plant": plant,
-            "noise_variance": variance,
-            "method": method,
-            "experiments": experiments,
-            "samples": group[0]["samples"],
-            "energy": energy,
-            "peak_amplitude": max(r["peak_amplitude"] for r in group),
-        }
+        row: Row = {"plant": runs.plant, "noise_variance": runs.noise_variance, "method": runs.method}
+        amplitude = max(r["peak_amplitude"] for r in group)
+        row |= _budget(target, group[0]["samples"], experiments, energy, amplitude)
         for key, value in values.items():
             row[key] = value
             row[f"{key}_se"] = _jackknife(np.array([other[key] for other in left_out]))
-        row["rho_predicted"] = target.predicted_rho(information.mean(axis=0), energy)
+        row["rho_predicted"] = target.predicted_rho(mean, energy)
+        row["n"] = int(counts.sum())
         table.append(row)
     return table
 
@@ -155,73 +197,73 @@ def _jackknife(values: NDArray[np.float64]) -> float:
     return float(np.sqrt((m - 1) / m * np.sum((values - values.mean()) ** 2)))
 
 
-def comparison_rows(
-    rows: Sequence[Row], information: Sequence[Row], known: dict[tuple[str, float], Target]
-) -> list[Row]:
-    """The comparison table: bias, RMSE and rho of every method with every estimator.
+def comparison_rows(runs: Runs, information: Sequence[Row], target: Target) -> list[Row]:
+    """Rows of the comparison table: bias, RMSE and rho of an input with every estimator.
 
     Parameters
     ----------
-    rows : sequence of dict
-        Of `run_campaign`.
+    runs : Runs
+        One combination.
     information : sequence of dict
-        Of `information_rows`.
-    known : dict
-        Targets.
+        Of `information_rows`, of the same combination.
+    target : Target
+        Of its plant.
 
     Returns
     -------
     list of dict
-        One row per plant, noise variance, method and estimator. Failed runs are counted in `n_failed` and left
-        out of the averages, which are then averages over the runs that gave a number.
+        One row per estimator. Failed runs are counted in `n_failed`, named in `failures`, and left out of the averages,
+        which are then averages over the runs that gave a number.
     """
-    carried = {(r["plant"], r["noise_variance"], r["method"], r["experiments"]): r for r in information}
+    carried = {row["experiments"]: row for row in information}
     table = []
-    kept = [row for row in rows if row["estimator"] != ""]
-    for (plant, variance, method, estimator), group in _groups(
-        kept, "plant", "noise_variance", "method", "estimator"
-    ).items():
-        target = known[plant, variance]
-        good = [
-            row
-            for row in group
-            if np.isfinite(row["estimate"]) and Status[row["status"]] is not Status.FAILED
-        ]
-        errors = np.array([row["estimate"] for row in good]) - target.gamma
-        energies = [row["energy"] for row in group if np.isfinite(row["energy"])]
-        energy = float(np.mean(energies)) if energies else float("nan")
+    for estimator, found in runs.final.items():
+        errors = found.estimate[found.good] - target.gamma
+        spent = found.energy[np.isfinite(found.energy)]
+        energy = float(spent.mean()) if len(spent) else float("nan")
+        amplitude = found.peak_amplitude[np.isfinite(found.peak_amplitude)]
         bias, bias_se = mean_with_error(errors)
         mse, mse_se = mean_with_error(errors**2)
         rmse = float(np.sqrt(mse))
         rmse_se = mse_se / (2 * rmse) if rmse > 0 else float("nan")
         scale = float(np.sqrt(energy / target.plant.noise_variance))
-        experiments = max((row["experiments"] for row in group), default=0)
         row: Row = {
-            "plant": plant,
-            "noise_variance": variance,
-            "method": method,
+            "plant": runs.plant,
+            "noise_variance": runs.noise_variance,
+            "method": runs.method,
             "estimator": estimator,
-            "samples": max(row["samples"] for row in group),
-            "experiments": experiments,
-            "energy": energy,
+            **_budget(
+                target,
+                found.samples.max(initial=0),
+                found.experiments.max(initial=0),
+                energy,
+                amplitude.max(initial=0.0) if len(amplitude) else float("nan"),
+            ),
             "rho": rmse * scale,
             "rho_se": rmse_se * scale,
             "rho_predicted": float("nan"),
             "bias": bias,
             "bias_se": bias_se,
+            "bias_predicted": float("nan"),
             "rmse": rmse,
             "rmse_se": rmse_se,
         }
-        source = carried.get((plant, variance, method, experiments), {})
+        source = carried.get(row["experiments"], {})
         for name in ("c_efficiency", "d_efficiency", "a_efficiency", "e_efficiency"):
             row[name] = source.get(name, float("nan"))
             row[f"{name}_se"] = source.get(f"{name}_se", float("nan"))
-        if estimator == "pem":
+        if estimator.startswith("pem"):
             row["rho_predicted"] = source.get("rho_predicted", float("nan"))
-        if estimator in ("gain", "mu") and method == "power":
+        if estimator in ("gain", "mu") and runs.method == "power":
             row["bias_predicted"] = _predicted_bias(target, estimator)
-        row |= _coverage(good, target.gamma)
-        row |= {"hinf_norm": target.gamma, "n": len(group), "n_failed": len(group) - len(good)}
+        row |= _coverage(found, target.gamma)
+        failed = {k: n for k, n in found.statuses.items() if not Status[k].ok}
+        row |= {
+            "hinf_norm": target.gamma,
+            "n": len(found),
+            "n_failed": int(np.sum(~found.good)),
+            "failures": ", ".join(f"{n} {k.lower().replace('_', ' ')}" for k, n in failed.items()),
+        }
         table.append(row)
     return table
 
@@ -235,15 +277,15 @@ def _predicted_bias(target: Target, estimator: str) -> float:
     return float(np.sqrt(square) - target.gamma) if square > 0 else float("nan")
 
 
-def _coverage(good: Sequence[Row], gamma: float) -> Row:
+def _coverage(found: Estimates, gamma: float) -> Row:
     """Share of 95 % intervals that contain the norm, where the estimator states standard errors."""
-    stated = [row for row in good if np.isfinite(row["standard_error"])]
-    if not stated:
+    stated = found.good & np.isfinite(found.standard_error)
+    if not stated.any():
         return {"coverage": float("nan"), "coverage_se": float("nan")}
-    hit = np.array(
-        [abs(row["estimate"] - gamma) <= 1.96 * row["standard_error"] for row in stated], dtype=float
-    )
-    share = float(hit.mean())
+    hit = np.abs(found.estimate[stated] - gamma) <= 1.96 * found.standard_error[stated]
     # The add-two rule keeps the error positive at shares of 0 and 1.
     shrunk = (hit.sum() + 2) / (len(hit) + 4)
-    return {"coverage": share, "coverage_se": float(np.sqrt(shrunk * (1 - shrunk) / (len(hit) + 4)))}
+    return {
+        "coverage": float(hit.mean()),
+        "coverage_se": float(np.sqrt(shrunk * (1 - shrunk) / (len(hit) + 4))),
+    }

@@ -13,11 +13,14 @@ import sys
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from oed.errors import CampaignError
 
-__all__ = ["Store", "versions"]
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+__all__ = ["Store", "made_by", "versions"]
 
 PACKAGES = ("numpy", "scipy", "casadi", "cvxpy", "clarabel", "control", "numba", "oed")
 
@@ -33,6 +36,17 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
+def made_by() -> dict[str, Any]:
+    """Versions and machine, as kept beside every result.
+
+    Returns
+    -------
+    dict
+        versions, machine, system.
+    """
+    return {"versions": versions(), "machine": platform.machine(), "system": sys.platform}
+
+
 def write_atomically(path: Path, text: str) -> None:
     """Write a text file so that a reader sees the old one or the whole new one.
 
@@ -44,8 +58,14 @@ def write_atomically(path: Path, text: str) -> None:
         Content.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise CampaignError(
+            f"cannot write {path} ({error.strerror}); what was there before is kept: make room or choose another --out."
+        ) from None
 
 
 class Store:
@@ -83,13 +103,9 @@ class Store:
                 f"cannot create {self.parts}: {error.strerror}; choose another --out."
             ) from None
         if not file.exists():
-            content = {
-                "settings": wanted,
-                "versions": versions(),
-                "machine": platform.machine(),
-                "system": sys.platform,
-            }
+            content = {"settings": wanted, **made_by()}
             write_atomically(file, json.dumps(content, indent=1) + "\n")
+        self.metadata = {b"oed.campaign": json.dumps({"settings": wanted, **made_by()}).encode()}
 
     @staticmethod
     def _settings_of(file: Path) -> dict[str, Any]:
@@ -117,8 +133,8 @@ class Store:
         """
         return self.parts / f"{key}.parquet"
 
-    def read(self, key: str) -> list[dict[str, Any]] | None:
-        """Rows of a finished part; None where it is absent or damaged.
+    def read(self, key: str) -> pa.Table | None:
+        """Columns of a finished part; None where it is absent or damaged.
 
         Parameters
         ----------
@@ -127,8 +143,8 @@ class Store:
 
         Returns
         -------
-        list of dict, or None
-            Its rows.
+        pyarrow.Table, or None
+            One row per estimate, and per checkpoint.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -137,10 +153,36 @@ class Store:
         if not path.exists():
             return None
         try:
-            return pq.read_table(path).to_pylist()
+            return pq.read_table(path, partitioning=None, memory_map=False)
         except (OSError, pa.ArrowException):
             print(f"{path} is damaged and is computed again.", file=sys.stderr)
             return None
+
+    def holds(self, key: str) -> bool:
+        """Whether a part is there and its end can be read; a part cut short says so.
+
+        Parameters
+        ----------
+        key : str
+            Name of the part.
+
+        Returns
+        -------
+        bool
+            From the end of the file, without reading the rows.
+        """
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        path = self.path(key)
+        if not path.exists():
+            return False
+        try:
+            with pq.ParquetFile(path) as file:
+                return file.metadata.num_rows > 0
+        except (OSError, pa.ArrowException):
+            print(f"{path} is damaged and is computed again.", file=sys.stderr)
+            return False
 
     def write(self, key: str, rows: Iterable[Mapping[str, Any]]) -> None:
         """Keep the rows of a part.
@@ -158,12 +200,14 @@ class Store:
         path = self.path(key)
         temporary = path.with_name(f".{path.name}.{os.getpid()}")
         try:
-            pq.write_table(pa.Table.from_pylist(list(rows)), temporary)
+            table = pa.Table.from_pylist(list(rows)).replace_schema_metadata(self.metadata)
+            pq.write_table(table, temporary)
             os.replace(temporary, path)
         except OSError as error:
             temporary.unlink(missing_ok=True)
+            reason = error.strerror or str(error).strip() or type(error).__name__
             raise CampaignError(
-                f"cannot write {path}: {error.strerror}; what was finished before is kept: make room and run again."
+                f"cannot write {path} ({reason}); what was finished before is kept: make room and run again."
             ) from None
 
 

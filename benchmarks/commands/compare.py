@@ -9,14 +9,33 @@ HELP = "compare inputs and estimators for the H-infinity norm: tables, figures, 
 EXAMPLE = "oed compare --plant reference --noise-variance 1 --replicates 100 --out results/mine"
 
 
+LISTS = {"plant": "plants", "noise_variance": "noise_variances", "limit": "limits"}
+PLAIN = (
+    "methods",
+    "estimators",
+    "samples",
+    "experiments",
+    "replicates",
+    "profile_replicates",
+    "time_limit",
+    "out",
+)
+
+
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add = parser.add_argument
     add(
+        "--config",
+        metavar="FILE",
+        help="TOML file with any of these options as keys (plants, noise_variances, [[limit]] ..); what is given on the "
+        "command line goes before it",
+    )
+    add(
         "--plant",
         action="append",
         metavar="P",
-        help="named plant or JSON file; repeat for several (default reference, hair-dryer)",
+        help="named plant, random-fir-1, random-fir-2 .., or JSON file; repeat for several (default reference, hair-dryer, random-fir-1, three-by-two)",
     )
     add(
         "--noise-variance",
@@ -25,27 +44,49 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="V",
         help="repeat for several (default 1, 4, 9); for hair-dryer in multiples of the identified one",
     )
-    add("--samples", type=int, default=1000, metavar="N", help="length of every experiment (default 1000)")
-    add("--experiments", type=int, default=20, metavar="n", help="experiments per run (default 20)")
-    add(
-        "--replicates",
-        type=int,
-        default=100,
-        metavar="R",
-        help="Monte-Carlo runs of everything (default 100)",
-    )
+    add("--samples", type=int, metavar="N", help="length of every experiment (default 1000)")
+    add("--experiments", type=int, metavar="n", help="experiments per run (default 20)")
+    add("--replicates", type=int, metavar="R", help="Monte-Carlo runs of everything (default 100)")
     add(
         "--methods",
         nargs="+",
         metavar="M",
-        help="inputs to compare (default white multisine power oracle-D oracle-hinf)",
+        help="inputs to compare (default white multisine power procedure-2 oracle-D oracle-hinf); your own as FILE.py:FUNCTION",
     )
-    add("--estimators", nargs="+", metavar="E", help="estimators (default rayleigh gain mu pem)")
+    add(
+        "--estimators",
+        nargs="+",
+        metavar="E",
+        help="estimators (default rayleigh gain mu pem); your own as FILE.py:FUNCTION",
+    )
+    add(
+        "--limit",
+        action="append",
+        metavar="replicates=R[,plant=P][,method=M][,estimator=E]",
+        help="fewer replicates of what is named; repeat for several",
+    )
+    add(
+        "--profile-replicates",
+        type=int,
+        metavar="R",
+        help="replicates in which the estimators also run after parts of the budget (default 10)",
+    )
+    add(
+        "--time-limit",
+        type=float,
+        metavar="SECONDS",
+        help="for one run of a method, and for one estimate (default 300); what takes longer is a row that says so",
+    )
     add(
         "--out",
-        default="results/compare",
         metavar="DIR",
         help="results folder; the same settings resume it (default results/compare)",
+    )
+    add(
+        "--merge",
+        nargs="+",
+        metavar="DIR",
+        help="put the results of these folders together in --out first, then compute what is missing",
     )
     add("--jobs", type=int, metavar="J", help="worker processes (default: one per core)")
     add("--scheduler", metavar="ADDRESS", help="address of a Dask scheduler to run on instead")
@@ -54,18 +95,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Run or resume the comparison."""
-    from benchmarks.comparison import compare
+    from pathlib import Path
 
+    from benchmarks.comparison import compare
+    from benchmarks.settings import campaign_from_toml, limit_from_text
+
+    options: dict[str, Any] = {"seed": args.seed}
+    merged: dict[str, Any] = {}
+    if args.merge:
+        from benchmarks.merging import merge_stores
+
+        merged = merge_stores([Path(folder) for folder in args.merge], Path(args.out or "results/compare"))
+        options |= merged
+    if args.config:
+        options |= campaign_from_toml(args.config)
+    if args.limit:
+        args.limit = [limit_from_text(text) for text in args.limit]
+    given = {LISTS.get(name, name): getattr(args, name) for name in (*LISTS, *PLAIN)}
+    options |= {name: value for name, value in given.items() if value is not None}
     result = compare(
-        plants=args.plant,
-        noise_variances=args.noise_variance,
-        samples=args.samples,
-        experiments=args.experiments,
-        replicates=args.replicates,
-        methods=args.methods,
-        estimators=args.estimators,
-        seed=args.seed,
-        out=args.out,
+        **options,
         jobs=args.jobs,
         scheduler=args.scheduler,
         dry_run=args.dry_run,

@@ -8,6 +8,8 @@ section 7); the rows repeat that re-run with other plants and noises, and add or
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -26,18 +28,42 @@ from oed.experiments import simulated
 from oed.norms import peak
 from oed.plants import Plant
 
-__all__ = ["rows"]
+__all__ = ["CASES", "Case", "plants", "rows", "traces"]
 
 SAMPLES, EXPERIMENTS, TAPS, DECAY, DEVIATION, PLANTS = 50, 200, 10, 0.75, 0.1, 100
 
 
-def _plants() -> list[Plant]:
+def plants(count: int = PLANTS) -> list[Plant]:
+    """Random FIR plants of the protocol.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+
+    Returns
+    -------
+    list of Plant
+        The same ones first, whatever the count.
+    """
     rng = np.random.default_rng(2018)
-    taps = rng.uniform(-1, 1, (PLANTS, TAPS)) * DECAY ** np.arange(TAPS)
+    taps = rng.uniform(-1, 1, (count, TAPS)) * DECAY ** np.arange(TAPS)
     return [Plant(g, [1.0], noise_covariance=DEVIATION**2, name=f"fir-{k}") for k, g in enumerate(taps)]
 
 
-def _traces(plant: Plant) -> dict[str, Trace]:
+def traces(plant: Plant) -> dict[str, Trace]:
+    """Every input of the protocol on a plant.
+
+    Parameters
+    ----------
+    plant : Plant
+        One input, one output.
+
+    Returns
+    -------
+    dict
+        Input to trace.
+    """
     impulse = np.zeros((SAMPLES, 1))
     impulse[0] = 1.0
     energy = Limits(power=None, energy=1.0)
@@ -56,6 +82,61 @@ def _traces(plant: Plant) -> dict[str, Trace]:
     }
 
 
+def _tenth(trace: Trace) -> float:
+    return peak_of_fir(plug_in(trace, TAPS)).value
+
+
+def _whole(trace: Trace) -> float:
+    return peak_of_fir(plug_in(trace, SAMPLES - 1)).value
+
+
+def _chosen(trace: Trace) -> float:
+    return peak_of_fir(plug_in(trace, select_taps(trace, (4, 7, 10, 15, 25)))).value
+
+
+def _last(trace: Trace) -> float:
+    return gain(trace).last
+
+
+@dataclass(frozen=True)
+class Case:
+    """One input with one estimator.
+
+    Attributes
+    ----------
+    name : str
+        In words.
+    method : str
+        Key of `traces`.
+    estimate : callable
+        From a trace to the norm.
+    published : float or None
+        Median relative error of the re-run; None where it has none.
+    in_print : bool
+        Whether the original paper has it.
+    """
+
+    name: str
+    method: str
+    estimate: Callable[[Trace], float]
+    published: float | None
+    in_print: bool = True
+
+
+CASES = (
+    Case("plug-in, impulses, 10 taps", "impulse", _tenth, 0.0088),
+    Case("plug-in, impulses, 49 taps", "impulse", _whole, 0.027),
+    Case("white input, least squares, 10 taps", "white", _tenth, 0.010, in_print=False),
+    Case("power iterations, their own estimate", "power", _last, 0.139),
+    Case("two-experiment, its own estimate", "two-experiment", _last, 0.099),
+    Case("records of the power iterations, 10 taps", "power", _tenth, 0.0051, in_print=False),
+    Case("records of the power iterations, 49 taps", "power", _whole, 0.053, in_print=False),
+    Case("records of the power iterations, taps selected", "power", _chosen, None, in_print=False),
+    Case("white input, taps selected", "white", _chosen, None, in_print=False),
+    Case("weighted Thompson sampling", "bandit", lambda trace: best_arm(trace).value, None),
+)
+
+
 def rows() -> list[dict[str, Any]]:
     """Median relative errors at 200 experiments of 50 samples and input norm 1.
 
@@ -64,31 +145,15 @@ def rows() -> list[dict[str, Any]]:
     list of dict
         Rows of `benchmarks.reproduced`.
     """
-    tenth = lambda trace: peak_of_fir(plug_in(trace, TAPS)).value
-    whole = lambda trace: peak_of_fir(plug_in(trace, SAMPLES - 1)).value
-    chosen = lambda trace: peak_of_fir(plug_in(trace, select_taps(trace, (4, 7, 10, 15, 25)))).value
-    last = lambda trace: gain(trace).last
-    cases = (
-        ("plug-in, impulses, 10 taps", "impulse", tenth, 0.0088),
-        ("plug-in, impulses, 49 taps", "impulse", whole, 0.027),
-        ("white input, least squares, 10 taps", "white", tenth, 0.010),
-        ("power iterations, their own estimate", "power", last, 0.139),
-        ("two-experiment, its own estimate", "two-experiment", last, 0.099),
-        ("records of the power iterations, 10 taps", "power", tenth, 0.0051),
-        ("records of the power iterations, 49 taps", "power", whole, 0.053),
-        ("records of the power iterations, taps selected", "power", chosen, None),
-        ("white input, taps selected", "white", chosen, None),
-        ("weighted Thompson sampling", "bandit", lambda trace: best_arm(trace).value, None),
-    )
-    errors: dict[str, list[float]] = {name: [] for name, *_ in cases}
+    errors: dict[str, list[float]] = {case.name: [] for case in CASES}
     energies: dict[str, float] = {}
-    for plant in _plants():
-        gamma, traces = peak(plant).value, _traces(plant)
-        for name, method, estimate, _ in cases:
-            errors[name].append(abs(estimate(traces[method]) / gamma - 1))
-            energies[name] = traces[method].usage.energy
+    for plant in plants():
+        gamma, found_traces = peak(plant).value, traces(plant)
+        for case in CASES:
+            errors[case.name].append(abs(case.estimate(found_traces[case.method]) / gamma - 1))
+            energies[case.name] = found_traces[case.method].usage.energy
     found = []
-    for name, _, _, published in cases:
+    for name, published in ((case.name, case.published) for case in CASES):
         values = np.array(errors[name])
         values = values[np.isfinite(values)]
         median = float(np.median(values))

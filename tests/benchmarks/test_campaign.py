@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -14,18 +15,38 @@ import numpy as np
 import pytest
 
 import benchmarks.methods as methods
-from benchmarks.campaign import CHUNK, Settings, checkpoints, parts, run_campaign
-from benchmarks.statistics import comparison_rows, information_rows, mean_with_error, targets
+from benchmarks.campaign import CHUNK, Settings, checkpoints, fill_store, parts, run_campaign, stored_runs
+from benchmarks.runs import boundaries
+from benchmarks.settings import Limit
+from benchmarks.statistics import mean_with_error
+from benchmarks.tabulation import tabulate
 from oed.errors import CampaignError, InputError
 
 SMALL = Settings(
-    plants=("reference",), noise_variances=(1.0,), methods=("white", "power"), samples=100, experiments=3
+    plants=("reference",),
+    noise_variances=(1.0,),
+    methods=("white", "power"),
+    estimators=("gain", "mu", "frf"),
+    samples=100,
+    experiments=3,
+    profile_replicates=2,
 )
 
 
-def same(a: list[dict], b: list[dict]) -> bool:
-    """Bit-identical rows; NaN equals NaN."""
-    return repr(a) == repr(b)
+def plain(runs: list) -> str:
+    """Every bit of the runs of a campaign as text; NaN equals NaN."""
+    return repr(
+        [
+            (r.key, [(k, [c.tolist() for c in vars(e).values() if isinstance(c, np.ndarray)], e.statuses, e.messages)
+             for k, e in [*r.final.items(), *r.earlier.items()]], r.information)
+            for r in runs
+        ]
+    )  # fmt: skip
+
+
+def same(a: list, b: list) -> bool:
+    """Bit-identical runs."""
+    return plain(a) == plain(b)
 
 
 def test_serial_and_processes_agree_bit_for_bit(tmp_path):
@@ -55,7 +76,8 @@ def test_killed_campaign_resumes_bit_identical(tmp_path):
     """kill -9 of the command after its first part; the resumed table equals an undisturbed one."""
     command = [
         sys.executable, "-m", "benchmarks.cli", "compare", "--plant", "reference", "--noise-variance", "1", "--methods",
-        "white", "power", "--samples", "100", "--experiments", "3", "--replicates", "40", "--jobs", "1", "--quiet",
+        "white", "power", "--samples", "100", "--experiments", "3", "--replicates", "60",
+        "--estimators", "gain", "mu", "frf", "--profile-replicates", "2", "--jobs", "1", "--quiet",
     ]  # fmt: skip
     folder = tmp_path / "killed"
     process = subprocess.Popen(
@@ -67,8 +89,8 @@ def test_killed_campaign_resumes_bit_identical(tmp_path):
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     done = len(list(folder.glob("parts/*.parquet")))
-    assert 0 < done < len(parts(SMALL, 40))
-    assert same(run_campaign(SMALL, 40, folder, jobs=1), run_campaign(SMALL, 40, tmp_path / "whole", jobs=1))
+    assert 0 < done < len(parts(SMALL, 60))
+    assert same(run_campaign(SMALL, 60, folder, jobs=1), run_campaign(SMALL, 60, tmp_path / "whole", jobs=1))
 
 
 def test_another_campaigns_folder_is_left_alone(tmp_path):
@@ -119,11 +141,64 @@ def test_a_method_that_raises_is_a_row(tmp_path, monkeypatch):
         experiments=2,
     )
     raw = run_campaign(settings, 4, tmp_path, jobs=1)
-    known = targets(raw)
-    rows = {r["method"]: r for r in comparison_rows(raw, information_rows(raw, known), known)}
+    rows = {r["method"]: r for r in tabulate(raw, settings).rows}
     assert rows["broken"]["n_failed"] == rows["broken"]["n"] == 4
+    assert rows["broken"]["failures"] == "4 failed"
     assert rows["white"]["n_failed"] == 0
-    assert any("the amplifier is off" in r["message"] for r in raw)
+    broken = next(runs for runs in raw if runs.method == "broken")
+    assert broken.final["pem"].messages == ("RuntimeError: the amplifier is off",)
+
+
+def test_a_method_that_hangs_and_one_that_returns_nan_are_rows(tmp_path, monkeypatch):
+    """One sleeps and one never leaves Python; the campaign goes on after the time limit and says so."""
+
+    def hanging(plant):
+        def method(experiment, **kwargs):
+            while True:
+                time.sleep(0.01)
+
+        return method
+
+    monkeypatch.setitem(methods.METHODS, "hanging", hanging)
+    monkeypatch.setitem(methods.ESTIMATORS, "nothing", lambda trace, plant: methods.Estimate(float("nan")))
+    settings = Settings(
+        plants=("reference",),
+        noise_variances=(1.0,),
+        methods=("hanging", "white"),
+        estimators=("nothing",),
+        samples=50,
+        experiments=2,
+    )
+    raw = run_campaign(settings, 2, tmp_path, jobs=1, time_limit=0.5)
+    rows = {r["method"]: r for r in tabulate(raw, settings).rows}
+    assert rows["hanging"]["failures"] == "2 time limit"
+    assert raw[0].final["nothing"].messages == ("stopped after 0.5 s",)
+    assert rows["white"]["failures"] == "2 not finite"
+    with pytest.raises(InputError, match="time limit is 0 s"):
+        run_campaign(settings, 2, tmp_path, jobs=1, time_limit=0.0)
+
+
+def test_a_full_disk_is_one_line_and_what_was_written_stays(tmp_path):
+    """The kernel refuses files above a limit, as a full disk does; with room again the campaign goes on."""
+    resource = pytest.importorskip("resource")
+    run_campaign(SMALL, CHUNK, tmp_path, jobs=1)
+    kept = {p: p.read_bytes() for p in (tmp_path / "parts").iterdir()}
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (600, before[1]))
+    try:
+        with pytest.raises(
+            CampaignError, match=r"cannot write .*what was finished before is kept: make room"
+        ):
+            run_campaign(SMALL, 3 * CHUNK, tmp_path, jobs=1)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert {p: p.read_bytes() for p in (tmp_path / "parts").iterdir()} == kept
+    assert same(
+        run_campaign(SMALL, 3 * CHUNK, tmp_path, jobs=1),
+        run_campaign(SMALL, 3 * CHUNK, tmp_path / "other", jobs=1),
+    )
 
 
 def test_all_methods_meet_the_same_noise(tmp_path):
@@ -146,15 +221,98 @@ def test_all_methods_meet_the_same_noise(tmp_path):
 def test_rho_of_a_known_estimator(tmp_path):
     """Energy, RMSE and rho by hand from the stored rows."""
     raw = run_campaign(SMALL, 10, tmp_path, jobs=1)
-    known = targets(raw)
-    rows = comparison_rows(raw, information_rows(raw, known), known)
-    row = next(r for r in rows if (r["method"], r["estimator"]) == ("power", "mu"))
-    mine = [r["estimate"] for r in raw if (r["method"], r["estimator"]) == ("power", "mu")]
-    gamma = known["reference", 1.0].gamma
+    tables = tabulate(raw, SMALL)
+    row = next(r for r in tables.rows if (r["method"], r["estimator"]) == ("power", "mu"))
+    mine = raw[1].final["mu"].estimate
+    gamma = tables.known["reference", 1.0].gamma
     assert np.isclose(row["energy"], 300.0)
-    assert np.isclose(row["rho"], np.sqrt(np.mean((np.array(mine) - gamma) ** 2) * 300), rtol=1e-12)
-    mean, se = mean_with_error(np.array(mine) - gamma)
+    assert np.isclose(row["rho"], np.sqrt(np.mean((mine - gamma) ** 2) * 300), rtol=1e-12)
+    mean, se = mean_with_error(mine - gamma)
     assert (row["bias"], row["bias_se"]) == (mean, se)
+    assert (row["channels"], row["samples"], row["experiments"]) == ("1 x 1", 300, 3)
+
+
+def test_information_of_a_campaign_against_a_plain_loop(tmp_path):
+    """The stored sums, divided by their counts, are the mean information of the same runs done here one by one."""
+    from benchmarks.runs import seed_for
+    from oed.experiments import simulated
+    from oed.information import information_of_signal
+    from oed.named import named_plant
+
+    raw = run_campaign(SMALL, 7, tmp_path, jobs=1)
+    plant = named_plant("reference")
+    total = np.zeros((4, 4))
+    for replicate in range(7):
+        trace = methods.method_for("power", plant)(
+            simulated(plant, seed=0, replicate=replicate),
+            samples=100,
+            iterations=3,
+            rng=seed_for(0, "reference", "power", replicate),
+        )
+        total += sum(information_of_signal(plant, r.u) for r in trace.records)
+    stored = [row for row in raw[1].information if row["experiments"] == 3]
+    assert sum(row["count"] for row in stored) == 7
+    assert np.allclose(sum(np.array(row["information"]) for row in stored), total.ravel(), rtol=1e-12)
+
+
+def test_parts_grow_so_that_a_million_replicates_are_few_files():
+    for replicates in (1, 7, 100, 1234, 1_000_000):
+        ends = boundaries(replicates)
+        assert ends[0][0] == 0
+        assert ends[-1][1] == replicates
+        assert all(a[1] == b[0] for a, b in itertools.pairwise(ends))
+    assert boundaries(1_000_000)[:200] == boundaries(2_000_000)[:200]
+    assert len(boundaries(1_000_000)) < 1200
+
+
+def test_limits_leave_replicates_and_estimates_out(tmp_path):
+    settings = Settings(
+        plants=("reference",),
+        noise_variances=(1.0,),
+        methods=("white", "power", "multisine"),
+        estimators=("gain", "frf"),
+        samples=50,
+        experiments=2,
+        profile_replicates=0,
+        limits=(Limit(2, estimator="frf"), Limit(3, method="white"), Limit(0, method="multisine")),
+    )
+    counts = {
+        (r.method, name): len(found)
+        for r in run_campaign(settings, 7, tmp_path, jobs=1)
+        for name, found in r.final.items()
+    }
+    assert counts == {("white", "frf"): 2, ("power", "gain"): 7, ("power", "frf"): 2}
+
+
+def test_inputs_for_one_channel_are_left_out_on_several(tmp_path):
+    settings = Settings(
+        plants=("three-by-two",),
+        noise_variances=(1.0,),
+        methods=("power", "procedure-2"),
+        estimators=("frf",),
+        samples=50,
+        experiments=7,
+    )
+    raw = run_campaign(settings, 2, tmp_path / "a", jobs=1)
+    assert [r.method for r in raw] == ["procedure-2"]
+    used = raw[0].final["frf"]
+    assert set(used.experiments) == {7}  # 1 + pq of Procedure 2, counted one by one
+    assert np.allclose(used.energy, 7 * 50)
+    alone = Settings(plants=("three-by-two",), noise_variances=(1.0,), methods=("power",), samples=50)
+    with pytest.raises(InputError, match="nothing is left to run"):
+        run_campaign(alone, 2, tmp_path / "b", jobs=1)
+
+
+def test_a_part_damaged_inside_is_computed_again(tmp_path, capsys):
+    """The end of the file is whole, its columns are not: found when the part is read."""
+    whole = run_campaign(SMALL, CHUNK, tmp_path, jobs=1)
+    victim = sorted((tmp_path / "parts").iterdir())[0]
+    content = bytearray(victim.read_bytes())
+    content[4:400] = bytes(396)
+    victim.write_bytes(content)
+    store = fill_store(SMALL, CHUNK, tmp_path, jobs=1)
+    assert same(list(stored_runs(store, SMALL, CHUNK)), whole)
+    assert victim.name in capsys.readouterr().err
 
 
 def test_checkpoints():

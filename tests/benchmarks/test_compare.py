@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 
+from benchmarks import comparison_sections
 from benchmarks.comparison import compare
 from benchmarks.hair_dryer import hair_dryer_story
 from benchmarks.readme import END, START, with_headline, write_readme
@@ -15,21 +16,23 @@ from benchmarks.report import write_report
 from benchmarks.tables import from_parquet
 from oed.errors import CampaignError, InputError
 
+SIZE = {
+    "plants": ["reference"],
+    "noise_variances": [1.0, 9.0],
+    "samples": 200,
+    "experiments": 4,
+    "replicates": 6,
+    "profile_replicates": 2,
+    "quiet": True,
+}
+
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compare")
-    result = compare(
-        plants=["reference"],
-        noise_variances=[1.0, 9.0],
-        samples=200,
-        experiments=4,
-        replicates=6,
-        out=folder,
-        jobs=1,
-        quiet=True,
-    )
-    return folder, result
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(comparison_sections, "HEAD_TO_HEAD_PLANTS", 6)
+        yield folder, compare(**SIZE, out=folder, jobs=1)
 
 
 @pytest.mark.slow
@@ -38,7 +41,7 @@ def test_every_row_has_its_keys_and_errors(finished):
     keys = "plant noise_variance method estimator samples experiments energy rho rho_se bias bias_se rmse rmse_se"
     keys += " c_efficiency d_efficiency a_efficiency e_efficiency n n_failed"
     payload = json.loads(json.dumps(result.to_dict()["rows"]))
-    assert len(payload) == 2 * (4 + 4)  # two noise levels; power with four estimators, four inputs with PEM
+    assert len(payload) == 2 * (4 + 3 + 4)  # two noise levels; power, procedure-2, and four inputs with PEM
     for row in payload:
         assert set(keys.split()) <= set(row)
         assert row["samples"] == 800
@@ -50,11 +53,27 @@ def test_every_row_has_its_keys_and_errors(finished):
 @pytest.mark.slow
 def test_files_of_a_comparison(finished):
     folder, result = finished
-    for name in ("comparison", "information", "headline"):
+    for name in (
+        "comparison",
+        "information",
+        "headline",
+        "answer",
+        "advice",
+        "pairs",
+        "performance",
+        "head_to_head",
+    ):
         for suffix in (".parquet", ".csv", ".md", ".tex"):
             assert (folder / "tables" / f"{name}{suffix}").stat().st_size > 100
         assert r"\toprule" in (folder / "tables" / f"{name}.tex").read_text()
+        _, metadata = from_parquet(folder / "tables" / f"{name}.parquet")
+        assert metadata["command"].startswith("oed compare --plant reference")
+        assert "version of numpy" in metadata
     for name in (
+        "answer-where",
+        "answer-advice",
+        "profiles",
+        "head-to-head",
         "rho",
         "efficiency-reference",
         "limit-spectra-reference",
@@ -64,7 +83,7 @@ def test_files_of_a_comparison(finished):
         assert (folder / "figures" / f"{name}.svg").read_text().startswith("<?xml")
         assert (folder / "figures" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
     page = (folder / "report.html").read_text()
-    assert page.count("<svg") == 5
+    assert page.count("<svg") == 9
     assert not re.findall(r'(?:src|href)="(?!data:|#)[^"]+"', page)  # it opens offline
     identifiers = re.findall(r'\bid="([^"]+)"', page)
     assert len(identifiers) == len(set(identifiers))
@@ -74,18 +93,10 @@ def test_files_of_a_comparison(finished):
 @pytest.mark.slow
 def test_the_same_settings_give_the_same_tables(finished, tmp_path):
     folder, result = finished
-    again = compare(
-        plants=["reference"],
-        noise_variances=[1.0, 9.0],
-        samples=200,
-        experiments=4,
-        replicates=6,
-        out=tmp_path / "b",
-        jobs=2,
-        quiet=True,
-    )
+    again = compare(**SIZE, out=tmp_path / "b", jobs=2)
     assert repr(again.rows) == repr(result.rows)
     assert repr(again.information) == repr(result.information)
+    assert repr(again.pairs) == repr(result.pairs)
     assert (
         from_parquet(folder / "tables/comparison.parquet")[0].__repr__()
         == from_parquet(tmp_path / "b/tables/comparison.parquet")[0].__repr__()

@@ -57,3 +57,15 @@ def test_orders_of_a_plant_as_identify_takes_them():
 def test_single_channel_methods_are_refused_for_several():
     with pytest.raises(InputError, match="use procedure-2"):
         method_for("power", named_plant("three-by-two"))
+
+
+def test_an_iteration_that_the_budget_cut_short_does_not_void_the_own_estimates():
+    """3 x 2: an iteration has 7 experiments; of 17, the first 14 count for the own estimators, all for the budget."""
+    plant = named_plant("three-by-two").replace(noise_variance=1e-4)
+    trace = method_for("procedure-2", plant)(
+        simulated(plant), samples=300, iterations=17, rng=np.random.default_rng(0)
+    )
+    assert trace.usage.experiments == 17
+    for name in ("gain", "mu"):
+        assert ESTIMATORS[name](trace, plant) == ESTIMATORS[name](trace.first(14), plant)
+        assert 0.3 < ESTIMATORS[name](trace, plant).value / peak(plant).value < 1.2

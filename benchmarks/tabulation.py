@@ -1,0 +1,111 @@
+"""From a store to all tables, one combination in memory at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from benchmarks.columns import Estimates, Runs
+from benchmarks.pairs import holm, paired_rows
+from benchmarks.profiles import Profiles
+from benchmarks.settings import Settings
+from benchmarks.statistics import Target, comparison_rows, information_rows, targets
+
+__all__ = ["Tables", "tabulate"]
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """All tables of a comparison.
+
+    Attributes
+    ----------
+    rows : list of dict
+        The comparison: one row per plant, noise variance, input and estimator.
+    information : list of dict
+        What the inputs carry, by number of experiments.
+    pairs : list of dict
+        Paired differences, with p-values corrected over the whole table.
+    performance, data : list of dict
+        Profiles.
+    known : dict
+        (plant, noise variance) to Target.
+    """
+
+    rows: list[Row]
+    information: list[Row] = field(repr=False)
+    pairs: list[Row] = field(repr=False)
+    performance: list[Row] = field(repr=False)
+    data: list[Row] = field(repr=False)
+    known: dict[tuple[str, float], Target] = field(repr=False)
+
+
+def tabulate(runs: Iterable[Runs], settings: Settings) -> Tables:
+    """Tables of a campaign.
+
+    Parameters
+    ----------
+    runs : iterable of Runs
+        The combinations, those of one plant and noise level together.
+    settings : Settings
+        The campaign.
+
+    Returns
+    -------
+    Tables
+        With every figure's standard error.
+    """
+    known: dict[tuple[str, float], Target] = {}
+    rows: list[Row] = []
+    information: list[Row] = []
+    pairs: list[Row] = []
+    profiles = Profiles()
+    solvers: dict[tuple[str, str], Estimates] = {}
+    scale = {}
+    current: tuple[str, float] | None = None
+
+    def close() -> None:
+        if current is None or not solvers:
+            return
+        gamma = known[current].gamma
+        head = {"plant": current[0], "noise_variance": current[1]}
+        pairs.extend(head | row for row in paired_rows(solvers, gamma, scale[current]))
+        profiles.add(solvers, gamma)
+        solvers.clear()
+
+    for combination in runs:
+        key = combination.plant, combination.noise_variance
+        if key != current:
+            close()
+            current = key
+            known |= targets([key])
+        target = known[key]
+        carried = information_rows(combination, target)
+        mine = comparison_rows(combination, carried, target)
+        information += carried
+        rows += mine
+        energies = [row["energy"] for row in mine if np.isfinite(row["energy"])]
+        if energies:
+            scale.setdefault(key, max(energies) / target.plant.noise_variance)
+        scale.setdefault(key, float("nan"))
+        for estimator, found in combination.final.items():
+            solvers[combination.method, estimator] = found
+            used = int(found.experiments.max(initial=0))
+            if settings.profile_replicates and used and target.plant.n_inputs * target.plant.n_outputs == 1:
+                profiles.add_budget(
+                    combination.method, estimator, used, found, target.gamma, settings.profile_replicates
+                )
+        for (estimator, experiments), found in combination.earlier.items():
+            profiles.add_budget(
+                combination.method, estimator, experiments, found, target.gamma, settings.profile_replicates
+            )
+    close()
+    for row, corrected in zip(pairs, holm([row["p_value"] for row in pairs]), strict=True):
+        row["p_holm"] = float(corrected)
+        row["differs"] = bool(corrected <= 0.05)
+    return Tables(rows, information, pairs, profiles.performance_rows(), profiles.data_rows(), known)
