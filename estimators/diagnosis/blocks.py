@@ -8,14 +8,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from estimators.diagnosis.fitting import Channel, Fit, fit
-from estimators.diagnosis.linear import fit_linear, plant_scales
+from estimators.diagnosis.linear import fit_linear, numerators, plant_scales
 from estimators.diagnosis.structure import Part, sandwiched
+from estimators.effects.catalogue import Clock
 
-__all__ = ["sandwich"]
+__all__ = ["grown", "sandwich"]
 
 Array = NDArray[Any]
+SPLIT = 3000
 
 
 def _groups(roots: Array) -> list[Array]:
@@ -59,8 +62,7 @@ def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 6) -> Fi
 
     Notes
     -----
-    Every split of the poles is tried with a few steps and one corner; the best are fitted to the end, and
-    corners are added while Schwarz's criterion gains. The blocks' zeros are free, they start at the origin in
+    Every split of the poles is fitted with one corner; the best are fitted to the end, and corners are added while Schwarz's criterion gains. The blocks' zeros are free, they start at the origin in
     the first block and by least squares in the second.
     """
     s = base.structure
@@ -77,33 +79,47 @@ def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 6) -> Fi
         part = Part("sandwich", j, n1 + 100)
         parts = tuple(replace(q) for q in s.parts)
         new = replace(s, order=n2, taps=n2 + 1, delay=0, parts=(*parts, part))
-        from estimators.diagnosis.linear import _numerators
-
-        b = _numerators(channel.y - np.mean(channel.y), x[:, None], f2, n2 + 1, 0, channel.keep)
+        b = numerators(channel.y - np.mean(channel.y), x[:, None], f2, n2 + 1, 0, channel.keep)
         nuisance = [np.zeros(q.count(n2)) for q in s.parts]
         for q, values in zip(s.parts, nuisance):
             if q.key == "offset":
                 values[:] = np.mean(channel.y[channel.keep])
+        mine = []
         for level, slope in ((0.5, -0.3), (0.0, -0.3), (-0.5, 0.3)):
             shape = [slope, level * float(np.std(x))]
             p = np.concatenate((f2, b, *nuisance, f1, np.zeros(n1), shape))
-            trials.append(fit(channel, new, p, _scales(new, p, channel), iterations=6, colour=False))
-    trials = sorted((f for f in trials if np.isfinite(f.deviance)), key=lambda f: f.deviance)
-    splits: list[Fit] = []
-    for f in trials:
-        if all(f.structure.order != g.structure.order or abs(f.deviance - g.deviance) > 1.0 for g in splits):
-            splits.append(f)
-    splits = [fit(channel, f.structure, f.p, f.scales, iterations=12, colour=False) for f in splits[:8]]
-    splits = sorted((f for f in splits if np.isfinite(f.deviance)), key=lambda f: f.deviance)[:4]
+            mine.append(fit(channel, new, p, _scales(new, p, channel), iterations=6, colour=False))
+        trials.append(min(mine, key=lambda f: f.deviance))  # one per split of the poles
+    splits = sorted((f for f in trials if np.isfinite(f.deviance)), key=lambda f: f.deviance)[:12]
+    few = replace(channel, u=channel.u[:SPLIT], y=channel.y[:SPLIT], keep=channel.keep[:SPLIT],
+                  clock=Clock(channel.clock.k[:SPLIT], channel.clock.length))  # fmt: skip
+    splits = [fit(few, f.structure, f.p, f.scales, iterations=30, colour=False) for f in splits]
+    splits = sorted((f for f in splits if np.isfinite(f.deviance)), key=lambda f: f.criterion)[:3]
     if not splits:
         return None
-    splits = [_grown(channel, f, 2) for f in splits]
-    best = _grown(channel, min(splits, key=lambda f: f.criterion), corners)
+    splits = [fit(channel, f.structure, f.p, f.scales, iterations=20, colour=False) for f in splits]
+    splits = [grown(channel, f, 2) for f in splits]
+    best = grown(channel, min(splits, key=lambda f: f.criterion), corners)
     return fit(channel, best.structure, best.p, best.scales, iterations=40)
 
 
-def _grown(channel: Channel, f: Fit, corners: int) -> Fit:
-    """Corners added while Schwarz's criterion gains."""
+def grown(channel: Channel, f: Fit, corners: int) -> Fit:
+    """Corners added to a Wiener-Hammerstein model while Schwarz's criterion gains.
+
+    Parameters
+    ----------
+    channel : Channel
+        Data.
+    f : Fit
+        The model; its last part is the broken line between the blocks.
+    corners : int
+        Most corners.
+
+    Returns
+    -------
+    Fit
+        The model with as many corners as pay.
+    """
     while f.structure.parts[-1].size // 100 < corners:
         more = _cornered(channel, f)
         if more is None or more.criterion > f.criterion:
@@ -123,20 +139,29 @@ def _scales(s, p: Array, channel: Channel) -> Array:
 
 
 def _cornered(channel: Channel, f: Fit) -> Fit | None:
-    """One more corner, at the best of several places."""
+    """One more corner, at the place whose score against the residual is the highest."""
     s, part = f.structure, f.structure.parts[-1]
     order = part.size % 100
     sl = s.slices()[-1]
     x = sandwiched(channel.u[:, part.channel], np.concatenate((f.p[sl][: 2 * order], [0.0, 0.0])), order)
     new = replace(s, parts=(*s.parts[:-1], Part("sandwich", part.channel, part.size + 100)))
-    trials = []
-    for level in (0.03, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97):
-        p = np.concatenate((f.p, [0.0, float(np.quantile(x, level))]))
-        trials.append(
-            fit(channel, new, p, np.concatenate((f.scales, [1.0, 1.0])), iterations=4, colour=False)
-        )
-    trials = [t for t in trials if np.isfinite(t.deviance)]
-    if not trials:
-        return None
-    best = min(trials, key=lambda t: t.deviance)
-    return fit(channel, new, best.p, best.scales, iterations=15, colour=False)
+    den = np.concatenate(([1.0], f.p[: s.order]))
+    num = np.concatenate(([0.0], f.p[s.order : s.order + s.taps]))
+    Q = np.linalg.qr(f.jacobian)[0] if f.jacobian.size else np.zeros((len(x), 0))
+    r = f.residual - Q @ (Q.T @ f.residual)
+    trials: list[tuple[float, float, float]] = []
+    for level in np.concatenate(([0.003, 0.01], np.linspace(0.03, 0.97, 24), [0.99, 0.997])):
+        corner = float(np.quantile(x, level))
+        d = np.where(channel.keep, lfilter(num, den, np.maximum(x - corner, 0.0)), 0.0)
+        d0 = d - Q @ (Q.T @ d)
+        power = float(d0 @ d0)
+        if power > 1e-14 * float(d @ d):
+            trials.append((float(d0 @ r) ** 2 / power, float(d0 @ r) / power, corner))
+    trials.sort(reverse=True)
+    scales = np.concatenate((f.scales, [1.0, float(np.std(x))]))
+    found = []
+    for _, slope, corner in trials[:2]:
+        p = np.concatenate((f.p, [slope, corner]))
+        found.append(fit(channel, new, p, scales, iterations=15, colour=False))
+    found = [g for g in found if np.isfinite(g.deviance)]
+    return min(found, key=lambda g: g.deviance) if found else None

@@ -38,6 +38,8 @@ class Discrimination:
         Samples of this kind of input for the right decision with probability 0.99.
     white, multisine : float
         Distances of white noise and of a flat multisine of the same length and limits, for comparison.
+    white_input, multisine_input : ndarray
+        (N,) those inputs.
     """
 
     u: Array
@@ -46,6 +48,8 @@ class Discrimination:
     samples: float
     white: float
     multisine: float
+    white_input: Array
+    multisine_input: Array
 
     def __str__(self) -> str:
         return (
@@ -198,5 +202,5 @@ def discriminate(
     needed = (2 * norm.ppf(0.99)) ** 2
     return Discrimination(
         makers[kind](x), best, float(norm.cdf(np.sqrt(best) / 2)), float(length * needed / max(best, 1e-300)),
-        distance(a, b, white), distance(a, b, flat),
+        distance(a, b, white), distance(a, b, flat), white, flat,
     )  # fmt: skip

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.blocks import grown, sandwich
 from estimators.diagnosis.fitting import Channel, Fit, fit, innovations
+from estimators.diagnosis.forces import balanced_fit, effective_samples, follows_output, force_balance
 from estimators.diagnosis.linear import fit_linear
 from estimators.diagnosis.measurement import Signature, held_samples, rounding_step, wild_samples
 from estimators.diagnosis.selection import Attribution, attribute
@@ -21,6 +23,7 @@ __all__ = ["Examined", "Setting", "examine", "thinned"]
 Array = NDArray[Any]
 LONG = 8000
 SCREEN = 4096
+MIDDLE = 20000
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,10 @@ class Examined:
         The linear fit before anything was added.
     thin : int
         By how much the record was thinned for screening.
+    final_channel : Channel or None
+        Data of the final model, where it was fitted to a record thinned less.
+    final_thin : int
+        By how much that was thinned; 0 where it is `thin`.
     """
 
     channel: Channel
@@ -75,6 +82,28 @@ class Examined:
     signatures: list[Signature]
     naive: Fit
     thin: int = 1
+    final_channel: Channel | None = None
+    final_thin: int = 0
+
+    @property
+    def last(self) -> Channel:
+        """The data that the final model was fitted to."""
+        return self.channel if self.final_channel is None else self.final_channel
+
+    def thin_of(self, f: Fit) -> int:
+        """By how much the data of one of the fits were thinned.
+
+        Parameters
+        ----------
+        f : Fit
+            The final model or any other.
+
+        Returns
+        -------
+        int
+            The factor.
+        """
+        return self.final_thin if self.final_thin and f is self.attribution.final else self.thin
 
 
 def _structure(setting: Setting, record: Record, i: int, order: int) -> tuple[Structure, tuple[int, ...]]:
@@ -157,11 +186,51 @@ def examine(record: Record, i: int, setting: Setting) -> Examined:
         The outcome.
     """
     thin = _thinning(np.nan_to_num(record.y[:, i]))
-    record = thinned(record, thin)
+    full, record = record, thinned(record, thin)
     if len(record) > LONG:
         short = _examined(record[:SCREEN], i, setting)
         return replace(_lengthened(record, i, short, setting), thin=thin)
-    return replace(_examined(record, i, setting), thin=thin)
+    return _with_forces(full, i, replace(_examined(record, i, setting), thin=thin), setting)
+
+
+FRICTION = ("coulomb", "coulomb_asymmetric", "stribeck")
+
+
+def _with_forces(record: Record, i: int, found: Examined, setting: Setting) -> Examined:
+    """Where dry friction was found in a motion: the model that starts from the force balance, if it does as well.
+
+    The simulation error of an integrator is correlated over most of the record, so that Schwarz's criterion is
+    taken with the number of independent samples, not with all of them.
+    """
+    a = found.attribution
+    if setting.deviations or record.n_inputs != 1 or not set(a.chosen) & set(FRICTION):
+        return found
+    fine = max(1, found.thin // 4)
+    short = thinned(record.replace(y=np.nan_to_num(record.y[:, i : i + 1])), fine)
+    if len(short) < 400:
+        return found
+    n = len(short)
+    keep = np.isfinite(thinned(record, fine).y[:, i])
+    channel = Channel(short.u, short.y[:, 0], Clock(np.arange(n, dtype=float), n), keep)
+    balance = force_balance(record.replace(y=np.nan_to_num(record.y[:, i : i + 1])))
+    f = balanced_fit(channel, short.dt, balance)
+    if f is None or not np.isfinite(f.deviance):
+        return found
+    count = effective_samples(f.residual)
+
+    def cost(g: Fit, rows: NDArray[np.bool_]) -> float:
+        return count * float(np.log(np.mean(g.residual[rows] ** 2))) + len(g.p) * float(np.log(count))
+
+    if cost(f, keep) > cost(a.final, found.channel.keep):
+        return found
+    chosen = ["coulomb_asymmetric"]
+    p_values = {"coulomb_asymmetric": min((a.p_values.get(key, 1.0) for key in FRICTION), default=0.0)}
+    if follows_output(found.channel) > 0.1:
+        chosen.append("feedback")
+        p_values["feedback"] = 0.0
+    chosen += ["coloured"] if len(f.noise) else []
+    again = replace(a, final=f, chosen=chosen, p_values=p_values, rivals={})
+    return replace(found, attribution=again, final_channel=channel, final_thin=fine)
 
 
 def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Examined:
@@ -185,6 +254,11 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
         return fit(channel, f.structure, p, f.scales, noise=None if white else f.noise, iterations=40)
 
     a = short.attribution
+    if any(part.key == "sandwich" for part in a.final.structure.parts):  # more data bear more corners
+        few = replace(channel, u=channel.u[:MIDDLE], y=channel.y[:MIDDLE], keep=keep[:MIDDLE],
+                      clock=Clock(channel.clock.k[:MIDDLE], n))  # fmt: skip
+        f = fit(few, a.final.structure, a.final.p, a.final.scales, iterations=40, colour=False)
+        a = replace(a, final=grown(few, f, 16))
     found = replace(
         a, base=again(a.base, True), coloured=again(a.coloured), final=again(a.final, not setting.deviations)
     )
@@ -225,6 +299,10 @@ def _examined(record: Record, i: int, setting: Setting) -> Examined:
                 f"{record.output_names[i]}: all samples lie on {levels} levels {step:.5g} apart, "
                 f"{step / sigma:.2g} times the residual's standard deviation"))  # fmt: skip
     wild = _wild(channel, s, first) if channel.step == 0.0 else np.zeros(n, dtype=bool)
+    if (
+        2 * np.sum(wild[: max(20, n // 50)]) >= wild.sum()
+    ):  # a transient from the start, not faults: asked again
+        wild[:] = False
     if wild.any():
         found = attribute(replace(channel, keep=keep & ~wild), s, others=others, alpha=setting.alpha)
         residual = y - simulate(found.final.structure, found.final.p, channel.u, clock)
@@ -275,7 +353,6 @@ def _simulating(channel: Channel, a: Attribution, setting: Setting) -> Attributi
 
 def _structured(channel: Channel, a: Attribution) -> Attribution:
     """Block structures, where a nonlinearity was found but its model leaves a coloured residual."""
-    from estimators.diagnosis.blocks import sandwich
     from estimators.diagnosis.outflow import tanks
     from estimators.diagnosis.selection import Claim, significance
 

@@ -367,5 +367,7 @@ def fit(
         again, _ = ar_model(r)
         v = float(np.sum(_innovation(r, again) ** 2) / n)
         if n * np.log(max(v, 1e-300)) + len(again) * np.log(n) < deviance + len(noise) * np.log(n):
+            if not len(noise) and J.size:
+                J = np.asarray(lfilter(np.concatenate(([1.0], again)), [1.0], J, axis=0))
             noise, variance, deviance = again, v, n * np.log(max(v, 1e-300))
     return Fit(structure, p, noise, variance, deviance, r, n, J, scales)

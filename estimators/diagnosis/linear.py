@@ -13,7 +13,7 @@ from estimators.diagnosis.fitting import Channel, Fit, fit
 from estimators.diagnosis.layouts import LAYOUTS, states
 from estimators.diagnosis.structure import Structure, free_responses, simulate, stable_polynomial
 
-__all__ = ["fit_linear", "layout_starts", "plant_scales"]
+__all__ = ["fit_linear", "layout_starts", "numerators", "plant_scales"]
 
 Array = NDArray[Any]
 
@@ -61,8 +61,27 @@ def _reflected(f: Array) -> Array:
     return np.real(np.poly(roots))[1:]
 
 
-def _numerators(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Array) -> Array:
-    """Numerators by least squares for a given denominator."""
+def numerators(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Array) -> Array:
+    """Numerators by least squares for a given denominator.
+
+    Parameters
+    ----------
+    y : ndarray
+        (N,) output.
+    U : ndarray
+        (N, nu) inputs.
+    f : ndarray
+        Denominator coefficients after the leading 1.
+    taps, delay : int
+        Coefficients per input, and samples of delay beyond the first.
+    keep : ndarray of bool
+        (N,) samples that count.
+
+    Returns
+    -------
+    ndarray
+        (nu * taps,).
+    """
     N = len(y)
     den = np.concatenate(([1.0], f))
     columns = []
@@ -138,7 +157,7 @@ def fit_linear(
         f = _reflected(f)
         if not stable_polynomial(f):
             continue
-        b = _numerators(centred, U, f, s.taps, s.delay, channel.keep)
+        b = numerators(centred, U, f, s.taps, s.delay, channel.keep)
         p = np.concatenate((f, b, np.zeros(s.size - s.plant_size)))
         for part, sl in zip(s.parts, s.slices(), strict=True):
             if part.key == "offset":

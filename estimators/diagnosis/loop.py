@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
+from estimators.diagnosis.causes import verdict
+from estimators.diagnosis.crossvalidation import BLOCKS, blocked_simulation
 from estimators.diagnosis.examination import Examined, Setting, examine, thinned
 from estimators.diagnosis.fitting import Fit, innovations, levenberg_marquardt
 from estimators.diagnosis.measurement import held_samples
 from estimators.diagnosis.report import Diagnosis, ErrorFigure
-from estimators.diagnosis.selection import labels_of
 from estimators.diagnosis.structure import free_responses, simulate
-from estimators.effects.catalogue import CATALOGUE, Clock
+from estimators.effects.catalogue import Clock
 from oed.data import Record
 from oed.errors import InputError
 
@@ -27,8 +29,6 @@ def _test_output(f: Fit, record: Record, clock: Clock, measured: Array, skip: in
     """Simulated test output; a thinned model's is interpolated between its samples."""
     if thin == 1:
         return _with_start(f, record.u, clock, measured, skip)
-    from scipy.interpolate import CubicSpline
-
     short = thinned(record, thin)
     slow = Clock(clock.k[0] / thin + np.arange(len(short), dtype=float), clock.length // thin)
     few = max(skip // thin, 2 * f.structure.order) if skip else 0
@@ -122,7 +122,8 @@ def diagnose(train: Record, test: Record | None = None, setting: Setting | None 
     train : Record
         Everything is chosen and fitted on this record.
     test : Record, optional
-        Held-out record on the same clock; without it the last quarter of the training record is held out.
+        Held-out record on the same clock; without it the errors are those of blocked cross-validation: every
+        block of the training record is simulated with parameters fitted to the other blocks.
     setting : Setting, optional
         What is known of the system.
 
@@ -142,15 +143,14 @@ def diagnose(train: Record, test: Record | None = None, setting: Setting | None 
     """
     setting = Setting() if setting is None else setting
     _check(train, test)
-    held_out = "test record"
-    if test is None:
-        cut = len(train) * 3 // 4
-        train, test, held_out = train[:cut], train[cut:], "last quarter of the record"
-        setting = replace(setting, skip=max(setting.skip, min(50, len(test) // 10)))
     outputs = [examine(train, i, setting) for i in range(train.n_outputs)]
+    if test is None:
+        clock = Clock(np.arange(len(train), dtype=float), len(train))
+        held_out = f"held-out blocks of the record ({BLOCKS}-fold cross-validation of the parameters)"
+        return _assess(train, train, clock, outputs, replace(setting, skip=0), held_out, blocked=True)
     start = 0.0 if setting.separate else round((test.t0 - train.t0) / train.dt)
     clock = Clock(start + np.arange(len(test), dtype=float), len(train))
-    return _assess(train, test, clock, outputs, setting, held_out)
+    return _assess(train, test, clock, outputs, setting, "test record")
 
 
 def _with_start(f: Fit, u: Array, clock: Clock, measured: Array, skip: int) -> Array:
@@ -176,23 +176,39 @@ def _with_start(f: Fit, u: Array, clock: Clock, measured: Array, skip: int) -> A
 
 
 def _assess(
-    train: Record, test: Record, clock: Clock, outputs: list[Examined], setting: Setting, held_out: str
+    train: Record,
+    test: Record,
+    clock: Clock,
+    outputs: list[Examined],
+    setting: Setting,
+    held_out: str,
+    blocked: bool = False,
 ) -> Diagnosis:
     n, ny = test.y.shape
     before, after, one_before, one_after = (np.empty((n, ny)) for _ in range(4))
     weight = np.isfinite(test.y)
     floor = np.empty(ny)
     finals: list[Fit] = []
+
+    def output(f: Fit, out: Examined, y: Array) -> Array:
+        if not blocked:
+            return _test_output(f, test, clock, y, setting.skip, out.thin_of(f))
+        thin = out.thin_of(f)
+        held = blocked_simulation(out.last if f is out.attribution.final else out.channel, f)
+        if thin == 1 or not np.all(np.isfinite(held)):
+            return held if len(held) == n else np.full(n, np.inf)
+        return CubicSpline(thin * np.arange(len(held)), held)(np.arange(n))
+
     for i, out in enumerate(outputs):
         a = out.attribution
         y = np.where(weight[:, i], test.y[:, i], 0.0)
-        before[:, i] = _test_output(out.naive, test, clock, y, setting.skip, out.thin)
+        before[:, i] = output(out.naive, out, y)
         options = [a.final] + [c.fit for c in a.claims if c.p_value < setting.alpha] + [a.coloured]
         if not a.chosen:
             options = [a.base if out.signatures else out.naive]
         bound = np.concatenate((train.y[np.isfinite(train.y[:, i]), i], before[:, i]))
         for f in options:
-            after[:, i] = _test_output(f, test, clock, y, setting.skip, out.thin)
+            after[:, i] = before[:, i] if f is out.naive else output(f, out, y)
             if _sane(after[:, i], bound):
                 break
         else:
@@ -204,10 +220,10 @@ def _assess(
         if any(sig.key == "held" for sig in out.signatures):
             weight[:, i] &= ~held_samples(test.y[:, i])
         e0, e1 = y - before[:, i], y - after[:, i]
-        one_before[:, i], one_after[:, i] = e0, innovations(e1, f.noise)
-        floor[i] = np.sqrt(
-            np.sum(f.residual[out.channel.keep] ** 2) / max(1, out.channel.keep.sum() - len(f.p))
-        )
+        step = out.thin_of(f)  # the noise model's sample
+        one_before[:, i], one_after[:, i] = e0, np.repeat(innovations(e1[::step], f.noise), step)[:n]
+        own = out.last if f is a.final else out.channel
+        floor[i] = np.sqrt(np.sum(f.residual[own.keep] ** 2) / max(1, own.keep.sum() - len(f.p)))
     weight[: setting.skip] = False
     rng = np.random.default_rng(20260)
 
@@ -220,98 +236,9 @@ def _assess(
         return _bootstrap(per, rng, np.where(weight, other**2, 0.0).sum(axis=1)[rows] / count[rows])
 
     e0, e1 = np.nan_to_num(test.y) - before, np.nan_to_num(test.y) - after
-    verdict = _verdict(outputs, setting)
     return Diagnosis(
         rmse_before=figure(e0), rmse_after=figure(e1), pred_rmse_before=figure(one_before),
         pred_rmse_after=figure(one_after), difference=figure(e0, e1), noise_floor=float(np.sqrt(np.mean(floor**2))),
         yhat_before=before, yhat_after=after, held_out=held_out,
-        extra={"outputs": outputs, "finals": finals, "train": train, "test": test}, **verdict,
+        extra={"outputs": outputs, "finals": finals, "train": train, "test": test}, **verdict(outputs, setting),
     )  # fmt: skip
-
-
-def _verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
-    """Causes of all outputs together."""
-    evidence: list[str] = []
-    order: list[tuple[float, str]] = []
-    p_value = 1.0
-    parameters: dict[str, tuple[float, float, str]] = {}
-    pool: dict[str, float] = {}
-    alpha = setting.alpha / len(outputs)
-    for i, out in enumerate(outputs):
-        a = out.attribution
-        tag = f" on output {i + 1}" if len(outputs) > 1 else ""
-        for sig in out.signatures:
-            order.append((1e6, sig.key))
-            evidence.append(sig.sentence)
-            p_value = 0.0
-        follows = a.feedback < alpha / 100
-        if follows:
-            order.append((5e5, "feedback"))
-            p_value = min(p_value, a.feedback)
-            evidence.append(
-                f"past innovations help to predict the input{tag} (p = {a.feedback:.2g}): the data are from a closed loop"
-            )
-        by_key = {c.key: c for c in a.claims}
-        for rank, key in enumerate(a.chosen):
-            gain = by_key[key].gain if key in by_key else 100.0
-            order.append(
-                (max(gain, 1.0) if not follows or key == "coloured" else gain * 1e-3, key)
-                if rank
-                else (1e3 + gain, key)
-            )
-            p = a.p_values.get(key, by_key[key].p_value if key in by_key else 0.0)
-            p_value = min(p_value, p)
-            evidence.append(f"{CATALOGUE[key].sentence}{tag}: corrected p = {p:.2g}")
-        for c in a.claims:
-            pool[c.label] = pool.get(c.label, 0.0) + max(c.gain, 0.0)
-        parameters.update(_parameters(a.final, f"y{i + 1}." if len(outputs) > 1 else ""))
-    order.sort(key=lambda x: -x[0])
-    keys = [k for _, k in order]
-    chosen = labels_of(keys)
-    detected = bool(chosen)
-    rest = [
-        label for label, gain in sorted(pool.items(), key=lambda x: -x[1]) if label not in chosen and gain > 0
-    ]
-    ranked = chosen + rest if detected else ["none"]
-    confusable = _confusable(outputs, ranked[0])
-    return {
-        "detected": detected, "effect": ranked[0], "variant": ", ".join(dict.fromkeys(keys)), "ranked": tuple(ranked),
-        "nature": CATALOGUE[keys[0]].nature if keys else "none", "p_value": p_value, "evidence": tuple(evidence),
-        "parameters": parameters, "confusable": confusable,
-    }  # fmt: skip
-
-
-def _confusable(outputs: list[Examined], first: str) -> tuple[str, ...]:
-    """Other single causes whose criterion is within 6 of the first one's."""
-    names: list[str] = []
-    for out in outputs:
-        claims = out.attribution.claims
-        mine = [c for c in claims if c.label == first]
-        if not mine or len(out.attribution.final.structure.effects) != 1:
-            continue
-        names += [
-            c.label for c in claims if c.label != first and c.gain > mine[0].gain - 6.0 and c.p_value < 0.01
-        ]
-    return tuple(dict.fromkeys(names))
-
-
-def _parameters(f: Fit, prefix: str) -> dict[str, tuple[float, float, str]]:
-    """Effect parameters with standard errors from the Jacobian."""
-    out: dict[str, tuple[float, float, str]] = {}
-    if not f.jacobian.size:
-        return out
-    norms = np.sqrt(np.sum(f.jacobian**2, axis=0)) + 1e-300
-    H = (f.jacobian / norms).T @ (f.jacobian / norms)
-    covariance = np.linalg.pinv(H) * f.variance / np.outer(norms, norms).clip(1e-290)
-    se = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
-        names = part.effect.parameters * (part.size if part.key == "tones" else 1)
-        units = part.effect.units * (part.size if part.key == "tones" else 1)
-        for i in range(sl.stop - sl.start):
-            name = names[i] if i < len(names) else f"c{i}"
-            unit = units[i] if i < len(units) else ""
-            label = f"{prefix}{part.key}.{name}"
-            if label in out:
-                label += f"_{i // len(part.effect.parameters) + 1}"
-            out[label] = (float(f.p[sl.start + i]), float(se[sl.start + i]), unit)
-    return out

@@ -81,6 +81,14 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
     """
     held = np.zeros(len(y), dtype=bool)
     held[1:] = (y[1:] == y[:-1]) & (y[1:] != np.max(y)) & (y[1:] != np.min(y))
+    steps = np.abs(np.diff(y))
+    moved = steps[steps > 0]
+    if len(
+        moved
+    ):  # a repeat is no loss where the next level of the scale is as frequent: the signal rests there
+        smallest = float(np.min(moved))
+        if held.sum() < 2 * np.sum(moved < 1.5 * smallest):
+            held[:] = False
     fresh = y[~held]
     if len(np.unique(fresh)) < 0.97 * len(fresh):  # values recur anyway: a coarse scale, not a lost sample
         held[:] = False

@@ -64,6 +64,8 @@ class Attribution:
         p-value of the innovations against the future input.
     p_values : dict
         Corrected p-values of the tests, by name.
+    rivals : dict
+        For a second or further effect, by its key: causes that would do as well in its place.
     """
 
     base: Fit
@@ -73,6 +75,7 @@ class Attribution:
     chosen: list[str]
     feedback: float
     p_values: dict[str, float] = field(default_factory=dict)
+    rivals: dict[str, list[str]] = field(default_factory=dict)
 
 
 def _noise_criterion(f: Fit) -> float:
@@ -208,6 +211,7 @@ def attribute(
     white = _white(base)
     position = len(s.parts)
     fits = list(augmented(channel, white, others=others))
+    simulated = _explained(white, fits, position) if s.base else {}
     fits = _settled(channel, fits, 6)
     if len(coloured.noise) and (not fits or len(fits[0].noise)):
         more = list(augmented(channel, coloured, others=others, best=1, iterations=15))
@@ -224,16 +228,30 @@ def attribute(
         for f in fits
     ]
     final = coloured
-    good = [c for c in claims if c.p_value < alpha and c.gain > 0]
+    # under an estimated noise model the likelihood ratio runs high: a tenth of the rate for it
+    level = 0.1 * alpha if len(coloured.noise) else alpha
+    good = [c for c in claims if c.p_value < level and c.gain > 0]
     p_values: dict[str, float] = {}
+    rivals: dict[str, list[str]] = {}
     if good:
         final = good[0].fit
         p_values[good[0].key] = good[0].p_value
-        final = _more_effects(channel, final, good, coloured, others, alpha, most, p_values)
-    chosen = _importance(final, claims)
+        final = _more_effects(channel, final, good, coloured, others, alpha, most, p_values, rivals)
+    chosen = _importance(final, claims, simulated)
     return Attribution(
-        base, coloured, final, claims, chosen, _feedback(channel, final, s, feedback), p_values
+        base, coloured, final, claims, chosen, _feedback(channel, final, s, feedback), p_values, rivals
     )
+
+
+def _explained(base: Fit, fits: list[Fit], position: int) -> dict[str, float]:
+    """By how much each effect alone lowers the simulation error: n log of the ratio of the variances."""
+    out: dict[str, float] = {}
+    rss = float(np.sum(base.residual**2))
+    for f in fits:
+        key = f.structure.parts[position].key
+        gain = f.n * float(np.log(rss / max(float(np.sum(f.residual**2)), 1e-300)))
+        out[key] = max(gain, out.get(key, -np.inf))
+    return out
 
 
 def _label(f: Fit, position: int) -> str:
@@ -243,23 +261,25 @@ def _label(f: Fit, position: int) -> str:
 
 def _more_effects(
     channel: Channel, first: Fit, good: list[Claim], null: Fit, others: tuple[int, ...], alpha: float, most: int,
-    p_values: dict[str, float],
+    p_values: dict[str, float], rivals: dict[str, list[str]],
 ) -> Fit:  # fmt: skip
     """Second and further effects, from several of the best first ones."""
     final = first
     for depth in range(1, most):
         options: list[tuple[Fit, Fit]] = []
+        tried: dict[int, list[Fit]] = {}
         bases = [final]
         if depth == 1:
             labels = {good[0].label}
             for claim in good[1:]:
-                near = claim.gain > 0.3 * good[0].gain
-                if claim.label not in labels and len(labels) < 3 and near:
+                near = claim.gain > 0.15 * good[0].gain
+                if claim.label not in labels and len(labels) < 5 and near:
                     labels.add(claim.label)
                     bases.append(claim.fit)
         for start in bases:
             found = _second(channel, start, others, start is final)
             limit = alpha * (1e-4 if len(found) and len(found[0].noise) else 1e-1)
+            tried[id(start)] = found
             if found and significance(start, found[0]) < limit:
                 options.append((found[0], start))
         if not options:
@@ -268,6 +288,15 @@ def _more_effects(
         if best.criterion > final.criterion - 6.0:
             break
         p_values[best.structure.parts[-1].key] = significance(start, best)
+        label = best.structure.parts[-1].effect.label
+        near = [
+            g.structure.parts[-1].effect.label
+            for g in tried[id(start)][1:]
+            if g.criterion < best.criterion + 6.0
+        ]
+        others_near = [name for name in dict.fromkeys(near) if name != label]
+        if others_near:
+            rivals[best.structure.parts[-1].key] = others_near
         if start is not final:
             before = start.structure.parts[-1].key
             p_values[before] = next(c.p_value for c in good if c.fit is start)
@@ -289,11 +318,16 @@ def _second(channel: Channel, f: Fit, others: tuple[int, ...], coloured: bool = 
     return fits
 
 
-def _importance(final: Fit, claims: list[Claim]) -> list[str]:
-    """Effects of the final model, the one that explains most by itself first; correlated noise where significant."""
-    alone = {}
+def _importance(final: Fit, claims: list[Claim], simulated: dict[str, float]) -> list[str]:
+    """Effects of the final model, the one that explains most by itself first; correlated noise where significant.
+
+    For records that are no deviations that is the simulation error explained (`simulated`): there a noise model
+    of high order predicts most of a smooth model error, and what is left says little of its causes.
+    """
+    alone: dict[str, float] = {}
     for claim in claims:
         alone[claim.key] = max(claim.gain, alone.get(claim.key, -np.inf))
+    alone |= simulated
     costs = {part.key: alone.get(part.key, -np.inf) for part in final.structure.effects}
     if len(final.noise):
         plain = _white(final)
@@ -329,7 +363,7 @@ def labels_of(keys: list[str]) -> list[str]:
     """Causes of a list of keys, each once."""
     out: list[str] = []
     for key in keys:
-        label = CATALOGUE[key].label
+        label = CATALOGUE[key].label if key in CATALOGUE else key
         if label not in out:
             out.append(label)
     return out

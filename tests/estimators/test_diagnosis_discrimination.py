@@ -5,10 +5,11 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.candidates import augmented
+from estimators.diagnosis.decision import decision_samples
 from estimators.diagnosis.discrimination import discriminate, distance
-from estimators.diagnosis.fitting import Channel, fit
+from estimators.diagnosis.fitting import Channel
 from estimators.diagnosis.linear import fit_linear
-from estimators.diagnosis.structure import Structure, simulate
+from estimators.diagnosis.structure import Structure
 from estimators.effects.catalogue import Clock
 from oed.errors import InputError
 
@@ -41,27 +42,52 @@ def test_a_model_cannot_be_told_from_itself():
     assert distance(a, a, np.random.default_rng(2).standard_normal(100)) == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.validate
-@pytest.mark.parametrize("pair", PAIRS)
-def test_designed_input_decides_more_often(pair):
-    # 60 experiments with each input; the designed one may lose by chance at most at 2 standard errors
+def study(pair, replicates, length=300):
+    """Samples to decide rightly in 90 % of the cases, for the designed input and its two rivals."""
     _, (a, b) = models(pair)
     rng = np.random.default_rng(3)
-    design = discriminate(a, b, length=120, amplitude=2.0, rng=rng)
-    rates = {}
-    for name in ("designed", "white"):
-        right = 0
-        for _ in range(60):
-            u = design.u if name == "designed" else np.clip(rng.standard_normal(120), -2, 2)
-            clock = Clock(np.arange(120.0), 120)
-            y = simulate(a.structure, a.p, u[:, None], clock, rest=True) + 0.3 * rng.standard_normal(120)
-            data = Channel(u[:, None], y, clock, np.ones(120, dtype=bool))
-            costs = [
-                fit(data, f.structure, f.p, f.scales, iterations=3, colour=False).deviance for f in (a, b)
-            ]
-            right += costs[0] < costs[1]
-        rates[name] = right / 60
-    assert rates["designed"] >= rates["white"] - 2 * np.sqrt(0.25 / 60)
+    design = discriminate(a, b, length=length, amplitude=2.0, rng=rng)
+    inputs = {"designed": design.u, "white": design.white_input, "multisine": design.multisine_input}
+    return {
+        name: decision_samples(
+            a, b, u, lengths=(15, 30, 60, 100, 150, 220, 300), noise=NOISE[pair], replicates=replicates,
+            rng=np.random.default_rng(4),
+        )
+        for name, u in inputs.items()
+    }  # fmt: skip
+
+
+# noise of the new experiment, so that the decision is neither certain nor hopeless within 300 samples
+NOISE = {PAIRS[0]: 0.6, PAIRS[1]: 0.6, PAIRS[2]: 0.3}
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize("pair", PAIRS)
+def test_designed_input_needs_fewer_samples(pair):
+    found = study(pair, 200)
+    best = found["designed"]
+    assert np.isfinite(best.samples)
+    at = int(
+        np.argmax(best.lengths >= best.samples)
+    )  # where the designed input is right in 90 % of the cases
+    for name in ("white", "multisine"):
+        rival = found[name]
+        assert best.samples < rival.samples
+        error = np.hypot(best.standard_errors[at], rival.standard_errors[at])
+        assert best.rates[at] - rival.rates[at] > 2 * error, name
+
+
+def test_more_samples_decide_more_often():
+    _, (a, b) = models(PAIRS[0])
+    u = np.random.default_rng(5).choice([-2.0, 2.0, 1.0, -1.0], 120)
+    found = decision_samples(
+        a, b, u, lengths=(10, 120), noise=0.3, replicates=12, rng=np.random.default_rng(6)
+    )
+    assert found.rates[1] >= found.rates[0]
+    assert found.rates[1] > 0.7
+    assert "samples" in str(found)
+    with pytest.raises(InputError, match="increasing order"):
+        decision_samples(a, b, u, lengths=(500,), noise=0.3, replicates=12, rng=np.random.default_rng(6))
 
 
 def test_limits_must_be_positive():

@@ -1,0 +1,158 @@
+"""The verdict on all outputs together: causes ranked, evidence in sentences, what cannot be told apart, what remains."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from estimators.diagnosis.examination import Examined, Setting
+from estimators.diagnosis.fitting import Fit
+from estimators.diagnosis.leftover import Leftover, leftovers
+from estimators.diagnosis.selection import labels_of
+from estimators.effects.catalogue import CATALOGUE
+
+__all__ = ["verdict"]
+
+UNKNOWN = "unknown"
+
+
+def _unexplained(out: Examined, rest: list[Leftover], alpha: float) -> Leftover | None:
+    """What is left, where it weighs more than all that was found: then the cause is in no catalogue."""
+    a = out.attribution
+    found = [key for key in a.chosen if key != "coloured"]
+    if out.signatures:
+        return None
+    explained = max(a.coloured.criterion - a.final.criterion, 0.0) if found else 0.0
+    limit = (
+        alpha / 10 if not a.chosen else 1e-6
+    )  # significance under a noise model or a wrong effect is less sure
+    for item in rest:
+        noisy = item.nature == CATALOGUE["coloured"].nature
+        if item.p_value >= (1e-6 if noisy else limit):
+            continue
+        if noisy and all(a.p_values.get(key, 1.0) > alpha / 100 for key in found):
+            return item
+        if not noisy and item.gain > max(0.5 * explained, 6.0):
+            return item
+    return None
+
+
+def verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
+    """Causes of all outputs together.
+
+    Parameters
+    ----------
+    outputs : list of Examined
+        What was found for each output.
+    setting : Setting
+        What is known; its false-alarm rate is shared by the outputs.
+
+    Returns
+    -------
+    dict
+        The fields of a `Diagnosis` that name causes.
+    """
+    evidence: list[str] = []
+    order: list[tuple[float, str]] = []
+    p_value = 1.0
+    parameters: dict[str, tuple[float, float, str]] = {}
+    pool: dict[str, float] = {}
+    alpha = setting.alpha / len(outputs)
+    natures: list[str] = []
+    remaining: list[str] = []
+    for i, out in enumerate(outputs):
+        a = out.attribution
+        tag = f" on output {i + 1}" if len(outputs) > 1 else ""
+        for sig in out.signatures:
+            order.append((1e6, sig.key))
+            evidence.append(sig.sentence)
+            p_value = 0.0
+        follows = a.feedback < alpha / 100
+        if follows:
+            order.append((5e5, "feedback"))
+            p_value = min(p_value, a.feedback)
+            evidence.append(
+                f"past innovations help to predict the input{tag} (p = {a.feedback:.2g}): the data are from a closed loop"
+            )
+        by_key = {c.key: c for c in a.claims}
+        above = np.inf
+        for rank, key in enumerate(a.chosen):
+            gain = by_key[key].gain if key in by_key else 100.0
+            if rank == 0:
+                weight = 1e3 + gain
+            else:  # never above what comes before it in the attribution's own order
+                weight = min(gain * 1e-3 if follows and key != "coloured" else max(gain, 1.0), 0.999 * above)
+            above = weight
+            order.append((weight, key))
+            p = a.p_values.get(key, by_key[key].p_value if key in by_key else 0.0)
+            p_value = min(p_value, p)
+            evidence.append(f"{CATALOGUE[key].sentence}{tag}: corrected p = {p:.2g}")
+        rest = leftovers(out.last, a.final, alpha=alpha / 10)
+        remaining += [item.sentence + tag for item in rest[:3]]
+        strange = _unexplained(out, rest, alpha)
+        if strange is not None:
+            natures.append(strange.nature)
+            p_value = min(p_value, strange.p_value)
+            order.append((1e7, UNKNOWN))
+            evidence.insert(0, f"no effect of the catalogue explains what is left{tag}: {strange.sentence}")
+        for key, others in a.rivals.items():
+            evidence.append(f"instead of {CATALOGUE[key].label}{tag} it may as well be {' or '.join(others)}")
+        for c in a.claims:
+            pool[c.label] = pool.get(c.label, 0.0) + max(c.gain, 0.0)
+        parameters.update(_parameters(a.final, f"y{i + 1}." if len(outputs) > 1 else ""))
+    order.sort(key=lambda x: -x[0])
+    keys = [k for _, k in order]
+    chosen = labels_of(keys)
+    detected = bool(chosen)
+    rest = [
+        label for label, gain in sorted(pool.items(), key=lambda x: -x[1]) if label not in chosen and gain > 0
+    ]
+    ranked = chosen + rest if detected else ["none"]
+    confusable = _confusable(outputs, ranked[0])
+    nature = "none" if not keys else natures[0] if keys[0] == UNKNOWN else CATALOGUE[keys[0]].nature
+    return {
+        "detected": detected, "effect": ranked[0], "variant": ", ".join(dict.fromkeys(keys)), "ranked": tuple(ranked),
+        "nature": nature, "p_value": p_value, "evidence": tuple(evidence),
+        "parameters": parameters, "confusable": confusable, "remaining": "; ".join(remaining),
+    }  # fmt: skip
+
+
+def _confusable(outputs: list[Examined], first: str) -> tuple[str, ...]:
+    """Other single causes whose criterion is within 6 of the first one's."""
+    names: list[str] = []
+    for out in outputs:
+        claims = out.attribution.claims
+        mine = [c for c in claims if c.label == first]
+        if not mine or len(out.attribution.final.structure.effects) != 1:
+            continue
+        names += [
+            c.label for c in claims if c.label != first and c.gain > mine[0].gain - 6.0 and c.p_value < 0.01
+        ]
+    for out in outputs:
+        for key, others in out.attribution.rivals.items():
+            if CATALOGUE[key].label == first:
+                names += others
+    return tuple(dict.fromkeys(names))
+
+
+def _parameters(f: Fit, prefix: str) -> dict[str, tuple[float, float, str]]:
+    """Effect parameters with standard errors from the Jacobian."""
+    out: dict[str, tuple[float, float, str]] = {}
+    if not f.jacobian.size:
+        return out
+    norms = np.sqrt(np.sum(f.jacobian**2, axis=0)) + 1e-300
+    H = (f.jacobian / norms).T @ (f.jacobian / norms)
+    covariance = np.linalg.pinv(H) * f.variance / np.outer(norms, norms).clip(1e-290)
+    se = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
+        names = part.effect.parameters * (part.size if part.key == "tones" else 1)
+        units = part.effect.units * (part.size if part.key == "tones" else 1)
+        for i in range(sl.stop - sl.start):
+            name = names[i] if i < len(names) else f"c{i}"
+            unit = units[i] if i < len(units) else ""
+            label = f"{prefix}{part.key}.{name}"
+            if label in out:
+                label += f"_{i // len(part.effect.parameters) + 1}"
+            out[label] = (float(f.p[sl.start + i]), float(se[sl.start + i]), unit)
+    return out

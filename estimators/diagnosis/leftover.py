@@ -1,0 +1,192 @@
+"""What the final residual still shows: generic tests by nature, for causes that are in no catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.stats import chi2, f_oneway, kurtosis
+
+from estimators.diagnosis.fitting import Channel, Fit, ar_model, innovations
+from estimators.diagnosis.structure import simulate
+from estimators.effects.catalogue import NATURES
+
+__all__ = ["Leftover", "leftovers"]
+
+Array = NDArray[Any]
+LAGS = 20
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """One thing that a residual still depends on.
+
+    Attributes
+    ----------
+    nature : str
+        The kind of cause that would leave it.
+    sentence : str
+        The evidence.
+    p_value : float
+        Corrected for the number of tests.
+    gain : float
+        Likelihood ratio less Schwarz's price of its terms; 0 for the tests of the noise.
+    """
+
+    nature: str
+    sentence: str
+    p_value: float
+    gain: float
+
+
+def _late(x: Array, by: int) -> Array:
+    return np.concatenate((np.zeros(by), x[: len(x) - by])) if by else x
+
+
+def _columns(channel: Channel, f: Fit, y: Array) -> list[tuple[str, str, list[Array]]]:
+    """Groups of regressors: nature, what they are in words, the columns."""
+    s = f.structure
+    y0 = y - np.mean(y)
+    v = np.gradient(y0)
+    n = len(y)
+    turn = 2 * np.pi * np.arange(n) / n
+    t = np.linspace(-1.0, 1.0, n)
+    groups: list[tuple[str, str, list[Array]]] = []
+    for j in s.inputs:
+        u = channel.u[:, j] - np.mean(channel.u[:, j])
+        name = "the input" if len(s.inputs) == 1 else f"input {j + 1}"
+        through = _late_by_one
+        if s.layout == "tf":  # what happens at the input acts through the plant
+            den = np.concatenate(([1.0], f.p[: s.order]))
+            at = s.order + s.inputs.index(j) * s.taps
+            num = np.concatenate((np.zeros(1 + s.delay), f.p[at : at + s.taps]))
+            through = _filtered(num, den)
+        curves = [through(c - np.mean(c)) for c in (u**2, u**3, u * np.abs(u), np.abs(u))]
+        products = [u * _late(u, i) for i in range(1, 7)] + [u * _late(y0, i) for i in (0, 1, 2)] + [u * v]
+        groups.append(
+            (NATURES["linear"], f"past values of {name}", [_late(u, i) for i in range(1, LAGS + 1)])
+        )
+        groups.append((NATURES["input static"], f"powers of {name} that act through the plant", curves))
+        groups.append((NATURES["dynamic"], f"products of {name} with its own past and with the output",
+                       [through(c - np.mean(c)) for c in products]))  # fmt: skip
+    groups.append((NATURES["output static"], "powers of the simulated output",
+                   [y0**2, y0**3, np.abs(y0), y0 * np.abs(y0), y0**4]))  # fmt: skip
+    groups.append((NATURES["dynamic"], "the simulated output's direction, speed and past, beyond proportion",
+                   [np.sign(v), v * np.abs(v), v * y0, v * y0**2, v**2, v**3,
+                    *[y0 * _late(y0, i) for i in (1, 2, 3, 4, 6, 8)]]))  # fmt: skip
+    waves = [w(m * turn) * x for m in range(1, 7) for w in (np.cos, np.sin) for x in (y0, v)]
+    groups.append(
+        (NATURES["time"], "the simulated output in a way that changes with time", [t * y0, t * v, *waves])
+    )
+    groups.append((NATURES["added"], "time: a trend or a change of level",
+                   [np.ones(n), t, t**2, t**3, *[(t > a) * 1.0 for a in (-0.5, 0.0, 0.5)]]))  # fmt: skip
+    return groups
+
+
+def _late_by_one(x: Array) -> Array:
+    return _late(x, 1)
+
+
+def _filtered(num: Array, den: Array) -> Callable[[Array], Array]:
+    return lambda x: np.asarray(lfilter(num, den, x))
+
+
+def _sensitivity(channel: Channel, f: Fit, y: Array) -> Array:
+    """Derivatives of the simulated output by the model's parameters, (N, size)."""
+    J = np.zeros((len(y), len(f.p)))
+    for i in range(len(f.p)):
+        q = f.p.copy()
+        q[i] += 1e-6 * f.scales[i]
+        moved = simulate(f.structure, q, channel.u, channel.clock)
+        if np.all(np.isfinite(moved)):
+            J[:, i] = (moved - y) / f.scales[i] * 1e6
+    return J[:, np.any(J != 0, axis=0)]
+
+
+def _deviance(r: Array, X: Array, noise: Array, keep: NDArray[np.bool_]) -> float:
+    """n log(innovation variance) + price of the noise model, X fitted out, the noise model chosen again."""
+    n = int(keep.sum())
+    best = np.inf
+    for start in (noise, np.zeros(0)):
+        again = start
+        for _ in range(2):
+            W = np.stack([innovations(c, again) for c in X.T], axis=1)
+            size = np.sqrt(np.sum(W**2, axis=0)) + 1e-300
+            beta = np.linalg.lstsq(W / size, innovations(r, again), rcond=1e-9)[0] / size
+            rest = r - X @ beta
+            again, value = ar_model(np.where(keep, rest, 0.0))
+            best = min(best, value + len(again) * float(np.log(n)))
+    return best
+
+
+def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover]:
+    """What a fitted model's innovations still depend on, the most telling first.
+
+    Parameters
+    ----------
+    channel : Channel
+        Data.
+    f : Fit
+        Fitted model; its own parameters are projected out.
+    alpha : float
+        Rate at which anything at all is reported where nothing is left.
+
+    Returns
+    -------
+    list of Leftover
+        Empty where nothing is significant, or where the output is coarsely rounded.
+
+    Notes
+    -----
+    Each group of regressors is a likelihood-ratio test with the noise model chosen again, with and without it: a
+    noise model may have been fitted to what the model lacks. A line in the spectrum is Fisher's test; the noise is tested for a change of its size and for its tails. Bonferroni over all of them.
+    """
+    if channel.step > 0 or not np.all(np.isfinite(f.residual)):
+        return []
+    keep = channel.keep
+    y = simulate(f.structure, f.p, channel.u, channel.clock)
+    n = int(keep.sum())
+    r = np.where(keep, f.residual, 0.0)
+    out: list[Leftover] = []
+    if not np.all(np.isfinite(y)) or float(r @ r) <= 1e-24 * float(channel.y @ channel.y):
+        return out
+    J = np.where(keep[:, None], _sensitivity(channel, f, y), 0.0)
+    groups = _columns(channel, f, y)
+    tests = len(groups) + 3
+    null = _deviance(r, J, f.noise, keep)
+    for nature, words, columns in groups:
+        X = np.stack([c / (float(np.sqrt(np.mean(c**2))) + 1e-300) for c in columns], axis=1)
+        X = np.concatenate((J, np.where(keep[:, None], X, 0.0)), axis=1)
+        ratio = null - _deviance(r, X, f.noise, keep)
+        p = min(1.0, tests * float(chi2.sf(max(ratio, 0.0), len(columns))))
+        if p < alpha:
+            share = 1.0 - float(np.exp(-ratio / n))
+            out.append(Leftover(nature, f"the residual still depends on {words} ({100 * share:.2g} % of its "
+                                f"variance, p = {p:.2g})", p, ratio - len(columns) * float(np.log(n))))  # fmt: skip
+    e = innovations(r, f.noise)
+    Q = (
+        np.linalg.qr(np.stack([innovations(c, f.noise) for c in J.T], axis=1))[0]
+        if J.size
+        else np.zeros((len(e), 0))
+    )
+    e0 = e - Q @ (Q.T @ e)
+    power = np.abs(np.fft.rfft(e0 - e0.mean()))[1:-1] ** 2
+    line = float(power.max() / power.mean())
+    p = min(1.0, tests * len(power) * float(np.exp(-line)))
+    if p < alpha:
+        at = (1 + int(np.argmax(power))) / len(e0)
+        words = f"the residual has a line at {at:.4g} cycles per sample (p = {p:.2g})"
+        out.append(Leftover(NATURES["added"], words, p, 2.0 * line - 3.0 * float(np.log(n))))
+    kept = e0[keep]
+    p = min(1.0, tests * float(f_oneway(*np.array_split(np.abs(kept), 8)).pvalue))
+    if p < alpha:
+        out.append(Leftover(NATURES["noise"], f"the noise changes its size in time (p = {p:.2g})", p, 0.0))
+    tails = float(kurtosis(kept)) * np.sqrt(n / 24.0)
+    p = min(1.0, tests * 2.0 * float(chi2.sf(max(tails, 0.0) ** 2, 1)))
+    if tails > 0 and p < alpha * 1e-2:  # the normal limit of a kurtosis is slow
+        out.append(Leftover(NATURES["noise"], f"the noise has heavy tails (p = {p:.2g})", p, 0.0))
+    return sorted(out, key=lambda x: -x.gain)
