@@ -1,0 +1,135 @@
+"""What no effect of the catalogue explains, blocked cross-validation, and the force balance."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.diagnosis.blocks import sandwich
+from estimators.diagnosis.crossvalidation import blocked_simulation
+from estimators.diagnosis.fitting import Channel
+from estimators.diagnosis.forces import effective_samples, force_balance
+from estimators.diagnosis.leftover import leftovers
+from estimators.diagnosis.linear import fit_linear
+from estimators.diagnosis.loop import Setting, diagnose
+from estimators.diagnosis.structure import Structure
+from estimators.effects.catalogue import Clock
+from oed.data import Record
+from oed.errors import InputError
+
+SETTING = Setting(orders=(2,), structure="SISO")
+B, A = [0.0, 0.1, 0.1], [1.0, -1.5, 0.7]
+
+
+def drawn(rng, n, *, start=0, sway=0.0, burst=0.0, product=0.0):
+    u = np.repeat(rng.uniform(-2, 2, n // 2 + 1), 2)[:n]
+    k = np.arange(start, start + n)
+    v = u + product * u * np.concatenate(([0.0, 0.0, 0.0], u[:-3]))
+    y = lfilter(B, A, v) * (1 + sway * np.sin(2 * np.pi * k / 170))
+    e = 0.05 * rng.standard_normal(n) * (1 + burst * np.sin(2 * np.pi * k / 300))
+    return Record(u, y + e, t0=float(start))
+
+
+def channel_of(record):
+    n = len(record)
+    return Channel(record.u, record.y[:, 0], Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
+
+
+@pytest.mark.parametrize(
+    "options, nature",
+    [({"sway": 0.25}, "time variation"), ({"burst": 1.5}, "noise")],
+    ids=["gain that sways", "noise that swells"],
+)
+@pytest.mark.slow
+def test_a_cause_in_no_catalogue_is_reported_by_its_nature(options, nature):
+    rng = np.random.default_rng(5)
+    result = diagnose(drawn(rng, 800, **options), drawn(rng, 500, start=900, **options), SETTING)
+    assert result.detected
+    assert result.effect == "unknown"
+    assert result.nature == nature
+    assert result.remaining
+    assert "no effect of the catalogue" in result.evidence[0]
+
+
+def test_leftovers_follow_what_was_planted_and_nothing_else():
+    rng = np.random.default_rng(6)
+    natures = {}
+    for name, options in {"nothing": {}, "sway": {"sway": 0.2}, "product": {"product": 0.3}}.items():
+        channel = channel_of(drawn(rng, 700, **options))
+        found = leftovers(channel, fit_linear(channel, Structure(2)), alpha=0.001)
+        natures[name] = [item.nature for item in found]
+    assert natures["nothing"] == []  # negative control
+    assert natures["sway"][0] == "time variation"
+    assert natures["product"][0] == "dynamic nonlinearity"
+
+
+def test_blocks_held_out_show_what_overfitting_hides():
+    rng = np.random.default_rng(7)
+    u = np.repeat(rng.uniform(-1, 1, 60), 4)[:, None]
+    y = lfilter([0.0, 0.3], [1.0, -0.7], u[:, 0]) + 0.3 * rng.standard_normal(240)
+    channel = channel_of(Record(u, y))
+    errors = {}
+    for order in (1, 6):
+        f = fit_linear(channel, Structure(order))
+        errors[order] = (np.std(y - blocked_simulation(channel, f)), np.std(f.residual))
+    assert errors[6][1] < errors[1][1]  # more parameters always fit better
+    assert errors[6][0] > errors[1][0]  # and here they carry over worse
+
+
+def test_without_a_test_record_blocks_are_held_out():
+    rng = np.random.default_rng(8)
+    result = diagnose(drawn(rng, 400), None, SETTING)
+    assert "cross-validation" in result.held_out
+    assert len(result.yhat_before) == 400
+    assert result.rmse_before.value == pytest.approx(0.05, rel=0.15)  # the noise
+
+
+def motion(n=6000, dt=2e-3):
+    """An axis with Coulomb friction under a position loop, by semi-implicit Euler steps twenty times finer."""
+    mass, viscous, coulomb, offset = 2.0, 5.0, 1.5, 0.3
+    u, y = np.empty(n), np.empty(n)
+    q = v = 0.0
+    h = dt / 20
+    for k in range(n):
+        target = 0.5 * np.sin(2 * np.pi * 0.4 * k * dt) + 0.2 * np.sin(2 * np.pi * 1.1 * k * dt)
+        u[k], y[k] = 400 * (target - q) - 20 * v, q
+        for _ in range(20):
+            push = u[k] - viscous * v - offset
+            free = v + h * push / mass
+            stop = h * coulomb / mass
+            v = np.sign(free) * max(abs(free) - stop, 0.0)
+            q += h * v
+    return Record(u, y, dt=dt), (mass, viscous, coulomb, offset)
+
+
+def test_force_balance_weighs_an_axis_in_closed_loop():
+    record, truth = motion()
+    balance = force_balance(record)
+    found = (balance.mass, balance.viscous, balance.coulomb, balance.offset)
+    for (value, error), true in zip(found, truth):
+        # the held force acts half a sample late, which the balance does not model: 3 % at most here
+        assert abs(value - true) < 0.03 * abs(true) + 3 * error
+    assert balance.share > 0.99
+    doubled = force_balance(record, gain=2.0)
+    assert doubled.mass[0] == pytest.approx(2 * balance.mass[0])
+    with pytest.raises(InputError, match="at least 400"):
+        force_balance(record[:300])
+
+
+def test_effective_samples_of_an_autoregression():
+    # integrated correlation time of AR(1) is (1 + a)/(1 - a): 19 for a = 0.9
+    e = np.random.default_rng(9).standard_normal(40000)
+    assert effective_samples(e) == pytest.approx(40000, rel=0.1)
+    assert effective_samples(lfilter([1.0], [1.0, -0.9], e)) == pytest.approx(40000 / 19, rel=0.25)
+
+
+@pytest.mark.slow
+def test_two_filters_with_a_bend_between_them_are_told_apart():
+    rng = np.random.default_rng(10)
+    u = lfilter([0.5], [1.0, -0.5], rng.standard_normal(1500))
+    x = lfilter([1.0, 0.4], [1.0, -1.2, 0.5], u)
+    y = lfilter([0.0, 0.2, 0.1], [1.0, -0.6], np.minimum(x, 0.8)) + 0.002 * rng.standard_normal(1500)
+    channel = channel_of(Record(u, y))
+    base = fit_linear(channel, Structure(3))
+    f = sandwich(channel, base, 3)
+    assert np.std(base.residual) > 0.05
+    assert np.std(f.residual) < 0.004
