@@ -24,45 +24,49 @@ KNOWS_ORDER = ("pem", "fir-known")
 OPTIMAL, GOOD, BETTER = 0.9, 0.5, 1.5
 """Shares of the optimum that count as optimal and as near it, and the factor over white noise that counts as better."""
 
+BUDGET = {
+    "samples": "samples",
+    "experiments": "experiments",
+    "energy": "energy",
+    "energy_per_input": "per input",
+    "peak_amplitude": "peak |u|",
+}
 ANSWER = {
     "plant": "plant",
     "channels": "channels",
     "parameters": "parameters",
     "noise_variance": "noise",
-    "samples": "samples",
-    "experiments": "experiments",
-    "energy": "energy",
-    "peak_amplitude": "peak |u|",
-    "iterations": "iterations",
     "c_efficiency": "of the optimum",
     "over_white": "times white",
-    "d_efficiency": "of D",
-    "verdict": "so they are",
+    "verdict": "so the iterations are",
     "rho_own": "rho, own estimator",
-    "own_estimator": "which",
     "rho_pem": "rho, PEM",
     "waste": "data wasted by own",
     "advice_input": "best input",
     "advice_estimator": "best estimator",
     "rho_advice": "their rho",
     "blind_input": "order unknown: input",
-    "blind_estimator": "order unknown: estimator",
-    "rho_blind": "order unknown: rho",
+    "blind_estimator": "and estimator",
+    "rho_blind": "and rho",
+    "d_efficiency": "of D",
+    "iterations": "iterations",
+    "own_estimator": "own estimator",
+    **BUDGET,
 }
+"""The columns of the answer, the most important ones first."""
+
 ADVICE = {
     "plant": "plant",
     "channels": "channels",
     "parameters": "parameters",
     "noise_variance": "noise",
     "experiments": "experiments",
-    "samples": "samples",
-    "energy": "energy",
-    "peak_amplitude": "peak |u|",
     "input": "best input",
     "c_efficiency": "of the optimum",
     "iterations_efficiency": "iterations",
     "white_efficiency": "white",
     "oracle_efficiency": "oracle",
+    **{key: name for key, name in BUDGET.items() if key != "experiments"},
 }
 
 
@@ -122,7 +126,7 @@ def answer_rows(tables: Tables) -> list[Row]:
             "noise_variance": variance,
             "parameters": len(target.plant.free),
             "iterations": name,
-            **{k: mine[k] for k in ("channels", "samples", "experiments", "energy", "peak_amplitude")},
+            **{k: mine[k] for k in ("channels", *BUDGET)},
             **{k: mine[k] for k in ("c_efficiency", "c_efficiency_se", "d_efficiency", "d_efficiency_se")},
             "over_white": over_white,
             "verdict": _verdict(mine["c_efficiency"], over_white),
@@ -241,16 +245,13 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
         )
     advice = [r for r in rows if _finite(r["rho_advice"])]
     if advice:
-        pairs: dict[tuple[str, str], list[Row]] = {}
+        pairs: dict[tuple[str, str, str], list[Row]] = {}
         for row in advice:
-            pairs.setdefault((row["advice_input"], row["advice_estimator"]), []).append(row)
+            pairs.setdefault((row["plant"], row["advice_input"], row["advice_estimator"]), []).append(row)
         words = "; ".join(
-            f"{method} with {estimator} on "
-            + ", ".join(
-                f"{r['plant']} at noise {r['noise_variance']:g} (rho {format_value(r['rho_advice'], r['rho_advice_se'])})"
-                for r in group
-            )
-            for (method, estimator), group in pairs.items()
+            f"{plant}: {method} with {estimator} at noise {', '.join(format(r['noise_variance'], 'g') for r in group)} "
+            f"(rho {', '.join(format_value(r['rho_advice'], r['rho_advice_se']) for r in group)})"
+            for (plant, method, estimator), group in pairs.items()
         )
-        sentences.append(f"What to do, without knowing the plant: {words}.")
+        sentences.append(f"What to do, knowing the order but not the plant: {words}.")
     return sentences

@@ -56,7 +56,8 @@ def write_comparison(
     made_with = made(settings, replicates, folder)
     save = partial(save_table, folder, metadata=made_with)
     answer = answer_rows(tables)
-    sentences = [*answer_sentences(answer, settings), *answers(rows, information, settings)]
+    sentences = answer_sentences(answer, settings)
+    details = answers(rows, information, settings)
     siso = [p for p in settings.plants if known[p, settings.noise_variances[0]].plant.n_inputs == 1]
     siso = [p for p in siso if known[p, settings.noise_variances[0]].plant.n_outputs == 1]
     comparison = {
@@ -112,6 +113,7 @@ def write_comparison(
     best = headline_rows(rows)
     inputs = {
         "title": "What each input carries, and the estimator that made most of it",
+        "text": details,
         "tables": [
             save(
                 "headline",
@@ -132,7 +134,8 @@ def write_comparison(
     if "hair-dryer" in settings.plants:
         sections.append(_hair_dryer_section(folder, save))
     headline = to_markdown(best, HEADLINE)
-    save_summary(folder, sentences, headline)
+    sentences = sentences or details
+    save_summary(folder, [*sentences, *details], headline)
     content = {
         "title": "Which input is worth applying for the H-infinity norm?",
         "lead": sentences,

@@ -196,7 +196,9 @@ def compare(
     }
     if limits is None:
         blank = Settings()
-        given["limits"] = default_limits(plants or blank.plants, brought.methods or blank.methods)
+        given["limits"] = default_limits(
+            plants or blank.plants, brought.methods or blank.methods, brought.estimators or blank.estimators
+        )
     settings = Settings(
         samples=samples,
         experiments=experiments,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import figures_answer
-from benchmarks.answer import ADVICE, ANSWER, advice_rows, answer_sentences
+from benchmarks.answer import ADVICE, ANSWER, advice_rows
 from benchmarks.head_to_head import HEAD_TO_HEAD, head_to_head_rows, head_to_head_sentence
 from benchmarks.profiles import TOLERANCE
 from benchmarks.report import save_figure
@@ -102,7 +102,8 @@ def answer_section(
     }
     return {
         "title": "The answer to [S] Sec. 4.2: are the iterations optimal experiment design?",
-        "text": answer_sentences(rows, settings)[1:],
+        "text": [],
+        "figures_first": True,
         "tables": [
             save(
                 "answer",

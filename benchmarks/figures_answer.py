@@ -225,5 +225,5 @@ def head_to_head_figure(rows: Sequence[Row]) -> Figure:
     ax.set_yticks([-k for k in range(len(rows))], [r["name"] for r in rows], fontsize=8)
     ax.set_xscale("log")
     ax.set_xlabel("median relative error (%), with 95 % interval")
-    ax.legend(frameon=False, fontsize=8, loc="lower right")
+    ax.legend(frameon=False, fontsize=8, loc="upper right")
     return figure

@@ -70,11 +70,14 @@ class Profiles:
         Solver to the number of problems it met.
     by_budget : dict
         (input, estimator, experiments) to [samples, solved, problems].
+    least : int
+        Solvers with fewer replicates of a plant are left out there, and all others count up to the fewest of theirs.
     """
 
     solved: dict[Solver, NDArray[np.float64]] = field(default_factory=dict)
     problems: dict[Solver, int] = field(default_factory=dict)
     by_budget: dict[tuple[str, str, int], list[float]] = field(default_factory=dict)
+    least: int = 1
 
     def add(self, solvers: Mapping[Solver, Estimates], gamma: float) -> None:
         """Add the problems of one plant at one noise level.
@@ -86,9 +89,10 @@ class Profiles:
         gamma : float
             The norm.
         """
-        replicates = int(min(len(found) for found in solvers.values())) if solvers else 0
-        if not replicates:
+        solvers = {solver: found for solver, found in solvers.items() if len(found) >= self.least}
+        if not solvers:
             return
+        replicates = int(min(len(found) for found in solvers.values()))
         errors = {solver: _errors(found, gamma, replicates) for solver, found in solvers.items()}
         best = np.maximum(np.min(list(errors.values()), axis=0), 1e-12)  # the last digits decide nothing
         solvable = np.isfinite(best)

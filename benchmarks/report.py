@@ -3,7 +3,8 @@
 report.json holds the words and the order; tables are Parquet files, figures SVG with a PDF beside each:
 
     {"title": .., "lead": [..], "sections": [{"title": .., "text": [..],
-     "tables": [{"file": .., "caption": .., "columns": {key: heading}}], "figures": [{"file": .., "caption": ..}]}],
+     "tables": [{"file": .., "caption": .., "columns": {key: heading}}], "figures": [{"file": .., "caption": ..}],
+     "figures_first": false}],
      "made": {name: value}}
 """
 
@@ -225,11 +226,12 @@ def _page(folder: Path, content: dict[str, Any]) -> str:
     for section in content["sections"]:
         parts += ["<section>", f"<h2>{escape(section['title'])}</h2>"]
         parts += [f"<p>{escape(sentence)}</p>" for sentence in section.get("text", ())]
+        drawn = [line for figure in section.get("figures", ()) for line in _figure(folder, figure)]
+        parts += drawn if section.get("figures_first") else []
         for table in section.get("tables", ()):
             number += 1
             parts += _table(folder, table, f"table{number}")
-        for figure in section.get("figures", ()):
-            parts += _figure(folder, figure)
+        parts += [] if section.get("figures_first") else drawn
         parts.append("</section>")
     parts += ["<section><h2>How this was made</h2><dl>"]
     for name, value in content["made"].items():

@@ -65,8 +65,16 @@ class Settings:
 
     plants: tuple[str, ...] = ("reference", "hair-dryer", "random-fir-1", "three-by-two")
     noise_variances: tuple[float, ...] = (1.0, 4.0, 9.0)
-    methods: tuple[str, ...] = ("white", "multisine", "power", "procedure-2", "oracle-D", "oracle-hinf")
-    estimators: tuple[str, ...] = ("rayleigh", "gain", "mu", "pem")
+    methods: tuple[str, ...] = (
+        "white",
+        "multisine",
+        "power",
+        "procedure-2",
+        "sequential",
+        "oracle-D",
+        "oracle-hinf",
+    )
+    estimators: tuple[str, ...] = ("rayleigh", "gain", "mu", "corrected", "fir-selected", "pem")
     samples: int = 1000
     experiments: int = 20
     seed: int = 0
@@ -125,17 +133,24 @@ class Settings:
 DEFAULT_LIMITS = (
     Limit(10, plant="three-by-two"),
     Limit(0, plant="three-by-two", method="multisine"),
+    Limit(0, plant="three-by-two", method="sequential"),
     Limit(0, plant="three-by-two", method="oracle-D"),
+    Limit(0, plant="three-by-two", method="oracle-hinf", estimator="pem"),
+    Limit(10, method="sequential"),
+    Limit(30, estimator="corrected"),
+    Limit(30, estimator="fir-selected"),
 )
-"""Of a comparison that sets none: prediction-error fits of six transfer functions take most of its time."""
+"""Of a comparison that sets none: prediction-error fits of six transfer functions would take most of its time."""
 
 
-def default_limits(plants: Sequence[str], methods: Sequence[str]) -> tuple[Limit, ...]:
+def default_limits(
+    plants: Sequence[str], methods: Sequence[str], estimators: Sequence[str]
+) -> tuple[Limit, ...]:
     """The default limits that concern a comparison.
 
     Parameters
     ----------
-    plants, methods : sequence of str
+    plants, methods, estimators : sequence of str
         What is compared.
 
     Returns
@@ -144,7 +159,11 @@ def default_limits(plants: Sequence[str], methods: Sequence[str]) -> tuple[Limit
         Those whose names occur.
     """
     return tuple(
-        limit for limit in DEFAULT_LIMITS if limit.plant in plants and limit.method in ("", *methods)
+        limit
+        for limit in DEFAULT_LIMITS
+        if limit.plant in ("", *plants)
+        and limit.method in ("", *methods)
+        and limit.estimator in ("", *estimators)
     )
 
 

@@ -17,6 +17,8 @@ from benchmarks.statistics import Target, comparison_rows, information_rows, tar
 __all__ = ["Tables", "tabulate"]
 
 Row = dict[str, Any]
+LEAST = 30
+"""Replicates below which a solver is left out of the performance profiles, where others have more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +77,8 @@ def tabulate(runs: Iterable[Runs], settings: Settings) -> Tables:
         gamma = known[current].gamma
         head = {"plant": current[0], "noise_variance": current[1]}
         pairs.extend(head | row for row in paired_rows(solvers, gamma, scale[current]))
+        most = max(len(found) for found in solvers.values())
+        profiles.least = min(LEAST, most)
         profiles.add(solvers, gamma)
         solvers.clear()
 

@@ -91,7 +91,7 @@ def sequential(
     experiments: int = 20,
     power: float = 1.0,
     draws: int = 32,
-    inflation: float = 2.0,
+    inflation: float = 3.0,
 ) -> Rule:
     """White noise once, then redesign after 1, 2, 3, 4, 6, 8, 12, 16, 24, ... experiments.
 

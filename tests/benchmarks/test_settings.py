@@ -1,0 +1,176 @@
+"""Campaigns from TOML files, one's own methods, and stores put together."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.campaign import fill_store, run_campaign, stored_runs
+from benchmarks.cli import main
+from benchmarks.comparison import compare
+from benchmarks.merging import merge_stores
+from benchmarks.own import Own
+from benchmarks.settings import Limit, Settings, campaign_from_toml, limit_from_text
+from oed.errors import CampaignError, InputError
+
+PUBLISHED = Path(__file__).resolve().parents[2] / "benchmarks" / "campaigns" / "published.toml"
+
+
+def test_the_published_campaign_is_what_it_says():
+    """10 plants x 6 noise levels x 12 inputs, 10000 samples in all per run, 1000 replicates, 100 fits by PEM."""
+    given = campaign_from_toml(PUBLISHED)
+    assert (len(given["plants"]), len(given["noise_variances"]), len(given["methods"])) == (10, 6, 12)
+    assert given["samples"] * given["experiments"] == 10000
+    assert given["replicates"] == 1000
+    assert Limit(100, estimator="pem") in given["limits"]
+    options = {k: v for k, v in given.items() if k not in ("replicates", "time_limit", "out")}
+    settings = Settings(**options)
+    assert settings.replicates_of(1000, "reference", "white", "pem") == 100
+    assert settings.replicates_of(1000, "reference", "white", "frf") == 1000
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("plants = [", "not TOML"),
+        ("plant = ['reference']", "no key of c.toml named 'plant' .*did you mean plants"),
+        ("plants = 'reference'", "plants is 'reference'; it must be a list"),
+        ("samples = '100'", "samples is '100'; it must be a whole number"),
+        ("samples = true", "samples is True; it must be a whole number"),
+        ("noise_variances = ['a']", "it must be a whole number or a number"),
+        ("[[limit]]\nplant = 'reference'", "needs replicates"),
+        ("[[limit]]\nreplicates = 3\nrobot = 'x'", "no key of a limit in c.toml named 'robot'"),
+        ("[[limit]]\nreplicates = -3", "-3 replicates"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_words(tmp_path, text, words):
+    file = tmp_path / "c.toml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=words):
+        campaign_from_toml(file)
+
+
+def test_a_file_that_is_not_there():
+    with pytest.raises(InputError, match=r"nowhere.toml cannot be read \(No such file"):
+        campaign_from_toml("nowhere.toml")
+
+
+def test_a_limit_as_the_command_line_takes_it():
+    assert limit_from_text("replicates=3,estimator=pem") == Limit(3, estimator="pem")
+    for text in ("estimator=pem", "replicates=x", "replicates=-1"):
+        with pytest.raises(InputError, match="give replicates=R"):
+            limit_from_text(text)
+    with pytest.raises(InputError, match="did you mean gain"):
+        Settings(limits=(Limit(1, estimator="gian"),))
+
+
+def test_the_command_line_goes_before_the_file(tmp_path, capsys):
+    file = tmp_path / "c.toml"
+    file.write_text(
+        "plants = ['delay']\nnoise_variances = [4]\nmethods = ['white']\nestimators = ['frf']\nsamples = 50\nexperiments = 2\n"
+    )
+    assert main(["compare", "--config", str(file), "--plant", "reference", "--dry-run", "--quiet"]) == 0
+    assert "Dry run: 1 combinations" in capsys.readouterr().out
+    assert main(["compare", "--config", str(file), "--samples", "3", "--dry-run"]) == 2
+    assert "samples is 3" in capsys.readouterr().err
+
+
+OWN = textwrap.dedent("""
+    import numpy as np
+
+    def alternating(samples, n_inputs, n_outputs, rng):
+        while True:
+            y = yield np.tile([[1.0], [-1.0]], (samples // 2, n_inputs))
+
+    def loudest(trace, plant):
+        return max(float(abs(r.y).max()) for r in trace.records)
+""")
+TINY = {
+    "noise_variances": (1.0,),
+    "estimators": ("gain", "frf"),
+    "samples": 50,
+    "experiments": 2,
+    "profile_replicates": 0,
+}
+
+
+def test_methods_and_estimators_of_ones_own(tmp_path):
+    """From a file, in two worker processes that never import it; and the same as functions."""
+    file = tmp_path / "mine.py"
+    file.write_text(OWN)
+    own = Own(["white", f"{file}:alternating"], [f"{file}:loudest"])
+    settings = Settings(
+        plants=("reference",),
+        noise_variances=(1.0,),
+        methods=own.methods,
+        estimators=own.estimators,
+        samples=50,
+        experiments=2,
+        profile_replicates=0,
+        sources=tuple(own.sources),
+    )
+    raw = run_campaign(settings, 6, tmp_path / "a", jobs=2, own=own.functions)
+    mine = next(r for r in raw if r.method.endswith(":alternating"))
+    found = mine.final[f"{file}:loudest"]
+    assert np.allclose(found.energy, 100)
+    assert np.all(found.estimate > 1)
+    file.write_text(OWN.replace("1.0", "2.0"))
+    other = Own(["white", f"{file}:alternating"], [f"{file}:loudest"])
+    assert other.sources != own.sources  # a store of the old function would not be continued
+
+
+def test_a_function_is_a_method_too(tmp_path):
+    def steps(samples, n_inputs, n_outputs, rng):
+        while True:
+            yield np.ones((samples, n_inputs))
+
+    result = compare(
+        plants=["reference"],
+        methods=[steps, "white"],
+        estimators=["frf"],
+        noise_variances=[1.0],
+        dry_run=True,
+    )
+    assert "Dry run: 2 combinations" in result.sentences[0]
+    for spec, words in (
+        (f"{tmp_path}/no.py:f", "cannot be read"),
+        (f"{__file__}:nothing", "has no function nothing"),
+        (3, "is no method"),
+    ):
+        with pytest.raises(InputError, match=words):
+            Own([spec], [])
+
+
+def test_merged_stores_are_one_campaign(tmp_path):
+    """Two machines with different plants and replicates; what neither has is computed; bit for bit as in one go."""
+    one = Settings(plants=("reference",), methods=("white", "power"), **TINY)
+    two = Settings(plants=("delay",), methods=("white",), **TINY)
+    fill_store(one, 5, tmp_path / "one", jobs=1)
+    fill_store(two, 10, tmp_path / "two", jobs=1)
+    merged = merge_stores([tmp_path / "one", tmp_path / "two"], tmp_path / "both")
+    replicates = merged.pop("replicates")
+    assert (replicates, merged.pop("out")) == (10, str(tmp_path / "both"))
+    together = Settings(**{k: tuple(v) if isinstance(v, list) else v for k, v in merged.items()})
+    assert together.plants == ("reference", "delay")
+    stamps = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "both" / "parts").iterdir()}
+    assert len(stamps) == 4
+    store = fill_store(together, replicates, tmp_path / "both", jobs=1)
+    assert {n: (store.parts / n).stat().st_mtime_ns for n in stamps} == stamps
+    whole = fill_store(together, replicates, tmp_path / "whole", jobs=1)
+    text = lambda s: repr([(r.key, [e.estimate.tolist() for e in r.final.values()], r.information)
+                           for r in stored_runs(s, together, replicates)])  # fmt: skip
+    assert text(store) == text(whole)
+
+
+def test_stores_that_do_not_belong_together(tmp_path):
+    fill_store(Settings(plants=("reference",), methods=("white",), **TINY), 2, tmp_path / "one", jobs=1)
+    other = TINY | {"samples": 60}
+    fill_store(Settings(plants=("delay",), methods=("white",), **other), 2, tmp_path / "two", jobs=1)
+    with pytest.raises(CampaignError, match=r"different samples; .*Nothing was written"):
+        merge_stores([tmp_path / "one", tmp_path / "two"], tmp_path / "both")
+    assert not (tmp_path / "both").exists()
+    with pytest.raises(InputError, match=r"no readable campaign.json"):
+        merge_stores([tmp_path], tmp_path / "both")
