@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.pem.checks import check_records, structure_for
+from estimators.pem.constrained import Constraints, constrained
 from estimators.pem.extras import (
     Settings,
     bridged,
@@ -26,6 +27,7 @@ from estimators.pem.predictors import Structure
 from estimators.pem.problem import Problem, prepare
 from estimators.pem.results import result
 from estimators.pem.search import best_optimum
+from estimators.pem.starts import reflected
 from estimators.pem.statespace import state_space_of_armax, subspace_candidates
 from oed.data import Record
 from oed.errors import InputError, Status
@@ -51,6 +53,7 @@ def identify(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     prior: Mapping[str, tuple[float, float]] | None = None,
+    constraints: Constraints | None = None,
     robust: str | None = None,
     prefilter: tuple[ArrayLike, ArrayLike] | None = None,
     missing: bool = False,
@@ -92,6 +95,10 @@ def identify(
         Lower and upper bound by name.
     prior : mapping of str to tuple, optional
         Mean and standard deviation by name: regularisation by what was known before.
+    constraints : callable, optional
+        Takes a mapping of parameter names to CasADi symbols in the user's units, gives an expression or a list of
+        them that must not be positive, as in ``lambda p: p["b1"] + p["b2"] - 0.4 * (1 + p["f1"] + p["f2"])``, a static
+        gain of at most 0.4; by IPOPT. The covariance is that along the active ones.
     robust : {"huber", "student"}, optional
         A loss that outliers cannot dominate: Huber's (1.345 standard deviations) or Student's t (4 degrees of
         freedom).
@@ -126,8 +133,11 @@ def identify(
         raise InputError(f"search is {search!r}; choose auto, quick or thorough.")
     if robust not in (None, "huber", "student"):
         raise InputError(f"robust is {robust!r}; choose huber, student or None.")
-    if missing and (robust or isinstance(form, StateSpace)):
-        raise InputError("missing samples are bridged for polynomial models with the squared loss only.")
+    if missing and (robust or (isinstance(form, StateSpace) and form.n_outputs > 1)):
+        raise InputError(
+            "missing samples are bridged with the squared loss, and for state-space models of one output; take the "
+            "robust loss off, or fit a polynomial model or the outputs one by one."
+        )
     if prefilter is not None:
         experiments = [filtered_record(r, *prefilter) for r in experiments]
     means = offset == "mean"
@@ -143,6 +153,11 @@ def identify(
     problem, optimum = _fitted(form, experiments, joint, begin, how)
     if prior:
         problem, optimum = with_prior(problem, optimum, prior, how)
+    normals = None
+    if constraints is not None:
+        if robust or missing or prior:
+            raise InputError("constraints go with the squared loss, without priors and missing samples.")
+        optimum, normals = constrained(problem, optimum, constraints, how)
     if robust:
         ends = [robustly(problem, optimum, robust, how)]
         if begin is None:  # outliers may have led the squared loss to a wrong optimum: once more without them
@@ -156,7 +171,7 @@ def identify(
                     robustly(problem, Optimum(point, Status.OK, optimum.iterations, np.inf), robust, how)
                 )
         problem, optimum = min(ends, key=lambda end: robust_scale(*end))
-    fit = result(problem, optimum, experiments, offset, initial, robust)
+    fit = result(problem, optimum, experiments, offset, initial, robust, normals)
     return replace(fit, input_level=levels[0], output_level=levels[1]) if means else fit
 
 
@@ -236,6 +251,8 @@ def _fit_state_space(
         starts = [begin]
     elif form.n_outputs == 1:
         starts = [_by_armax(form, records, joint, how)]
+        if joint.evaluate(starts[0]) is None:  # a zero of C on the circle: rounding puts it outside
+            starts.append(_by_armax(form, records, joint, how, 1 - 1e-5))
     else:
         starts = subspace_candidates(form, joint)
     points = [p for z in starts if (p := joint.evaluate(z)) is not None]
@@ -254,12 +271,19 @@ def _fit_state_space(
     return min(found, key=lambda f: np.linalg.slogdet(f.point.extra[1])[1])
 
 
-def _by_armax(form: StateSpace, records: list[Record], joint: Problem, how: Settings) -> NDArray:
+def _by_armax(
+    form: StateSpace, records: list[Record], joint: Problem, how: Settings, most: float = 1.0
+) -> NDArray:
     n, nu, direct = form.order, form.n_inputs, int(form.feedthrough)
     twin = polynomial("armax", [n, n + direct, n], 1 - direct, n_inputs=nu)
     scales = joint.input_scale, joint.output_scale
-    problem = prepare(twin, records, offset=how.offset, initial=how.unknown, scales=scales)
-    z = best_optimum(problem, None, how).point.z
+    problem = prepare(
+        twin, records, offset=how.offset, initial=how.unknown, scales=scales, missing=how.missing
+    )
+    z = _fit_row(twin, 0, records, problem, None, how).point.z
+    if most < 1:
+        at = twin.places()[0]["c"][0]
+        z[at] = reflected(z[at], most)
     return np.concatenate([state_space_of_armax(form, twin, z[: twin.n]), z[twin.n :]])
 
 

@@ -1,4 +1,4 @@
-"""The predictor of a polynomial model when outputs are missing: a Kalman filter bridges the gaps.
+"""The predictor when outputs are missing: a Kalman filter bridges the gaps of polynomial and state-space models.
 
 The part driven by the inputs, w = sum_j B_j / (A F_j) u_j, is known whatever was measured. The noise v = y - w,
 v = C / (A D) e, has the innovations form x+ = F x + K e, v = x_1 + e, and the Kalman filter for it with gaps is
@@ -6,18 +6,21 @@ v = C / (A D) e, has the innovations form x+ = F x + K e, v = x_1 + e, and the K
     S = 1 + P_11,  eps = v - x_1,  L = (F P h + K) / S,  x+ = F x + L eps,  P+ = F P F' + K K' - L S L'
 
 without the terms in eps and L where the sample is missing (e of unit variance; P = 0 at the start and as long as
-nothing is missing, so that the filter is then the predictor). The likelihood wants eps^2 / S and log S.
+nothing is missing, so that the filter is then the predictor). The likelihood wants eps^2 / S and log S. A
+state-space model of one output is in innovations form already: F = A, h = C.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from estimators.pem.recursion import Recursion
 from estimators.pem.statespace import differentiated
-from oed.models import Polynomial
+from oed.models import Polynomial, StateSpace
 
-__all__ = ["kalman_recursion"]
+__all__ = ["kalman_recursion", "state_space_kalman_recursion"]
 
 
 def _product(ca: Any, p: list, q: list) -> list:
@@ -125,4 +128,60 @@ def kalman_recursion(structure: Polynomial, levels: bool, initial: bool) -> Recu
     return Recursion(
         made.state, ordered, made.parameters, made.next_state,
         made.residual[:ny], made.jacobian[:ny, :], made.residual[ny], made.jacobian[ny, :],
+    )  # fmt: skip
+
+
+def state_space_kalman_recursion(structure: StateSpace, levels: bool, initial: bool) -> Recursion:
+    """The step of the predictor of a state-space model of one output with missing samples.
+
+    Parameters
+    ----------
+    structure : StateSpace
+        Of one output.
+    levels : bool
+        Whether the output has an unknown level.
+    initial : bool
+        Whether the initial state is unknown.
+
+    Returns
+    -------
+    Recursion
+        The sample holds the inputs, the output (anything finite where missing), the pulse, and 1 or 0: observed or
+        missing.
+    """
+    import casadi as ca
+
+    n, nu = structure.order, structure.n_inputs
+    theta, level = ca.SX.sym("theta", structure.n), ca.SX.sym("level", 1 if levels else 0)
+    x0 = ca.SX.sym("x0", n if initial else 0)
+    m = {letter: ca.SX(value) for letter, value in structure.matrices(np.zeros(structure.n)).items()}
+    for k, (letter, i, j) in enumerate(structure.entries()):
+        m[letter][i, j] = theta[k]
+    m = {letter: ca.sparsify(value) for letter, value in m.items()}
+    x, lower = ca.SX.sym("x", n), ca.SX.sym("P", n * (n + 1) // 2)
+    u, y, seen, pulse = ca.SX.sym("u", nu), ca.SX.sym("y"), ca.SX.sym("seen"), ca.SX.sym("pulse")
+    P = ca.SX(n, n)
+    for k in range(n):
+        for i in range(k + 1):
+            P[k, i] = P[i, k] = lower[k * (k + 1) // 2 + i]
+    A, B, C, D, K = (m[letter] for letter in "ABCDK")
+    S = 1 + C @ P @ C.T
+    innovation = y - C @ x - D @ u - (level if levels else 0)
+    L = (A @ P @ C.T + K) / S
+    P_next = A @ P @ A.T + K @ K.T - seen * S * (L @ L.T)
+    after = ca.vertcat(
+        A @ x + B @ u + seen * L * innovation, *(P_next[k, i] for k in range(n) for i in range(k + 1))
+    )
+    start = ca.vertcat(x0, ca.SX.zeros(n * (n + 1) // 2, 1)) if initial else None
+    made = differentiated(
+        ca.vertcat(x, lower),
+        ca.vertcat(u, y, seen, pulse),
+        ca.vertcat(theta, level, x0),
+        ca.densify(after),
+        ca.densify(ca.vertcat(seen * innovation / ca.sqrt(S), seen * ca.log(S))),
+        start,
+    )
+    return Recursion(
+        made.state, ca.vertcat(u, y, pulse, seen), made.parameters, made.next_state,
+        made.residual[:1], made.jacobian[:1, :], made.residual[1], made.jacobian[1, :],
     )  # fmt: skip

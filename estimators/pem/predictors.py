@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.pem.filtering import filter_kernel
-from estimators.pem.kalman import kalman_recursion
+from estimators.pem.kalman import kalman_recursion, state_space_kalman_recursion
 from estimators.pem.kernel import Kernel, compiler, kernel_of
 from estimators.pem.recursion import polynomial_recursion, weighted
 from estimators.pem.starts import reflected
@@ -34,7 +34,8 @@ EDGE = 1e-7
 def _cached_kernel(structure: tuple, levels: bool, initial: bool, variant: str, tool: str | None) -> Kernel:
     kind, *rest = structure
     if kind == "ss":
-        recursion = state_space_recursion(StateSpace(*rest), levels, initial)
+        build_ss = state_space_kalman_recursion if variant == "missing" else state_space_recursion
+        recursion = build_ss(StateSpace(*rest), levels, initial)
     else:
         na, nb, nc, nd, nf, nk = map(np.array, rest)
         made = Polynomial(na, nb, nc, nd, nf, nk, kind)

@@ -25,6 +25,7 @@ def result(
     offset: bool,
     initial: str,
     robust: str | None = None,
+    normals: NDArray | None = None,
 ) -> Fit:
     """A fit from the optimum that was found.
 
@@ -42,6 +43,8 @@ def result(
         How the initial states were treated.
     robust : str, optional
         Which robust loss was used.
+    normals : ndarray, optional
+        (m, n + levels) gradients of active constraints: nothing varies across them.
 
     Returns
     -------
@@ -60,6 +63,10 @@ def result(
     estimated = int(free.sum()) + n_states
     moves = np.flatnonzero(free & ~at_bound)
     inner, status = _covariance(problem, point, optimum.status, moves, records)
+    if normals is not None and len(normals):
+        across = inner @ normals[:, moves].T
+        inner = inner - across @ np.linalg.pinv(normals[:, moves] @ across) @ across.T
+        estimated -= len(normals)
     spread = np.zeros((problem.n_parameters, problem.n_parameters))
     kept = np.flatnonzero(free & ~at_bound)
     spread[kept[:, None], kept] = inner
@@ -89,6 +96,8 @@ def result(
         )
         if 1.96 * error > abs(value) > 0
     ]
+    if normals is not None and len(normals):
+        notes.append(f"active constraints: {len(normals)}; the standard errors are those along them.")
     predicted = [r.y - e for r, e in zip(records, residuals, strict=True)]
     fit = fit_percent(np.concatenate([r.y for r in records]), np.concatenate(predicted))
     if status.ok and form.kind in ("arx", "armax", "ss") and not model.stable:

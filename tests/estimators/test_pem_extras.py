@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
+from scipy.optimize import minimize
 from scipy.signal import lfilter
 
 from estimators.pem import identify
@@ -153,3 +154,59 @@ def test_missing_inputs_are_refused(rng) -> None:
     u[3] = np.nan
     with pytest.raises(InputError, match="missing input"):
         identify(data.replace(u=u), missing=True)
+
+
+@pytest.mark.parametrize("initial", ["zero", "estimate"])
+def test_state_space_with_gaps_is_armax_with_gaps(initial, rng) -> None:
+    """One output: the same model, its gaps bridged by another recursion; to 1e-8 of the loss and the response."""
+    u = rng.normal(size=400)
+    y = 2 + lfilter([0, 0.5, 0.3], [1, -1.2, 0.6], u)
+    y = y + lfilter([1, 0.4, 0.1], [1, -1.2, 0.6], 0.5 * rng.normal(size=400))
+    y[rng.random(400) < 0.15] = np.nan
+    how = {"missing": True, "offset": True, "initial": initial}
+    ss, armax_fit = (
+        identify(Record(u, y), "ss", [2], **how),
+        identify(Record(u, y), "armax", (2, 2, 2), **how),
+    )
+    omega = np.linspace(0.1, 3, 7)
+    assert ss.loss == pytest.approx(armax_fit.loss, rel=1e-8)
+    assert np.allclose(ss.model.response(omega)[0], armax_fit.model.response(omega)[0], rtol=1e-5)
+    two = Record(u, np.column_stack([y, y]))
+    with pytest.raises(InputError, match="state-space models of one output"):
+        identify(two, "ss", [2], missing=True)
+
+
+def test_constraints_of_the_user_hold(rng) -> None:
+    """A static gain of at most 0.48, by IPOPT; scipy's SLSQP on lfilter ends at the same place. The covariance has
+    nothing across the constraint, and a constraint that does not bind changes nothing."""
+    data = record(rng, 400)
+    free = identify(data)
+    u, y = data.u[:, 0], data.y[:, 0]
+    gain = lambda b1, b2, f1, f2: (b1 + b2) / (1 + f1 + f2)
+    most = 0.95 * gain(*free.theta)
+    fit = identify(data, constraints=lambda p: p["b1"] + p["b2"] - most * (1 + p["f1"] + p["f2"]))
+    theirs = minimize(
+        lambda x: np.mean((y - lfilter(np.r_[0, x[:2]], np.r_[1, x[2:]], u)) ** 2), free.theta,
+        constraints=[{"type": "ineq", "fun": lambda x: most - gain(*x)}], method="SLSQP", options={"ftol": 1e-15},
+    )  # fmt: skip
+    assert gain(*fit.theta) == pytest.approx(most, rel=1e-7)
+    assert fit.loss == pytest.approx(theirs.fun, rel=1e-6)
+    assert fit.theta == pytest.approx(theirs.x, abs=1e-2 * free.standard_errors.min())
+    normal = np.array([1.0, 1.0, -most, -most])
+    assert abs(normal @ fit.covariance @ normal) < 1e-9 * (normal @ free.covariance @ normal)
+    assert any("active constraints: 1" in note for note in fit.notes)
+    loose = identify(data, constraints=lambda p: [p["b1"] - 5, -5 - p["b1"]])
+    assert loose.theta.tolist() == free.theta.tolist()
+
+
+@pytest.mark.parametrize(
+    "constraints, words",
+    [
+        (lambda p: p["q"], "no parameter 'q'"),
+        (lambda p: "b1 > 0", "CasADi expressions"),
+        (lambda p: [p["b1"] - 1, 2 - p["b1"]], "no parameters that obey"),
+    ],
+)
+def test_constraints_that_cannot_be_used_are_told(constraints, words, rng) -> None:
+    with pytest.raises(InputError, match=words):
+        identify(record(rng, 200), constraints=constraints)
