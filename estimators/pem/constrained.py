@@ -70,7 +70,7 @@ def constrained(
         raise InputError(
             f"there is no parameter {error}; the constraints may use {', '.join(names)}."
         ) from None
-    except (TypeError, RuntimeError, NotImplementedError) as error:
+    except (TypeError, RuntimeError) as error:
         raise InputError(
             f"the constraints do not give CasADi expressions ({str(error).splitlines()[0]}); return one, or a list of "
             "them, that must not be positive."
