@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.peak_estimates import PeakEstimate
+from estimators.local_models import PeakEstimate
 from estimators.trace import Step, Trace
 from oed.errors import InputError, Status
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.peak_estimates import PeakEstimate
+from estimators.local_models import PeakEstimate
 from estimators.trace import Trace
 from oed.data import Record, frozen
 from oed.errors import InputError, Status, check_names

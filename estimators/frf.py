@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.peak_estimates import PeakEstimate, local_peak
+from estimators.local_models import PeakEstimate, local_peak
 from estimators.trace import Trace
 from oed.data import frozen
 from oed.errors import InputError, Status

@@ -1,312 +1,45 @@
 """Peak-gain estimates from the iterations' records without the bias of [S] Theorem 12.
 
-The bias of beta_2 is what the input's white floor costs: (1/2pi) int (gamma^2 - |G|^2) Phi dw = lambda_e - delta.
-Two estimators subtract its expectation, the third does not need to:
+The bias of beta_2 is what the input spends away from the peak, (1/2pi) int (gamma^2 - |G|^2) Phi dw: in the limit
+lambda_e - delta, nearly all of it on the white floor; before the limit also on the lines beside the peak.
 
-    theorem_12    gamma^2 = mean beta_2^2 + lambda^ - lambda^^2 / (2 H^),   lambda^ = mean(mu^2 - beta_2^2)
-    fixed_point   gamma^2 such that a resonance of curvature H^ taken through the recursion (8) gives mean mu^2
     corrected     gamma = the peak of a local rational model of G fitted where the iterations put their power
+    fixed_point   gamma^2 such that a resonance of curvature H^ taken through the recursion (8) gives mean mu^2
+    theorem_12    gamma^2 = mean beta_2^2 + the floor's share of lambda^ + what was measured beside the peak
 
-The first still carries the transient of the iterations, both carry the edge effect (theory.md section 6). The model
-G = B(x) / A(x), x the distance from the peak in DFT lines, with a transient of its own in every experiment, is
-fitted to all lines in the band by refined instruments, which is maximum likelihood at its fixed point: nothing
-about the plant outside the band is assumed, and the standard error comes with it.
+`corrected` is the one to use: it alone has a standard error, and it alone assumes nothing about G outside the band.
+The other two show what the theory of the limit spectrum is good for: at variance 1 they remove 98 to 99 % of the
+bias where G is one resonance or one pole above a low floor. They say INACCURATE where the inputs' spectra contradict
+that picture (`two-peaks`), or where lambda^ is so large beside gamma^2 that a small-noise formula says little.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimators.gains import gain, mu
+from estimators.local_models import PeakEstimate, local_peak
 from estimators.trace import Trace
 from oed.errors import InputError, Status
 
-__all__ = ["PeakEstimate", "corrected", "fixed_point", "local_peak", "theorem_12"]
+__all__ = ["corrected", "fixed_point", "theorem_12"]
 
-
-@dataclass(frozen=True, eq=False)
-class PeakEstimate:
-    """An estimate of the peak gain with its uncertainty.
-
-    Attributes
-    ----------
-    value : float
-        Estimate of the H-infinity norm.
-    standard_error : float
-        Its standard error (NaN where the estimator has none).
-    frequency, frequency_error : float
-        Where the peak lies, rad/sample.
-    curvature : float
-        H^ = -d2 sigma_max^2 / dw2 at the peak.
-    noise_variance : float
-        Estimated variance of the noise per output.
-    status : Status
-        INACCURATE where the peak lies at the edge of the band or the error is so large that a normal
-        interval cannot be trusted.
-    """
-
-    value: float
-    standard_error: float
-    frequency: float
-    frequency_error: float
-    curvature: float
-    noise_variance: float
-    status: Status = Status.OK
-
-    def interval(self, level: float = 0.95) -> tuple[float, float]:
-        """Normal confidence interval.
-
-        Parameters
-        ----------
-        level : float
-            Coverage asked for.
-
-        Returns
-        -------
-        tuple of float
-            Lower and upper end; trust it where the status is OK.
-        """
-        from scipy.stats import norm
-
-        half = float(norm.ppf((1 + level) / 2)) * self.standard_error
-        return self.value - half, self.value + half
-
-    def __repr__(self) -> str:
-        tail = "" if self.status.ok else f" ({self.status.value})"
-        return (
-            f"peak gain {self.value:.6g} +- {self.standard_error:.2g} at "
-            f"{self.frequency:.6g} +- {self.frequency_error:.2g} rad/sample{tail}"
-        )
-
-
-def _centre(trace: Trace) -> int:
-    """The DFT line where the later first-stage inputs carry most power, smoothed over five lines."""
-    inputs = [trace.records[part][0].u for part in trace.iterations]
-    power = sum(np.sum(np.abs(np.fft.rfft(u, axis=0)) ** 2, axis=1) for u in inputs[len(inputs) // 3 :])
-    return int(np.argmax(np.convolve(np.asarray(power), np.ones(5), "same")))
-
-
-@dataclass(frozen=True, eq=False)
-class _Band:
-    """DFT lines around a centre: U (K, M, nu), Y (K, M, ny), x (K,) in [-1, 1].
-
-    A band that reaches over 0 or pi holds some lines and their conjugates: the model then has the symmetry of a
-    real system, and the information counts those lines twice (`repeats`).
-    """
-
-    U: NDArray
-    Y: NDArray
-    x: NDArray
-    centre: int
-    half: int
-    repeats: float
-
-
-def _band(trace: Trace, centre: int, half: int) -> _Band:
-    N = len(trace.records[0])
-    k = np.arange(centre - half, centre + half + 1)
-    transform = lambda signals: np.stack([np.fft.fft(s, axis=0)[k % N] for s in signals], 1) / np.sqrt(N)
-    U, Y = transform([r.u for r in trace.records]), transform([r.y for r in trace.records])
-    across = k[0] < 0 or k[-1] > N // 2
-    return _Band(U, Y, (k - centre) / half, centre, half, 2.0 if across else 1.0)
-
-
-def local_peak(
-    trace: Trace, *, lines: int = 30, orders: tuple[int, int, int] | None = None, centre: int | None = None
-) -> PeakEstimate:
-    """Peak of a local rational model fitted to all records of a trace.
-
-    Parameters
-    ----------
-    trace : Trace
-        Records of one length, of any method.
-    lines : int
-        DFT lines on each side of the centre.
-    orders : tuple of int, optional
-        Orders in x of the numerators, of the common denominator and of the transients' numerators; by default
-        Akaike's criterion chooses between (2, 1, 2) and (3, 2, 2).
-    centre : int, optional
-        DFT line to begin from; default where the inputs carry most power.
-
-    Returns
-    -------
-    PeakEstimate
-        Largest gain of the model in the band.
-
-    Raises
-    ------
-    InputError
-        If the records differ in length or are too short for the band.
-    """
-    lengths = {len(r) for r in trace.records}
-    if len(lengths) != 1:
-        raise InputError(
-            f"the records have {sorted(lengths)} samples; this estimator needs them of one length."
-        )
-    (N,) = lengths
-    candidates = [orders] if orders else [(2, 1, 2), (3, 2, 2)]
-    half = min(lines, max(N // 8, 1))
-    if 2 * half + 1 < sum(candidates[-1]) + 4:
-        raise InputError(f"records of {N} samples have too few DFT lines for a local model; use longer ones.")
-    place = _centre(trace) if centre is None else centre
-    found = (np.inf, _failed(), 0.0)
-    for _ in range(4):  # the band follows the peak it finds
-        band = _band(trace, place, half)
-        found = min(
-            (_fit(band, each, N) for each in candidates), key=lambda row: (not row[1].status.ok, row[0])
-        )
-        if abs(found[2]) <= 0.5 or not np.isfinite(found[1].value):
-            break
-        moved = int(np.clip(place + round(found[2] * half), 0, N // 2))
-        if moved == place:
-            break
-        place = moved
-    return found[1]
-
-
-def _fit(band: _Band, orders: tuple[int, int, int], N: int) -> tuple[float, PeakEstimate, float]:
-    """Akaike's criterion, the estimate, and where in the band its peak lies."""
-    nb, na, nt = orders
-    K, M, nu = band.U.shape
-    ny = band.Y.shape[2]
-    X = np.vander(band.x, max(orders) + 1, increasing=True).astype(complex)
-    a, model = np.zeros(na, complex), band.Y
-    weights, noise, freedom = np.ones(ny), np.ones(ny), 1.0
-    theta, normal, information = np.zeros(0, complex), np.eye(1), np.eye(1)
-    nparameters = nu * ny * (nb + 1) + na
-    for _ in range(8):
-        A = 1 + X[:, 1 : na + 1] @ a
-        filtered = partial(_without_transients, q=np.linalg.qr(X[:, : nt + 1] / A[:, None])[0], A=A)
-        inputs = [filtered(X[:, k, None, None] * band.U) for k in range(nb + 1)]
-        outputs = [filtered(-X[:, k, None, None] * band.Y) for k in range(1, na + 1)]
-        instruments = [filtered(-X[:, k, None, None] * model) for k in range(1, na + 1)]
-        target = filtered(band.Y)
-        normal = np.zeros((nparameters, nparameters), complex)
-        information = np.zeros_like(normal)
-        right = np.zeros(nparameters, complex)
-        for i in range(ny):
-            own = range(i * nu * (nb + 1), (i + 1) * nu * (nb + 1))
-            index = np.array([*own, *range(nparameters - na, nparameters)])
-            common = [part[:, :, j].ravel() for j in range(nu) for part in inputs]
-            R = np.array(common + [part[:, :, i].ravel() for part in outputs])
-            Z = np.array(common + [part[:, :, i].ravel() for part in instruments])
-            normal[index[:, None], index] += weights[i] * (np.conj(Z) @ R.T)
-            information[index[:, None], index] += weights[i] * (np.conj(Z) @ Z.T)
-            right[index] += weights[i] * (np.conj(Z) @ target[:, :, i].ravel())
-        try:
-            theta = np.linalg.solve(normal, right)
-        except np.linalg.LinAlgError:
-            return np.inf, _failed(), 0.0
-        a = theta[nparameters - na :]
-        A = 1 + X[:, 1 : na + 1] @ a
-        G = _response(theta, X, nu, ny, orders)
-        q = np.linalg.qr(X[:, : nt + 1] / A[:, None])[0]
-        rest = band.Y - np.einsum("kij,kmj->kmi", G, band.U)
-        model = band.Y - _without_transients(rest, q=q, A=np.ones(K))
-        freedom = max(M * (K - nt - 1) - nparameters / ny, 1.0)
-        noise = np.sum(np.abs(band.Y - model) ** 2, axis=(0, 1)) / freedom
-        weights = 1 / np.maximum(noise, 1e-300)
-    size = M * K * ny / band.repeats
-    criterion = size * float(np.mean(np.log(noise * freedom / (M * K)))) + 2 * nparameters / band.repeats
-    estimate, x = _peak_of_model(
-        theta, information / band.repeats, band, orders, (nu, ny), float(noise.mean()), N
-    )
-    return criterion if np.isfinite(estimate.value) else np.inf, estimate, x
-
-
-def _without_transients(Z: NDArray, *, q: NDArray, A: NDArray) -> NDArray:
-    """Z / A less its part in the span of the transients."""
-    Z = Z / A[:, None, None]
-    return Z - np.tensordot(q, np.tensordot(np.conj(q.T), Z, 1), 1)
-
-
-def _response(theta: NDArray, X: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
-    nb, na, _ = orders
-    B = theta[: nu * ny * (nb + 1)].reshape(ny, nu, nb + 1)
-    A = 1 + X[:, 1 : na + 1] @ theta[len(theta) - na :]
-    return np.einsum("kl,ijl->kij", X[:, : nb + 1], B) / A[:, None, None]
-
-
-def _peak_of_model(
-    theta: NDArray,
-    information: NDArray,
-    band: _Band,
-    orders: tuple[int, int, int],
-    shape: tuple[int, int],
-    noise: float,
-    N: int,
-) -> tuple[PeakEstimate, float]:
-    from scipy.optimize import minimize_scalar
-
-    nu, ny = shape
-    vander = lambda x: np.vander(np.atleast_1d(x), max(orders) + 1, increasing=True).astype(complex)
-    square = lambda x, t=theta: np.linalg.norm(_response(t, vander(x), nu, ny, orders), 2, axis=(1, 2)) ** 2
-    grid = np.linspace(band.x[0], band.x[-1], 401)
-    heights = square(grid)
-    if not np.isfinite(heights).all():
-        return _failed(), 0.0
-    k = int(np.argmax(heights))
-    x = float(grid[k])
-    if 0 < k < 400:
-        x = float(
-            minimize_scalar(
-                lambda s: -float(square(s)[0]),
-                bounds=(grid[k - 1], grid[k + 1]),
-                method="bounded",
-                options={"xatol": 1e-9},
-            ).x
-        )
-    try:
-        covariance = np.linalg.inv(information)
-    except np.linalg.LinAlgError:
-        return _failed(), 0.0
-    h = 1e-3
-    value = float(np.sqrt(square(x)[0]))
-    bend = -float((square(x + h) - 2 * square(x) + square(x - h))[0]) / h**2
-    # Derivatives of the height and of the slope with respect to every complex coefficient.
-    height = np.zeros(len(theta), complex)
-    slope = np.zeros(len(theta), complex)
-    for n in range(len(theta)):
-        step = 1e-6 * max(1e-3, abs(theta[n]))
-        for unit in (1, 1j):
-            up, down = theta.copy(), theta.copy()
-            up[n] += unit * step
-            down[n] -= unit * step
-            change = (square(np.array([x - h, x, x + h]), up) - square(np.array([x - h, x, x + h]), down)) / (
-                2 * step
-            )
-            height[n] += np.conj(unit) * change[1]
-            slope[n] += np.conj(unit) * (change[2] - change[0]) / (2 * h)
-    spread = lambda g: float(np.sqrt(max(np.real(g @ covariance @ np.conj(g)) / 2, 0.0)))
-    error = spread(height) / (2 * value)
-    per_line = 2 * np.pi / N
-    inside = 0 < k < 400
-    where_error = spread(slope) / bend * band.half * per_line if bend > 0 else float("inf")
-    sharp = bend > 0 and where_error < 0.25 * band.half * per_line
-    trusted = inside and sharp and error < 0.1 * value
-    estimate = PeakEstimate(
-        value,
-        error,
-        float(np.clip((band.centre + band.half * x) * per_line, 0, np.pi)),
-        where_error,
-        bend / (band.half * per_line) ** 2,
-        noise,
-        Status.OK if trusted else Status.INACCURATE,
-    )
-    return estimate, x
-
-
-def _failed() -> PeakEstimate:
-    nan = float("nan")
-    return PeakEstimate(nan, nan, nan, nan, nan, nan, Status.SINGULAR)
+WINDOW = 5
+"""DFT lines that a rough gain is averaged over."""
+SMALL = 0.5
+"""Share of gamma^2 from which on lambda_e is not small for Theorem 12."""
+RIVALS = 8
+"""Bands that are looked at beside the first."""
 
 
 def corrected(trace: Trace) -> PeakEstimate:
     """Bias-corrected estimate from the iterations' records: the peak of the local model.
+
+    Where the records do not exclude that another peak is higher, a local model is fitted there too. The highest
+    is returned; where one comes within two standard errors of it, the status is COMPETING.
 
     Parameters
     ----------
@@ -316,31 +49,146 @@ def corrected(trace: Trace) -> PeakEstimate:
     Returns
     -------
     PeakEstimate
-        With standard error; free of the biases of [S] Theorem 12, of the edges and of the transient.
+        With standard error; free of the biases of [S] Theorem 12, of the edges and of the transient. On the
+        reference plant at variance 1 and 50 experiments of 1000 samples its rho is 1.4 (PEM: 1.14).
+
+    Raises
+    ------
+    InputError
+        If the records are of other inputs, differ in length or are too short for a local model.
     """
-    _need_iterations(trace)
-    return local_peak(trace)
-
-
-def _need_iterations(trace: Trace) -> None:
     if not trace.kinds or trace.kinds[0] not in ("power", "forward"):
         raise InputError(
             "this estimator is for the records of power iterations; for other inputs use lpm, a frequency "
             "response or a model."
         )
+    first = local_peak(trace)
+    if not np.isfinite(first.value):
+        return first
+    N = len(trace.records[0])
+    height, deviation = _rough_gain(trace, first.noise_variance)
+    upper = 1.15 * height + 3 * deviation  # the ends of the records and the window hide some of a sharp peak
+    line = np.arange(len(upper))
+    reach = min(30, max(N // 8, 1))
+    peaks, apart = [first], np.abs(line - first.frequency * N / (2 * np.pi)) > reach
+    for _ in range(RIVALS):
+        best = max(peaks, key=_lowest)
+        open_ = np.where(apart, upper, -np.inf)
+        k = int(np.argmax(open_))
+        if not open_[k] > best.value - 3 * best.standard_error:
+            break
+        apart &= np.abs(line - k) > reach
+        found = local_peak(trace, centre=k)
+        if not np.isfinite(found.value):
+            found = PeakEstimate(
+                float(height[k]), float(deviation[k]), 2 * np.pi * k / N, 0.0, 0.0, 0.0, Status.INACCURATE
+            )
+        if not any(_same(found, other, N) for other in peaks):
+            peaks.append(found)
+    trusted = [p for p in peaks if p.status.ok]
+    best = max(trusted or peaks[:1], key=lambda p: p.value)
+    for p in peaks:
+        near = p.value + 2 * np.hypot(p.standard_error, best.standard_error) >= best.value
+        if p is not best and near and best.status.ok:
+            return replace(best, status=Status.COMPETING)
+    return best
 
 
-def _averages(trace: Trace, discard: float) -> tuple[int, float, float]:
-    """First iteration used, means of mu^2 and of lambda^ = mu^2 - beta_2^2 from there on."""
+def _lowest(p: PeakEstimate) -> float:
+    return p.value - 3 * p.standard_error if p.status.ok else -np.inf
+
+
+def _same(a: PeakEstimate, b: PeakEstimate, N: int) -> bool:
+    """Whether two bands found one peak."""
+    errors = [e for e in (a.frequency_error, b.frequency_error) if np.isfinite(e)]
+    return abs(a.frequency - b.frequency) < max(3 * 2 * np.pi / N, *(4 * e for e in errors), 0.0)
+
+
+def _rough_gain(trace: Trace, noise: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Largest gain at every DFT line by least squares over a few lines and all records, and its deviation."""
+    U, Y = (
+        np.stack([np.fft.rfft(s, axis=0) for s in signals], 1)
+        for signals in ([r.u for r in trace.records], [r.y for r in trace.records])
+    )
+    smooth = lambda a: np.apply_along_axis(lambda v: np.convolve(v, np.ones(WINDOW), "same"), 0, a)
+    powers = smooth(np.einsum("kmi,kmj->kij", U, np.conj(U)))
+    cross = smooth(np.einsum("kmi,kmj->kij", Y, np.conj(U)))
+    floor = 1e-12 * np.einsum("kii->k", powers).real.max() * np.eye(U.shape[2])
+    inverse = np.linalg.inv(powers + floor)
+    height = np.linalg.norm(cross @ inverse, 2, axis=(1, 2))
+    worst = np.linalg.norm(inverse, 2, axis=(1, 2)) * len(trace.records[0])
+    return height, np.sqrt(noise * worst)
+
+
+@dataclass(frozen=True, eq=False)
+class _Inputs:
+    """What the estimators by the limit spectrum need of a trace of Algorithm 1."""
+
+    local: PeakEstimate
+    first: int  # the first iteration used
+    mu2: float  # mean of mu^2 from there on
+    beta2: float  # mean of beta_2^2
+    omega: NDArray  # (K,) half DFT lines
+    flat: NDArray  # (K,) white noise of unit power
+    power: NDArray  # (M, K) the inputs' periodograms of unit power
+    near: NDArray  # (K,) whether the line belongs to the peak
+    away: NDArray  # (K,) squared distance from the peak, exact for a pole or a resonance
+
+    def shape(self, square: float) -> NDArray[np.float64]:
+        """|G|^2 of one resonance of the measured frequency and curvature with the peak `square`."""
+        return square / (1 + self.away * self.local.curvature / (2 * square))
+
+    def tail(self, noise: float, trace: Trace) -> float:
+        """Output power that the end of the record cuts off: what rings on decays by the half-width."""
+        half_width = np.sqrt(2 * self.local.value**2 / self.local.curvature)
+        last = max(4, round(2 / half_width))
+        end = np.mean([np.mean(r.y[-last:] ** 2) for r in trace.records[self.first :]]) - noise
+        return float(max(end, 0.0) / (2 * half_width * len(trace.records[0])))
+
+
+def _inputs(trace: Trace, discard: float, lines: int = 30) -> _Inputs:
     if not trace.kinds or trace.kinds[0] != "power" or len(trace) < 4:
         raise InputError("this estimator needs at least 4 experiments of Algorithm 1 (kind power).")
     first = max(int(len(trace) * discard), 1)
-    mu2, beta2 = mu(trace).squares[first:], gain(trace).squares[first:]
-    return first, float(mu2.mean()), float((mu2 - beta2).mean())
+    local = corrected(trace)
+    N = len(trace.records[0])
+    u = np.array([r.u[:, 0] for r in trace.records])
+    power = np.abs(np.fft.rfft(u, 2 * N, axis=1)) ** 2
+    omega = np.pi * np.arange(N + 1) / N
+    flat = np.full(N + 1, 2.0)
+    flat[[0, -1]] = 1.0
+    power *= flat
+    alone = _alone(local, N)
+    centre = round(local.frequency / np.pi) * np.pi if alone else local.frequency
+    away = 2 - 2 * np.cos(omega - centre)
+    if not alone:
+        away = ((np.cos(omega) - np.cos(centre)) / np.sin(centre)) ** 2
+    return _Inputs(
+        local,
+        first,
+        float(mu(trace).squares[first:].mean()),
+        float(gain(trace).squares[first:].mean()),
+        omega,
+        flat / flat.sum(),
+        power / power.sum(axis=1, keepdims=True),
+        np.abs(omega - centre) <= 2 * np.pi * min(lines, max(N // 8, 1)) / N,
+        away,
+    )
 
 
-def theorem_12(trace: Trace, discard: float = 0.5) -> PeakEstimate:
+def _alone(local: PeakEstimate, N: int) -> bool:
+    """Whether the peak lies at 0 or pi, where there is one in (-pi, pi] and not two."""
+    return min(local.frequency, np.pi - local.frequency) < 2 * np.pi / N
+
+
+def theorem_12(trace: Trace, discard: float = 0.3) -> PeakEstimate:
     """[S] Theorem 12 solved for gamma, with lambda_e estimated as mu^2 - beta_2^2.
+
+        gamma^2 = mean beta_2^2 + f lambda^ + (1/2pi) int_near (gamma^2 - |G|^2) Phi^ dw + tail
+
+    On the share f of all frequencies that does not belong to the peak the limit spectrum (9) loses f lambda_e.
+    Beside the peak the limit is not reached in tens of iterations (the width falls as the root of their number),
+    so the loss there, and what the end of the record cuts off, are measured instead of taken from the limit.
 
     Parameters
     ----------
@@ -352,22 +200,37 @@ def theorem_12(trace: Trace, discard: float = 0.5) -> PeakEstimate:
     Returns
     -------
     PeakEstimate
-        Without a standard error. A small-noise statement: at lambda_e near gamma^2 its delta is far too small.
+        Without a standard error. Removes about 98 % of the bias of (7) where G is one peak above a low floor;
+        INACCURATE where the inputs' spectra show more than that.
+
+    Raises
+    ------
+    InputError
+        If the trace is not of Algorithm 1 or has less than 4 experiments.
     """
-    _, mu2, variance = _averages(trace, discard)
-    local = local_peak(trace)
-    alone = min(local.frequency, np.pi - local.frequency) < 2 * np.pi / len(trace.records[0])
-    factor = 0.5 if alone else 2.0  # one peak in (-pi, pi], or two
-    delta = factor * max(variance, 0.0) ** 2 / local.curvature if local.curvature > 0 else 0.0
-    return _from_square(mu2 - delta, local, variance)
+    inputs = _inputs(trace, discard)
+    local, variance = inputs.local, inputs.mu2 - inputs.beta2
+    if not local.curvature > 0:
+        return _from_square(inputs.beta2 + variance, local, variance, Status.INACCURATE)
+    square = local.value**2
+    loss = np.where(inputs.near, square - inputs.shape(square), 0.0)
+    beside = float((inputs.power[inputs.first - 1 :] @ loss).mean())
+    far = float(inputs.flat @ ~inputs.near)
+    excess = float(np.mean(inputs.power[inputs.first :], axis=0) @ inputs.shape(square))
+    floor = max(variance, 0.0) / np.maximum(excess + max(variance, 0.0) - inputs.shape(square), 1e-300)
+    found = inputs.beta2 + far * variance + beside + inputs.tail(max(variance, 0.0), trace)
+    status = _floor_status(inputs, inputs.flat * floor) if variance < SMALL * found else Status.INACCURATE
+    return _from_square(found, local, variance, status)
 
 
 def fixed_point(trace: Trace, discard: float = 0.2) -> PeakEstimate:
     """The recursion of the spectra, [S] (8), whose fixed point is (9)-(10), solved for gamma.
 
     A resonance with the peak frequency and curvature of the local model, |G|^2 = g / (1 + H s^2 / (2 g)) with
-    s = (cos w - cos w^) / sin w^, is taken through the experiments from the first input's own periodogram; g =
-    gamma^2 is such that the mean of mu^2 + beta_2^2 over the later experiments is what was measured.
+    s = (cos w - cos w^) / sin w^ (at 0 and pi: s^2 = 2 - 2 cos(w - w^)), is taken through the experiments from
+    the first input's own periodogram. Beside the peak, where the inputs' spectra keep their random differences
+    for as long as the iterations last, every experiment begins from its measured periodogram. g = gamma^2 is such
+    that the mean of mu^2 + beta_2^2 over the later experiments is what was measured.
 
     Parameters
     ----------
@@ -379,47 +242,63 @@ def fixed_point(trace: Trace, discard: float = 0.2) -> PeakEstimate:
     Returns
     -------
     PeakEstimate
-        Without a standard error. The noise variance is that of the local model's residuals.
+        Without a standard error. The noise variance is that of the local model's residuals. Removes about
+        99 % of the bias of (7) where G is one peak above a low floor; INACCURATE where the inputs' spectra
+        show more than that.
+
+    Raises
+    ------
+    InputError
+        If the trace is not of Algorithm 1 or has less than 4 experiments.
     """
     from scipy.optimize import brentq
 
-    first, mu2, variance = _averages(trace, discard)
-    local = local_peak(trace)
-    noise = local.noise_variance
+    inputs = _inputs(trace, discard)
+    local, first, near, power = inputs.local, inputs.first, inputs.near, inputs.power
+    noise, variance = local.noise_variance, inputs.mu2 - inputs.beta2
     if not (noise > 0 and local.curvature > 0):
-        return _from_square(mu2, local, variance)
-    start = np.abs(np.fft.rfft(trace.records[0].u[:, 0])) ** 2
-    w = 2 * np.pi * np.arange(len(start)) / len(trace.records[0])
-    start[1 : (len(trace.records[0]) + 1) // 2] *= 2
-    flat = np.where((w == 0) | (w == np.pi), 1.0, 2.0)
-    flat /= flat.sum()
-    away = ((np.cos(w) - np.cos(local.frequency)) / max(np.sin(local.frequency), 1e-2)) ** 2
-    measured = 2 * mu2 - variance
+        return _from_square(inputs.mu2, local, variance, Status.INACCURATE)
+    beside = power[:, near].sum(axis=1)
+    measured = inputs.mu2 + inputs.beta2 + 2 * inputs.tail(noise, trace)
+    expected = np.zeros_like(power[0])
 
     def predicted(square: float) -> float:
-        shape = square / (1 + away * local.curvature / (2 * square))
-        p, total = start / start.sum(), 0.0
-        for m in range(len(trace)):
+        shape, p, total = inputs.shape(square), power[0], 0.0
+        expected[:] = 0.0
+        for m in range(len(power)):
             beta2 = shape @ p
-            total += 2 * beta2 + noise if m >= first else 0.0
-            p = (shape * p + noise * flat) / (beta2 + noise)
-        return total / (len(trace) - first)
+            if m >= first:
+                total += 2 * beta2 + noise
+                expected[:] += p
+            if m + 1 < len(power):
+                new = (shape * p + noise * inputs.flat) / (beta2 + noise)
+                p = power[m + 1].copy()
+                p[~near] = new[~near] * (1 - beside[m + 1]) / max(new[~near].sum(), 1e-300)
+        return total / (len(power) - first)
 
-    low, high = 1e-2 * mu2, 4 * mu2
+    low, high = 1e-2 * inputs.mu2, 4 * inputs.mu2
     if predicted(low) > measured or predicted(high) < measured:
-        return _from_square(mu2, local, variance)
-    root = brentq(lambda square: predicted(square) - measured, low, high, xtol=1e-10)
-    return _from_square(float(np.asarray(root)), local, variance)
+        return _from_square(inputs.mu2, local, variance, Status.INACCURATE)
+    root = float(np.asarray(brentq(lambda square: predicted(square) - measured, low, high, xtol=1e-10)))
+    return _from_square(root, local, variance, _floor_status(inputs, expected / (len(power) - first)))
 
 
-def _from_square(square: float, local: PeakEstimate, variance: float) -> PeakEstimate:
+def _floor_status(inputs: _Inputs, expected: NDArray) -> Status:
+    """INACCURATE where the inputs carry much more power away from the peak than one resonance explains."""
+    smooth = lambda p: np.convolve(p, np.ones(4 * WINDOW), "same")
+    found = smooth(np.where(inputs.near, 0.0, inputs.power[inputs.first :].mean(axis=0)))
+    floor = smooth(np.where(inputs.near, 0.0, expected))
+    away = ~(np.convolve(inputs.near, np.ones(8 * WINDOW), "same") > 0)
+    return Status.INACCURATE if np.any(found[away] > 3 * floor[away]) else Status.OK
+
+
+def _from_square(square: float, local: PeakEstimate, variance: float, status: Status) -> PeakEstimate:
     ok = square > 0 and np.isfinite(square)
-    return PeakEstimate(
-        float(np.sqrt(square)) if ok else float("nan"),
-        float("nan"),
-        local.frequency,
-        local.frequency_error,
-        local.curvature,
-        variance,
-        Status.OK if ok else Status.NEGATIVE_SQUARE,
+    status = local.status if status.ok else status
+    return replace(
+        local,
+        value=float(np.sqrt(square)) if ok else float("nan"),
+        standard_error=float("nan"),
+        noise_variance=variance,
+        status=status if ok else Status.NEGATIVE_SQUARE,
     )

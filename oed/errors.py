@@ -63,6 +63,10 @@ class Status(Enum):
     NOT_FINITE = "The result is not finite."
     MAX_ITERATIONS = "The iteration limit was reached before the optimality residual met its tolerance."
     INACCURATE = "The result is usable, but its certificate is wider than the tolerance asked for."
+    COMPETING = (
+        "Another peak is as high within two standard errors: the number and its interval hold for the peak at "
+        "this frequency, which need not be the highest; take more iterations or longer experiments."
+    )
     UNSTABLE = "The estimated model is unstable."
     SINGULAR = "The information matrix is singular: some combination of parameters is not determined."
     TIME_LIMIT = "The time limit was reached."

@@ -10,14 +10,16 @@ import pytest
 from estimators.engine import counter_start
 from estimators.gains import gain
 from estimators.inputs import multisine
-from estimators.peak_estimates import corrected, fixed_point, local_peak, theorem_12
+from estimators.local_models import local_peak
+from estimators.peak_estimates import corrected, fixed_point, theorem_12
 from estimators.power import power_iterations
 from estimators.procedure2 import procedure_2
 from estimators.trace import run
 from oed.errors import InputError, Status
 from oed.experiments import simulated
-from oed.named import named_plant
+from oed.named import NAMES, named_plant
 from oed.norms import peak
+from oed.plants import Plant
 
 
 def iterations(plant, N, M, replicate):
@@ -49,10 +51,10 @@ def coverage(errors, estimates):
 
 @pytest.mark.slow
 def test_bias_and_rho_at_variance_1():
-    """N = 1000, 50 iterations, 40 runs: rho of beta_2 is 52 (theory.md section 4), of `corrected` about 1.3.
+    """N = 1000, 50 iterations, 40 runs: rho of beta_2 is 52 (theory.md section 4); every bias is cut 20 times.
 
-    Bounds are 4 Monte-Carlo standard errors from what larger studies gave (bias 1e-4, rho 1.3; fixed point: bias
-    -0.005, rho 2.3), so a false alarm has probability below 1e-4.
+    Larger studies gave bias -0.0004, 0.0003, -0.003 and rho 1.4, 1.6, 1.7 (corrected, fixed point, Theorem 12);
+    the bounds are 4 Monte-Carlo standard errors away, so a false alarm has probability below 1e-4.
     """
     errors, estimates, scale = study(
         named_plant("reference"), 1000, 50, 40, (corrected, fixed_point, theorem_12)
@@ -60,31 +62,91 @@ def test_bias_and_rho_at_variance_1():
     bias, rho = errors.mean(axis=0), scale * np.sqrt(np.mean(errors**2, axis=0))
     assert rho[3] == pytest.approx(52, abs=2)
     assert abs(bias[3]) > 0.2
-    assert abs(bias[0]) < abs(bias[3]) / 20
-    assert abs(bias[1]) < abs(bias[3]) / 20
-    assert abs(bias[2]) < abs(bias[3]) / 8
-    assert rho[0] < 2
-    assert rho[1] < 3.4
+    assert (np.abs(bias[:3]) < abs(bias[3]) / 20).all()
+    assert (rho[:3] < [2, 2.4, 2.5]).all()
     assert coverage(errors[:, 0], estimates) > 0.8
     assert np.mean([e.noise_variance for e in estimates]) == pytest.approx(1, abs=0.02)
 
 
+COVERAGE = [
+    *(("reference", v, 50) for v in (1.0, 4.0, 9.0)),
+    *((name, 1.0, 50) for name in NAMES if name not in ("reference", "three-by-two", "avis")),
+    *((name, 1.0, 20) for name in ("three-by-two", "avis")),
+]
+"""Plant, noise variance and iterations. On two-peaks the result often says that the peaks compete."""
+
+
 @pytest.mark.validate
-@pytest.mark.parametrize("variance", [1.0, 4.0, 9.0])
-def test_coverage_of_the_interval(variance, record_figure):
-    """2000 runs: 93 to 97 % of the 95 % intervals hold the norm; shrunk to 0.7 they do not."""
-    errors, estimates, scale = study(
-        named_plant("reference", variance), 1000, 50, 2000, (corrected, fixed_point)
-    )
+@pytest.mark.parametrize("name, variance, iterations", COVERAGE)
+def test_coverage_of_the_interval(name, variance, iterations, record_figure):
+    """2000 runs: 93 to 97 % of the 95 % intervals that are trusted hold the norm; shrunk to 0.7 they do not."""
+    errors, estimates, scale = study(named_plant(name, variance), 1000, iterations, 2000, (corrected,))
     ok = np.array([e.status.ok for e in estimates])
-    share = coverage(errors[ok, 0], [e for e in estimates if e.status.ok])
-    record_figure("coverage", share, variance=variance, trusted=ok.mean())
-    for name, column in zip(("corrected", "fixed_point", "gain"), errors.T, strict=True):
-        rho = scale * np.sqrt(np.nanmean(column**2))
-        record_figure(name, {"bias": np.nanmean(column), "rho": rho}, variance=variance)
+    trusted = [e for e in estimates if e.status.ok]
+    share = coverage(errors[ok, 0], trusted)
+    record_figure("coverage", share, plant=name, variance=variance, trusted=ok.mean())
+    rho = scale * np.sqrt(np.nanmean(errors**2, axis=0))
+    record_figure("bias and rho", [errors[:, 0].mean(), rho[0]], plant=name, variance=variance)
+    record_figure("bias and rho of (7)", [np.nanmean(errors[:, 1]), rho[1]], plant=name, variance=variance)
     assert 0.93 < share < 0.97
-    narrow = np.mean([abs(e) < 1.37 * f.standard_error for e, f in zip(errors[:, 0], estimates, strict=True)])
+    narrow = np.mean([abs(e) < 1.37 * f.standard_error for e, f in zip(errors[ok, 0], trusted, strict=True)])
     assert narrow < 0.93
+
+
+@pytest.mark.validate
+def test_bias_and_rho_of_the_limit_spectrum_estimators(record_figure):
+    """400 runs on the reference plant: bias cut 20 times, rho at most 2."""
+    errors, _, scale = study(named_plant("reference"), 1000, 50, 400, (corrected, fixed_point, theorem_12))
+    bias, rho = errors.mean(axis=0), scale * np.sqrt(np.mean(errors**2, axis=0))
+    record_figure("bias", bias.tolist())
+    record_figure("rho", rho.tolist())
+    assert (np.abs(bias[:3]) < abs(bias[3]) / 20).all()
+    assert (rho[:3] < 2).all()
+
+
+@pytest.mark.slow
+def test_the_wrong_peak_is_never_followed_in_silence():
+    """avis, 20 runs of 20 iterations: the highest line is that of the lower peak in several; none is trusted."""
+    plant, alone, silent = named_plant("avis"), 0, 0
+    top = peak(plant)
+    for r in range(14, 34):
+        trace = iterations(plant, 1000, 20, r)
+        one, found = local_peak(trace), corrected(trace)
+        alone += one.status.ok and abs(one.frequency - top.frequency) > 0.5
+        silent += found.status.ok and abs(found.frequency - top.frequency) > 0.5
+    assert alone >= 2  # negative control: the local model by itself
+    assert silent == 0
+
+
+def test_equal_peaks_compete_and_a_single_one_does_not():
+    low, high = [1, -2 * 0.95 * np.cos(0.8), 0.95**2], [1, -2 * 0.95 * np.cos(2.0), 0.95**2]
+    num = np.array([0.0, 1, 0, -1]) * (1 - 0.95**2)
+    den = np.convolve(low, high)
+    plant = Plant(np.convolve(num, low) + np.convolve(num, high), den, noise_covariance=1.0, name="equal")
+    found = [corrected(iterations(plant, 1000, 20, r)).status for r in range(5)]
+    assert found.count(Status.COMPETING) >= 4
+    one = corrected(iterations(named_plant("reference"), 1000, 20, 0))
+    assert one.status is Status.OK
+    assert "two standard errors" in Status.COMPETING.value
+
+
+def test_what_is_not_one_resonance_is_not_trusted():
+    trace = iterations(named_plant("two-peaks"), 1000, 20, 0)
+    assert fixed_point(trace).status is not Status.OK
+    assert theorem_12(trace).status is not Status.OK
+    noisy = iterations(named_plant("reference", 9.0), 1000, 20, 0)
+    assert theorem_12(noisy).status is Status.INACCURATE
+
+
+@pytest.mark.parametrize("name", ["peak-at-zero", "peak-at-pi", "delay"])
+def test_estimators_by_the_limit_spectrum_on_other_plants(name):
+    """One run at variance 0.1: within a fifth of the bias of (7) there, lambda_e / (2 gamma)."""
+    plant = named_plant(name, 0.1)
+    trace, gamma = iterations(plant, 1000, 40, 0), peak(named_plant(name)).value
+    for estimate in (fixed_point, theorem_12):
+        found = estimate(trace)
+        assert found.status.ok
+        assert abs(found.value - gamma) < 0.2 * 0.1 / (2 * gamma) + 4 * np.sqrt(0.1 / 40000) * 2
 
 
 @pytest.mark.parametrize("name", ["peak-at-zero", "peak-at-pi", "order-20", "delay", "three-by-two"])

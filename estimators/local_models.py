@@ -1,0 +1,323 @@
+"""A local rational model of the frequency response around the peak, and the estimate of the peak it gives.
+
+G = B(x) / A(x), x the distance from the centre of a band in DFT lines, with a transient of its own in every
+experiment, is fitted to all lines in the band by refined instruments, which is maximum likelihood at its fixed
+point: nothing about the plant outside the band is assumed, and the standard error comes with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.trace import Trace
+from oed.errors import InputError, Status
+
+__all__ = ["PeakEstimate", "local_peak"]
+
+
+@dataclass(frozen=True, eq=False)
+class PeakEstimate:
+    """An estimate of the peak gain with its uncertainty.
+
+    Attributes
+    ----------
+    value : float
+        Estimate of the H-infinity norm.
+    standard_error : float
+        Its standard error (NaN where the estimator has none).
+    frequency, frequency_error : float
+        Where the peak lies, rad/sample.
+    curvature : float
+        H^ = -d2 sigma_max^2 / dw2 at the peak.
+    noise_variance : float
+        Estimated variance of the noise per output.
+    status : Status
+        INACCURATE where the peak lies at the edge of the band or the error is so large that a normal
+        interval cannot be trusted; COMPETING where another peak may be the higher one.
+    """
+
+    value: float
+    standard_error: float
+    frequency: float
+    frequency_error: float
+    curvature: float
+    noise_variance: float
+    status: Status = Status.OK
+
+    def interval(self, level: float = 0.95) -> tuple[float, float]:
+        """Normal confidence interval.
+
+        Parameters
+        ----------
+        level : float
+            Coverage asked for.
+
+        Returns
+        -------
+        tuple of float
+            Lower and upper end; trust it where the status is OK.
+        """
+        from scipy.stats import norm
+
+        half = float(norm.ppf((1 + level) / 2)) * self.standard_error
+        return self.value - half, self.value + half
+
+    def __repr__(self) -> str:
+        tail = "" if self.status.ok else f" ({self.status.value})"
+        return (
+            f"peak gain {self.value:.6g} +- {self.standard_error:.2g} at "
+            f"{self.frequency:.6g} +- {self.frequency_error:.2g} rad/sample{tail}"
+        )
+
+
+def _centre(trace: Trace) -> int:
+    """The DFT line where the later first-stage inputs carry most power, smoothed over five lines."""
+    inputs = [trace.records[part][0].u for part in trace.iterations]
+    power = sum(np.sum(np.abs(np.fft.rfft(u, axis=0)) ** 2, axis=1) for u in inputs[len(inputs) // 3 :])
+    return int(np.argmax(np.convolve(np.asarray(power), np.ones(5), "same")))
+
+
+@dataclass(frozen=True, eq=False)
+class _Band:
+    """DFT lines around a centre: U (K, M, nu), Y (K, M, ny), x (K,) in [-1, 1].
+
+    A band that reaches over 0 or pi holds some lines and their conjugates: the model then has the symmetry of a
+    real system, and the information counts those lines twice (`repeats`).
+    """
+
+    U: NDArray
+    Y: NDArray
+    x: NDArray
+    centre: int
+    half: int
+    repeats: float
+
+
+def _band(trace: Trace, centre: int, half: int) -> _Band:
+    N = len(trace.records[0])
+    k = np.arange(centre - half, centre + half + 1)
+    transform = lambda signals: np.stack([np.fft.fft(s, axis=0)[k % N] for s in signals], 1) / np.sqrt(N)
+    U, Y = transform([r.u for r in trace.records]), transform([r.y for r in trace.records])
+    across = k[0] < 0 or k[-1] > N // 2
+    return _Band(U, Y, (k - centre) / half, centre, half, 2.0 if across else 1.0)
+
+
+def local_peak(
+    trace: Trace, *, lines: int = 30, orders: tuple[int, int, int] | None = None, centre: int | None = None
+) -> PeakEstimate:
+    """Peak of a local rational model fitted to all records of a trace.
+
+    Parameters
+    ----------
+    trace : Trace
+        Records of one length, of any method.
+    lines : int
+        DFT lines on each side of the centre.
+    orders : tuple of int, optional
+        Orders in x of the numerators, of the common denominator and of the transients' numerators; by default
+        (2, 1, 2) and (3, 2, 2), averaged with Akaike's weights.
+    centre : int, optional
+        DFT line to begin from; default where the inputs carry most power.
+
+    Returns
+    -------
+    PeakEstimate
+        Largest gain of the model in the band.
+
+    Raises
+    ------
+    InputError
+        If the records differ in length or are too short for the band.
+    """
+    lengths = {len(r) for r in trace.records}
+    if len(lengths) != 1:
+        raise InputError(
+            f"the records have {sorted(lengths)} samples; this estimator needs them of one length."
+        )
+    (N,) = lengths
+    candidates = [orders] if orders else [(2, 1, 2), (3, 2, 2)]
+    half = min(lines, max(N // 8, 1))
+    if 2 * half + 1 < sum(candidates[-1]) + 4:
+        raise InputError(f"records of {N} samples have too few DFT lines for a local model; use longer ones.")
+    place = _centre(trace) if centre is None else centre
+    found, at = [(np.inf, _failed())], 0.0
+    for _ in range(4):  # the band follows the peak it finds
+        band = _band(trace, place, half)
+        fits = [_fit(band, each, N) for each in candidates]
+        _, best, at = min(fits, key=lambda row: (not row[1].status.ok, row[0]))
+        found = [row[:2] for row in fits]
+        if abs(at) <= 0.5 or not np.isfinite(best.value):
+            break
+        moved = int(np.clip(place + round(at * half), 0, N // 2))
+        if moved == place:
+            break
+        place = moved
+    return _average(found)
+
+
+def _average(found: list[tuple[float, PeakEstimate]]) -> PeakEstimate:
+    """The models' estimates with Akaike's weights; the error includes what the choice of the model leaves open.
+
+    se = sum w_i sqrt(se_i^2 + (value_i - value)^2) (Buckland, Burnham and Augustin, Biometrics 1997).
+    """
+    usable = [row for row in found if row[1].status.ok] or [row for row in found if np.isfinite(row[0])]
+    if len(usable) < 2:
+        return usable[0][1] if usable else found[0][1]
+    criteria = np.array([row[0] for row in usable])
+    weights = np.exp(criteria.min() - criteria)
+    weights /= weights.sum()
+    mean = lambda name: float(weights @ np.array([getattr(e, name) for _, e in usable]))
+    best = usable[int(np.argmax(weights))][1]
+    wide = lambda error, value: float(
+        weights @ [np.hypot(getattr(e, error), getattr(e, value) - mean(value)) for _, e in usable]
+    )
+    return replace(
+        best,
+        value=mean("value"),
+        standard_error=wide("standard_error", "value"),
+        frequency=mean("frequency"),
+        frequency_error=wide("frequency_error", "frequency"),
+        curvature=mean("curvature"),
+        noise_variance=mean("noise_variance"),
+    )
+
+
+def _fit(band: _Band, orders: tuple[int, int, int], N: int) -> tuple[float, PeakEstimate, float]:
+    """Akaike's criterion, the estimate, and where in the band its peak lies."""
+    nb, na, nt = orders
+    K, M, nu = band.U.shape
+    ny = band.Y.shape[2]
+    X = np.vander(band.x, max(orders) + 1, increasing=True).astype(complex)
+    a, model = np.zeros(na, complex), band.Y
+    weights, noise, freedom = np.ones(ny), np.ones(ny), 1.0
+    theta, normal, information = np.zeros(0, complex), np.eye(1), np.eye(1)
+    nparameters = nu * ny * (nb + 1) + na
+    for _ in range(8):
+        A = 1 + X[:, 1 : na + 1] @ a
+        filtered = partial(_without_transients, q=np.linalg.qr(X[:, : nt + 1] / A[:, None])[0], A=A)
+        inputs = [filtered(X[:, k, None, None] * band.U) for k in range(nb + 1)]
+        outputs = [filtered(-X[:, k, None, None] * band.Y) for k in range(1, na + 1)]
+        instruments = [filtered(-X[:, k, None, None] * model) for k in range(1, na + 1)]
+        target = filtered(band.Y)
+        normal = np.zeros((nparameters, nparameters), complex)
+        information = np.zeros_like(normal)
+        right = np.zeros(nparameters, complex)
+        for i in range(ny):
+            own = range(i * nu * (nb + 1), (i + 1) * nu * (nb + 1))
+            index = np.array([*own, *range(nparameters - na, nparameters)])
+            common = [part[:, :, j].ravel() for j in range(nu) for part in inputs]
+            R = np.array(common + [part[:, :, i].ravel() for part in outputs])
+            Z = np.array(common + [part[:, :, i].ravel() for part in instruments])
+            normal[index[:, None], index] += weights[i] * (np.conj(Z) @ R.T)
+            information[index[:, None], index] += weights[i] * (np.conj(Z) @ Z.T)
+            right[index] += weights[i] * (np.conj(Z) @ target[:, :, i].ravel())
+        try:
+            theta = np.linalg.solve(normal, right)
+        except np.linalg.LinAlgError:
+            return np.inf, _failed(), 0.0
+        a = theta[nparameters - na :]
+        A = 1 + X[:, 1 : na + 1] @ a
+        G = _response(theta, X, nu, ny, orders)
+        q = np.linalg.qr(X[:, : nt + 1] / A[:, None])[0]
+        rest = band.Y - np.einsum("kij,kmj->kmi", G, band.U)
+        model = band.Y - _without_transients(rest, q=q, A=np.ones(K))
+        freedom = max(M * (K - nt - 1) - nparameters / ny, 1.0)
+        noise = np.sum(np.abs(band.Y - model) ** 2, axis=(0, 1)) / freedom
+        weights = 1 / np.maximum(noise, 1e-300)
+    size = M * K * ny / band.repeats
+    criterion = size * float(np.mean(np.log(noise * freedom / (M * K)))) + 2 * nparameters / band.repeats
+    estimate, x = _peak_of_model(
+        theta, information / band.repeats, band, orders, (nu, ny), float(noise.mean()), N
+    )
+    return criterion if np.isfinite(estimate.value) else np.inf, estimate, x
+
+
+def _without_transients(Z: NDArray, *, q: NDArray, A: NDArray) -> NDArray:
+    """Z / A less its part in the span of the transients."""
+    Z = Z / A[:, None, None]
+    return Z - np.tensordot(q, np.tensordot(np.conj(q.T), Z, 1), 1)
+
+
+def _response(theta: NDArray, X: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
+    nb, na, _ = orders
+    B = theta[: nu * ny * (nb + 1)].reshape(ny, nu, nb + 1)
+    A = 1 + X[:, 1 : na + 1] @ theta[len(theta) - na :]
+    return np.einsum("kl,ijl->kij", X[:, : nb + 1], B) / A[:, None, None]
+
+
+def _peak_of_model(
+    theta: NDArray,
+    information: NDArray,
+    band: _Band,
+    orders: tuple[int, int, int],
+    shape: tuple[int, int],
+    noise: float,
+    N: int,
+) -> tuple[PeakEstimate, float]:
+    from scipy.optimize import minimize_scalar
+
+    nu, ny = shape
+    vander = lambda x: np.vander(np.atleast_1d(x), max(orders) + 1, increasing=True).astype(complex)
+    square = lambda x, t=theta: np.linalg.norm(_response(t, vander(x), nu, ny, orders), 2, axis=(1, 2)) ** 2
+    grid = np.linspace(band.x[0], band.x[-1], 401)
+    heights = square(grid)
+    if not np.isfinite(heights).all():
+        return _failed(), 0.0
+    k = int(np.argmax(heights))
+    x = float(grid[k])
+    if 0 < k < 400:
+        x = float(
+            minimize_scalar(
+                lambda s: -float(square(s)[0]),
+                bounds=(grid[k - 1], grid[k + 1]),
+                method="bounded",
+                options={"xatol": 1e-9},
+            ).x
+        )
+    try:
+        covariance = np.linalg.inv(information)
+    except np.linalg.LinAlgError:
+        return _failed(), 0.0
+    h = 1e-3
+    value = float(np.sqrt(square(x)[0]))
+    bend = -float((square(x + h) - 2 * square(x) + square(x - h))[0]) / h**2
+    # Derivatives of the height and of the slope with respect to every complex coefficient.
+    height = np.zeros(len(theta), complex)
+    slope = np.zeros(len(theta), complex)
+    for n in range(len(theta)):
+        step = 1e-6 * max(1e-3, abs(theta[n]))
+        for unit in (1, 1j):
+            up, down = theta.copy(), theta.copy()
+            up[n] += unit * step
+            down[n] -= unit * step
+            change = (square(np.array([x - h, x, x + h]), up) - square(np.array([x - h, x, x + h]), down)) / (
+                2 * step
+            )
+            height[n] += np.conj(unit) * change[1]
+            slope[n] += np.conj(unit) * (change[2] - change[0]) / (2 * h)
+    spread = lambda g: float(np.sqrt(max(np.real(g @ covariance @ np.conj(g)) / 2, 0.0)))
+    error = spread(height) / (2 * value)
+    per_line = 2 * np.pi / N
+    inside = 0 < k < 400
+    where_error = spread(slope) / bend * band.half * per_line if bend > 0 else float("inf")
+    sharp = bend > 0 and where_error < 0.25 * band.half * per_line
+    trusted = inside and sharp and error < 0.1 * value
+    estimate = PeakEstimate(
+        value,
+        error,
+        float(np.clip((band.centre + band.half * x) * per_line, 0, np.pi)),
+        where_error,
+        bend / (band.half * per_line) ** 2,
+        noise,
+        Status.OK if trusted else Status.INACCURATE,
+    )
+    return estimate, x
+
+
+def _failed() -> PeakEstimate:
+    nan = float("nan")
+    return PeakEstimate(nan, nan, nan, nan, nan, nan, Status.SINGULAR)
