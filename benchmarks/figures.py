@@ -256,7 +256,7 @@ def efficiency_figure(
                     color=COLOURS[m % 6],
                     label=method,
                 )
-            if key == "c_efficiency" and variance in theory:
+            if key == "c_efficiency" and variance in theory and "power" in methods:
                 line = theory[variance]
                 ax.plot(
                     np.arange(1, len(line) + 1),

@@ -88,5 +88,8 @@ def _digest(function: Callable[..., Any]) -> str:
         try:
             text = inspect.getsource(function)
         except (OSError, TypeError):
-            text = repr(getattr(function, "__code__", type(function)).__class__)
+            code = getattr(
+                function, "__code__", None
+            )  # typed at a prompt: no file to read, but what it compiles to
+            text = f"{code.co_code!r} {code.co_names}" if code else repr(type(function))
     return blake2b(text.encode(), digest_size=8).hexdigest()

@@ -1,4 +1,4 @@
-"""Write the headline table and the picture of the README from a finished comparison (`make readme`)."""
+"""Write the answer and the pictures of the README from a finished comparison (`make readme`)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import argparse
 import shutil
 from pathlib import Path
 
-from benchmarks.compare_report import HEADLINE
+from benchmarks.answer import ANSWER
+from benchmarks.head_to_head import head_to_head_sentence
 from benchmarks.store import write_atomically
 from benchmarks.tables import from_parquet, to_markdown
 from oed.errors import InputError
@@ -40,21 +41,56 @@ def with_headline(text: str, table: str) -> str:
     return f"{head}{START}\n{table}\n{END}{rest.split(END, 1)[1]}"
 
 
+SHOWN = (
+    "plant",
+    "channels",
+    "noise_variance",
+    "c_efficiency",
+    "over_white",
+    "verdict",
+    "rho_own",
+    "rho_pem",
+    "waste",
+    "advice_input",
+    "advice_estimator",
+    "rho_advice",
+)
+PICTURES = {
+    "efficiency-reference": "efficiency",
+    "answer-where": "answer-where",
+    "answer-advice": "answer-advice",
+}
+
+
 def write_readme(results: Path, readme: Path) -> None:
-    """Put a comparison's headline table and picture into a README.
+    """Put a comparison's answer, its sentences and its pictures into a README.
 
     Parameters
     ----------
     results : Path
-        Folder of a finished comparison.
+        Folder of a finished comparison on which the iterations ran.
     readme : Path
-        The README; its picture is `docs/efficiency.svg` beside it.
+        The README; its pictures are in `docs` beside it.
     """
-    rows, _ = from_parquet(results / "tables" / "headline.parquet")
-    write_atomically(readme, with_headline(readme.read_text(encoding="utf-8"), to_markdown(rows, HEADLINE)))
-    picture = readme.parent / "docs" / "efficiency.svg"
-    picture.parent.mkdir(exist_ok=True)
-    shutil.copyfile(results / "figures" / "efficiency-reference.svg", picture)
+    rows, _ = from_parquet(results / "tables" / "answer.parquet")
+    head, _ = from_parquet(results / "tables" / "head_to_head.parquet")
+    spent = rows[0]
+    lines = [
+        f"Every input had {spent['experiments']} experiments, {spent['samples']} samples and energy {spent['energy']:.6g} over all "
+        "channels (of Procedure 2 each of the 1 + pq experiments of an iteration counts); `oed report` has them beside every "
+        "row, with the peak amplitude.",
+        "",
+        to_markdown(rows, {key: ANSWER[key] for key in SHOWN}),
+        head_to_head_sentence(head),
+        "",
+        "![Where the iterations are optimal design: share of the certified optimum against noise](docs/answer-where.svg)",
+        "![What their estimators waste: rho against noise](docs/answer-advice.svg)",
+    ]
+    write_atomically(readme, with_headline(readme.read_text(encoding="utf-8"), "\n".join(lines)))
+    folder = readme.parent / "docs"
+    folder.mkdir(exist_ok=True)
+    for name, target in PICTURES.items():
+        shutil.copyfile(results / "figures" / f"{name}.svg", folder / f"{target}.svg")
 
 
 if __name__ == "__main__":

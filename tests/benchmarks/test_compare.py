@@ -132,7 +132,9 @@ def test_readme_is_written_from_the_results(finished, tmp_path):
     assert "old" not in text
     assert "rest" in text
     assert "| reference" in text
-    assert (tmp_path / "docs" / "efficiency.svg").exists()
+    assert "not in print" in text
+    for name in ("efficiency", "answer-where", "answer-advice"):
+        assert (tmp_path / "docs" / f"{name}.svg").read_text().startswith("<?xml")
     with pytest.raises(InputError, match="lacks the marks"):
         with_headline("# x", "table")
 
