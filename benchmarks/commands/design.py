@@ -20,12 +20,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--parametrisation",
-        choices=("grid", "moments", "autocorrelation", "multisine"),
+        choices=("grid", "moments", "autocorrelation", "ar", "bands", "multisine"),
         default="grid",
-        help="of the spectrum",
+        help="of the spectrum; ar: --lags poles, bands: --lags flat bands",
     )
     parser.add_argument(
-        "--lags", type=int, default=20, metavar="L", help="of the autocorrelation (default 20)"
+        "--lags", type=int, metavar="L", help="of the autocorrelation, the basis (default 20), the poles (4)"
     )
     parser.add_argument(
         "--points", type=int, default=400, metavar="K", help="uniform part of the first frequency grid"
@@ -41,6 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--channel-power", type=float, nargs="+", metavar="p", help="limit on every input channel's power"
     )
     parser.add_argument("--amplitude", type=float, metavar="a", help="largest absolute input of the signal")
+    parser.add_argument("--rate", type=float, metavar="r", help="largest change of the input per sample")
     parser.add_argument(
         "--solver", choices=("newton", "clarabel"), default="newton", help="how weights are found"
     )
@@ -76,17 +77,21 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             )
         limits |= {"points": 2 * np.pi * np.arange(args.realise // 2 + 1) / args.realise, "refine": False}
     made = None
+    if args.rate is not None and args.amplitude is None:
+        raise InputError("--rate limits a signal whose amplitude is limited: say --amplitude too.")
     if args.amplitude is not None:
         if args.realise is None or args.channel_power is not None:
             raise InputError(
                 "--amplitude limits a signal: say its length with --realise N, without --channel-power."
             )
         rng = np.random.default_rng(args.seed)
-        design, made = amplitude_design(plant, args.criterion, args.amplitude, args.realise, rng, **limits)
+        design, made = amplitude_design(
+            plant, args.criterion, args.amplitude, args.realise, rng, rate=args.rate, **limits
+        )
     else:
         design = solve_design(plant, args.criterion, channel_power=args.channel_power, **limits)
     payload, text = design.to_dict(), str(design)
-    if args.parametrisation in ("moments", "autocorrelation"):
+    if args.parametrisation in ("moments", "autocorrelation", "ar", "bands"):
         design, payload, text = _parametrised(args, plant, design, payload)
     for line in payload["support"]:
         line["frequency_hz"] = line["frequency"] / (2 * np.pi * plant.dt)
@@ -118,7 +123,15 @@ def _parametrised(args: argparse.Namespace, plant: Any, design: Any, payload: di
     """The same question in another parametrisation; the bound is the certified one over all spectra."""
     from dataclasses import replace
 
-    from oed.design import autocorrelation_design, moment_design
+    import numpy as np
+
+    from oed.design import (
+        autocorrelation_design,
+        autoregressive_design,
+        band_basis,
+        basis_design,
+        moment_design,
+    )
 
     if (
         args.output_power is not None
@@ -133,15 +146,22 @@ def _parametrised(args: argparse.Namespace, plant: Any, design: Any, payload: di
     power = 1.0 if args.input_power is None else args.input_power
     if args.parametrisation == "moments":
         found = moment_design(plant, args.criterion, input_power=power)
+    elif args.parametrisation == "ar":
+        order = 4 if args.lags is None else args.lags
+        found = autoregressive_design(plant, args.criterion, order=order, input_power=power)
+    elif args.parametrisation == "bands":
+        edges = np.linspace(0, np.pi, (20 if args.lags is None else args.lags) + 1)
+        found = basis_design(plant, args.criterion, band_basis(edges), input_power=power)
     else:
-        found = autocorrelation_design(plant, args.criterion, lags=args.lags, input_power=power)
+        lags = 20 if args.lags is None else args.lags
+        found = autocorrelation_design(plant, args.criterion, lags=lags, input_power=power)
     design = replace(
         design,
         spectrum=found.spectrum,
         loss=found.loss,
         information=design.map.of_spectrum(found.spectrum),
-        power_used={"input power": found.spectrum.total_power},
-        solver="clarabel",
+        power_used={"input power": found.power},
+        solver="clarabel" if args.parametrisation in ("moments", "autocorrelation") else "newton",
     )
     strongest = replace(design, spectrum=found.spectrum.strongest(1e-3))
     payload = payload | {
@@ -150,7 +170,7 @@ def _parametrised(args: argparse.Namespace, plant: Any, design: Any, payload: di
         "support": strongest.to_dict()["support"] if found.kind == "moments" else [],
         "coefficients": found.coefficients.tolist(),
         "parametrisation": args.parametrisation,
-        "solver": "clarabel",
+        "solver": design.solver,
         "input_power": found.spectrum.total_power,
         "power_used": design.power_used,
         "information": design.information.tolist(),

@@ -16,7 +16,8 @@ The public verb and what it returns:
     Design.efficiency(s)    bound over the loss of another Spectrum
     Design.to_dict(), str(design)
 
-Beside it: `robust_design` (several plants: average, minimax), `least_power_design` and `application_criterion`,
+Beside it: `robust_design` (several plants: average, minimax), `quantile_design` (most of them), `RepeatedDesign`
+(a loop that compiles once), `least_power_design` and `application_criterion`,
 `closed_loop_map` (the reference of a loop with a known controller), `masked_design` (limits per frequency),
 `amplitude_design` (finite signals within an amplitude and a rate), `moment_design` and `autocorrelation_design` (other
 parametrisations, by CVXPY), `basis_design` and `autoregressive_design` (spectra of a given shape). Figures are in `oed.design.plots`.
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     from oed.design.least_power import application_criterion, least_power_design
     from oed.design.maps import InformationMap, information_map
     from oed.design.masked import masked_design
+    from oed.design.quantile import QuantileDesign, quantile_design
+    from oed.design.repeated import RepeatedDesign
     from oed.design.result import Design
     from oed.design.robust import robust_design
     from oed.design.shaped import autoregressive_design, band_basis, basis_design
@@ -62,6 +65,9 @@ _HOME = {
     "least_power_design": "least_power",
     "masked_design": "masked",
     "moment_design": "autocorrelation",
+    "QuantileDesign": "quantile",
+    "quantile_design": "quantile",
+    "RepeatedDesign": "repeated",
     "robust_design": "robust",
     "solve_design": "solve",
 }
@@ -70,6 +76,8 @@ __all__ = [
     "Certificate",
     "Design",
     "InformationMap",
+    "QuantileDesign",
+    "RepeatedDesign",
     "amplitude_design",
     "application_criterion",
     "autocorrelation_design",
@@ -81,6 +89,7 @@ __all__ = [
     "least_power_design",
     "masked_design",
     "moment_design",
+    "quantile_design",
     "robust_design",
     "solve_design",
 ]

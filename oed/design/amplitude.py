@@ -1,8 +1,9 @@
-"""Finite signals under an amplitude limit: a relaxation with its bound, then the best of several realised signals.
+"""Finite signals under limits on amplitude and rate: a relaxation with its bound, then the best of several realised signals.
 
 |u_j(t)| <= a implies a power of at most a^2 in every channel; the spectrum that is optimal under these powers bounds
 what any admissible signal can do (asymptotically: edge effects are not in the bound). A sinusoid reaches half of that
-power, a square wave all of it, 8 / pi^2 of it in its fundamental: 1.62 times the sinusoid's.
+power, a square wave all of it, 8 / pi^2 of it in its fundamental: 1.62 times the sinusoid's. In the same way
+|u_j(t) - u_j(t-1)| <= r implies a mean square of the changes of at most r^2, which is linear in the spectrum too.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oed.criteria import Criterion
 from oed.design.result import Design
@@ -17,7 +19,7 @@ from oed.design.solve import solve_design
 from oed.errors import InputError
 from oed.signals import Realised, binary, crest_factor, multisine
 
-__all__ = ["amplitude_design"]
+__all__ = ["amplitude_design", "slew_limited"]
 
 
 def amplitude_design(
@@ -27,6 +29,7 @@ def amplitude_design(
     N: int,
     rng: np.random.Generator,
     *,
+    rate: float | None = None,
     input_power: float | None = None,
     tries: int = 4,
     **options: Any,
@@ -45,6 +48,9 @@ def amplitude_design(
         Number of samples.
     rng : numpy.random.Generator
         For phases.
+    rate : float, optional
+        Largest absolute change of every channel from one sample to the next; the signal starts from rest, so its
+        first sample is a change too.
     input_power : float, optional
         Limit on the power too.
     tries : int
@@ -63,19 +69,28 @@ def amplitude_design(
 
     if not (np.isfinite(amplitude) and amplitude > 0):
         raise InputError(f"the amplitude is {amplitude}; it must be positive and finite.")
+    if rate is not None and not (np.isfinite(rate) and rate > 0):
+        raise InputError(f"the rate is {rate}; it must be positive and finite.")
     channels = np.full(plant.n_inputs, float(amplitude) ** 2)
+    if rate is not None and rate < 2 * amplitude:
+        options["rate_power"] = np.full(plant.n_inputs, float(rate) ** 2)
     design = solve_design(plant, criterion, input_power=input_power, channel_power=channels, **options)
     best: Realised | None = None
     for _ in range(max(1, tries)):
         smooth = multisine(design.spectrum, N, rng)
-        signals = [smooth * min(1.0, amplitude / np.abs(smooth).max())]
-        square = binary(design.spectrum, N, rng, amplitude=amplitude)
-        power = float(np.sum(square**2)) / N
-        signals.append(square if input_power is None else square * min(1.0, np.sqrt(input_power / power)))
-        # Between the two: a multisine clipped hard keeps more power than one scaled down.
-        clipped = np.clip(2 * smooth, -amplitude, amplitude)
-        power = float(np.sum(clipped**2)) / N
-        signals.append(clipped if input_power is None else clipped * min(1.0, np.sqrt(input_power / power)))
+        steps = np.diff(smooth, axis=0, prepend=0.0)
+        factor = amplitude / np.abs(smooth).max()
+        if rate is not None:
+            factor = min(factor, rate / np.abs(steps).max())
+        # Between multisine and square wave: a multisine clipped hard keeps more power than one scaled down.
+        hard = [binary(design.spectrum, N, rng, amplitude=amplitude)]
+        hard += [np.clip(gain * smooth, -amplitude, amplitude) for gain in (1.0, 2.0)]
+        if rate is not None:
+            hard = [slew_limited(u, rate) for u in hard]
+        signals = [smooth * min(1.0, factor)]
+        for u in hard:
+            power = float(np.sum(u**2)) / N
+            signals.append(u if input_power is None else u * min(1.0, np.sqrt(input_power / power)))
         for u in signals:
             loss = design.criterion.loss(information_of_signal(plant, u) / N + design.map.constant)
             if best is None or loss < best.loss:
@@ -83,3 +98,25 @@ def amplitude_design(
     if best is None:
         raise InputError("no signal was tried; ask for at least one try.")
     return design, best
+
+
+def slew_limited(u: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+    """Follow a signal as fast as a rate limit allows, from rest.
+
+    Parameters
+    ----------
+    u : ndarray
+        (N, nu).
+    rate : float
+        Largest absolute change per sample.
+
+    Returns
+    -------
+    ndarray
+        (N, nu); within the amplitude of u, for it moves towards u at every sample.
+    """
+    out, last = np.empty_like(u), np.zeros(u.shape[1])
+    for t, wanted in enumerate(u):
+        last = last + np.clip(wanted - last, -rate, rate)
+        out[t] = last
+    return out

@@ -26,7 +26,7 @@ from oed.design.named_criteria import criterion_of
 from oed.errors import InputError, SolverFailure
 from oed.plants import Plant
 
-__all__ = ["Autocorrelated", "autocorrelation_design", "moment_design"]
+__all__ = ["Autocorrelated", "autocorrelation_design", "conic", "moment_design"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,31 +43,59 @@ class Autocorrelated:
         Loss per sample at the stated power.
     kind : str
         "autocorrelation" or "moments".
+    power : float
+        Input power as the optimiser's own variables have it.
     """
 
     spectrum: Spectrum
     coefficients: NDArray[np.float64]
     loss: float
     kind: str
+    power: float
 
     def __repr__(self) -> str:
         return f"{self.kind} of {len(self.coefficients)} numbers: loss {self.loss:.9g}"
 
 
-def _conic(criterion: Criterion, constraints: list, M: Any) -> None:
-    """Solve max of the criterion over a matrix expression in CVXPY."""
+def conic(criterion: Criterion, constraints: list, M: Any, accuracy: float = 1e-11) -> NDArray[np.float64]:
+    """Solve for the best value of a criterion over a matrix expression in CVXPY, by Clarabel.
+
+    Parameters
+    ----------
+    criterion : Criterion
+        D of all parameters, A, c or E.
+    constraints : list
+        CVXPY's.
+    M : cvxpy.Expression
+        (n, n) information.
+    accuracy : float
+        Clarabel's tolerances.
+
+    Returns
+    -------
+    ndarray
+        X, the certificate direction at the solution.
+
+    Raises
+    ------
+    InputError
+        If the criterion has no such form.
+    SolverFailure
+        If Clarabel does.
+    """
     import warnings
 
     import cvxpy as cp
 
-    V = criterion.columns
+    V, largest = criterion.columns, None
     if criterion.kind == "D" and V.shape[1] == criterion.n:
         objective = cp.Maximize(cp.log_det(M))
     elif criterion.kind == "A":
         objective = cp.Minimize(cp.matrix_frac(V, M))
     elif criterion.kind == "E":
         t = cp.Variable()
-        constraints = [*constraints, M - t * (V @ V.T) >> 0]
+        largest = M - t * (V @ V.T) >> 0
+        constraints = [*constraints, largest]
         objective = cp.Maximize(t)
     else:
         raise InputError(
@@ -76,12 +104,28 @@ def _conic(criterion: Criterion, constraints: list, M: Any) -> None:
     problem = cp.Problem(objective, constraints)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        try:
-            problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
-        except cp.error.SolverError as error:
-            raise SolverFailure(f"Clarabel failed: {error}") from None
+        for asked in (accuracy, 1e2 * accuracy, 1e4 * accuracy):
+            try:
+                problem.solve(
+                    solver=cp.CLARABEL,
+                    tol_gap_abs=asked,
+                    tol_gap_rel=asked,
+                    tol_feas=asked,
+                    # Splitting small Hermitian cones by their zeros was seen to end in numerical failure.
+                    chordal_decomposition_enable=False,
+                )
+                break
+            except cp.error.SolverError as error:
+                failure = error
+        else:
+            raise SolverFailure(f"Clarabel failed: {failure}") from None
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise SolverFailure(f"Clarabel stopped with status {problem.status}.")
+    if largest is None:
+        return criterion.direction(np.asarray(M.value, dtype=float))
+    Z = np.asarray(largest.dual_value, dtype=float)
+    values, vectors = np.linalg.eigh((Z + Z.T) / 2)
+    return vectors * np.sqrt(np.clip(values, 0, None))
 
 
 def _prepared(
@@ -146,8 +190,9 @@ def autocorrelation_design(
         cp.sum(cp.hstack([Q[i, i + lag] for i in range(lags + 1 - lag)])) for lag in range(1, lags + 1)
     ]
     M = constant + input_power * sum(r[lag] * lagged[lag] for lag in range(lags + 1))
-    _conic(scaled, [cp.trace(Q) == 1], (M + M.T) / 2)
+    conic(scaled, [cp.trace(Q) == 1], (M + M.T) / 2)
     q = np.asarray(Q.value, dtype=float)
+    power = input_power * float(np.trace(q))
     values, vectors = np.linalg.eigh((q + q.T) / 2)
     q = (vectors * np.clip(values, 0, None)) @ vectors.T
     coefficients = np.array([np.trace(q, offset=lag) for lag in range(lags + 1)])
@@ -156,7 +201,7 @@ def autocorrelation_design(
     density *= input_power / density.mean()
     spectrum = Spectrum(omega, density / points)
     loss = wanted.loss(information.of_spectrum(spectrum))
-    return Autocorrelated(spectrum, coefficients, loss, "autocorrelation")
+    return Autocorrelated(spectrum, coefficients, loss, "autocorrelation", power)
 
 
 def moment_design(
@@ -209,7 +254,7 @@ def moment_design(
     x = cp.Variable(degree + 1)
     T = cp.reshape((toeplitz / scale[:, None, None]).reshape(degree + 1, -1).T @ x, lag.shape, order="C")
     M = cp.reshape((coefficients[:, :-1] / scale[:, None]).T @ x, (n, n), order="C")
-    _conic(scaled, [(T + T.T) / 2 >> 0, (coefficients[:, -1] / scale) @ x == 1], (M + M.T) / 2)
+    conic(scaled, [(T + T.T) / 2 >> 0, (coefficients[:, -1] / scale) @ x == 1], (M + M.T) / 2)
     moments = np.asarray(x.value, dtype=float) / scale
     information = (coefficients[:, :-1].T @ moments).reshape(n, n) * input_power
     loss = factor * scaled.loss(information)
@@ -221,7 +266,8 @@ def moment_design(
     power = strength * np.abs(np.polyval(weight[::-1], np.exp(-1j * lines))) ** 2
     keep = power > 1e-6 * power.max()
     spectrum = Spectrum(lines[keep], power[keep] * input_power / power[keep].sum())
-    return Autocorrelated(spectrum, moments * input_power, loss, "moments")
+    total = float(coefficients[:, -1] @ moments) * input_power
+    return Autocorrelated(spectrum, moments * input_power, loss, "moments", total)
 
 
 def caratheodory(moments: NDArray[np.float64], tolerance: float = 1e-6) -> NDArray[np.float64]:

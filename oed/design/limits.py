@@ -17,6 +17,7 @@ def power_budgets(
     input_power: float | None = None,
     output_power: float | None = None,
     channel_power: ArrayLike | None = None,
+    rate_power: ArrayLike | None = None,
 ) -> tuple[Budget, ...]:
     """The budgets of a design.
 
@@ -30,6 +31,8 @@ def power_budgets(
         Limit on the power of the noise-free outputs, summed.
     channel_power : array_like, optional
         (nu,) limits per input channel.
+    rate_power : array_like, optional
+        (nu,) limits per input channel on the mean square of the change from one sample to the next.
 
     Returns
     -------
@@ -44,6 +47,10 @@ def power_budgets(
     nu = information.n_inputs
     budgets = []
     if input_power is None and output_power is None and channel_power is None:
+        if rate_power is not None:
+            raise InputError(
+                "a constant has no rate, so a limit on the rate alone leaves the power free; limit a power too."
+            )
         input_power = 1.0
     if input_power is not None:
         budgets.append(
@@ -55,15 +62,22 @@ def power_budgets(
                 "output power", lambda w: _square(information.gain(w)), _limit(output_power, "output power")
             )
         )
-    if channel_power is not None:
-        limits = np.atleast_1d(np.asarray(channel_power, dtype=float))
+    for values, what in ((channel_power, "power"), (rate_power, "rate")):
+        if values is None:
+            continue
+        limits = np.atleast_1d(np.asarray(values, dtype=float))
         if limits.shape != (nu,):
             raise InputError(
-                f"{limits.size} channel powers were given for {nu} input channels; give one for each."
+                f"{limits.size} channel {what}s were given for {nu} input channels; give one for each."
             )
         for j, limit in enumerate(limits):
-            name = f"power of input {j + 1}"
-            budgets.append(Budget(name, lambda w, j=j: _input_form(information, w, j), _limit(limit, name)))
+            name = f"{what} of input {j + 1}"
+            form = lambda w, j=j: _input_form(information, w, j)
+            if what == "rate":
+                form = lambda w, j=j: (
+                    _input_form(information, w, j) * (np.abs(1 - np.exp(-1j * w)) ** 2)[:, None, None]
+                )
+            budgets.append(Budget(name, form, _limit(limit, name)))
     return tuple(budgets)
 
 

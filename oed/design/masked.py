@@ -23,6 +23,7 @@ from oed.design.column_generation import solve_weights
 from oed.design.columns import Columns, Problem
 from oed.design.limits import power_budgets
 from oed.design.maps import information_map
+from oed.design.masked_mimo import masked_mimo_design
 from oed.design.named_criteria import criterion_of
 from oed.design.result import Design
 from oed.errors import InfeasibleDesign, InputError, Status
@@ -62,7 +63,7 @@ def masked_design(
     input_mask: Mask | None = None,
     output_mask: Mask | None = None,
     input_power: float = 1.0,
-    cells: int = 300,
+    cells: int | None = None,
     tolerance: float = 1e-6,
 ) -> Design:
     """The optimal spectrum whose density stays below a mask, on a grid of cells.
@@ -70,16 +71,17 @@ def masked_design(
     Parameters
     ----------
     model : Plant, Model or InformationMap
-        One input.
+        One input or several.
     criterion : str or Criterion
         As for `solve_design`.
     input_mask, output_mask : callable, optional
         omega (K,) -> largest two-sided density of the input, of the noise-free output; (1/2pi) times its
-        integral over the circle is a power.
+        integral over the circle is a power. With several inputs (K, nu, nu) and (K, ny, ny) Hermitian matrices.
     input_power : float
         Limit on the input power.
-    cells : int
-        Number of cells of equal width on [0, pi]; the density is constant in each.
+    cells : int, optional
+        Number of cells of equal width on [0, pi]; the density is constant in each. By default 300 for one input
+        and 40 for several.
     tolerance : float
         Relative gap to reach.
 
@@ -91,14 +93,24 @@ def masked_design(
     Raises
     ------
     InputError
-        If a mask is negative, complex or of the wrong shape, or the plant has several inputs.
+        If a mask is negative, complex or of the wrong shape; with several inputs, if it is not Hermitian or not
+        positive semidefinite.
     InfeasibleDesign
         If the masks leave no power at any frequency.
     """
     information = information_map(model)
-    if information.n_inputs != 1:
-        raise InputError(f"masks are for one input; the plant has {information.n_inputs}.")
     wanted = criterion_of(criterion, model, information)
+    if information.n_inputs != 1:
+        return masked_mimo_design(
+            information,
+            wanted,
+            input_mask=input_mask,
+            output_mask=output_mask,
+            input_power=input_power,
+            cells=cells or 40,
+            tolerance=tolerance,
+        )
+    cells = cells or 300
     omega = (np.arange(cells) + 0.5) * np.pi / cells
     cap = np.full(cells, np.inf)
     if input_mask is not None:

@@ -66,54 +66,77 @@ def minimax_weights(
 
     w = inside(np.ones(m) if start is None else start, Q)
     f, df, Y = derivatives(w)
-    t, lam = 1.05 * float(f.max()), np.full(K, 1.0 / K)
-    s = 1 - Q @ w
+    t, lam = 1.1 * float(f.max()), np.full(K, 1.0 / K)
+    slack, s = t - f, 1 - Q @ w
     nu = np.full(len(Q), t / len(Q))
     z = np.maximum(df.T @ lam + Q.T @ nu, 0.1 * t / m)
-    slack, count, status, step = t - f, K + m + len(Q), Status.MAX_ITERATIONS, 0
+    count, status, step = K + m + len(Q), Status.MAX_ITERATIONS, 0
+
+    def residual(w, df, slack, s, lam, z, nu, target):
+        """Stationarity (in units of the weights) and centrality, as one vector."""
+        dual = df.T @ lam + Q.T @ nu - z
+        parts = (dual, [1 - lam.sum()], lam * slack - target, z * w - target, nu * s - target)
+        return float(np.linalg.norm(np.concatenate(parts)))
+
     while step < max_steps:
         step += 1
         mu = (lam @ slack + w @ z + s @ nu) / count
         dual = df.T @ lam + Q.T @ nu - z
-        error = max(np.abs(dual * w).sum() / t, abs(1 - lam.sum()), np.abs(t - f - slack).max() / t)
-        if mu * count <= tolerance * t and error <= tolerance:
+        if mu * count <= tolerance * t and max(np.abs(dual * w).sum() / t, abs(1 - lam.sum())) <= tolerance:
             status = Status.CONVERGED
             break
         target = mu * (0.1 if step % 4 else 0.3)
         P = (Y @ V) * np.repeat(lam, size)
         P = P @ (V.T @ Y)
         H = 2 * ((flat.T @ P @ flat) * (flat.T @ Y @ flat)).reshape(m, r, m, r).sum(axis=(1, 3))
-        # Unknowns dw, dt; slack and multipliers eliminated: dslack = dt - df dw + (t - f - slack).
-        off = t - f - slack
-        ratio = lam / slack
+        # Unknowns dw, dt; slack and multipliers eliminated. Slack is always t - f itself.
         J = np.concatenate([df, -np.ones((K, 1))], axis=1)
-        left = (J.T * ratio) @ J
+        left = (J.T * (lam / slack)) @ J
         left[:m, :m] += H + np.diag(z / w) + (Q.T * (nu / s)) @ Q
-        lam_next = target / slack - ratio * off
-        right = -np.concatenate([df.T @ lam_next + Q.T @ (target / s) - target / w, [1 - lam_next.sum()]])
+        right = -np.concatenate(
+            [
+                df.T @ (target / slack) + Q.T @ (target / s) - target / w,
+                [1 - (target / slack).sum()],
+            ]
+        )
         try:
             solution = np.linalg.solve(left, right)
         except np.linalg.LinAlgError:
             break
         dw, dt = np.asarray(solution[:m], dtype=np.float64), float(solution[m])
-        dslack = dt - df @ dw + off
-        dlam = target / slack - lam - ratio * dslack
-        ds = -Q @ dw
+        dslack, ds = dt - df @ dw, -Q @ dw
+        dlam = target / slack - lam - lam / slack * dslack
         dz, dnu = target / w - z - z / w * dw, target / s - nu - nu / s * ds
-        ahead = min(1.0, 0.95 * reach(w, dw), 0.95 * reach(s, ds), 0.95 * reach(slack, dslack))
-        behind = min(1.0, 0.95 * reach(lam, dlam), 0.95 * reach(z, dz), 0.95 * reach(nu, dnu))
-        try:
-            for _ in range(25):
-                new = derivatives(w + ahead * dw)
-                # The true slack must stay positive too, or the linearisation was trusted too far.
-                if np.all(t + ahead * dt - new[0] > -0.5 * np.abs(slack) - 1e-12 * t):
+        before = residual(w, df, slack, s, lam, z, nu, target)
+        length = min(
+            1.0, *(0.98 * reach(x, dx) for x, dx in ((w, dw), (s, ds), (lam, dlam), (z, dz), (nu, dnu)))
+        )
+        for _ in range(40):
+            try:
+                new = derivatives(w + length * dw)
+            except np.linalg.LinAlgError:
+                length *= 0.5
+                continue
+            left_over = t + length * dt - new[0]
+            if np.all(left_over > 0.02 * slack * (1 - length)) and left_over.min() > 0:
+                after = residual(
+                    w + length * dw,
+                    new[1],
+                    left_over,
+                    s + length * ds,
+                    lam + length * dlam,
+                    z + length * dz,
+                    nu + length * dnu,
+                    target,
+                )
+                if after <= (1 - 0.01 * length) * before:
                     break
-                ahead *= 0.6
-        except np.linalg.LinAlgError:
+            length *= 0.5
+        else:
             break
-        w, t, s = w + ahead * dw, t + ahead * dt, s + ahead * ds
+        w, t, s = w + length * dw, t + length * dt, s + length * ds
         f, df, Y = new
-        slack = np.maximum(t - f, 0.05 * (slack + ahead * dslack))
-        lam, z, nu = lam + behind * dlam, z + behind * dz, nu + behind * dnu
+        slack = t - f
+        lam, z, nu = lam + length * dlam, z + length * dz, nu + length * dnu
     weight = np.clip(lam, 0, None) / lam.sum()
     return Weights(w, criterion.direction(constant + columns.information(w), weight), nu, status, step)

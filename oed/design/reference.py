@@ -13,7 +13,7 @@ from oed.design.columns import Columns, Problem
 from oed.design.interior import Weights
 from oed.errors import InputError, SolverFailure, Status
 
-__all__ = ["cvxpy_weights", "reference_exchange"]
+__all__ = ["cvxpy_weights", "reference_exchange", "solve_cvxpy"]
 
 
 def reference_exchange(problem: Problem, *, refine: bool, tolerance: float) -> Exchange:
@@ -49,7 +49,26 @@ def reference_exchange(problem: Problem, *, refine: bool, tolerance: float) -> E
     )
 
 
-def _solve(problem: Any, accuracy: float) -> Status:
+def solve_cvxpy(problem: Any, accuracy: float) -> Status:
+    """Solve a CVXPY problem by Clarabel.
+
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+        The problem.
+    accuracy : float
+        Clarabel's tolerances.
+
+    Returns
+    -------
+    Status
+        CONVERGED or INACCURATE.
+
+    Raises
+    ------
+    SolverFailure
+        If Clarabel ends without a solution.
+    """
     import warnings
 
     import cvxpy as cp
@@ -113,7 +132,7 @@ def cvxpy_weights(
     else:
         raise InputError(f"the clarabel solver does not take the criterion {criterion.name}; use newton.")
     problem = cp.Problem(objective, constraints)
-    status = _solve(problem, accuracy)
+    status = solve_cvxpy(problem, accuracy)
     weights = np.maximum(np.asarray(w.value, dtype=float), 0.0)
     nu = np.maximum(np.atleast_1d(np.asarray(budget.dual_value, dtype=float)), 0.0)
     if largest is None:
@@ -140,7 +159,7 @@ def _elfving(
     values, vectors = np.linalg.eigh(constant)
     root = (vectors * np.sqrt(np.clip(values, 0, None))).T
     objective = 2 * cp.sum(cp.multiply(V, X)) - cp.sum(nu) - cp.sum_squares(root @ X)
-    status = _solve(cp.Problem(cp.Maximize(objective), [cone]), accuracy)
+    status = solve_cvxpy(cp.Problem(cp.Maximize(objective), [cone]), accuracy)
     first, rest = (np.asarray(part, dtype=float) for part in cone.dual_value)  # type: ignore[union-attr]
     w = first.ravel() + rest.reshape(m, -1)[:, 0]
     return Weights(np.maximum(w, 0), np.asarray(X.value), np.asarray(nu.value), status, 0)

@@ -34,6 +34,7 @@ def solve_design(
     input_power: float | None = None,
     output_power: float | None = None,
     channel_power: ArrayLike | None = None,
+    rate_power: ArrayLike | None = None,
     band: Sequence[float] | Sequence[Sequence[float]] | None = None,
     points: int | ArrayLike = 400,
     prior: ArrayLike | None = None,
@@ -58,6 +59,8 @@ def solve_design(
         Limit on the power of the noise-free output, summed over channels.
     channel_power : array_like, optional
         (nu,) limit on the power of every input channel.
+    rate_power : array_like, optional
+        (nu,) limit on the mean square of every input channel's change from one sample to the next.
     band : (low, high) or sequence of them, optional
         Where lines are allowed, rad/sample; by default [0, pi].
     points : int or array_like
@@ -96,12 +99,12 @@ def solve_design(
     wanted = criterion_of(criterion, model, information)
     if prior is not None:
         information = information.with_prior(prior)
-    budgets = power_budgets(information, input_power, output_power, channel_power)
+    budgets = power_budgets(information, input_power, output_power, channel_power, rate_power)
     bands = bands_of(band)
     omega = frequency_grid(information, bands, points)
     problem = Problem(information, wanted, budgets, omega, bands)
     if wanted.kind == "K":
-        if output_power is not None or channel_power is not None:
+        if any(limit is not None for limit in (output_power, channel_power, rate_power)):
             raise InputError("modified-E knows a limit on the input power only; leave out the others.")
         return condition_design(
             information,

@@ -81,3 +81,18 @@ def test_speed_rows_reach_the_gap():
     assert row["seconds"] > 0
     assert row["baseline_seconds"] > 0
     assert "gap" in row["note"]
+
+
+def test_shaped_spectra_and_rates_from_the_command():
+    grid = _run("--criterion", "D")
+    for words in (["ar", "--lags", "2"], ["bands", "--lags", "12"]):
+        shaped = _run("--criterion", "D", "--parametrisation", *words, "--realise", "300")
+        assert shaped["loss"] > grid["loss"]
+        assert shaped["gap"] > 0.01
+        assert shaped["power_used"]["input power"] == pytest.approx(1.0, rel=1e-9)
+        assert shaped["realised_power"] == pytest.approx(1.0, rel=1e-9)
+    slow = _run("--amplitude", "1", "--rate", "0.3", "--realise", "200")
+    assert slow["limits"]["rate of input 1"] == pytest.approx(0.09)
+    assert _run("--criterion", "modified-E")["gap"] < 1e-7
+    with pytest.raises(InputError, match="--amplitude too"):
+        _run("--rate", "0.3")

@@ -1,0 +1,180 @@
+"""Limits on rates, Hermitian masks, quantiles over plants, designs in a loop, and three powers on every parametrisation."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from oed.design import (
+    RepeatedDesign,
+    amplitude_design,
+    autocorrelation_design,
+    information_map,
+    masked_design,
+    moment_design,
+    quantile_design,
+    robust_design,
+    solve_design,
+)
+from oed.design.amplitude import slew_limited
+from oed.design.masked_mimo import masked_mimo_design
+from oed.design.named_criteria import criterion_of
+from oed.errors import InfeasibleDesign, InputError, Status
+from oed.named import named_plant
+from oed.signals import realise
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return named_plant("reference")
+
+
+def _plants(plant, count: int) -> list:
+    rng = np.random.default_rng(1)
+    pole = lambda: rng.uniform(0.7, 0.95) * np.exp(1j * rng.uniform(0.7, 1.3))
+    return [plant.replace(den=np.poly([p, p.conjugate()]).real) for p in (pole() for _ in range(count))]
+
+
+@pytest.mark.parametrize("name", ["moments", "autocorrelation", "masked", "multisine", "output-limited"])
+def test_three_powers_on_every_parametrisation(plant, name, rng):
+    """The optimiser's own variables, the sum of the lines, the variance of the realised signal."""
+    power = 2.5
+    if name == "moments":
+        found = moment_design(plant, "D", input_power=power)
+        own = found.power
+    elif name == "autocorrelation":
+        found = autocorrelation_design(plant, "D", lags=12, input_power=power, points=1024)
+        own = found.power
+    elif name == "masked":
+        found = masked_design(plant, "D", input_mask=lambda w: np.full(w.shape, 20.0), input_power=power)
+        own = found.power_used["input power"]
+    elif name == "multisine":
+        lines = 2 * np.pi * np.arange(501) / 1000
+        found = solve_design(plant, "D", input_power=power, points=lines, refine=False)
+        own = found.power_used["input power"]
+    else:
+        found = solve_design(plant, "D", input_power=power, output_power=1.0)
+        own, power = found.power_used["input power"], found.spectrum.total_power
+    u = realise(found.spectrum, 1000, rng)
+    # Clarabel keeps equalities to about 1e-9.
+    np.testing.assert_allclose([own, found.spectrum.total_power, np.mean(u**2)], power, rtol=1e-7)
+
+
+def test_a_rate_limit_is_a_power_of_the_differences(plant, rng):
+    wide, _ = amplitude_design(plant, "D", 1.0, 400, rng, tries=1)
+    design, made = amplitude_design(plant, "D", 1.0, 400, rng, rate=0.3, tries=1)
+    assert np.abs(made.u).max() <= 1 + 1e-12
+    assert np.abs(np.diff(made.u, axis=0, prepend=0.0)).max() <= 0.3 * (1 + 1e-12)
+    change = np.sum(
+        design.spectrum.power[:, 0, 0].real * np.abs(1 - np.exp(-1j * design.spectrum.omega)) ** 2
+    )
+    assert change == pytest.approx(0.09, rel=1e-6)
+    assert design.power_used["rate of input 1"] == pytest.approx(0.09, rel=1e-6)
+    assert abs(design.gap) < 1e-7
+    assert design.loss > wide.loss
+    assert made.loss > design.bound
+    # A rate that the amplitude allows anyway changes nothing.
+    free, _ = amplitude_design(plant, "D", 1.0, 400, rng, rate=2.5, tries=1)
+    assert free.loss == wide.loss
+    steps = slew_limited(np.array([[1.0], [1.0], [-1.0]]), 0.4)
+    np.testing.assert_allclose(steps[:, 0], [0.4, 0.8, 0.4])
+    with pytest.raises(InputError, match="limit a power too"):
+        solve_design(plant, "D", rate_power=[1.0])
+    with pytest.raises(InputError, match="the rate is"):
+        amplitude_design(plant, "D", 1.0, 100, rng, rate=0.0)
+
+
+def test_a_hermitian_mask_on_one_input_is_the_scalar_mask(plant):
+    information = information_map(plant)
+    scalar = masked_design(plant, "D", input_mask=lambda w: 8.0 + 0 * w, cells=30)
+    matrix = masked_mimo_design(
+        information,
+        criterion_of("D", plant, information),
+        input_mask=lambda w: (8.0 + 0 * w)[:, None, None],
+        output_mask=None,
+        input_power=1.0,
+        cells=30,
+        tolerance=1e-6,
+    )
+    assert matrix.loss == pytest.approx(scalar.loss, rel=1e-6)
+    assert 0 <= matrix.gap < 1e-6
+
+
+@pytest.mark.slow
+def test_hermitian_masks_are_kept_and_certified():
+    three = named_plant("three-by-two")
+    skew = np.array([[2.0, 0.5 + 0.5j], [0.5 - 0.5j, 3.0]])
+    masks = {
+        "input_mask": lambda w: np.broadcast_to(skew, (len(w), 2, 2)),
+        "output_mask": lambda w: np.broadcast_to(2 * np.eye(3), (len(w), 3, 3)),
+    }
+    design = masked_design(three, "E", **masks, cells=24)
+    assert 0 <= design.gap < 1e-5
+    density = design.spectrum.power * 24
+    assert np.linalg.eigvalsh(skew - density).min() > -1e-6
+    G = three.response(design.spectrum.omega)[0]
+    assert np.linalg.eigvalsh(2 * np.eye(3) - G @ density @ G.conj().swapaxes(1, 2)).min() > -1e-6
+    assert design.loss > masked_design(three, "E", input_mask=masks["input_mask"], cells=24).bound
+
+
+def test_bad_matrix_masks_are_named():
+    three = named_plant("three-by-two")
+    constant = lambda values: lambda w: np.broadcast_to(np.array(values), (len(w), 2, 2))
+    with pytest.raises(InputError, match="not Hermitian at"):
+        masked_design(three, "D", input_mask=constant([[1.0, 0.5], [0.0, 1.0]]))
+    with pytest.raises(InputError, match="negative eigenvalue"):
+        masked_design(three, "D", input_mask=constant([[1.0, 2.0], [2.0, 1.0]]))
+    with pytest.raises(InfeasibleDesign, match="0 at every frequency"):
+        masked_design(three, "D", input_mask=constant(np.zeros((2, 2))))
+    with pytest.raises(InputError, match="may be singular"):
+        masked_design(three, "hinf", input_mask=constant(np.eye(2)))
+
+
+@pytest.mark.slow
+def test_quantile_designs_against_every_subset(plant):
+    plants = _plants(plant, 5)
+    found = quantile_design(plants, "E", quantile=0.6)
+    assert found.status is Status.OK
+    # Twin: the minimax design of every subset of three.
+    every = min(
+        robust_design([plants[j] for j in chosen], "E", how="minimax", tolerance=1e-6).loss
+        for chosen in combinations(range(5), 3)
+    )
+    assert found.value == pytest.approx(every, rel=1e-5)
+    assert np.sort(found.losses)[2] == pytest.approx(found.value, rel=1e-12)
+    assert found.bound <= found.value
+    whole = quantile_design(plants[:3], "E", quantile=1.0)
+    assert whole.value == pytest.approx(
+        robust_design(plants[:3], "E", how="minimax", tolerance=1e-6).loss, rel=1e-5
+    )
+    # Cut short, it still bounds and says that it is not done.
+    short = quantile_design(plants, "A", quantile=0.6, max_designs=5)
+    assert short.status is Status.INACCURATE
+    assert short.bound <= quantile_design(plants, "A", quantile=0.6).value * (1 + 1e-5)
+    with pytest.raises(InputError, match="quantile"):
+        quantile_design(plants, quantile=0.0)
+    with pytest.raises(InputError, match="at least one plant"):
+        quantile_design([])
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "E"])
+def test_a_loop_of_designs_compiles_once(plant, criterion):
+    omega = np.linspace(0.4, 1.8, 60)
+    loop, compiled = RepeatedDesign(omega, criterion), set()
+    for k, other in enumerate(_plants(plant, 3)):
+        prior = None if k == 0 else 0.1 * np.eye(4)
+        found = loop.design(other, input_power=1.0 + k, prior=prior)
+        twin = solve_design(
+            other, criterion, input_power=1.0 + k, prior=prior, points=omega, refine=False, band=(0.4, 1.8)
+        )
+        assert found.loss == pytest.approx(twin.loss, rel=1e-5)
+        assert -1e-12 <= found.gap < 1e-5
+        assert found.bound <= twin.loss * (1 + 1e-9)
+        # CVXPY kept the compiled problem: it is the same object in every round.
+        compiled.add(id(loop.problem.get_problem_data("CLARABEL")[0]["param_prob"]))
+    assert loop.problem.is_dcp(dpp=True)
+    assert loop.compilations == len(compiled) == 1
+    with pytest.raises(InputError, match="no repeated form"):
+        RepeatedDesign(omega, "hinf").design(plant)
