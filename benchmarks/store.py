@@ -153,7 +153,8 @@ class Store:
         if not path.exists():
             return None
         try:
-            return pq.read_table(path, partitioning=None, memory_map=False)
+            with pq.ParquetFile(path) as file:  # read_table would take a folder named a=b for a column
+                return file.read()
         except (OSError, pa.ArrowException):
             print(f"{path} is damaged and is computed again.", file=sys.stderr)
             return None
