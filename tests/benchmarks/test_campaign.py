@@ -93,6 +93,31 @@ def test_killed_campaign_resumes_bit_identical(tmp_path):
     assert same(run_campaign(SMALL, 60, folder, jobs=1), run_campaign(SMALL, 60, tmp_path / "whole", jobs=1))
 
 
+@pytest.mark.slow
+def test_ctrl_c_is_one_line_and_leaves_a_store_that_resumes(tmp_path):
+    folder = tmp_path / "stopped"
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "benchmarks.cli", "compare", "--plant", "reference", "--noise-variance", "1",
+            "--methods", "white", "power", "--samples", "100", "--experiments", "3", "--replicates", "300",
+            "--estimators", "gain", "mu", "frf", "--profile-replicates", "2", "--jobs", "2", "--quiet", "--out", str(folder),
+        ],
+        stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 120
+    while not list(folder.glob("parts/*.parquet")) and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "interrupted; what was finished is kept." in said
+    assert "Traceback" not in said
+    assert len(list(folder.glob("parts/*.parquet"))) < len(parts(SMALL, 300))
+    assert same(
+        run_campaign(SMALL, 300, folder, jobs=1), run_campaign(SMALL, 300, tmp_path / "whole", jobs=1)
+    )
+
+
 def test_another_campaigns_folder_is_left_alone(tmp_path):
     run_campaign(SMALL, 2, tmp_path / "a", jobs=1)
     before = {p: p.read_bytes() for p in sorted((tmp_path / "a").rglob("*")) if p.is_file()}
