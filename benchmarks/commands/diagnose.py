@@ -14,7 +14,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     parser.add_argument("train", metavar="TRAIN", help="training record; FILE[a:b] takes rows a to b-1")
     parser.add_argument(
-        "--test", metavar="TEST", help="held-out record; without it the last quarter of TRAIN"
+        "--test", metavar="TEST", help="held-out record; without it blocked cross-validation inside TRAIN"
     )
     parser.add_argument(
         "--meta", metavar="META.json", help="sampling time, structure and order known beforehand"
@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--alpha", type=float, default=0.01, help="false-alarm rate over all tests (default 0.01)"
     )
     parser.add_argument(
-        "--out", metavar="DIR", help="write the simulated outputs, the result and figures there"
+        "--out", metavar="DIR", help="write the result, the simulated outputs, figures and report.html there"
     )
 
 
@@ -48,7 +48,15 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if args.meta:
         payload["case"] = Path(args.meta).parent.name
     if args.out:
+        from benchmarks.diagnosis_report import write_diagnosis_report
         from estimators.diagnosis.saving import save
 
-        payload["out"] = str(save(result, args.out))
+        folder = save(result, args.out)
+        made = {
+            "training record": args.train,
+            "test record": args.test or "none",
+            "false-alarm rate": args.alpha,
+        }
+        write_diagnosis_report(result, folder, made)
+        payload["out"] = str(folder)
     return payload, "\n".join([*notes, str(result)])

@@ -133,6 +133,29 @@ def _path(channel: Channel, base: Fit, key: str, j: int, sizes: tuple[int, ...])
     return min(fits, key=lambda f: f.criterion) if fits else None
 
 
+def _ringing(channel: Channel, base: Fit) -> Start | None:
+    """A sinusoid in place of poles that ring through the whole record: a linear model may have taken it for a mode."""
+    s = base.structure
+    if s.layout != "tf" or s.effects or s.order < 3:
+        return None
+    poles = np.roots(np.concatenate(([1.0], base.p[: s.order])))
+    ringing = [z for z in poles if z.imag > 0 and abs(z) > 1.0 - 3.0 / len(channel)]
+    if not ringing:
+        return None
+    w = float(np.angle(max(ringing, key=abs)))
+    k = channel.clock.k
+    X = np.stack([np.cos(w * k), np.sin(w * k)], axis=1)
+    c = np.linalg.lstsq(X[channel.keep], channel.y[channel.keep], rcond=None)[0]
+    linear = fit_linear(replace(channel, y=channel.y - X @ c), s)
+    size = float(np.std(channel.y)) + 1e-300
+    return Start(
+        s.adding(Part("tones", 0, 1)),
+        np.concatenate((linear.p, [w], c)),
+        np.concatenate((linear.scales, [1.0 / len(channel), size, size])),
+        0.0,
+    )
+
+
 def _higher_order(channel: Channel, base: Fit, key: str, extra: int) -> Fit | None:
     s = base.structure
     if s.layout != "tf" or s.effects:
@@ -223,6 +246,9 @@ def _special(channel: Channel, base: Fit, key: str, others: tuple[int, ...]) -> 
                 )
             if len(fits) > 1 and fits[-1].criterion > fits[-2].criterion:
                 break
+        start = _ringing(channel, base)
+        if start is not None:
+            fits.append(fit(channel, start.structure, start.p, start.scales, noise=base.noise, iterations=25))
         fits = [f for f in fits if np.isfinite(f.deviance)]
         yield min(fits, key=lambda f: f.criterion) if fits else None
     elif key == "initial":

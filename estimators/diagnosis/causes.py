@@ -94,8 +94,14 @@ def verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
         if strange is not None:
             natures.append(strange.nature)
             p_value = min(p_value, strange.p_value)
-            order.append((1e7, UNKNOWN))
-            evidence.insert(0, f"no effect of the catalogue explains what is left{tag}: {strange.sentence}")
+            order.append((1e7, strange.key or UNKNOWN))
+            words = "what is left" if strange.key else "no effect of the catalogue explains what is left"
+            evidence.insert(0, f"{words}{tag}: {strange.sentence}")
+        elif setting.deviations and not len(a.final.noise) and not out.signatures:
+            for item in rest:
+                if item.key and item.p_value < 1e-6:
+                    order.append((50.0, item.key))
+                    evidence.append(f"what is left{tag}: {item.sentence}")
         for key, others in a.rivals.items():
             evidence.append(f"instead of {CATALOGUE[key].label}{tag} it may as well be {' or '.join(others)}")
         for c in a.claims:

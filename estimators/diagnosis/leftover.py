@@ -35,12 +35,15 @@ class Leftover:
         Corrected for the number of tests.
     gain : float
         Likelihood ratio less Schwarz's price of its terms; 0 for the tests of the noise.
+    key : str
+        Key of the catalogue where what is left has a name there, else empty.
     """
 
     nature: str
     sentence: str
     p_value: float
     gain: float
+    key: str = ""
 
 
 def _late(x: Array, by: int) -> Array:
@@ -188,5 +191,5 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
     tails = float(kurtosis(kept)) * np.sqrt(n / 24.0)
     p = min(1.0, tests * 2.0 * float(chi2.sf(max(tails, 0.0) ** 2, 1)))
     if tails > 0 and p < alpha * 1e-2:  # the normal limit of a kurtosis is slow
-        out.append(Leftover(NATURES["noise"], f"the noise has heavy tails (p = {p:.2g})", p, 0.0))
+        out.append(Leftover(NATURES["noise"], f"the noise has heavy tails (p = {p:.2g})", p, 0.0, "outliers"))
     return sorted(out, key=lambda x: -x.gain)

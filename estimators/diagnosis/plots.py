@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from estimators.diagnosis.report import Diagnosis
 
-__all__ = ["residual_figure", "save_figures"]
+__all__ = ["nonlinearity_figure", "residual_figure", "save_figures", "story_figure"]
 
 
 def _binned(x: Any, r: Any, bins: int = 25) -> tuple[Any, Any, Any]:
@@ -75,6 +75,151 @@ def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
     return figure
 
 
+def _curve(part: Any, q: Any, x: Any) -> Any:
+    """Value of an effect's characteristic at x, with its parameters q; None where it is no curve."""
+    from estimators.effects.recursion_kernels import hinges
+
+    key, e = part.key, part.effect
+    if key == "sandwich":
+        return hinges(x, np.ascontiguousarray(q[2 * (part.size % 100) :]))
+    if key == "stiffness_cubic":
+        return x + q[0] * x**3
+    if key == "stiffness":
+        return x + q[0] * x**2 + q[1] * x**3
+    if key == "drag":
+        return abs(q[0]) * np.abs(x) * x
+    if key in ("coulomb", "coulomb_asymmetric", "stribeck"):
+        tilt = q[1] if key == "coulomb_asymmetric" else 0.0
+        bump = abs(q[1]) * np.exp(-((x / max(abs(q[2]), 1e-300)) ** 2)) if key == "stribeck" else 0.0
+        return (abs(q[0]) + bump) * np.sign(x) * (1 + tilt * np.sign(x))
+    if "nonlinearity" in e.nature and e.apply is not None and e.nature.startswith("static"):
+        return e.apply(x, q, None)
+    return None
+
+
+def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
+    """Values that the effect's argument takes in the record, and its name."""
+    from estimators.diagnosis.layouts import LAYOUTS, layout_matrices, states
+    from estimators.diagnosis.structure import sandwiched
+
+    u = channel.u[:, part.channel]
+    if part.key == "sandwich":
+        order = part.size % 100
+        sl = f.structure.slices()[f.structure.parts.index(part)]
+        return sandwiched(
+            u, np.concatenate((f.p[sl][: 2 * order], [0.0, 0.0])), order
+        ), "between the two blocks"
+    if part.effect.slot == "plant":
+        head = LAYOUTS[f.structure.layout][1]
+        position, velocity = layout_matrices(f.structure.layout, f.p[:head])[3:]
+        fast = part.key not in ("stiffness", "stiffness_cubic")
+        X = states(f.structure.layout, f.p[:head], u, np.zeros(9))
+        # the linear part alone swings wider where a spring stiffens: the middle 99 % are shown
+        return X @ (
+            velocity if fast else position
+        ), "velocity" if fast else "position (in units of the input)"
+    if part.effect.slot == "input":
+        return u, "input"
+    return channel.y - f.residual, "output before the sensor"
+
+
+def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
+    """Characteristics of the nonlinear effects that were found, each with a band of 2 standard errors.
+
+    Parameters
+    ----------
+    result : Diagnosis
+        What `diagnose` returned.
+    output : int
+        Which output.
+
+    Returns
+    -------
+    matplotlib.figure.Figure or None
+        None where no effect of the output's final model is a curve.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    out, f = result.extra["outputs"][output], result.extra["finals"][output]
+    channel = out.last if f is out.attribution.final else out.channel
+    found = [(q, sl) for q, sl in zip(f.structure.parts, f.structure.slices(), strict=True)]
+    drawn = [(q, sl) for q, sl in found if _curve(q, f.p[sl], np.linspace(-1.0, 1.0, 3)) is not None]
+    if not drawn or not f.jacobian.size:
+        return None
+    J = f.jacobian
+    norms = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
+    covariance = np.linalg.pinv((J / norms).T @ (J / norms)) * f.variance
+    covariance = covariance / np.outer(norms, norms).clip(1e-290)
+    figure = Figure(figsize=(4.6 * len(drawn), 3.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axis, (part, sl) in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
+        values, name = _range_of(part, f, channel)
+        values = values[np.isfinite(values)]
+        low, high = np.quantile(values, (0.005, 0.995))
+        x = np.linspace(low, high, 121)
+        y = _curve(part, f.p[sl], x)
+        slopes = np.zeros((len(x), sl.stop - sl.start))
+        for i in range(sl.stop - sl.start):
+            q = f.p[sl].copy()
+            step = 1e-4 * f.scales[sl.start + i]
+            q[i] += step
+            slopes[:, i] = (_curve(part, q, x) - y) / step
+        band = 2 * np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", slopes, covariance[sl, sl], slopes), 0.0))
+        axis.fill_between(x, y - band, y + band, color="C0", alpha=0.3, lw=0)
+        axis.plot(x, y, color="C0", label="with its band, 2 s.e.")
+        if part.effect.slot != "plant" or part.key.startswith("stiffness"):
+            axis.plot(x, x, color="0.5", lw=0.8, ls="--", label="linear")
+        axis.set(xlabel=name, ylabel="acts as", title=part.effect.sentence)
+        axis.title.set_fontsize(9)
+        axis.legend()
+    return figure
+
+
+def story_figure(result: Diagnosis, output: int = 0, *, start: int = 0, samples: int = 500) -> Figure:
+    """A piece of the test record with the residual before and after, and the spectra of both: small enough to print.
+
+    Parameters
+    ----------
+    result : Diagnosis
+        What `diagnose` returned.
+    output : int
+        Which output.
+    start, samples : int
+        The piece shown.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Two panels.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from scipy.signal import welch
+
+    test = result.extra["test"]
+    rows = slice(start, start + samples)
+    y = np.nan_to_num(test.y[:, output])
+    figure = Figure(figsize=(9, 3.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    time, spectrum = figure.subplots(1, 2)
+    t = test.dt * np.arange(len(y))
+    frequency, power = welch(y, 1 / test.dt, nperseg=min(256, len(y)))
+    spectrum.semilogy(frequency[1:], np.sqrt(power[1:]), color="0.75", lw=1, label="measured")
+    for label, simulated, colour in (
+        ("residual of the linear model", result.yhat_before[:, output], "C1"),
+        (f"with {result.effect.replace('_', ' ')} added", result.yhat_after[:, output], "C0"),
+    ):
+        r = y - simulated
+        time.plot(t[rows], r[rows], color=colour, lw=0.9, label=label)
+        frequency, power = welch(r, 1 / test.dt, nperseg=min(256, len(r)))
+        spectrum.semilogy(frequency[1:], np.sqrt(power[1:]), color=colour, lw=1, label=label)
+    time.set(xlabel="time [s]", ylabel=f"residual of {test.output_names[output]}")
+    spectrum.set(xlabel="frequency [Hz]", ylabel="per root hertz")
+    spectrum.legend(fontsize=8)
+    return figure
+
+
 def save_figures(result: Diagnosis, folder: str | os.PathLike[str]) -> list[Path]:
     """Write the figures of every output as PNG and PDF.
 
@@ -91,10 +236,15 @@ def save_figures(result: Diagnosis, folder: str | os.PathLike[str]) -> list[Path
         The files.
     """
     files = []
+    figures = {}
     for i in range(result.yhat_before.shape[1]):
-        figure = residual_figure(result, i)
+        figures[f"residual_{i + 1}"] = residual_figure(result, i)
+        curve = nonlinearity_figure(result, i)
+        if curve is not None:
+            figures[f"nonlinearity_{i + 1}"] = curve
+    for name, figure in figures.items():
         for kind in ("png", "pdf"):
-            target = Path(folder) / f"residual_{i + 1}.{kind}"
+            target = Path(folder) / f"{name}.{kind}"
             part = target.with_suffix(f".part.{kind}")
             figure.savefig(part, dpi=130)
             os.replace(part, target)
