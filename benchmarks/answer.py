@@ -22,7 +22,7 @@ ITERATIONS = ("power", "procedure-2", "two-experiment")
 OWN = ("gain", "mu", "rayleigh")
 KNOWS_ORDER = ("pem", "fir-known")
 OPTIMAL, GOOD, BETTER = 0.9, 0.5, 1.5
-"""Shares of the optimum that count as optimal and as near it, and the factor over white noise that counts as better."""
+"""Shares of the optimum that count as optimal and as over half of it, and the factor over white noise that counts as better."""
 
 BUDGET = {
     "samples": "samples",
@@ -89,7 +89,7 @@ def _verdict(efficiency: float, over_white: float) -> str:
     if efficiency >= OPTIMAL:
         return "optimal design"
     if efficiency >= GOOD:
-        return "near optimal design"
+        return "over half the optimum"
     return "better than white noise" if over_white >= BETTER else "hardly better than white noise"
 
 
@@ -218,7 +218,7 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
         by_verdict.setdefault(row["verdict"], []).append(row)
     order = (
         "optimal design",
-        "near optimal design",
+        "over half the optimum",
         "better than white noise",
         "hardly better than white noise",
     )
@@ -233,7 +233,7 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
     )
     sentences = [
         f"Are the iterations optimal experiment design ([S] Sec. 4.2)? Measured over {settings.experiments} experiments of "
-        f"{settings.samples} samples, as an input for the peak gain they are {listed}."
+        f"{settings.samples} samples, as an input for the peak gain they are: {listed}."
     ]
     wasted = [r for r in rows if _finite(r["waste"])]
     if wasted:

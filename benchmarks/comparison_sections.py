@@ -109,7 +109,7 @@ def answer_section(
                 "answer",
                 rows,
                 ANSWER,
-                "Where the iterations are optimal design for the peak gain (at least 90 % of the certified optimum; near: 50 %; "
+                "Where the iterations are optimal design for the peak gain (at least 90 % of the certified optimum; over half; "
                 "better than white: 1.5 times), what their own estimators waste, and the best input and estimator that need not "
                 "know the plant, with its order known and unknown. Energy over all experiments and channels, the 1 + pq of "
                 "Procedure 2 counted one by one.",
