@@ -27,6 +27,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--samples", type=int, metavar="N", help="also the prediction for experiments of N samples"
     )
+    parser.add_argument(
+        "--claim-map",
+        action="store_true",
+        help="instead: where the sinusoid at the peak and the limit spectrum are optimal, this plant first",
+    )
 
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
@@ -45,6 +50,18 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             f"the plant has {plant.n_outputs} outputs and {plant.n_inputs} inputs; --algorithm {algorithm} is for "
             "one of each: use --algorithm mimo."
         )
+    if args.claim_map:
+        return _claim_map(plant)
     if algorithm == "siso":
         return siso_prediction(plant, experiments=args.experiments, samples=args.samples)
     return mimo_prediction(plant, algorithm, args.scaling, experiments=args.experiments, samples=args.samples)
+
+
+def _claim_map(plant: Any) -> tuple[dict[str, Any], str]:
+    """This plant's row and those of the usual cases, each with its certificate."""
+    from benchmarks.claim_map import COLUMNS, claim_rows, row_of
+    from benchmarks.tables import to_text
+    from oed.theory import map_of_claim
+
+    rows = [row_of("this plant", map_of_claim([plant])[0]), *claim_rows()]
+    return {"claim_map": rows}, to_text(rows, COLUMNS)

@@ -20,13 +20,14 @@ uniqueness of w^ the gain has no gradient. With the output's power limited to P_
 x' I x <= P_y / (lambda gamma^2), and the same sinusoid attains lambda gamma^2 / P_y. QED
 
 It breaks where no such x exists (known gain, monic numerator), where the noise is coloured or unequal over outputs, where
-single channels or amplitudes are limited, and with an unknown offset when w^ = 0. `map_of_claim` measures by how much.
+single channels or amplitudes are limited, and with an unknown offset when w^ = 0. `map_of_claim` and
+`oed.theory.claim_cases` measure by how much.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,15 @@ from oed.errors import OedError
 from oed.norms import gain_gradient, peak
 from oed.plants import Plant
 
-__all__ = ["ClaimRow", "gain_scaling_residual", "map_of_claim", "peak_sinusoid_spectrum"]
+__all__ = [
+    "ClaimRow",
+    "amplitude_row",
+    "claim_row",
+    "gain_scaling_residual",
+    "map_of_claim",
+    "offset_row",
+    "peak_sinusoid_spectrum",
+]
 
 
 def peak_sinusoid_spectrum(plant: Plant, power: float = 1.0) -> Spectrum:
@@ -115,6 +124,10 @@ class ClaimRow:
         Relative gap of the certificate.
     note : str
         Why a number is missing.
+    bound : float
+        Certified: no admissible spectrum has a smaller variance of the peak gain per sample.
+    largest_price, price_frequency : float
+        Of the certificate, and where.
     """
 
     plant: str
@@ -126,6 +139,9 @@ class ClaimRow:
     optimum: float
     gap: float
     note: str = ""
+    bound: float = float("nan")
+    largest_price: float = float("nan")
+    price_frequency: float = float("nan")
 
 
 def map_of_claim(plants: Sequence[Plant], **limits: float) -> list[ClaimRow]:
@@ -143,10 +159,24 @@ def map_of_claim(plants: Sequence[Plant], **limits: float) -> list[ClaimRow]:
     list of ClaimRow
         One per plant; what could not be computed is a row with a note.
     """
-    return [_row(plant, limits) for plant in plants]
+    return [claim_row(plant, limits) for plant in plants]
 
 
-def _row(plant: Plant, limits: dict[str, Any]) -> ClaimRow:
+def claim_row(plant: Plant, limits: dict[str, Any]) -> ClaimRow:
+    """One row of the map.
+
+    Parameters
+    ----------
+    plant : Plant
+        With its noise and its unknown parameters.
+    limits : dict
+        As for `solve_design`.
+
+    Returns
+    -------
+    ClaimRow
+        With NaN and a note where a number does not exist.
+    """
     from oed.criteria import c_criterion
     from oed.design import solve_design
 
@@ -158,24 +188,104 @@ def _row(plant: Plant, limits: dict[str, Any]) -> ClaimRow:
         return ClaimRow(plant.name, plant.noise_variance, False, nan, nan, nan, nan, nan, str(error))
     criterion = c_criterion(gain_gradient(plant))
     sinusoid = peak_sinusoid_spectrum(plant)
+    low, high = limits.get("band") or (0.0, np.pi)
+    allowed = low <= sinusoid.omega[0] <= high
     largest = min(
         limit / float(np.einsum("kqr,krq->", budget_form(plant, name, sinusoid.omega), sinusoid.power).real)
         for name, limit in design.limits.items()
     )
-    loss = criterion.loss(design.map.of_spectrum(sinusoid * largest))
-    limit, note = nan, ""
-    if plant.n_inputs * plant.n_outputs == 1 and set(design.limits) == {"input power"}:
-        limit, note = _limit_efficiency(plant, design.bound)
+    loss = criterion.loss(design.map.of_spectrum(sinusoid * largest)) if allowed else np.inf
+    limit, note = nan, "" if allowed else "the peak lies outside the band"
+    if allowed and set(design.limits) == {"input power"} and "band" not in limits:
+        limit, note = _limit_efficiency(plant, design)
     return ClaimRow(
         plant=plant.name,
         noise_variance=plant.noise_variance,
         closed=closed,
         sinusoid=design.bound / loss,
         limit=limit,
-        white=design.efficiency_white,
+        white=nan if "band" in limits else design.efficiency_white,
         optimum=design.loss / plant.noise_variance,
         gap=design.gap,
         note=note,
+        bound=design.bound,
+        largest_price=design.certificate.largest_price,
+        price_frequency=design.certificate.frequency,
+    )
+
+
+def offset_row(plant: Plant, samples: int) -> ClaimRow:
+    """The map's row where a constant offset at the output is unknown.
+
+    The offset takes all information that a line at frequency 0 carries: its regressor is the same constant. What
+    is left are lines of whole periods, from 2 pi / N on.
+
+    Parameters
+    ----------
+    plant : Plant
+        One input and one output.
+    samples : int
+        N of the experiment.
+
+    Returns
+    -------
+    ClaimRow
+        `sinusoid` is 0 where the peak lies at 0.
+    """
+    row = claim_row(plant, {"band": (2 * np.pi / samples, np.pi)})
+    note = f"lines from 2 pi / {samples} on" + (f"; {row.note}" if row.note else "")
+    return replace(row, limit=float("nan"), white=float("nan"), note=note)
+
+
+def amplitude_row(plant: Plant, amplitude: float) -> ClaimRow:
+    """The map's row where |u| is limited, not its power.
+
+    A signal within the amplitude a has a power of at most a^2, which bounds its information; the sinusoid at the
+    peak has a^2 / 2, a square wave of its frequency a^2, of which its fundamental holds 8 / pi^2.
+
+    Parameters
+    ----------
+    plant : Plant
+        One input.
+    amplitude : float
+        a.
+
+    Returns
+    -------
+    ClaimRow
+        `optimum` and `gap` are those of the better of sinusoid and square wave against the relaxation's bound.
+    """
+    relaxed = claim_row(plant, {"input_power": amplitude**2})
+    if not np.isfinite(relaxed.bound):
+        return relaxed
+    from oed.criteria import c_criterion
+    from oed.information import information_of_spectrum
+
+    criterion, at = c_criterion(gain_gradient(plant)), peak(plant).frequency
+    constant = at in (0.0, float(np.pi))
+    sinusoid = criterion.loss(
+        information_of_spectrum(
+            plant, peak_sinusoid_spectrum(plant, amplitude**2 * (1.0 if constant else 0.5))
+        )
+    )
+    square = sinusoid
+    if not constant:
+        # sign(cos(w t)): odd harmonics k of power 8 / (pi k)^2 each, folded into [0, pi] by sampling.
+        k = np.arange(1, 4001, 2)
+        folded = np.abs((k * at + np.pi) % (2 * np.pi) - np.pi)
+        power = 8 / (np.pi * k) ** 2
+        square = criterion.loss(
+            information_of_spectrum(plant, Spectrum(folded, amplitude**2 * power / power.sum()))
+        )
+    best = min(square, sinusoid)
+    return replace(
+        relaxed,
+        sinusoid=relaxed.bound / sinusoid,
+        limit=float("nan"),
+        white=float("nan"),
+        optimum=best / plant.noise_variance,
+        gap=best / relaxed.bound - 1,
+        note=f"square wave {relaxed.bound / square:.4f}; the bound is that of the power a^2",
     )
 
 
@@ -200,18 +310,22 @@ def budget_form(plant: Plant, name: str, omega: NDArray[np.float64]) -> NDArray[
         G = plant.response(omega)[0]
         return G.conj().swapaxes(1, 2) @ G
     form = np.eye(plant.n_inputs, dtype=complex)
-    if name.startswith("power of input"):
+    if name.startswith(("power of input", "rate of input")):
         form = np.diag(np.eye(plant.n_inputs)[int(name.split()[-1]) - 1]).astype(complex)
+    if name.startswith("rate of input"):
+        return form * (np.abs(1 - np.exp(-1j * omega)) ** 2)[:, None, None]
     return np.broadcast_to(form, (len(omega), *form.shape))
 
 
-def _limit_efficiency(plant: Plant, bound: float) -> tuple[float, str]:
-    from oed.criteria import c_criterion
-    from oed.information import information_of_spectrum
+def _limit_efficiency(plant: Plant, design: Any) -> tuple[float, str]:
+    """Of the limit spectrum of Algorithm 1; with several inputs or outputs of Procedure 2, unscaled."""
     from oed.theory.limit import limit_spectrum
+    from oed.theory.mimo import mimo_limit_spectrum
 
+    several = plant.n_inputs * plant.n_outputs > 1
     try:
-        information = information_of_spectrum(plant, limit_spectrum(plant).spectrum)
+        spectrum = (mimo_limit_spectrum if several else limit_spectrum)(plant).spectrum
+        information = design.map.of_spectrum(spectrum * (design.limits["input power"] / spectrum.total_power))
     except OedError as error:
         return float("nan"), str(error)
-    return bound / c_criterion(gain_gradient(plant)).loss(information), ""
+    return design.bound / design.criterion.loss(information), ""

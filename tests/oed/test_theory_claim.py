@@ -13,7 +13,14 @@ from oed.information import information_of_spectrum
 from oed.named import named_plant
 from oed.norms import gain_gradient, peak
 from oed.plants import Plant
-from oed.theory.claim import gain_scaling_residual, map_of_claim, peak_sinusoid_spectrum
+from oed.theory import (
+    claim_cases,
+    claim_map,
+    gain_scaling_residual,
+    map_of_claim,
+    peak_sinusoid_spectrum,
+)
+from oed.theory.claim import amplitude_row, offset_row
 
 
 def _plant(radius: float, angle: float, b: tuple[float, float, float], outputs: int, inputs: int) -> Plant:
@@ -90,7 +97,14 @@ def test_the_map_shows_where_the_claim_fails():
     assert by_name["slow noise"].sinusoid == pytest.approx(1.0, abs=1e-6)
     assert by_name["resonant noise"].sinusoid == pytest.approx(0.94, abs=0.01)
     assert by_name["three-by-two"].sinusoid == pytest.approx(1.0, rel=1e-6)
-    assert np.isnan(by_name["three-by-two"].limit)
+    # Procedure 2's limit spectrum, by its definition.
+    from oed.theory.mimo import mimo_limit_spectrum
+
+    three = named_plant("three-by-two")
+    loss = c_criterion(gain_gradient(three)).loss(
+        information_of_spectrum(three, mimo_limit_spectrum(three).spectrum)
+    )
+    assert by_name["three-by-two"].limit == pytest.approx(three.noise_variance / loss, rel=1e-5)
     assert map_of_claim([named_plant("reference")], output_power=1.0)[0].sinusoid == pytest.approx(
         1.0, rel=1e-8
     )
@@ -99,3 +113,44 @@ def test_the_map_shows_where_the_claim_fails():
 def test_known_numerator_is_not_closed_under_gain_scaling():
     """Negative control of the theorem's condition."""
     assert gain_scaling_residual(named_plant("reference").replace(free=("a1", "a2")))[0] > 0.01
+
+
+def test_an_amplitude_limit_prefers_the_square_wave():
+    """theory.md section 4: at equal amplitude the square wave's loss is 1.2326 of the bound; the sinusoid's 2."""
+    row = amplitude_row(named_plant("reference"), 2.0)
+    assert row.sinusoid == pytest.approx(0.5, rel=1e-8)
+    assert row.optimum == pytest.approx(1.2326 / 4, rel=5e-4)
+    # Twin: the simulated information of the square wave itself.
+    from oed.information import information_of_signal
+
+    plant, N = named_plant("reference"), 20_000
+    u = 2.0 * np.sign(np.cos(peak(plant).frequency * np.arange(N) + 0.3))[:, None]
+    loss = c_criterion(gain_gradient(plant)).loss(information_of_signal(plant, u) / N)
+    assert loss == pytest.approx(row.optimum, rel=5e-3)
+
+
+def test_an_unknown_offset_takes_the_information_at_frequency_zero():
+    at_zero = offset_row(named_plant("peak-at-zero"), 1000)
+    assert at_zero.sinusoid == 0.0
+    assert 1.0 < at_zero.optimum < 1.01
+    elsewhere = offset_row(named_plant("reference"), 1000)
+    assert elsewhere.sinusoid == pytest.approx(1.0, rel=1e-8)
+    # Twin: with the offset as a fifth regressor of ones, a constant input tells nothing about the gain at 0.
+    from oed.information import signal_gradient
+
+    plant = named_plant("peak-at-zero")
+    psi = signal_gradient(plant, np.ones((4000, 1)))[2000:].reshape(2000, -1)
+    left = psi - psi.mean(axis=0)
+    assert np.abs(left).max() < 1e-6 * np.abs(psi).max()
+
+
+@pytest.mark.slow
+def test_the_cases_of_the_map_carry_certificates():
+    cases = [c for c in claim_cases() if c.group in ("noise colour", "known gain")]
+    for group, row in claim_map(cases):
+        assert np.isfinite(row.bound), row
+        assert -1e-9 <= row.gap < 1e-5, row
+        assert row.sinusoid <= 1 + 1e-6, row
+        if group == "noise colour" and "0.99 at" in row.plant:
+            # The noise rings where the plant does: most of the sinusoid's efficiency is lost.
+            assert row.sinusoid < 0.3

@@ -1,0 +1,119 @@
+"""The map of [S] Sec. 4.2's claim as a table and a figure: where is the sinusoid at the peak, where is the limit
+spectrum, an optimal experiment for the peak gain? Every row carries its certificate.
+
+    rows = claim_rows()              for `benchmarks.tables`, with the headings COLUMNS
+    figure = claim_figure(rows)      c-efficiencies, case by case
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from benchmarks.figures import COLOURS, MARKERS, panels
+from oed.theory.claim import ClaimRow
+from oed.theory.claim_cases import claim_map
+
+__all__ = ["COLUMNS", "claim_figure", "claim_rows", "row_of"]
+
+COLUMNS = {
+    "group": "Varied",
+    "plant": "Case",
+    "theorem": "Gain scaling",
+    "optimum": "Optimum / noise variance",
+    "gap": "Certified gap",
+    "sinusoid": "Sinusoid at the peak",
+    "limit": "Limit spectrum",
+    "white": "White noise",
+    "note": "Note",
+}
+
+Row = Mapping[str, Any]
+
+
+def row_of(group: str, row: ClaimRow) -> dict[str, Any]:
+    """One row of the table.
+
+    Parameters
+    ----------
+    group : str
+        What is varied.
+    row : ClaimRow
+        From `oed.theory`.
+
+    Returns
+    -------
+    dict
+        The keys of `COLUMNS`, and noise_variance, bound, largest_price and price_frequency of the certificate.
+    """
+    return {
+        "group": group,
+        "plant": row.plant,
+        "theorem": row.closed,
+        "optimum": row.optimum,
+        "gap": row.gap,
+        "sinusoid": row.sinusoid,
+        "limit": row.limit,
+        "white": row.white,
+        "note": row.note,
+        "noise_variance": row.noise_variance,
+        "bound": row.bound,
+        "largest_price": row.largest_price,
+        "price_frequency": row.price_frequency,
+    }
+
+
+def claim_rows(cases: Any = None) -> list[dict[str, Any]]:
+    """The map as rows of plain values; the usual cases take about 20 seconds.
+
+    Parameters
+    ----------
+    cases : list of ClaimCase, optional
+        By default those of `oed.theory.claim_cases`.
+
+    Returns
+    -------
+    list of dict
+        One per case.
+    """
+    return [row_of(group, row) for group, row in claim_map(cases)]
+
+
+def claim_figure(rows: Sequence[Row]) -> Figure:
+    """c-efficiency of sinusoid, limit spectrum and white noise, case by case.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Of `claim_rows`.
+
+    Returns
+    -------
+    Figure
+        Cases downwards, efficiency against the certified optimum to the right; 1 is optimal.
+    """
+    figure, (ax,) = panels(width=9.0, height=1.2 + 0.24 * len(rows))
+    names = {"sinusoid": "sinusoid at the peak", "limit": "limit of the iterations", "white": "white noise"}
+    for (key, name), colour, marker in zip(names.items(), COLOURS, MARKERS, strict=False):
+        places = [(float(row[key]), k) for k, row in enumerate(rows) if row[key] == row[key]]
+        ax.plot(
+            [x for x, _ in places],
+            [k for _, k in places],
+            linestyle="none",
+            marker=marker,
+            color=colour,
+            label=name,
+            markersize=5,
+        )
+    for k in range(1, len(rows)):
+        if rows[k]["group"] != rows[k - 1]["group"]:
+            ax.axhline(k - 0.5, color="#c3c8cc", linewidth=0.8)
+    ax.axvline(1.0, color="black", linewidth=0.8)
+    ax.set_yticks(range(len(rows)), [f"{row['group']}: {row['plant']}" for row in rows], fontsize=7)
+    ax.set_ylim(len(rows) - 0.5, -0.5)
+    ax.set_xlim(-0.02, 1.05)
+    ax.set_xlabel("efficiency for the peak gain, certified optimum = 1")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.4, 1.06), ncols=3, frameon=False, fontsize=8)
+    return figure

@@ -1,0 +1,30 @@
+"""The map of the claim as table and figure."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from benchmarks.claim_map import COLUMNS, claim_figure, claim_rows
+from benchmarks.tables import to_markdown
+from oed.theory import ClaimCase, claim_cases
+
+
+def test_rows_become_a_table_and_a_figure(tmp_path):
+    wanted = ("reference, variance 1", "reference, b1 and b2 known", "reference, amplitude 1")
+    cases = [case for case in claim_cases() if case.plant.name in wanted]
+    assert all(isinstance(case, ClaimCase) for case in cases)
+    rows = claim_rows(cases)
+    assert [row["theorem"] for row in rows] == [True, False, True]
+    assert rows[0]["limit"] == pytest.approx(0.81125, abs=5e-6)
+    assert math.isnan(rows[2]["limit"])
+    text = to_markdown(rows, COLUMNS)
+    assert text.count("\n") == len(rows) + 2
+    figure = claim_figure(rows)
+    ax = figure.axes[0]
+    assert len(ax.get_yticks()) == len(rows)
+    shown = {line.get_label(): line.get_xdata() for line in ax.get_lines()[:3]}
+    assert list(shown["limit of the iterations"]) == pytest.approx([0.81125, 0.80737], abs=5e-6)
+    figure.savefig(tmp_path / "map.svg")
+    assert (tmp_path / "map.svg").stat().st_size > 5000
