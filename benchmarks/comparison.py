@@ -18,7 +18,7 @@ from benchmarks.settings import Limit, default_limits
 from benchmarks.store import versions, write_atomically
 from benchmarks.tables import to_text
 from benchmarks.tabulation import tabulate
-from oed.errors import InputError
+from oed.errors import CampaignError, InputError
 
 __all__ = ["COLUMNS", "Comparison", "compare"]
 
@@ -224,7 +224,13 @@ def compare(
     tables = tabulate(stored_runs(store, settings, replicates, **options), settings)
     from benchmarks.compare_report import write_comparison
 
-    sentences, page = write_comparison(folder, settings, replicates, tables)
+    try:
+        sentences, page = write_comparison(folder, settings, replicates, tables)
+    except OSError as error:
+        raise CampaignError(
+            f"cannot write the tables and figures in {folder} ({error.strerror or error}); all runs are kept: make room and "
+            "run again."
+        ) from None
     return Comparison(tables.rows, tables.information, folder, page, sentences, tables.pairs)
 
 

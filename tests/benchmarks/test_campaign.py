@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import json
 import os
@@ -326,6 +327,42 @@ def test_inputs_for_one_channel_are_left_out_on_several(tmp_path):
     alone = Settings(plants=("three-by-two",), noise_variances=(1.0,), methods=("power",), samples=50)
     with pytest.raises(InputError, match="nothing is left to run"):
         run_campaign(alone, 2, tmp_path / "b", jobs=1)
+
+
+def test_a_disk_that_fills_while_the_report_is_written(tmp_path, monkeypatch):
+    """The figures hit the end of the disk: one line, all runs kept, and the next call writes the report."""
+    from benchmarks import compare_report
+    from benchmarks.comparison import compare
+
+    def full(*args, **kwargs):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    options = {
+        "plants": ["reference"],
+        "noise_variances": [1.0],
+        "methods": ["white"],
+        "estimators": ["frf"],
+        "samples": 50,
+    }
+    options |= {"experiments": 2, "replicates": 3, "jobs": 1, "quiet": True, "out": tmp_path}
+    with monkeypatch.context() as patch:
+        patch.setattr(compare_report, "save_figure", full)
+        with pytest.raises(CampaignError, match=r"No space left on device.*all runs are kept: make room"):
+            compare(**options)
+    kept = {p: p.stat().st_mtime_ns for p in (tmp_path / "parts").iterdir()}
+    assert compare(**options).page.exists()
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "parts").iterdir()} == kept
+
+
+def test_parts_say_what_made_them(tmp_path):
+    import pyarrow.parquet as pq
+
+    run_campaign(SMALL, 2, tmp_path, jobs=1)
+    part = next((tmp_path / "parts").iterdir())
+    said = json.loads(pq.read_schema(part).metadata[b"oed.campaign"])
+    assert said["settings"]["samples"] == 100
+    assert said["versions"]["numpy"] == np.__version__
+    assert said["machine"]
 
 
 def test_a_part_damaged_inside_is_computed_again(tmp_path, capsys):
