@@ -7,6 +7,7 @@ threads; the starts are white noise of exactly unit power from the same source (
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -206,7 +207,7 @@ def batches(
         )
     from estimators.engine_kernels import B
 
-    work = partial(_compiled_batch, system, algorithm, samples, iterations, seed, SCALINGS.index(scaling))
+    work = _compiled_work(system, algorithm, samples, iterations, seed, SCALINGS.index(scaling))
     parts = [(r, min(B, first + replicates - r)) for r in range(first, first + replicates, B)]
     if threads == 1:
         for part in parts:
@@ -222,16 +223,10 @@ def batches(
                 waiting.append(pool.submit(work, *parts[k + 2 * threads]))
 
 
-def _compiled_batch(
-    plant: Plant,
-    algorithm: str,
-    samples: int,
-    iterations: int,
-    seed: int,
-    scaling: int,
-    first: int,
-    replicates: int,
-) -> Batch:
+def _compiled_work(
+    plant: Plant, algorithm: str, samples: int, iterations: int, seed: int, scaling: int
+) -> Callable[[int, int], Batch]:
+    """What runs the batch of a first replicate and a number of them; all that batches share is made once."""
     from estimators.engine_kernels import B, power_block, procedure_block
 
     k0, k1 = (np.uint64(word) for word in noise_key(seed, plant.name))
@@ -241,21 +236,27 @@ def _compiled_batch(
     num, den = (_padded(side, length) for side in (plant.num, plant.den))
     h = max(len(plant.noise_num), len(plant.noise_den)) if not plant.white_noise else 1
     noise = [np.pad(np.array(c)[:h], (0, h - len(c[:h]))) for c in (plant.noise_num, plant.noise_den)]
-    gain, mu, third = (np.full((B, iterations), np.nan) for _ in range(3))
+    factor = np.ascontiguousarray(noise_factor(plant))
     size: list[Any] = [samples, iterations]
-    coordinates: list[Any] = [k0, k1, START, first]
-    if single:
-        weights = np.ascontiguousarray(noise_factor(plant)[0])
-        arguments = [*size, num[0, 0], den[0, 0], *noise, weights, *coordinates, gain, mu, third]
-        power_block(*arguments)
-        energy = np.full((B, iterations), float(samples))
-    else:
-        weights = np.ascontiguousarray(noise_factor(plant))
-        energy = np.empty((B, iterations))
-        arguments = [*size, num, den, *noise, weights, *coordinates, scaling, gain, mu, energy]
-        procedure_block(*arguments)
-    keep = slice(replicates)
-    return Batch(first, gain[keep], mu[keep], third[keep], energy[keep])
+    local = threading.local()  # fresh pages of memory for every batch would cost more than they hold
+
+    def work(first: int, replicates: int) -> Batch:
+        gain, mu, third = (np.full((B, iterations), np.nan) for _ in range(3))
+        coordinates: list[Any] = [k0, k1, START, first]
+        if single:
+            if getattr(local, "signals", None) is None:
+                local.signals = np.empty((2, samples * B))
+            arguments = [*size, num[0, 0], den[0, 0], *noise, factor[0], *coordinates, gain, mu, third]
+            power_block(*arguments, local.signals)
+            energy = np.full((B, iterations), float(samples))
+        else:
+            energy = np.empty((B, iterations))
+            arguments = [*size, num, den, *noise, factor, *coordinates, scaling, gain, mu, energy]
+            procedure_block(*arguments)
+        keep = slice(replicates)
+        return Batch(first, gain[keep], mu[keep], third[keep], energy[keep])
+
+    return work
 
 
 def _padded(matrix: Any, length: int) -> NDArray[np.float64]:

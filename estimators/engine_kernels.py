@@ -223,7 +223,21 @@ def _dot_add(a, b, samples, reverse, out):
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def power_block(
-    samples, iterations, num, den, noise_num, noise_den, weights, k0, k1, start, replicate, gain, mu, rayleigh
+    samples,
+    iterations,
+    num,
+    den,
+    noise_num,
+    noise_den,
+    weights,
+    k0,
+    k1,
+    start,
+    replicate,
+    gain,
+    mu,
+    rayleigh,
+    signals,
 ):
     """Algorithm 1 for B replicates.
 
@@ -239,8 +253,11 @@ def power_block(
         Key, number of the experiment that gives the start, first replicate.
     gain, mu, rayleigh : ndarray
         (B, iterations), written: squares of [S] (7) and of mu, and [S] (4).
+    signals : ndarray
+        (2, samples * B), overwritten: room for two signals.
     """
-    U, V, X = np.empty(samples * B), np.zeros(samples * B), np.empty(samples * B)
+    U, V, X = signals[0], signals[1], np.empty(samples * B)
+    V[:] = 0.0
     w, e = np.empty((4, B), np.int32), np.empty((4, B), np.float32)
     state, scale, before = np.zeros(6 * B), np.empty(B), np.ones(B)
     one, small = np.ones(B), np.empty(B)
