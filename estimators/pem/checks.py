@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,16 @@ def structure_for(
                 f"ss takes n, one delay for all and no diagonal; orders {orders}, delay {delay}, diagonal={diagonal}."
             )
         return state_space(int(order[0]), n_outputs=ny, n_inputs=nu, delay=int(delay))
+    simple = isinstance(structure, str) and isinstance(orders, tuple | list)
+    if simple and all(type(x) is int for x in (delay, *orders)):
+        return _plain(structure, tuple(orders), delay, ny, nu, diagonal)
     return polynomial(structure, orders, delay, n_outputs=ny, n_inputs=nu, diagonal=diagonal)
+
+
+@lru_cache(maxsize=256)
+def _plain(kind: str, orders: tuple[int, ...], delay: int, ny: int, nu: int, diagonal: bool) -> Polynomial:
+    """A structure is never changed, so that one will do for many fits."""
+    return polynomial(kind, orders, delay, n_outputs=ny, n_inputs=nu, diagonal=diagonal)
 
 
 def check_records(records: list[Record], form: Structure, offset: bool, missing: bool = False) -> None:
@@ -107,4 +117,12 @@ def check_records(records: list[Record], form: Structure, offset: bool, missing:
             raise InputError(
                 f"input {records[0].input_names[j]} is constant ({values[0]:g}) in all records; "
                 "a constant input cannot be told from an offset: excite it, or leave it out."
+            )
+    for i, name in enumerate(records[0].output_names):
+        values = np.concatenate([r.y[:, i] for r in records])
+        values = values[np.isfinite(values)]
+        if values.size and np.ptp(values) == 0 and (offset or not values.any()):
+            raise InputError(
+                f"output {name} is constant ({values[0]:g}) in all records; nothing of it can be told by an input: check "
+                "its sensor, or leave it out."
             )

@@ -159,14 +159,15 @@ def minimise(
     point, damping = start, 0.0
     allowed = np.ones(len(start.z), bool) if free is None else np.asarray(free)
     S, corrected = np.zeros((len(start.z), len(start.z))), False
-    decrement, stalled = np.inf, 0
+    decrement, stalled, identity = np.inf, 0, np.eye(len(start.z))
     for iteration in range(max_iterations):
         moves = np.flatnonzero(allowed & ~_held(point, bounds))
         if not moves.size:
             return Optimum(point, Status.CONVERGED, iteration, 0.0)
-        along = np.eye(len(point.z))[:, moves]
-        if walls is not None:
-            along = along @ _along(walls(point.z)[:, moves], point, moves)
+        along = identity if len(moves) == len(identity) else identity[:, moves]
+        edges = walls(point.z) if walls is not None else identity[:0]
+        if len(edges):
+            along = along @ _along(edges[:, moves], point, moves)
         gradient, hessian = along.T @ point.gradient, along.T @ point.hessian @ along
         learned = along.T @ S @ along
         diagonal = np.diag(hessian)
@@ -177,10 +178,12 @@ def minimise(
         if decrement <= tolerance:
             return Optimum(point, Status.CONVERGED, iteration, decrement)
         inner = newton if not corrected and damping == 0 else None
-        while inner is None:
+        while inner is None and damping <= 1e12:
             inner = _solve(hessian + learned if corrected else hessian, damping, gradient, scale)
             if inner is None:
                 damping, corrected = max(4 * damping, 1e-6), corrected and damping < 1
+        if inner is None:  # no curvature at all, or none that is finite
+            return Optimum(point, Status.INACCURATE, iteration + 1, decrement)
         step = along @ inner
         linear, plain, bent = 2 * gradient @ inner, inner @ hessian @ inner, inner @ learned @ inner
         predicted = -(linear + plain + (bent if corrected else 0.0))

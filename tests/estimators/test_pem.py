@@ -259,7 +259,8 @@ def test_bad_requests_are_told(change, words, rng) -> None:
 @pytest.mark.parametrize(
     ("u", "y", "words"),
     [
-        (np.ones(100), np.arange(100.0), "constant"),
+        (np.ones(100), np.arange(100.0), "input u is constant"),
+        (np.arange(100.0), np.full(100, 3.0), "output y is constant"),
         (np.arange(6.0), np.arange(6.0), "6 samples"),
         (np.arange(50.0), np.r_[np.nan, np.arange(49.0)], "missing"),
     ],
