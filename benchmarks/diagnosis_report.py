@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.report import save_figure, save_report, save_table
+from benchmarks.store import write_atomically
 
 if TYPE_CHECKING:
     from estimators.diagnosis.report import Diagnosis
@@ -53,6 +54,9 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: dict[str, Any]
     Path
         `report.html` in the folder.
     """
+    import numpy as np
+
+    from estimators.diagnosis.decision import next_experiment
     from estimators.diagnosis.plots import nonlinearity_figure, residual_figure
 
     lead = [
@@ -104,5 +108,12 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: dict[str, Any]
             figures.append(save_figure(folder, f"nonlinearity_{i + 1}", curve,
                                        "The characteristics found, with bands of two standard errors."))  # fmt: skip
     sections.append({"title": "Residual", "figures": figures})
+    designed = next_experiment(result, length=200, rng=np.random.default_rng(0))
+    if designed is not None:
+        (first, second), experiment = designed
+        sections.append({"title": "What to measure next", "text": [
+            f"To tell {first.replace('_', ' ')} from {second.replace('_', ' ')}, within the amplitude of the training "
+            f"record: {experiment}. The input is the column u of next_input.csv."]})  # fmt: skip
+        write_atomically(folder / "next_input.csv", "u\n" + "".join(f"{v:.9g}\n" for v in experiment.u))
     content = {"title": "What the linear model lacks", "lead": lead, "sections": sections, "made": made or {}}
     return save_report(folder, content)

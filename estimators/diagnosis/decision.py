@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.discrimination import Discrimination, discriminate
 from estimators.diagnosis.fitting import Fit, levenberg_marquardt
+from estimators.diagnosis.report import Diagnosis
 from estimators.diagnosis.structure import simulate
 from estimators.effects.catalogue import Clock
 from oed.errors import InputError
 
-__all__ = ["Decision", "decision_samples"]
+__all__ = ["Decision", "decision_samples", "next_experiment"]
 
 Array = NDArray[Any]
 
@@ -142,3 +144,37 @@ def _cost(f: Fit, u: Array, y: Array, noise: float) -> float:
 
     _, cost, _ = levenberg_marquardt(errors, f.p, f.scales, iterations=4, steps=steps)
     return cost
+
+
+def next_experiment(
+    result: Diagnosis, *, length: int, rng: np.random.Generator, amplitude: float | None = None
+) -> tuple[tuple[str, str], Discrimination] | None:
+    """The experiment that separates the first cause from the one that the record cannot tell it from.
+
+    Parameters
+    ----------
+    result : Diagnosis
+        What `diagnose` returned.
+    length : int
+        Samples of the new experiment.
+    rng : numpy.random.Generator
+        For the search.
+    amplitude : float, optional
+        Largest |u|; by default that of the training record.
+
+    Returns
+    -------
+    tuple or None
+        The two causes and the designed input; None where nothing is confusable, or where the model has several
+        inputs or was fitted to a thinned record.
+    """
+    train = result.extra["train"]
+    if not result.confusable or train.n_inputs != 1:
+        return None
+    for out in result.extra["outputs"]:
+        fits = {claim.label: claim.fit for claim in reversed(out.attribution.claims)}
+        if out.thin == 1 and result.effect in fits and result.confusable[0] in fits:
+            limit = float(np.max(np.abs(train.u))) if amplitude is None else amplitude
+            pair = (result.effect, result.confusable[0])
+            return pair, discriminate(fits[pair[0]], fits[pair[1]], length=length, amplitude=limit, rng=rng)
+    return None

@@ -300,7 +300,7 @@ def _examined(record: Record, i: int, setting: Setting) -> Examined:
                 f"{step / sigma:.2g} times the residual's standard deviation"))  # fmt: skip
     wild = _wild(channel, s, first) if channel.step == 0.0 else np.zeros(n, dtype=bool)
     if (
-        2 * np.sum(wild[: max(20, n // 50)]) >= wild.sum()
+        np.sum(wild[: max(20, n // 50)]) > 0.7 * wild.sum()
     ):  # a transient from the start, not faults: asked again
         wild[:] = False
     if wild.any():

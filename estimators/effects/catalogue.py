@@ -112,6 +112,9 @@ def _recursive(name: str) -> Callable[[Array, Array, Clock], Array]:
             return kernels.rate_limited_mean(x, abs(p[0]))
         if name == "play_fine":
             return kernels.play(_upsampled(x, 4), abs(p[0]))[::4]
+        if name == "bouc_wen":
+            share = float(np.clip(p[0], -2.0, 1.0))
+            return (1.0 - share) * x + share * kernels.bouc_wen(np.ascontiguousarray(x), abs(p[1]))
         return kernels.play(np.ascontiguousarray(x), abs(p[0]))
 
     return apply
@@ -191,6 +194,9 @@ _ENTRIES = (
            "the actuator cannot move faster than the rate", _recursive("rate")),
     Effect("backlash_input", "backlash", _DYN, "input", ("half_width",), ("u",), 6,
            "play in the actuator", _recursive("play")),
+    Effect("hysteresis", "backlash", _DYN, "input", ("share", "width"), ("1", "u"), 10,
+           "the input acts with hysteresis (Bouc-Wen): a share of it bends off and returns on another way",
+           _recursive("bouc_wen")),
     Effect("sandwich", "output_nonlinearity", _OUT, "input", (), (), 30,
            "a static nonlinearity stands between two linear blocks (Wiener-Hammerstein)"),
     Effect("gain_drift", "gain_drift", _TIME, "input", ("slope",), ("1/record",), 1,

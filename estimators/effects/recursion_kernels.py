@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 __all__ = [
+    "bouc_wen",
     "held_response",
     "hinges",
     "play",
@@ -52,6 +53,43 @@ def play(signal, half_width):  # pragma: no cover - compiled
         elif m > v + half_width:
             m = v + half_width
         out[k] = m
+    return out
+
+
+@_compile
+def bouc_wen(signal, width):  # pragma: no cover - compiled
+    """Hysteretic part z of a Bouc-Wen element, z' = x' - |x'| (z + sign(x') |z|) / (2 width), exact between samples.
+
+    The signal moves monotonically from sample to sample. Towards zero z follows it one to one, away from zero
+    it bends towards +-width exponentially.
+
+    Parameters
+    ----------
+    signal : ndarray
+        (N,) the signal.
+    width : float
+        Where the hysteretic part saturates.
+
+    Returns
+    -------
+    ndarray
+        (N,).
+    """
+    out = np.empty_like(signal)
+    z = 0.0
+    before = 0.0
+    for k in range(signal.shape[0]):
+        move = signal[k] - before
+        before = signal[k]
+        side = 1.0 if move >= 0 else -1.0
+        left = abs(move)
+        if side * z < 0.0:
+            back = min(left, abs(z))
+            z += side * back
+            left -= back
+        if left > 0.0 and width > 0.0:
+            z = side * (width - (width - side * z) * np.exp(-left / width))
+        out[k] = z
     return out
 
 

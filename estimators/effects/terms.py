@@ -7,7 +7,17 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["feedback_step", "play_step", "rate_step", "static_term", "timed_term"]
+__all__ = [
+    "bouc_wen_step",
+    "delay_term",
+    "feedback_step",
+    "hinges_term",
+    "lag_step",
+    "play_step",
+    "rate_step",
+    "static_term",
+    "timed_term",
+]
 
 
 def _clip(ca: Any, x: Any, low: Any, high: Any) -> Any:
@@ -115,6 +125,84 @@ def play_step() -> Any:
 
     m, v, h = ca.SX.sym("m"), ca.SX.sym("v"), ca.SX.sym("h")
     return ca.Function("play", [m, v, h], [_clip(ca, m, v - h, v + h)])
+
+
+def bouc_wen_step() -> Any:
+    """CasADi function (z, before, now, width) -> next z of a Bouc-Wen element, exact for a monotone move.
+
+    Returns
+    -------
+    casadi.Function
+        One step.
+    """
+    import casadi as ca
+
+    z, before, now, w = (ca.SX.sym(name) for name in ("z", "before", "now", "w"))
+    side = ca.if_else(now >= before, 1, -1)
+    left = ca.fabs(now - before)
+    back = ca.if_else(side * z < 0, ca.fmin(left, ca.fabs(z)), 0)
+    at = z + side * back
+    end = side * (w - (w - side * at) * ca.exp(-(left - back) / w))
+    return ca.Function("bouc_wen", [z, before, now, w], [ca.if_else(left > back, end, at)])
+
+
+def lag_step() -> Any:
+    """CasADi function (y, x, pole) -> next y of a first-order lag of unit gain.
+
+    Returns
+    -------
+    casadi.Function
+        One step.
+    """
+    import casadi as ca
+
+    y, x, pole = ca.SX.sym("y"), ca.SX.sym("x"), ca.SX.sym("pole")
+    inside = _clip(ca, pole, -0.999, 0.9999)
+    return ca.Function("lag", [y, x, pole], [inside * y + (1 - inside) * x])
+
+
+def delay_term(largest: int) -> Any:
+    """CasADi function (past, delay) -> out of a fractional delay, linear between samples.
+
+    Parameters
+    ----------
+    largest : int
+        Largest delay in whole samples.
+
+    Returns
+    -------
+    casadi.Function
+        Inputs past (largest + 2): x(k), x(k-1), ...; delay between 0 and largest.
+    """
+    import casadi as ca
+
+    past, delay = ca.SX.sym("past", largest + 2), ca.SX.sym("delay")
+    total = ca.SX(0)
+    for i in range(largest + 2):  # a hat over every sample: linear interpolation
+        total += past[i] * ca.fmax(1 - ca.fabs(delay - i), 0)
+    return ca.Function("delay", [past, delay], [total])
+
+
+def hinges_term(corners: int) -> Any:
+    """CasADi function (x, c) -> x + sum of slope max(x - corner, 0), a broken line.
+
+    Parameters
+    ----------
+    corners : int
+        Number of corners.
+
+    Returns
+    -------
+    casadi.Function
+        Inputs x and c (2 corners): slopes and corners in turn.
+    """
+    import casadi as ca
+
+    x, c = ca.SX.sym("x"), ca.SX.sym("c", 2 * corners)
+    total = x
+    for i in range(corners):
+        total = total + c[2 * i] * ca.fmax(x - c[2 * i + 1], 0)
+    return ca.Function("hinges", [x, c], [total])
 
 
 def rate_step() -> Any:

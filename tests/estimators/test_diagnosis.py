@@ -53,6 +53,32 @@ def test_a_planted_nonlinearity_is_found_and_removed():
     json.dumps(result.to_dict())
 
 
+@pytest.mark.slow
+def test_a_planted_hysteresis_is_found_with_its_parameters():
+    # the element by Euler steps of its differential equation, 200 per sample
+    rng = np.random.default_rng(4)
+
+    def record(n, start):
+        u = 2 * lfilter([0.3], [1.0, -0.7], rng.standard_normal(n))
+        z, before, bent = 0.0, 0.0, np.empty(n)
+        for k, now in enumerate(u):
+            d = (now - before) / 200
+            before = now
+            for _ in range(200):
+                z += d - abs(d) * (z + np.sign(d) * abs(z))  # width 0.5
+            bent[k] = z
+        y = lfilter([0.0, 0.1, 0.1], [1.0, -1.5, 0.7], 0.4 * u + 0.6 * bent)
+        return Record(u, y + 0.02 * rng.standard_normal(n), t0=float(start))
+
+    result = diagnose(record(600, 0), record(400, 700), SETTING)
+    assert result.effect == "backlash"
+    assert result.variant == "hysteresis"
+    for name, true in (("share", 0.6), ("width", 0.5)):
+        value, se, _ = result.parameters[f"hysteresis.{name}"]
+        assert abs(value - true) < 4 * se, name
+    assert result.rmse_after.value < 1.1 * 0.02
+
+
 @pytest.mark.skipif(CASES is None, reason="OED_CASES does not name the folder of the practice cases")
 @pytest.mark.parametrize(
     "case, effect", [("case_011", "none"), ("case_013", "output_nonlinearity"), ("case_048", "output_offset")]

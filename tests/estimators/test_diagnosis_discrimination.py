@@ -1,16 +1,19 @@
 """The discriminating experiment: it keeps its limits and decides with fewer samples than other inputs."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.candidates import augmented
-from estimators.diagnosis.decision import decision_samples
+from estimators.diagnosis.decision import decision_samples, next_experiment
 from estimators.diagnosis.discrimination import discriminate, distance
 from estimators.diagnosis.fitting import Channel
 from estimators.diagnosis.linear import fit_linear
 from estimators.diagnosis.structure import Structure
 from estimators.effects.catalogue import Clock
+from oed.data import Record
 from oed.errors import InputError
 
 PAIRS = [("saturation", "input_cubic"), ("output_arctan", "saturation"), ("dead_zone", "backlash_input")]
@@ -96,3 +99,19 @@ def test_limits_must_be_positive():
         discriminate(a, b, length=100, amplitude=-1.0, rng=np.random.default_rng(0))
     with pytest.raises(InputError, match="at least 20"):
         discriminate(a, b, length=5, amplitude=1.0, rng=np.random.default_rng(0))
+
+
+def test_the_next_experiment_is_designed_for_the_confusable_pair():
+    channel, (a, b) = models(PAIRS[0])
+    claims = [SimpleNamespace(label="input_saturation", fit=a), SimpleNamespace(label="hammerstein", fit=b)]
+    out = SimpleNamespace(attribution=SimpleNamespace(claims=claims), thin=1)
+    train = Record(channel.u, channel.y)
+    result = SimpleNamespace(
+        effect="input_saturation", confusable=("hammerstein",), extra={"train": train, "outputs": [out]}
+    )
+    pair, design = next_experiment(result, length=60, rng=np.random.default_rng(7))
+    assert pair == ("input_saturation", "hammerstein")
+    assert len(design.u) == 60
+    assert np.max(np.abs(design.u)) <= np.max(np.abs(channel.u)) + 1e-12
+    sure = SimpleNamespace(effect="input_saturation", confusable=(), extra=result.extra)
+    assert next_experiment(sure, length=60, rng=np.random.default_rng(7)) is None

@@ -6,6 +6,7 @@ import pytest
 from estimators.effects import terms
 from estimators.effects.catalogue import CATALOGUE, Clock
 from estimators.effects.recursion_kernels import (
+    bouc_wen,
     held_response,
     hinges,
     play,
@@ -18,7 +19,7 @@ STATIC = [
     k
     for k, e in CATALOGUE.items()
     if e.apply is not None and e.slot in ("input", "output", "added")
-    and k not in ("rate_limit", "backlash_input", "backlash_output", "delay", "lag", "gain_drift", "gain_change",
+    and k not in ("rate_limit", "backlash_input", "backlash_output", "hysteresis", "delay", "lag", "gain_drift", "gain_change",
                   "step_input", "step_output", "drift", "tones")
 ]  # fmt: skip
 TIMED = ["gain_drift", "gain_change", "step_input", "step_output", "drift", "tones"]
@@ -52,6 +53,41 @@ def test_play_agrees_with_casadi():
     v = np.cumsum(np.random.default_rng(3).standard_normal(300))
     theirs = np.array(terms.play_step().mapaccum(300)(0.0, v[None, :], 0.8)).ravel()
     np.testing.assert_allclose(play(v, 0.8), theirs, atol=1e-12)
+
+
+def test_bouc_wen_agrees_with_casadi_and_with_its_differential_equation():
+    x = np.cumsum(np.random.default_rng(8).standard_normal(200))
+    step, z, theirs = terms.bouc_wen_step(), 0.0, []
+    for before, now in zip(np.concatenate(([0.0], x[:-1])), x):
+        z = float(step(z, before, now, 0.7))
+        theirs.append(z)
+    ours = bouc_wen(x, 0.7)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+    z, fine = 0.0, []  # Euler steps of z' = x' - |x'| (z + sign(x') |z|)/(2 width), 4000 per sample
+    for before, now in zip(np.concatenate(([0.0], x[:-1])), x):
+        d = (now - before) / 4000
+        for _ in range(4000):
+            z += d - abs(d) * (z + np.sign(d) * abs(z)) / 1.4
+        fine.append(z)
+    np.testing.assert_allclose(ours, fine, atol=2e-3)  # Euler's own error, first order in the step
+    assert np.max(np.abs(ours)) <= 0.7
+
+
+def test_lag_delay_and_hinges_agree_with_casadi():
+    x, clock = np.random.default_rng(9).standard_normal(150), Clock(np.arange(150.0), 150)
+    lagged = np.array(terms.lag_step().mapaccum(150)(0.0, x[None, :], 0.83)).ravel()
+    np.testing.assert_allclose(
+        CATALOGUE["lag"].apply(x, np.array([0.83]), clock), lagged, rtol=1e-9, atol=1e-12
+    )
+    late = CATALOGUE["delay"].apply(x, np.array([2.37]), clock)
+    padded = np.concatenate((np.zeros(5), x))
+    term = terms.delay_term(4)
+    theirs = [float(term(padded[k : k + 6][::-1], 2.37)) for k in range(150)]
+    np.testing.assert_allclose(late, theirs, rtol=1e-9, atol=1e-12)
+    c = np.array([0.5, 0.3, -0.2, -1.0])
+    np.testing.assert_allclose(
+        hinges(x, c), np.array(terms.hinges_term(2)(x[None, :], c)).ravel(), atol=1e-12
+    )
 
 
 def test_rate_limit_agrees_with_casadi():
