@@ -31,6 +31,8 @@ BUDGET = {
     "energy_per_input": "per input",
     "peak_amplitude": "peak |u|",
 }
+MOST_LISTED = 16
+"""Plants and noise levels that a sentence lists one by one."""
 ANSWER = {
     "plant": "plant",
     "channels": "channels",
@@ -196,6 +198,24 @@ def advice_rows(tables: Tables) -> list[Row]:
     return table
 
 
+def _where(group: Sequence[Row], total: int, key: str) -> str:
+    """Plants with their noise levels and a value each; of many only how many and on which plants."""
+    by_plant: dict[str, list[Row]] = {}
+    for row in group:
+        by_plant.setdefault(row["plant"], []).append(row)
+    if total > MOST_LISTED:
+        return f"{len(group)} of {total} plants and noise levels ({', '.join(by_plant)})"
+    show = lambda r: (
+        f"{100 * r[key]:.0f} %"
+        if key.endswith("efficiency")
+        else "rho " + format_value(r[key], r[f"{key}_se"])
+    )
+    return ", ".join(
+        f"{plant} at noise {', '.join(format(r['noise_variance'], 'g') for r in mine)} ({', '.join(map(show, mine))})"
+        for plant, mine in by_plant.items()
+    )
+
+
 def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
     """The answer in a few sentences, with its numbers.
 
@@ -223,11 +243,7 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
         "hardly better than white noise",
     )
     listed = "; ".join(
-        f"{name}: "
-        + ", ".join(
-            f"{r['plant']} at noise {r['noise_variance']:g} ({100 * r['c_efficiency']:.0f} %)"
-            for r in by_verdict[name]
-        )
+        f"{name}: {_where(by_verdict[name], len(rows), 'c_efficiency')}"
         for name in order
         if name in by_verdict
     )
@@ -245,13 +261,12 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
         )
     advice = [r for r in rows if _finite(r["rho_advice"])]
     if advice:
-        pairs: dict[tuple[str, str, str], list[Row]] = {}
+        pairs: dict[tuple[str, str], list[Row]] = {}
         for row in advice:
-            pairs.setdefault((row["plant"], row["advice_input"], row["advice_estimator"]), []).append(row)
+            pairs.setdefault((row["advice_input"], row["advice_estimator"]), []).append(row)
         words = "; ".join(
-            f"{plant}: {method} with {estimator} at noise {', '.join(format(r['noise_variance'], 'g') for r in group)} "
-            f"(rho {', '.join(format_value(r['rho_advice'], r['rho_advice_se']) for r in group)})"
-            for (plant, method, estimator), group in pairs.items()
+            f"{method} with {estimator} on {_where(group, len(rows), 'rho_advice')}"
+            for (method, estimator), group in pairs.items()
         )
         sentences.append(f"What to do, knowing the order but not the plant: {words}.")
     return sentences

@@ -29,15 +29,19 @@ MARKERS = ("o", "s", "^", "D", "v", "x")
 GREY = "#5b6770"
 
 
-def panels(columns: int = 1, *, width: float = 9.0, height: float = 3.6) -> tuple[Figure, list[Any]]:
+def panels(
+    count: int = 1, *, width: float = 9.0, height: float = 3.6, columns: int | None = None
+) -> tuple[Figure, list[Any]]:
     """A figure with panels side by side, in the style of all figures here.
 
     Parameters
     ----------
-    columns : int
+    count : int
         Panels.
     width, height : float
         In inches.
+    columns : int, optional
+        Panels in a row; default all.
 
     Returns
     -------
@@ -47,7 +51,8 @@ def panels(columns: int = 1, *, width: float = 9.0, height: float = 3.6) -> tupl
         Its panels.
     """
     figure = Figure(figsize=(width, height), layout="constrained")
-    axes = [figure.add_subplot(1, columns, k + 1) for k in range(columns)]
+    columns = min(columns or count, count)
+    axes = [figure.add_subplot(-(-count // columns), columns, k + 1) for k in range(count)]
     for ax in axes:
         ax.spines[["top", "right"]].set_visible(False)
         ax.grid(True, color="#e3e6e8", linewidth=0.7)

@@ -14,6 +14,8 @@ from benchmarks.figures import COLOURS, DASHES, GREY, MARKERS, panels
 __all__ = ["advice_figure", "head_to_head_figure", "profile_figure", "where_figure"]
 
 Row = Mapping[str, Any]
+ROW = 4
+"""Plants in a row of panels."""
 
 
 def _levels(rows: Sequence[Row], plant: str) -> list[Row]:
@@ -22,6 +24,12 @@ def _levels(rows: Sequence[Row], plant: str) -> list[Row]:
 
 def _errors(rows: Sequence[Row], key: str) -> NDArray[np.float64]:
     return 2 * np.nan_to_num(np.array([r.get(f"{key}_se", 0.0) for r in rows], dtype=float))
+
+
+def _plant_panels(count: int) -> tuple[Figure, list[Any]]:
+    """One panel per plant, four in a row."""
+    width = max(7.5, 2.6 * min(count, ROW) + 0.8)
+    return panels(count, width=width, height=0.6 + 3.1 * -(-count // ROW), columns=ROW)
 
 
 def where_figure(
@@ -44,7 +52,7 @@ def where_figure(
         One panel per plant; error bars are two standard errors.
     """
     plants = list(dict.fromkeys(r["plant"] for r in rows))
-    figure, axes = panels(len(plants), width=2.6 * len(plants) + 0.8, height=3.7)
+    figure, axes = _plant_panels(len(plants))
     for ax, plant in zip(axes, plants, strict=True):
         mine = _levels(rows, plant)
         x = [r["noise_variance"] for r in mine]
@@ -76,7 +84,8 @@ def where_figure(
         ax.set_yticks([0.02, 0.05, 0.1, 0.2, 0.5, 1], ["2 %", "5 %", "10 %", "20 %", "50 %", "100 %"])
         ax.set_xlabel("noise variance")
         ax.set_title(f"{plant} ({mine[0]['channels']})", fontsize=10, loc="left")
-    axes[0].set_ylabel("share of the certified optimum")
+    for ax in axes[::ROW]:
+        ax.set_ylabel("share of the certified optimum")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
     return figure
@@ -98,7 +107,7 @@ def advice_figure(rows: Sequence[Row], comparison: Sequence[Row]) -> Figure:
         One panel per plant; the line at 1 is the bound, error bars are two standard errors.
     """
     plants = list(dict.fromkeys(r["plant"] for r in rows))
-    figure, axes = panels(len(plants), width=2.6 * len(plants) + 0.8, height=3.7)
+    figure, axes = _plant_panels(len(plants))
     white = {
         (r["plant"], r["noise_variance"]): r
         for r in comparison
@@ -142,7 +151,8 @@ def advice_figure(rows: Sequence[Row], comparison: Sequence[Row]) -> Figure:
         ax.minorticks_off()
         ax.set_xlabel("noise variance")
         ax.set_title(f"{plant} ({mine[0]['channels']})", fontsize=10, loc="left")
-    axes[0].set_ylabel("ρ (1 is the bound)")
+    for ax in axes[::ROW]:
+        ax.set_ylabel("ρ (1 is the bound)")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
     return figure
