@@ -76,6 +76,9 @@ def _configure_start(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--energy", **numbers, help="largest sum of squares over the samples, per input")
     sub.add_argument("--level", **numbers, help="operating level of each input (default 0)")
     sub.add_argument(
+        "--lead", type=int, default=0, metavar="n", help="samples at the level before, for the resting output"
+    )
+    sub.add_argument(
         "--ramp", type=int, default=0, metavar="n", help="samples in which the input comes in and goes out"
     )
     sub.add_argument(
@@ -163,7 +166,7 @@ def _start(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         inputs=tuple(n for n, _ in inputs), outputs=tuple(n for n, _ in outputs),
         input_units=tuple(unit for _, unit in inputs), output_units=tuple(unit for _, unit in outputs),
         power=args.power, amplitude=args.amplitude, rate=args.rate, energy=args.energy, level=args.level or (),
-        ramp=args.ramp, rest=args.rest, periods=args.periods, warm_up=args.warm_up, centre=args.centre,
+        lead=args.lead, ramp=args.ramp, rest=args.rest, periods=args.periods, warm_up=args.warm_up, centre=args.centre,
         abort=args.abort, sensor_range=args.range, orders=tuple(args.orders), delay=args.delay,
         criterion=args.criterion, scaling=args.scaling, seed=args.seed, model=model,
     )  # fmt: skip

@@ -6,6 +6,8 @@ its norm is below that of G and tends to it as N grows. Without a ramp W is the 
 
 Periodic: ramp in, warm-up periods, measured periods, ramp out; the measured periods are averaged, and their scatter
 is the noise floor. The ramps lie outside the periods, so they change nothing once the transient has died out.
+
+Either way a lead at the level may come first: it gives the resting output, which is taken off.
 """
 
 from __future__ import annotations
@@ -49,11 +51,12 @@ def rig_samples(settings: Settings) -> int:
     Returns
     -------
     int
-        With ramps, warm-up, periods and rest.
+        With lead, ramps, warm-up, periods and rest.
     """
+    around = settings.lead + settings.rest
     if not settings.periodic:
-        return settings.samples + settings.rest
-    return settings.samples * (settings.periods + settings.warm_up) + 2 * settings.ramp + settings.rest
+        return settings.samples + around
+    return settings.samples * (settings.periods + settings.warm_up) + 2 * settings.ramp + around
 
 
 def taper(settings: Settings) -> Array:
@@ -103,8 +106,8 @@ def placed(u: Array, settings: Settings) -> Array:
             parts = [u[-settings.ramp :] * rise, *parts, u[: settings.ramp] * rise[::-1]]
     else:
         parts = [u * taper(settings)] if settings.ramp else [u]
-    parts.append(np.zeros((settings.rest, u.shape[1])))
-    whole = np.vstack(parts)
+    lead, rest = (np.zeros((n, u.shape[1])) for n in (settings.lead, settings.rest))
+    whole = np.vstack([lead, *parts, rest])
     return whole + np.asarray(settings.level) if any(settings.level) else whole
 
 
@@ -124,6 +127,9 @@ def measured(y: Array, settings: Settings) -> Measured:
         N samples and the noise on them.
     """
     N, P = settings.samples, settings.periods
+    if settings.lead:
+        y, lead = y[settings.lead :], y[: settings.lead]
+        y = y - lead[settings.lead // 2 :].mean(axis=0)
     if not settings.periodic:
         part, noise = y[:N], np.full(y.shape[1], np.nan)
     else:

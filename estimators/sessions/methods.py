@@ -65,7 +65,7 @@ def rule_of(settings: Settings, known: Sequence[NDArray[np.float64]] = ()) -> Ru
 
     make = adaptive.two_stage if settings.method == "two-stage" else adaptive.sequential
     return make(
-        settings.orders, settings.delay, criterion=settings.criterion, experiments=settings.experiments, power=power
+        settings.entry_orders, settings.delay, criterion=settings.criterion, experiments=settings.experiments, power=power
     )  # fmt: skip
 
 

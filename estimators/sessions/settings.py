@@ -15,7 +15,7 @@ __all__ = ["METHOD_NAMES", "SCHEMA", "Settings", "settings_from_json", "settings
 
 SCHEMA = 1
 METHOD_NAMES = ("power", "procedure-2", "two-stage", "sequential", "bandit", "diagnose-next")
-ONE_CHANNEL = ("power", "bandit", "two-stage", "sequential", "diagnose-next")
+ONE_CHANNEL = ("power", "bandit", "diagnose-next")
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,9 @@ class Settings:
         squared deviations.
     level : tuple of float
         Operating level of each input: the rig is there when an experiment begins.
+    lead : int
+        Samples at the level before every experiment: the mean output of their second half is the resting output,
+        and is taken off.
     ramp : int
         Samples in which the input comes in and goes out.
     rest : int
@@ -59,7 +62,7 @@ class Settings:
     reference_tolerance : float
         Largest relative deviation of a recorded input from the one asked for.
     orders : tuple of int
-        Output-error orders nb, nf of two-stage and sequential.
+        Output-error orders nb, nf of two-stage and sequential, of every entry where there are several channels.
     delay : int
         Their delay in samples.
     criterion : str
@@ -85,6 +88,7 @@ class Settings:
     rate: tuple[float, ...] | None = None
     energy: tuple[float, ...] | None = None
     level: tuple[float, ...] = ()
+    lead: int = 0
     ramp: int = 0
     rest: int = 0
     periods: int = 1
@@ -108,7 +112,7 @@ class Settings:
             if not getattr(self, f"{side}_units"):
                 object.__setattr__(self, f"{side}_units", ("",) * len(getattr(self, f"{side}s")))
         _check_channels(self)
-        for name, least in (("samples", 4), ("experiments", 1), ("ramp", 0), ("rest", 0), ("periods", 1),
+        for name, least in (("samples", 4), ("experiments", 1), ("lead", 0), ("ramp", 0), ("rest", 0), ("periods", 1),
                             ("warm_up", 0), ("delay", 0), ("seed", 0)):  # fmt: skip
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
@@ -146,6 +150,13 @@ class Settings:
     def n_outputs(self) -> int:
         """Number of outputs."""
         return len(self.outputs)
+
+    @property
+    def entry_orders(self) -> Any:
+        """The orders as `identify` takes them: two numbers, or two tables with a row per output."""
+        if self.n_inputs * self.n_outputs == 1:
+            return self.orders
+        return tuple([[order] * self.n_inputs for _ in self.outputs] for order in self.orders)
 
     @property
     def periodic(self) -> bool:

@@ -135,7 +135,7 @@ class StoredSession:
     def _known(self) -> list[Array]:
         """The inputs on record, where they are the method's own to the last bit."""
         s = self.settings
-        altered = s.ramp or any(s.level) or s.rate or s.energy
+        altered = s.lead or s.ramp or any(s.level) or s.rate or s.energy
         inputs = self.folder.find("input")
         if s.method != "diagnose-next" or altered or any(version > 1 for _, version in inputs):
             return []

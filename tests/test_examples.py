@@ -1,0 +1,117 @@
+"""The examples run as a reader would run them, and their stories come out as they are told."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+
+
+def example(name: str):
+    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_example_is_run_here():
+    text = Path(__file__).read_text(encoding="utf-8")
+    for file in EXAMPLES.glob("*.py"):
+        assert f'example("{file.stem}")' in text, f"{file.name} is not run by this file"
+
+
+def test_the_norm_of_an_unknown_system(capsys):
+    found = example("norm_of_an_unknown_system").main()
+    assert abs(found["value"] - found["true"]) < 3 * found["standard_error"] < 0.02
+    assert found["peak"] <= 3 * (1 + 1e-9)
+    assert capsys.readouterr().out.count("\n") >= 13
+
+
+def test_a_better_input_for_tomorrow(capsys):
+    found = example("better_input_for_tomorrow").main()
+    assert found["gap"] < 1e-9
+    for kind in (
+        "again",
+        "one",
+    ):  # the information promises what the fit then has, to the noise variance's error
+        assert found[f"reached_{kind}"] == pytest.approx(found[f"promised_{kind}"], rel=0.15)
+    assert found["reached_one"] < 0.7 * found["reached_again"]
+    assert "tomorrow" in capsys.readouterr().out
+
+
+def test_what_is_my_model_missing(capsys):
+    """The rig's second mode: gain 1.997 at 121 Hz, by construction."""
+    found = example("what_is_my_model_missing").main()
+    assert found["low"] < 1.997 < found["high"]
+    assert found["high"] - found["low"] < 0.02
+    assert found["hertz"] == pytest.approx(121, abs=0.1)
+    assert found["cause"] == "mode"
+    assert found["after"] < 0.02 * found["before"]
+    assert "missing from the model" in capsys.readouterr().out
+
+
+def test_a_rig_by_files(tmp_path, capsys):
+    found = example("rig_by_files").main(str(tmp_path))
+    assert found["refused"] == 1
+    assert abs(found["value"] - found["true"]) < 3 * found["standard_error"] < 0.05
+    assert "times" in (tmp_path / "rig" / "journal.txt").read_text()  # the rate limit scaled an input
+    assert "half written" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_temperature_lab(tmp_path, capsys):
+    pytest.importorskip("tclab", reason="the rig extra is not installed: pip install tclab")
+    lab = example("temperature_lab")
+    found = lab.main(str(tmp_path / "lab.png"))
+    # What the simulator is: a heater and its sensor in series (two lags), heaters coupled, readings 0.3223 apart.
+    assert found["effect"] in ("quantisation", "sensor_lag", "mimo_cross")
+    variant = found["variant"]
+    assert "quantised" in variant
+    assert "cross" in variant
+    assert "lag" in variant or "order" in variant
+    assert found["after"] < 0.25 * found["before"]
+    errors = {name.strip(): value for name, value, _ in found["rows"]}
+    spread = {name.strip(): value for name, _, value in found["rows"]}
+    assert (
+        errors["and the designed input"]
+        < errors["second order, coupled, same record"]
+        < 0.25 * found["before"]
+    )
+    assert errors["and the designed input"] < 1.5 * 0.3223 / np.sqrt(12)
+    assert spread["and the designed input"] < 0.95 * spread["and the same kind of input again"]
+    assert found["norm_after"] < 0.25 * found["norm_before"]
+    assert found["gap"] < 1e-6
+    assert np.abs(found["planned"]).max() <= lab.RANGE
+    assert (tmp_path / "lab.png").stat().st_size > 10000
+    assert "0.3223 apart" in capsys.readouterr().out
+
+
+def test_the_temperature_lab_against_its_own_clock():
+    """The same lab with its clock running 400 times as fast agrees with the one stepped by hand.
+
+    The wall clock is uneven by some milliseconds, seconds of the lab's; the temperature moves by up to 0.2 degC a second.
+    """
+    pytest.importorskip("tclab", reason="the rig extra is not installed: pip install tclab")
+    lab = example("temperature_lab")
+    stepped = lab.stepped(np.full((5, 2), 50.0), 1)
+    np.testing.assert_array_equal(stepped, lab.stepped(np.full((5, 2), 50.0), 1))
+    u = np.column_stack([np.repeat([80.0, 0.0, 60.0], 15), np.repeat([0.0, 90.0, 20.0], 15)])
+    y = lab.clocked(u, 400.0)
+    assert np.ptp(y, axis=0).min() > 8
+    # step by step by the published equations, at rest at 21 degC
+    H, T, expected = np.full(2, 21.0), np.full(2, 21.0), []
+    for row in u:
+        expected.append(T.copy())
+        for _ in range(40):
+            flow = (H[0] - H[1]) / 100
+            H, T = (
+                H + 0.2 * (np.array([200.0, 100.0]) * row / 5720 + (21 - H) / 20 + np.array([-flow, flow])),
+                T + 0.2 * (H - T) / 140,
+            )
+    expected = np.array(expected)
+    for j in range(2):
+        assert np.corrcoef(y[:, j], expected[:, j])[0, 1] > 0.98
