@@ -185,11 +185,11 @@ def hinf_norm() -> list[dict[str, Any]]:
         return []
     rng = np.random.default_rng(0)
     double = named_plant("order-20")
-    many = {}
-    for order in (40, 80):
-        poles = 0.9 * np.exp(1j * np.linspace(0.2, 2.9, order // 2))
-        den = np.real(np.poly(np.r_[poles, np.conj(poles)]))
-        many[order] = Plant(np.r_[0, rng.standard_normal(order // 2)], den)
+    poles = 0.9 * np.exp(1j * np.linspace(0.2, 2.9, 20))
+    wide = Plant(np.r_[0, rng.standard_normal(20)], np.real(np.poly(np.r_[poles, np.conj(poles)])))
+    den = rng.standard_normal(80)
+    den *= 0.9 / np.abs(den).sum()  # stable, and no root of order 80 is lost to rounding
+    many = {40: wide, 80: Plant(np.r_[0, rng.standard_normal(40)], np.r_[1, den])}
     rows = []
     for order, plant in ((20, double), *many.items()):
         A, B, C, D = state_space(plant)

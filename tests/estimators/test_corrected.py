@@ -79,7 +79,11 @@ COVERAGE = [
 @pytest.mark.validate
 @pytest.mark.parametrize("name, variance, iterations", COVERAGE)
 def test_coverage_of_the_interval(name, variance, iterations, record_figure):
-    """2000 runs: 93 to 97 % of the 95 % intervals that are trusted hold the norm; shrunk to 0.7 they do not."""
+    """2000 runs: 93 to 97 % of the 95 % intervals that are trusted hold the norm; shrunk to 0.7 they do not.
+
+    Where the result often says that peaks compete, those that are left hold it more often than 95 %: it is the low
+    estimates of the higher peak that let the other compete. There only the lower end is asked for.
+    """
     errors, estimates, scale = study(named_plant(name, variance), 1000, iterations, 2000, (corrected,))
     ok = np.array([e.status.ok for e in estimates])
     trusted = [e for e in estimates if e.status.ok]
@@ -88,7 +92,7 @@ def test_coverage_of_the_interval(name, variance, iterations, record_figure):
     rho = scale * np.sqrt(np.nanmean(errors**2, axis=0))
     record_figure("bias and rho", [errors[:, 0].mean(), rho[0]], plant=name, variance=variance)
     record_figure("bias and rho of (7)", [np.nanmean(errors[:, 1]), rho[1]], plant=name, variance=variance)
-    assert 0.93 < share < 0.97
+    assert 0.93 < share < (0.97 if ok.mean() > 0.95 else 1)
     narrow = np.mean([abs(e) < 1.37 * f.standard_error for e, f in zip(errors[ok, 0], trusted, strict=True)])
     assert narrow < 0.93
 

@@ -91,3 +91,14 @@ def test_prediction_keys_and_extrapolation():
         finite_norm(plant, 1)
     with pytest.raises(InputError, match="dense matrix"):
         singular_values(plant, 5000)
+
+
+@pytest.mark.slow
+def test_the_third_order_falls_as_one_over_n_squared():
+    """Variance 4: what both effects leave at N = 100 (-0.021) is at most a tenth of that at N = 500."""
+    from benchmarks.reproductions.finite_experiments import prediction_errors
+
+    (_, _, short), (_, error, long) = (prediction_errors(N, 4.0) for N in (100, 500))
+    assert abs(short["random-mu"]) > 0.01
+    assert abs(long["random-mu"]) < abs(short["random-mu"]) / 10 + 4 * error
+    assert abs(long["edge"]) > 4 * error  # negative control: one effect less
