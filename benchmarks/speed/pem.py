@@ -155,17 +155,25 @@ def against_sippy(samples: int = 10_000) -> dict:
 
     record, _, _ = _case(2, samples)
     ours = lambda: identify(record, "oe", (2, 2))
-    ours()
+    fit = ours()
     seconds, _ = _times(ours, 5)
     size = f"order 2, N = {samples}"
     try:
         from sippy_unipi import system_identification  # pyright: ignore[reportMissingImports]
     except ImportError:
         return _row("pem-oe", size, seconds, "SIPPY", None, 100.0, note="sippy-unipi is not installed")
+    from scipy.signal import lfilter
+
     theirs = lambda: system_identification(
-        record.y.T, record.u.T, "OE", OE_orders=[[2], [2], [1]], max_iterations=300
+        record.y.T, record.u.T, "OE", OE_orders=[2, 2, 0], max_iterations=300
     )
-    return _row("pem-oe", size, seconds, "SIPPY", _times(theirs, 1)[0], 100.0)
+    other, model = _times(theirs, 1)
+    b, f = np.ravel(model.NUMERATOR), np.ravel(model.DENOMINATOR)
+    loss = float(np.mean((record.y[:, 0] - np.asarray(lfilter(np.r_[0.0, b], f, record.u[:, 0]))) ** 2))
+    return _row(
+        "pem-oe", size, seconds, "SIPPY", other, 100.0, same=fit.loss <= loss * (1 + 1e-6),
+        note=f"loss {fit.loss:.8g}, SIPPY's {loss:.8g}",
+    )  # fmt: skip
 
 
 def _fits(seeds: list[int], samples: int) -> float:

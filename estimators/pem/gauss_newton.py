@@ -164,12 +164,14 @@ def minimise(
         moves = np.flatnonzero(allowed & ~_held(point, bounds))
         if not moves.size:
             return Optimum(point, Status.CONVERGED, iteration, 0.0)
-        along = identity if len(moves) == len(identity) else identity[:, moves]
-        edges = walls(point.z) if walls is not None else identity[:0]
-        if len(edges):
-            along = along @ _along(edges[:, moves], point, moves)
-        gradient, hessian = along.T @ point.gradient, along.T @ point.hessian @ along
-        learned = along.T @ S @ along
+        edges = walls(point.z) if walls is not None else ()
+        along = None
+        gradient, hessian, learned = point.gradient, point.hessian, S
+        if len(edges) or len(moves) < len(identity):
+            along = identity[:, moves]
+            along = along @ _along(edges[:, moves], point, moves) if len(edges) else along
+            gradient, hessian = along.T @ gradient, along.T @ hessian @ along
+            learned = along.T @ S @ along
         diagonal = np.diag(hessian)
         scale = 1 / np.sqrt(np.maximum(diagonal, max(1e-14 * diagonal.max(), np.finfo(float).tiny)))
         newton = _solve(hessian, 1e-14, gradient, scale)
@@ -184,7 +186,7 @@ def minimise(
                 damping, corrected = max(4 * damping, 1e-6), corrected and damping < 1
         if inner is None:  # no curvature at all, or none that is finite
             return Optimum(point, Status.INACCURATE, iteration + 1, decrement)
-        step = along @ inner
+        step = inner if along is None else along @ inner
         linear, plain, bent = 2 * gradient @ inner, inner @ hessian @ inner, inner @ learned @ inner
         predicted = -(linear + plain + (bent if corrected else 0.0))
         wanted = point.z + step

@@ -55,7 +55,8 @@ def test_delay_is_found_and_fresh_data_are_judged(data, capfd) -> None:
 )
 def test_every_structure(data, capfd, structure, orders) -> None:
     delay = 1 if structure == "ss" else 3
-    found = answer(capfd, data, "--structure", structure, "--orders", *orders, "--delay", delay)
+    options = ["--structure", structure, "--orders", *orders, "--delay", delay, "--search", "quick"]
+    found = answer(capfd, data, *options)
     assert found["fit_percent"] > 80
 
 
