@@ -185,11 +185,17 @@ def autocorrelation_design(
     lagged = np.einsum("lk,knm->lnm", cosines, atoms) / points
     inverse = np.linalg.inv(R)
     constant = inverse.T @ information.constant @ inverse
+    from scipy import sparse
+
     Q = cp.Variable((lags + 1, lags + 1), PSD=True)
-    r = [cp.trace(Q)] + [
-        cp.sum(cp.hstack([Q[i, i + lag] for i in range(lags + 1 - lag)])) for lag in range(1, lags + 1)
-    ]
-    M = constant + input_power * sum(r[lag] * lagged[lag] for lag in range(lags + 1))
+    # r_l is the sum of the l-th diagonal of Q: one sparse matrix, for Q's entries column by column.
+    row, column = np.triu_indices(lags + 1)
+    diagonals = sparse.csr_matrix(
+        (np.ones(len(row)), (column - row, row + column * (lags + 1))), shape=(lags + 1, (lags + 1) ** 2)
+    )
+    r = diagonals @ cp.vec(Q, order="F")
+    n = information.n
+    M = constant + input_power * cp.reshape(lagged.reshape(lags + 1, -1).T @ r, (n, n), order="C")
     conic(scaled, [cp.trace(Q) == 1], (M + M.T) / 2)
     q = np.asarray(Q.value, dtype=float)
     power = input_power * float(np.trace(q))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from oed.design.result import Design
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_design", "plot_sensitivity"]
+__all__ = ["plot_autocorrelation", "plot_design", "plot_sensitivity"]
 
 
 def plot_sensitivity(design: Design, axes: Axes | None = None, *, points: int = 4000) -> Any:
@@ -76,6 +77,41 @@ def plot_design(design: Design, axes: Axes | None = None) -> Any:
         title=f"{design.criterion.name}-optimal input, white noise reaches {100 * design.efficiency_white:.3g} %",
     )
     axes.legend(frameon=False, loc="upper right")
+    return axes
+
+
+def plot_autocorrelation(
+    model: Any, criterion: str = "D", lags: Sequence[int] = (4, 8, 16, 24, 32, 48), axes: Axes | None = None
+) -> Any:
+    """How fast the best finite moving average nears the optimum over all spectra.
+
+    Parameters
+    ----------
+    model : Plant, Model or InformationMap
+        One input.
+    criterion : str
+        As for `autocorrelation_design`.
+    lags : sequence of int
+        Numbers of lags; 64 take several seconds.
+    axes : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        With the relative excess of the loss over the certified bound, against the lags; both logarithmic.
+    """
+    from oed.design.autocorrelation import autocorrelation_design
+    from oed.design.solve import solve_design
+
+    axes = _axes(axes)
+    bound = solve_design(model, criterion).bound
+    excess = [autocorrelation_design(model, criterion, lags=int(L)).loss / bound - 1 for L in lags]
+    axes.loglog(list(lags), excess, "o-", label="best moving average")
+    axes.loglog(list(lags), excess[0] * lags[0] / np.asarray(lags, dtype=float), ":", label="1 / lags")
+    axes.set_xlabel("lags")
+    axes.set_ylabel(f"loss ({criterion}) above the certified optimum, relative")
+    axes.legend()
     return axes
 
 
