@@ -12,7 +12,12 @@ import numpy as np
 from benchmarks import figures
 from benchmarks.answer import answer_rows, answer_sentences
 from benchmarks.comparison import BUDGET, COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
-from benchmarks.comparison_sections import answer_section, head_to_head_section, profile_section
+from benchmarks.comparison_sections import (
+    answer_section,
+    claim_section,
+    head_to_head_section,
+    profile_section,
+)
 from benchmarks.hair_dryer import hair_dryer_story
 from benchmarks.report import save_figure, save_report, save_table
 from benchmarks.settings import Settings
@@ -130,6 +135,8 @@ def write_comparison(
         section, sentence = head_to_head_section(folder, save)
         sections.append(section)
         sentences.append(sentence)
+    if len(settings.plants) > 1 and answer:  # about all plants, so not for a look at one
+        sections.append(claim_section(folder, save))
     sections.append(_theory_section(folder, settings, known, siso))
     if "hair-dryer" in settings.plants:
         sections.append(_hair_dryer_section(folder, save))

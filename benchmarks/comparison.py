@@ -162,7 +162,8 @@ def compare(
     methods, estimators : sequence, optional
         Names of inputs and estimators; one's own as functions or `FILE.py:FUNCTION` (see `benchmarks.own`).
     limits : sequence of Limit, optional
-        What has fewer replicates than the rest.
+        What has fewer replicates than the rest; by default `benchmarks.settings.DEFAULT_LIMITS`, those of inputs only where
+        `methods` is not given.
     profile_replicates : int
         For so many replicates the estimators are also run after every checkpoint of the budget.
     seed : int
@@ -196,9 +197,11 @@ def compare(
     }
     if limits is None:
         blank = Settings()
-        given["limits"] = default_limits(
+        chosen = default_limits(
             plants or blank.plants, brought.methods or blank.methods, brought.estimators or blank.estimators
         )
+        # Inputs that were asked for by name are not limited.
+        given["limits"] = tuple(limit for limit in chosen if not (methods and limit.method))
     settings = Settings(
         samples=samples,
         experiments=experiments,

@@ -16,7 +16,7 @@ from benchmarks.statistics import Target
 from benchmarks.tabulation import Tables
 from oed.theory.efficiency import losses, peak_gain_efficiency_by_experiments
 
-__all__ = ["answer_section", "head_to_head_section", "profile_section"]
+__all__ = ["answer_section", "claim_section", "head_to_head_section", "profile_section"]
 
 Row = dict[str, Any]
 Save = Callable[..., dict[str, Any]]
@@ -219,6 +219,47 @@ def _summary(performance: Sequence[Row]) -> list[Row]:
             row[f"{name}_se"] = (r["high"] - r["low"]) / (2 * 1.96)
             row["n"] = r["n"]
     return sorted(rows.values(), key=lambda row: -row["within_2"])
+
+
+def claim_section(folder: Path, save: Save, cases: Any = None) -> dict[str, Any]:
+    """The map of the claim: in which cases the sinusoid at the peak, and the limit of the iterations, are optimal.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder.
+    save : callable
+        `save_table` with folder and metadata given.
+    cases : list of ClaimCase, optional
+        By default all of `oed.theory.claim_cases`.
+
+    Returns
+    -------
+    dict
+        A section of report.json.
+    """
+    from benchmarks.claim_map import COLUMNS as CLAIM
+    from benchmarks.claim_map import claim_figure, claim_rows
+
+    rows = claim_rows(cases)
+    return {
+        "title": "In theory: the map of the claim",
+        "text": [
+            "Efficiency for the peak gain of the sinusoid at the peak, of the limit spectrum of the iterations and of white noise, "
+            "against a certified optimum, as the problem is varied.",
+        ],
+        "tables": [
+            save(
+                "claim_map",
+                rows,
+                CLAIM,
+                "Every case with the gap of its certificate, per sample at unit power.",
+            )
+        ],
+        "figures": [
+            save_figure(folder, "claim-map", claim_figure(rows), "The map of the claim, case by case.")
+        ],
+    }
 
 
 def head_to_head_section(folder: Path, save: Save) -> tuple[dict[str, Any], str]:

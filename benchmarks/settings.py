@@ -136,6 +136,9 @@ DEFAULT_LIMITS = (
     Limit(0, plant="three-by-two", method="sequential"),
     Limit(0, plant="three-by-two", method="oracle-D"),
     Limit(0, plant="three-by-two", method="oracle-hinf", estimator="pem"),
+    Limit(0, plant="reference", method="procedure-2"),  # one channel: the iterations twice over
+    Limit(0, plant="hair-dryer", method="procedure-2"),
+    Limit(0, plant="random-fir-1", method="procedure-2"),
     Limit(10, method="sequential"),
     Limit(30, estimator="corrected"),
     Limit(30, estimator="fir-selected"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from functools import partial
 from html import escape
 
 import numpy as np
@@ -13,7 +14,7 @@ from benchmarks import comparison_sections
 from benchmarks.comparison import compare
 from benchmarks.hair_dryer import hair_dryer_story
 from benchmarks.readme import END, START, with_headline, write_readme
-from benchmarks.report import write_report
+from benchmarks.report import save_table, write_report
 from benchmarks.tables import from_parquet
 from oed.errors import CampaignError, InputError
 
@@ -157,3 +158,14 @@ def test_hair_dryer_story():
     assert abs(after["simulation_rmse"] - 0.116) < 0.003
     assert after["one_step_rmse"] < 0.5 * before["one_step_rmse"]
     assert before["smallest_p_value"] < 1e-20
+
+
+def test_the_map_of_the_claim_has_its_place(tmp_path):
+    """Three of its cases, as table and figure of the page."""
+    from oed.theory.claim_cases import claim_cases
+
+    section = comparison_sections.claim_section(tmp_path, partial(save_table, tmp_path), claim_cases()[:3])
+    rows, _ = from_parquet(tmp_path / section["tables"][0]["file"])
+    assert len(rows) == 3
+    assert set(section["tables"][0]["columns"]) <= set(rows[0])
+    assert (tmp_path / section["figures"][0]["file"]).read_text().startswith("<?xml")

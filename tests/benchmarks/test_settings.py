@@ -13,7 +13,7 @@ from benchmarks.cli import main
 from benchmarks.comparison import compare
 from benchmarks.merging import merge_stores
 from benchmarks.own import Own
-from benchmarks.settings import Limit, Settings, campaign_from_toml, limit_from_text
+from benchmarks.settings import Limit, Settings, campaign_from_toml, default_limits, limit_from_text
 from oed.errors import CampaignError, InputError
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "benchmarks" / "campaigns" / "published.toml"
@@ -76,6 +76,17 @@ def test_the_command_line_goes_before_the_file(tmp_path, capsys):
     assert "Dry run: 1 combinations" in capsys.readouterr().out
     assert main(["compare", "--config", str(file), "--samples", "3", "--dry-run"]) == 2
     assert "samples is 3" in capsys.readouterr().err
+
+
+def test_default_limits_concern_what_is_compared():
+    assert Limit(10, plant="three-by-two") in default_limits(["three-by-two"], ["white"], ["pem"])
+    assert default_limits(["reference"], ["white"], ["pem"]) == ()
+    blank = Settings()
+    everything = default_limits(blank.plants, blank.methods, blank.estimators)
+    settings = Settings(limits=everything)
+    assert settings.replicates_of(100, "reference", "procedure-2") == 0
+    assert settings.replicates_of(100, "reference", "power", "pem") == 100
+    assert settings.replicates_of(100, "three-by-two", "procedure-2") == 10
 
 
 OWN = textwrap.dedent("""
