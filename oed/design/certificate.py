@@ -44,6 +44,11 @@ class Certificate:
     outside : float
         Length of what the criterion asks for that lies outside the range of the reported information,
         relative: 0 where the information is nonsingular, rounding where a singular design is exact.
+    elsewhere : float
+        Of a design on a fixed grid: the largest price in the band beside the grid. Where it exceeds 1 the bound
+        holds on the grid only, and a line at `elsewhere_frequency` lowers the loss.
+    elsewhere_frequency : float
+        Where that is, rad/sample.
     """
 
     X: NDArray[np.float64]
@@ -55,6 +60,8 @@ class Certificate:
     frequency: float
     price: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     outside: float = 0.0
+    elsewhere: float = 1.0
+    elsewhere_frequency: float = float("nan")
 
     @property
     def Z(self) -> NDArray[np.float64]:

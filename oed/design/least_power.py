@@ -52,7 +52,13 @@ def application_criterion(required: ArrayLike, *, name: str = "application") -> 
 
 
 def least_power_design(
-    model: Any, criterion: str | Criterion, demand: float, *, prior: ArrayLike | None = None, **options: Any
+    model: Any,
+    criterion: str | Criterion,
+    demand: float,
+    *,
+    max_power: float = np.inf,
+    prior: ArrayLike | None = None,
+    **options: Any,
 ) -> Design:
     """The design of least input power whose loss is at most the demand.
 
@@ -64,6 +70,8 @@ def least_power_design(
         Any; with `application_criterion(R)` and the demand 1 it is M >= R.
     demand : float
         Largest loss per sample that is accepted.
+    max_power : float
+        Input power that is there.
     prior : array_like, optional
         (n, n) information of experiments already done, per sample.
     **options : object
@@ -78,12 +86,20 @@ def least_power_design(
     Raises
     ------
     InfeasibleDesign
-        If what is known already meets the demand, so that no input is needed.
+        If what is known already meets the demand, so that no input is needed, or if the demand needs more than
+        `max_power`.
     """
     from oed.design.solve import solve_design
 
     if not (np.isfinite(demand) and demand > 0):
         raise InputError(f"the demanded loss is {demand}; it must be positive and finite.")
+    if np.isfinite(max_power):
+        most = solve_design(model, criterion, input_power=max_power, prior=prior, **options)
+        if most.bound > demand:
+            raise InfeasibleDesign(
+                f"the demand clashes with the input power: with a power of {max_power:g} every input has a loss of at "
+                f"least {most.bound:.6g}, and {demand:g} is demanded; allow more power, or demand less."
+            )
     base = information_map(model)
     if prior is None and not np.any(base.constant):
         unit = solve_design(model, criterion, input_power=1.0, **options)

@@ -115,6 +115,7 @@ def masked_design(
     cap = np.full(cells, np.inf)
     if input_mask is not None:
         cap = np.minimum(cap, _values(input_mask, omega, "input mask") / cells)
+    open_to_input = cap > 0
     if output_mask is not None:
         gain = np.sum(np.abs(information.gain(omega)) ** 2, axis=(1, 2))
         with np.errstate(divide="ignore"):
@@ -122,8 +123,15 @@ def masked_design(
                 cap, np.where(gain > 0, _values(output_mask, omega, "output mask") / cells / gain, np.inf)
             )
     if not cap.any():
+        if input_mask is not None and output_mask is not None and open_to_input.any():
+            at = omega[open_to_input]
+            raise InfeasibleDesign(
+                f"the input mask clashes with the output mask: the input may have power between {at[0]:.4g} and "
+                f"{at[-1]:.4g} rad/sample only, and there the output mask is 0; raise one where the other is open."
+            )
+        which = "input" if not open_to_input.any() else "output"
         raise InfeasibleDesign(
-            "the masks are 0 at every frequency, so no input satisfies them; raise them somewhere."
+            f"the {which} mask is 0 at every frequency, so no input satisfies it; raise it somewhere."
         )
     open_cells = cap > 0
     budgets = power_budgets(information, input_power)

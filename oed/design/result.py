@@ -129,6 +129,7 @@ class Design:
             "power_used": dict(self.power_used),
             "limits": dict(self.limits),
             "largest_price": self.certificate.largest_price,
+            "price_beside_grid": self.certificate.elsewhere,
             "solver": self.solver,
             "rounds": self.rounds,
             "parameters": list(self.names),
@@ -144,6 +145,11 @@ class Design:
         share = np.einsum("kii->k", self.spectrum.power).real
         for w, P in zip(self.spectrum.omega, share, strict=True):
             lines.append(f"  {w:.9f} rad/sample   power {P:.9g}")
+        if self.certificate.elsewhere > 1 + 1e-6:
+            lines.append(
+                f"the grid misses something: a line at {self.certificate.elsewhere_frequency:.6g} rad/sample is worth "
+                f"{self.certificate.elsewhere:.4g} times its cost, so the bound holds on the grid only"
+            )
         lines.append(f"{self.status.name}: {self.status.value}")
         return "\n".join(lines)
 

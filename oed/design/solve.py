@@ -64,7 +64,8 @@ def solve_design(
     band : (low, high) or sequence of them, optional
         Where lines are allowed, rad/sample; by default [0, pi].
     points : int or array_like
-        Size of the uniform part of the first frequency grid, or the frequencies themselves.
+        Size of the uniform part of the first frequency grid, or frequencies for it; without `refine` lines lie
+        on these only, and `certificate.elsewhere` tells whether other frequencies would do better.
     prior : array_like, optional
         (n, n) information of experiments already done, per sample of the new one.
     solver : {"newton", "clarabel"}
@@ -102,6 +103,9 @@ def solve_design(
     budgets = power_budgets(information, input_power, output_power, channel_power, rate_power)
     bands = bands_of(band)
     omega = frequency_grid(information, bands, points)
+    if refine and np.ndim(points):
+        # Given frequencies may miss a resonance, or part of the band: the certificate must not.
+        omega = np.union1d(omega, frequency_grid(information, bands, 400))
     problem = Problem(information, wanted, budgets, omega, bands)
     if wanted.kind == "K":
         if any(limit is not None for limit in (output_power, channel_power, rate_power)):
@@ -142,7 +146,22 @@ def solve_design(
             found = collapsed(better(found, again), tolerance)
             if found.gap > 0.1 * before:
                 break  # rounding, not a missing line, is what holds the gap up
-    return certified(found, tolerance=tolerance, solver=solver)
+    design = certified(found, tolerance=tolerance, solver=solver)
+    return design if refine else _beside_the_grid(design, frequency_grid(information, bands, 400))
+
+
+def _beside_the_grid(design: Design, omega: NDArray[np.float64]) -> Design:
+    """What the certificate of a fixed grid says about the frequencies that it leaves out."""
+    prices = design.certificate.sensitivity(omega)
+    top = int(np.argmax(prices))
+    return replace(
+        design,
+        certificate=replace(
+            design.certificate,
+            elsewhere=max(1.0, float(prices[top])),
+            elsewhere_frequency=float(omega[top]),
+        ),
+    )
 
 
 def _looked_at_again(found: Exchange) -> Exchange:

@@ -139,3 +139,32 @@ def test_bad_input_is_named():
         information_map(3.0)
     with pytest.raises(NotIdentifiable, match="b1"):
         solve_design(Plant([0, 1.0, 0.5], [1, 0.5]), band=(0.0, 0.0))
+
+
+def test_a_grid_that_misses_the_resonance_is_seen():
+    plant = named_plant("reference")
+    far = np.linspace(1.5, 3.0, 20)
+    # With refinement the given points are a start only: the certificate covers the band.
+    assert solve_design(plant, "D", points=far).loss == pytest.approx(OPTIMA["D"][0], rel=1e-8)
+    fixed = solve_design(plant, "D", points=far, refine=False)
+    assert fixed.certificate.elsewhere > 10
+    assert 0.8 < fixed.certificate.elsewhere_frequency < 1.2
+    assert "the grid misses something" in str(fixed)
+    fine = solve_design(plant, "D", points=np.linspace(0, np.pi, 20_001), refine=False)
+    assert fine.certificate.elsewhere < 1 + 1e-4
+
+
+def test_a_demand_that_the_power_cannot_meet_is_named():
+    from oed.design import least_power_design, masked_design
+    from oed.errors import InfeasibleDesign
+
+    plant = named_plant("reference")
+    with pytest.raises(InfeasibleDesign, match="demand clashes with the input power"):
+        least_power_design(plant, "A", 0.1, max_power=1.0)
+    assert least_power_design(plant, "A", 0.5, max_power=1.0).spectrum.total_power < 1
+    with pytest.raises(InfeasibleDesign, match="clashes with the output mask"):
+        masked_design(
+            plant,
+            input_mask=lambda w: (w < 1) * 1.0,
+            output_mask=lambda w: (w > 1) * 1.0,
+        )
