@@ -109,6 +109,8 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         options |= merged
     if args.config:
         options |= campaign_from_toml(args.config)
+        if args.seed:  # 0 is the default and gives way to the file's
+            options["seed"] = args.seed
     if args.limit:
         args.limit = [limit_from_text(text) for text in args.limit]
     given = {LISTS.get(name, name): getattr(args, name) for name in (*LISTS, *PLAIN)}
