@@ -96,7 +96,7 @@ def test_the_best_adaptive_method_is_within_ten_percent_of_the_bound(tmp_path, r
     settings = Settings(
         plants=("reference",),
         noise_variances=(1.0,),
-        methods=("white", "sequential"),
+        methods=("white", "power", "two-stage", "sequential"),
         estimators=("pem",),
         samples=1000,
         experiments=50,
