@@ -8,7 +8,8 @@
 `identify(records, structure="oe", orders=(2, 2), delay=1, *, diagonal=False, offset=False,
 initial="zero", start=None, ...) -> Fit`
 
-- `records`: one `oed.data.Record` or a list of them (several experiments, one model).
+- `records`: one `oed.data.Record` or a list of them (several experiments, one model); a pandas DataFrame, an
+  xarray Dataset or a control TimeResponseData will do as well.
 - `structure`, `orders`: fir nb; arx na nb; armax na nb nc; oe nb nf; bj nb nc nd nf; ss n. Each order is a
   number, or for MIMO one per entry (ny, nu); `diagonal=True` lets input i drive output i alone and takes
   one order per channel. `delay` is nk (number or (ny, nu)), 1 by default.
@@ -16,7 +17,7 @@ initial="zero", start=None, ...) -> Fit`
 - `initial`: "zero" (at rest before the first sample), "estimate", "backcast"; per experiment.
 - `start`: parameters to start from; otherwise several starts are tried and the best optimum is kept
   (`search`: auto, quick, thorough).
-- `fixed`, `bounds`, `prior`: by parameter name. `robust`: "huber" or "student". `prefilter`: (num, den).
+- `fixed`, `bounds`, `prior`: by parameter name. `constraints`: CasADi expressions of the parameters. `robust`: "huber" or "student". `prefilter`: (num, den).
   `missing=True`: NaN in the outputs marks missing samples.
 
 `Fit` (frozen): `model` (`oed.models.Model`), `theta`, `names`, `covariance`, `standard_errors`,

@@ -164,7 +164,7 @@ def minimise(
         moves = np.flatnonzero(allowed & ~_held(point, bounds))
         if not moves.size:
             return Optimum(point, Status.CONVERGED, iteration, 0.0)
-        edges = walls(point.z) if walls is not None else ()
+        edges = identity[:0] if walls is None else walls(point.z)
         along = None
         gradient, hessian, learned = point.gradient, point.hessian, S
         if len(edges) or len(moves) < len(identity):
