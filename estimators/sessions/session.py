@@ -100,6 +100,7 @@ class Session:
         self.message = ""
         self._waiting: Step | None = None
         self._asked: Asked | None = None
+        self._found: SessionEstimate | None = None
         self._advance(None)
 
     @property
@@ -250,8 +251,10 @@ class Session:
         SessionEstimate
             Value, interval, frequency, direction.
         """
-        scatter = np.mean(self._noise, axis=0) if self._noise and self.settings.periods > 1 else None
-        return estimate_of(self.settings, self.trace, self.own_trace, scatter)
+        if self._found is None:
+            scatter = np.mean(self._noise, axis=0) if self._noise and self.settings.periods > 1 else None
+            self._found = estimate_of(self.settings, self.trace, self.own_trace, scatter)
+        return self._found
 
     @property
     def trace(self) -> Trace:
@@ -316,7 +319,7 @@ class Session:
         self._whole.append(asked.whole)
         self._kinds.append(asked.kind)
         self._noise.append(part.noise)
-        self._asked = None
+        self._asked = self._found = None
         self._advance(own if asked.factor == 1 else own / asked.factor)
 
     def _advance(self, y: Array | None) -> None:

@@ -131,6 +131,7 @@ def cut(given: str, out: Path) -> str:
     return str(out)
 
 
+@pytest.mark.slow
 def test_the_error_of_a_model_on_the_vibration_isolation_rig(capfd, tmp_path):
     """[M] Sec. IV: two inputs, two outputs; the model lacks the mode at 121 Hz, and the session says so."""
     avis = named_plant("avis", 1e-4)
