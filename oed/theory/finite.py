@@ -246,7 +246,7 @@ def finite_moments(
         beta2, mu2 = _edge(d2, variance, iterations)
         mu2_limit = _edge_limit(d2, variance)
         return FiniteMoments(effect, beta2, mu2, mu2_limit - variance, mu2_limit)
-    beta2, mu2 = _random_mu(d2, variance, max(iterations, 200))
+    beta2, mu2, _ = random_mu(d2, variance, max(iterations, 200))
     return FiniteMoments(effect, beta2[:iterations], mu2[:iterations], float(beta2[-1]), float(mu2[-1]))
 
 
@@ -285,10 +285,26 @@ def _edge_limit(d2: NDArray, variance: float) -> float:
     return top + float(np.exp(np.asarray(brentq(f, low, np.log(variance) + 1, xtol=1e-15))))
 
 
-def _random_mu(d2: NDArray, variance: float, iterations: int) -> tuple[NDArray, NDArray]:
+def random_mu(d2: NDArray, variance: float, iterations: int) -> tuple[NDArray, NDArray, NDArray]:
     """Means with the fluctuation of Q, to second order.
 
     The covariance of the shares is kept as a diagonal and, from every experiment, two more directions.
+
+    Parameters
+    ----------
+    d2 : ndarray
+        (N,) squared singular values of G_N.
+    variance : float
+        Noise variance.
+    iterations : int
+        How many experiments.
+
+    Returns
+    -------
+    beta2, mu2 : ndarray
+        (M,) means of beta_2^2 and of mu^2.
+    shares : ndarray
+        (M, N) means of the shares of the input's power.
     """
     N = len(d2)
     noise = variance / N
@@ -298,8 +314,10 @@ def _random_mu(d2: NDArray, variance: float, iterations: int) -> tuple[NDArray, 
     columns[:, 0] = 1.0
     weights = [np.array([[-2 / (N**2 * (N + 2))]])]
     beta2, mu2 = np.full(iterations, np.nan), np.empty(iterations)
+    shares = np.empty((iterations, N))
     used = 1
     for m in range(iterations):
+        shares[m] = p
         q = d2 * p + noise
         Q = q.sum()
         mu2[m] = Q
@@ -325,8 +343,9 @@ def _random_mu(d2: NDArray, variance: float, iterations: int) -> tuple[NDArray, 
         p = new
         if done:
             beta2[m + 1 :], mu2[m + 1 :] = d2 @ p, (d2 * p + noise).sum()
+            shares[m + 1 :] = p
             break
-    return beta2, mu2
+    return beta2, mu2, shares
 
 
 def finite_prediction(plant: Plant, samples: int) -> dict[str, Any]:
