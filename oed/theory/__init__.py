@@ -1,7 +1,7 @@
 """What the theory predicts for the power iterations: limit spectra, bias, efficiency, and where the claim fails."""
 
+from oed.theory.cases import ClaimCase, claim_cases, claim_map
 from oed.theory.claim import ClaimRow, gain_scaling_residual, map_of_claim, peak_sinusoid_spectrum
-from oed.theory.claim_cases import ClaimCase, claim_cases, claim_map
 from oed.theory.limit import LimitSpectrum, limit_spectrum, limit_spectrum_on_grid, spectra_of_iterations
 
 __all__ = [

@@ -21,7 +21,7 @@ x' I x <= P_y / (lambda gamma^2), and the same sinusoid attains lambda gamma^2 /
 
 It breaks where no such x exists (known gain, monic numerator), where the noise is coloured or unequal over outputs, where
 single channels or amplitudes are limited, and with an unknown offset when w^ = 0. `map_of_claim` and
-`oed.theory.claim_cases` measure by how much.
+`oed.theory.cases` measure by how much.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from benchmarks.claim_map import COLUMNS, claim_figure, claim_rows
+from benchmarks.claim_map import COLUMNS, claim_rows
+from benchmarks.figures_claim import claim_figure
 from benchmarks.tables import to_markdown
 from oed.theory import ClaimCase, claim_cases
 
