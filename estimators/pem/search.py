@@ -30,6 +30,8 @@ MANY = 20_000
 FEW, SOME = 400, 3000
 """Samples up to which models of one or two modes are searched for at all, and those of more closely: noise makes
 more optima of few samples."""
+MOST = 12
+"""Modes up to which a model is searched for closely: with more every evaluation costs too much for that."""
 DRAWS = 12
 """Random starts for every mode on up to 1000 samples."""
 
@@ -44,8 +46,8 @@ def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimu
     own : ndarray, optional
         A start in scaled parameters, which then is the only one.
     how : Settings
-        Its `search`: whether modes are relocated; auto does so for more than two of them on up to 20000
-        samples.
+        Its `search`: how far modes are moved. auto: models of more than two modes, or on up to 400 samples, on up to
+        30000 samples; closely and with random starts on up to 3000; of larger records a part.
 
     Returns
     -------
@@ -89,7 +91,7 @@ def _explored(problem: Problem, best: Optimum, how: Settings) -> Optimum:
     modes, hard = int(form.nf[0].sum() + form.nc[0] + form.nd[0]), how.search == "thorough"
     if modes <= 2 and problem.n_samples > FEW and not hard:
         return best
-    closely = hard or problem.n_samples <= SOME
+    closely = hard or (problem.n_samples <= SOME and modes <= MOST)
     draws = int(modes * DRAWS * min(1.0, 1000 / problem.n_samples)) * closely * (4 if hard else 1)
     rng, width = np.random.default_rng(0), 3 if closely else 1
     for _ in range(4):
