@@ -79,7 +79,7 @@ def excess(seed, k, search="auto"):
     return ours.loss / min(others) - 1
 
 
-@pytest.mark.parametrize("k", [1, 18, 22, 35])
+@pytest.mark.parametrize("k", [1, pytest.param(18, marks=pytest.mark.slow), 22, 35])
 def test_no_other_start_does_better(k) -> None:
     """Four plants on which the starts by linear algebra alone end in other optima, or on the edge of stability."""
     assert excess(1, k) < LOWER
