@@ -54,18 +54,20 @@ def stepped(u: np.ndarray, seed: int) -> np.ndarray:
     with redirect_stdout(io.StringIO()):
         lab = tclab.setup(connected=False)(synced=False)
     lab.tlast = 0.0  # it begins at the wall clock's time since the import: another number in every run
-    lab.Q1(LEVEL), lab.Q2(LEVEL)
+    lab.Q1(LEVEL)
+    lab.Q2(LEVEL)
     now, y = 2000.0, np.empty((len(u), 2))
     lab.update(now)
     for k, (first, second) in enumerate(u):
         now += DT
         y[k] = lab.T1, lab.T2
-        lab.Q1(first), lab.Q2(second)
+        lab.Q1(first)
+        lab.Q2(second)
         lab.update(now)
     return y
 
 
-def clocked(u: np.ndarray, speedup: float) -> np.ndarray:
+def clocked(u: np.ndarray, speedup: int) -> np.ndarray:
     """The same against the wall clock, sped up: what runs on the real board with connected=True and speedup=1."""
     import tclab
 
@@ -74,7 +76,8 @@ def clocked(u: np.ndarray, speedup: float) -> np.ndarray:
         begin = tclab.labtime.time()
         for k, (first, second) in enumerate(u):
             y[k] = lab.T1, lab.T2
-            lab.Q1(first), lab.Q2(second)
+            lab.Q1(first)
+            lab.Q2(second)
             tclab.labtime.sleep(max(begin + (k + 1) * DT - tclab.labtime.time(), 0.0))
     return y
 

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimators.sessions import Session, Settings
-from estimators.sessions.diagnosis import diagnosis_of
+from estimators.sessions import Session, Settings, what_is_missing
 from oed import named_plant, simulated
 from oed.plant_files import plant_to_json
 from oed.plants import Plant
@@ -46,9 +45,10 @@ def main() -> dict[str, float | str]:
     print(f"norm of the model error: {found.value:.4f}, 95 % interval {low:.4f} to {high:.4f}")
     print(f"worst at {hertz:.2f} Hz, input direction {np.round(found.direction.real, 3)}\n")
 
-    diagnosis = diagnosis_of(session)
-    print(diagnosis)
-    cause = diagnosis.of_model.cause
+    missing = what_is_missing(session.trace, model(), found.frequency)
+    cause = missing.cause
+    print(f"missing from the model: {cause}")
+    print("ranked:", ", ".join(c.name for c in missing.causes))
     print(f"\nthe missing mode is at {cause.parameters['frequency'] / (2 * np.pi * DT):.2f} Hz")
     return {
         "value": found.value, "low": low, "high": high, "hertz": hertz, "cause": cause.name,

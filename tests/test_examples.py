@@ -100,7 +100,7 @@ def test_the_temperature_lab_against_its_own_clock():
     stepped = lab.stepped(np.full((5, 2), 50.0), 1)
     np.testing.assert_array_equal(stepped, lab.stepped(np.full((5, 2), 50.0), 1))
     u = np.column_stack([np.repeat([80.0, 0.0, 60.0], 15), np.repeat([0.0, 90.0, 20.0], 15)])
-    y = lab.clocked(u, 400.0)
+    y = lab.clocked(u, 400)
     assert np.ptp(y, axis=0).min() > 8
     # step by step by the published equations, at rest at 21 degC
     H, T, expected = np.full(2, 21.0), np.full(2, 21.0), []
