@@ -272,7 +272,7 @@ def _as_design(
         loss=loss,
         bound=bound,
         certificate=Certificate(
-            X=setting.turn.T @ vectors * np.sqrt(np.clip(values, 0, None)),
+            X=np.asarray(setting.turn.T @ vectors * np.sqrt(np.clip(values, 0, None)), dtype=np.float64),
             multipliers={"input power": 0.0},
             numerator=1.0,
             value=1 / bound,

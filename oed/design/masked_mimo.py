@@ -220,7 +220,8 @@ def _positive(matrix: NDArray) -> NDArray[np.complex128]:
 
 def _root(matrices: NDArray) -> NDArray[np.complex128]:
     values, vectors = np.linalg.eigh(matrices)
-    return (vectors * np.sqrt(np.clip(values, 0, None))[:, None, :]) @ vectors.conj().swapaxes(1, 2)
+    root = (vectors * np.sqrt(np.clip(values, 0, None))[:, None, :]) @ vectors.conj().swapaxes(1, 2)
+    return np.asarray(root, dtype=np.complex128)
 
 
 def _clipped(p: NDArray, C: NDArray | None) -> NDArray[np.complex128]:
@@ -228,14 +229,14 @@ def _clipped(p: NDArray, C: NDArray | None) -> NDArray[np.complex128]:
     p = _positive(p)
     if C is None:
         return p
-    return p / max(1.0, float(_excess(p[None], C[None])[0]))
+    return np.asarray(p / max(1.0, float(_excess(p[None], C[None])[0])), dtype=np.complex128)
 
 
 def _excess(P: NDArray, C: NDArray) -> NDArray[np.float64]:
     """The least factor f with P <= f C, per line; a floor keeps singular masks invertible."""
     values, vectors = np.linalg.eigh(C)
     root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[:, -1:] + 1e-300))[:, None, :]
-    return np.linalg.eigvalsh(root.conj().swapaxes(1, 2) @ P @ root)[:, -1]
+    return np.asarray(np.linalg.eigvalsh(root.conj().swapaxes(1, 2) @ P @ root)[:, -1], dtype=np.float64)
 
 
 def _most(

@@ -260,7 +260,11 @@ def autoregressive_design(
     if order:
         for modulus in (0.6, 0.95):
             poles = _starting_poles(free.spectrum, order, modulus)
-            starts.append(np.arctanh(np.clip(step_down(np.poly(poles).real), -0.999, 0.999)))
+            starts.append(
+                np.arctanh(
+                    np.clip(step_down(np.asarray(np.poly(poles).real, dtype=np.float64)), -0.999, 0.999)
+                )
+            )
     # White noise has no coefficient to search for.
     found = [minimize(objective, x, method="L-BFGS-B", bounds=[(-9.0, 9.0)] * order) for x in starts if order]
     best = min(found, key=lambda one: float(one.fun)).x if found else np.zeros(0)

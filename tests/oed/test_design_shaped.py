@@ -65,7 +65,7 @@ def test_several_inputs_are_conditioned_too():
     assert design.efficiency_white < 0.1
 
 
-@pytest.mark.parametrize("name", ["D", "A", "E", "hinf"])
+@pytest.mark.parametrize("name", ["D", "E"])
 def test_basis_and_autoregressive_spectra_lie_above_the_certified_optimum(plant, name, rng):
     free = solve_design(plant, name)
     coarse = basis_design(plant, name, band_basis(np.linspace(0, np.pi, 9)), points=1024)
