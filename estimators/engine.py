@@ -247,7 +247,8 @@ def _compiled_work(
             if getattr(local, "signals", None) is None:
                 local.signals = np.empty((2, samples * B))
             arguments = [*size, num[0, 0], den[0, 0], *noise, factor[0], *coordinates, gain, mu, third]
-            power_block(*arguments, local.signals)
+            arguments.append(local.signals)
+            power_block(*arguments)
             energy = np.full((B, iterations), float(samples))
         else:
             energy = np.empty((B, iterations))

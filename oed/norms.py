@@ -114,7 +114,8 @@ def _with_derivatives(p: NDArray, powers: NDArray) -> NDArray:
 @lru_cache(maxsize=64)
 def _factors(n: int) -> NDArray[np.complex128]:
     """What k-th powers of e^-jw are multiplied by in the first two derivatives: 1, -jk, (-jk)^2."""
-    return np.vander(-1j * np.arange(n), 3, increasing=True)
+    k = -1j * np.arange(n)
+    return np.stack([np.ones(n, dtype=complex), k, k**2], axis=1)
 
 
 def _grid(plant: Plant, points: int) -> NDArray[np.float64]:
