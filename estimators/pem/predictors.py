@@ -72,12 +72,12 @@ def kernel_for(structure: Structure, levels: bool, initial: bool, variant: str =
     return _cached_kernel((structure.kind, *map(frozen, orders)), levels, initial, variant, compiler())
 
 
-def is_stable(polynomial: NDArray) -> bool:
+def is_stable(polynomial: NDArray | list[float]) -> bool:
     """Whether a monic polynomial in q^-1 has all roots inside the unit circle (Schur-Cohn recursion).
 
     Parameters
     ----------
-    polynomial : ndarray
+    polynomial : ndarray or list of float
         Coefficients, the first is 1.
 
     Returns
@@ -170,10 +170,11 @@ def walls(structure: Structure, z: NDArray) -> NDArray[np.float64]:
         return np.zeros((0, len(z)))
     for place in structure.places():
         for part in (*place["c"], *place["f"]):
-            degree = part.stop - part.start
-            whole = np.concatenate([[1.0], z[part]])
-            if is_stable(whole / (1 - 20 * EDGE) ** np.arange(degree + 1)):
+            degree, factor = part.stop - part.start, 1 / (1 - 20 * EDGE)
+            tail = z[part].tolist()
+            if is_stable([1.0, *(c * factor ** (k + 1) for k, c in enumerate(tail))]):
                 continue
+            whole = np.array([1.0, *tail])
             slope = np.polyder(whole)
             for root in np.roots(whole):
                 if abs(root) < 1 - 20 * EDGE or root.imag < 0:
