@@ -231,7 +231,7 @@ def claim_section(folder: Path, save: Save, cases: Any = None) -> dict[str, Any]
     save : callable
         `save_table` with folder and metadata given.
     cases : list of ClaimCase, optional
-        By default all of `oed.theory.claim_cases`.
+        By default all of `oed.theory.cases`.
 
     Returns
     -------

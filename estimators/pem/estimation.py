@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.pem.checks import check_records, structure_for
-from estimators.pem.constrained import Constraints, constrained
+from estimators.pem.constraints import Constraints, constrained
 from estimators.pem.extras import (
     Settings,
     bridged,

@@ -162,7 +162,7 @@ def test_hair_dryer_story():
 
 def test_the_map_of_the_claim_has_its_place(tmp_path):
     """Three of its cases, as table and figure of the page."""
-    from oed.theory.claim_cases import claim_cases
+    from oed.theory.cases import claim_cases
 
     section = comparison_sections.claim_section(tmp_path, partial(save_table, tmp_path), claim_cases()[:3])
     rows, _ = from_parquet(tmp_path / section["tables"][0]["file"])
