@@ -239,7 +239,8 @@ def claim_section(folder: Path, save: Save, cases: Any = None) -> dict[str, Any]
         A section of report.json.
     """
     from benchmarks.claim_map import COLUMNS as CLAIM
-    from benchmarks.claim_map import claim_figure, claim_rows
+    from benchmarks.claim_map import claim_rows
+    from benchmarks.figures_claim import claim_figure
 
     rows = claim_rows(cases)
     return {

@@ -179,7 +179,10 @@ def walls(structure: Structure, z: NDArray) -> NDArray[np.float64]:
             for root in np.roots(whole):
                 if abs(root) < 1 - 20 * EDGE or root.imag < 0:
                     continue
-                moved = -(root ** np.arange(degree - 1, -1, -1)) / np.polyval(slope, root)
+                speed = np.polyval(slope, root)
+                if abs(speed) < 1e-8:
+                    continue  # a double root splits as a square root: its modulus has no gradient
+                moved = -(root ** np.arange(degree - 1, -1, -1)) / speed
                 normal = np.zeros(len(z))
                 normal[part] = np.real(np.conj(root) * moved) / abs(root)
                 if np.isfinite(normal).all():
