@@ -35,7 +35,7 @@ FIG3_REPLICATES = 1000
 
 
 def write_comparison(
-    folder: Path, settings: Settings, replicates: int, tables: Tables
+    folder: Path, settings: Settings, replicates: int, tables: Tables, jobs: int = 1
 ) -> tuple[list[str], Path]:
     """Write tables, figures and the page of a comparison.
 
@@ -49,6 +49,8 @@ def write_comparison(
         Monte-Carlo runs.
     tables : Tables
         Of `tabulate`.
+    jobs : int
+        Processes.
 
     Returns
     -------
@@ -132,11 +134,11 @@ def write_comparison(
     sections = [answer_section(folder, save, tables, answer, settings)] if answer else []
     sections += [inputs, comparison, profile_section(folder, save, tables), carried]
     if answer:
-        section, sentence = head_to_head_section(folder, save)
+        section, sentence = head_to_head_section(folder, save, jobs)
         sections.append(section)
         sentences.append(sentence)
     if len(settings.plants) > 1 and answer:  # about all plants, so not for a look at one
-        sections.append(claim_section(folder, save))
+        sections.append(claim_section(folder, save, jobs=jobs))
     sections.append(_theory_section(folder, settings, known, siso))
     if "hair-dryer" in settings.plants:
         sections.append(_hair_dryer_section(folder, save))

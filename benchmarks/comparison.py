@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 import time
@@ -228,7 +229,7 @@ def compare(
     from benchmarks.compare_report import write_comparison
 
     try:
-        sentences, page = write_comparison(folder, settings, replicates, tables)
+        sentences, page = write_comparison(folder, settings, replicates, tables, jobs or os.cpu_count() or 1)
     except OSError as error:
         raise CampaignError(
             f"cannot write the tables and figures in {folder} ({error.strerror or error}); all runs are kept: make room and "

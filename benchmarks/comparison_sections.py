@@ -221,7 +221,7 @@ def _summary(performance: Sequence[Row]) -> list[Row]:
     return sorted(rows.values(), key=lambda row: -row["within_2"])
 
 
-def claim_section(folder: Path, save: Save, cases: Any = None) -> dict[str, Any]:
+def claim_section(folder: Path, save: Save, cases: Any = None, jobs: int = 1) -> dict[str, Any]:
     """The map of the claim: in which cases the sinusoid at the peak, and the limit of the iterations, are optimal.
 
     Parameters
@@ -232,6 +232,8 @@ def claim_section(folder: Path, save: Save, cases: Any = None) -> dict[str, Any]
         `save_table` with folder and metadata given.
     cases : list of ClaimCase, optional
         By default all of `oed.theory.cases`.
+    jobs : int
+        Processes.
 
     Returns
     -------
@@ -242,7 +244,7 @@ def claim_section(folder: Path, save: Save, cases: Any = None) -> dict[str, Any]
     from benchmarks.claim_map import claim_rows
     from benchmarks.figures_claim import claim_figure
 
-    rows = claim_rows(cases)
+    rows = claim_rows(cases, jobs)
     return {
         "title": "In theory: the map of the claim",
         "text": [
@@ -263,7 +265,7 @@ def claim_section(folder: Path, save: Save, cases: Any = None) -> dict[str, Any]
     }
 
 
-def head_to_head_section(folder: Path, save: Save) -> tuple[dict[str, Any], str]:
+def head_to_head_section(folder: Path, save: Save, jobs: int = 1) -> tuple[dict[str, Any], str]:
     """The public head-to-head with intervals, and the line that is not in print.
 
     Parameters
@@ -272,6 +274,8 @@ def head_to_head_section(folder: Path, save: Save) -> tuple[dict[str, Any], str]
         Results folder.
     save : callable
         `save_table` with folder and metadata given.
+    jobs : int
+        Processes.
 
     Returns
     -------
@@ -280,7 +284,7 @@ def head_to_head_section(folder: Path, save: Save) -> tuple[dict[str, Any], str]
     sentence : str
         What it says.
     """
-    rows = head_to_head_rows(HEAD_TO_HEAD_PLANTS)
+    rows = head_to_head_rows(HEAD_TO_HEAD_PLANTS, jobs)
     sentence = head_to_head_sentence(rows)
     section = {
         "title": "The public head-to-head, settled",

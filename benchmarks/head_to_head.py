@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.processes import spread
 from benchmarks.reproductions.head_to_head import CASES, plants, traces
 from oed.norms import peak
+from oed.plants import Plant
 
 __all__ = ["HEAD_TO_HEAD", "head_to_head_rows", "head_to_head_sentence"]
 
@@ -53,33 +55,29 @@ def median_interval(values: Sequence[float], level: float = 0.95) -> tuple[float
     return float(ordered[max(rank - 1, 0)]), float(ordered[min(n - rank, n - 1)])
 
 
-def head_to_head_rows(count: int) -> list[dict[str, Any]]:
+def head_to_head_rows(count: int, jobs: int = 1) -> list[dict[str, Any]]:
     """Every way of the protocol on random FIR plants of length 10, 200 experiments of 50 samples, noise 0.1.
 
     Parameters
     ----------
     count : int
         Random plants, each with noise of its own.
+    jobs : int
+        Processes.
 
     Returns
     -------
     list of dict
         The keys of HEAD_TO_HEAD, in the order of the medians.
     """
-    errors: dict[str, list[float]] = {case.name: [] for case in CASES}
-    usage: dict[str, Any] = {}
-    for plant in plants(count):
-        gamma, found = peak(plant).value, traces(plant)
-        for case in CASES:
-            errors[case.name].append(abs(case.estimate(found[case.method]) / gamma - 1))
-            usage[case.name] = found[case.method].usage
+    found = spread(_errors_on, plants(count), jobs)
     table = []
-    for case in CASES:
-        values = np.array(errors[case.name])
+    for k, case in enumerate(CASES):
+        values = np.array([errors[k] for errors, _ in found])
         # A run without a number has an infinite error: it counts in the median, and is counted beside it.
         values = np.where(np.isfinite(values), values, np.inf)
         low, high = median_interval(list(values))
-        spent = usage[case.name]
+        spent = found[-1][1][case.method]
         table.append(
             {
                 "name": case.name,
@@ -97,6 +95,13 @@ def head_to_head_rows(count: int) -> list[dict[str, Any]]:
             }
         )
     return sorted(table, key=lambda row: row["median"])
+
+
+def _errors_on(plant: Plant) -> tuple[list[float], dict[str, Any]]:
+    """The relative error of every case on one plant, and what each method used."""
+    gamma, found = peak(plant).value, traces(plant)
+    errors = [abs(case.estimate(found[case.method]) / gamma - 1) for case in CASES]
+    return errors, {method: trace.usage for method, trace in found.items()}
 
 
 def head_to_head_sentence(rows: Sequence[dict[str, Any]]) -> str:
