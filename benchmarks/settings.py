@@ -132,6 +132,7 @@ class Settings:
 
 DEFAULT_LIMITS = (
     Limit(10, plant="three-by-two"),
+    Limit(50, plant="random-fir-1"),
     Limit(0, plant="three-by-two", method="multisine"),
     Limit(0, plant="three-by-two", method="sequential"),
     Limit(0, plant="three-by-two", method="oracle-D"),
