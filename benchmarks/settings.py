@@ -133,6 +133,7 @@ class Settings:
 DEFAULT_LIMITS = (
     Limit(10, plant="three-by-two"),
     Limit(50, plant="random-fir-1"),
+    Limit(60, plant="hair-dryer"),
     Limit(0, plant="three-by-two", method="multisine"),
     Limit(0, plant="three-by-two", method="sequential"),
     Limit(0, plant="three-by-two", method="oracle-D"),
@@ -140,8 +141,8 @@ DEFAULT_LIMITS = (
     Limit(0, plant="reference", method="procedure-2"),  # one channel: the iterations twice over
     Limit(0, plant="hair-dryer", method="procedure-2"),
     Limit(0, plant="random-fir-1", method="procedure-2"),
-    Limit(10, method="sequential"),
-    Limit(30, estimator="corrected"),
+    Limit(30, method="sequential"),
+    Limit(15, estimator="corrected"),
     Limit(30, estimator="fir-selected"),
 )
 """Of a comparison that sets none: prediction-error fits of six transfer functions would take most of its time."""
