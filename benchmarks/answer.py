@@ -255,8 +255,8 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
     if wasted:
         least, most = min(wasted, key=lambda r: r["waste"]), max(wasted, key=lambda r: r["waste"])
         sentences.append(
-            f"Their own estimators waste what the input gains: on the same records PEM needs between {least['waste']:.3g} "
-            f"({least['plant']}, noise {least['noise_variance']:g}) and {most['waste']:.3g} times ({most['plant']}, noise "
+            f"Their own estimators waste what the input gains: on the same records PEM needs between {_times(least['waste'])} "
+            f"({least['plant']}, noise {least['noise_variance']:g}) and {_times(most['waste'])} times ({most['plant']}, noise "
             f"{most['noise_variance']:g}) less data for the same error."
         )
     advice = [r for r in rows if _finite(r["rho_advice"])]
@@ -270,3 +270,7 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
         )
         sentences.append(f"What to do, knowing the order but not the plant: {words}.")
     return sentences
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.1f}" if ratio < 100 else f"{ratio:.0f}"

@@ -299,10 +299,10 @@ def rho_figure(rows: Sequence[Mapping[str, Any]], plants: Sequence[str]) -> Figu
         Log scale; the line at 1 is the bound.
     """
     pairs = list(dict.fromkeys((row["method"], row["estimator"]) for row in rows))
+    variances = sorted({row["noise_variance"] for row in rows})
     figure, axes = panels(len(plants), width=9.5, height=1.6 + 0.34 * len(pairs))
     for ax, plant in zip(axes, plants, strict=True):
         mine = [row for row in rows if row["plant"] == plant]
-        variances = sorted({row["noise_variance"] for row in mine})
         for k, variance in enumerate(variances):
             for row in (x for x in mine if x["noise_variance"] == variance):
                 at = -pairs.index((row["method"], row["estimator"])) + 0.22 * (1 - k)
@@ -321,15 +321,17 @@ def rho_figure(rows: Sequence[Mapping[str, Any]], plants: Sequence[str]) -> Figu
                     ax.plot([row["rho_predicted"]] * 2, [at - 0.1, at + 0.1], color="black", linewidth=1.4)
         ax.axvline(1, color=GREY, linewidth=1)
         ax.set_xscale("log")
-        ax.set_xlabel("ρ (1 is the bound; black: predicted by the information)")
+        ax.set_ylim(-len(pairs) + 0.4, 0.6)  # the same rows in every panel, measured there or not
         ax.set_yticks(
             [-k for k in range(len(pairs))],
             [f"{m} / {e}" for m, e in pairs] if ax is axes[0] else [""] * len(pairs),
         )
         ax.set_title(plant, fontsize=10, loc="left")
-        for k, variance in enumerate(variances):
-            ax.plot([], [], MARKERS[k % 6], color=COLOURS[k % 6], label=f"noise {variance:.3g}")
-        ax.legend(frameon=False, fontsize=8)
+    for k, variance in enumerate(variances):
+        axes[0].plot([], [], MARKERS[k % 6], color=COLOURS[k % 6], label=f"noise {variance:.3g}")
+    figure.supxlabel("ρ (1 is the bound; black: predicted by the information)", fontsize=10)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=9)
     return figure
 
 
