@@ -141,7 +141,7 @@ def compare(
     methods: Sequence[Any] | None = None,
     estimators: Sequence[Any] | None = None,
     limits: Sequence[Limit] | None = None,
-    profile_replicates: int = 10,
+    profile_replicates: int = Settings.profile_replicates,
     seed: int = 0,
     out: str | Path = "results/compare",
     jobs: int | None = None,
