@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.local_models import PeakEstimate
+from estimators.local_models import PeakEstimate, largest_gain
 from estimators.trace import Trace
 from oed.data import Record, frozen
 from oed.errors import InputError, Status, check_names
@@ -59,17 +59,45 @@ def _records(data: Trace | Sequence[Record]) -> list[Record]:
 
 
 def _moments(records: list[Record], taps: int) -> tuple[NDArray, NDArray, NDArray, int]:
-    """R, F and sum y y' of all records, with zeros before the first sample."""
+    """R, F and sum y y' of all records, with zeros before the first sample.
+
+    The first block row of R and all of F are correlations, by Fourier transforms of all records at once; down a diagonal
+    of R every block loses the product of the two samples that leave at the end of the record,
+    R[i+1, j+1] = R[i, j] - u_(N-1-i) u_(N-1-j)'.
+    """
+    from scipy.fft import next_fast_len
+
     nu, ny = records[0].n_inputs, records[0].n_outputs
-    R, F, S = np.zeros((taps * nu, taps * nu)), np.zeros((taps * nu, ny)), np.zeros((ny, ny))
-    for record in records:
-        padded = np.vstack([np.zeros((taps - 1, nu)), record.u])
-        windows = np.lib.stride_tricks.sliding_window_view(padded, taps, axis=0)[:, :, ::-1]
-        phi = windows.transpose(0, 2, 1).reshape(len(record), taps * nu)
-        R += phi.T @ phi
-        F += phi.T @ record.y
-        S += record.y.T @ record.y
-    return R, F, S, sum(len(r) for r in records)
+    size = next_fast_len(max(map(len, records)) + taps, real=True)
+    U, Y = (_transforms(signals, size) for signals in ([r.u for r in records], [r.y for r in records]))
+    own = np.fft.irfft(np.einsum("mka,mkb->kab", U, np.conj(U)), size, axis=0)[:taps]
+    crossed = np.fft.irfft(np.einsum("mka,mko->kao", np.conj(U), Y), size, axis=0)[:taps]
+    ends = np.zeros((len(records), taps, nu))
+    for record, end in zip(records, ends, strict=True):
+        end[: len(record)] = record.u[::-1][:taps]
+    ends = ends.reshape(len(records), taps * nu)
+    lost = ends.T @ ends
+    R = np.zeros((taps * nu, taps * nu))
+    R[:nu] = own.transpose(1, 0, 2).reshape(nu, taps * nu)
+    R[:, :nu] = R[:nu].T
+    for i in range(nu, taps * nu, nu):
+        R[i : i + nu, nu:] = R[i - nu : i, :-nu] - lost[i - nu : i, :-nu]
+    S = sum((r.y.T @ r.y for r in records), start=np.zeros((ny, ny)))
+    return R, crossed.reshape(taps * nu, ny), S, sum(map(len, records))
+
+
+def _transforms(signals: list[NDArray], size: int) -> NDArray:
+    """(records, lines, channels), zeros after the ends."""
+    padded = np.zeros((len(signals), size, signals[0].shape[1]))
+    for row, signal in zip(padded, signals, strict=True):
+        row[: len(signal)] = signal
+    return np.fft.rfft(padded, axis=1)
+
+
+def _excited(R: NDArray) -> bool:
+    """Whether least squares can tell the taps apart: the condition of R is below 1e12."""
+    values = np.linalg.eigvalsh(R)
+    return bool(values[0] > 1e-12 * values[-1])
 
 
 def plug_in(data: Trace | Sequence[Record], taps: int, *, kernel: str = "none") -> FirModel:
@@ -100,7 +128,7 @@ def plug_in(data: Trace | Sequence[Record], taps: int, *, kernel: str = "none") 
     if not isinstance(taps, int | np.integer) or not 1 <= taps < longest:
         raise InputError(f"taps is {taps!r}; it must be a positive integer below the {longest} samples.")
     R, F, S, samples = _moments(records, int(taps))
-    if kernel == "none" and not np.linalg.cond(R) < 1e12:
+    if kernel == "none" and not _excited(R):
         raise InputError(
             f"the input does not excite {taps} taps (condition {np.linalg.cond(R):.1e}); "
             "take fewer taps, a richer input, or kernel='tc'."
@@ -112,7 +140,7 @@ def _solve(R: NDArray, F: NDArray, S: NDArray, samples: int, taps: int, kernel: 
     n, ny = F.shape
     nu = n // taps
     g, noise = np.zeros((n, ny)), np.zeros(ny)
-    covariance = np.linalg.pinv(R, hermitian=True)
+    covariance = np.linalg.inv(R) if kernel == "none" else np.linalg.pinv(R, hermitian=True)
     plain = covariance @ F
     for i in range(ny):
         g[:, i] = plain[:, i]
@@ -163,19 +191,26 @@ def select_taps(
     int
         The choice.
     """
+    from scipy.linalg import cholesky, solve_triangular
+
     records = _records(data)
     longest = max(min(len(r) for r in records) // 2, 1)
-    tried = [n for n in candidates if n <= longest] or [1]
+    tried = sorted(n for n in candidates if n <= longest) or [1]
     nu = records[0].n_inputs
     R, F, S, samples = _moments(records, max(tried))
+    while tried and not _excited(R[: tried[-1] * nu, : tried[-1] * nu]):
+        tried.pop()  # the condition of a leading block grows with it
+    if not tried:
+        raise InputError("the input is zero or excites no tap; apply another input.")
+    # One factor serves all: what the first n taps explain are the first rows of L^-1 F.
+    size = tried[-1] * nu
+    explained = np.cumsum(
+        solve_triangular(cholesky(R[:size, :size], lower=True), F[:size], lower=True) ** 2, axis=0
+    )
     scores = {}
     for n in tried:
-        part = slice(0, n * nu)
-        if np.linalg.cond(R[part, part]) < 1e12:
-            model = _solve(R[part, part], F[part], S, samples, n, "none")
-            scores[n] = samples * model.loss + np.log(samples) * n * nu * F.shape[1]
-    if not scores:
-        raise InputError("the input is zero or excites no tap; apply another input.")
+        rest = np.maximum((np.diag(S) - explained[n * nu - 1]) / samples, 1e-300)
+        scores[n] = samples * float(np.sum(np.log(rest))) + np.log(samples) * n * nu * F.shape[1]
     return min(scores, key=scores.__getitem__)
 
 
@@ -200,8 +235,8 @@ def peak_of_fir(model: FirModel, points: int = 4096) -> PeakEstimate:
     n, ny, _ = model.taps.shape
     k = np.arange(n)
     response = lambda w: np.einsum("k,kij->ij", np.exp(-1j * w * k), model.taps)
-    height = lambda w: float(np.linalg.norm(response(w), 2))
-    heights = np.linalg.norm(np.fft.rfft(model.taps, max(points, 2 * n), axis=0), 2, axis=(1, 2))
+    height = lambda w: float(largest_gain(response(w)))
+    heights = largest_gain(np.fft.rfft(model.taps, max(points, 2 * n), axis=0))
     step = np.pi / (len(heights) - 1)
     at = int(np.argmax(heights))
     omega = at * step

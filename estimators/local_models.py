@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from estimators.trace import Trace
 from oed.errors import InputError, Status
 
-__all__ = ["PeakEstimate", "local_peak"]
+__all__ = ["PeakEstimate", "largest_gain", "local_peak"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,26 @@ class PeakEstimate:
             f"peak gain {self.value:.6g} +- {self.standard_error:.2g} at "
             f"{self.frequency:.6g} +- {self.frequency_error:.2g} rad/sample{tail}"
         )
+
+
+def largest_gain(response: NDArray) -> NDArray[np.float64]:
+    """Largest singular value of every matrix of a stack; without a decomposition where it is a number or a vector.
+
+    Parameters
+    ----------
+    response : ndarray
+        (..., ny, nu) complex.
+
+    Returns
+    -------
+    ndarray
+        (...,).
+    """
+    if response.shape[-2:] == (1, 1):
+        return np.abs(response[..., 0, 0])
+    if 1 in response.shape[-2:]:
+        return np.linalg.norm(response, axis=(-2, -1))
+    return np.linalg.norm(response, 2, axis=(-2, -1))
 
 
 def _centre(trace: Trace) -> int:

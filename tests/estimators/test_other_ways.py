@@ -53,6 +53,40 @@ def test_fir_is_least_squares_over_all_records(rng):
     assert model.noise[0] == pytest.approx(rest[0] / (120 - 6))
 
 
+def test_fir_of_several_channels_and_lengths_is_least_squares(rng):
+    """Against numpy's solver on regressors written sample by sample; one record is shorter than the taps."""
+    plant, taps = named_plant("three-by-two"), 9
+    short = records(white, plant, 7, 1, 1).records
+    data = [*records(white, plant, 40, 3).records, *short, *records(white, plant, 55, 1, 2).records]
+    rows = [
+        np.concatenate([r.u[t - k] if t >= k else np.zeros(2) for k in range(taps)])
+        for r in data
+        for t in range(len(r))
+    ]
+    y = np.concatenate([r.y for r in data])
+    expected, rest = np.linalg.lstsq(np.array(rows), y, rcond=None)[:2]
+    model = plug_in(data, taps)
+    np.testing.assert_allclose(model.taps.transpose(0, 2, 1).reshape(-1, 3), expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(model.noise, rest / (len(y) - 2 * taps), rtol=1e-9)
+    np.testing.assert_allclose(
+        model.covariance, np.linalg.inv(np.array(rows).T @ np.array(rows)), rtol=1e-8, atol=1e-12
+    )
+
+
+def test_the_number_of_taps_has_the_smallest_criterion():
+    """Against the criterion by numpy's solver for every number of taps."""
+    trace = records(white, named_plant("bandit-fir", 1.0), 60, 3)
+    y = np.concatenate([r.y[:, 0] for r in trace.records])
+    scores = {}
+    for n in (2, 3, 5, 8, 12, 18):
+        rows = [
+            [r.u[t - k, 0] if t >= k else 0.0 for k in range(n)] for r in trace.records for t in range(60)
+        ]
+        rest = np.linalg.lstsq(np.array(rows), y, rcond=None)[1][0]
+        scores[n] = len(y) * np.log(rest / len(y)) + n * np.log(len(y))
+    assert select_taps(trace, tuple(scores)[::-1]) == min(scores, key=lambda n: scores[n])
+
+
 def test_standard_error_of_the_plug_in():
     """300 runs with known order: the mean squared standardised error is 1 within 5 standard errors (0.41)."""
     plant = named_plant("bandit-fir", 0.01)
