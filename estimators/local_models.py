@@ -7,6 +7,7 @@ point: nothing about the plant outside the band is assumed, and the standard err
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,6 +18,11 @@ from estimators.trace import Trace
 from oed.errors import InputError, Status
 
 __all__ = ["PeakEstimate", "largest_gain", "local_peak"]
+
+STEPS = 8
+"""Most refinements of the instruments."""
+SETTLED = 1e-6
+"""Change of the denominator, in a band scaled to [-1, 1], at which they end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,40 +220,48 @@ def _fit(band: _Band, orders: tuple[int, int, int], N: int) -> tuple[float, Peak
     X = np.vander(band.x, max(orders) + 1, increasing=True).astype(complex)
     a, model = np.zeros(na, complex), band.Y
     weights, noise, freedom = np.ones(ny), np.ones(ny), 1.0
-    theta, normal, information = np.zeros(0, complex), np.eye(1), np.eye(1)
-    nparameters = nu * ny * (nb + 1) + na
-    for _ in range(8):
+    theta, information = np.zeros(0, complex), np.eye(1)
+    inner, nparameters = nu * (nb + 1), nu * ny * (nb + 1) + na
+    for _ in range(STEPS):
         A = 1 + X[:, 1 : na + 1] @ a
-        filtered = partial(_without_transients, q=np.linalg.qr(X[:, : nt + 1] / A[:, None])[0], A=A)
-        inputs = [filtered(X[:, k, None, None] * band.U) for k in range(nb + 1)]
-        outputs = [filtered(-X[:, k, None, None] * band.Y) for k in range(1, na + 1)]
-        instruments = [filtered(-X[:, k, None, None] * model) for k in range(1, na + 1)]
-        target = filtered(band.Y)
+        filtered = partial(_filtered, X=X / A[:, None], q=np.linalg.qr(X[:, : nt + 1] / A[:, None])[0])
+        inputs = filtered(band.U, range(nb + 1)).reshape(inner, -1)
+        outputs = filtered(band.Y, range(na + 1)).reshape(ny, na + 1, -1)
+        instruments = -filtered(model, range(1, na + 1)).reshape(ny, na, -1)
         normal = np.zeros((nparameters, nparameters), complex)
         information = np.zeros_like(normal)
         right = np.zeros(nparameters, complex)
+        own, shared = np.conj(inputs) @ inputs.T, slice(nparameters - na, nparameters)
         for i in range(ny):
-            own = range(i * nu * (nb + 1), (i + 1) * nu * (nb + 1))
-            index = np.array([*own, *range(nparameters - na, nparameters)])
-            common = [part[:, :, j].ravel() for j in range(nu) for part in inputs]
-            R = np.array(common + [part[:, :, i].ravel() for part in outputs])
-            Z = np.array(common + [part[:, :, i].ravel() for part in instruments])
-            normal[index[:, None], index] += weights[i] * (np.conj(Z) @ R.T)
-            information[index[:, None], index] += weights[i] * (np.conj(Z) @ Z.T)
-            right[index] += weights[i] * (np.conj(Z) @ target[:, :, i].ravel())
+            R, Z, target = -outputs[i, 1:], instruments[i], outputs[i, 0]
+            here = slice(i * inner, (i + 1) * inner)
+            cross = np.conj(inputs) @ Z.T
+            normal[here, here] = information[here, here] = weights[i] * own
+            normal[here, shared] = weights[i] * (np.conj(inputs) @ R.T)
+            normal[shared, here] = weights[i] * np.conj(cross).T
+            normal[shared, shared] += weights[i] * (np.conj(Z) @ R.T)
+            information[here, shared] = weights[i] * cross
+            information[shared, here] = weights[i] * np.conj(cross).T
+            information[shared, shared] += weights[i] * (np.conj(Z) @ Z.T)
+            right[here] = weights[i] * (np.conj(inputs) @ target)
+            right[shared] += weights[i] * (np.conj(Z) @ target)
         try:
             theta = np.linalg.solve(normal, right)
         except np.linalg.LinAlgError:
             return np.inf, _failed(), 0.0
-        a = theta[nparameters - na :]
+        change = np.max(np.abs(theta[shared] - a), initial=0.0)
+        a = theta[shared]
         A = 1 + X[:, 1 : na + 1] @ a
         G = _response(theta, X, nu, ny, orders)
         q = np.linalg.qr(X[:, : nt + 1] / A[:, None])[0]
-        rest = band.Y - np.einsum("kij,kmj->kmi", G, band.U)
-        model = band.Y - _without_transients(rest, q=q, A=np.ones(K))
+        rest = band.Y - np.matmul(G, np.swapaxes(band.U, 1, 2)).swapaxes(1, 2)
+        error = rest - (q @ (np.conj(q.T) @ rest.reshape(K, -1))).reshape(rest.shape)
+        model = band.Y - error
         freedom = max(M * (K - nt - 1) - nparameters / ny, 1.0)
-        noise = np.sum(np.abs(band.Y - model) ** 2, axis=(0, 1)) / freedom
+        noise = np.sum(np.abs(error) ** 2, axis=(0, 1)) / freedom
         weights = 1 / np.maximum(noise, 1e-300)
+        if change < SETTLED:
+            break
     size = M * K * ny / band.repeats
     criterion = size * float(np.mean(np.log(noise * freedom / (M * K)))) + 2 * nparameters / band.repeats
     estimate, x = _peak_of_model(
@@ -256,17 +270,28 @@ def _fit(band: _Band, orders: tuple[int, int, int], N: int) -> tuple[float, Peak
     return criterion if np.isfinite(estimate.value) else np.inf, estimate, x
 
 
-def _without_transients(Z: NDArray, *, q: NDArray, A: NDArray) -> NDArray:
-    """Z / A less its part in the span of the transients."""
-    Z = Z / A[:, None, None]
-    return Z - np.tensordot(q, np.tensordot(np.conj(q.T), Z, 1), 1)
+def _filtered(S: NDArray, powers: range, *, X: NDArray, q: NDArray) -> NDArray:
+    """x^k S / A for every channel and k, less its part in the span of the transients: (channels, powers, K, M)."""
+    Z = np.transpose(S, (2, 0, 1))[:, None] * X[:, powers].T[None, :, :, None]
+    return Z - q @ (np.conj(q.T) @ Z)
 
 
 def _response(theta: NDArray, X: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
     nb, na, _ = orders
     B = theta[: nu * ny * (nb + 1)].reshape(ny, nu, nb + 1)
     A = 1 + X[:, 1 : na + 1] @ theta[len(theta) - na :]
-    return np.einsum("kl,ijl->kij", X[:, : nb + 1], B) / A[:, None, None]
+    return np.tensordot(X[:, : nb + 1], B, (1, 2)) / A[:, None, None]
+
+
+def _gradient(theta: NDArray, X: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
+    """(K, parameters) c with d sigma_max^2 = Re(c d theta): c = 2 sigma u* (dG / d theta) v."""
+    nb, na, _ = orders
+    A = 1 + X[:, 1 : na + 1] @ theta[len(theta) - na :]
+    u, s, vh = np.linalg.svd(_response(theta, X, nu, ny, orders))
+    pairs = np.conj(u[:, :, 0])[:, :, None] * np.conj(vh[:, 0])[:, None, :]  # (K, ny, nu)
+    numerators = pairs[..., None] * (X[:, : nb + 1] / A[:, None])[:, None, None]
+    denominators = -s[:, :1] * X[:, 1 : na + 1] / A[:, None]
+    return 2 * s[:, :1] * np.hstack([numerators.reshape(len(X), -1), denominators])
 
 
 def _peak_of_model(
@@ -278,52 +303,35 @@ def _peak_of_model(
     noise: float,
     N: int,
 ) -> tuple[PeakEstimate, float]:
-    from scipy.optimize import minimize_scalar
-
     nu, ny = shape
     vander = lambda x: np.vander(np.atleast_1d(x), max(orders) + 1, increasing=True).astype(complex)
-    square = lambda x, t=theta: np.linalg.norm(_response(t, vander(x), nu, ny, orders), 2, axis=(1, 2)) ** 2
+
+    def square(x: NDArray) -> NDArray:
+        return largest_gain(_response(theta, vander(x), nu, ny, orders)) ** 2
+
     grid = np.linspace(band.x[0], band.x[-1], 401)
     heights = square(grid)
     if not np.isfinite(heights).all():
         return _failed(), 0.0
     k = int(np.argmax(heights))
-    x = float(grid[k])
-    if 0 < k < 400:
-        x = float(
-            minimize_scalar(
-                lambda s: -float(square(s)[0]),
-                bounds=(grid[k - 1], grid[k + 1]),
-                method="bounded",
-                options={"xatol": 1e-9},
-            ).x
-        )
+    x, inside = float(grid[k]), 0 < k < 400
+    if inside:
+        x = _maximum(square, grid[k - 1], grid[k + 1])
     try:
         covariance = np.linalg.inv(information)
     except np.linalg.LinAlgError:
         return _failed(), 0.0
     h = 1e-3
-    value = float(np.sqrt(square(x)[0]))
-    bend = -float((square(x + h) - 2 * square(x) + square(x - h))[0]) / h**2
-    # Derivatives of the height and of the slope with respect to every complex coefficient.
-    height = np.zeros(len(theta), complex)
-    slope = np.zeros(len(theta), complex)
-    for n in range(len(theta)):
-        step = 1e-6 * max(1e-3, abs(theta[n]))
-        for unit in (1, 1j):
-            up, down = theta.copy(), theta.copy()
-            up[n] += unit * step
-            down[n] -= unit * step
-            change = (square(np.array([x - h, x, x + h]), up) - square(np.array([x - h, x, x + h]), down)) / (
-                2 * step
-            )
-            height[n] += np.conj(unit) * change[1]
-            slope[n] += np.conj(unit) * (change[2] - change[0]) / (2 * h)
+    near = square(np.array([x - h, x, x + h]))
+    value = float(np.sqrt(near[1]))
+    bend = -float(near[2] - 2 * near[1] + near[0]) / h**2
+    below, height, above = _gradient(theta, vander([x - h, x, x + h]), nu, ny, orders)
     spread = lambda g: float(np.sqrt(max(np.real(g @ covariance @ np.conj(g)) / 2, 0.0)))
     error = spread(height) / (2 * value)
     per_line = 2 * np.pi / N
-    inside = 0 < k < 400
-    where_error = spread(slope) / bend * band.half * per_line if bend > 0 else float("inf")
+    where_error = (
+        spread((above - below) / (2 * h)) / bend * band.half * per_line if bend > 0 else float("inf")
+    )
     sharp = bend > 0 and where_error < 0.25 * band.half * per_line
     trusted = inside and sharp and error < 0.1 * value
     estimate = PeakEstimate(
@@ -336,6 +344,16 @@ def _peak_of_model(
         Status.OK if trusted else Status.INACCURATE,
     )
     return estimate, x
+
+
+def _maximum(square: Callable[[NDArray], NDArray], low: float, high: float) -> float:
+    """Where a smooth function is largest between two points: a finer grid, then a parabola through three of it."""
+    points = np.linspace(low, high, 101)
+    heights = square(points)
+    k = int(np.clip(np.argmax(heights), 1, 99))
+    bend = heights[k + 1] - 2 * heights[k] + heights[k - 1]
+    move = 0.5 * (heights[k - 1] - heights[k + 1]) / bend if bend < 0 else 0.0
+    return float(points[k] + np.clip(move, -1, 1) * (points[1] - points[0]))
 
 
 def _failed() -> PeakEstimate:
