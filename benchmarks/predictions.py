@@ -110,11 +110,17 @@ def _siso_text(plant: Plant, limit: LimitSpectrum, payload: dict[str, Any]) -> s
         "    " + ", ".join(f"n={k + 1}: {together[k]:.4f}" for k in _some(len(together))),
     ]
     if "finite_norm" in payload:
-        lines.append(
-            f"  at {payload['samples']} samples: finite-time norm {payload['finite_norm']:.9g}, "
-            f"mu^2 {payload['finite_mu2']:.7g}, E beta_2^2 {payload['finite_beta2_mean']:.7g}"
-        )
+        lines.append(_finite_text(payload))
     return "\n".join(lines)
+
+
+def _finite_text(payload: dict[str, Any]) -> str:
+    line = f"  at {payload['samples']} samples: finite-time norm {payload['finite_norm']:.9g}"
+    if "finite_mu2" in payload:
+        line += f", mu^2 {payload['finite_mu2']:.7g}, mean squared gain {payload['finite_beta2_mean']:.7g}"
+    if "finite_beta2_mean_random_mu" in payload:
+        line += f" ({payload['finite_beta2_mean_random_mu']:.7g} with the fluctuation of mu)"
+    return line
 
 
 def _some(n: int) -> list[int]:
@@ -170,4 +176,9 @@ def mimo_prediction(
         "  efficiency of the limit spectrum against certified optima:",
         "    " + ", ".join(f"{k} {payload[f'{k.lower()}_efficiency']:.5f}" for k in CRITERIA),
     ]
+    if samples is not None:
+        from oed.theory.finite_mimo import finite_mimo_prediction
+
+        payload |= finite_mimo_prediction(plant, samples, scaling)
+        text.append(_finite_text(payload))
     return payload, "\n".join(text)
