@@ -227,7 +227,7 @@ def _fit(band: _Band, orders: tuple[int, int, int], N: int) -> tuple[float, Peak
         filtered = partial(_filtered, X=X / A[:, None], q=np.linalg.qr(X[:, : nt + 1] / A[:, None])[0])
         inputs = filtered(band.U, range(nb + 1)).reshape(inner, -1)
         outputs = filtered(band.Y, range(na + 1)).reshape(ny, na + 1, -1)
-        instruments = -filtered(model, range(1, na + 1)).reshape(ny, na, -1)
+        instruments = -filtered(model, range(1, na + 1)).reshape(ny, na, K * M)
         normal = np.zeros((nparameters, nparameters), complex)
         information = np.zeros_like(normal)
         right = np.zeros(nparameters, complex)
