@@ -65,10 +65,8 @@ def _moments(records: list[Record], taps: int) -> tuple[NDArray, NDArray, NDArra
     of R every block loses the product of the two samples that leave at the end of the record,
     R[i+1, j+1] = R[i, j] - u_(N-1-i) u_(N-1-j)'.
     """
-    from scipy.fft import next_fast_len
-
     nu, ny = records[0].n_inputs, records[0].n_outputs
-    size = next_fast_len(max(map(len, records)) + taps, real=True)
+    size = 1 << (max(map(len, records)) + taps - 1).bit_length()
     U, Y = (_transforms(signals, size) for signals in ([r.u for r in records], [r.y for r in records]))
     own = np.fft.irfft(np.einsum("mka,mkb->kab", U, np.conj(U)), size, axis=0)[:taps]
     crossed = np.fft.irfft(np.einsum("mka,mko->kao", np.conj(U), Y), size, axis=0)[:taps]

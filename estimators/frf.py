@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.local_models import PeakEstimate, local_peak
+from estimators.local_models import PeakEstimate, largest_gain, local_peak
 from estimators.trace import Trace
 from oed.data import frozen
 from oed.errors import InputError, Status
@@ -71,8 +71,8 @@ def frequency_response(trace: Trace) -> FrequencyResponse:
             f"least {nu} experiments of one length."
         )
     (N,) = lengths
-    U = np.stack([np.fft.rfft(r.u, axis=0) for r in trace.records], 2) / np.sqrt(N)  # (K, nu, M)
-    Y = np.stack([np.fft.rfft(r.y, axis=0) for r in trace.records], 2) / np.sqrt(N)
+    U = np.fft.rfft(np.stack([r.u for r in trace.records], 2), axis=0) / np.sqrt(N)  # (K, nu, M)
+    Y = np.fft.rfft(np.stack([r.y for r in trace.records], 2), axis=0) / np.sqrt(N)
     S = U @ np.conj(np.swapaxes(U, 1, 2))
     use = np.linalg.eigvalsh(S)[:, 0] > 1e-8 * np.einsum("kii->k", S).real.max()
     if not use.any():
@@ -81,7 +81,7 @@ def frequency_response(trace: Trace) -> FrequencyResponse:
     G = Y[use] @ np.conj(np.swapaxes(U[use], 1, 2)) @ inverse
     rest = Y[use] - G @ U[use]
     noise = float(np.sum(np.abs(rest) ** 2) / (len(G) * ny * max(M - nu, 1))) if nu < M else float("nan")
-    V = np.linalg.svd(G)[2][:, 0]  # v*
+    V = np.linalg.svd(G)[2][:, 0] if nu * ny > 1 else np.ones((len(G), 1))  # v*
     spread = np.einsum("ki,kij,kj->k", V, inverse, np.conj(V)).real
     omega = 2 * np.pi * np.flatnonzero(use) / N
     deviation = np.sqrt(np.maximum(noise * spread / 2, 0))
@@ -101,7 +101,7 @@ def peak_of_response(found: FrequencyResponse) -> PeakEstimate:
     PeakEstimate
         Biased up by the maximum over many noisy lines.
     """
-    square = np.linalg.norm(found.response, 2, axis=(1, 2)) ** 2
+    square = largest_gain(found.response) ** 2
     k = int(np.argmax(square))
     value, omega, bend = float(square[k]), float(found.omega[k]), float("nan")
     if 0 < k < len(square) - 1:
@@ -143,7 +143,7 @@ def lpm(trace: Trace, *, lines: int = 6, order: int = 2) -> PeakEstimate:
     """
     plain = frequency_response(trace)
     N = len(trace.records[0])
-    height = np.linalg.norm(plain.response, 2, axis=(1, 2))
+    height = largest_gain(plain.response)
     sure = np.nan_to_num(plain.deviation)
     near = np.flatnonzero(height + 2 * sure >= 0.8 * np.max(height - 2 * sure))
     centres: list[int] = []

@@ -39,8 +39,9 @@ def white(
     Step
         The next input.
     """
+    limits = Limits(power)
     while True:
-        yield Step(scaled(rng.standard_normal((samples, n_inputs)), Limits(power)), "white")
+        yield Step(scaled(rng.standard_normal((samples, n_inputs)), limits), "white")
 
 
 def multisine(
@@ -65,10 +66,11 @@ def multisine(
     lines = (samples - 1) // 2
     if lines < 1:
         raise InputError(f"a multisine of {samples} samples has no line inside (0, pi); give at least 3.")
+    limits = Limits(power)
     while True:
         U = np.zeros((samples // 2 + 1, n_inputs), dtype=complex)
         U[1 : lines + 1] = np.exp(2j * np.pi * rng.random((lines, n_inputs)))
-        yield Step(scaled(np.fft.irfft(U, samples, axis=0), Limits(power)), "multisine")
+        yield Step(scaled(np.fft.irfft(U, samples, axis=0), limits), "multisine")
 
 
 def prbs(
@@ -97,11 +99,8 @@ def prbs(
     level = np.sqrt(power / n_inputs)
     while True:
         shift = rng.integers(len(sequence))
-        columns = [
-            np.roll(sequence, -(shift + j * samples))[np.arange(samples) % len(sequence)]
-            for j in range(n_inputs)
-        ]
-        yield Step(level * np.column_stack(columns), "prbs")
+        places = shift + samples * np.arange(n_inputs) + np.arange(samples)[:, None]
+        yield Step(level * sequence[places % len(sequence)], "prbs")
 
 
 def sweep(
@@ -124,10 +123,11 @@ def sweep(
         The next input.
     """
     t = np.arange(samples)
+    limits = Limits(power)
     while True:
         chirp = np.sin(np.pi * t**2 / (2 * samples) + 2 * np.pi * rng.random())
         columns = [np.roll(chirp, j * samples // n_inputs) for j in range(n_inputs)]
-        yield Step(scaled(np.column_stack(columns), Limits(power)), "sweep")
+        yield Step(scaled(np.column_stack(columns), limits), "sweep")
 
 
 def fixed(u: ArrayLike, kind: str = "fixed") -> Rule:

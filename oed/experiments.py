@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 from oed.data import Record, as_signal
 from oed.errors import ExperimentError, InputError
-from oed.noise import noise_key, standard_noise
+from oed.noise import noise_key, noise_series
 from oed.plants import Plant
 
 __all__ = ["Experiment", "Usage", "replayed", "simulated"]
+
+AHEAD = 2048
+"""Samples of noise that are computed together."""
 
 
 @dataclass(frozen=True)
@@ -150,12 +153,23 @@ def simulated(plant: Plant, *, seed: int = 0, replicate: int = 0, first: int = 0
     key = noise_key(seed, plant.name)
     factor = noise_factor(plant)
     count = first
+    white = plant.white_noise
+    ahead: dict[int, NDArray[np.float64]] = {}
 
     def apply(u: NDArray[np.float64]) -> NDArray[np.float64]:
         nonlocal count
-        e = standard_noise(key, replicate, count, len(u), plant.n_outputs) @ factor.T
+        noise = ahead.pop(count, None)
+        if noise is None or len(noise) != len(u):
+            # One call costs little more than one short experiment.
+            numbers = range(count, count + max(1, AHEAD // (len(u) * plant.n_outputs)))
+            ahead.clear()
+            ahead.update(
+                zip(numbers, noise_series(key, replicate, numbers, len(u), plant.n_outputs), strict=True)
+            )
+            noise = ahead.pop(count)
         count += 1
-        return plant.simulate(u) + coloured(plant, e)
+        noise = noise @ factor.T
+        return plant.simulate(u) + (noise if white else coloured(plant, noise))
 
     return Experiment(apply, plant.n_inputs, plant.n_outputs, dt=plant.dt)
 

@@ -19,12 +19,13 @@ Table 2: seven rounds pass every test of BigCrush. The polynomials are our own m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from hashlib import blake2b
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["START", "noise_key", "philox", "standard_noise"]
+__all__ = ["START", "noise_key", "noise_series", "philox", "standard_noise"]
 
 ROUNDS = 7
 START = 0xFFFFFFFF
@@ -133,15 +134,40 @@ def standard_noise(
     ndarray
         (n_samples, n_outputs), zero mean, unit variance, independent.
     """
-    blocks = np.arange(-(-n_samples // 4), dtype=np.uint64)
-    shape = (len(blocks), n_outputs)
-    b = np.broadcast_to(blocks[:, None], shape)
-    output = np.broadcast_to(np.arange(n_outputs, dtype=np.uint64), shape)
-    x = philox((b, output, np.full(shape, experiment, np.uint64), np.full(shape, replicate, np.uint64)), key)
-    normals = np.empty((len(blocks), 4, n_outputs))
+    return noise_series(key, replicate, [experiment], n_samples, n_outputs)[0]
+
+
+def noise_series(
+    key: tuple[int, int], replicate: int, experiments: Sequence[int], n_samples: int, n_outputs: int = 1
+) -> NDArray[np.float64]:
+    """Standard normal noise of several experiments at once.
+
+    Parameters
+    ----------
+    key : tuple of int
+        From `noise_key`.
+    replicate : int
+        Which Monte-Carlo run (from 0).
+    experiments : sequence of int
+        Which experiments in it (from 0).
+    n_samples, n_outputs : int
+        Size of each.
+
+    Returns
+    -------
+    ndarray
+        (experiments, n_samples, n_outputs), bit by bit what `standard_noise` gives for each.
+    """
+    number = np.asarray(experiments, dtype=np.uint64)[:, None, None]
+    block = np.arange(-(-n_samples // 4), dtype=np.uint64)[:, None]
+    output = np.arange(n_outputs, dtype=np.uint64)
+    shape = (len(number), len(block), n_outputs)
+    counter = (block, output, number, np.uint64(replicate))
+    x = philox(tuple(np.broadcast_to(c, shape) for c in counter), key)
+    normals = np.empty((len(number), len(block), 4, n_outputs))
     for pair in (0, 1):
-        normals[:, 2 * pair], normals[:, 2 * pair + 1] = _box_muller(x[2 * pair], x[2 * pair + 1])
-    return normals.reshape(-1, n_outputs)[:n_samples]
+        normals[:, :, 2 * pair], normals[:, :, 2 * pair + 1] = _box_muller(x[2 * pair], x[2 * pair + 1])
+    return normals.reshape(len(number), -1, n_outputs)[:, :n_samples]
 
 
 def _box_muller(first: NDArray[np.uint64], second: NDArray[np.uint64]) -> tuple[NDArray, NDArray]:

@@ -73,6 +73,25 @@ def test_fir_of_several_channels_and_lengths_is_least_squares(rng):
     )
 
 
+def test_wins_of_the_lines_are_those_of_plain_draws():
+    """200 x 300 draws of the chance to be the peak against complex normal numbers: 5 standard errors, 6 lines."""
+    from estimators.bandit import DRAWS, _Posterior
+
+    rng = np.random.default_rng(8)
+    mean = rng.standard_normal(6) + 1j * rng.standard_normal(6)
+    deviation = np.array([0.3, 1.0, 0.7, 1.4, 0.1, 0.5])
+    posterior = _Posterior(mean, 2 * deviation**2, 1.0)
+    wins = np.mean([posterior.wins(rng) for _ in range(300)], axis=0)
+    z = rng.standard_normal((2, 300 * DRAWS, 6)) * deviation
+    plain = np.bincount(np.argmax(np.abs(mean + z[0] + 1j * z[1]), axis=1), minlength=6) / len(z[0])
+    error = np.sqrt(2 * plain * (1 - plain) / len(z[0])) + 1e-5
+    assert (np.abs(wins - plain) < 5 * error).all()
+    wrong = _Posterior(mean, deviation**2, 1.0)  # the control: half the variance would show
+    assert (np.abs(np.mean([wrong.wins(rng) for _ in range(300)], axis=0) - plain) > 5 * error).any()
+    sure = _Posterior(np.array([1.0, 3.0 + 0j]), np.array([1e-4, 1e-4]), 1.0)
+    assert sure.wins(rng).tolist() == [0.0, 1.0]
+
+
 def test_the_number_of_taps_has_the_smallest_criterion():
     """Against the criterion by numpy's solver for every number of taps."""
     trace = records(white, named_plant("bandit-fir", 1.0), 60, 3)

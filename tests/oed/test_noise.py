@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oed.noise import noise_key, philox, standard_noise
+from oed.noise import noise_key, noise_series, philox, standard_noise
 
 
 @pytest.mark.parametrize(
@@ -76,3 +76,21 @@ def test_a_pure_function_of_its_coordinates():
     assert np.array_equal(
         standard_noise(key, 3, 7, 1000, 1), long[:, :1]
     )  # more outputs do not change the first
+
+
+def test_experiments_at_once_are_those_one_by_one():
+    """Bit by bit, also where the lengths change from experiment to experiment and ahead was computed in vain."""
+    from oed.experiments import simulated
+    from oed.named import named_plant
+
+    key = noise_key(2, "several")
+    for samples, outputs in ((500, 1), (7, 3), (1, 2)):
+        series = noise_series(key, 5, range(3, 9), samples, outputs)
+        for k, one in enumerate(series):
+            assert np.array_equal(one, standard_noise(key, 5, 3 + k, samples, outputs))
+    plant = named_plant("reference", 2.0)
+    experiment = simulated(plant, seed=4, replicate=6, first=2)
+    for k, samples in enumerate((40, 40, 40, 9, 9, 3000, 40, 40)):
+        noise = standard_noise(noise_key(4, plant.name), 6, 2 + k, samples)
+        u = np.sin(np.arange(samples))[:, None]
+        assert np.array_equal(experiment(u), plant.simulate(u) + np.sqrt(2.0) * noise)
