@@ -222,7 +222,7 @@ def _fit(band: _Band, orders: tuple[int, int, int], N: int) -> tuple[float, Peak
     weights, noise, freedom = np.ones(ny), np.ones(ny), 1.0
     theta, information = np.zeros(0, complex), np.eye(1)
     inner, nparameters = nu * (nb + 1), nu * ny * (nb + 1) + na
-    for _ in range(STEPS):
+    for step in range(STEPS):
         A = 1 + X[:, 1 : na + 1] @ a
         filtered = partial(_filtered, X=X / A[:, None], q=np.linalg.qr(X[:, : nt + 1] / A[:, None])[0])
         inputs = filtered(band.U, range(nb + 1)).reshape(inner, -1)
@@ -260,7 +260,7 @@ def _fit(band: _Band, orders: tuple[int, int, int], N: int) -> tuple[float, Peak
         freedom = max(M * (K - nt - 1) - nparameters / ny, 1.0)
         noise = np.sum(np.abs(error) ** 2, axis=(0, 1)) / freedom
         weights = 1 / np.maximum(noise, 1e-300)
-        if change < SETTLED:
+        if step and change < SETTLED:  # the first step did not know the noise yet
             break
     size = M * K * ny / band.repeats
     criterion = size * float(np.mean(np.log(noise * freedom / (M * K)))) + 2 * nparameters / band.repeats
