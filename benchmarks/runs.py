@@ -21,7 +21,7 @@ from benchmarks.plants import load_plant
 from benchmarks.settings import Settings
 from oed.errors import Status
 from oed.experiments import simulated
-from oed.information import information_of_signal
+from oed.information import information_of_records
 
 __all__ = ["CHUNK", "Part", "checkpoints", "parts", "run_part", "seed_for"]
 
@@ -239,11 +239,14 @@ def _add_information(sums: dict[int, Row], head: Row, settings: Settings, plant:
     n = len(plant.free)
     information, energy = np.zeros((n, n)), 0.0
     marks = checkpoints(settings.experiments)
-    for k, record in enumerate(trace.records, 1):
-        information = information + information_of_signal(plant, record.u)
-        energy += float(np.sum(record.u**2))
-        if k not in marks:
-            continue
+    done = 0
+    for k in marks:
+        since = trace.records[done:k]
+        if done + len(since) < k:
+            break
+        done = k
+        information = information + information_of_records(plant, [r.u for r in since])
+        energy += sum(float(np.sum(r.u**2)) for r in since)
         row = sums.setdefault(
             k,
             _row(head, "", status=Status.OK.name, information=[0.0] * n * n, energy=0.0, peak_amplitude=0.0),

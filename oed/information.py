@@ -9,13 +9,16 @@ which is linear in the spectrum, hence additive over experiments.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from oed.data import Spectrum, as_signal
 from oed.errors import InputError, NotIdentifiable
+
+if TYPE_CHECKING:
+    from oed.plants import Plant
 
 __all__ = [
     "Responding",
@@ -27,6 +30,10 @@ __all__ = [
     "null_directions",
     "whitened_gradient",
 ]
+
+
+TOGETHER = 2**18
+"""Numbers in the gradients that are computed together."""
 
 
 class Responding(Protocol):
@@ -187,10 +194,7 @@ def information_of_signal(plant: Responding, u: ArrayLike) -> NDArray[np.float64
     ndarray
         (n, n), for the whole experiment.
     """
-    psi = signal_gradient(plant, u)
-    W = _inverse_root(plant.noise_covariance)
-    flat = np.einsum("pr,tnr->ntp", W, psi).reshape(psi.shape[1], -1)
-    return flat @ flat.T
+    return information_of_records(plant, [np.asarray(u)])
 
 
 def signal_gradient(plant: Responding, u: ArrayLike) -> NDArray[np.float64]:
@@ -208,32 +212,40 @@ def signal_gradient(plant: Responding, u: ArrayLike) -> NDArray[np.float64]:
     ndarray
         (N, n, ny).
     """
-    from scipy.signal import lfilter
+    return _signal_gradients(_as_plant(plant), as_signal(u, "the input")[None])[0]
 
+
+def _as_plant(plant: Responding) -> Plant:
     from oed.plants import Plant
 
-    if not isinstance(plant, Plant):
-        to_plant = getattr(plant, "to_plant", None)
-        if to_plant is None:
-            raise InputError(
-                f"the information of a finite signal needs a Plant or a model with to_plant(), not {type(plant).__name__}."
-            )
-        plant = to_plant()
-    u = as_signal(u, "the input")
-    if u.shape[1] != plant.n_inputs:
+    if isinstance(plant, Plant):
+        return plant
+    to_plant = getattr(plant, "to_plant", None)
+    if to_plant is None:
         raise InputError(
-            f"the input has {u.shape[1]} channels and the plant {plant.n_inputs}; they must agree."
+            f"the information of a finite signal needs a Plant or a model with to_plant(), not {type(plant).__name__}."
         )
+    return to_plant()
+
+
+def _signal_gradients(plant: Plant, u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The gradients of several experiments of one length: from (M, N, nu) to (M, N, n, ny)."""
+    from scipy.signal import lfilter
+
+    M, N, nu = u.shape
+    if nu != plant.n_inputs:
+        raise InputError(f"the input has {nu} channels and the plant {plant.n_inputs}; they must agree.")
     rows = [row for row in plant._parameters() if row[0] in plant.free]
-    psi = np.zeros((len(u), len(rows), plant.n_outputs))
-    whiten = (lambda x: x) if plant.white_noise else (lambda x: lfilter(plant.noise_den, plant.noise_num, x))
+    psi = np.zeros((M, N, len(rows), plant.n_outputs))
+    white = plant.white_noise
     base: dict[tuple[str, int, int], NDArray] = {}
     for n, (_, letter, power, i, j, _) in enumerate(rows):
         A, B = plant.den[i][j], plant.num[i][j]
         if (letter, i, j) not in base:
-            x = np.asarray(whiten(lfilter([1.0], A, u[:, j])))
+            x = np.asarray(lfilter([1.0], A, u[:, :, j]))
+            x = x if white else np.asarray(lfilter(plant.noise_den, plant.noise_num, x))
             base[letter, i, j] = x if letter == "b" else -np.asarray(lfilter(B, A, x))
-        psi[power:, n, i] = base[letter, i, j][: max(len(u) - power, 0)] if power else base[letter, i, j]
+        psi[:, power:, n, i] = base[letter, i, j][:, : max(N - power, 0)]
     return psi
 
 
@@ -252,9 +264,19 @@ def information_of_records(plant: Responding, inputs: list[NDArray[np.float64]])
     ndarray
         (n, n).
     """
-    return sum(
-        (information_of_signal(plant, u) for u in inputs[1:]), start=information_of_signal(plant, inputs[0])
-    )
+    plant = _as_plant(plant)
+    W = _inverse_root(plant.noise_covariance)
+    signals = [as_signal(u, "the input") for u in inputs]
+    n = len(plant.free)
+    total = np.zeros((n, n))
+    for length in sorted({len(u) for u in signals}):
+        same = [u for u in signals if len(u) == length]
+        each = max(1, TOGETHER // (length * max(n, 1) * plant.n_outputs))
+        for k in range(0, len(same), each):
+            psi = _signal_gradients(plant, np.stack(same[k : k + each]))
+            flat = np.einsum("pr,mtnr->nmtp", W, psi).reshape(n, -1)
+            total += flat @ flat.T
+    return total
 
 
 def null_directions(information: NDArray[np.float64], names: tuple[str, ...]) -> list[str]:
