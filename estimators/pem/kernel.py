@@ -36,23 +36,28 @@ _DRIVER = """
 #define FLUSH
 #define RESTORE
 #endif
-void fold(long long nr, const long long *length, long long ns, long long nd, long long nt, long long np,
-          const double *data, const double *p, const double *weight, double *total, double *work) {
-  double *now = work, *next = work + ns, *step = next + ns, *block = step + nt, *w = block + nt;
+void fold(long long nr, const long long *length, const double *data, const double *p, const double *weight,
+          double *total, double *work) {
+#if NS + NT < 300  /* the compiler then keeps the state and the sums in registers where it can */
+  double now[NS + 1], next[NS + 1], step[NT], block[NT];
+#else
+  double *now = work, *next = now + NS, *step = next + NS, *block = step + NT;
+  work = block + NT;
+#endif
   FLUSH
-  for (long long r = 0; r < nr; ++r, total += nt, p += np) {
-    for (long long i = 0; i < ns; ++i) now[i] = 0;
+  for (long long r = 0; r < nr; ++r, total += NT, p += NP) {
+    for (int i = 0; i < NS; ++i) now[i] = 0;
     for (long long start = 0; start < length[r]; start += BLOCK) {
       long long stop = start + BLOCK < length[r] ? start + BLOCK : length[r];
-      for (long long i = 0; i < nt; ++i) block[i] = 0;
-      for (long long t = start; t < stop; ++t, data += nd) {
+      for (int i = 0; i < NT; ++i) block[i] = 0;
+      for (long long t = start; t < stop; ++t, data += ND) {
         const double *arg[4] = {now, data, p, weight};
         double *res[2] = {next, step};
-        casadi_sums(arg, res, 0, w, 0);
-        for (long long i = 0; i < nt; ++i) block[i] += step[i];
-        double *swap = now; now = next; next = swap;
+        casadi_sums(arg, res, 0, work, 0);
+        for (int i = 0; i < NT; ++i) block[i] += step[i];
+        for (int i = 0; i < NS; ++i) now[i] = next[i];
       }
-      for (long long i = 0; i < nt; ++i) total[i] += block[i];
+      for (int i = 0; i < NT; ++i) total[i] += block[i];
     }
   }
   RESTORE
@@ -268,7 +273,8 @@ def _compile(tool: str, fold: Any, trace: Any) -> ctypes.CDLL | None:
         )
     source = (
         "#include <math.h>\n#define casadi_real double\n#define casadi_int double\n"
-        f"#define BLOCK {_BLOCK}\n{source}{_DRIVER}"
+        f"#define BLOCK {_BLOCK}\n#define NS {fold.numel_out(0)}\n#define NT {fold.numel_out(1)}\n"
+        f"#define ND {fold.numel_in(1)}\n#define NP {fold.numel_in(2)}\n{source}{_DRIVER}"
     )
     folder = library_folder()
     path = folder / f"pem-{hashlib.sha256((tool + source).encode()).hexdigest()[:24]}.so"
@@ -278,7 +284,7 @@ def _compile(tool: str, fold: Any, trace: Any) -> ctypes.CDLL | None:
             code.write_text(source)
             command = [
                 tool,
-                "-O2",
+                "-O3",
                 "-fPIC",
                 "-shared",
                 "-ffp-contract=off",
@@ -301,7 +307,7 @@ def _compile(tool: str, fold: Any, trace: Any) -> ctypes.CDLL | None:
 
 
 def _native(library: ctypes.CDLL, fold: Any, n: int, ny: int, n_work: int) -> tuple[Callable, Callable]:
-    ns, nd, nt = fold.numel_out(0), fold.numel_in(1), fold.numel_out(1)
+    ns, nt = fold.numel_out(0), fold.numel_out(1)
     lower = np.tril_indices(ny)
     pointer = lambda a: ctypes.c_void_p(a.ctypes.data)
     size = ctypes.c_longlong
@@ -310,8 +316,7 @@ def _native(library: ctypes.CDLL, fold: Any, n: int, ny: int, n_work: int) -> tu
         total, work = np.zeros((len(lengths), nt)), np.empty(2 * ns + 2 * nt + n_work + 1)
         w, p = np.ascontiguousarray(weight[lower]), np.ascontiguousarray(parameters)
         library.fold(
-            size(len(lengths)), pointer(lengths), size(ns), size(nd), size(nt), size(n),
-            pointer(data), pointer(p), pointer(w), pointer(total), pointer(work),
+            size(len(lengths)), pointer(lengths), pointer(data), pointer(p), pointer(w), pointer(total), pointer(work)
         )  # fmt: skip
         return total
 
@@ -319,7 +324,7 @@ def _native(library: ctypes.CDLL, fold: Any, n: int, ny: int, n_work: int) -> tu
         state, work, e = np.zeros(max(ns, 1)), np.empty(ns + n_work + 1), np.empty((len(data), ny))
         jacobian = np.empty((len(data), ny, n)) if with_jacobian else None
         library.trace(
-            size(len(data)), size(ns), size(nd), size(ny), size(ny * n), pointer(data), pointer(parameters),
+            size(len(data)), size(ns), size(data.shape[1]), size(ny), size(ny * n), pointer(data), pointer(parameters),
             pointer(state), pointer(e), None if jacobian is None else pointer(jacobian), pointer(work),
         )  # fmt: skip
         return e, jacobian
