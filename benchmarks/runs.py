@@ -223,7 +223,7 @@ def _run(settings: Settings, part: Part, replicate: int, own: Mapping[str, Any])
         method = own[part.method](plant)
     else:
         plant, method = _prepared(*part.combination)
-    experiment = simulated(plant, seed=settings.seed, replicate=replicate)
+    experiment = simulated(plant, seed=settings.seed, replicate=replicate, expected=settings.experiments)
     rng = seed_for(settings.seed, part.plant, part.method, replicate)
     return plant, method(experiment, samples=settings.samples, iterations=settings.experiments, rng=rng)
 

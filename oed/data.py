@@ -47,10 +47,10 @@ def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray
         If the values are not real numbers, have more than two axes, are empty or not finite.
     """
     try:
-        array = np.array(values)
-        if np.iscomplexobj(array):
+        given = np.asarray(values)
+        if np.iscomplexobj(given):
             raise TypeError("complex values")
-        array = np.array(array, dtype=float)
+        array = np.array(given, dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} is not an array of real numbers ({error}); give numbers only.") from None
     if array.ndim == 1:
@@ -61,8 +61,8 @@ def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray
         )
     if array.size == 0:
         raise InputError(f"{name} is empty (shape {array.shape}); give at least one sample and one channel.")
-    bad = np.isinf(array) if missing else ~np.isfinite(array)
-    if bad.any():
+    good = np.isfinite(array)
+    if not good.all() and (bad := ~good & ~np.isnan(array) if missing else ~good).any():
         t, channel = np.argwhere(bad)[0]
         remedy = (
             "replace them by NaN"

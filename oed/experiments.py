@@ -15,8 +15,8 @@ from oed.plants import Plant
 
 __all__ = ["Experiment", "Usage", "replayed", "simulated"]
 
-AHEAD = 2048
-"""Samples of noise that are computed together."""
+AHEAD = 2**16
+"""Most samples of noise that are computed together."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,9 @@ class Experiment:
         return y
 
 
-def simulated(plant: Plant, *, seed: int = 0, replicate: int = 0, first: int = 0) -> Experiment:
+def simulated(
+    plant: Plant, *, seed: int = 0, replicate: int = 0, first: int = 0, expected: int = 1
+) -> Experiment:
     """An experiment on a simulated plant; experiment k of replicate r always meets the same noise.
 
     Parameters
@@ -144,6 +146,9 @@ def simulated(plant: Plant, *, seed: int = 0, replicate: int = 0, first: int = 0
         Coordinates of the noise (`oed.noise`).
     first : int
         Number of the first experiment.
+    expected : int
+        How many experiments will follow, if that is known: the noise of short ones is then computed together, which is
+        faster and changes nothing.
 
     Returns
     -------
@@ -160,8 +165,8 @@ def simulated(plant: Plant, *, seed: int = 0, replicate: int = 0, first: int = 0
         nonlocal count
         noise = ahead.pop(count, None)
         if noise is None or len(noise) != len(u):
-            # One call costs little more than one short experiment.
-            numbers = range(count, count + max(1, AHEAD // (len(u) * plant.n_outputs)))
+            most = max(1, AHEAD // (len(u) * plant.n_outputs))
+            numbers = range(count, count + min(max(first + expected - count, 1), most))
             ahead.clear()
             ahead.update(
                 zip(numbers, noise_series(key, replicate, numbers, len(u), plant.n_outputs), strict=True)

@@ -89,7 +89,7 @@ def test_experiments_at_once_are_those_one_by_one():
         for k, one in enumerate(series):
             assert np.array_equal(one, standard_noise(key, 5, 3 + k, samples, outputs))
     plant = named_plant("reference", 2.0)
-    experiment = simulated(plant, seed=4, replicate=6, first=2)
+    experiment = simulated(plant, seed=4, replicate=6, first=2, expected=7)
     for k, samples in enumerate((40, 40, 40, 9, 9, 3000, 40, 40)):
         noise = standard_noise(noise_key(4, plant.name), 6, 2 + k, samples)
         u = np.sin(np.arange(samples))[:, None]
