@@ -31,10 +31,29 @@ PLANT_EFFECTS = (
     "coulomb_asymmetric",
     "drag",
     "bilinear",
+    "stiffness_square",
+    "stiffness_quintic",
+    "stiffness_gap",
+    "stiffness_upper",
+    "stiffness_lower",
+    "position_damping",
+    "hysteretic_spring",
     "timescale_change",
     "damping_change",
     "pole_change",
 )
+
+
+REFINED = {  # tried only in the layout and after the success of a simpler effect that resembles them
+    "stiffness_square": ("stiffness_cubic", "stiffness"),
+    "stiffness_quintic": ("stiffness_cubic", "stiffness"),
+    "stiffness_gap": ("stiffness_cubic", "stiffness"),
+    "stiffness_upper": ("stiffness_cubic", "stiffness"),
+    "stiffness_lower": ("stiffness_cubic", "stiffness"),
+    "position_damping": ("drag", "stiffness_cubic"),
+    "hysteretic_spring": ("coulomb", "drag"),
+}
+SHARE = 0.25  # of the best gain so far, that the simpler effect must have reached
 
 
 def _best(fits: list[Fit]) -> Fit | None:
@@ -212,9 +231,11 @@ def augmented(
                 if found is not None and np.isfinite(found.deviance):
                     yield found
     plant = [k for k in PLANT_EFFECTS if k in wanted]
-    if plant and len(s.inputs) == 1:
-        for layout in _layouts(channel, base):
-            for key in plant:
+    layouts = _layouts(channel, base) if plant and len(s.inputs) == 1 else []
+    gains = [0.0]  # of all effects fitted so far
+    if layouts:
+        for layout in layouts:
+            for key in (k for k in plant if k not in REFINED):
                 if allowed(key, layout.structure.layout):
                     starts = _grid(channel, layout, Part(key, s.inputs[0]), best)
                     if starts:
@@ -229,8 +250,39 @@ def augmented(
             if name == key:
                 found = _fits(channel, base, starts, iterations)
                 if found is not None:
+                    gains.append(base.deviance - found.deviance)
                     yield found
-    yield from _plant_fits(channel, base, [k for k in PLANT_EFFECTS if k in keys], scored, iterations)
+    simple: dict[str, Fit] = {}
+    for found in _plant_fits(channel, base, [k for k in PLANT_EFFECTS if k in keys], scored, iterations):
+        gains.append(base.deviance - found.deviance)
+        simple[found.structure.parts[-1].key] = found
+        yield found
+    yield from _refined_fits(
+        channel, base, [k for k in plant if k in REFINED], simple, layouts, max(gains), iterations
+    )
+
+
+def _refined_fits(
+    channel: Channel, base: Fit, keys: list[str], simple: dict[str, Fit], layouts: list[Fit], most: float,
+    iterations: int,
+) -> Iterator[Fit]:  # fmt: skip
+    """Relatives of an effect inside the plant that did well, in the layout where it did."""
+    for key in keys:
+        parents = [simple[k] for k in REFINED[key] if k in simple]
+        parents = [f for f in parents if base.deviance - f.deviance > max(SHARE * most, 10.0)]
+        if not parents:
+            continue
+        near = min(parents, key=lambda f: f.deviance).structure.layout
+        for layout in layouts:
+            if layout.structure.layout == near and allowed(key, near):
+                starts = _grid(channel, layout, Part(key, layout.structure.inputs[0]), 2)
+                quick = [f for start in starts if (f := _fits(channel, base, [start], 5)) is not None]
+                best = _best(quick)
+                if best is not None:
+                    yield fit(
+                        channel, best.structure, best.p, best.scales, noise=best.noise, iterations=iterations
+                    )
+                break
 
 
 def _special(channel: Channel, base: Fit, key: str, others: tuple[int, ...]) -> Iterator[Fit | None]:

@@ -36,12 +36,17 @@ def blocked_simulation(channel: Channel, f: Fit, *, blocks: int = BLOCKS) -> Arr
 
     Notes
     -----
-    The simulation runs through the whole record, so that no block needs an initial state of its own. The
+    The simulation runs through the whole record, so that no block needs an initial state of its own; the record's
+    is that of the fit to all blocks, as no other block says anything of it. The
     structure was chosen on all of the record: the error says how well the parameters carry over, and is a
     little too good where many structures were tried.
     """
     n = len(channel)
     out = np.full(n, np.inf)
+    scales = f.scales.copy()
+    for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
+        if part.key == "initial":
+            scales[sl] = 0.0
     for rows in np.array_split(np.arange(n), blocks):
         keep = channel.keep.copy()
         keep[rows] = False
@@ -49,7 +54,7 @@ def blocked_simulation(channel: Channel, f: Fit, *, blocks: int = BLOCKS) -> Arr
             replace(channel, keep=keep),
             f.structure,
             f.p,
-            f.scales,
+            scales,
             noise=f.noise,
             iterations=15,
             colour=False,

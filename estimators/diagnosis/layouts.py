@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimators.effects.catalogue import Clock
 
-__all__ = ["CHANGES", "LAYOUTS", "allowed", "changed_states", "layout_matrices", "states"]
+__all__ = ["CHANGES", "COEFFICIENTS", "LAYOUTS", "allowed", "changed_states", "layout_matrices", "states"]
 
 Array = NDArray[Any]
 
@@ -26,6 +26,14 @@ LAYOUTS: dict[str, tuple[int, int]] = {
     "tanks": (2, 10),
 }
 STEPS = 5
+COEFFICIENTS = 17  # of the nonlinear term inside a plant, see `simulate_feedback`
+MOVING = (
+    "oscillator",
+    "driven",
+    "sensed",
+    "modes",
+    "integrator",
+)  # layouts whose velocity is not their position
 
 
 CHANGES: dict[str, dict[str, tuple[float, ...]]] = {
@@ -99,7 +107,7 @@ def layout_matrices(layout: str, r: Array) -> tuple[Array, Array, Array, Array, 
 def states(
     layout: str, rates: Array, u: Array, c: Array, x0: Array | None = None, steps: int = STEPS
 ) -> Array:
-    """States (N, order) of a layout driven by u with the feedback coefficients c (9,).
+    """States (N, order) of a layout driven by u with the feedback coefficients c.
 
     Parameters
     ----------
@@ -110,7 +118,7 @@ def states(
     u : ndarray
         (N,) input.
     c : ndarray
-        (9,) feedback coefficients.
+        (COEFFICIENTS,) feedback coefficients.
     x0 : ndarray, optional
         Initial state; at rest without it.
     steps : int
@@ -121,7 +129,7 @@ def states(
     ndarray
         (N, order).
     """
-    from estimators.effects.recursion_kernels import held_response, simulate_feedback
+    from estimators.effects.plant_kernels import held_response, simulate_feedback
 
     A, B, E, position, velocity = layout_matrices(layout, rates)
     steps = steps if np.any(c != 0) else 1
@@ -134,7 +142,7 @@ def states(
 
 
 def allowed(key: str, layout: str) -> bool:
-    """Whether an effect can sit in a layout: changes need a rate that they change.
+    """Whether an effect can sit in a layout: changes need a rate that they change, moving parts a velocity.
 
     Parameters
     ----------
@@ -148,6 +156,8 @@ def allowed(key: str, layout: str) -> bool:
     bool
         False where it makes no sense.
     """
+    if key in ("position_damping", "hysteretic_spring"):
+        return layout in MOVING
     return key not in CHANGES or layout in CHANGES[key]
 
 
@@ -165,7 +175,7 @@ def changed_states(
     u : ndarray
         (N,) input.
     c : ndarray
-        (9,) feedback coefficients.
+        (COEFFICIENTS,) feedback coefficients.
     key : str
         Which rates change.
     q : ndarray

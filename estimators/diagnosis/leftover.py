@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, f_oneway, kurtosis
 
 from estimators.diagnosis.fitting import Channel, Fit, ar_model, innovations
+from estimators.diagnosis.layouts import COEFFICIENTS, LAYOUTS, states
 from estimators.diagnosis.structure import simulate
 from estimators.effects.catalogue import NATURES
 
@@ -19,6 +20,7 @@ __all__ = ["Leftover", "leftovers"]
 
 Array = NDArray[Any]
 LAGS = 20
+TERMS = 6  # most products taken together
 
 
 @dataclass(frozen=True)
@@ -62,12 +64,7 @@ def _columns(channel: Channel, f: Fit, y: Array) -> list[tuple[str, str, list[Ar
     for j in s.inputs:
         u = channel.u[:, j] - np.mean(channel.u[:, j])
         name = "the input" if len(s.inputs) == 1 else f"input {j + 1}"
-        through = _late_by_one
-        if s.layout == "tf":  # what happens at the input acts through the plant
-            den = np.concatenate(([1.0], f.p[: s.order]))
-            at = s.order + s.inputs.index(j) * s.taps
-            num = np.concatenate((np.zeros(1 + s.delay), f.p[at : at + s.taps]))
-            through = _filtered(num, den)
+        through = _through(f, j)
         curves = [through(c - np.mean(c)) for c in (u**2, u**3, u * np.abs(u), np.abs(u))]
         products = [u * _late(u, i) for i in range(1, 7)] + [u * _late(y0, i) for i in (0, 1, 2)] + [u * v]
         groups.append(
@@ -90,8 +87,64 @@ def _columns(channel: Channel, f: Fit, y: Array) -> list[tuple[str, str, list[Ar
     return groups
 
 
-def _late_by_one(x: Array) -> Array:
-    return _late(x, 1)
+def _through(f: Fit, j: int) -> Callable[[Array], Array]:
+    """How what happens at an input acts on the output: through the linear part of the model."""
+    s = f.structure
+    if s.layout == "tf":
+        den = np.concatenate(([1.0], f.p[: s.order]))
+        at = s.order + s.inputs.index(j) * s.taps
+        num = np.concatenate((np.zeros(1 + s.delay), f.p[at : at + s.taps]))
+        return _filtered(num, den)
+    if s.layout == "tanks":
+        return lambda x: _late(x, 1)
+    head = LAYOUTS[s.layout][1]
+    C, idle = f.p[head : head + s.order], np.zeros(COEFFICIENTS)
+    return lambda x: np.nan_to_num(states(s.layout, f.p[:head], np.ascontiguousarray(x), idle) @ C)
+
+
+def _products(channel: Channel, f: Fit, y: Array) -> list[Array]:
+    """Products of the input with past inputs and outputs, and with squares of outputs, through the plant."""
+    y0 = y - np.mean(y)
+    out: list[Array] = []
+    lags = (0, 1, 2, 3, 4, 6)
+    for j in f.structure.inputs:
+        u = channel.u[:, j] - np.mean(channel.u[:, j])
+        through = _through(f, j)
+        past = {i: (_late(u, i), _late(y0, i)) for i in lags}
+        terms = [past[a][0] * past[b][0] for a in lags for b in lags if a < b]
+        terms += [past[a][0] * past[b][1] for a in lags for b in lags]
+        terms += [past[a][0] * past[b][1] ** 2 for a in (0, 1, 3) for b in (0, 2, 4)]
+        terms += [past[a][0] ** 2 * past[b][1] for a in (0, 1, 3) for b in (0, 2, 4)]
+        out += [through(x - np.mean(x)) for x in terms]
+    return out
+
+
+def _best_products(
+    channel: Channel, f: Fit, y: Array, J: Array, null: float
+) -> tuple[float, float, int, float]:
+    """(likelihood ratio, Schwarz's price, terms, products tried) of the few products that explain most, one taken after another."""
+    keep, n = channel.keep, int(channel.keep.sum())
+    X = np.stack([np.where(keep, x / (float(np.sqrt(np.mean(x**2))) + 1e-300), 0.0)
+                  for x in _products(channel, f, y)], axis=1)  # fmt: skip
+    best = (0.0, 0.0, 0)
+    for noise in [f.noise, np.zeros(0)][: 1 + bool(len(f.noise))]:
+        W = np.stack([innovations(x, noise) for x in X.T], axis=1)
+        e = innovations(np.where(keep, f.residual, 0.0), noise)
+        Q = np.linalg.qr(np.stack([innovations(x, noise) for x in J.T], axis=1))[0] if J.size else J
+        taken: list[int] = []
+        for count in range(1, TERMS + 1):
+            W, e = W - Q @ (Q.T @ W), e - Q @ (Q.T @ e)
+            power = np.sum(W**2, axis=0)
+            score = np.where(power > 1e-6 * n, (W.T @ e) ** 2 / np.maximum(power, 1e-300), 0.0)
+            taken.append(int(np.argmax(score)))
+            column = W[:, taken[-1]]
+            Q = (column / (float(np.linalg.norm(column)) + 1e-300))[:, None]
+            if count in (1, 3, TERMS):
+                ratio = null - _deviance(f.residual, np.concatenate((J, X[:, taken]), axis=1), f.noise, keep)
+                price = count * float(np.log(n) + 2.0 * np.log(X.shape[1]))
+                if ratio - price > best[0] - best[1]:
+                    best = (ratio, price, count)
+    return *best, float(X.shape[1])
 
 
 def _filtered(num: Array, den: Array) -> Callable[[Array], Array]:
@@ -159,8 +212,15 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
         return out
     J = np.where(keep[:, None], _sensitivity(channel, f, y), 0.0)
     groups = _columns(channel, f, y)
-    tests = len(groups) + 3
+    tests = len(groups) + 4
     null = _deviance(r, J, f.noise, keep)
+    if n > 20 * TERMS:
+        ratio, price, count, tries = _best_products(channel, f, y, J, null)
+        p = min(1.0, tests * tries**count * float(chi2.sf(max(ratio, 0.0), max(count, 1))))
+        if count and p < alpha:
+            share = 1.0 - float(np.exp(-ratio / n))
+            out.append(Leftover(NATURES["dynamic"], f"the residual still depends on products of past inputs and outputs "
+                                f"({100 * share:.2g} % of its variance, p = {p:.2g})", p, ratio - price))  # fmt: skip
     for nature, words, columns in groups:
         X = np.stack([c / (float(np.sqrt(np.mean(c**2))) + 1e-300) for c in columns], axis=1)
         X = np.concatenate((J, np.where(keep[:, None], X, 0.0)), axis=1)

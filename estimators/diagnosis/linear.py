@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.fitting import Channel, Fit, fit
-from estimators.diagnosis.layouts import LAYOUTS, states
+from estimators.diagnosis.layouts import COEFFICIENTS, LAYOUTS, states
 from estimators.diagnosis.structure import Structure, free_responses, simulate, stable_polynomial
 
 __all__ = ["fit_linear", "layout_starts", "numerators", "plant_scales"]
@@ -242,7 +242,7 @@ def layout_starts(channel: Channel, base: Fit) -> list[tuple[Structure, Array, A
     free = simulate(replace(s, parts=()), base.p[: s.plant_size], channel.u, channel.clock)
     for layout, rates in options:
         r = np.log(np.maximum(rates, 1e-6))
-        c = np.zeros(9)
+        c = np.zeros(COEFFICIENTS)
         u = channel.u[:, s.inputs[0]]
         if s.delay:
             u = np.concatenate((np.zeros(s.delay), u[: -s.delay]))

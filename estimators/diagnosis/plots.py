@@ -99,7 +99,7 @@ def _curve(part: Any, q: Any, x: Any) -> Any:
 
 def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
     """Values that the effect's argument takes in the record, and its name."""
-    from estimators.diagnosis.layouts import LAYOUTS, layout_matrices, states
+    from estimators.diagnosis.layouts import COEFFICIENTS, LAYOUTS, layout_matrices, states
     from estimators.diagnosis.structure import sandwiched
 
     u = channel.u[:, part.channel]
@@ -113,7 +113,7 @@ def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
         head = LAYOUTS[f.structure.layout][1]
         position, velocity = layout_matrices(f.structure.layout, f.p[:head])[3:]
         fast = part.key not in ("stiffness", "stiffness_cubic")
-        X = states(f.structure.layout, f.p[:head], u, np.zeros(9))
+        X = states(f.structure.layout, f.p[:head], u, np.zeros(COEFFICIENTS))
         # the linear part alone swings wider where a spring stiffens: the middle 99 % are shown
         return X @ (
             velocity if fast else position

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.fitting import Channel, Fit
-from estimators.diagnosis.layouts import LAYOUTS, layout_matrices, states
+from estimators.diagnosis.layouts import COEFFICIENTS, LAYOUTS, layout_matrices, states
 from estimators.diagnosis.structure import Part, Structure, simulate
 
 __all__ = ["Start", "gains_of_shapes", "shapes", "tone_starts"]
@@ -149,7 +149,7 @@ def _plant_shapes(
     s = base.structure
     u = channel.u[:, j]
     su = float(np.std(u)) + 1e-300
-    c = np.zeros(9)
+    c = np.zeros(COEFFICIENTS)
     X = states(s.layout, base.p[: LAYOUTS[s.layout][1]], u, c)
 
     position, velocity = layout_matrices(s.layout, base.p[: LAYOUTS[s.layout][1]])[3:]
@@ -163,6 +163,26 @@ def _plant_shapes(
             [su / sx**2, su / sx**3],
             False,
         )
+    if key == "stiffness_square":
+        return [[f * su / sx**2] for f in (0.05, 0.3, -0.1)], [su / sx**2], False
+    if key == "stiffness_quintic":
+        return (
+            [[a * su / sx**3, b * su / sx**5] for a in (0.0, 0.03) for b in (-0.003, 0.01)],
+            [su / sx**3, su / sx**5],
+            False,
+        )
+    if key in ("stiffness_upper", "stiffness_lower", "stiffness_gap"):
+        side = -1.0 if key == "stiffness_lower" else 1.0
+        levels = (0.3, 0.8, 1.5) if key == "stiffness_gap" else (0.0, 0.7, 1.5)
+        return (
+            [[k * su / sx, side * g * sx] for k in (0.3, 2.0, -0.3) for g in levels],
+            [su / sx, sx],
+            False,
+        )
+    if key == "position_damping":
+        return [[f * su / (sx**2 * sv)] for f in (0.05, 0.3, -0.05)], [su / (sx**2 * sv)], False
+    if key == "hysteretic_spring":
+        return [[f * su, w * sx] for f in (0.15, 0.5) for w in (0.2, 0.7, 2.0)], [su, sx], False
     if key == "coulomb":
         return [[f * su] for f in (0.03, 0.1, 0.2, 0.4)], [su], False
     if key == "coulomb_asymmetric":

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.layouts import CHANGES, LAYOUTS, changed_states, states
+from estimators.diagnosis.layouts import CHANGES, COEFFICIENTS, LAYOUTS, changed_states, states
 from estimators.effects.catalogue import CATALOGUE, Clock, Effect
 
 __all__ = ["Part", "Structure", "free_responses", "sandwiched", "simulate", "stable_polynomial"]
@@ -25,7 +25,9 @@ Array = NDArray[Any]
 
 _PLANT_SLOTS = {
     "stiffness_cubic": (1,), "stiffness": (0, 1), "drag": (3,), "bilinear": (4,), "coulomb": (5,),
-    "coulomb_asymmetric": (5, 8), "stribeck": (5, 6, 7),
+    "coulomb_asymmetric": (5, 8), "stribeck": (5, 6, 7), "stiffness_square": (2,), "stiffness_quintic": (1, 9),
+    "stiffness_upper": (10, 11), "stiffness_lower": (12, 13), "stiffness_gap": (10, 11), "position_damping": (14,),
+    "hysteretic_spring": (15, 16),
 }  # fmt: skip
 
 
@@ -208,13 +210,18 @@ def _plant(s: Structure, p: Array, U: Array, clock: Clock, rest: bool, start: Ar
         x0 = np.abs(p[8:10] if start is None else start)
         return tank_levels(np.ascontiguousarray(U[:, 0]), flow, x0, 4)[:, 1] + level
     n_rates = LAYOUTS[s.layout][1]
-    c = np.zeros(9)
+    c = np.zeros(COEFFICIENTS)
     c[7] = 1.0
     active = False
     for part, sl in zip(s.parts, s.slices(), strict=True):
         for where, value in zip(_PLANT_SLOTS.get(part.key, ()), p[sl], strict=False):
-            c[where] = abs(value) if where in (3, 5, 7) else value
+            c[where] = abs(value) if where in (3, 5, 7, 16) else value
             active = True
+        if part.key == "stiffness_gap":
+            c[11:14] = abs(c[11]), c[10], -abs(c[11])
+        if part.key == "hysteretic_spring":
+            c[16] = max(c[16], 1e-9)
+            c[15] /= c[16]
     c[7] = max(c[7], 1e-9)
     c[8] = np.clip(c[8], -1.0, 1.0)
     if not active:
@@ -362,7 +369,7 @@ def free_responses(s: Structure, p: Array, n: int) -> Array:
     rest = np.zeros(n)
     return np.stack(
         [
-            states(s.layout, p[:head], rest, np.zeros(9), x0) @ p[head : head + s.order]
+            states(s.layout, p[:head], rest, np.zeros(COEFFICIENTS), x0) @ p[head : head + s.order]
             for x0 in np.eye(s.order)
         ],
         axis=1,

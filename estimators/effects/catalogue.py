@@ -106,6 +106,7 @@ def _tones(y: Array, p: Array, clock: Clock) -> Array:
 
 def _recursive(name: str) -> Callable[[Array, Array, Clock], Array]:
     def apply(x: Array, p: Array, clock: Clock) -> Array:
+        from estimators.effects import plant_kernels
         from estimators.effects import recursion_kernels as kernels
 
         if name == "rate":
@@ -114,7 +115,7 @@ def _recursive(name: str) -> Callable[[Array, Array, Clock], Array]:
             return kernels.play(_upsampled(x, 4), abs(p[0]))[::4]
         if name == "bouc_wen":
             share = float(np.clip(p[0], -2.0, 1.0))
-            return (1.0 - share) * x + share * kernels.bouc_wen(np.ascontiguousarray(x), abs(p[1]))
+            return (1.0 - share) * x + share * plant_kernels.bouc_wen(np.ascontiguousarray(x), abs(p[1]))
         return kernels.play(np.ascontiguousarray(x), abs(p[0]))
 
     return apply
@@ -212,6 +213,15 @@ _ENTRIES = (
     Effect("stiffness_cubic", "duffing", _DYN, "plant", ("k3",), ("1/u^2",), 2, "a restoring force k3 x^3"),
     Effect("stiffness", "duffing", _DYN, "plant", ("k2", "k3"), ("1/u", "1/u^2"), 2,
            "a restoring force k2 x^2 + k3 x^3"),
+    Effect("stiffness_square", "duffing", _DYN, "plant", ("k",), ("1/u",), 4, "a restoring force k |x| x"),
+    Effect("stiffness_quintic", "duffing", _DYN, "plant", ("k3", "k5"), ("1/u^2", "1/u^4"), 4,
+           "a restoring force k3 x^3 + k5 x^5"),
+    Effect("stiffness_gap", "duffing", _DYN, "plant", ("slope", "gap"), ("1", "u"), 15,
+           "a second spring beyond a gap on either side"),
+    Effect("stiffness_upper", "duffing", _DYN, "plant", ("slope", "corner"), ("1", "u"), 15,
+           "another stiffness above a corner: a one-sided spring or an end stop"),
+    Effect("stiffness_lower", "duffing", _DYN, "plant", ("slope", "corner"), ("1", "u"), 15,
+           "another stiffness below a corner: a one-sided spring or an end stop"),
     Effect("outflow", "square_root_outflow", _DYN, "plant", (), (), 30,
            "the outflow grows with the square root of the level, and the upper tank overflows"),
     Effect("coulomb", "coulomb_friction", _DYN, "plant", ("level",), ("u",), 6, "dry friction of constant level"),
@@ -220,6 +230,10 @@ _ENTRIES = (
     Effect("stribeck", "stribeck_friction", _DYN, "plant", ("level", "excess", "speed"), ("u", "u", "u/sample"), 15,
            "dry friction that is larger at low speed"),
     Effect("drag", "nonlinear_drag", _DYN, "plant", ("drag",), ("u/(u/sample)^2",), 2, "quadratic drag c |v| v"),
+    Effect("position_damping", "nonlinear_drag", _DYN, "plant", ("d",), ("sample/u^2",), 6,
+           "a damping d x^2 v that depends on the position"),
+    Effect("hysteretic_spring", "backlash", _DYN, "plant", ("level", "width"), ("u", "u"), 15,
+           "a hysteretic restoring force inside the plant (Bouc-Wen), which saturates at the level"),
     Effect("bilinear", "bilinear", _DYN, "plant", ("beta",), ("1/u",), 2, "the input multiplies the state"),
     Effect("timescale_change", "parameter_change", _TIME, "plant", ("log_speed", "time"), ("1", "sample"), 0.03,
            "the natural frequency or time constants change abruptly", None, True),

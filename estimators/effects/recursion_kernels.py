@@ -1,4 +1,4 @@
-"""Compiled twins of the recursive effects: play, rate limit, and a plant with nonlinear feedback.
+"""Compiled twins of the recursive effects: play, rate limit, broken lines, tanks.
 
 CasADi defines the same steps in `estimators.effects.terms`; a test holds the two to 1e-9.
 """
@@ -9,26 +9,35 @@ import numpy as np
 from numba import njit
 
 __all__ = [
-    "bouc_wen",
-    "held_response",
+    "compiled",
     "hinges",
     "play",
     "rate_limited_mean",
     "rational",
-    "simulate_feedback",
     "tank_levels",
 ]
 
 
-def _compile(function):
-    """Compile with a cache on disk, or without one where no folder for it can be written."""
+def compiled(function):
+    """Compile with a cache on disk, or without one where no folder for it can be written.
+
+    Parameters
+    ----------
+    function : callable
+        Of arrays and numbers.
+
+    Returns
+    -------
+    callable
+        The same, compiled at its first call.
+    """
     try:
         return njit(cache=True)(function)
     except RuntimeError:
         return njit(function)
 
 
-@_compile
+@compiled
 def play(signal, half_width):  # pragma: no cover - compiled
     """Output of a play (backlash) operator that starts at the middle of its gap.
 
@@ -56,44 +65,7 @@ def play(signal, half_width):  # pragma: no cover - compiled
     return out
 
 
-@_compile
-def bouc_wen(signal, width):  # pragma: no cover - compiled
-    """Hysteretic part z of a Bouc-Wen element, z' = x' - |x'| (z + sign(x') |z|) / (2 width), exact between samples.
-
-    The signal moves monotonically from sample to sample. Towards zero z follows it one to one, away from zero
-    it bends towards +-width exponentially.
-
-    Parameters
-    ----------
-    signal : ndarray
-        (N,) the signal.
-    width : float
-        Where the hysteretic part saturates.
-
-    Returns
-    -------
-    ndarray
-        (N,).
-    """
-    out = np.empty_like(signal)
-    z = 0.0
-    before = 0.0
-    for k in range(signal.shape[0]):
-        move = signal[k] - before
-        before = signal[k]
-        side = 1.0 if move >= 0 else -1.0
-        left = abs(move)
-        if side * z < 0.0:
-            back = min(left, abs(z))
-            z += side * back
-            left -= back
-        if left > 0.0 and width > 0.0:
-            z = side * (width - (width - side * z) * np.exp(-left / width))
-        out[k] = z
-    return out
-
-
-@_compile
+@compiled
 def rate_limited_mean(signal, rate):  # pragma: no cover - compiled
     """Mean over each sample interval of an actuator that follows a held command at a limited rate.
 
@@ -125,7 +97,7 @@ def rate_limited_mean(signal, rate):  # pragma: no cover - compiled
     return out
 
 
-@_compile
+@compiled
 def rational(u, b, f, delay):  # pragma: no cover - compiled
     """Sum of B_j/F u_j with B_j = b[j, 0] z^-(1+delay) + ...; infinite once it overflows.
 
@@ -167,156 +139,7 @@ def rational(u, b, f, delay):  # pragma: no cover - compiled
     return y
 
 
-@_compile
-def held_response(a, columns, h):  # pragma: no cover - compiled
-    """exp(A h) and the integral over h of exp(A s) ds times the columns, by a scaled Taylor series.
-
-    Parameters
-    ----------
-    a : ndarray
-        (n, n) the matrix A.
-    columns : ndarray
-        (n, m) what is integrated.
-    h : float
-        Length of the interval.
-
-    Returns
-    -------
-    tuple of ndarray
-        The transition and the integral.
-    """
-    n = a.shape[0]
-    m = n + columns.shape[1]
-    big = np.zeros((m, m))
-    size = 0.0
-    for i in range(n):
-        for j in range(n):
-            big[i, j] = a[i, j] * h
-            size += abs(big[i, j])
-        for j in range(columns.shape[1]):
-            big[i, n + j] = columns[i, j] * h
-            size += abs(big[i, n + j])
-    squarings = 0
-    while size > 0.5:
-        size *= 0.5
-        squarings += 1
-    big = big / 2.0**squarings
-    out = np.eye(m)
-    term = np.eye(m)
-    for k in range(1, 13):
-        new = np.zeros((m, m))
-        for i in range(m):
-            for j in range(m):
-                total = 0.0
-                for l in range(m):
-                    total += term[i, l] * big[l, j]
-                new[i, j] = total / k
-        term = new
-        out = out + term
-    for _ in range(squarings):
-        new = np.zeros((m, m))
-        for i in range(m):
-            for j in range(m):
-                total = 0.0
-                for l in range(m):
-                    total += out[i, l] * out[l, j]
-                new[i, j] = total
-        out = new
-    return out[:n, :n].copy(), out[:n, n:].copy()
-
-
-@_compile
-def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps):  # pragma: no cover
-    """States of x' = A x + B u - E w(x, u), sampled, with `steps` exponential Heun steps per sample.
-
-    w = k2 p^2 + k3 p^3 + k5 |p| p + drag |v| v - beta u p + friction, with p = position x, v = velocity x;
-    c = (k2, k3, k5, drag, beta, coulomb, static, stribeck_speed, asymmetry). Dry friction is implicit:
-    it is the force within +-level that stops v, or the level where that does not suffice.
-
-    Parameters
-    ----------
-    u : ndarray
-        (N, nu) inputs.
-    phi : ndarray
-        (n, n) transition over one step.
-    gamma_u : ndarray
-        (n, nu) effect of the held inputs over one step.
-    gamma_w : ndarray
-        (n, 1) effect of the nonlinear term over one step.
-    position : ndarray
-        (n,) row that reads the position off the state.
-    velocity : ndarray
-        (n,) row that reads the velocity off the state.
-    c : ndarray
-        Coefficients of the nonlinear term w.
-    x0 : ndarray
-        Initial state.
-    steps : int
-        Integration steps per sample.
-
-    Returns
-    -------
-    ndarray
-        (N, n) states.
-    """
-    n = u.shape[0]
-    m = phi.shape[0]
-    out = np.empty((n, m))
-    x = x0.copy()
-    free = np.empty(m)
-    k2, k3, k5, drag, beta = c[0], c[1], c[2], c[3], c[4]
-    coulomb, static, speed, tilt = c[5], c[6], c[7], c[8]
-    dry = coulomb != 0.0 or static != 0.0
-    gv = 0.0
-    for i in range(m):
-        gv += velocity[i] * gamma_w[i]
-    for k in range(n):
-        for i in range(m):
-            out[k, i] = x[i]
-        for _ in range(steps):
-            p = 0.0
-            v = 0.0
-            for i in range(m):
-                p += position[i] * x[i]
-                v += velocity[i] * x[i]
-            w = (k2 + k3 * p) * p * p + k5 * abs(p) * p + drag * abs(v) * v - beta * u[k] * p
-            for i in range(m):
-                total = gamma_u[i] * u[k]
-                for j in range(m):
-                    total += phi[i, j] * x[j]
-                free[i] = total
-            p1 = 0.0
-            v1 = 0.0
-            for i in range(m):
-                e = free[i] - gamma_w[i] * w
-                p1 += position[i] * e
-                v1 += velocity[i] * e
-            w1 = (k2 + k3 * p1) * p1 * p1 + k5 * abs(p1) * p1 + drag * abs(v1) * v1 - beta * u[k] * p1
-            w = 0.5 * (w + w1)
-            if dry:
-                level = coulomb
-                if static != 0.0:
-                    level = coulomb + static * np.exp(-((v / speed) ** 2))
-                v1 = 0.0
-                for i in range(m):
-                    v1 += velocity[i] * (free[i] - gamma_w[i] * w)
-                force = v1 / gv if gv != 0.0 else 0.0
-                if force > level * (1.0 + tilt):
-                    force = level * (1.0 + tilt)
-                elif force < -level * (1.0 - tilt):
-                    force = -level * (1.0 - tilt)
-                w += force
-            big = 0.0
-            for i in range(m):
-                x[i] = free[i] - gamma_w[i] * w
-                big += abs(x[i])
-            if not big < 1e60:
-                out[k:] = np.inf
-                return out
-    return out
-
-
-@_compile
+@compiled
 def hinges(x, c):  # pragma: no cover - compiled
     """x + sum c[2i] max(x - c[2i + 1], 0): a broken line of slope 1 at the far left.
 
@@ -342,7 +165,7 @@ def hinges(x, c):  # pragma: no cover - compiled
     return out
 
 
-@_compile
+@compiled
 def tank_levels(u, p, x0, steps):  # pragma: no cover - compiled
     """Levels of two tanks in series with square-root outflow; the first overflows, partly into the second.
 

@@ -223,9 +223,10 @@ def rate_step() -> Any:
 
 
 def feedback_step(order: int) -> Any:
-    """CasADi function of one exponential Heun step of a plant with nonlinear feedback.
+    """CasADi function (x+, z+) of one exponential Heun step of a plant with nonlinear feedback.
 
-    x+ = phi x + gamma_u u - gamma_w w with w = k2 p^2 + k3 p^3 + k5 |p| p + drag |v| v - beta u p + friction.
+    x+ = phi x + gamma_u u - gamma_w w with w = k2 p^2 + k3 p^3 + k5 p^5 + k |p| p + drag |v| v + damping p^2 v
+    - beta u p + upper max(p - high, 0) + lower min(p - low, 0) + spring z + friction.
 
     Parameters
     ----------
@@ -235,23 +236,30 @@ def feedback_step(order: int) -> Any:
     Returns
     -------
     casadi.Function
-        Inputs x, u, phi, gamma_u, gamma_w, position, velocity, c (9).
+        Inputs x, u, phi, gamma_u, gamma_w, position, velocity, c (17), z.
     """
     import casadi as ca
 
     x, u = ca.SX.sym("x", order), ca.SX.sym("u")
     phi, gu, gw = ca.SX.sym("phi", order, order), ca.SX.sym("gu", order), ca.SX.sym("gw", order)
     position, velocity = ca.SX.sym("position", order), ca.SX.sym("velocity", order)
-    c = ca.SX.sym("c", 9)
+    c, z = ca.SX.sym("c", 17), ca.SX.sym("z")
+    bend = bouc_wen_step()
 
-    def load(at: Any) -> Any:
+    def load(at: Any, hysteretic: Any) -> Any:
         p, v = ca.dot(position, at), ca.dot(velocity, at)
-        return (c[0] + c[1] * p) * p**2 + c[2] * ca.fabs(p) * p + c[3] * ca.fabs(v) * v - c[4] * u * p
+        stiff = (c[0] + c[1] * p) * p**2 + c[2] * ca.fabs(p) * p + c[9] * p**5
+        stops = c[10] * ca.fmax(p - c[11], 0) + c[12] * ca.fmin(p - c[13], 0)
+        damping = c[3] * ca.fabs(v) * v + c[14] * p**2 * v
+        return stiff + stops + damping - c[4] * u * p + c[15] * hysteretic
 
     free = phi @ x + gu * u
-    before = load(x)
-    w = 0.5 * (before + load(free - gw * before))
+    before = load(x, z)
+    start, trial = ca.dot(position, x), free - gw * before
+    w = 0.5 * (before + load(trial, bend(z, start, ca.dot(position, trial), c[16])))
     level = c[5] + c[6] * ca.exp(-((ca.dot(velocity, x) / c[7]) ** 2))
     push = ca.dot(velocity, free - gw * w) / ca.dot(velocity, gw)
     w = w + _clip(ca, push, -level * (1 - c[8]), level * (1 + c[8]))
-    return ca.Function("feedback", [x, u, phi, gu, gw, position, velocity, c], [free - gw * w])
+    after = free - gw * w
+    hysteretic = bend(z, start, ca.dot(position, after), c[16])
+    return ca.Function("feedback", [x, u, phi, gu, gw, position, velocity, c, z], [after, hysteretic])

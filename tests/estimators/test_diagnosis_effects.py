@@ -5,15 +5,8 @@ import pytest
 
 from estimators.effects import terms
 from estimators.effects.catalogue import CATALOGUE, Clock
-from estimators.effects.recursion_kernels import (
-    bouc_wen,
-    held_response,
-    hinges,
-    play,
-    rate_limited_mean,
-    rational,
-    simulate_feedback,
-)
+from estimators.effects.plant_kernels import bouc_wen, held_response, simulate_feedback
+from estimators.effects.recursion_kernels import hinges, play, rate_limited_mean, rational
 
 STATIC = [
     k
@@ -99,9 +92,11 @@ def test_rate_limit_agrees_with_casadi():
 @pytest.mark.parametrize(
     "c",
     [
-        [0.1, 0.3, 0.05, 0.2, 0.1, 0.0, 0.0, 1.0, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0, 0.3, 0.2, 0.15, 0.2],
-        [0.0, 0.2, 0.0, 0.3, 0.0, 0.2, 0.0, 1.0, 0.0],
+        {0: 0.1, 1: 0.3, 2: 0.05, 3: 0.2, 4: 0.1, 7: 1.0},
+        {5: 0.3, 6: 0.2, 7: 0.15, 8: 0.2},
+        {1: 0.2, 3: 0.3, 5: 0.2, 7: 1.0},
+        {9: 0.1, 10: 0.7, 11: 0.3, 12: 0.4, 13: -0.2, 14: 0.5},
+        {15: 0.6, 16: 0.4},
     ],
 )
 def test_feedback_recursion_agrees_with_casadi(c):
@@ -110,13 +105,17 @@ def test_feedback_recursion_agrees_with_casadi(c):
     columns = np.array([[0.0, 0.0], [0.09, 0.09]])
     phi, gamma = held_response(A, columns, 0.2)
     position, velocity, u = np.array([1.0, 0.0]), np.array([0.0, 1.0]), rng.standard_normal(120)
-    gu, gw, c = gamma[:, 0].copy(), gamma[:, 1].copy(), np.array(c)
+    gu, gw, values = gamma[:, 0].copy(), gamma[:, 1].copy(), np.zeros(17)
+    values[[7, 16]] = 1.0  # divisors: a speed and a width
+    values[list(c)] = list(c.values())
+    c, z = values, 0.0
     ours = simulate_feedback(u, phi, gu, gw, position, velocity, c, np.zeros(2), 5)
     step, x, theirs = terms.feedback_step(2), np.zeros(2), []
     for value in u:
         theirs.append(x)
         for _ in range(5):
-            x = np.array(step(x, value, phi, gu, gw, position, velocity, c)).ravel()
+            x, z = step(x, value, phi, gu, gw, position, velocity, c, z)
+            x = np.array(x).ravel()
     np.testing.assert_allclose(ours, np.array(theirs), rtol=1e-9, atol=1e-9)
 
 

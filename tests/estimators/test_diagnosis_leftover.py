@@ -1,5 +1,7 @@
 """What no effect of the catalogue explains, blocked cross-validation, and the force balance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -81,6 +83,14 @@ def test_without_a_test_record_blocks_are_held_out():
     assert "cross-validation" in result.held_out
     assert len(result.yhat_before) == 400
     assert result.rmse_before.value == pytest.approx(0.05, rel=0.15)  # the noise
+
+
+def test_blocks_are_held_out_of_a_record_that_is_no_deviation():
+    rng = np.random.default_rng(9)
+    record = drawn(rng, 400)
+    away = record.replace(u=record.u + 3.0, y=record.y + 20.0)  # starts far from rest and has an offset
+    result = diagnose(away, None, replace(SETTING, deviations=False))
+    assert result.rmse_before.value == pytest.approx(0.05, rel=0.2)
 
 
 def motion(n=6000, dt=2e-3):

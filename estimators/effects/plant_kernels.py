@@ -1,0 +1,257 @@
+"""Compiled twin of a plant with nonlinear feedback: smooth forces, dry friction, hysteresis.
+
+CasADi defines the same step in `estimators.effects.terms`; a test holds the two to 1e-9.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimators.effects.recursion_kernels import compiled
+
+__all__ = ["bouc_wen", "held_response", "hysteresis_step", "load", "simulate_feedback"]
+
+
+@compiled
+def hysteresis_step(z, move, width):  # pragma: no cover - compiled
+    """Hysteretic part of a Bouc-Wen element after a monotone move of its ends.
+
+    Parameters
+    ----------
+    z : float
+        Before.
+    move : float
+        Change of the displacement.
+    width : float
+        Where the hysteretic part saturates.
+
+    Returns
+    -------
+    float
+        After.
+    """
+    side = 1.0 if move >= 0 else -1.0
+    left = abs(move)
+    if side * z < 0.0:
+        back = min(left, abs(z))
+        z += side * back
+        left -= back
+    if left > 0.0 and width > 0.0:
+        z = side * (width - (width - side * z) * np.exp(-left / width))
+    return z
+
+
+@compiled
+def bouc_wen(signal, width):  # pragma: no cover - compiled
+    """Hysteretic part z of a Bouc-Wen element, z' = x' - |x'| (z + sign(x') |z|) / (2 width), exact between samples.
+
+    The signal moves monotonically from sample to sample. Towards zero z follows it one to one, away from zero
+    it bends towards +-width exponentially.
+
+    Parameters
+    ----------
+    signal : ndarray
+        (N,) the signal.
+    width : float
+        Where the hysteretic part saturates.
+
+    Returns
+    -------
+    ndarray
+        (N,).
+    """
+    out = np.empty_like(signal)
+    z = 0.0
+    before = 0.0
+    for k in range(signal.shape[0]):
+        z = hysteresis_step(z, signal[k] - before, width)
+        before = signal[k]
+        out[k] = z
+    return out
+
+
+@compiled
+def held_response(a, columns, h):  # pragma: no cover - compiled
+    """exp(A h) and the integral over h of exp(A s) ds times the columns, by a scaled Taylor series.
+
+    Parameters
+    ----------
+    a : ndarray
+        (n, n) the matrix A.
+    columns : ndarray
+        (n, m) what is integrated.
+    h : float
+        Length of the interval.
+
+    Returns
+    -------
+    tuple of ndarray
+        The transition and the integral.
+    """
+    n = a.shape[0]
+    m = n + columns.shape[1]
+    big = np.zeros((m, m))
+    size = 0.0
+    for i in range(n):
+        for j in range(n):
+            big[i, j] = a[i, j] * h
+            size += abs(big[i, j])
+        for j in range(columns.shape[1]):
+            big[i, n + j] = columns[i, j] * h
+            size += abs(big[i, n + j])
+    squarings = 0
+    while size > 0.5:
+        size *= 0.5
+        squarings += 1
+    big = big / 2.0**squarings
+    out = np.eye(m)
+    term = np.eye(m)
+    for k in range(1, 13):
+        new = np.zeros((m, m))
+        for i in range(m):
+            for j in range(m):
+                total = 0.0
+                for l in range(m):
+                    total += term[i, l] * big[l, j]
+                new[i, j] = total / k
+        term = new
+        out = out + term
+    for _ in range(squarings):
+        new = np.zeros((m, m))
+        for i in range(m):
+            for j in range(m):
+                total = 0.0
+                for l in range(m):
+                    total += out[i, l] * out[l, j]
+                new[i, j] = total
+        out = new
+    return out[:n, :n].copy(), out[:n, n:].copy()
+
+
+@compiled
+def load(c, p, v, u, z):  # pragma: no cover - compiled
+    """Force of the smooth effects inside a plant, see `simulate_feedback`.
+
+    Parameters
+    ----------
+    c : ndarray
+        (17,) coefficients.
+    p, v : float
+        Position and velocity.
+    u : float
+        Input.
+    z : float
+        Hysteretic displacement.
+
+    Returns
+    -------
+    float
+        Force.
+    """
+    w = (c[0] + c[1] * p) * p * p + c[2] * abs(p) * p + c[3] * abs(v) * v - c[4] * u * p + c[9] * p**5
+    if c[10] != 0.0 and p > c[11]:
+        w += c[10] * (p - c[11])
+    if c[12] != 0.0 and p < c[13]:
+        w += c[12] * (p - c[13])
+    return w + c[14] * p * p * v + c[15] * z
+
+
+@compiled
+def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps):  # pragma: no cover
+    """States of x' = A x + B u - E w(x, u), sampled, with `steps` exponential Heun steps per sample.
+
+    w = k2 p^2 + k3 p^3 + k5 p^5 + k |p| p + drag |v| v + damping p^2 v - beta u p + upper max(p - high, 0)
+    + lower min(p - low, 0) + spring z + friction, with p = position x, v = velocity x and z the hysteretic
+    displacement of a Bouc-Wen element; c = (k2, k3, k, drag, beta, coulomb, static, stribeck_speed, asymmetry, k5,
+    upper, high, lower, low, damping, spring, width). Dry friction is implicit: it is the force within +-level that
+    stops v, or the level where that does not suffice.
+
+    Parameters
+    ----------
+    u : ndarray
+        (N,) input.
+    phi : ndarray
+        (n, n) transition over one step.
+    gamma_u : ndarray
+        (n,) effect of the held input over one step.
+    gamma_w : ndarray
+        (n,) effect of the nonlinear term over one step.
+    position : ndarray
+        (n,) row that reads the position off the state.
+    velocity : ndarray
+        (n,) row that reads the velocity off the state.
+    c : ndarray
+        (17,) coefficients of the nonlinear term w.
+    x0 : ndarray
+        Initial state.
+    steps : int
+        Integration steps per sample.
+
+    Returns
+    -------
+    ndarray
+        (N, n) states.
+    """
+    n = u.shape[0]
+    m = phi.shape[0]
+    out = np.empty((n, m))
+    x = x0.copy()
+    free = np.empty(m)
+    coulomb, static, speed, tilt = c[5], c[6], c[7], c[8]
+    dry = coulomb != 0.0 or static != 0.0
+    bending = c[15] != 0.0
+    width = c[16]
+    z = 0.0
+    z1 = 0.0
+    gv = 0.0
+    for i in range(m):
+        gv += velocity[i] * gamma_w[i]
+    for k in range(n):
+        for i in range(m):
+            out[k, i] = x[i]
+        for _ in range(steps):
+            p = 0.0
+            v = 0.0
+            for i in range(m):
+                p += position[i] * x[i]
+                v += velocity[i] * x[i]
+            w = load(c, p, v, u[k], z)
+            for i in range(m):
+                total = gamma_u[i] * u[k]
+                for j in range(m):
+                    total += phi[i, j] * x[j]
+                free[i] = total
+            p1 = 0.0
+            v1 = 0.0
+            for i in range(m):
+                e = free[i] - gamma_w[i] * w
+                p1 += position[i] * e
+                v1 += velocity[i] * e
+            if bending:
+                z1 = hysteresis_step(z, p1 - p, width)
+            w = 0.5 * (w + load(c, p1, v1, u[k], z1))
+            if dry:
+                level = coulomb
+                if static != 0.0:
+                    level = coulomb + static * np.exp(-((v / speed) ** 2))
+                v1 = 0.0
+                for i in range(m):
+                    v1 += velocity[i] * (free[i] - gamma_w[i] * w)
+                force = v1 / gv if gv != 0.0 else 0.0
+                if force > level * (1.0 + tilt):
+                    force = level * (1.0 + tilt)
+                elif force < -level * (1.0 - tilt):
+                    force = -level * (1.0 - tilt)
+                w += force
+            big = 0.0
+            p1 = 0.0
+            for i in range(m):
+                x[i] = free[i] - gamma_w[i] * w
+                big += abs(x[i])
+                p1 += position[i] * x[i]
+            if bending:
+                z = hysteresis_step(z, p1 - p, width)
+            if not big < 1e60:
+                out[k:] = np.inf
+                return out
+    return out
