@@ -1,28 +1,23 @@
 """A local rational model of the frequency response around the peak, and the estimate of the peak it gives.
 
 G = B(x) / A(x), x the distance from the centre of a band in DFT lines, with a transient of its own in every
-experiment, is fitted to all lines in the band by refined instruments, which is maximum likelihood at its fixed
-point: nothing about the plant outside the band is assumed, and the standard error comes with it.
+experiment, is fitted to all lines in the band by refined instruments (`estimators.local_fits`), which is maximum
+likelihood at its fixed point: nothing about the plant outside the band is assumed, and the standard error comes with it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.local_fits import Band, Spectra, fit_band, response
 from estimators.trace import Trace
 from oed.errors import InputError, Status
 
 __all__ = ["PeakEstimate", "largest_gain", "local_peak"]
-
-STEPS = 8
-"""Most refinements of the instruments."""
-SETTLED = 1e-6
-"""Change of the denominator, in a band scaled to [-1, 1], at which they end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +39,9 @@ class PeakEstimate:
     status : Status
         INACCURATE where the peak lies at the edge of the band or the error is so large that a normal
         interval cannot be trusted; COMPETING where another peak may be the higher one.
+    shape : ndarray
+        (2, K) frequencies of the band, rad/sample, and the local model's squared largest gain there; empty where
+        the estimator has none.
     """
 
     value: float
@@ -53,6 +51,7 @@ class PeakEstimate:
     curvature: float
     noise_variance: float
     status: Status = Status.OK
+    shape: NDArray = field(default_factory=lambda: np.empty((2, 0)), repr=False)
 
     def interval(self, level: float = 0.95) -> tuple[float, float]:
         """Normal confidence interval.
@@ -80,12 +79,12 @@ class PeakEstimate:
         )
 
 
-def largest_gain(response: NDArray) -> NDArray[np.float64]:
+def largest_gain(G: NDArray) -> NDArray[np.float64]:
     """Largest singular value of every matrix of a stack; without a decomposition where it is a number or a vector.
 
     Parameters
     ----------
-    response : ndarray
+    G : ndarray
         (..., ny, nu) complex.
 
     Returns
@@ -93,47 +92,27 @@ def largest_gain(response: NDArray) -> NDArray[np.float64]:
     ndarray
         (...,).
     """
-    if response.shape[-2:] == (1, 1):
-        return np.abs(response[..., 0, 0])
-    if 1 in response.shape[-2:]:
-        return np.linalg.norm(response, axis=(-2, -1))
-    return np.linalg.norm(response, 2, axis=(-2, -1))
+    if G.shape[-2:] == (1, 1):
+        return np.abs(G[..., 0, 0])
+    if 1 in G.shape[-2:]:
+        return np.linalg.norm(G, axis=(-2, -1))
+    return np.linalg.norm(G, 2, axis=(-2, -1))
 
 
-def _centre(trace: Trace) -> int:
+def _centre(trace: Trace, spectra: Spectra) -> int:
     """The DFT line where the later first-stage inputs carry most power, smoothed over five lines."""
-    inputs = [trace.records[part][0].u for part in trace.iterations]
-    power = sum(np.sum(np.abs(np.fft.rfft(u, axis=0)) ** 2, axis=1) for u in inputs[len(inputs) // 3 :])
-    return int(np.argmax(np.convolve(np.asarray(power), np.ones(5), "same")))
-
-
-@dataclass(frozen=True, eq=False)
-class _Band:
-    """DFT lines around a centre: U (K, M, nu), Y (K, M, ny), x (K,) in [-1, 1].
-
-    A band that reaches over 0 or pi holds some lines and their conjugates: the model then has the symmetry of a
-    real system, and the information counts those lines twice (`repeats`).
-    """
-
-    U: NDArray
-    Y: NDArray
-    x: NDArray
-    centre: int
-    half: int
-    repeats: float
-
-
-def _band(trace: Trace, centre: int, half: int) -> _Band:
-    N = len(trace.records[0])
-    k = np.arange(centre - half, centre + half + 1)
-    transform = lambda signals: np.stack([np.fft.fft(s, axis=0)[k % N] for s in signals], 1) / np.sqrt(N)
-    U, Y = transform([r.u for r in trace.records]), transform([r.y for r in trace.records])
-    across = k[0] < 0 or k[-1] > N // 2
-    return _Band(U, Y, (k - centre) / half, centre, half, 2.0 if across else 1.0)
+    first = [part.start for part in trace.iterations]
+    power = np.sum(np.abs(spectra.U[:, first[len(first) // 3 :]]) ** 2, axis=(1, 2))
+    return int(np.argmax(np.convolve(power, np.ones(5), "same")))
 
 
 def local_peak(
-    trace: Trace, *, lines: int = 30, orders: tuple[int, int, int] | None = None, centre: int | None = None
+    trace: Trace,
+    *,
+    lines: int = 30,
+    orders: tuple[int, int, int] | None = None,
+    centre: int | None = None,
+    spectra: Spectra | None = None,
 ) -> PeakEstimate:
     """Peak of a local rational model fitted to all records of a trace.
 
@@ -148,6 +127,8 @@ def local_peak(
         (2, 1, 2) and (3, 2, 2), averaged with Akaike's weights.
     centre : int, optional
         DFT line to begin from; default where the inputs carry most power.
+    spectra : Spectra, optional
+        Of the trace, where they are known already.
 
     Returns
     -------
@@ -169,10 +150,11 @@ def local_peak(
     half = min(lines, max(N // 8, 1))
     if 2 * half + 1 < sum(candidates[-1]) + 4:
         raise InputError(f"records of {N} samples have too few DFT lines for a local model; use longer ones.")
-    place = _centre(trace) if centre is None else centre
+    spectra = spectra or Spectra.of(trace)
+    place = _centre(trace, spectra) if centre is None else centre
     found, at = [(np.inf, _failed())], 0.0
     for _ in range(4):  # the band follows the peak it finds
-        band = _band(trace, place, half)
+        band = Band.of(spectra, place, half)
         fits = [_fit(band, each, N) for each in candidates]
         _, best, at = min(fits, key=lambda row: (not row[1].status.ok, row[0]))
         found = [row[:2] for row in fits]
@@ -209,85 +191,25 @@ def _average(found: list[tuple[float, PeakEstimate]]) -> PeakEstimate:
         frequency_error=wide("frequency_error", "frequency"),
         curvature=mean("curvature"),
         noise_variance=mean("noise_variance"),
+        shape=np.tensordot(weights, [e.shape for _, e in usable], 1),
     )
 
 
-def _fit(band: _Band, orders: tuple[int, int, int], N: int) -> tuple[float, PeakEstimate, float]:
+def _fit(band: Band, orders: tuple[int, int, int], N: int) -> tuple[float, PeakEstimate, float]:
     """Akaike's criterion, the estimate, and where in the band its peak lies."""
-    nb, na, nt = orders
-    K, M, nu = band.U.shape
-    ny = band.Y.shape[2]
-    X = np.vander(band.x, max(orders) + 1, increasing=True).astype(complex)
-    a, model = np.zeros(na, complex), band.Y
-    weights, noise, freedom = np.ones(ny), np.ones(ny), 1.0
-    theta, information = np.zeros(0, complex), np.eye(1)
-    inner, nparameters = nu * (nb + 1), nu * ny * (nb + 1) + na
-    for step in range(STEPS):
-        A = 1 + X[:, 1 : na + 1] @ a
-        filtered = partial(_filtered, X=X / A[:, None], q=np.linalg.qr(X[:, : nt + 1] / A[:, None])[0])
-        inputs = filtered(band.U, range(nb + 1)).reshape(inner, -1)
-        outputs = filtered(band.Y, range(na + 1)).reshape(ny, na + 1, -1)
-        instruments = -filtered(model, range(1, na + 1)).reshape(ny, na, K * M)
-        normal = np.zeros((nparameters, nparameters), complex)
-        information = np.zeros_like(normal)
-        right = np.zeros(nparameters, complex)
-        own, shared = np.conj(inputs) @ inputs.T, slice(nparameters - na, nparameters)
-        for i in range(ny):
-            R, Z, target = -outputs[i, 1:], instruments[i], outputs[i, 0]
-            here = slice(i * inner, (i + 1) * inner)
-            cross = np.conj(inputs) @ Z.T
-            normal[here, here] = information[here, here] = weights[i] * own
-            normal[here, shared] = weights[i] * (np.conj(inputs) @ R.T)
-            normal[shared, here] = weights[i] * np.conj(cross).T
-            normal[shared, shared] += weights[i] * (np.conj(Z) @ R.T)
-            information[here, shared] = weights[i] * cross
-            information[shared, here] = weights[i] * np.conj(cross).T
-            information[shared, shared] += weights[i] * (np.conj(Z) @ Z.T)
-            right[here] = weights[i] * (np.conj(inputs) @ target)
-            right[shared] += weights[i] * (np.conj(Z) @ target)
-        try:
-            theta = np.linalg.solve(normal, right)
-        except np.linalg.LinAlgError:
-            return np.inf, _failed(), 0.0
-        change = np.max(np.abs(theta[shared] - a), initial=0.0)
-        a = theta[shared]
-        A = 1 + X[:, 1 : na + 1] @ a
-        G = _response(theta, X, nu, ny, orders)
-        q = np.linalg.qr(X[:, : nt + 1] / A[:, None])[0]
-        rest = band.Y - np.matmul(G, np.swapaxes(band.U, 1, 2)).swapaxes(1, 2)
-        error = rest - (q @ (np.conj(q.T) @ rest.reshape(K, -1))).reshape(rest.shape)
-        model = band.Y - error
-        freedom = max(M * (K - nt - 1) - nparameters / ny, 1.0)
-        noise = np.sum(np.abs(error) ** 2, axis=(0, 1)) / freedom
-        weights = 1 / np.maximum(noise, 1e-300)
-        if step and change < SETTLED:  # the first step did not know the noise yet
-            break
-    size = M * K * ny / band.repeats
-    criterion = size * float(np.mean(np.log(noise * freedom / (M * K)))) + 2 * nparameters / band.repeats
-    estimate, x = _peak_of_model(
-        theta, information / band.repeats, band, orders, (nu, ny), float(noise.mean()), N
-    )
-    return criterion if np.isfinite(estimate.value) else np.inf, estimate, x
-
-
-def _filtered(S: NDArray, powers: range, *, X: NDArray, q: NDArray) -> NDArray:
-    """x^k S / A for every channel and k, less its part in the span of the transients: (channels, powers, K, M)."""
-    Z = np.transpose(S, (2, 0, 1))[:, None] * X[:, powers].T[None, :, :, None]
-    return Z - q @ (np.conj(q.T) @ Z)
-
-
-def _response(theta: NDArray, X: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
-    nb, na, _ = orders
-    B = theta[: nu * ny * (nb + 1)].reshape(ny, nu, nb + 1)
-    A = 1 + X[:, 1 : na + 1] @ theta[len(theta) - na :]
-    return np.tensordot(X[:, : nb + 1], B, (1, 2)) / A[:, None, None]
+    fit = fit_band(band, orders)
+    if fit is None:
+        return np.inf, _failed(), 0.0
+    shape = (band.n_inputs, band.n_outputs)
+    estimate, x = _peak_of_model(fit.theta, fit.information, band, orders, shape, float(fit.noise.mean()), N)
+    return fit.criterion if np.isfinite(estimate.value) else np.inf, estimate, x
 
 
 def _gradient(theta: NDArray, X: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
     """(K, parameters) c with d sigma_max^2 = Re(c d theta): c = 2 sigma u* (dG / d theta) v."""
     nb, na, _ = orders
     A = 1 + X[:, 1 : na + 1] @ theta[len(theta) - na :]
-    u, s, vh = np.linalg.svd(_response(theta, X, nu, ny, orders))
+    u, s, vh = np.linalg.svd(response(theta, X, nu, ny, orders))
     pairs = np.conj(u[:, :, 0])[:, :, None] * np.conj(vh[:, 0])[:, None, :]  # (K, ny, nu)
     numerators = pairs[..., None] * (X[:, : nb + 1] / A[:, None])[:, None, None]
     denominators = -s[:, :1] * X[:, 1 : na + 1] / A[:, None]
@@ -297,7 +219,7 @@ def _gradient(theta: NDArray, X: NDArray, nu: int, ny: int, orders: tuple[int, i
 def _peak_of_model(
     theta: NDArray,
     information: NDArray,
-    band: _Band,
+    band: Band,
     orders: tuple[int, int, int],
     shape: tuple[int, int],
     noise: float,
@@ -307,7 +229,7 @@ def _peak_of_model(
     vander = lambda x: np.vander(np.atleast_1d(x), max(orders) + 1, increasing=True).astype(complex)
 
     def square(x: NDArray) -> NDArray:
-        return largest_gain(_response(theta, vander(x), nu, ny, orders)) ** 2
+        return largest_gain(response(theta, vander(x), nu, ny, orders)) ** 2
 
     grid = np.linspace(band.x[0], band.x[-1], 401)
     heights = square(grid)
@@ -342,6 +264,7 @@ def _peak_of_model(
         bend / (band.half * per_line) ** 2,
         noise,
         Status.OK if trusted else Status.INACCURATE,
+        np.stack([(band.centre + band.half * band.x) * per_line, square(band.x)]),
     )
     return estimate, x
 

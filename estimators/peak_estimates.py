@@ -4,13 +4,13 @@ The bias of beta_2 is what the input spends away from the peak, (1/2pi) int (gam
 lambda_e - delta, nearly all of it on the white floor; before the limit also on the lines beside the peak.
 
     corrected     gamma = the peak of a local rational model of G fitted where the iterations put their power
-    fixed_point   gamma^2 such that a resonance of curvature H^ taken through the recursion (8) gives mean mu^2
+    fixed_point   gamma^2 such that |G|^2 taken through the recursion (8) gives the measured mean of mu^2 + beta_2^2
     theorem_12    gamma^2 = mean beta_2^2 + the floor's share of lambda^ + what was measured beside the peak
 
-`corrected` is the one to use: it alone has a standard error, and it alone assumes nothing about G outside the band.
-The other two show what the theory of the limit spectrum is good for: at variance 1 they remove 98 to 99 % of the
-bias where G is one resonance or one pole above a low floor. They say INACCURATE where the inputs' spectra contradict
-that picture (`two-peaks`), or where lambda^ is so large beside gamma^2 that a small-noise formula says little.
+`corrected` is the one to use: it alone has a standard error. The other two show what the theory of the limit spectrum
+is good for: at variance 1 they remove 95 to 99 % of the bias. They take how |G|^2 falls beside the peak from the
+local model and |G|^2 elsewhere from the records, and say INACCURATE where the inputs' spectra there are not those that
+they assume, or where lambda^ is so large beside gamma^2 that a small-noise formula says little.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.gains import gain, mu
-from estimators.local_models import PeakEstimate, local_peak
+from estimators.local_fits import Spectra
+from estimators.local_models import PeakEstimate, largest_gain, local_peak
 from estimators.trace import Trace
 from oed.errors import InputError, Status
 
@@ -31,6 +32,8 @@ WINDOW = 5
 """DFT lines that a rough gain is averaged over."""
 SMALL = 0.5
 """Share of gamma^2 from which on lambda_e is not small for Theorem 12."""
+TOLERATED = 0.05
+"""Share of lambda_e, the bias of beta_2^2, that an estimator by the limit spectrum may leave unexplained."""
 RIVALS = 8
 """Bands that are looked at beside the first."""
 
@@ -63,11 +66,12 @@ def corrected(trace: Trace) -> PeakEstimate:
             "this estimator is for the records of power iterations; for other inputs use lpm, a frequency "
             "response or a model."
         )
-    first = local_peak(trace)
+    spectra = Spectra.of(trace) if len({len(r) for r in trace.records}) == 1 else None
+    first = local_peak(trace, spectra=spectra)
     if not np.isfinite(first.value):
         return first
     N = len(trace.records[0])
-    height, deviation = _rough_gain(trace, first.noise_variance)
+    height, deviation = _rough_gain(spectra or Spectra.of(trace), first.noise_variance)
     upper = 1.15 * height + 3 * deviation  # the ends of the records and the window hide some of a sharp peak
     line = np.arange(len(upper))
     reach = min(30, max(N // 8, 1))
@@ -79,7 +83,7 @@ def corrected(trace: Trace) -> PeakEstimate:
         if not open_[k] > best.value - 3 * best.standard_error:
             break
         apart &= np.abs(line - k) > reach
-        found = local_peak(trace, centre=k)
+        found = local_peak(trace, centre=k, spectra=spectra)
         if not np.isfinite(found.value):
             found = PeakEstimate(
                 float(height[k]), float(deviation[k]), 2 * np.pi * k / N, 0.0, 0.0, 0.0, Status.INACCURATE
@@ -105,20 +109,15 @@ def _same(a: PeakEstimate, b: PeakEstimate, N: int) -> bool:
     return abs(a.frequency - b.frequency) < max(3 * 2 * np.pi / N, *(4 * e for e in errors), 0.0)
 
 
-def _rough_gain(trace: Trace, noise: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _rough_gain(spectra: Spectra, noise: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Largest gain at every DFT line by least squares over a few lines and all records, and its deviation."""
-    U, Y = (
-        np.stack([np.fft.rfft(s, axis=0) for s in signals], 1)
-        for signals in ([r.u for r in trace.records], [r.y for r in trace.records])
-    )
+    U, Y = spectra.U, spectra.Y
     smooth = lambda a: np.apply_along_axis(lambda v: np.convolve(v, np.ones(WINDOW), "same"), 0, a)
-    powers = smooth(np.einsum("kmi,kmj->kij", U, np.conj(U)))
-    cross = smooth(np.einsum("kmi,kmj->kij", Y, np.conj(U)))
+    powers = smooth(np.swapaxes(U, 1, 2) @ np.conj(U))
+    cross = smooth(np.swapaxes(Y, 1, 2) @ np.conj(U))
     floor = 1e-12 * np.einsum("kii->k", powers).real.max() * np.eye(U.shape[2])
     inverse = np.linalg.inv(powers + floor)
-    height = np.linalg.norm(cross @ inverse, 2, axis=(1, 2))
-    worst = np.linalg.norm(inverse, 2, axis=(1, 2)) * len(trace.records[0])
-    return height, np.sqrt(noise * worst)
+    return largest_gain(cross @ inverse), np.sqrt(noise * largest_gain(inverse))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,15 +128,15 @@ class _Inputs:
     first: int  # the first iteration used
     mu2: float  # mean of mu^2 from there on
     beta2: float  # mean of beta_2^2
-    omega: NDArray  # (K,) half DFT lines
-    flat: NDArray  # (K,) white noise of unit power
+    flat: NDArray  # (K,) white noise of unit power on half DFT lines
     power: NDArray  # (M, K) the inputs' periodograms of unit power
-    near: NDArray  # (K,) whether the line belongs to the peak
-    away: NDArray  # (K,) squared distance from the peak, exact for a pole or a resonance
+    near: NDArray  # (K,) whether the line belongs to the band of the local model
+    loss: NDArray  # (K,) gamma^2 - |G|^2 of the local model, there
+    far: NDArray  # (K,) |G|^2 measured elsewhere
 
-    def shape(self, square: float) -> NDArray[np.float64]:
-        """|G|^2 of one resonance of the measured frequency and curvature with the peak `square`."""
-        return square / (1 + self.away * self.local.curvature / (2 * square))
+    def squares(self, square: float) -> NDArray[np.float64]:
+        """|G|^2 with the peak `square`."""
+        return np.where(self.near, np.maximum(square - self.loss, 0.0), self.far)
 
     def tail(self, noise: float, trace: Trace) -> float:
         """Output power that the end of the record cuts off: what rings on decays by the half-width."""
@@ -146,8 +145,13 @@ class _Inputs:
         end = np.mean([np.mean(r.y[-last:] ** 2) for r in trace.records[self.first :]]) - noise
         return float(max(end, 0.0) / (2 * half_width * len(trace.records[0])))
 
+    def status(self, square: float, difference: NDArray, variance: float) -> Status:
+        """INACCURATE where what the far lines cost differs from what was assumed by a share of the bias removed."""
+        off = abs(float(np.where(self.near, 0.0, square - self.far) @ difference))
+        return Status.OK if off < TOLERATED * variance else Status.INACCURATE
 
-def _inputs(trace: Trace, discard: float, lines: int = 30) -> _Inputs:
+
+def _inputs(trace: Trace, discard: float) -> _Inputs:
     if not trace.kinds or trace.kinds[0] != "power" or len(trace) < 4:
         raise InputError("this estimator needs at least 4 experiments of Algorithm 1 (kind power).")
     first = max(int(len(trace) * discard), 1)
@@ -159,27 +163,35 @@ def _inputs(trace: Trace, discard: float, lines: int = 30) -> _Inputs:
     flat = np.full(N + 1, 2.0)
     flat[[0, -1]] = 1.0
     power *= flat
-    alone = _alone(local, N)
-    centre = round(local.frequency / np.pi) * np.pi if alone else local.frequency
-    away = 2 - 2 * np.cos(omega - centre)
-    if not alone:
-        away = ((np.cos(omega) - np.cos(centre)) / np.sin(centre)) ** 2
+    band, squares = local.shape
+    near = np.zeros(N + 1, bool)
+    loss = np.zeros(N + 1)
+    if band.size:
+        near = (omega >= band[0]) & (omega <= band[-1])
+        loss[near] = squares.max() - np.interp(omega[near], band, squares)
     return _Inputs(
         local,
         first,
         float(mu(trace).squares[first:].mean()),
         float(gain(trace).squares[first:].mean()),
-        omega,
         flat / flat.sum(),
         power / power.sum(axis=1, keepdims=True),
-        np.abs(omega - centre) <= 2 * np.pi * min(lines, max(N // 8, 1)) / N,
-        away,
+        near,
+        loss,
+        np.interp(omega, omega[::2], _far_squares(trace, local.noise_variance)),
     )
 
 
-def _alone(local: PeakEstimate, N: int) -> bool:
-    """Whether the peak lies at 0 or pi, where there is one in (-pi, pi] and not two."""
-    return min(local.frequency, np.pi - local.frequency) < 2 * np.pi / N
+def _far_squares(trace: Trace, noise: float) -> NDArray[np.float64]:
+    """|G|^2 on the DFT lines by least squares over the records, less what the noise adds, smoothed over lines."""
+    U, Y = (
+        np.fft.rfft([s[:, 0] for s in side], axis=1)
+        for side in zip(*((r.u, r.y) for r in trace.records), strict=True)
+    )
+    power = np.maximum(np.sum(np.abs(U) ** 2, axis=0), 1e-300)
+    squares = np.abs(np.sum(Y * np.conj(U), axis=0) / power) ** 2 - noise * len(trace.records[0]) / power
+    smooth = lambda v: np.convolve(v, np.ones(2 * WINDOW + 1), "same")
+    return np.maximum(smooth(squares * power) / smooth(power), 0.0)
 
 
 def theorem_12(trace: Trace, discard: float = 0.3) -> PeakEstimate:
@@ -201,8 +213,8 @@ def theorem_12(trace: Trace, discard: float = 0.3) -> PeakEstimate:
     Returns
     -------
     PeakEstimate
-        Without a standard error. Removes about 98 % of the bias of (7) where G is one peak above a low floor;
-        INACCURATE where the inputs' spectra show more than that.
+        Without a standard error. INACCURATE where the far lines, measured, do not lose f lambda^ to a twentieth:
+        with a second peak or a broad one the limit is not reached there either.
 
     Raises
     ------
@@ -211,27 +223,23 @@ def theorem_12(trace: Trace, discard: float = 0.3) -> PeakEstimate:
     """
     inputs = _inputs(trace, discard)
     local, variance = inputs.local, inputs.mu2 - inputs.beta2
-    if not local.curvature > 0:
+    if not (local.curvature > 0 and inputs.near.any()):
         return _from_square(inputs.beta2 + variance, local, variance, Status.INACCURATE)
-    square = local.value**2
-    loss = np.where(inputs.near, square - inputs.shape(square), 0.0)
-    beside = float((inputs.power[inputs.first - 1 :] @ loss).mean())
+    used = inputs.power[inputs.first - 1 : -1].mean(axis=0)
     far = float(inputs.flat @ ~inputs.near)
-    excess = float(np.mean(inputs.power[inputs.first :], axis=0) @ inputs.shape(square))
-    floor = max(variance, 0.0) / np.maximum(excess + max(variance, 0.0) - inputs.shape(square), 1e-300)
-    found = inputs.beta2 + far * variance + beside + inputs.tail(max(variance, 0.0), trace)
-    status = _floor_status(inputs, inputs.flat * floor) if variance < SMALL * found else Status.INACCURATE
-    return _from_square(found, local, variance, status)
+    found = inputs.beta2 + far * variance + float(used @ inputs.loss) + inputs.tail(max(variance, 0.0), trace)
+    assumed = variance * inputs.flat / np.maximum(inputs.mu2 - inputs.far, 1e-300)
+    status = inputs.status(found, used - assumed, variance)
+    return _from_square(found, local, variance, status if variance < SMALL * found else Status.INACCURATE)
 
 
 def fixed_point(trace: Trace, discard: float = 0.2) -> PeakEstimate:
     """The recursion of the spectra, [S] (8), whose fixed point is (9)-(10), solved for gamma.
 
-    A resonance with the peak frequency and curvature of the local model, |G|^2 = g / (1 + H s^2 / (2 g)) with
-    s = (cos w - cos w^) / sin w^ (at 0 and pi: s^2 = 2 - 2 cos(w - w^)), is taken through the experiments from
-    the first input's own periodogram. Beside the peak, where the inputs' spectra keep their random differences
-    for as long as the iterations last, every experiment begins from its measured periodogram. g = gamma^2 is such
-    that the mean of mu^2 + beta_2^2 over the later experiments is what was measured.
+    |G|^2 = gamma^2 less the local model's fall from its peak, in its band, and as measured elsewhere, is taken
+    through the experiments from the first input's own periodogram. In the band, where the inputs' spectra keep
+    their random differences for as long as the iterations last, every experiment begins from its measured
+    periodogram. gamma^2 is such that the mean of mu^2 + beta_2^2 over the later experiments is what was measured.
 
     Parameters
     ----------
@@ -243,9 +251,8 @@ def fixed_point(trace: Trace, discard: float = 0.2) -> PeakEstimate:
     Returns
     -------
     PeakEstimate
-        Without a standard error. The noise variance is that of the local model's residuals. Removes about
-        99 % of the bias of (7) where G is one peak above a low floor; INACCURATE where the inputs' spectra
-        show more than that.
+        Without a standard error. The noise variance is that of the local model's residuals. INACCURATE where the
+        recursion's spectrum away from the peak is not that of the inputs.
 
     Raises
     ------
@@ -257,22 +264,22 @@ def fixed_point(trace: Trace, discard: float = 0.2) -> PeakEstimate:
     inputs = _inputs(trace, discard)
     local, first, near, power = inputs.local, inputs.first, inputs.near, inputs.power
     noise, variance = local.noise_variance, inputs.mu2 - inputs.beta2
-    if not (noise > 0 and local.curvature > 0):
+    if not (noise > 0 and local.curvature > 0 and near.any()):
         return _from_square(inputs.mu2, local, variance, Status.INACCURATE)
     beside = power[:, near].sum(axis=1)
     measured = inputs.mu2 + inputs.beta2 + 2 * inputs.tail(noise, trace)
     expected = np.zeros_like(power[0])
 
     def predicted(square: float) -> float:
-        shape, p, total = inputs.shape(square), power[0], 0.0
+        squares, p, total = inputs.squares(square), power[0], 0.0
         expected[:] = 0.0
         for m in range(len(power)):
-            beta2 = shape @ p
+            beta2 = squares @ p
             if m >= first:
                 total += 2 * beta2 + noise
                 expected[:] += p
             if m + 1 < len(power):
-                new = (shape * p + noise * inputs.flat) / (beta2 + noise)
+                new = (squares * p + noise * inputs.flat) / (beta2 + noise)
                 p = power[m + 1].copy()
                 p[~near] = new[~near] * (1 - beside[m + 1]) / max(new[~near].sum(), 1e-300)
         return total / (len(power) - first)
@@ -281,16 +288,8 @@ def fixed_point(trace: Trace, discard: float = 0.2) -> PeakEstimate:
     if predicted(low) > measured or predicted(high) < measured:
         return _from_square(inputs.mu2, local, variance, Status.INACCURATE)
     root = float(np.asarray(brentq(lambda square: predicted(square) - measured, low, high, xtol=1e-10)))
-    return _from_square(root, local, variance, _floor_status(inputs, expected / (len(power) - first)))
-
-
-def _floor_status(inputs: _Inputs, expected: NDArray) -> Status:
-    """INACCURATE where the inputs carry much more power away from the peak than one resonance explains."""
-    smooth = lambda p: np.convolve(p, np.ones(4 * WINDOW), "same")
-    found = smooth(np.where(inputs.near, 0.0, inputs.power[inputs.first :].mean(axis=0)))
-    floor = smooth(np.where(inputs.near, 0.0, expected))
-    away = ~(np.convolve(inputs.near, np.ones(8 * WINDOW), "same") > 0)
-    return Status.INACCURATE if np.any(found[away] > 3 * floor[away]) else Status.OK
+    difference = power[first:].mean(axis=0) - expected / (len(power) - first)
+    return _from_square(root, local, variance, inputs.status(root, difference, noise))
 
 
 def _from_square(square: float, local: PeakEstimate, variance: float, status: Status) -> PeakEstimate:
