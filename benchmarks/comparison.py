@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.campaign import TIME_LIMIT, Settings, fill_store, run_campaign, stored_runs
+from benchmarks.campaign import TIME_LIMIT, Settings, fill_store, stored_runs
 from benchmarks.own import Own
 from benchmarks.settings import Limit, default_limits
 from benchmarks.store import versions, write_atomically
@@ -107,7 +107,8 @@ class Comparison:
 
     def __str__(self) -> str:
         where = [f"report: {self.page}"] if self.page else []
-        return "\n".join([to_text(self.rows, COLUMNS), "", *self.sentences, *where])
+        table = [to_text(self.rows, COLUMNS), ""] if self.rows else []
+        return "\n".join([*table, *self.sentences, *where])
 
 
 class _Progress:
@@ -239,30 +240,43 @@ def compare(
 
 
 def _dry_run(settings: Settings, replicates: int, out: Path, options: dict[str, Any]) -> Comparison:
-    """Every combination once, two tiny experiments each, nothing kept."""
+    """Every plant, input and estimator once at the first noise level, a few short experiments each, nothing kept."""
     from dataclasses import replace
-    from tempfile import TemporaryDirectory
 
+    from benchmarks.columns import UNUSABLE
+    from benchmarks.plants import load_plant
+    from benchmarks.runs import parts, run_part
+
+    plants = [load_plant(name) for name in settings.plants]
+    iteration = 1 + max(plant.n_inputs * plant.n_outputs for plant in plants)  # of Procedure 2
     tiny = replace(
         settings,
-        samples=min(settings.samples, 200),
-        experiments=min(settings.experiments, 2),
+        noise_variances=settings.noise_variances[:1],
+        samples=min(settings.samples, 1000),  # fewer, and fits search longer for what the data do not say
+        experiments=min(settings.experiments, max(iteration, 4)),
         profile_replicates=0,
     )
     start = time.monotonic()
-    with TemporaryDirectory() as folder:
-        raw = run_campaign(tiny, 2, Path(folder), jobs=1, **options)
+    todo = parts(tiny, 1)
+    rows = [row for part in todo for row in run_part(tiny, part, **options) if row["estimator"]]
     seconds = time.monotonic() - start
-    combinations = [runs.key for runs in raw]
-    found = [estimates for runs in raw for estimates in runs.final.values()]
-    failed = sum(int((~estimates.good).sum()) for estimates in found)
+    failed = [row for row in rows if row["status"] in UNUSABLE or not is_number(row["estimate"])]
     size = settings.samples * settings.experiments * replicates
     sentences = [
-        f"Dry run: {len(combinations)} combinations of plant, noise and input ran at {tiny.experiments} experiments of "
-        f"{tiny.samples} samples in {seconds:.1f} s; the full campaign has {size:,} samples in each of them, kept in {out}.",
-        f"{failed} estimates of {sum(map(len, found))} gave no number at this size.",
+        f"Dry run: {len(todo)} combinations of plant and input, {len(rows)} with an estimator, ran at noise "
+        f"{tiny.noise_variances[0]:g} and {tiny.experiments} experiments of {tiny.samples} samples in {seconds:.1f} s; the "
+        f"full campaign has {len(parts(settings, 1))} combinations with noise, {size:,} samples in each of them unless limited, "
+        f"and is kept in {out}.",
+        f"{len(failed)} of the {len(rows)} gave no number at this size"
+        + "".join(f"; {words}" for words in dict.fromkeys(map(_failure_in_words, failed)))
+        + ".",
     ]
     return Comparison([], [], out, None, sentences)
+
+
+def _failure_in_words(row: dict[str, Any]) -> str:
+    why = str(row["message"] or row["status"].lower().replace("_", " ")).rstrip(".")
+    return f"{row['plant']}, {row['method']}, {row['estimator']}: {why}"
 
 
 def command_line(settings: Settings, replicates: int, out: Path) -> str:
