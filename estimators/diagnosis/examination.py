@@ -323,8 +323,8 @@ def _examined(record: Record, i: int, setting: Setting) -> Examined:
             if wild.any():
                 found = _refitted(replace(channel, keep=keep & ~wild), found)
     channel = replace(channel, keep=keep & ~wild)
-    if not setting.deviations and channel.step == 0.0:
-        found = _structured(channel, found)
+    if channel.step == 0.0:
+        found = _structured(channel, found, setting)
     if wild.any():
         simulated = simulate(found.final.structure, found.final.p, channel.u, channel.clock)
         size = float(np.median(np.abs((y - simulated)[wild])))
@@ -351,7 +351,7 @@ def _simulating(channel: Channel, a: Attribution, setting: Setting) -> Attributi
     return replace(a, final=fit(channel, a.final.structure, a.final.p, a.final.scales, iterations=40))
 
 
-def _structured(channel: Channel, a: Attribution) -> Attribution:
+def _structured(channel: Channel, a: Attribution, setting: Setting) -> Attribution:
     """Block structures, where a nonlinearity was found but its model leaves a coloured residual."""
     from estimators.diagnosis.outflow import tanks
     from estimators.diagnosis.selection import Claim, significance
@@ -360,10 +360,14 @@ def _structured(channel: Channel, a: Attribution) -> Attribution:
         return a
     natures = {q.effect.nature for q in a.final.structure.effects}
     order = a.base.structure.order
-    trials = [("outflow", tanks(channel, a.base))]
-    if any("nonlinearity" in nature for nature in natures):
+    trials = [] if setting.deviations else [("outflow", tanks(channel, a.base))]
+    if order <= 4 and any("nonlinearity" in nature for nature in natures):
         trials.append(("sandwich", sandwich(channel, a.base, max(order + 2, min(2 * order, 6)))))
-    found = [(key, f) for key, f in trials if f is not None and f.criterion < a.final.criterion - 0.02 * f.n]
+    found = [
+        (key, f)
+        for key, f in trials
+        if f is not None and f.criterion < a.final.criterion - max(0.02 * f.n, 20.0)
+    ]
     if not found:
         return a
     key, f = min(found, key=lambda pair: pair[1].criterion)
