@@ -144,7 +144,7 @@ def _best_products(
                 price = count * float(np.log(n) + 2.0 * np.log(X.shape[1]))
                 if ratio - price > best[0] - best[1]:
                     best = (ratio, price, count)
-    return *best, float(X.shape[1])
+    return best[0], best[1], best[2], float(X.shape[1])
 
 
 def _filtered(num: Array, den: Array) -> Callable[[Array], Array]:
