@@ -152,28 +152,48 @@ def _hedged(
         root = inflation * np.linalg.cholesky(np.linalg.inv(information))
     except (OedError, np.linalg.LinAlgError):
         return None  # as in _designed
-    lines = 2 * np.pi * np.arange(1, (len(records[0]) - 1) // 2 + 1) / len(records[0])
+    N, n_lines = len(records[0]), (len(records[0]) - 1) // 2
     found: dict[int, NDArray[np.complex128]] = {}
-    kept = 0
-    for _ in range(8 * draws):
-        try:
-            drawn = plant.with_theta(plant.theta + root @ rng.standard_normal(len(root)))
-        except InputError:
-            continue  # an unstable plant is none that could be measured: drawn again
-        k, direction = _peak_line(drawn, lines)
-        found[k] = found.get(k, 0) + power * np.outer(direction, direction.conj())
-        kept += 1
-        if kept == draws:
-            break
+    kept = tried = 0
+    while kept < draws and tried < 8 * draws:
+        theta = plant.theta + rng.standard_normal((min(draws - kept, 8 * draws - tried), len(root))) @ root.T
+        tried += len(theta)
+        for G in _stable_responses(plant, theta, N)[:, 1 : n_lines + 1]:
+            k, direction = _peak_line(G)
+            found[k] = found.get(k, 0) + power * np.outer(direction, direction.conj())
+            kept += 1
     if not kept:
         return None
     chosen = sorted(found)
-    return Spectrum(lines[chosen], np.array([found[k] / kept for k in chosen]))
+    return Spectrum(2 * np.pi * (np.array(chosen) + 1) / N, np.array([found[k] / kept for k in chosen]))
 
 
-def _peak_line(plant: Plant, lines: NDArray[np.float64]) -> tuple[int, NDArray[np.complex128]]:
+def _stable_responses(plant: Plant, theta: NDArray[np.float64], N: int) -> NDArray[np.complex128]:
+    """Responses of the plants with these parameters on the N // 2 + 1 DFT lines, (plants, lines, ny, nu).
+
+    Unstable plants are none that could be measured, and are left out.
+    """
+    rows = {row[0]: row[1:5] for row in plant._parameters()}
+    shape = (len(theta), plant.n_outputs, plant.n_inputs)
+    length = max(len(p) for side in (plant.num, plant.den) for row in side for p in row)
+    polynomials = {"b": np.zeros((*shape, length)), "a": np.zeros((*shape, length))}
+    for letter, side in (("b", plant.num), ("a", plant.den)):
+        for i, row in enumerate(side):
+            for j, p in enumerate(row):
+                polynomials[letter][:, i, j, : len(p)] = p
+    for name, values in zip(plant.free, theta.T, strict=True):
+        letter, power, i, j = rows[name]
+        polynomials[letter][:, i, j, power] = values
+    companion = np.zeros((*shape, length - 1, length - 1))
+    companion[..., 0, :] = -polynomials["a"][..., 1:]
+    companion[..., range(1, length - 1), range(length - 2)] = 1.0
+    stable = (np.abs(np.linalg.eigvals(companion)) < 1).all(axis=(1, 2, 3))
+    G = np.fft.rfft(polynomials["b"][stable], N) / np.fft.rfft(polynomials["a"][stable], N)
+    return np.moveaxis(G, 3, 1)
+
+
+def _peak_line(G: NDArray[np.complex128]) -> tuple[int, NDArray[np.complex128]]:
     """Line with the largest gain, and the input direction there."""
-    G = plant.response(lines)[0]
     if G.shape[1:] == (1, 1):
         return int(np.argmax(np.abs(G[:, 0, 0]))), np.ones(1, dtype=complex)
     _, s, vh = np.linalg.svd(G)
