@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from estimators import inputs
+from estimators.averaging import averaged_iterations
 from estimators.bandit import thompson_sampling
 from estimators.gains import gain, mu, rayleigh
 from estimators.krylov import lanczos, ritz
@@ -105,6 +106,7 @@ METHODS: dict[str, Callable[[Plant], Method]] = {
     "prbs": _rule(inputs.prbs),
     "sweep": _rule(inputs.sweep),
     "power": _rule(power_iterations),
+    "averaged": _rule(averaged_iterations),
     "two-experiment": _rule(partial(procedure_2, scaling="each")),
     "procedure-2": _rule(partial(procedure_2, scaling="each")),
     "krylov": _rule(lanczos),
@@ -314,6 +316,7 @@ ESTIMATORS: dict[str, Estimator] = {
     "mu": _from_gains("mu", mu),
     "corrected": _peak_estimator("peak_estimates", "corrected"),
     "fixed-point": _peak_estimator("peak_estimates", "fixed_point"),
+    "theorem-12": _peak_estimator("peak_estimates", "theorem_12"),
     "fir-known": fir_known,
     "fir-selected": fir_selected,
     "frf": frequency_response_peak,
@@ -327,8 +330,9 @@ APPLIES = {
     "rayleigh": ("power",),
     "gain": ("power", "two-experiment", "procedure-2", "krylov"),
     "mu": ("power", "two-experiment", "procedure-2"),
-    "corrected": ("power", "two-experiment", "procedure-2"),
+    "corrected": ("power", "averaged", "two-experiment", "procedure-2"),
     "fixed-point": ("power",),
+    "theorem-12": ("power",),
     "bandit": ("bandit",),
 }
 """Inputs on which the iterations' own estimators mean something; the others apply everywhere."""
@@ -350,7 +354,7 @@ def compatible(method: str, estimator: str) -> bool:
     return method in APPLIES.get(estimator, (method,))
 
 
-SINGLE_CHANNEL = ("power", "two-experiment", "krylov", "bandit")
+SINGLE_CHANNEL = ("power", "averaged", "two-experiment", "krylov", "bandit")
 """Inputs that are made for one input and one output."""
 
 

@@ -41,8 +41,9 @@ RIVALS = 8
 def corrected(trace: Trace) -> PeakEstimate:
     """Bias-corrected estimate from the iterations' records: the peak of the local model.
 
-    Where the records do not exclude that another peak is higher, a local model is fitted there too. The highest
-    is returned; where one comes within two standard errors of it, the status is COMPETING.
+    Where the records do not exclude that another peak is higher, a local model is fitted there too. The one of the
+    highest lower bound is returned; where another may be as high, within two standard errors, the status is
+    COMPETING. Where no local model can be trusted, a value far off the plain gain of five lines is replaced by it.
 
     Parameters
     ----------
@@ -74,6 +75,15 @@ def corrected(trace: Trace) -> PeakEstimate:
     height, deviation = _rough_gain(spectra or Spectra.of(trace), first.noise_variance)
     upper = 1.15 * height + 3 * deviation  # the ends of the records and the window hide some of a sharp peak
     line = np.arange(len(upper))
+    rough = lambda k: PeakEstimate(
+        float(height[k]),
+        float(deviation[k]),
+        2 * np.pi * k / N,
+        0.0,
+        0.0,
+        first.noise_variance,
+        Status.INACCURATE,
+    )
     reach = min(30, max(N // 8, 1))
     peaks, apart = [first], np.abs(line - first.frequency * N / (2 * np.pi)) > reach
     for _ in range(RIVALS):
@@ -85,16 +95,17 @@ def corrected(trace: Trace) -> PeakEstimate:
         apart &= np.abs(line - k) > reach
         found = local_peak(trace, centre=k, spectra=spectra)
         if not np.isfinite(found.value):
-            found = PeakEstimate(
-                float(height[k]), float(deviation[k]), 2 * np.pi * k / N, 0.0, 0.0, 0.0, Status.INACCURATE
-            )
+            found = rough(k)
         if not any(_same(found, other, N) for other in peaks):
             peaks.append(found)
     trusted = [p for p in peaks if p.status.ok]
-    best = max(trusted or peaks[:1], key=lambda p: p.value)
+    if not trusted:  # the local model's value may be anything; that of five lines is coarse, but not wild
+        plain = rough(round(first.frequency * N / (2 * np.pi)))
+        return first if abs(first.value - plain.value) < 3 * plain.standard_error else plain
+    best = max(trusted, key=lambda p: p.value - 2 * p.standard_error)
     for p in peaks:
         near = p.value + 2 * np.hypot(p.standard_error, best.standard_error) >= best.value
-        if p is not best and near and best.status.ok:
+        if p is not best and near:
             return replace(best, status=Status.COMPETING)
     return best
 
