@@ -184,7 +184,7 @@ def exchange(
     columns = seed_columns(problem) if columns is None else columns
     criterion, start = problem.criterion, None
     best_loss, best_bound, reference, stalled = np.inf, 0.0, np.inf, 0
-    kept, proof = None, None
+    kept, proof, final = None, None, None
     status, rounds = Status.MAX_ITERATIONS, 0
     # A singular optimum leaves X free in many directions: what holds it there must not be dropped.
     free = criterion.kind in ("E", "G") or criterion.columns.shape[1] < criterion.n
@@ -209,12 +209,13 @@ def exchange(
         reference = gap if stalled == 0 else reference
         if gap <= tolerance or stalled >= PATIENCE:
             # Bounds of early rounds may have missed a maximum that the grid did not show then.
-            best_bound = evaluated_bound(problem, *proof, refine=refine)[0]
+            final = evaluated_bound(problem, *proof, refine=refine)
+            best_bound = final[0]
             gap = (best_loss - best_bound) / best_bound
             if gap <= tolerance or stalled >= PATIENCE:
                 status = Status.CONVERGED if gap <= tolerance else Status.INACCURATE
                 break
-            proof = None if bound < best_bound else proof
+            proof, final = None if bound < best_bound else proof, None
         accuracy = min(accuracy, max(centred * gap, 1e-2 * tolerance, 1e-13))
         own = columns.prices(weights.X, weights.nu)
         stay = (w > 1e-7 * w.max()) | (own > (keep_above if len(w) < MANY else 0.9))
@@ -224,7 +225,7 @@ def exchange(
         columns, start = _with_new(problem, columns.take(stay), w[stay], omega[new], peaks.direction[new])
     if kept is None or proof is None:  # not reached: the first round sets both
         raise InputError("the design was given no columns to begin with.")
-    best_bound, price, frequency = evaluated_bound(problem, *proof, refine=refine)
+    best_bound, price, frequency = final or evaluated_bound(problem, *proof, refine=refine)
     return Exchange(
         *kept, best_loss, proof[0], proof[1] * price, best_bound, price, frequency, rounds, status, problem
     )
@@ -307,7 +308,8 @@ def _maxima(
     """The candidates of this round: local maxima of the price, between grid lines if wanted."""
     level = 1.0 - 0.3 * max(0.0, min(1.0, float(prices.ratio.max()) - 1 + 0.1))
     if refine:
-        omega, peaks = problem.refined_maxima(prices, weights.X, weights.nu, level)
+        # To 1e-4 of the grid's distance: the price is off by its square; what decides is evaluated anew at the end.
+        omega, peaks = problem.refined_maxima(prices, weights.X, weights.nu, level, divisions=7)
         if len(omega) and peaks.ratio.max() >= prices.ratio.max() * (1 - 1e-12):
             return omega, peaks
     at = local_maxima(prices.ratio)

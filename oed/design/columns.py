@@ -350,7 +350,12 @@ class Problem:
         return _price(self._scaled(self.map.factor(omega)), self._forms(omega), X, nu)
 
     def refined_maxima(
-        self, prices: Prices, X: NDArray[np.float64], nu: NDArray[np.float64], above: float
+        self,
+        prices: Prices,
+        X: NDArray[np.float64],
+        nu: NDArray[np.float64],
+        above: float,
+        divisions: int = 13,
     ) -> tuple[NDArray[np.float64], Prices]:
         """The local maxima of the price between grid lines, where the grid's own reach a level.
 
@@ -362,6 +367,8 @@ class Problem:
             Certificate direction and multipliers.
         above : float
             Local maxima on the grid below this ratio are left out.
+        divisions : int
+            How often the interval between grid lines is cut to a quarter.
 
         Returns
         -------
@@ -377,7 +384,7 @@ class Problem:
         low = self.omega[np.where(self.band[left] == self.band[at], left, at)]
         high = self.omega[np.where(self.band[right] == self.band[at], right, at)]
         steps = np.linspace(0, 1, 9)
-        for _ in range(13):
+        for _ in range(divisions):
             trial = low[:, None] + (high - low)[:, None] * steps
             ratio = self.prices_at(trial.ravel(), X, nu).ratio.reshape(trial.shape)
             best = np.argmax(ratio, axis=1)
@@ -390,14 +397,17 @@ class Problem:
 def _price(
     flat: NDArray[np.float64], forms: NDArray[np.complex128], X: NDArray[np.float64], nu: NDArray[np.float64]
 ) -> Prices:
-    n, _, K, _, q = flat.shape
-    E = (X.T @ flat.reshape(n, -1)).reshape(X.shape[1], *flat.shape[1:])
-    cost = np.einsum("j,kjqr->kqr", nu, forms)
+    n, _, K, r, q = flat.shape
+    E = X.T @ flat.reshape(n, -1)
     if q == 1:
-        worth = (E[..., 0] ** 2).sum(axis=(0, 1, 3))
+        E *= E
+        worth = E.reshape(-1, K, r).sum(axis=0).sum(axis=1)
+        cost = (forms[:, :, 0, 0].real * nu).sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(worth > 0, worth / cost[:, 0, 0].real, 0.0)
+            ratio = np.where(worth > 0, worth / cost, 0.0)
         return Prices(ratio, np.ones((K, 1), dtype=complex))
+    E = E.reshape(X.shape[1], *flat.shape[1:])
+    cost = np.einsum("j,kjqr->kqr", nu, forms)
     C = np.moveaxis(E[:, 0] + 1j * E[:, 1], 1, 0).reshape(K, -1, q)
     S = C.conj().swapaxes(1, 2) @ C
     values, vectors = np.linalg.eigh(cost)

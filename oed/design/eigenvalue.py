@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from oed.criteria import Criterion
 from oed.design.columns import Columns
-from oed.design.interior import Weights, inside, reach
+from oed.design.interior import Weights, blocks, gathered, inside, reach
 from oed.errors import Status
 
 __all__ = ["eigenvalue_weights"]
@@ -65,7 +65,6 @@ def eigenvalue_weights(
     m, n, r = columns.F.shape
     Q, V = columns.q.T, criterion.columns
     flat = np.moveaxis(columns.F, 0, 1).reshape(n, m * r)
-    block = lambda product: product.reshape(m, r, m, r).sum(axis=(1, 3))
     w = inside(np.ones(m) if start is None else start, Q)
     M = constant + columns.information(w)
     t = 0.7 / criterion.loss(M)
@@ -77,6 +76,8 @@ def eigenvalue_weights(
     worth = np.einsum("nk,nk->k", flat, Z @ flat).reshape(m, r).sum(axis=1)
     nu = np.full(len(Q), float(worth @ w) / len(Q))
     z = np.maximum(Q.T @ nu - worth, 0.1 * float(worth @ w) / m)
+    # tr(A_k S^-1 A_l Z) entry by entry, or as products of n x n blocks: whichever is less work.
+    few, transposed = n * n <= r * r * (2 * n + 20), blocks(flat, r).swapaxes(1, 2)
     count, status, step = m + len(Q) + n, Status.MAX_ITERATIONS, 0
     while step < max_steps:
         step += 1
@@ -89,7 +90,11 @@ def eigenvalue_weights(
         half = solve_triangular(L, flat, lower=True)
         ZF, ZV = Z @ flat, Z @ V
         YV = np.linalg.solve(L.T, np.linalg.solve(L, V))
-        H = block((half.T @ half) * (flat.T @ ZF))
+        if few:
+            G = blocks(half, r) @ transposed
+            H = G.reshape(m, -1) @ (G @ Z).reshape(m, -1).T
+        else:
+            H = gathered((half.T @ half) * (flat.T @ ZF), r)
         h = np.sum((flat.T @ YV) * (flat.T @ ZV), axis=1).reshape(m, r).sum(axis=1)
         g = float(np.sum((V.T @ YV) * (V.T @ ZV)))
         left = np.zeros((m + 1, m + 1))

@@ -18,7 +18,7 @@ from oed.criteria import Criterion
 from oed.design.columns import Columns
 from oed.errors import Status
 
-__all__ = ["Weights", "inside", "interior_point", "reach"]
+__all__ = ["Weights", "blocks", "gathered", "inside", "interior_point", "reach"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,59 +80,69 @@ def interior_point(
     m, n, r = columns.F.shape
     Q = columns.q.T
     flat = np.moveaxis(columns.F, 0, 1).reshape(n, m * r)
-    w = inside(np.ones(m) if start is None else start, Q)
-    M = constant + (flat * np.repeat(w, r)) @ flat.T
-    loss = 1.0 if criterion.kind == "D" else criterion.loss(M)
-    scale = 1 / loss if np.isfinite(loss) else 1.0  # singular to rounding at the start: no natural size
+    # Weights and slacks s = 1 - Q w in one vector x, their multipliers z and nu in one vector y.
+    x = np.empty(m + len(Q))
+    x[:m] = inside(np.ones(m) if start is None else start, Q)
+    x[m:] = 1 - Q @ x[:m]
+    M = constant + (flat * np.repeat(x[:m], r)) @ flat.T
+    # A trace has no natural size: its value at the start is the unit.
+    scale = 1.0 if criterion.kind == "D" else 1 / float(np.sum((_inverse_root(M) @ criterion.columns) ** 2))
     gradient, hessian, X = _derivatives(flat, r, M, criterion, scale)
-    worth = max(float(-gradient @ w), 1e-300)
-    nu = np.full(len(Q), worth / len(Q))
-    s = 1 - Q @ w
-    z = np.maximum(gradient + Q.T @ nu, 0.1 * worth / m)
+    worth = max(float(-gradient @ x[:m]), 1e-300)
+    y = np.empty_like(x)
+    y[m:] = worth / len(Q)
+    y[:m] = np.maximum(gradient + y[m:] @ Q, 0.1 * worth / m)
     status = Status.MAX_ITERATIONS
     for step in range(1, max_steps + 1):
-        mu = (w @ z + s @ nu) / (m + len(Q))
-        dual = gradient + Q.T @ nu - z
-        total = float(nu.sum())
-        if mu * (m + len(Q)) <= tolerance * total and np.abs(dual * w).sum() <= tolerance * total:
+        gap = float(x @ y)
+        dual = gradient + y[m:] @ Q - y[:m]
+        total = float(y[m:].sum())
+        if gap <= tolerance * total and np.abs(dual) @ x[:m] <= tolerance * total:
             status = Status.CONVERGED
             break
-        target = mu * (0.1 if step % 4 else 0.3)
-        left = hessian + (Q.T * (nu / s)) @ Q
-        left[np.diag_indices(m)] += z / w
-        right = -(gradient - target / w + Q.T @ (target / s))
+        target = gap / len(x) * (0.1 if step % 4 else 0.3)
+        ratio, pull = y / x, target / x
+        left = hessian + (Q.T * ratio[m:]) @ Q
+        left.flat[:: m + 1] += ratio[:m]
+        slope = gradient - pull[:m] + pull[m:] @ Q
+        dx = np.empty_like(x)
         try:
-            dw = np.linalg.solve(left, right)
+            dx[:m] = _solved(left, -slope)
         except np.linalg.LinAlgError:
             break
-        ds = -Q @ dw
-        dz = target / w - z - z / w * dw
-        dnu = target / s - nu - nu / s * ds
-        ahead = min(1.0, 0.99 * reach(w, dw), 0.99 * reach(s, ds))
-        ahead_dual = min(1.0, 0.99 * reach(z, dz), 0.99 * reach(nu, dnu))
+        dx[m:] = -(Q @ dx[:m])
+        dy = pull - y - ratio * dx
+        ahead, ahead_dual = min(1.0, 0.99 * reach(x, dx)), min(1.0, 0.99 * reach(y, dy))
+        slope_old = abs(float(slope @ dx[:m]))
         for _ in range(30):
-            trial, slack = w + ahead * dw, s + ahead * ds
-            M = constant + (flat * np.repeat(trial, r)) @ flat.T
+            trial = x + ahead * dx
+            M = constant + (flat * np.repeat(trial[:m], r)) @ flat.T
             try:
                 new = _derivatives(flat, r, M, criterion, scale)
             except np.linalg.LinAlgError:
                 ahead *= 0.5
                 continue
             # Along the step the barrier function must not turn up more than it went down at the start.
-            slope_old = float((gradient - target / w + Q.T @ (target / s)) @ dw)
-            slope_new = float((new[0] - target / trial + Q.T @ (target / slack)) @ dw)
-            if slope_new <= 0.9 * abs(slope_old) + 1e-14:
+            if float(new[0] @ dx[:m] - target * np.sum(dx / trial)) <= 0.9 * slope_old + 1e-14:
                 break
             ahead *= 0.5
         else:
             break
-        z_new, nu_new = z + ahead_dual * dz, nu + ahead_dual * dnu
-        if not all(np.isfinite(x).all() for x in (trial, slack, z_new, nu_new, *new)):
+        y_new = y + ahead_dual * dy
+        if not np.isfinite(trial @ y_new + new[0].sum() + new[1].sum() + new[2].sum()):
             status = Status.NOT_FINITE  # the last finite point is kept
             break
-        w, s, z, nu = trial, slack, z_new, nu_new
+        x, y = trial, y_new
         gradient, hessian, X = new
-    return Weights(w, X / np.sqrt(scale), nu / scale, status, step)
+    return Weights(x[:m], X / np.sqrt(scale), y[m:] / scale, status, step)
+
+
+def _solved(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solution of a system that is positive definite, but perhaps not to rounding."""
+    from scipy.linalg.lapack import dposv
+
+    _, solution, info = dposv(left, right)
+    return np.linalg.solve(left, right) if info else solution
 
 
 def inside(w: NDArray[np.float64], Q: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -169,29 +179,101 @@ def reach(x: NDArray[np.float64], dx: NDArray[np.float64]) -> float:
     float
         The step; infinite where nothing goes down.
     """
-    down = dx < 0
-    return float(np.min(-x[down] / dx[down])) if down.any() else np.inf
+    lowest = float((dx / x).min(initial=0.0))
+    return -1 / lowest if lowest < 0 else np.inf
 
 
 def _derivatives(
     flat: NDArray[np.float64], r: int, M: NDArray[np.float64], criterion: Criterion, scale: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Gradient (m,), Hessian (m, m) and certificate direction, all in the scaled objective."""
-    m, V = flat.shape[1] // r, criterion.columns
-    inverse = np.asarray(np.linalg.inv(np.linalg.cholesky(M)), dtype=np.float64)
+    V = criterion.columns
+    inverse = _inverse_root(M)
     half = inverse @ flat
-    CY = half.T @ half
-    if criterion.kind == "D" and V.shape[1] == len(V):
-        # X X' = M^-1 whatever V: the priced columns are the ones that are there already.
-        return -_blocks(half, r), (CY**2).reshape(m, r, m, r).sum(axis=(1, 3)), np.asarray(inverse.T)
-    if criterion.kind == "A":
+    whole = criterion.kind == "D" and V.shape[1] == len(V)
+    if whole:
+        X = np.asarray(
+            inverse.T
+        )  # X X' = M^-1 whatever V: the priced columns are the ones that are there already
+    elif criterion.kind == "A":
         X = inverse.T @ (inverse @ V) * np.sqrt(scale)
     else:
         X = criterion.direction(M)
-    priced = X.T @ flat
-    CP = priced.T @ priced
-    product = CP * (2 * CY - CP if criterion.kind == "D" else 2 * CY)
-    return -_blocks(priced, r), product.reshape(m, r, m, r).sum(axis=(1, 3)), X
+    priced = half if whole else X.T @ flat
+    n, s = X.shape
+    if r > 2 and n * s <= r * r * (n + s + 20):
+        # <G_k, G_l> with G_k = X'F_k F_k'L^-T: less work than the Gram matrices of all columns' entries.
+        G = _squares(priced, half, r)
+        hessian = G @ G.T
+        if not whole:
+            hessian *= 2.0
+            if criterion.kind == "D":
+                G = _squares(priced, priced, r)
+                hessian -= G @ G.T
+    else:
+        CY = half.T @ half
+        CP = CY if whole else priced.T @ priced
+        hessian = gathered(CP * (2 * CY - CP if criterion.kind == "D" else 2 * CY), r)
+    return -_blocks(priced, r), hessian, X
+
+
+def _squares(one: NDArray[np.float64], other: NDArray[np.float64], r: int) -> NDArray[np.float64]:
+    """one_k other_k' of every column k, flat: (m, n s)."""
+    product = blocks(one, r) @ blocks(other, r).swapaxes(1, 2)
+    return product.reshape(len(product), -1)
+
+
+def blocks(flat: NDArray[np.float64], r: int) -> NDArray[np.float64]:
+    """The columns apart.
+
+    Parameters
+    ----------
+    flat : ndarray
+        (n, m r).
+    r : int
+        Entries per column.
+
+    Returns
+    -------
+    ndarray
+        (m, n, r).
+    """
+    return flat.reshape(len(flat), -1, r).swapaxes(0, 1)
+
+
+def _inverse_root(M: NDArray[np.float64]) -> NDArray[np.float64]:
+    """L^-1 of M = L L'; LAPACK's own routines, for the matrices are small and the calls many."""
+    from scipy.linalg.lapack import dpotrf, dtrtri
+
+    L, info = dpotrf(M, lower=1)
+    if info:
+        raise np.linalg.LinAlgError("the information is not positive definite")
+    return np.asarray(dtrtri(L, lower=1)[0], dtype=np.float64)
+
+
+def gathered(product: NDArray[np.float64], r: int) -> NDArray[np.float64]:
+    """Sums over the r x r blocks of a Gram matrix: one entry per pair of columns.
+
+    Parameters
+    ----------
+    product : ndarray
+        (m r, m r).
+    r : int
+        Entries per column.
+
+    Returns
+    -------
+    ndarray
+        (m, m).
+    """
+    # Strided slices are several times faster than a sum over two short axes.
+    rows = product[0::r].copy()
+    for k in range(1, r):
+        rows += product[k::r]
+    sums = rows[:, 0::r].copy()
+    for k in range(1, r):
+        sums += rows[:, k::r]
+    return sums
 
 
 def _blocks(priced: NDArray[np.float64], r: int) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from oed.criteria import Criterion
 from oed.design.columns import Columns
-from oed.design.interior import Weights, inside, reach
+from oed.design.interior import Weights, gathered, inside, reach
 from oed.errors import Status
 
 __all__ = ["minimax_weights"]
@@ -88,7 +88,7 @@ def minimax_weights(
         target = mu * (0.1 if step % 4 else 0.3)
         P = (Y @ V) * np.repeat(lam, size)
         P = P @ (V.T @ Y)
-        H = 2 * ((flat.T @ P @ flat) * (flat.T @ Y @ flat)).reshape(m, r, m, r).sum(axis=(1, 3))
+        H = 2 * gathered((flat.T @ P @ flat) * (flat.T @ Y @ flat), r)
         # Unknowns dw, dt; slack and multipliers eliminated. Slack is always t - f itself.
         J = np.concatenate([df, -np.ones((K, 1))], axis=1)
         left = (J.T * (lam / slack)) @ J

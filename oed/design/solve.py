@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.criteria import Criterion
 from oed.data import Spectrum
+from oed.design import directions
 from oed.design.certificate import Certificate
 from oed.design.collapse import better, collapsed
 from oed.design.column_generation import Exchange, evaluated_bound, exchange, seed_columns
@@ -127,6 +128,8 @@ def solve_design(
         refine and (known := peak_sinusoid(problem, model, criterion)) is not None and known.gap <= tolerance
     ):
         found = known
+    elif directions.applies(problem):
+        found = directions.direction_exchange(problem, refine=refine, tolerance=0.3 * tolerance)
     else:
         found = exchange(problem, refine=refine, tolerance=max(tolerance, 1e-6) if refine else tolerance)
     if refine:
