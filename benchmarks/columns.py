@@ -50,6 +50,18 @@ class Estimates:
     def __len__(self) -> int:
         return len(self.replicate)
 
+    @property
+    def spent(self) -> dict[str, float]:
+        """What a run cost: samples, experiments and peak_amplitude (the largest of any run), energy (the mean)."""
+        energy = self.energy[np.isfinite(self.energy)]
+        amplitude = self.peak_amplitude[np.isfinite(self.peak_amplitude)]
+        return {
+            "samples": int(self.samples.max(initial=0)),
+            "experiments": int(self.experiments.max(initial=0)),
+            "energy": float(energy.mean()) if len(energy) else float("nan"),
+            "peak_amplitude": float(amplitude.max()) if len(amplitude) else float("nan"),
+        }
+
 
 @dataclass(frozen=True, eq=False)
 class Runs:

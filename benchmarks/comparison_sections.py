@@ -30,6 +30,14 @@ PAIRS = {
     "estimator": "estimator",
     "against_method": "against input",
     "against_estimator": "against estimator",
+    "samples": "samples",
+    "experiments": "experiments",
+    "energy": "energy",
+    "peak_amplitude": "peak |u|",
+    "against_samples": "samples against",
+    "against_experiments": "experiments against",
+    "against_energy": "energy against",
+    "against_peak_amplitude": "peak |u| against",
     "rho2_difference": "difference of rho²",
     "closer": "closer in",
     "n": "pairs",
@@ -39,6 +47,11 @@ PAIRS = {
 PERFORMANCE = {
     "method": "input",
     "estimator": "estimator",
+    "channels": "channels",
+    "samples": "samples",
+    "experiments": "experiments",
+    "energy": "energy",
+    "peak_amplitude": "peak |u|",
     "within_1": "best",
     "within_2": "within 2x",
     "within_10": "within 10x",
@@ -47,8 +60,11 @@ PERFORMANCE = {
 DATA = {
     "method": "input",
     "estimator": "estimator",
-    "experiments": "experiments",
+    "channels": "channels",
     "samples": "samples",
+    "experiments": "experiments",
+    "energy": "energy",
+    "peak_amplitude": "peak |u|",
     "share": "solved",
     "low": "95 % from",
     "high": "to",
@@ -177,7 +193,8 @@ def profile_section(folder: Path, save: Save, tables: Tables) -> dict[str, Any]:
                 _summary(tables.performance),
                 PERFORMANCE,
                 "Performance profiles: share of all problems (plant, noise level, replicate) in which the error is at most so "
-                "many times the smallest; failed runs solve nothing. Standard errors are binomial.",
+                "many times the smallest; failed runs solve nothing. Standard errors are binomial. Budgets are those of a run, the energy in "
+                "the mean over the problems.",
             )
         )
         drawn.append(
@@ -194,7 +211,8 @@ def profile_section(folder: Path, save: Save, tables: Tables) -> dict[str, Any]:
                 "data_profiles",
                 tables.data,
                 DATA,
-                f"Data profiles: share of problems solved to a relative error of {100 * TOLERANCE:g} % by budget.",
+                f"Data profiles: share of problems solved to a relative error of {100 * TOLERANCE:g} % by budget, for plants with one "
+                "channel and with several apart (those from a whole iteration of Procedure 2 on).",
             )
         )
     return {
@@ -213,7 +231,7 @@ def _summary(performance: Sequence[Row]) -> list[Row]:
         name = wanted.get(r["ratio"])
         if name:
             row = rows.setdefault(
-                (r["method"], r["estimator"]), {"method": r["method"], "estimator": r["estimator"]}
+                (r["method"], r["estimator"]), {key: r[key] for key in PERFORMANCE if key in r}
             )
             row[name] = r["share"]
             row[f"{name}_se"] = (r["high"] - r["low"]) / (2 * 1.96)

@@ -173,12 +173,17 @@ def profile_figure(performance: Sequence[Row], data: Sequence[Row], tolerance: f
     Figure
         The twelve solvers with the largest area under the performance profile.
     """
-    figure, (left, right) = panels(2, width=9.5, height=4.6)
+    channels = list(dict.fromkeys(r["channels"] for r in data))
+    figure, (left, *others) = panels(1 + max(len(channels), 1), width=9.5, height=4.6)
     solvers = list(dict.fromkeys((r["method"], r["estimator"]) for r in performance))
     area = {s: sum(r["share"] for r in performance if (r["method"], r["estimator"]) == s) for s in solvers}
     shown = sorted(solvers, key=lambda s: -area[s])[:12]
     for k, solver in enumerate(shown):
-        for ax, rows, key in ((left, performance, "ratio"), (right, data, "experiments")):
+        by_budget = [
+            (ax, [r for r in data if r["channels"] == name], "experiments")
+            for ax, name in zip(others, channels, strict=False)
+        ]
+        for ax, rows, key in ((left, performance, "ratio"), *by_budget):
             mine = [r for r in rows if (r["method"], r["estimator"]) == solver]
             x = [r[key] for r in mine]
             ax.plot(
@@ -203,8 +208,9 @@ def profile_figure(performance: Sequence[Row], data: Sequence[Row], tolerance: f
     left.set_xlabel("error at most so many times the smallest of the problem")
     left.set_ylabel("share of the problems")
     left.set_title("Performance profiles (Dolan, Moré)", fontsize=10, loc="left")
-    right.set_xlabel("experiments")
-    right.set_title(f"Data profiles: relative error ≤ {100 * tolerance:g} %", fontsize=10, loc="left")
+    for ax, name in zip(others, channels, strict=False):
+        ax.set_xlabel("experiments")
+        ax.set_title(f"Data, {name}: error ≤ {100 * tolerance:g} %", fontsize=10, loc="left")
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
     return figure

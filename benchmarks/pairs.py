@@ -54,7 +54,7 @@ def paired_rows(solvers: Mapping[Solver, Estimates], gamma: float, scale: float)
     Returns
     -------
     list of dict
-        `question` ("input" with the estimator held, or "estimator" with the input held), the two, the mean difference of
+        `question` ("input" with the estimator held, or "estimator" with the input held), the two with what each spent, the mean difference of
         rho squared with `_se`, the share of replicates in which the first is closer, the number of pairs, and the
         p-value of a paired t-test, to be corrected over the whole table.
     """
@@ -68,6 +68,8 @@ def paired_rows(solvers: Mapping[Solver, Estimates], gamma: float, scale: float)
                 "estimator": first[1],
                 "against_method": second[0],
                 "against_estimator": second[1],
+                **a.spent,
+                **{f"against_{name}": value for name, value in b.spent.items()},
                 **_difference(a, b, gamma, scale),
             }
         )

@@ -68,18 +68,21 @@ class Profiles:
         Solver to the (33,) numbers of problems solved within each of RATIOS of the best.
     problems : dict
         Solver to the number of problems it met.
+    spent : dict
+        Solver to what it spent: sums of energy over the problems, largest of all else, and the channels met.
     by_budget : dict
-        (input, estimator, experiments) to [samples, solved, problems].
+        (input, estimator, channels, experiments) to [samples, sum of energies, peak amplitude, solved, problems].
     least : int
         Solvers with fewer replicates of a plant are left out there, and all others count up to the fewest of theirs.
     """
 
     solved: dict[Solver, NDArray[np.float64]] = field(default_factory=dict)
     problems: dict[Solver, int] = field(default_factory=dict)
-    by_budget: dict[tuple[str, str, int], list[float]] = field(default_factory=dict)
+    spent: dict[Solver, Row] = field(default_factory=dict)
+    by_budget: dict[tuple[str, str, str, int], list[float]] = field(default_factory=dict)
     least: int = 1
 
-    def add(self, solvers: Mapping[Solver, Estimates], gamma: float) -> None:
+    def add(self, solvers: Mapping[Solver, Estimates], gamma: float, channels: str) -> None:
         """Add the problems of one plant at one noise level.
 
         Parameters
@@ -88,6 +91,8 @@ class Profiles:
             (input, estimator) to its estimates with the whole budget.
         gamma : float
             The norm.
+        channels : str
+            Outputs x inputs.
         """
         solvers = {solver: found for solver, found in solvers.items() if len(found) >= self.least}
         if not solvers:
@@ -101,18 +106,27 @@ class Profiles:
             counts = np.array([np.sum(ratio <= tau) for tau in RATIOS], dtype=float)
             self.solved[solver] = self.solved.get(solver, np.zeros(len(RATIOS))) + counts
             self.problems[solver] = self.problems.get(solver, 0) + replicates
+            self._add_spent(solver, solvers[solver].spent, channels, replicates)
+
+    def _add_spent(self, solver: Solver, spent: Row, channels: str, replicates: int) -> None:
+        row = self.spent.setdefault(
+            solver, {"channels": [], "samples": 0, "experiments": 0, "energy": 0.0, "peak_amplitude": 0.0}
+        )
+        if channels not in row["channels"]:
+            row["channels"].append(channels)
+        row["energy"] += replicates * spent["energy"]
+        for name in ("samples", "experiments", "peak_amplitude"):
+            row[name] = max(row[name], spent[name])
 
     def add_budget(
-        self, method: str, estimator: str, experiments: int, found: Estimates, gamma: float, replicates: int
+        self, key: tuple[str, str, str, int], found: Estimates, gamma: float, replicates: int
     ) -> None:
         """Add the estimates of one solver after a part of the budget.
 
         Parameters
         ----------
-        method, estimator : str
-            The solver.
-        experiments : int
-            Spent so far.
+        key : tuple
+            Input, estimator, channels, and the experiments spent so far.
         found : Estimates
             Its estimates.
         gamma : float
@@ -120,11 +134,13 @@ class Profiles:
         replicates : int
             Only the first so many.
         """
-        replicates = min(replicates, len(found))
-        row = self.by_budget.setdefault((method, estimator, experiments), [0.0, 0.0, 0.0])
-        row[0] = max(row[0], float(found.samples.max(initial=0)))
-        row[1] += float(np.sum(_errors(found, gamma, replicates) <= TOLERANCE))
-        row[2] += replicates
+        replicates, spent = min(replicates, len(found)), found.spent
+        row = self.by_budget.setdefault(key, [0.0] * 5)
+        row[0] = max(row[0], spent["samples"])
+        row[1] += replicates * spent["energy"]
+        row[2] = max(row[2], spent["peak_amplitude"])
+        row[3] += float(np.sum(_errors(found, gamma, replicates) <= TOLERANCE))
+        row[4] += replicates
 
     def performance_rows(self) -> list[Row]:
         """The performance profiles.
@@ -132,16 +148,18 @@ class Profiles:
         Returns
         -------
         list of dict
-            method, estimator, ratio, share, low and high (pointwise 95 % band), n problems.
+            method, estimator, the budget of a run, ratio, share, low and high (pointwise 95 % band), n problems.
         """
         rows = []
         for (method, estimator), counts in self.solved.items():
             n = self.problems[method, estimator]
+            spent = self.spent[method, estimator]
+            spent = spent | {"channels": ", ".join(spent["channels"]), "energy": spent["energy"] / n}
             for ratio, solved in zip(RATIOS, counts, strict=True):
                 low, high = wilson(solved, n)
                 rows.append(
-                    {"method": method, "estimator": estimator, "ratio": float(ratio), "share": solved / n,
-                     "low": low, "high": high, "n": n}
+                    {"method": method, "estimator": estimator, **spent, "ratio": float(ratio),
+                     "share": solved / n, "low": low, "high": high, "n": n}
                 )  # fmt: skip
         return rows
 
@@ -151,14 +169,16 @@ class Profiles:
         Returns
         -------
         list of dict
-            method, estimator, experiments, samples, share with a relative error of at most TOLERANCE, low and high
-            (pointwise 95 % band), n problems.
+            method, estimator, channels, the budget so far, share with a relative error of at most TOLERANCE, low and
+            high (pointwise 95 % band), n problems.
         """
         rows = []
-        for (method, estimator, experiments), (samples, solved, n) in sorted(self.by_budget.items()):
+        for (method, estimator, channels, experiments), counted in sorted(self.by_budget.items()):
+            samples, energy, amplitude, solved, n = counted
             low, high = wilson(solved, n)
             rows.append(
-                {"method": method, "estimator": estimator, "experiments": experiments, "samples": int(samples),
+                {"method": method, "estimator": estimator, "channels": channels, "experiments": experiments,
+                 "samples": int(samples), "energy": energy / n if n else float("nan"), "peak_amplitude": amplitude,
                  "share": solved / n if n else float("nan"), "low": low, "high": high, "n": int(n)}
             )  # fmt: skip
         return rows

@@ -23,7 +23,16 @@ from oed.errors import Status
 from oed.experiments import simulated
 from oed.information import information_of_records
 
-__all__ = ["CHUNK", "Part", "checkpoints", "parts", "run_part", "seed_for"]
+__all__ = [
+    "CHUNK",
+    "Part",
+    "checkpoints",
+    "parts",
+    "profile_marks",
+    "profile_replicates",
+    "run_part",
+    "seed_for",
+]
 
 CHUNK = 5
 """Replicates of the first parts: small enough that a kill loses seconds."""
@@ -134,6 +143,49 @@ def checkpoints(experiments: int) -> list[int]:
     return sorted({m for m in marks if m < experiments} | {experiments})
 
 
+SEVERAL = 3
+"""Replicates of a data profile on a plant with several channels, whose fits take most of a campaign."""
+
+
+def profile_replicates(settings: Settings, plant: Any) -> int:
+    """In how many replicates the estimators also run after parts of the budget.
+
+    Parameters
+    ----------
+    settings : Settings
+        The campaign.
+    plant : Plant
+        Its channels decide.
+
+    Returns
+    -------
+    int
+        At most SEVERAL on a plant with several channels.
+    """
+    most = settings.profile_replicates
+    return most if plant.n_inputs * plant.n_outputs == 1 else min(most, SEVERAL)
+
+
+def profile_marks(settings: Settings, plant: Any) -> list[int]:
+    """After how many experiments.
+
+    Parameters
+    ----------
+    settings : Settings
+        The campaign.
+    plant : Plant
+        Its channels decide.
+
+    Returns
+    -------
+    list of int
+        The checkpoints; on a plant with p outputs and q inputs those with a whole iteration of 1 + pq experiments,
+        since fewer hardly identify it.
+    """
+    channels = plant.n_inputs * plant.n_outputs
+    return [m for m in checkpoints(settings.experiments) if channels == 1 or m > channels]
+
+
 def seed_for(*names: object) -> np.random.Generator:
     """A generator whose seed is a function of names.
 
@@ -207,9 +259,7 @@ def run_part(
             continue
         _add_information(sums, head, settings, plant, trace)
         for name in names:
-            # Several channels from one or two experiments are hardly identifiable, and cost most: data profiles are SISO.
-            profiled = replicate < settings.profile_replicates and plant.n_inputs * plant.n_outputs == 1
-            marks = checkpoints(settings.experiments) if profiled else []
+            marks = profile_marks(settings, plant) if replicate < profile_replicates(settings, plant) else []
             for k in (*(m for m in marks if m < len(trace)), len(trace)):
                 estimator = own.get(name) or ESTIMATORS[name]
                 rows.append(_estimated(head, name, estimator, trace.first(k), plant, time_limit))

@@ -62,6 +62,11 @@ class Target:
         self.c = gain_gradient(self.plant, self.peak) if self.peak.unique else None
         self.optimum = _optimum(spec, noise_variance)
 
+    @property
+    def channels(self) -> str:
+        """Outputs x inputs, as tables state them."""
+        return f"{self.plant.n_outputs} x {self.plant.n_inputs}"
+
     def efficiencies(self, information: NDArray[np.float64], energy: float) -> dict[str, float]:
         """Efficiencies of a total information against the certified optima at the same energy.
 
@@ -134,7 +139,7 @@ def _budget(target: Target, samples: float, experiments: float, energy: float, a
     """What was spent, as every table states it."""
     plant = target.plant
     return {
-        "channels": f"{plant.n_outputs} x {plant.n_inputs}",
+        "channels": target.channels,
         "samples": int(samples),
         "experiments": int(experiments),
         "energy": float(energy),
@@ -219,26 +224,18 @@ def comparison_rows(runs: Runs, information: Sequence[Row], target: Target) -> l
     table = []
     for estimator, found in runs.final.items():
         errors = found.estimate[found.good] - target.gamma
-        spent = found.energy[np.isfinite(found.energy)]
-        energy = float(spent.mean()) if len(spent) else float("nan")
-        amplitude = found.peak_amplitude[np.isfinite(found.peak_amplitude)]
+        spent = found.spent
         bias, bias_se = mean_with_error(errors)
         mse, mse_se = mean_with_error(errors**2)
         rmse = float(np.sqrt(mse))
         rmse_se = mse_se / (2 * rmse) if rmse > 0 else float("nan")
-        scale = float(np.sqrt(energy / target.plant.noise_variance))
+        scale = float(np.sqrt(spent["energy"] / target.plant.noise_variance))
         row: Row = {
             "plant": runs.plant,
             "noise_variance": runs.noise_variance,
             "method": runs.method,
             "estimator": estimator,
-            **_budget(
-                target,
-                found.samples.max(initial=0),
-                found.experiments.max(initial=0),
-                energy,
-                amplitude.max(initial=0.0) if len(amplitude) else float("nan"),
-            ),
+            **_budget(target, *spent.values()),
             "rho": rmse * scale,
             "rho_se": rmse_se * scale,
             "rho_predicted": float("nan"),

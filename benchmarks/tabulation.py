@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks.columns import Estimates, Runs
 from benchmarks.pairs import holm, paired_rows
 from benchmarks.profiles import Profiles
+from benchmarks.runs import profile_replicates
 from benchmarks.settings import Settings
 from benchmarks.statistics import Target, comparison_rows, information_rows, targets
 
@@ -79,7 +80,7 @@ def tabulate(runs: Iterable[Runs], settings: Settings) -> Tables:
         pairs.extend(head | row for row in paired_rows(solvers, gamma, scale[current]))
         most = max(len(found) for found in solvers.values())
         profiles.least = min(LEAST, most)
-        profiles.add(solvers, gamma)
+        profiles.add(solvers, gamma, known[current].channels)
         solvers.clear()
 
     for combination in runs:
@@ -99,15 +100,12 @@ def tabulate(runs: Iterable[Runs], settings: Settings) -> Tables:
         scale.setdefault(key, float("nan"))
         for estimator, found in combination.final.items():
             solvers[combination.method, estimator] = found
-            used = int(found.experiments.max(initial=0))
-            if settings.profile_replicates and used and target.plant.n_inputs * target.plant.n_outputs == 1:
-                profiles.add_budget(
-                    combination.method, estimator, used, found, target.gamma, settings.profile_replicates
-                )
-        for (estimator, experiments), found in combination.earlier.items():
-            profiles.add_budget(
-                combination.method, estimator, experiments, found, target.gamma, settings.profile_replicates
-            )
+        profiled = profile_replicates(settings, target.plant)
+        whole = [((e, found.spent["experiments"]), found) for e, found in combination.final.items()]
+        for (estimator, experiments), found in [*combination.earlier.items(), *whole]:
+            if profiled and experiments:
+                key = (combination.method, estimator, target.channels, experiments)
+                profiles.add_budget(key, found, target.gamma, profiled)
     close()
     for row, corrected in zip(pairs, holm([row["p_value"] for row in pairs]), strict=True):
         row["p_holm"] = float(corrected)

@@ -59,7 +59,7 @@ def test_performance_profile_against_a_plain_loop(rng):
     values = {("a", "x"): gamma + rng.standard_normal(30), ("b", "x"): gamma + 2 * rng.standard_normal(30)}
     values["b", "x"][:4] = np.nan
     profiles = Profiles()
-    profiles.add({k: estimates(v) for k, v in values.items()}, gamma)
+    profiles.add({k: estimates(v) for k, v in values.items()}, gamma, "1 x 1")
     rows = profiles.performance_rows()
     for solver, mine in values.items():
         for tau in RATIOS[[0, 5, 12]]:
@@ -78,16 +78,23 @@ def test_performance_profile_against_a_plain_loop(rng):
 def test_data_profile_counts_failures_as_unsolved():
     profiles = Profiles()
     found = estimates([1.0, 1.0 + 0.9 * TOLERANCE, 1.2, np.nan, 1.0])
-    profiles.add_budget("a", "x", 2, found, 1.0, 4)
-    (row,) = profiles.data_rows()
-    assert (row["share"], row["n"], row["samples"]) == (0.5, 4, 100)
+    profiles.add_budget(("a", "x", "1 x 1", 2), found, 1.0, 4)
+    profiles.add_budget(("a", "x", "1 x 1", 2), found, 1.0, 2)
+    profiles.add_budget(("a", "x", "3 x 2", 2), found, 1.0, 2)
+    row, several = profiles.data_rows()
+    assert (row["share"], row["n"], row["samples"], row["experiments"]) == (4 / 6, 6, 100, 2)
+    assert (row["energy"], row["peak_amplitude"]) == (100.0, 0.0)
+    assert (several["channels"], several["n"], several["share"]) == ("3 x 2", 2, 1.0)
 
 
 def test_a_solver_with_few_replicates_is_left_out():
     profiles = Profiles(least=5)
-    profiles.add({("a", "x"): estimates([1.0] * 9), ("b", "x"): estimates([1.0] * 3)}, 2.0)
+    profiles.add({("a", "x"): estimates([1.0] * 9), ("b", "x"): estimates([1.0] * 3)}, 2.0, "1 x 1")
+    profiles.add({("a", "x"): estimates([1.0] * 6)}, 2.0, "3 x 2")
+    row = profiles.performance_rows()[0]
+    assert (row["channels"], row["energy"], row["samples"], row["n"]) == ("1 x 1, 3 x 2", 100.0, 100, 15)
     assert set(profiles.solved) == {("a", "x")}
-    assert profiles.problems["a", "x"] == 9
+    assert profiles.problems["a", "x"] == 15
 
 
 @pytest.mark.parametrize("n, solved", [(10, 0), (10, 10), (50, 13)])
