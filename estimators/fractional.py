@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,7 +33,8 @@ class FractionalDelay:
     standard_error : float
         From the curvature of the profile likelihood.
     fit : Fit
-        The model of the input shifted by the fraction, with the whole part as its nk.
+        The model of the input shifted by the fraction, with the whole part as its nk; the covariance of its
+        parameters includes what the uncertainty of the delay adds.
     fraction : float
         Shift of the input, in samples.
     """
@@ -119,18 +120,23 @@ def estimate_fractional_delay(
     given = as_records(records)
     total = sum(map(len, given))
 
-    def fitted(fraction: float) -> Fit:
+    def fitted(fraction: float, **more: Any) -> Fit:
         moved = [r.replace(u=shifted(r.u, float(fraction))) for r in given]
-        return identify(moved, structure, orders, delay, **options)
+        return identify(moved, structure, orders, delay, **{**more, **options})
 
-    log_loss = lambda fraction: float(np.log(fitted(fraction).loss))
     coarse = np.linspace(-1, 1, 9)
-    values = [log_loss(x) for x in coarse]
-    best = int(np.argmin(values))
+    fits = [fitted(x) for x in coarse]
+    best = int(np.argmin([fit.loss for fit in fits]))
+    near = {"start": fits[best].theta}  # from there on the optimum moves little
     low, high = coarse[max(best - 1, 0)], coarse[min(best + 1, 8)]
+    log_loss = lambda fraction: float(np.log(fitted(fraction, **near).loss))
     found = minimize_scalar(log_loss, bounds=(low, high), method="bounded", options={"xatol": 1e-5})
     fraction = float(found.x)
-    h = 0.02
-    curvature = (log_loss(fraction + h) + log_loss(fraction - h) - 2 * log_loss(fraction)) / h**2
+    h, here = 0.02, fitted(fraction, **near)
+    later, earlier = fitted(fraction + h, **near), fitted(fraction - h, **near)
+    curvature = float(np.log(later.loss) + np.log(earlier.loss) - 2 * np.log(here.loss)) / h**2
     error = float(np.sqrt(2 / (total * curvature))) if curvature > 0 else float("inf")
-    return FractionalDelay(delay + fraction, error, fitted(fraction), fraction)
+    if np.isfinite(error):  # the parameters follow the delay, and so they share its uncertainty
+        follow = (later.theta - earlier.theta) / (2 * h)
+        here = replace(here, covariance=here.covariance + error**2 * np.outer(follow, follow))
+    return FractionalDelay(delay + fraction, error, here, fraction)

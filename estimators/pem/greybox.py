@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimators.pem.fit import fit_percent
 from estimators.pem.gauss_newton import Point, minimise
-from estimators.pem.kernel import kernel_of
+from estimators.pem.kernel import Kernel, kernel_of
 from estimators.pem.statespace import differentiated
 from oed.data import Record, as_signal
 from oed.errors import InputError, NotIdentifiable, Status
@@ -140,6 +141,30 @@ def _step(model: GreyBox, dt: float, x: Any, u: Any, p: Any) -> Any:
     return x
 
 
+@lru_cache(maxsize=16)
+def _prepared(
+    model: GreyBox, guess: tuple[tuple[str, float], ...], nu: int, ny: int, dt: float, unknown: bool
+) -> tuple[Kernel, Any]:
+    """The predictor of a model, and its step (x, u, q) -> (x+, y), in parameters in units of their guesses; made once."""
+    import casadi as ca
+
+    values = np.array([value for _, value in guess], dtype=float)
+    q, x0 = ca.SX.sym("q", len(guess)), ca.SX.sym("x0", model.n_states if unknown else 0)
+    x, sample = ca.SX.sym("x", model.n_states), ca.SX.sym("sample", nu + ny + 1)
+    p, u = q * np.where(values != 0, np.abs(values), 1.0), sample[:nu]
+    y_hat = ca.densify(ca.SX(model.output(x, u, p)))
+    after = ca.densify(ca.SX(_step(model, dt, x, u, p)))
+    if y_hat.numel() != ny or after.numel() != model.n_states:
+        raise InputError(
+            f"the model gives {y_hat.numel()} outputs and {after.numel()} states; the records have {ny} outputs "
+            f"and n_states is {model.n_states}."
+        )
+    e, parameters = sample[nu : nu + ny] - y_hat, ca.vertcat(q, x0)
+    kernel = kernel_of(differentiated(x, sample, parameters, after, e, x0 if unknown else None))
+    u = ca.SX.sym("u", nu)
+    return kernel, ca.Function("one", [x, u, q], [_step(model, dt, x, u, p), model.output(x, u, p)])
+
+
 def identify_grey_box(
     records: Record | Sequence[Record],
     model: GreyBox,
@@ -175,8 +200,6 @@ def identify_grey_box(
     NotIdentifiable
         If the data do not determine a combination of parameters, which is named.
     """
-    import casadi as ca
-
     given = as_records(records)
     if not given or initial not in ("zero", "estimate"):
         raise InputError(f"{len(given)} records, initial {initial!r}; give records and zero or estimate.")
@@ -186,21 +209,10 @@ def identify_grey_box(
     names, guess = tuple(model.start), np.array(list(model.start.values()), dtype=float)
     size = np.where(guess != 0, np.abs(guess), 1.0)
     n, m = len(names), model.n_states * (initial == "estimate") * len(given)
-    q, x0 = ca.SX.sym("q", n), ca.SX.sym("x0", model.n_states if m else 0)
-    x, sample = ca.SX.sym("x", model.n_states), ca.SX.sym("sample", nu + ny + 1)
-    p, u = q * size, sample[:nu]
-    y_hat = ca.densify(ca.SX(model.output(x, u, p)))
-    after = ca.densify(ca.SX(_step(model, dt, x, u, p)))
-    if y_hat.numel() != ny or after.numel() != model.n_states:
-        raise InputError(
-            f"the model gives {y_hat.numel()} outputs and {after.numel()} states; the records have {ny} outputs "
-            f"and n_states is {model.n_states}."
-        )
+    kernel, one = _prepared(model, tuple(model.start.items()), nu, ny, dt, bool(m))
     scale = np.sqrt(np.mean(np.concatenate([r.y for r in given]) ** 2, axis=0))
     scale = np.where(scale > 0, scale, 1.0)
-    e = (sample[nu : nu + ny] - y_hat) / scale
-    parameters = ca.vertcat(q, x0)
-    kernel = kernel_of(differentiated(x, sample, parameters, after, e, x0 if m else None))
+    weight = np.diag(scale**-2.0)
     blocks = [np.column_stack([r.u, r.y, np.eye(len(r), 1)]) for r in given]
     data, lengths = np.ascontiguousarray(np.concatenate(blocks)), np.array([len(r) for r in given])
     width, per = n + m, model.n_states if m else 0
@@ -208,7 +220,7 @@ def identify_grey_box(
     def evaluate(z: NDArray, _: Any = None) -> Point | None:
         rows = [np.concatenate([z[:n], z[n + r * per : n + (r + 1) * per]]) for r in range(len(given))]
         with np.errstate(over="ignore", invalid="ignore"):
-            sums = kernel.sums(data, lengths, np.array(rows), np.eye(ny))
+            sums = kernel.sums(data, lengths, np.array(rows), weight)
         loss, gradient, hessian = float(sums.loss.sum()), np.zeros(width), np.zeros((width, width))
         if not (np.isfinite(loss) and np.isfinite(sums.hessian).all()):
             return None
@@ -249,7 +261,8 @@ def identify_grey_box(
             jacobian = np.asarray(kernel.trace(data[start : start + length], part, True)[1])
             start += length
             at = np.r_[0:n, n + r * per : n + (r + 1) * per]
-            middle = np.einsum("tij,ik,tkl->jl", jacobian, best.point.extra * freedom, jacobian)
+            moment = weight @ best.point.extra @ weight * freedom
+            middle = np.einsum("tij,ik,tkl->jl", jacobian, moment, jacobian)
             spread[np.ix_(at, at)] += middle
         spread = inverse @ spread @ inverse
     covariance = np.asarray(spread[:n, :n] * np.outer(size, size), dtype=np.float64)
@@ -257,11 +270,10 @@ def identify_grey_box(
     residuals, start = [], 0
     for r, length in enumerate(lengths):
         part = np.concatenate([z[:n], z[n + r * per : n + (r + 1) * per]])
-        residuals.append(kernel.trace(data[start : start + length], part, False)[0] * scale)
+        residuals.append(kernel.trace(data[start : start + length], part, False)[0])
         start += length
     simulation = [r.y - e for r, e in zip(given, residuals, strict=True)]
     theta = z[:n] * size
-    one = ca.Function("one", [x, u, q], [_step(model, dt, x, u, p), model.output(x, u, p)])
 
     def simulator(u_given: NDArray, state: NDArray) -> NDArray:
         y = np.zeros((len(u_given), ny))
@@ -271,7 +283,7 @@ def identify_grey_box(
         return y
 
     return GreyBoxFit(
-        names, theta, covariance, best.point.extra * np.outer(scale, scale) * freedom,
+        names, theta, covariance, best.point.extra * freedom,
         fit_percent(np.concatenate([r.y for r in given]), np.concatenate(simulation)),
         residuals, states, best.status, best.iterations, simulator,
     )  # fmt: skip
