@@ -7,12 +7,14 @@ combinations of the parameters matter:
     A   trace(V' M^-1 V)          V = identity: A; V V' = W: A(W), also called L; s = 1: c-optimality
     E   largest eigenvalue        V = identity: E
     G   max_k trace(V_k' M^-1 V_k)  V of shape (K, n, s): the worst of several
+    W   max_k det(V_k' M^-1 V_k)^(1/s)  V of shape (K, n, s): the worst of several D
     K   condition number of V' M^-1 V: modified E (its certificate is a ratio of two: `oed.design.condition`)
 
 and has the lower bound, valid for every X (n, s), also where M is singular (Cauchy-Schwarz):
 
     loss(M) >= numerator(X) / trace(X' M X),
-    numerator:  D  s det(V'X)^(2/s),   A  trace(V'X)^2,   E  |V'X|_F^2,   G  sum_k trace(V_k'X_k)^2
+    numerator:  D  s det(V'X)^(2/s),   A  trace(V'X)^2,   E  |V'X|_F^2,   G  sum_k trace(V_k'X_k)^2,
+                W  s sum_k det(V_k'X_k)^(2/s)
 
 so that one number, the largest trace(X' M X) over all admissible spectra, bounds the loss of all of them.
 """
@@ -35,6 +37,7 @@ __all__ = [
     "d_criterion",
     "e_criterion",
     "g_criterion",
+    "worst_d_criterion",
 ]
 
 OUTSIDE = 1e-6
@@ -46,10 +49,10 @@ class Criterion:
 
     Attributes
     ----------
-    kind : {"D", "A", "E", "G", "K"}
+    kind : {"D", "A", "E", "G", "W", "K"}
         Which function of V' M^-1 V.
     V : ndarray
-        (n, s), or (K, n, s) for G.
+        (n, s), or (K, n, s) for G and W.
     name : str
         What it is called in tables.
     """
@@ -60,9 +63,9 @@ class Criterion:
 
     def __post_init__(self) -> None:
         V = np.array(self.V, dtype=float)
-        axes = 3 if self.kind == "G" else 2
-        if self.kind not in ("D", "A", "E", "G", "K"):
-            raise InputError(f"the criterion is of kind {self.kind!r}; choose D, A, E, G or K.")
+        axes = 3 if self.kind in ("G", "W") else 2
+        if self.kind not in ("D", "A", "E", "G", "W", "K"):
+            raise InputError(f"the criterion is of kind {self.kind!r}; choose D, A, E, G, W or K.")
         if V.ndim != axes or not np.isfinite(V).all() or not np.any(V):
             raise InputError(
                 f"the combinations V of a {self.kind} criterion have the shape {V.shape}; "
@@ -125,6 +128,10 @@ class Criterion:
         if self.kind == "K":
             values = np.linalg.eigvalsh(covariance)
             return float(values[-1] / values[0]) if values[0] > 0 else np.inf
+        if self.kind == "W":
+            own = diagonal_blocks(covariance, len(self.V))
+            sign, logdet = np.linalg.slogdet(own)
+            return float(np.where(sign > 0, np.exp(logdet / own.shape[1]), 0.0).max())
         return float(np.diag(covariance).reshape(self.V.shape[0], -1).sum(axis=1).max())
 
     def numerator(self, X: NDArray[np.float64]) -> float:
@@ -143,6 +150,11 @@ class Criterion:
         if self.kind == "G":
             parts = X.reshape(len(X), self.V.shape[0], -1)
             return float(np.sum(np.einsum("kns,nks->k", self.V, parts) ** 2))
+        if self.kind == "W":
+            parts = X.reshape(len(X), self.V.shape[0], -1)
+            sign, logdet = np.linalg.slogdet(np.einsum("kns,nkt->kst", self.V, parts))
+            size = self.V.shape[2]
+            return float(size * np.sum(np.where(sign != 0, np.exp(2 * logdet / size), 0.0)))
         if self.kind == "K":
             raise InputError("a condition number has no bound by one direction; see `condition_design`.")
         product = self.V.T @ X
@@ -162,7 +174,7 @@ class Criterion:
             (n, n), positive definite.
         weight : ndarray, optional
             E: (s, s) positive semidefinite, trace 1, on the largest eigenvalues of V' M^-1 V;
-            G: (K,) weights on the worst of the combinations. By default the single worst.
+            G, W: (K,) weights on the worst of the combinations. By default the single worst.
 
         Returns
         -------
@@ -182,7 +194,13 @@ class Criterion:
             values, vectors = np.linalg.eigh(weight)
             return Y @ (vectors * np.sqrt(np.clip(values, 0, None))) @ vectors.T
         K, s = self.V.shape[0], self.V.shape[2]
-        worst = np.eye(K)[np.argmax(np.diag(covariance).reshape(K, s).sum(axis=1))]
+        if self.kind == "W":
+            own = diagonal_blocks(covariance, K)
+            worst = np.eye(K)[np.argmax(np.linalg.slogdet(own)[1])]
+            roots = np.linalg.inv(np.linalg.cholesky(own)).swapaxes(1, 2)
+            Y = np.einsum("nks,kst->nkt", Y.reshape(len(Y), K, s), roots).reshape(len(Y), -1)
+        else:
+            worst = np.eye(K)[np.argmax(np.diag(covariance).reshape(K, s).sum(axis=1))]
         return Y * np.repeat(np.sqrt(np.clip(worst if weight is None else weight, 0, None)), s)
 
     def transformed(self, R: NDArray[np.float64]) -> tuple[Criterion, float]:
@@ -203,10 +221,10 @@ class Criterion:
         from scipy.linalg import solve_triangular
 
         columns = solve_triangular(R, self.columns, trans=1)
-        if self.kind == "G":
+        if self.kind in ("G", "W"):
             V = np.swapaxes(columns.reshape(self.n, self.V.shape[0], -1), 0, 1)
             scale = np.sqrt(np.sum(V**2, axis=(1, 2)).max())
-            return Criterion("G", V / scale, self.name), scale**2
+            return Criterion(self.kind, V / scale, self.name), scale**2
         if self.kind == "D":
             Q, T = np.linalg.qr(columns)
             logdet = np.sum(np.log(np.abs(np.diag(T)))) if np.all(np.diag(T)) else -np.inf
@@ -218,6 +236,25 @@ class Criterion:
         return (
             f"Criterion {self.name} ({self.kind}, {self.n} parameters, {self.columns.shape[1]} combinations)"
         )
+
+
+def diagonal_blocks(matrix: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Square blocks on the diagonal.
+
+    Parameters
+    ----------
+    matrix : ndarray
+        (K s, K s).
+    count : int
+        K.
+
+    Returns
+    -------
+    ndarray
+        (K, s, s).
+    """
+    size = len(matrix) // count
+    return np.einsum("kskt->kst", matrix.reshape(count, size, count, size))
 
 
 def _solve(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -383,6 +420,24 @@ def g_criterion(combinations: ArrayLike, *, name: str = "") -> Criterion:
     """
     V = np.asarray(combinations, dtype=float)
     return Criterion("G", V[:, :, None] if V.ndim == 2 else V, name or "G")
+
+
+def worst_d_criterion(combinations: ArrayLike, *, name: str = "") -> Criterion:
+    """The worst of several D: max_k det(V_k' M^-1 V_k)^(1/s).
+
+    Parameters
+    ----------
+    combinations : array_like
+        (K, n, s) V_k.
+    name : str
+        What it is called in tables.
+
+    Returns
+    -------
+    Criterion
+        The criterion.
+    """
+    return Criterion("W", np.asarray(combinations, dtype=float), name or "W")
 
 
 def condition_criterion(n: int, lengths: ArrayLike | None = None, *, name: str = "") -> Criterion:

@@ -115,7 +115,7 @@ def solve_weights(
     criterion, constant = problem.criterion, problem.constant
     if criterion.kind == "E":
         return _eigenvalue(problem, columns, start, max(accuracy, 1e-12))
-    if criterion.kind == "G":
+    if criterion.kind in ("G", "W"):
         return minimax_weights(columns, criterion, constant, start=start, tolerance=max(accuracy, 1e-11))
     if criterion.columns.shape[1] < criterion.n:
         constant = constant + ridge * np.eye(criterion.n)
@@ -187,7 +187,7 @@ def exchange(
     kept, proof, final = None, None, None
     status, rounds = Status.MAX_ITERATIONS, 0
     # A singular optimum leaves X free in many directions: what holds it there must not be dropped.
-    free = criterion.kind in ("E", "G") or criterion.columns.shape[1] < criterion.n
+    free = criterion.kind in ("E", "G", "W") or criterion.columns.shape[1] < criterion.n
     keep_above = KEEP if free else 0.99
     # Multipliers well inside their set move little from round to round; at a vertex of it they jump.
     centred = 0.1 if free else 1e-3

@@ -151,6 +151,7 @@ def condition_design(
             "every spectrum leaves the information singular in double precision; give the parameters units in which "
             "they are of like size, fix some of them, or add prior information."
         )
+    kept = _sparse(setting, *kept)
     return _as_design(setting, criterion, *kept, *proof, best_loss, best_bound, omega, rounds, tolerance)
 
 
@@ -184,6 +185,34 @@ def _weights(lines: _Lines, setting: _Setting) -> tuple[NDArray, NDArray, NDArra
     tau = float(x[m]) if prior else float(w.sum()) / setting.power
     w = w / max(tau, float(w.sum()) / setting.power, 1e-300)
     return w, _unit_trace(Z_low), _unit_trace(Z_high)
+
+
+def _sparse(setting: _Setting, lines: _Lines, w: NDArray) -> tuple[_Lines, NDArray[np.float64]]:
+    """The same information by few lines (Caratheodory): a vertex of the weights with this M and power.
+
+    The optimum is not unique in its lines, and an interior-point method returns their average: hundreds.
+    """
+    from scipy.optimize import linprog, nnls
+
+    used = w > 1e-9 * w.max()
+    lines = _Lines(lines.omega[used], lines.direction[used], lines.F[used])
+    w = w[used]
+    # Scaled so that every line has unit information: what is solved for are shares of it.
+    atoms = svec(lines.F @ lines.F.swapaxes(1, 2)).T
+    size = np.linalg.norm(atoms, axis=0)
+    rows = np.vstack([atoms / size, 1 / size / np.mean(1 / size)])
+    target = rows @ (w * size)
+    rows, target = rows / np.abs(target).max(), target / np.abs(target).max()
+    found = linprog(np.ones(len(w)), A_eq=rows, b_eq=target, bounds=(0, None), method="highs-ds")
+    if found.x is None:
+        return lines, w
+    few = found.x > 1e-9 * found.x.max()
+    exact, residual = nnls(rows[:, few], target)
+    if residual > 1e-10 or np.count_nonzero(few) >= len(w):
+        return lines, w
+    stay = np.flatnonzero(few)[exact > 0]
+    power = exact[exact > 0] / size[stay]
+    return _Lines(lines.omega[stay], lines.direction[stay], lines.F[stay]), power * (w.sum() / power.sum())
 
 
 def _unit_trace(Z: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,9 +1,10 @@
-"""Optimal weights of given columns by a primal-dual interior-point method: G, the worst of several.
+"""Optimal weights of given columns by a primal-dual interior-point method: G and W, the worst of several.
 
-    minimise t subject to f_k(w) = trace(V_k' M(w)^-1 V_k) <= t, Q w <= 1, w >= 0
+    minimise t subject to f_k(w) <= t, Q w <= 1, w >= 0,
+    f_k = trace(V_k' M(w)^-1 V_k)  (G)   or   det(V_k' M(w)^-1 V_k)^(1/s)  (W), both convex in w,
 
-with multipliers lambda_k >= 0 that sum to 1: they weight the combinations, and with them the problem is an A
-design, which gives the certificate X = M^-1 [sqrt(lambda_k) V_k].
+with multipliers lambda_k >= 0 that sum to 1. With them it is one A design, X = M^-1 [sqrt(lambda_k) V_k], or one D
+design, X = M^-1 [sqrt(lambda_k) V_k C_k^-1/2] with C_k = V_k' M^-1 V_k (where lambda_k > 0 the losses are equal).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.criteria import Criterion
+from oed.criteria import Criterion, diagonal_blocks
 from oed.design.columns import Columns
 from oed.design.interior import Weights, gathered, inside, reach
 from oed.errors import Status
@@ -28,14 +29,14 @@ def minimax_weights(
     tolerance: float = 1e-12,
     max_steps: int = 80,
 ) -> Weights:
-    """Optimal weights for a G criterion.
+    """Optimal weights for a G or W criterion.
 
     Parameters
     ----------
     columns : Columns
         The candidate lines.
     criterion : Criterion
-        Of kind G.
+        Of kind G or W.
     constant : ndarray
         (n, n) information M_0.
     start : ndarray, optional
@@ -55,17 +56,38 @@ def minimax_weights(
     Q, V = columns.q.T, criterion.columns
     flat = np.moveaxis(columns.F, 0, 1).reshape(n, m * r)
 
-    def derivatives(w: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-        """f (K,), df (K, m), and Y = M^-1."""
+    worst_d = criterion.kind == "W"
+
+    def derivatives(w: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """f (K,), df (K, m), Y = M^-1, and X_k (n, K s) with -df_k = trace(F' X_k X_k' F)."""
         M = constant + columns.information(w)
         np.linalg.cholesky(M)
         Y = np.linalg.inv(M)
-        half = V.T @ (Y @ flat)
-        f = np.einsum("nk,nk->k", V, Y @ V).reshape(K, size).sum(axis=1)
-        return f, -np.sum((half**2).reshape(K, size, m, r), axis=(1, 3)), (Y + Y.T) / 2
+        X = Y @ V
+        if worst_d:
+            own = np.linalg.cholesky(diagonal_blocks(V.T @ X, K))
+            f = np.exp(2 * np.log(np.einsum("kss->ks", own)).mean(axis=1))
+            X = np.einsum("nks,kts->nkt", X.reshape(n, K, size), np.linalg.inv(own))
+            X = (X * np.sqrt(f / size)[:, None]).reshape(n, -1)
+        else:
+            f = np.einsum("nk,nk->k", V, X).reshape(K, size).sum(axis=1)
+        half = X.T @ flat
+        return f, -np.sum((half**2).reshape(K, size, m, r), axis=(1, 3)), (Y + Y.T) / 2, X
+
+    def curvature(f: NDArray, df: NDArray, Y: NDArray, X: NDArray, lam: NDArray) -> NDArray:
+        """Hessian of sum_k lambda_k f_k."""
+        P = (X * np.repeat(lam, size)) @ X.T
+        H = 2 * gathered((flat.T @ P @ flat) * (flat.T @ Y @ flat), r)
+        if worst_d:
+            # f = exp(g), g = log det / s: f (g'' + g' g'^T), and the second part of g'' is trace(A P A P) / s.
+            for k in range(K):
+                own = X[:, k * size : (k + 1) * size].T @ flat
+                H -= (lam[k] * size / f[k]) * gathered((own.T @ own) ** 2, r)
+            H += (df.T * (lam / f)) @ df
+        return H
 
     w = inside(np.ones(m) if start is None else start, Q)
-    f, df, Y = derivatives(w)
+    f, df, Y, X = derivatives(w)
     t, lam = 1.1 * float(f.max()), np.full(K, 1.0 / K)
     slack, s = t - f, 1 - Q @ w
     nu = np.full(len(Q), t / len(Q))
@@ -86,9 +108,7 @@ def minimax_weights(
             status = Status.CONVERGED
             break
         target = mu * (0.1 if step % 4 else 0.3)
-        P = (Y @ V) * np.repeat(lam, size)
-        P = P @ (V.T @ Y)
-        H = 2 * gathered((flat.T @ P @ flat) * (flat.T @ Y @ flat), r)
+        H = curvature(f, df, Y, X, lam)
         # Unknowns dw, dt; slack and multipliers eliminated. Slack is always t - f itself.
         J = np.concatenate([df, -np.ones((K, 1))], axis=1)
         left = (J.T * (lam / slack)) @ J
@@ -135,7 +155,7 @@ def minimax_weights(
         else:
             break
         w, t, s = w + length * dw, t + length * dt, s + length * ds
-        f, df, Y = new
+        f, df, Y, X = new
         slack = t - f
         lam, z, nu = lam + length * dlam, z + length * dz, nu + length * dnu
     weight = np.clip(lam, 0, None) / lam.sum()

@@ -86,7 +86,7 @@ def quantile_design(
     models : sequence
         The plants that are possible, all equally.
     criterion : str or Criterion
-        A, E or a c-type name (those with minimax designs).
+        D, A, E or a c-type name (those with minimax designs).
     quantile : float
         Share of the plants that counts, in (0, 1]; k = ceil(quantile J). With 1 it is the minimax design.
     max_designs : int

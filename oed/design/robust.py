@@ -2,7 +2,8 @@
 
 The information about several plants, side by side, is block diagonal, and so every robust design is an ordinary one:
 average  sum_j p_j loss_j    A, c: one A criterion of the stacked sqrt(p_j) V_j;  D: the geometric mean
-minimax  max_j loss_j        A, c: a G criterion with one combination per plant;  E: the E of all together
+minimax  max_j loss_j        A, c: a G criterion with one combination per plant;  D: the same of determinants (W);
+                             E: the E of all together
 """
 
 from __future__ import annotations
@@ -116,12 +117,16 @@ def robust_design(
         )
     elif how == "average" and kind == "D" and weights is None:
         whole = Criterion("D", np.concatenate(embedded, axis=1), name)
-    elif how == "minimax" and kind == "A":
-        whole = Criterion("G", np.stack(embedded), name)
+    elif how == "minimax" and kind in ("A", "D"):
+        if len({V.shape[1] for V in embedded}) > 1:
+            raise InputError(
+                f"the plants' criteria weigh {[V.shape[1] for V in embedded]} combinations; the numbers must agree."
+            )
+        whole = Criterion("G" if kind == "A" else "W", np.stack(embedded), name)
     elif how == "minimax" and kind == "E":
         whole = Criterion("E", np.concatenate(embedded, axis=1), name)
     else:
         raise InputError(
-            f"the {how} of the criterion {own[0].name} is not available; there are average D, A, c and minimax A, c, E."
+            f"the {how} of the criterion {own[0].name} is not available; there are average D, A, c and minimax D, A, c, E."
         )
     return solve_design(together, whole, **options)

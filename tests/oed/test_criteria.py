@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.criteria import a_criterion, c_criterion, d_criterion, e_criterion, g_criterion
+from oed.criteria import a_criterion, c_criterion, d_criterion, e_criterion, g_criterion, worst_d_criterion
 from oed.errors import InputError
 
 
@@ -26,6 +26,7 @@ def _all(rng, n=4):
         e_criterion(n, np.array([1, 3])),
         g_criterion(rng.standard_normal((6, n))),
         g_criterion(rng.standard_normal((5, n, 2))),
+        worst_d_criterion(rng.standard_normal((3, n, 2))),
     ]
 
 
@@ -44,6 +45,10 @@ def test_losses_are_the_textbook_formulas(rng):
     assert c_criterion(c).loss(M) == pytest.approx(c @ C @ c)
     assert e_criterion(4).loss(M) == pytest.approx(np.linalg.eigvalsh(C)[-1])
     assert g_criterion(rows).loss(M) == pytest.approx(max(r @ C @ r for r in rows))
+    pairs = rows.reshape(3, 2, 4).swapaxes(1, 2)
+    assert worst_d_criterion(pairs).loss(M) == pytest.approx(
+        max(np.sqrt(np.linalg.det(V.T @ C @ V)) for V in pairs)
+    )
 
 
 def test_the_bound_holds_for_every_direction_and_is_tight_at_its_own(rng):

@@ -149,6 +149,12 @@ def test_quantile_designs_against_every_subset(plant):
     assert whole.value == pytest.approx(
         robust_design(plants[:3], "E", how="minimax", tolerance=1e-6).loss, rel=1e-5
     )
+    # D: two of three against every pair.
+    pairs = min(
+        robust_design([plants[j] for j in chosen], "D", how="minimax", tolerance=1e-6).loss
+        for chosen in combinations(range(3), 2)
+    )
+    assert quantile_design(plants[:3], "D", quantile=0.6).value == pytest.approx(pairs, rel=1e-5)
     # Cut short, it still bounds and says that it is not done.
     short = quantile_design(plants, "A", quantile=0.6, max_designs=5)
     assert short.status is Status.INACCURATE

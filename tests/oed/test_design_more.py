@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from oed.criteria import c_criterion, d_criterion, g_criterion
 from oed.data import Spectrum
@@ -107,8 +108,32 @@ def test_robust_designs_collapse_and_are_worst_case(plant):
     ]
     assert max(own) == pytest.approx(worst.loss, rel=1e-6)
     assert worst.loss >= max(solve_design(p, "E").loss for p in (plant, other)) * (1 - 1e-9)
-    with pytest.raises(InputError, match="minimax of the criterion D"):
-        robust_design([plant, other], "D", how="minimax")
+    with pytest.raises(InputError, match="average of the criterion D"):
+        robust_design([plant, other], "D", weights=[0.3, 0.7])
+
+
+def test_minimax_d_against_a_general_optimiser(plant):
+    """The certificate, the collapse to one plant, and a search over the weights of given lines."""
+    assert robust_design([plant], "D", how="minimax").loss == pytest.approx(OPTIMA["D"], rel=1e-7)
+    plants = [plant, plant.replace(den=[1, -0.8, 0.75])]
+    worst = robust_design(plants, "D", how="minimax")
+    assert abs(worst.gap) < 1e-7
+    assert worst.certificate.check(points=4001) <= 1 + 1e-7
+    maps = [information_map(p) for p in plants]
+    loss = lambda M: np.exp(-np.linalg.slogdet(M)[1] / 4)
+    own = [loss(m.of_spectrum(worst.spectrum)) for m in maps]
+    assert max(own) == pytest.approx(worst.loss, rel=1e-9)
+    # Equal to the larger optimum only if the other plant is no constraint.
+    assert worst.loss >= max(solve_design(p, "D").bound for p in plants)
+    # Twin: the lines found and others, their powers by a method that knows nothing of ours.
+    lines = np.union1d(worst.spectrum.omega, [0.5, 0.8, 1.0, 1.2, 1.6])
+    atoms = [np.stack([m.of_spectrum(Spectrum(np.array([w]), [1.0])) for w in lines]) for m in maps]
+    share = lambda x: np.exp(x - x.max()) / np.exp(x - x.max()).sum()
+    largest = lambda x: max(loss(np.einsum("k,kij->ij", share(x), A)) for A in atoms)
+    found = minimize(largest, np.zeros(len(lines)), method="Powell", options={"maxiter": 60, "ftol": 1e-12})
+    assert worst.bound * (1 - 1e-9) <= found.fun <= worst.loss * (1 + 1e-4)
+    with pytest.raises(InputError, match="numbers must agree"):
+        robust_design([plant, plant.replace(free=("b1", "b2"))], "D", how="minimax")
 
 
 def test_least_power(plant):

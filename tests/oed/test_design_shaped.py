@@ -45,6 +45,8 @@ def test_no_spectrum_is_better_conditioned(plant, rng):
     design = solve_design(plant, "modified-E")
     assert abs(design.gap) < 1e-7
     assert design.loss == pytest.approx(np.linalg.cond(design.information), rel=1e-12)
+    # A vertex of the many optima (Caratheodory): at most n (n + 1) / 2 + 1 lines.
+    assert len(design.spectrum) <= 11
     assert design.certificate.check(points=20_001) <= 1 + 1e-7
     information = information_map(plant)
     atoms = np.stack([information.of_spectrum(Spectrum(np.array([w]), [1.0])) for w in GRID])
@@ -63,6 +65,7 @@ def test_several_inputs_are_conditioned_too():
     design = solve_design(named_plant("three-by-two"), "modified-E", tolerance=1e-5)
     assert 0 <= design.gap < 1e-5
     assert design.efficiency_white < 0.1
+    assert len(design.spectrum) <= 40
 
 
 @pytest.mark.parametrize("name", ["D", "E"])
