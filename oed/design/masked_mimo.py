@@ -23,6 +23,7 @@ from oed.design.certificate import Certificate
 from oed.design.columns import Problem
 from oed.design.limits import power_budgets
 from oed.design.maps import InformationMap
+from oed.design.reference import solve_cvxpy
 from oed.design.result import Design
 from oed.errors import InfeasibleDesign, InputError, Status
 
@@ -48,7 +49,7 @@ def masked_mimo_design(
     information : InformationMap
         The model.
     criterion : Criterion
-        D, A or E of all parameters (A with any weight of full rank).
+        A, c or E, or D of all parameters.
     input_mask, output_mask : callable, optional
         omega (K,) -> (K, nu, nu), (K, ny, ny) Hermitian, positive semidefinite: largest two-sided density.
     input_power : float
@@ -70,16 +71,10 @@ def masked_mimo_design(
     InfeasibleDesign
         If the masks leave no power at any frequency.
     """
-    import cvxpy as cp
     from scipy.optimize import minimize_scalar
 
     omega = (np.arange(cells) + 0.5) * np.pi / cells
     nu = information.n_inputs
-    if criterion.columns.shape[1] < information.n:
-        raise InputError(
-            f"the criterion {criterion.name} asks for a part of the parameters, whose optimum may be singular; with masks "
-            "on several inputs use D, A, E, or A with a weight of full rank."
-        )
     budgets = power_budgets(information, input_power)
     limit = budgets[0].limit
     G = information.gain(omega)
@@ -92,26 +87,11 @@ def masked_mimo_design(
             )
     problem = Problem(information, criterion, budgets, omega)
     D = problem.scaled_factor(omega)
-    n = information.n
-    # Re D P D^* as a linear map of the real and imaginary parts of P, (cells, n n, nu nu).
-    maps = np.einsum("knpq,kmpr->knmqr", D, D.conj(), optimize=True).reshape(cells, n * n, nu * nu)
-    P = [cp.Variable((nu, nu), hermitian=True) for _ in range(cells)]
-    M: Any = problem.constant
-    constraints: list[Any] = [sum(cp.real(cp.trace(p)) for p in P) <= limit]
-    above = []
-    for k, p in enumerate(P):
-        flat = cp.reshape(p, (nu * nu,), order="C")
-        part = maps[k].real @ cp.real(flat) - maps[k].imag @ cp.imag(flat)
-        M = M + cp.reshape(part, (n, n), order="C")
-        constraints.append(p >> 0)
-        if C is not None:
-            constraints.append(C[k] - p >> 0)
-        if Y is not None:
-            above.append(Y[k] - G[k] @ p @ G[k].conj().T >> 0)
     scaled = problem.criterion
-    M = (M + M.T) / 2
-    X = conic(scaled, [*constraints, *above], M, 1e-9)
-    lines = np.stack([_clipped(np.asarray(p.value), None if C is None else C[k]) for k, p in enumerate(P)])
+    singular = scaled.kind == "A" and scaled.columns.shape[1] < information.n
+    solve = _by_the_dual if singular else _by_the_spectrum
+    X, lines, Gamma = solve(problem, D, G, C, Y, limit)
+    lines = np.stack([_clipped(p, None if C is None else C[k]) for k, p in enumerate(lines)])
     if Y is not None:
         out = G @ lines @ G.conj().swapaxes(1, 2)
         lines = lines / np.maximum(_excess(out, Y), 1.0)[:, None, None]
@@ -121,10 +101,8 @@ def masked_mimo_design(
     loss = criterion.loss(own)
     E = np.einsum("knrq,ns->krsq", D, X).reshape(cells, -1, nu)
     S = E.conj().swapaxes(1, 2) @ E
-    Gamma = np.zeros((cells, G.shape[1], G.shape[1]))
     factor = 0.0
     if Y is not None:
-        Gamma = np.stack([_positive(np.asarray(a.dual_value)) for a in above])
         # Every factor gives a bound, and h is convex in it; CVXPY doubles the multipliers of complex cones.
         factor = float(
             minimize_scalar(
@@ -164,6 +142,93 @@ def masked_mimo_design(
         limits={"input power": limit},
         solver="clarabel",
         rounds=1,
+    )
+
+
+def _by_the_spectrum(
+    problem: Problem, D: NDArray, G: NDArray, C: NDArray | None, Y: NDArray | None, limit: float
+) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.complex128]]:
+    """X, lines and multipliers of the output mask from the problem as it stands: the information is nonsingular."""
+    import cvxpy as cp
+
+    (cells, n, _, nu), ny = D.shape, G.shape[1]
+    # Re D P D^* as a linear map of the real and imaginary parts of P, (cells, n n, nu nu).
+    maps = np.einsum("knpq,kmpr->knmqr", D, D.conj(), optimize=True).reshape(cells, n * n, nu * nu)
+    P = [cp.Variable((nu, nu), hermitian=True) for _ in range(cells)]
+    M: Any = problem.constant
+    constraints: list[Any] = [sum(cp.real(cp.trace(p)) for p in P) <= limit]
+    above = []
+    for k, p in enumerate(P):
+        flat = cp.reshape(p, (nu * nu,), order="C")
+        part = maps[k].real @ cp.real(flat) - maps[k].imag @ cp.imag(flat)
+        M = M + cp.reshape(part, (n, n), order="C")
+        constraints.append(p >> 0)
+        if C is not None:
+            constraints.append(C[k] - p >> 0)
+        if Y is not None:
+            above.append(Y[k] - G[k] @ p @ G[k].conj().T >> 0)
+    X = conic(problem.criterion, [*constraints, *above], (M + M.T) / 2, 1e-9)
+    Gamma = (
+        np.stack([_positive(np.asarray(a.dual_value)) for a in above]) if above else np.zeros((cells, ny, ny))
+    )
+    return X, np.stack([np.asarray(p.value) for p in P]), Gamma
+
+
+def _by_the_dual(
+    problem: Problem, D: NDArray, G: NDArray, C: NDArray | None, Y: NDArray | None, limit: float
+) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.complex128]]:
+    """The same from Elfving's dual, which is exact where the optimal information is singular.
+
+    maximise 2 tr(V'X) - tr(X' M_0 X) - nu P - sum_k tr(C_k U_k) - sum_k tr(Y_k Gamma_k), where S_k of X is at most
+    nu I + U_k + G_k^* Gamma_k G_k at every cell; the multipliers of these inequalities are the spectrum.
+    """
+    import cvxpy as cp
+
+    (cells, n, r, nu), V = D.shape, problem.criterion.columns
+    X, price = cp.Variable(V.shape), cp.Variable(nonneg=True)
+    values, vectors = np.linalg.eigh(problem.constant)
+    root = (vectors * np.sqrt(np.clip(values, 0, None))).T
+    gain: Any = 2 * cp.sum(cp.multiply(V, X)) - cp.sum_squares(root @ X) - limit * price
+    bounded, constraints, Gamma = [], [], []
+    for k in range(cells):
+        most: Any = price * np.eye(nu)
+        if C is not None:
+            U = cp.Variable((nu, nu), hermitian=True)
+            constraints.append(U >> 0)
+            gain, most = gain - cp.real(cp.trace(C[k] @ U)), most + U
+        if Y is not None:
+            Gamma.append(cp.Variable((len(G[k]), len(G[k])), hermitian=True))
+            constraints.append(Gamma[-1] >> 0)
+            gain = gain - cp.real(cp.trace(Y[k] @ Gamma[-1]))
+            most = most + G[k].conj().T @ Gamma[-1] @ G[k]
+        flat = D[k].reshape(n, r * nu)
+        E = cp.vstack(
+            [
+                cp.reshape(X[:, j] @ flat.real + 1j * (X[:, j] @ flat.imag), (r, nu), order="C")
+                for j in range(V.shape[1])
+            ]
+        )
+        H = cp.bmat([[most, E.H], [E, np.eye(r * V.shape[1])]])
+        # In real numbers: the multiplier of a complex inequality does not come back whole.
+        real, imaginary = cp.real(H), cp.imag(H)
+        bounded.append(cp.bmat([[real, -imaginary], [imaginary, real]]) >> 0)
+    best = cp.Problem(cp.Maximize(gain), [*constraints, *bounded])
+    solve_cvxpy(best, 1e-9)
+    lines = np.stack([_folded(np.asarray(b.dual_value), nu) for b in bounded])
+    # More power is more information: the optimum is the largest multiple within the limits.
+    most_used = float(np.einsum("kii->", lines).real) / limit
+    if C is not None:
+        most_used = max(most_used, float(_excess(lines, C).max()))
+    if Y is not None:
+        most_used = max(most_used, float(_excess(G @ lines @ G.conj().swapaxes(1, 2), Y).max()))
+    return (
+        np.asarray(X.value),
+        lines / most_used,
+        (
+            np.stack([_positive(np.asarray(g.value)) for g in Gamma])
+            if Gamma
+            else np.zeros((cells, *2 * G.shape[1:2]))
+        ),
     )
 
 
@@ -211,6 +276,14 @@ def checked_mask(mask: Mask, omega: NDArray[np.float64], size: int, name: str) -
             f"the {name} has the negative eigenvalue {lowest.min():g} at {at:.6g} rad/sample; no spectrum lies below it."
         )
     return values
+
+
+def _folded(Z: NDArray, nu: int) -> NDArray[np.complex128]:
+    """The leading block (nu, nu) of the complex matrix whose real form is Z."""
+    half = len(Z) // 2
+    Z = (Z + Z.T) / 2
+    top, bottom, cross = Z[:nu, :nu], Z[half : half + nu, half : half + nu], Z[half : half + nu, :nu]
+    return _positive(top + bottom + 1j * (cross - cross.T))
 
 
 def _positive(matrix: NDArray) -> NDArray[np.complex128]:

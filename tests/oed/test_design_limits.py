@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from oed.data import Spectrum
 from oed.design import (
     RepeatedDesign,
     amplitude_design,
@@ -128,8 +129,30 @@ def test_bad_matrix_masks_are_named():
         masked_design(three, "D", input_mask=constant([[1.0, 2.0], [2.0, 1.0]]))
     with pytest.raises(InfeasibleDesign, match="0 at every frequency"):
         masked_design(three, "D", input_mask=constant(np.zeros((2, 2))))
-    with pytest.raises(InputError, match="may be singular"):
-        masked_design(three, "hinf", input_mask=constant(np.eye(2)))
+    with pytest.raises(InputError, match="not available"):
+        masked_design(three, "Ds:b1_11,b1_21", input_mask=constant(np.eye(2)), cells=12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "height"), [("hinf", 2.0), ("hinf", 11.9), ("static-gain", 3.0)])
+def test_scalars_under_hermitian_masks(name, height):
+    """Down to singular optima: a mask of 11.9 on 12 cells of unit power hardly binds."""
+    three = named_plant("three-by-two")
+    mask = lambda w: np.broadcast_to(height * np.eye(2), (len(w), 2, 2))
+    design = masked_design(three, name, input_mask=mask, cells=12)
+    assert design.status is Status.OK
+    assert 0 <= design.gap < 1e-6
+    assert np.linalg.eigvalsh(design.spectrum.power * 12).max() <= height * (1 + 1e-9)
+    assert design.spectrum.total_power <= 1 + 1e-9
+    # Twin: no spectrum on these cells within the mask is better, the free design least of all.
+    free = solve_design(three, name, points=design.spectrum.omega, refine=False, tolerance=1e-6)
+    assert design.loss >= free.bound * (1 - 1e-9)
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        v = rng.standard_normal((12, 2)) + 1j * rng.standard_normal((12, 2))
+        P = np.einsum("kq,kr->kqr", v, v.conj()) * rng.exponential(size=12)[:, None, None]
+        P *= min(1 / np.einsum("kii->", P).real, height / 12 / np.linalg.eigvalsh(P).max())
+        assert design.efficiency(Spectrum(design.spectrum.omega, P)) <= 1 + 1e-9
 
 
 @pytest.mark.slow
