@@ -16,7 +16,8 @@ CASES = [
     ("reference", 4.0, "each", 300, 4000),
     ("three-by-two", 4.0, "each", 100, 8000),
     ("three-by-two", 1.0, "none", 300, 1500),
-    ("avis", 4.0, "common", 300, 8000),
+    ("avis", 0.5, "each", 400, 2000),
+    ("avis", 1.0, "common", 200, 6000),
 ]
 
 
