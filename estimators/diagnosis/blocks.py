@@ -15,7 +15,7 @@ from estimators.diagnosis.linear import fit_linear, numerators, plant_scales
 from estimators.diagnosis.structure import Part, sandwiched
 from estimators.effects.catalogue import Clock
 
-__all__ = ["grown", "sandwich"]
+__all__ = ["curved_input", "grown", "sandwich"]
 
 Array = NDArray[Any]
 SPLIT = 3000
@@ -103,8 +103,36 @@ def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 6) -> Fi
     return fit(channel, best.structure, best.p, best.scales, iterations=40)
 
 
+def curved_input(channel: Channel, base: Fit, *, corners: int = 6) -> Fit | None:
+    """Hammerstein model with a broken line, corner by corner, for curves that no simple form fits.
+
+    Parameters
+    ----------
+    channel : Channel
+        Data.
+    base : Fit
+        Linear fit.
+    corners : int
+        Most corners.
+
+    Returns
+    -------
+    Fit or None
+        The model; None where no corner gains.
+    """
+    s = base.structure
+    if s.layout != "tf" or s.effects or len(s.inputs) != 1:
+        return None
+    white = fit(channel, s, base.p, base.scales, iterations=15, colour=False)
+    bare = replace(white, structure=s.adding(Part("input_lines", s.inputs[0], 0)))
+    best = grown(channel, bare, corners)
+    if not best.structure.parts[-1].size:
+        return None
+    return fit(channel, best.structure, best.p, best.scales, iterations=40)
+
+
 def grown(channel: Channel, f: Fit, corners: int) -> Fit:
-    """Corners added to a Wiener-Hammerstein model while Schwarz's criterion gains.
+    """Corners added to a broken line while Schwarz's criterion gains.
 
     Parameters
     ----------
@@ -120,12 +148,20 @@ def grown(channel: Channel, f: Fit, corners: int) -> Fit:
     Fit
         The model with as many corners as pay.
     """
-    while f.structure.parts[-1].size // 100 < corners:
+    best, poor = f, 0
+    unit = 100 if f.structure.parts[-1].key == "sandwich" else 1
+    while f.structure.parts[-1].size // unit < corners and poor < 2:
         more = _cornered(channel, f)
-        if more is None or more.criterion > f.criterion:
+        if more is None:
             break
-        f = more
-    return f
+        f, poor = more, poor + 1
+        if f.criterion < best.criterion:
+            best, poor = f, 0
+        elif (
+            unit == 100
+        ):  # a jump needs two corners, and the first alone may not pay: only where that is cheap
+            break
+    return best
 
 
 def _scales(s, p: Array, channel: Channel) -> Array:
@@ -141,12 +177,14 @@ def _scales(s, p: Array, channel: Channel) -> Array:
 def _cornered(channel: Channel, f: Fit) -> Fit | None:
     """One more corner, at the place whose score against the residual is the highest."""
     s, part = f.structure, f.structure.parts[-1]
-    order = part.size % 100
     sl = s.slices()[-1]
-    x = sandwiched(channel.u[:, part.channel], np.concatenate((f.p[sl][: 2 * order], [0.0, 0.0])), order)
-    new = replace(s, parts=(*s.parts[:-1], Part("sandwich", part.channel, part.size + 100)))
+    x, unit = channel.u[:, part.channel], 1
+    if part.key == "sandwich":
+        order, unit = part.size % 100, 100
+        x = sandwiched(x, np.concatenate((f.p[sl][: 2 * order], [0.0, 0.0])), order)
+    new = replace(s, parts=(*s.parts[:-1], replace(part, size=part.size + unit)))
     den = np.concatenate(([1.0], f.p[: s.order]))
-    num = np.concatenate(([0.0], f.p[s.order : s.order + s.taps]))
+    num = np.concatenate((np.zeros(1 + s.delay), f.p[s.order : s.order + s.taps]))
     Q = np.linalg.qr(f.jacobian)[0] if f.jacobian.size else np.zeros((len(x), 0))
     r = f.residual - Q @ (Q.T @ f.residual)
     trials: list[tuple[float, float, float]] = []

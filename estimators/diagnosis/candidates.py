@@ -21,7 +21,7 @@ __all__ = ["PLANT_EFFECTS", "STATIC_EFFECTS", "augmented", "refit"]
 Array = NDArray[Any]
 
 STATIC_EFFECTS = tuple(
-    k for k, e in CATALOGUE.items() if e.slot in ("input", "output") and k not in ("delay", "lag", "sandwich")
+    k for k, e in CATALOGUE.items() if e.slot in ("input", "output") and k not in ("delay", "lag", "sandwich", "input_lines")
 )  # fmt: skip
 PLANT_EFFECTS = (
     "stiffness_cubic",
@@ -226,7 +226,7 @@ def augmented(
                 starts = _grid(channel, base, Part(key, j), best)
                 if starts:
                     scored.append((starts[0].promise, starts, key))
-        elif key not in PLANT_EFFECTS:
+        elif key not in PLANT_EFFECTS and key not in ("sandwich", "input_lines"):
             for found in _special(channel, base, key, others):
                 if found is not None and np.isfinite(found.deviance):
                     yield found

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.blocks import grown, sandwich
+from estimators.diagnosis.blocks import curved_input, grown, sandwich
 from estimators.diagnosis.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.forces import balanced_fit, effective_samples, follows_output, force_balance
 from estimators.diagnosis.linear import fit_linear
@@ -362,6 +362,7 @@ def _structured(channel: Channel, a: Attribution, setting: Setting) -> Attributi
     order = a.base.structure.order
     trials = [] if setting.deviations else [("outflow", tanks(channel, a.base))]
     if order <= 4 and any("nonlinearity" in nature for nature in natures):
+        trials.append(("input_lines", curved_input(channel, a.base)))
         trials.append(("sandwich", sandwich(channel, a.base, max(order + 2, min(2 * order, 6)))))
     found = [
         (key, f)

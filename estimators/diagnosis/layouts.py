@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -129,16 +130,22 @@ def states(
     ndarray
         (N, order).
     """
-    from estimators.effects.plant_kernels import held_response, simulate_feedback
+    from estimators.effects.plant_kernels import simulate_feedback
 
-    A, B, E, position, velocity = layout_matrices(layout, rates)
-    steps = steps if np.any(c != 0) else 1
+    steps = steps if c.any() else 1
+    phi, gamma_u, gamma_w, position, velocity = _held(layout, tuple(rates), steps)
+    x0 = np.zeros(len(phi)) if x0 is None else x0
+    return simulate_feedback(np.ascontiguousarray(u), phi, gamma_u, gamma_w, position, velocity, c, x0, steps)
+
+
+@lru_cache(maxsize=64)
+def _held(layout: str, rates: tuple[float, ...], steps: int) -> tuple[Array, ...]:
+    """Transition and held responses over one step; kept, since most derivatives are by other parameters."""
+    from estimators.effects.plant_kernels import held_response
+
+    A, B, E, position, velocity = layout_matrices(layout, np.array(rates))
     phi, gamma = held_response(A, np.stack((B, E), axis=1), 1.0 / steps)
-    x0 = np.zeros(len(A)) if x0 is None else x0
-    return simulate_feedback(
-        np.ascontiguousarray(u), phi, gamma[:, 0].copy(), gamma[:, 1].copy(), position, velocity,
-        c, x0, steps,
-    )  # fmt: skip
+    return phi, gamma[:, 0].copy(), gamma[:, 1].copy(), position, velocity
 
 
 def allowed(key: str, layout: str) -> bool:

@@ -28,7 +28,7 @@ def _binned(x: Any, r: Any, bins: int = 25) -> tuple[Any, Any, Any]:
 
 
 def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
-    """Residual on the test record before and after, four ways.
+    """Residual on the test record before and after, six ways.
 
     Parameters
     ----------
@@ -40,7 +40,8 @@ def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Time, spectrum, mean against the simulated output with its band, mean against its velocity.
+        Time, spectrum, distribution, and the mean with its band against the simulated output, its velocity and the
+        input.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -48,9 +49,10 @@ def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
     test = result.extra["test"]
     y = np.nan_to_num(test.y[:, output])
     pairs = [("before", result.yhat_before[:, output], "C1"), ("after", result.yhat_after[:, output], "C0")]
-    figure = Figure(figsize=(9, 6.5), layout="constrained")
+    figure = Figure(figsize=(12, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
-    (time, spectrum), (level, velocity) = figure.subplots(2, 2)
+    (time, spectrum, spread), (level, velocity, drive) = figure.subplots(2, 3)
+    u = test.u[:, min(output, test.n_inputs - 1)]
     name = test.output_names[output]
     for label, simulated, colour in pairs:
         r = y - simulated
@@ -61,7 +63,8 @@ def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
         spectrum.semilogy(
             np.linspace(0, 0.5 / test.dt, len(power)), smooth + 1e-300, color=colour, label=label
         )
-        for axis, x in ((level, simulated), (velocity, np.gradient(simulated) / test.dt)):
+        spread.hist(r, 60, density=True, histtype="step", color=colour, label=label)
+        for axis, x in ((level, simulated), (velocity, np.gradient(simulated) / test.dt), (drive, u)):
             centre, mean, error = _binned(x, r)
             axis.errorbar(centre, mean, 2 * error, color=colour, fmt=".-", lw=0.8, label=label)
     time.set(xlabel="time [s]", ylabel=f"residual of {name}", title="in time")
@@ -69,6 +72,12 @@ def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
     level.set(xlabel=f"simulated {name}", ylabel="mean residual, 2 s.e.", title="against the level")
     velocity.set(
         xlabel=f"velocity of {name} [1/s]", ylabel="mean residual, 2 s.e.", title="against the velocity"
+    )
+    spread.set(xlabel=f"residual of {name}", ylabel="density", title="distribution")
+    drive.set(
+        xlabel=f"input {test.input_names[min(output, test.n_inputs - 1)]}",
+        ylabel="mean residual, 2 s.e.",
+        title="against the input",
     )
     time.legend()
     figure.suptitle(f"{result.effect}: {result.rmse_before} -> {result.rmse_after}")
@@ -82,6 +91,18 @@ def _curve(part: Any, q: Any, x: Any) -> Any:
     key, e = part.key, part.effect
     if key == "sandwich":
         return hinges(x, np.ascontiguousarray(q[2 * (part.size % 100) :]))
+    if key == "input_lines":
+        return e.apply(x, q, None)
+    if key == "stiffness_square":
+        return x + q[0] * np.abs(x) * x
+    if key == "stiffness_quintic":
+        return x + q[0] * x**3 + q[1] * x**5
+    if key in ("stiffness_gap", "stiffness_upper", "stiffness_lower"):
+        gap = abs(q[1]) if key == "stiffness_gap" else q[1]
+        above = np.maximum(x - gap, 0.0) if key != "stiffness_lower" else 0.0
+        below = np.minimum(x - gap, 0.0) if key == "stiffness_lower" else 0.0
+        below = np.minimum(x + gap, 0.0) if key == "stiffness_gap" else below
+        return x + q[0] * (above + below)
     if key == "stiffness_cubic":
         return x + q[0] * x**3
     if key == "stiffness":
@@ -112,7 +133,7 @@ def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
     if part.effect.slot == "plant":
         head = LAYOUTS[f.structure.layout][1]
         position, velocity = layout_matrices(f.structure.layout, f.p[:head])[3:]
-        fast = part.key not in ("stiffness", "stiffness_cubic")
+        fast = not part.key.startswith("stiffness")
         X = states(f.structure.layout, f.p[:head], u, np.zeros(COEFFICIENTS))
         # the linear part alone swings wider where a spring stiffens: the middle 99 % are shown
         return X @ (

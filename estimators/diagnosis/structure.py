@@ -8,6 +8,7 @@ plant, a continuous-time layout with physical states that is integrated exactly 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -73,6 +74,8 @@ class Part:
             self.key == "sandwich"
         ):  # size = order of the first block + 100 times the corners of the nonlinearity
             return 2 * (self.size % 100) + 2 * (self.size // 100)
+        if self.key == "input_lines":
+            return 2 * self.size
         if self.key in ("cross", "mode"):
             return 2 * self.size
         if self.key == "initial":
@@ -182,14 +185,14 @@ def stable_polynomial(f: Array, limit: float = 0.99999) -> bool:
     bool
         Whether it is stable.
     """
-    a = np.concatenate(([1.0], f))
-    if not np.all(np.isfinite(a)):
+    a = [1.0, *f.tolist()]  # few numbers: plain floats are quicker than arrays
+    if not all(map(math.isfinite, a)):
         return False
     for m in range(len(f), 0, -1):  # Schur-Cohn step-down
         k = a[m]
         if abs(k) >= limit:
             return False
-        a = (a[: m + 1] - k * a[m::-1])[:m] / (1.0 - k * k)
+        a = [(a[i] - k * a[m - i]) / (1.0 - k * k) for i in range(m)]
     return True
 
 

@@ -121,6 +121,14 @@ def _recursive(name: str) -> Callable[[Array, Array, Clock], Array]:
     return apply
 
 
+def _lines(x: Array, p: Array) -> Array:
+    """Broken line through the origin."""
+    from estimators.effects.recursion_kernels import hinges
+
+    c = np.ascontiguousarray(p)
+    return hinges(np.ascontiguousarray(x), c) - hinges(np.zeros(1), c)[0]
+
+
 def _upsampled(x: Array, by: int) -> Array:
     """Cubic (Catmull-Rom) values between samples: a sensor with play sees the extremes between them."""
     before = np.concatenate((x[:1], x[:-1]))
@@ -191,6 +199,8 @@ _ENTRIES = (
            "the input acts through u + c3 u^3", lambda x, p, c: static.polynomial(x, 0.0, p[0])),
     Effect("input_polynomial", "hammerstein", _IN, "input", ("c2", "c3"), ("1/u", "1/u^2"), 1,
            "the input acts through u + c2 u^2 + c3 u^3", lambda x, p, c: static.polynomial(x, p[0], p[1])),
+    Effect("input_lines", "hammerstein", _IN, "input", (), (), 30,
+           "the input acts through a broken line, a static curve of no simpler form", lambda x, p, c: _lines(x, p)),
     Effect("rate_limit", "rate_limiter", _DYN, "input", ("rate",), ("u/sample",), 6,
            "the actuator cannot move faster than the rate", _recursive("rate")),
     Effect("backlash_input", "backlash", _DYN, "input", ("half_width",), ("u",), 6,

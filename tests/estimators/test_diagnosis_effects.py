@@ -13,7 +13,7 @@ STATIC = [
     for k, e in CATALOGUE.items()
     if e.apply is not None and e.slot in ("input", "output", "added")
     and k not in ("rate_limit", "backlash_input", "backlash_output", "hysteresis", "delay", "lag", "gain_drift", "gain_change",
-                  "step_input", "step_output", "drift", "tones")
+                  "step_input", "step_output", "drift", "tones", "input_lines")
 ]  # fmt: skip
 TIMED = ["gain_drift", "gain_change", "step_input", "step_output", "drift", "tones"]
 
@@ -136,6 +136,15 @@ def test_rational_agrees_with_lfilter():
     u, b, f = rng.standard_normal((200, 2)), np.array([[0.5, 0.2], [0.1, -0.3]]), np.array([-1.5, 0.7])
     expected = sum(lfilter([0.0, 0.0, *b[j]], [1.0, *f], u[:, j]) for j in range(2))
     np.testing.assert_allclose(rational(u, b, f, 1), expected, rtol=1e-9, atol=1e-11)
+
+
+def test_a_broken_line_at_the_input_agrees_with_casadi_and_keeps_the_origin():
+    x, p = np.linspace(-2, 2, 41), np.array([0.5, -0.4, -1.2, 0.7])
+    line = terms.hinges_term(2)
+    ours = CATALOGUE["input_lines"].apply(x, p, Clock(np.arange(41.0), 41))
+    theirs = np.array(line(x[None, :], p)).ravel() - float(line(0.0, p))
+    np.testing.assert_allclose(ours, theirs, atol=1e-12)
+    assert abs(ours[20]) < 1e-12  # a deviation of zero stays zero
 
 
 def test_hinges_bend_at_their_corners():
