@@ -241,7 +241,9 @@ def amplitude_row(plant: Plant, amplitude: float) -> ClaimRow:
     """The map's row where |u| is limited, not its power.
 
     A signal within the amplitude a has a power of at most a^2, which bounds its information; the sinusoid at the
-    peak has a^2 / 2, a square wave of its frequency a^2, of which its fundamental holds 8 / pi^2.
+    peak has a^2 / 2, a square wave of its frequency a^2, of which its fundamental holds 8 / pi^2. Where the gain-scaling
+    theorem holds, x' I x is the mean square of G u / gamma over the noise variance, and for plants of at most two states
+    sums of squares bound it more tightly than the power does (`oed.design.bounded_inputs`).
 
     Parameters
     ----------
@@ -253,7 +255,7 @@ def amplitude_row(plant: Plant, amplitude: float) -> ClaimRow:
     Returns
     -------
     ClaimRow
-        `optimum` and `gap` are those of the better of sinusoid and square wave against the relaxation's bound.
+        `optimum` and `gap` are those of the better of sinusoid and square wave against the certified bound.
     """
     relaxed = claim_row(plant, {"input_power": amplitude**2})
     if not np.isfinite(relaxed.bound):
@@ -278,15 +280,33 @@ def amplitude_row(plant: Plant, amplitude: float) -> ClaimRow:
             information_of_spectrum(plant, Spectrum(folded, amplitude**2 * power / power.sum()))
         )
     best = min(square, sinusoid)
+    share = 1.0 if constant else _passed_share(plant, relaxed.closed)
+    bound = relaxed.bound / share
+    how = "" if share == 1.0 else f" by sums of squares, {1 / share:.4f} times that"
     return replace(
         relaxed,
-        sinusoid=relaxed.bound / sinusoid,
+        sinusoid=bound / sinusoid,
         limit=float("nan"),
         white=float("nan"),
         optimum=best / plant.noise_variance,
-        gap=best / relaxed.bound - 1,
-        note=f"square wave {relaxed.bound / square:.4f}; the bound is that of the power a^2",
+        gap=best / bound - 1,
+        bound=bound,
+        note=f"square wave {bound / square:.4f}; the bound is{how or ' that'} of the power a^2",
     )
+
+
+def _passed_share(plant: Plant, closed: bool) -> float:
+    """Certified bound on the mean square of G u / gamma over |u| <= 1; 1 where sums of squares do not apply."""
+    from oed.design.bounded_inputs import passed_power
+    from oed.errors import InputError
+
+    white = len(plant.noise_num) == len(plant.noise_den) == 1
+    if not (closed and white and plant.n_inputs * plant.n_outputs == 1):
+        return 1.0
+    try:
+        return min(1.0, passed_power(plant.num[0][0] / peak(plant).value, plant.den[0][0]))
+    except InputError:
+        return 1.0
 
 
 def budget_form(plant: Plant, name: str, omega: NDArray[np.float64]) -> NDArray[np.complex128]:

@@ -116,10 +116,13 @@ def test_known_numerator_is_not_closed_under_gain_scaling():
 
 
 def test_an_amplitude_limit_prefers_the_square_wave():
-    """theory.md section 4: at equal amplitude the square wave's loss is 1.2326 of the bound; the sinusoid's 2."""
+    """theory.md section 4: at equal amplitude the square wave has 1.2326 times the loss at the power a^2; the sinusoid 2."""
     row = amplitude_row(named_plant("reference"), 2.0)
-    assert row.sinusoid == pytest.approx(0.5, rel=1e-8)
     assert row.optimum == pytest.approx(1.2326 / 4, rel=5e-4)
+    assert row.sinusoid * 2 / 4 == pytest.approx(row.bound, rel=1e-8)
+    # No signal within the amplitude reaches the loss at the power a^2: the certified gap is 3 %, not 23 %.
+    assert 0 < row.gap < 0.03
+    assert row.bound > 1.2 / 4
     # Twin: the simulated information of the square wave itself.
     from oed.information import information_of_signal
 
