@@ -13,9 +13,10 @@ from oed.data import Record
 from oed.errors import InputError
 from oed.files.clock import sampling_time
 
-__all__ = ["Table", "column_name", "numbers", "record_of", "split_unit"]
+__all__ = ["Table", "column_name", "numbers", "record_of", "seconds_per", "split_unit"]
 
 TIME = ("t", "t_s")
+SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 UNITS = frozenset(
     (
         *(
@@ -113,6 +114,23 @@ class Table:
     labels: Mapping[str, str] = field(default_factory=dict)
     dt: float | None = None
     t0: float | None = None
+
+
+def seconds_per(column: str) -> float:
+    """Seconds in a unit of a column of times: t or time, with its unit as in t_ms, `Time (s)`, `time [min]`.
+
+    Parameters
+    ----------
+    column : str
+        Name of the column.
+
+    Returns
+    -------
+    float
+        1 where the name has no unit; 0 where it is not that of a column of times.
+    """
+    found = re.fullmatch(r"(?:t|[Tt]ime|TIME)(?:_(\w+)| ?[\[(](\w+)[\])])?", column)
+    return 0.0 if found is None else SECONDS.get(found[1] or found[2] or "s", 0.0)
 
 
 def split_unit(column: str) -> tuple[str, str]:
@@ -214,7 +232,8 @@ def record_of(
         raise InputError(
             f"the columns {', '.join(both)} are asked for as inputs and as outputs; choose one for each."
         )
-    clocks = [name for name in named if name in TIME and name not in (*u_columns, *y_columns)]
+    clocks = [name for name in named if seconds_per(name) and name not in (*u_columns, *y_columns)]
+    clocks.sort(key=lambda name: name not in TIME)
     loaded = dict(
         zip([*u_columns, *y_columns, *clocks[:1]], table.load([*u_columns, *y_columns, *clocks[:1]]))
     )
@@ -230,8 +249,9 @@ def record_of(
     start, stop = _rows(rows, length, table.source)
     cut = {name: values[start:stop] for name, values in loaded.items()}
     _check_finite({name: cut[name] for name in (*u_columns, *y_columns)}, missing, table.source, start)
-    dt, t0 = _clock(table, cut[clocks[0]] if clocks else None, clocks, dt, start, notes)
-    unused = [name for name in named if name not in loaded and name not in TIME]
+    times = cut[clocks[0]] * seconds_per(clocks[0]) if clocks else None
+    dt, t0 = _clock(table, times, clocks, dt, start, notes)
+    unused = [name for name in named if name not in loaded and not seconds_per(name)]
     if unused:
         notes.append(f"columns of {table.source} that are not used: {', '.join(unused)}.")
     names = _labels(table, (*u_columns, *y_columns))
@@ -340,7 +360,7 @@ def _clock(
     if step is None:
         step = 1.0
         notes.append(
-            f"{table.source} has no column t or t_s and no sampling time is given: 1 s is assumed (--dt)."
+            f"{table.source} has no column t or time and no sampling time is given: 1 s is assumed (--dt)."
         )
     return step, start * step if t0 is None else t0
 
@@ -384,7 +404,7 @@ def numbers(values: ArrayLike, name: str, source: str) -> NDArray[np.float64]:
     array = np.asarray(values)
     if array.dtype.kind in "biuf":
         return array.astype(float)
-    if array.dtype.kind in "mM" and name in TIME:  # seconds; dates count from the first
+    if array.dtype.kind in "mM" and seconds_per(name) == 1:  # seconds; dates count from the first
         since = array - array[:1] if array.dtype.kind == "M" else array
         return since / np.timedelta64(1, "s")
     if array.dtype.kind == "O":

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.clock import sampling_time
-from oed.files.columns import TIME, Table, column_name, numbers, record_of
+from oed.files.columns import Table, column_name, numbers, record_of, seconds_per
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,7 +29,7 @@ def from_pandas(
     missing: bool = False,
     notes: list[str] | None = None,
 ) -> Record:
-    """Record of a DataFrame, one row per sample; the times are a column or the index called t or t_s, or an index of dates.
+    """Record of a DataFrame, one row per sample; the times are a column or the index called t or time, or an index of dates.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def from_pandas(
     extra: dict[str, NDArray] = {}
     if isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex):
         extra["t"] = frame.index.to_numpy()
-    elif frame.index.name in TIME:
+    elif seconds_per(str(frame.index.name)):
         extra[str(frame.index.name)] = frame.index.to_numpy()
     extra = {name: values for name, values in extra.items() if name not in names}
 
@@ -121,7 +121,7 @@ def from_xarray(
     ----------
     dataset : Dataset
         The attributes `units` of the variables and, where it has them, `role` (input or output) are used, and
-        the coordinate t or t_s, otherwise that of the dimension.
+        the coordinate t or time, otherwise that of the dimension.
     inputs, outputs : sequence of str or str, optional
         Names of the variables; by default by role, otherwise those that begin with u and with y.
     dt : float, optional
@@ -151,7 +151,7 @@ def from_xarray(
         )
 
     for axis in sorted({str(v.dims[0]) for v in columns.values()} & set(columns)):
-        if not set(TIME) & set(columns):  # xarray's own way to say what the samples lie along
+        if not any(map(seconds_per, columns)):  # xarray's own way to say what the samples lie along
             columns["t"] = columns.pop(axis)
 
     def load(wanted: Sequence[str]) -> list[NDArray[np.float64]]:

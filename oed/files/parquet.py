@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.arrays import first_line
-from oed.files.columns import TIME, Table, numbers
+from oed.files.columns import Table, numbers, seconds_per
 
 __all__ = ["parquet_bytes", "parquet_table"]
 
@@ -92,7 +92,7 @@ def _values(column: Any, name: str, source: str) -> NDArray[np.float64]:
         )
     if pa.types.is_decimal(kind):
         return numbers(_numpy(column.cast(pa.float64())), name, source)
-    if name in TIME and (pa.types.is_timestamp(kind) or pa.types.is_duration(kind)):
+    if seconds_per(name) == 1 and (pa.types.is_timestamp(kind) or pa.types.is_duration(kind)):
         return numbers(column.to_numpy(), name, source)
     if pa.types.is_string(kind) or pa.types.is_large_string(kind):
         return numbers(np.array(column.to_pylist(), dtype=object), name, source)

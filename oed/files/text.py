@@ -23,6 +23,8 @@ BLANK = ("", "na", "n/a", "nan", "null", "none", "-nan")
 def csv_table(content: bytes, source: str) -> Table:
     """Table of a CSV file: comma, semicolon or tab between the columns, lines before the header that begin with #.
 
+    Decimal commas are read where semicolons or tabs part the columns and no number has a decimal point.
+
     Parameters
     ----------
     content : bytes
@@ -91,6 +93,10 @@ def _parse(
     if not body.strip():
         return [np.empty(0) for _ in wanted]
     where = [names.index(name) for name in wanted]
+    if (
+        delimiter != "," and "," in body and "." not in body
+    ):  # decimal commas, and no point that they could group
+        body = body.replace(",", ".")
     try:
         table = np.loadtxt(io.StringIO(body), delimiter=delimiter, usecols=where, ndmin=2, comments=None)
         even = body.count(delimiter) == len(table) * (

@@ -115,7 +115,7 @@ def test_no_clock_is_noted(tmp_path: Path) -> None:
     path = write(tmp_path, "u,y\n1,2\n3,4\n")
     notes: list[str] = []
     assert read_record(path, notes=notes).dt == 1
-    assert "no column t or t_s" in notes[0]
+    assert "no column t or time" in notes[0]
     notes.clear()
     assert read_record(path, dt=0.25, notes=notes).dt == 0.25
     assert notes == []
@@ -151,6 +151,19 @@ def test_missing_samples(tmp_path: Path) -> None:
         read_record(path, missing=True)
 
 
+@pytest.mark.parametrize(
+    "name, step", [("t", 0.5), ("t_ms", 0.5e-3), ("Time (s)", 0.5), ("time [min]", 30.0), ("time_us", 0.5e-6)]
+)
+def test_units_of_the_clock(tmp_path, name, step) -> None:
+    """A column of times says its unit; its decimal commas are read where semicolons part the columns."""
+    path = tmp_path / "data.csv"
+    path.write_text(f"{name};u;y\n0,0;1,5;2,5\n0,5;-3,25e-1;4\n1,0;7;0,125\n", encoding="utf-8")
+    record = read_record(path)
+    assert record.dt == pytest.approx(step, rel=1e-12)
+    assert record.u[:, 0].tolist() == [1.5, -0.325, 7.0]
+    assert record.y[:, 0].tolist() == [2.5, 4.0, 0.125]
+
+
 CSV_ERRORS = {
     "empty (0 bytes)": (b"", "empty"),
     "only blanks": (b"\n\n", "is empty; a CSV file has a header row"),
@@ -161,7 +174,7 @@ CSV_ERRORS = {
         "row 1 (counting from 0), column u of data.csv is 'abc'; entries must be numbers",
     ),
     "decimal commas": (
-        b"u;y\n1,5;2,5\n",
+        b"u;y\n1,5;2.5\n",
         "column u of data.csv is '1,5'; entries must be numbers: write decimal points",
     ),
     "cut off": (
