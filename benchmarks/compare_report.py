@@ -112,7 +112,9 @@ def write_comparison(
                 INFORMATION_COLUMNS,
                 "Efficiencies of the first n experiments together, against certified optima; jackknife standard errors.",
             )
-        ],
+        ]
+        if information  # no run ended: there are no inputs to speak of
+        else [],
         "figures": [
             save_figure(
                 folder,
@@ -121,6 +123,7 @@ def write_comparison(
                 f"{plant}: efficiency against the number of experiments, measured (markers) and predicted (line).",
             )
             for plant in siso
+            if any(row["plant"] == plant for row in information)
         ],
     }
     best = headline_rows(rows)

@@ -44,13 +44,15 @@ th[aria-sort=descending]::after { content: " \\2193"; }
 .tools a { color: var(--accent); }
 input { font: inherit; padding: 3px 8px; border: 1px solid var(--line); border-radius: 4px; min-width: 12em; }
 figure { margin: 16px 0 24px; }
-figure svg { width: 100%; height: auto; max-width: 980px; cursor: zoom-in; }
+.drawing { overflow-x: auto; }
+.drawing svg { width: 100%; height: auto; max-width: 980px; cursor: zoom-in; }
 figcaption, .caption { color: var(--soft); font-size: .9rem; max-width: 78ch; }
 dialog { width: 96vw; max-width: none; height: 94vh; border: 0; padding: 12px; }
 dialog svg { width: 100%; height: 100%; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: 2px 16px; font-size: .88rem; }
 dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }
-@media (max-width: 560px) { main { padding: 16px 12px 60px; } dl { grid-template-columns: 1fr; } dt { margin-top: 6px; } }
+@media (max-width: 560px) { main { padding: 16px 12px 60px; } dl { grid-template-columns: 1fr; } dt { margin-top: 6px; }
+  .drawing svg { min-width: 640px; } dialog { overflow: auto; } dialog svg { width: 200vw; } }
 @media print { .tools, dialog { display: none; } .wide { max-height: none; } }
 """
 
@@ -291,7 +293,7 @@ def _figure(folder: Path, figure: dict[str, Any]) -> list[str]:
         .replace('href="#', f'href="#{prefix}-')
     )
     return [
-        f"<figure>{drawing}",
+        f'<figure><div class="drawing">{drawing}</div>',
         f"<figcaption>{escape(figure['caption'])}</figcaption>",
         '<div class="tools"><span>save: '
         + _download(path.read_bytes(), "image/svg+xml", path.name, "SVG")

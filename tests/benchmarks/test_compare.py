@@ -148,6 +148,20 @@ def test_dry_run_writes_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
+def test_a_comparison_in_which_every_run_fails_still_reports(tmp_path):
+    def unplugged(experiment, *, samples, iterations, rng):
+        raise RuntimeError("the cable is out")
+
+    options = {"plants": ["reference"], "noise_variances": [1.0], "estimators": ["frf"], "samples": 50}
+    options |= {"experiments": 2, "methods": [unplugged], "jobs": 1, "quiet": True}
+    dry = compare(**options, dry_run=True, out=tmp_path / "none")
+    assert "unplugged, frf: RuntimeError: the cable is out" in dry.sentences[1]
+    result = compare(**options, replicates=2, out=tmp_path / "failed")
+    assert [(r["n"], r["n_failed"], r["failures"]) for r in result.rows] == [(2, 2, "2 failed")]
+    assert result.page.exists()
+
+
 def test_hair_dryer_story():
     """Issue: input-correlated residuals at lags 1 to 3 with nk = 1, then nk = 3; simulation about 0.145 to 0.116 V."""
     story = hair_dryer_story()
