@@ -134,11 +134,8 @@ def identify(
         raise InputError(f"search is {search!r}; choose auto, quick or thorough.")
     if robust not in (None, "huber", "student"):
         raise InputError(f"robust is {robust!r}; choose huber, student or None.")
-    if missing and (robust or (isinstance(form, StateSpace) and form.n_outputs > 1)):
-        raise InputError(
-            "missing samples are bridged with the squared loss, and for state-space models of one output; take the "
-            "robust loss off, or fit a polynomial model or the outputs one by one."
-        )
+    if missing and robust:
+        raise InputError("missing samples are bridged with the squared loss; take the robust loss off.")
     if prefilter is not None:
         experiments = [filtered_record(r, *prefilter) for r in experiments]
     means = offset == "mean"
@@ -180,6 +177,8 @@ def _fitted(
     form: Structure, records: list[Record], joint: Problem, begin: NDArray | None, how: Settings
 ) -> tuple[Problem, Optimum]:
     """The optimum of all outputs together."""
+    if joint.noise is not None:
+        return _fit_with_gaps(form, records, joint, begin, how)
     if isinstance(form, StateSpace):
         found = [_fit_state_space(form, records, joint, begin, how)]
         z = found[0].point.z
@@ -197,6 +196,51 @@ def _fitted(
         worst = max(found, key=lambda f: f.decrement)
         return joint, Optimum(point, worst.status, iterations, worst.decrement)
     return _fit_together(joint, z, iterations, how)
+
+
+def _fit_with_gaps(
+    form: Structure, records: list[Record], joint: Problem, begin: NDArray | None, how: Settings
+) -> tuple[Problem, Optimum]:
+    """State-space models of several outputs with missing samples: the parameters and the innovations' covariance, on
+    which the Kalman filter then depends, in turn; begun where the interpolated records lead."""
+    from scipy.optimize import minimize
+
+    ny, complete = form.n_outputs, replace(how, missing=False)
+    whole = prepare(
+        form, [bridged(r) for r in records], offset=how.offset, initial=how.unknown,
+        scales=(joint.input_scale, joint.output_scale),
+    ).replace(lower=joint.lower, upper=joint.upper)  # fmt: skip
+    posed, optimum = _fitted(form, records, whole, begin, complete)
+    z, noise = optimum.point.z.copy(), optimum.point.extra[1]
+    if how.offset:
+        z[form.n :] += (whole.output_level - joint.output_level) / joint.output_scale
+    factor, iterations, before = np.linalg.cholesky(noise), optimum.iterations, np.inf
+    at = np.tril_indices(ny)
+    for _ in range(30):
+        posed = joint.with_noise(factor @ factor.T)
+        point = posed.evaluate(z)
+        if point is None:
+            raise InputError(
+                "no start of the state-space model has a stable predictor; raise or lower the order."
+            )
+        optimum = posed.descend(point, max_iterations=how.max_iterations, tolerance=how.tolerance)
+        z, iterations = optimum.point.z, iterations + optimum.iterations
+        if optimum.point.loss > before * (1 - 1e-9):
+            break
+        before = optimum.point.loss
+
+        def log_loss(change: NDArray, base: NDArray = factor, held: NDArray = z) -> float:
+            move = np.zeros((ny, ny))
+            move[at] = np.concatenate([[0.0], change])  # the factor common to all is the likelihood's own
+            root = base @ (np.eye(ny) + move)
+            there = joint.with_noise(root @ root.T).evaluate(held)
+            return np.inf if there is None else float(np.log(there.loss))
+
+        best = minimize(log_loss, np.zeros(len(at[0]) - 1), method="BFGS", options={"gtol": 1e-7})
+        move = np.zeros((ny, ny))
+        move[at] = np.concatenate([[0.0], best.x])
+        factor = factor @ (np.eye(ny) + move)
+    return posed, Optimum(optimum.point, optimum.status, iterations, optimum.decrement)
 
 
 def _about_means(records: list[Record]) -> tuple[list[Record], tuple[NDArray, NDArray]]:

@@ -7,7 +7,8 @@ v = C / (A D) e, has the innovations form x+ = F x + K e, v = x_1 + e, and the K
 
 without the terms in eps and L where the sample is missing (e of unit variance; P = 0 at the start and as long as
 nothing is missing, so that the filter is then the predictor). The likelihood wants eps^2 / S and log S. A
-state-space model of one output is in innovations form already: F = A, h = C.
+state-space model is in innovations form already: F = A, h = C; of several outputs, any of which may be missing, the
+covariance Lambda of e stands where the 1 and K K' do, up to a factor that the likelihood is concentrated over.
 """
 
 from __future__ import annotations
@@ -132,56 +133,83 @@ def kalman_recursion(structure: Polynomial, levels: bool, initial: bool) -> Recu
 
 
 def state_space_kalman_recursion(structure: StateSpace, levels: bool, initial: bool) -> Recursion:
-    """The step of the predictor of a state-space model of one output with missing samples.
+    """The step of the predictor of a state-space model with missing samples, any of the outputs at any time.
 
     Parameters
     ----------
     structure : StateSpace
-        Of one output.
+        The structure.
     levels : bool
-        Whether the output has an unknown level.
+        Whether each output has an unknown level.
     initial : bool
         Whether the initial state is unknown.
 
     Returns
     -------
     Recursion
-        The sample holds the inputs, the output (anything finite where missing), the pulse, and 1 or 0: observed or
-        missing.
+        The sample holds the inputs, the outputs (anything finite where missing), the pulse, 1 or 0 for every output:
+        observed or missing; and of several outputs the lower triangle of the innovations' covariance, row by row.
+        The residuals are whitened: their covariance is the identity.
     """
     import casadi as ca
 
-    n, nu = structure.order, structure.n_inputs
-    theta, level = ca.SX.sym("theta", structure.n), ca.SX.sym("level", 1 if levels else 0)
+    n, nu, ny = structure.order, structure.n_inputs, structure.n_outputs
+    theta, level = ca.SX.sym("theta", structure.n), ca.SX.sym("level", ny if levels else 0)
     x0 = ca.SX.sym("x0", n if initial else 0)
     m = {letter: ca.SX(value) for letter, value in structure.matrices(np.zeros(structure.n)).items()}
     for k, (letter, i, j) in enumerate(structure.entries()):
         m[letter][i, j] = theta[k]
     m = {letter: ca.sparsify(value) for letter, value in m.items()}
     x, lower = ca.SX.sym("x", n), ca.SX.sym("P", n * (n + 1) // 2)
-    u, y, seen, pulse = ca.SX.sym("u", nu), ca.SX.sym("y"), ca.SX.sym("seen"), ca.SX.sym("pulse")
-    P = ca.SX(n, n)
-    for k in range(n):
-        for i in range(k + 1):
-            P[k, i] = P[i, k] = lower[k * (k + 1) // 2 + i]
+    u, y, seen, pulse = ca.SX.sym("u", nu), ca.SX.sym("y", ny), ca.SX.sym("seen", ny), ca.SX.sym("pulse")
+    noise = ca.SX.sym("noise", ny * (ny + 1) // 2 if ny > 1 else 0)
+    P, Lambda = _symmetric(ca, lower, n), _symmetric(ca, noise, ny) if ny > 1 else ca.SX(1)
     A, B, C, D, K = (m[letter] for letter in "ABCDK")
-    S = 1 + C @ P @ C.T
-    innovation = y - C @ x - D @ u - (level if levels else 0)
-    L = (A @ P @ C.T + K) / S
-    P_next = A @ P @ A.T + K @ K.T - seen * S * (L @ L.T)
+    innovation = seen * (y - C @ x - D @ u - (level if levels else 0))
+    # A missing output is one of unit variance that is observed to be as foretold and tells nothing of the state.
+    S = ca.densify(seen @ seen.T * (Lambda + C @ P @ C.T)) + ca.diag(1 - seen)
+    root = _root(ca, S, ny)
+    L = ca.solve(S, ((A @ P @ C.T + K @ Lambda) @ ca.diag(seen)).T).T if ny > 1 else None
+    L = seen * (A @ P @ C.T + K) / S if L is None else L
+    P_next = A @ P @ A.T + K @ Lambda @ K.T - L @ S @ L.T
     after = ca.vertcat(
-        A @ x + B @ u + seen * L * innovation, *(P_next[k, i] for k in range(n) for i in range(k + 1))
+        A @ x + B @ u + L @ innovation, *(P_next[k, i] for k in range(n) for i in range(k + 1))
     )
+    white: list = []
+    for k in range(ny):
+        white.append((innovation[k] - sum((root[k][i] * white[i] for i in range(k)), ca.SX(0))) / root[k][k])
+    log_variance = sum((2 * ca.log(root[k][k]) for k in range(ny)), ca.SX(0))
     start = ca.vertcat(x0, ca.SX.zeros(n * (n + 1) // 2, 1)) if initial else None
     made = differentiated(
         ca.vertcat(x, lower),
-        ca.vertcat(u, y, seen, pulse),
+        ca.vertcat(u, y, seen, noise, pulse),
         ca.vertcat(theta, level, x0),
         ca.densify(after),
-        ca.densify(ca.vertcat(seen * innovation / ca.sqrt(S), seen * ca.log(S))),
+        ca.densify(ca.vertcat(*white, log_variance)),
         start,
     )
     return Recursion(
-        made.state, ca.vertcat(u, y, pulse, seen), made.parameters, made.next_state,
-        made.residual[:1], made.jacobian[:1, :], made.residual[1], made.jacobian[1, :],
+        made.state, ca.vertcat(u, y, pulse, seen, noise), made.parameters, made.next_state,
+        made.residual[:ny], made.jacobian[:ny, :], made.residual[ny], made.jacobian[ny, :],
     )  # fmt: skip
+
+
+def _symmetric(ca: Any, lower: Any, n: int) -> Any:
+    """The matrix of a lower triangle stored row by row."""
+    full = ca.SX(n, n)
+    for k in range(n):
+        for i in range(k + 1):
+            full[k, i] = full[i, k] = lower[k * (k + 1) // 2 + i]
+    return full
+
+
+def _root(ca: Any, S: Any, n: int) -> list[list]:
+    """Rows of the Cholesky factor of a small matrix, entry by entry."""
+    rows: list[list] = []
+    for k in range(n):
+        row: list = []
+        for i in range(k):
+            row.append((S[k, i] - sum((row[j] * rows[i][j] for j in range(i)), ca.SX(0))) / rows[i][i])
+        row.append(ca.sqrt(S[k, k] - sum((v * v for v in row), ca.SX(0))))
+        rows.append(row)
+    return rows

@@ -21,6 +21,7 @@ from estimators.pem.predictors import (
     walls,
 )
 from oed.data import Record
+from oed.models import StateSpace
 
 __all__ = ["Problem", "prepare"]
 
@@ -51,6 +52,11 @@ class Problem:
         "", "weighted" or "missing": which kernel.
     n_observed : int
         Rows with an observed output.
+    n_values : int
+        Observed outputs, counted one by one.
+    noise : ndarray, optional
+        (ny, ny) covariance of the innovations up to a factor, in scaled units: of state-space models of several
+        outputs with missing samples, whose residuals are whitened by it.
     lower, upper : ndarray, optional
         Bounds of the scaled parameters; equal where a parameter is known.
     prior_mean, prior_precision : ndarray, optional
@@ -70,6 +76,8 @@ class Problem:
     weight: NDArray[np.float64]
     variant: str = ""
     n_observed: int = 0
+    n_values: int = 0
+    noise: NDArray[np.float64] | None = None
     lower: NDArray[np.float64] | None = None
     upper: NDArray[np.float64] | None = None
     prior_mean: NDArray[np.float64] | None = None
@@ -154,6 +162,24 @@ class Problem:
             variant="weighted",
         )
 
+    def with_noise(self, noise: NDArray) -> Problem:
+        """The same problem with another covariance of the innovations.
+
+        Parameters
+        ----------
+        noise : ndarray
+            (ny, ny) up to a factor, in scaled units.
+
+        Returns
+        -------
+        Problem
+            With it in every row of its data.
+        """
+        lower = noise[np.tril_indices(len(noise))]
+        known = self.data if self.noise is None else self.data[:, : -len(lower)]
+        data = np.column_stack([known, np.broadcast_to(lower, (len(known), len(lower)))])
+        return self.replace(data=np.ascontiguousarray(data), noise=noise)
+
     def evaluate(self, z: NDArray, initial: Any = None) -> Point | None:
         """Loss, gradient and Gauss-Newton matrix with the initial states eliminated.
 
@@ -191,7 +217,7 @@ class Problem:
         loss = float(sums.loss.sum())
         if sums.log_variance.size:
             total = sums.log_variance.sum(axis=0)
-            slope, growth = total[1 : 1 + n] / (2 * self.n_observed), np.exp(total[0] / self.n_observed)
+            slope, growth = total[1 : 1 + n] / (2 * self.n_values), np.exp(total[0] / self.n_values)
             cross_term = np.outer(gradient, slope)
             hessian = growth * (hessian + cross_term + cross_term.T + loss * np.outer(slope, slope))
             gradient, loss = growth * (gradient + loss * slope), growth * loss
@@ -202,9 +228,10 @@ class Problem:
             hessian = hessian + self.prior_precision
         if not (np.isfinite(loss) and np.isfinite(hessian).all()):
             return None
-        return Point(
-            z, loss, gradient, hessian, follow, (initial, sums.covariance.sum(axis=0) / self.n_observed)
-        )
+        covariance = sums.covariance.sum(axis=0) / self.n_observed
+        if self.noise is not None:
+            covariance = self.noise * float(sums.loss.sum()) / self.n_values
+        return Point(z, loss, gradient, hessian, follow, (initial, covariance))
 
     def _sums(self, z: NDArray, initial: NDArray | None) -> Sums:
         parameters = np.broadcast_to(z, (len(self.lengths), len(z)))
@@ -267,10 +294,24 @@ class Problem:
         """
         initial = point.extra[0]
         initial = np.zeros((len(self.lengths), 0)) if initial is None else initial
-        return [
-            self.kernel.trace(data, np.concatenate([point.z, x]), False)[0] * self.output_scale
+        found = [
+            self.kernel.trace(data, np.concatenate([point.z, x]), False)[0]
             for data, x in zip(self.records(), initial, strict=True)
         ]
+        if self.noise is not None:
+            found = [self._coloured(e, data) for e, data in zip(found, self.records(), strict=True)]
+        return [e * self.output_scale for e in found]
+
+    def _coloured(self, white: NDArray, data: NDArray) -> NDArray[np.float64]:
+        """Whitened residuals as prediction errors again, each set of observed outputs with its own covariance."""
+        ny, noise = self.structure.n_outputs, np.asarray(self.noise)
+        at = data.shape[1] - ny * (ny + 1) // 2 - ny
+        seen, e = data[:, at : at + ny] > 0, np.array(white)
+        for pattern in np.unique(seen, axis=0):
+            rows = np.all(seen == pattern, axis=1)
+            masked = np.where(np.outer(pattern, pattern), noise, np.eye(ny))
+            e[rows] = white[rows] @ np.linalg.cholesky(masked).T
+        return e
 
     def replace(self, **changes: Any) -> Problem:
         """The same problem with some attributes changed.
@@ -334,7 +375,10 @@ def prepare(
     if missing:
         seen = [np.isfinite(r.y).astype(float) for r in records]
         data = [np.column_stack([np.nan_to_num(d), s]) for d, s in zip(data, seen, strict=True)]
-    return Problem(
+    problem = Problem(
         structure, kernel, np.ascontiguousarray(np.concatenate(data)), np.array([len(d) for d in data]), scale,
         u_level, y_level, su, sy, kernel.n - len(scale), np.eye(structure.n_outputs), variant, observed,
+        int(sum(np.isfinite(r.y).sum() for r in records)),
     )  # fmt: skip
+    several = missing and isinstance(structure, StateSpace) and structure.n_outputs > 1
+    return problem.with_noise(np.eye(structure.n_outputs)) if several else problem

@@ -75,8 +75,10 @@ def result(
     noise = scaled * np.outer(problem.output_scale, problem.output_scale) * freedom
     if robust:
         spread = spread * robust_factor(problem, point, robust) * freedom
-    elif ny == 1:
-        spread = spread * (float(scaled[0, 0]) * freedom)
+    elif problem.variant == "missing":  # the loss is the likelihood's, concentrated over a common factor
+        spread = spread * (point.loss / problem.n_values * freedom)
+    else:  # the weight of several outputs is the inverse of their residuals' moment
+        spread = spread * ((float(scaled[0, 0]) if ny == 1 else 1.0) * freedom)
     spread = spread * np.outer(problem.scale, problem.scale)
     theta = point.z[:n] * problem.scale[:n]
     level, level_error = problem.output_level, np.zeros(ny)

@@ -75,7 +75,10 @@ def _problem(fit: Fit, records: Record | Sequence[Record]) -> tuple[Problem, NDA
     ]
     if problem.structure.n_outputs > 1:
         scale = np.outer(problem.output_scale, problem.output_scale)
-        problem = problem.replace(weight=np.linalg.inv(fit.noise_covariance / scale))
+        if problem.noise is not None:
+            problem = problem.with_noise(fit.noise_covariance / scale)
+        else:
+            problem = problem.replace(weight=np.linalg.inv(fit.noise_covariance / scale))
     return problem, z / problem.scale
 
 
@@ -83,8 +86,12 @@ def sandwich(fit: Fit, records: Record | Sequence[Record], *, lags: int | None =
     """The fit with a covariance that holds for a misspecified model too: H^-1 M H^-1.
 
     H is half the Hessian of the loss, by central differences of its exact gradient; M the long-run covariance of
-    the gradient's terms: whitened by a vector autoregression of order 1, summed over lags with Bartlett's weights,
-    and coloured again (Andrews, Monahan 1992).
+    the gradient's terms: residuals over one minus their leverage, because fitted residuals are too small (MacKinnon,
+    White 1985: HC3), whitened by a vector autoregression of order 1, summed over lags with Bartlett's weights, and
+    coloured again (Andrews, Monahan 1992).
+
+    No covariance helps where the misspecified loss has its minimum far from the parameters in a part of the samples:
+    output error in noise much larger than the signal, at low frequencies, fits a slow mode to the noise.
 
     Parameters
     ----------
@@ -126,7 +133,7 @@ def sandwich(fit: Fit, records: Record | Sequence[Record], *, lags: int | None =
         states = np.zeros(0) if initial is None else initial[r]
         e, jacobian = problem.kernel.trace(data, np.concatenate([z, states]), True)
         if jacobian is not None:
-            scores.append(np.einsum("tij,tj->ti", jacobian[:, :, :n].transpose(0, 2, 1), e @ problem.weight))
+            scores.append(_scores(e, jacobian[:, :, :n], problem.weight, point.hessian))
     M = _long_run(scores, lags)
     inverse = np.linalg.inv(H)
     covariance = inverse @ M @ inverse * np.outer(problem.scale, problem.scale)
@@ -136,6 +143,13 @@ def sandwich(fit: Fit, records: Record | Sequence[Record], *, lags: int | None =
         covariance=covariance[:m, :m],
         notes=(*fit.notes, f"Covariance robust to a misspecified model (sandwich, {lags} lags)."),
     )
+
+
+def _scores(e: NDArray, jacobian: NDArray, weight: NDArray, hessian: NDArray) -> NDArray[np.float64]:
+    """J' W (I - L)^-1 e at every time, (N, n), with the leverage L = J H^-1 J' W."""
+    across = jacobian @ np.linalg.pinv(hessian, hermitian=True)
+    kept = np.eye(e.shape[1]) - across @ jacobian.transpose(0, 2, 1) @ weight
+    return np.einsum("tji,jk,tk->ti", jacobian, weight, np.linalg.solve(kept, e[:, :, None])[:, :, 0])
 
 
 def _long_run(scores: list[NDArray], lags: int) -> NDArray[np.float64]:

@@ -171,9 +171,8 @@ def test_state_space_with_gaps_is_armax_with_gaps(initial, rng) -> None:
     omega = np.linspace(0.1, 3, 7)
     assert ss.loss == pytest.approx(armax_fit.loss, rel=1e-8)
     assert np.allclose(ss.model.response(omega)[0], armax_fit.model.response(omega)[0], rtol=1e-5)
-    two = Record(u, np.column_stack([y, y]))
-    with pytest.raises(InputError, match="state-space models of one output"):
-        identify(two, "ss", [2], missing=True)
+    with pytest.raises(InputError, match="take the robust loss off"):
+        identify(Record(u, y), "ss", [2], missing=True, robust="huber")
 
 
 def test_constraints_of_the_user_hold(rng) -> None:
