@@ -57,6 +57,9 @@ class ShiftedIterations:
         """The last estimate."""
         return float(self.values[-1])
 
+    def __repr__(self) -> str:
+        return f"smallest eigenvalue {self.last:.6g} after {len(self.values)} iterations, {self.experiments} experiments"
+
 
 def _iterate(
     experiment: Experiment,
