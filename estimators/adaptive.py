@@ -40,7 +40,7 @@ def _designed(
     from oed.information import information_of_records
 
     try:
-        fit = identify(records, "oe", orders, delay=delay)
+        fit = identify(records, "oe", orders, delay=delay, search="quick")
         plant = fit.to_plant()
         prior = information_of_records(plant, [r.u for r in records]) / ahead
         return solve_design(plant, criterion, input_power=power, prior=prior).spectrum
@@ -147,7 +147,7 @@ def _hedged(
 
     draws, inflation = hedge
     try:
-        plant = identify(records, "oe", orders, delay=delay).to_plant()
+        plant = identify(records, "oe", orders, delay=delay, search="quick").to_plant()
         information = information_of_records(plant, [r.u for r in records])
         root = inflation * np.linalg.cholesky(np.linalg.inv(information))
     except (OedError, np.linalg.LinAlgError):
