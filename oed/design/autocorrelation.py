@@ -2,7 +2,8 @@
 
 Autocorrelation (a finite moving average): Phi(w) = r_0 + 2 sum_{l=1}^{L} r_l cos(l w) >= 0, linear information
 M = sum_l r_l T_l, and nonnegativity everywhere by the positive-real lemma: r_l = trace of the l-th diagonal of some
-positive semidefinite Q, (L+1) x (L+1) (trace parametrisation; B. Dumitrescu, Positive Trigonometric Polynomials).
+positive semidefinite Q, (L+1) x (L+1) (trace parametrisation; B. Dumitrescu, Positive Trigonometric Polynomials). With
+several inputs r_l are matrices R_l, Phi = R_0 + sum_l (R_l e^-jlw + R_l' e^jlw), and the entries of Q are blocks.
 
 Moments: for a rational plant of one input with denominator A and numerators of degree d of the gradient,
 M depends on Phi / |A A H|^2 through its moments m_0 ... m_d only; a sequence is one of moments exactly when its
@@ -14,6 +15,7 @@ nu-gap cost function", SIAM J. Control and Optimization 41 (2003) 1586-1608.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -38,7 +40,7 @@ class Autocorrelated:
     spectrum : Spectrum
         As lines: of a density, the nodes of a quadrature that is exact for the information.
     coefficients : ndarray
-        (L + 1,) autocorrelation r_0 ... r_L, or moments m_0 ... m_d.
+        (L + 1,) autocorrelation r_0 ... r_L, with several inputs (L + 1, nu, nu), E u(t + l) u(t)'; or moments m_0 ... m_d.
     loss : float
         Loss per sample at the stated power.
     kind : str
@@ -104,7 +106,8 @@ def conic(criterion: Criterion, constraints: list, M: Any, accuracy: float = 1e-
     problem = cp.Problem(objective, constraints)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for asked in (accuracy, 1e2 * accuracy, 1e4 * accuracy):
+        # Clarabel's scaling of the rows was seen to end some D designs in numerical failure at once.
+        for asked, scaling in product((accuracy, 1e2 * accuracy, 1e4 * accuracy), (True, False)):
             try:
                 problem.solve(
                     solver=cp.CLARABEL,
@@ -113,6 +116,7 @@ def conic(criterion: Criterion, constraints: list, M: Any, accuracy: float = 1e-
                     tol_feas=asked,
                     # Splitting small Hermitian cones by their zeros was seen to end in numerical failure.
                     chordal_decomposition_enable=False,
+                    equilibrate_enable=scaling,
                 )
                 break
             except cp.error.SolverError as error:
@@ -131,21 +135,16 @@ def conic(criterion: Criterion, constraints: list, M: Any, accuracy: float = 1e-
 def _prepared(
     model: Any, criterion: str | Criterion, points: int
 ) -> tuple[InformationMap, Criterion, Criterion, float, NDArray, NDArray, NDArray]:
-    """Map, criterion (own and scaled), factor of the losses, nodes, scaled atoms (K, n, n) and R."""
+    """Map, criterion (own and scaled), factor of the losses, nodes, scaled factors (n, K, r, nu) and R."""
     information = information_map(model)
-    if information.n_inputs != 1:
-        raise InputError(
-            f"this parametrisation is for one input; the plant has {information.n_inputs}: use grid."
-        )
     wanted = criterion_of(criterion, model, information)
     omega = (np.arange(points) + 0.5) * np.pi / points
-    D = np.moveaxis(information.factor(omega)[..., 0], 1, 0).reshape(information.n, -1)
-    rows = np.concatenate([D.real, D.imag], axis=1) / np.sqrt(points)
+    D = np.moveaxis(information.factor(omega), 1, 0)
+    flat = D.reshape(information.n, -1)
+    rows = np.concatenate([flat.real, flat.imag], axis=1) / np.sqrt(points)
     R = np.asarray(np.linalg.qr(rows.T, mode="r"))
     scaled, factor = wanted.transformed(R)
-    F = np.linalg.solve(R.T, D).reshape(information.n, points, -1)
-    atoms = np.einsum("nkr,mkr->knm", F, F.conj()).real
-    return information, wanted, scaled, factor, omega, atoms, R
+    return information, wanted, scaled, factor, omega, np.linalg.solve(R.T, flat).reshape(D.shape), R
 
 
 def autocorrelation_design(
@@ -161,13 +160,13 @@ def autocorrelation_design(
     Parameters
     ----------
     model : Plant, Model or InformationMap
-        One input.
+        One input or several.
     criterion : str or Criterion
         D, A, E or c.
     lags : int
         L: the signal is white noise through a filter of L + 1 taps.
     input_power : float
-        r_0.
+        r_0, or the trace of R_0.
     points : int
         Nodes of the midpoint rule for the information.
 
@@ -180,34 +179,45 @@ def autocorrelation_design(
 
     if int(lags) != lags or lags < 0:
         raise InputError(f"the number of lags is {lags}; it must be a whole number of at least 0.")
-    information, wanted, scaled, _, omega, atoms, R = _prepared(model, criterion, points)
-    cosines = np.cos(np.outer(np.arange(lags + 1), omega)) * np.where(np.arange(lags + 1) == 0, 1, 2)[:, None]
-    lagged = np.einsum("lk,knm->lnm", cosines, atoms) / points
+    information, wanted, scaled, _, omega, F, R = _prepared(model, criterion, points)
+    size, nu, n = lags + 1, information.n_inputs, information.n
+    turns = np.exp(-1j * np.outer(np.arange(size), omega))
+    # What entry (p, q) of R_l tells, its transpose included: (size, nu, nu, n, n).
+    pairs = np.einsum("nkrp,mkrq->kpqnm", F, F.conj(), optimize=True).reshape(points, -1) / points
+    lagged = (turns @ pairs).reshape(size, nu, nu, n, n).real
+    lagged[1:] += (turns[1:].conj() @ pairs).reshape(lags, nu, nu, n, n).real.swapaxes(1, 2)
     inverse = np.linalg.inv(R)
     constant = inverse.T @ information.constant @ inverse
     from scipy import sparse
 
-    Q = cp.Variable((lags + 1, lags + 1), PSD=True)
-    # r_l is the sum of the l-th diagonal of Q: one sparse matrix, for Q's entries column by column.
-    row, column = np.triu_indices(lags + 1)
-    diagonals = sparse.csr_matrix(
-        (np.ones(len(row)), (column - row, row + column * (lags + 1))), shape=(lags + 1, (lags + 1) ** 2)
+    Q = cp.Variable((size * nu, size * nu), PSD=True)
+    # R_l is the sum of the blocks (i + l, i) of Q: one sparse matrix, for Q's entries column by column.
+    i, j, p, q = (
+        x.ravel() for x in np.meshgrid(*(np.arange(k) for k in (size, size, nu, nu)), indexing="ij")
     )
-    r = diagonals @ cp.vec(Q, order="F")
-    n = information.n
-    M = constant + input_power * cp.reshape(lagged.reshape(lags + 1, -1).T @ r, (n, n), order="C")
+    i, j, p, q = (x[i >= j] for x in (i, j, p, q))
+    blocks = sparse.csr_matrix(
+        (np.ones(len(i)), (((i - j) * nu + p) * nu + q, (i * nu + p) + (j * nu + q) * (size * nu))),
+        shape=(size * nu * nu, (size * nu) ** 2),
+    )
+    r = blocks @ cp.vec(Q, order="F")
+    M = constant + input_power * cp.reshape(lagged.reshape(-1, n * n).T @ r, (n, n), order="C")
     conic(scaled, [cp.trace(Q) == 1], (M + M.T) / 2)
-    q = np.asarray(Q.value, dtype=float)
-    power = input_power * float(np.trace(q))
-    values, vectors = np.linalg.eigh((q + q.T) / 2)
-    q = (vectors * np.clip(values, 0, None)) @ vectors.T
-    coefficients = np.array([np.trace(q, offset=lag) for lag in range(lags + 1)])
-    coefficients *= input_power / coefficients[0]
-    density = np.clip(coefficients @ cosines, 0, None)
-    density *= input_power / density.mean()
+    found = np.asarray(Q.value, dtype=float)
+    power = input_power * float(np.trace(found))
+    values, vectors = np.linalg.eigh((found + found.T) / 2)
+    found = (vectors * np.clip(values, 0, None)) @ vectors.T
+    coefficients = (blocks @ found.ravel(order="F")).reshape(size, nu, nu)
+    coefficients = coefficients * (input_power / np.trace(coefficients[0]))
+    half = (turns.T @ coefficients.reshape(size, -1)).reshape(points, nu, nu) - coefficients[0] / 2
+    values, vectors = np.linalg.eigh(half + half.conj().swapaxes(1, 2))
+    density = (vectors * np.clip(values, 0, None)[:, None, :]) @ vectors.conj().swapaxes(1, 2)
+    density *= input_power / np.einsum("kii->k", density).real.mean()
     spectrum = Spectrum(omega, density / points)
     loss = wanted.loss(information.of_spectrum(spectrum))
-    return Autocorrelated(spectrum, coefficients, loss, "autocorrelation", power)
+    return Autocorrelated(
+        spectrum, coefficients[:, 0, 0] if nu == 1 else coefficients, loss, "autocorrelation", power
+    )
 
 
 def moment_design(
@@ -238,7 +248,8 @@ def moment_design(
     # Gradient numerators over A A C / D: information and power are trigonometric polynomials against the
     # measure Phi / |A A C|^2, of a degree that the numerators and the weight itself bound.
     degree = max(len(weight), len(plant.num[0][0]) + len(A) + len(plant.noise_den)) - 1
-    _, _, scaled, factor, omega, atoms, _ = _prepared(plant, criterion, 4 * (degree + 1) + 64)
+    _, _, scaled, factor, omega, F, _ = _prepared(plant, criterion, 4 * (degree + 1) + 64)
+    atoms = np.einsum("nkrp,mkrp->knm", F, F.conj()).real
     modulus = np.abs(np.polyval(weight[::-1], np.exp(-1j * omega))) ** 2
     basis = np.cos(np.outer(omega, np.arange(degree + 1)))
     rows = np.concatenate(

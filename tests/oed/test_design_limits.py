@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from oed.criteria import a_criterion
 from oed.data import Spectrum
 from oed.design import (
     RepeatedDesign,
@@ -24,6 +25,7 @@ from oed.design.masked_mimo import masked_mimo_design
 from oed.design.named_criteria import criterion_of
 from oed.errors import InfeasibleDesign, InputError, Status
 from oed.named import named_plant
+from oed.plants import Plant
 from oed.signals import realise
 
 
@@ -101,6 +103,41 @@ def test_a_hermitian_mask_on_one_input_is_the_scalar_mask(plant):
     )
     assert matrix.loss == pytest.approx(scalar.loss, rel=1e-6)
     assert 0 <= matrix.gap < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("criterion", ["D", "A", "E"])
+def test_autocorrelations_of_several_inputs(criterion):
+    """MOOSE2's parametrisation: between white noise and the certified optimum, better with every lag."""
+    three = named_plant("three-by-two")
+    free = solve_design(three, criterion, tolerance=1e-5)
+    found = [autocorrelation_design(three, criterion, lags=L, points=512, input_power=2.0) for L in (0, 2, 5)]
+    losses = [2 * one.loss for one in found]
+    assert free.bound < losses[2] < losses[1] < losses[0] <= free.loss / free.efficiency_white * (1 + 1e-6)
+    for one in found:
+        R = one.coefficients
+        # Three powers: the optimiser's, the lines', and the trace of the autocorrelation at lag 0.
+        np.testing.assert_allclose([one.power, one.spectrum.total_power, np.trace(R[0])], 2.0, rtol=1e-6)
+        # Phi = sum_l R_l e^-jlw is what the lines say, and positive semidefinite between them too.
+        turns = np.exp(-1j * np.outer(np.linspace(0, np.pi, 2001), np.arange(len(R))))
+        half = np.einsum("kl,lpq->kpq", turns, R) - R[0] / 2
+        assert np.linalg.eigvalsh(half + half.conj().swapaxes(1, 2)).min() > -1e-6
+
+
+def test_the_correlation_of_two_inputs_has_a_closed_form():
+    """y_t = b1 u1_(t-1) + b2 u2_(t-2): M = [[1/2, r], [r, 1/2]] with r = E u1_(t+1) u2_t, best at 2 r = 1/2 for W = 0.8."""
+    delays = Plant([[[0, 1.0], [0, 0, 1.0]]], [[[1.0], [1.0]]])
+    criterion = a_criterion(2, np.array([[1.0, 0.8], [0.8, 1.0]]))
+    found = autocorrelation_design(delays, criterion, lags=1, points=64)
+    assert found.loss == pytest.approx(4 * (1 - 0.8 * 0.5) / (1 - 0.5**2), rel=1e-7)
+    # Not its transpose: the other way round the plant does not see it.
+    assert found.coefficients[1][0, 1] == pytest.approx(0.25, abs=1e-4)
+    spectrum = found.spectrum
+    for lag in range(2):
+        own = np.einsum("kpq,k->pq", spectrum.power, np.exp(1j * lag * spectrum.omega)).real
+        np.testing.assert_allclose(own, found.coefficients[lag], atol=1e-6)
+    white = autocorrelation_design(delays, criterion, lags=0, points=64)
+    assert white.loss == pytest.approx(4.0, rel=1e-7)
 
 
 @pytest.mark.slow
