@@ -70,7 +70,13 @@ def verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
         a = out.attribution
         tag = f" on output {i + 1}" if len(outputs) > 1 else ""
         for sig in out.signatures:
-            order.append((1e6, sig.key))
+            weight = 1e6
+            if (
+                sig.key == "outliers"
+            ):  # by what they add to the residual: peaks of a misfit are few beside their cause
+                rest = float(np.sum(a.final.residual[out.last.keep] ** 2)) + 1e-300
+                weight = 1e3 + a.final.n * float(np.log1p(sig.count * sig.size**2 / rest))
+            order.append((weight, sig.key))
             evidence.append(sig.sentence)
             p_value = 0.0
         follows = a.feedback < alpha / 100

@@ -363,7 +363,10 @@ def _structured(channel: Channel, a: Attribution, setting: Setting) -> Attributi
     trials = [] if setting.deviations else [("outflow", tanks(channel, a.base))]
     if order <= 4 and any("nonlinearity" in nature for nature in natures):
         trials.append(("input_lines", curved_input(channel, a.base)))
-        trials.append(("sandwich", sandwich(channel, a.base, max(order + 2, min(2 * order, 6)))))
+        for size in dict.fromkeys((max(order, 2), max(order + 2, min(2 * order, 6)))):
+            trials.append(("sandwich", sandwich(channel, a.base, size)))
+            if (f := trials[-1][1]) is not None and not len(f.noise):
+                break  # nothing is left that more poles could explain
     found = [
         (key, f)
         for key, f in trials

@@ -223,7 +223,11 @@ def _assess(
         step = out.thin_of(f)  # the noise model's sample
         one_before[:, i], one_after[:, i] = e0, np.repeat(innovations(e1[::step], f.noise), step)[:n]
         own = out.last if f is a.final else out.channel
-        floor[i] = np.sqrt(np.sum(f.residual[own.keep] ** 2) / max(1, own.keep.sum() - len(f.p)))
+        rest = f.residual
+        if own.step > 0:  # in the measure of the error after: rounded as the sensor rounds
+            simulated = simulate(f.structure, f.p, own.u, own.clock)
+            rest = own.y - np.round(simulated / own.step) * own.step
+        floor[i] = np.sqrt(np.sum(rest[own.keep] ** 2) / max(1, own.keep.sum() - len(f.p)))
     weight[: setting.skip] = False
     rng = np.random.default_rng(20260)
 

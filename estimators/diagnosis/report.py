@@ -155,11 +155,13 @@ class Diagnosis:
         for name, (value, se, unit) in self.parameters.items():
             lines.append(f"  {name} = {value:.5g} +- {se:.2g} {unit}")
         lines.append(f"simulation error on the {self.held_out}: {self.rmse_before} -> {self.rmse_after}")
+        # what the residual still shows counts as noise in the floor
+        bound = "at most " if self.remaining else ""
         lines.append(
-            f"one-step error: {self.pred_rmse_before} -> {self.pred_rmse_after}; noise floor {self.noise_floor:.4g}"
+            f"one-step error: {self.pred_rmse_before} -> {self.pred_rmse_after}; noise floor {bound}{self.noise_floor:.4g}"
         )
         if np.isfinite(self.removed):
-            lines.append(f"removed {100 * self.removed:.0f} % of the removable error")
+            lines.append(f"removed {bound}{100 * self.removed:.0f} % of the removable error")
         if self.confusable:
             lines.append("this record cannot tell it from: " + ", ".join(self.confusable))
         if len(self.ranked) > 1:
