@@ -16,7 +16,7 @@ The public verb and what it returns:
     Design.efficiency(s)    bound over the loss of another Spectrum
     Design.to_dict(), str(design)
 
-Beside it: `robust_design` (several plants: average, minimax), `quantile_design` (most of them), `RepeatedDesign`
+Beside it: `robust_design` (several plants: average, minimax; D, A, E, c), `quantile_design` (most of them), `RepeatedDesign`
 (a loop that compiles once), `least_power_design` and `application_criterion`,
 `closed_loop_map` (the reference of a loop with a known controller), `masked_design` (limits per frequency),
 `amplitude_design` (finite signals within an amplitude and a rate), `moment_design` and `autocorrelation_design` (other

@@ -260,20 +260,23 @@ def checked_mask(mask: Mask, omega: NDArray[np.float64], size: int, name: str) -
     wanted = (len(omega), size, size)
     if values.shape != wanted or not np.isfinite(values).all():
         raise InputError(
-            f"the {name} has the shape {values.shape}; for this plant it must be finite and {wanted}."
+            f"the {name} has the shape {values.shape}; for this plant it must be finite and {wanted}: "
+            "(frequencies, channels, channels)."
         )
     scale = max(float(np.abs(values).max()), 1e-300)
     skew = np.abs(values - values.conj().swapaxes(1, 2)).max(axis=(1, 2))
     if skew.max() > 1e-9 * scale:
         at = omega[int(np.argmax(skew))]
         raise InputError(
-            f"the {name} is not Hermitian at {at:.6g} rad/sample (by {skew.max():g}); a bound on a spectrum must be."
+            f"the {name} is not Hermitian at {at:.6g} rad/sample (by {skew.max():g}); a bound on a spectrum must be: "
+            "make every entry the conjugate of its transpose's, as (C + C^H) / 2 is."
         )
     lowest = np.linalg.eigvalsh(values)[:, 0]
     if lowest.min() < -1e-9 * scale:
         at = omega[int(np.argmin(lowest))]
         raise InputError(
-            f"the {name} has the negative eigenvalue {lowest.min():g} at {at:.6g} rad/sample; no spectrum lies below it."
+            f"the {name} has the negative eigenvalue {lowest.min():g} at {at:.6g} rad/sample; no spectrum lies below it: "
+            "make it positive semidefinite."
         )
     return values
 

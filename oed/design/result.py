@@ -148,7 +148,8 @@ class Design:
         if self.certificate.elsewhere > 1 + 1e-6:
             lines.append(
                 f"the grid misses something: a line at {self.certificate.elsewhere_frequency:.6g} rad/sample is worth "
-                f"{self.certificate.elsewhere:.4g} times its cost, so the bound holds on the grid only"
+                f"{self.certificate.elsewhere:.4g} times its cost, so the bound holds on the grid only: "
+                "give points there, or leave refine on"
             )
         lines.append(f"{self.status.name}: {self.status.value}")
         return "\n".join(lines)

@@ -120,7 +120,8 @@ def robust_design(
     elif how == "minimax" and kind in ("A", "D"):
         if len({V.shape[1] for V in embedded}) > 1:
             raise InputError(
-                f"the plants' criteria weigh {[V.shape[1] for V in embedded]} combinations; the numbers must agree."
+                f"the plants' criteria weigh {[V.shape[1] for V in embedded]} combinations; the numbers must agree: "
+                "give all plants as many unknown parameters."
             )
         whole = Criterion("G" if kind == "A" else "W", np.stack(embedded), name)
     elif how == "minimax" and kind == "E":
