@@ -81,7 +81,7 @@ lint: $(STAMP)
 validate: $(STAMP)
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m validate --validation-json validation.json $(PYTEST_ARGS)
 
-# 10 plants x 6 noise levels x 12 inputs, 10000 samples a run, under two hours on 2 cores; killed, it resumes.
+# 10 plants x 6 noise levels x 12 inputs, 10000 samples a run: about two hours on 2 cores, extrapolated from single runs; killed, it resumes.
 campaign: $(STAMP)
 	$(BIN)/oed compare --config benchmarks/campaigns/published.toml
 
