@@ -10,7 +10,8 @@ lambda_e - delta, nearly all of it on the white floor; before the limit also on 
 `corrected` is the one to use: it alone has a standard error. The other two show what the theory of the limit spectrum
 is good for: at variance 1 they remove 95 to 99 % of the bias. They take how |G|^2 falls beside the peak from the
 local model and |G|^2 elsewhere from the records, and say INACCURATE where the inputs' spectra there are not those that
-they assume, or where lambda^ is so large beside gamma^2 that a small-noise formula says little.
+they assume, where a second peak is so nearly as high that its share has not settled (`two-peaks`), or where lambda^ is
+so large beside gamma^2 that a small-noise formula says little.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ WINDOW = 5
 """DFT lines that a rough gain is averaged over."""
 SMALL = 0.5
 """Share of gamma^2 from which on lambda_e is not small for Theorem 12."""
+SETTLED = 0.2
+"""Share of its first power that a second peak may have kept at the first experiment used."""
 TOLERATED = 0.05
 """Share of lambda_e, the bias of beta_2^2, that an estimator by the limit spectrum may leave unexplained."""
 RIVALS = 8
@@ -144,6 +147,7 @@ class _Inputs:
     near: NDArray  # (K,) whether the line belongs to the band of the local model
     loss: NDArray  # (K,) gamma^2 - |G|^2 of the local model, there
     far: NDArray  # (K,) |G|^2 measured elsewhere
+    apart: NDArray  # (K,) whether the line lies more than three half-widths from the peak
 
     def squares(self, square: float) -> NDArray[np.float64]:
         """|G|^2 with the peak `square`."""
@@ -157,9 +161,15 @@ class _Inputs:
         return float(max(end, 0.0) / (2 * half_width * len(trace.records[0])))
 
     def status(self, square: float, difference: NDArray, variance: float) -> Status:
-        """INACCURATE where what the far lines cost differs from what was assumed by a share of the bias removed."""
+        """INACCURATE where what the far lines cost differs from what was assumed by a share of the bias removed.
+
+        And where another peak's share of the power, which falls as (|G|^2 / gamma^2)^n, has not settled before the
+        first experiment that is used.
+        """
         off = abs(float(np.where(self.near, 0.0, square - self.far) @ difference))
-        return Status.OK if off < TOLERATED * variance else Status.INACCURATE
+        rival = float(np.max(self.far, where=self.apart & ~self.near, initial=0.0)) / max(square, 1e-300)
+        settled = rival**self.first < SETTLED
+        return Status.OK if off < TOLERATED * variance and settled else Status.INACCURATE
 
 
 def _inputs(trace: Trace, discard: float) -> _Inputs:
@@ -190,6 +200,7 @@ def _inputs(trace: Trace, discard: float) -> _Inputs:
         near,
         loss,
         np.interp(omega, omega[::2], _far_squares(trace, local.noise_variance)),
+        np.abs(omega - local.frequency) > 3 * np.sqrt(2 * local.value**2 / max(local.curvature, 1e-300)),
     )
 
 

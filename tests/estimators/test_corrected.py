@@ -156,6 +156,11 @@ def test_what_is_not_one_resonance_is_not_trusted():
     trace = iterations(named_plant("two-peaks"), 1000, 20, 0)
     assert fixed_point(trace).status is not Status.OK
     assert theorem_12(trace).status is not Status.OK
+    longer = iterations(
+        named_plant("two-peaks"), 1000, 50, 60
+    )  # here the higher peak is sure, its rival not settled
+    assert corrected(longer).status is Status.OK
+    assert fixed_point(longer).status is theorem_12(longer).status is Status.INACCURATE
     noisy = iterations(named_plant("reference", 9.0), 1000, 20, 0)
     assert theorem_12(noisy).status is Status.INACCURATE
 
