@@ -138,7 +138,12 @@ def diagnose_files(
         setting = replace(setting, orders=(order,) * first.n_outputs)
     setting = replace(setting, skip=skip, alpha=alpha)
     if second is not None and second.t0 < first.t0 + first.dt * (len(first) - 1):
-        if setting.deviations:
-            notes.append("both records start at the same time: they are taken as separate clocks")
+        same = abs(second.t0 - first.t0) < 0.5 * first.dt
+        how = (
+            "both records start at the same time"
+            if same
+            else "the test record does not follow the training record"
+        )
+        notes.append(f"{how}: they are taken as separate clocks")
         setting = replace(setting, separate=True)
     return diagnose(first, second, setting), list(dict.fromkeys(notes))

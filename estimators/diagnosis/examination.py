@@ -361,9 +361,11 @@ def _structured(channel: Channel, a: Attribution, setting: Setting) -> Attributi
     natures = {q.effect.nature for q in a.final.structure.effects}
     order = a.base.structure.order
     trials = [] if setting.deviations else [("outflow", tanks(channel, a.base))]
-    if order <= 4 and any("nonlinearity" in nature for nature in natures):
+    if (order <= 4 or not setting.deviations) and any("nonlinearity" in nature for nature in natures):
         trials.append(("input_lines", curved_input(channel, a.base)))
-        for size in dict.fromkeys((max(order, 2), max(order + 2, min(2 * order, 6)))):
+        wide = max(order + 2, min(2 * order, 6))
+        # a suggested order counts the poles of both blocks; one chosen for an approximation has too few
+        for size in (max(order, 2), wide) if setting.deviations else (wide,):
             trials.append(("sandwich", sandwich(channel, a.base, size)))
             if (f := trials[-1][1]) is not None and not len(f.noise):
                 break  # nothing is left that more poles could explain
