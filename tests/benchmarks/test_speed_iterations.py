@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.speed.iterations import BENCHMARKS, lfilter_campaign
+from benchmarks.speed.iterations import BENCHMARKS, lfilter_campaign, lfilter_mimo_campaign
 from estimators.engine import monte_carlo
 from oed.named import named_plant
 
@@ -17,6 +17,17 @@ def test_baseline_and_engine_do_the_same_campaign():
     assert (np.abs(ours.mean["gain_square"][1:] - theirs.mean(axis=0)) < 5 * error).all()
     quiet = lfilter_campaign(200, 12, 150, 0.25)[:, 1:]
     assert (np.abs(ours.mean["gain_square"][1:] - quiet.mean(axis=0)) > 5 * error).any()
+
+
+def test_baseline_and_engine_do_the_same_procedure_2():
+    """As above, 3 x 2."""
+    plant = named_plant("three-by-two")
+    ours = monte_carlo(plant, 100, 6, 128, algorithm="mimo")
+    theirs = lfilter_mimo_campaign(plant, 100, 6, 60)
+    error = np.hypot(ours.error("gain_square"), theirs.std(axis=0, ddof=1) / np.sqrt(60))
+    assert (np.abs(ours.mean["gain_square"] - theirs.mean(axis=0)) < 5 * error).all()
+    quiet = lfilter_mimo_campaign(plant.replace(noise_variance=0.1), 100, 6, 60)
+    assert (np.abs(ours.mean["gain_square"] - quiet.mean(axis=0)) > 5 * error).any()
 
 
 def test_memory_does_not_grow_with_the_runs():
