@@ -30,6 +30,11 @@ PAIRS = {
     "estimator": "estimator",
     "against_method": "against input",
     "against_estimator": "against estimator",
+    "rho2_difference": "difference of rho²",
+    "closer": "closer in",
+    "n": "pairs",
+    "p_holm": "p (Holm)",
+    "differs": "differs",
     "samples": "samples",
     "experiments": "experiments",
     "energy": "energy",
@@ -38,11 +43,6 @@ PAIRS = {
     "against_experiments": "experiments against",
     "against_energy": "energy against",
     "against_peak_amplitude": "peak |u| against",
-    "rho2_difference": "difference of rho²",
-    "closer": "closer in",
-    "n": "pairs",
-    "p_holm": "p (Holm)",
-    "differs": "differs",
 }
 PERFORMANCE = {
     "method": "input",
