@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 from oed.errors import Status
 
@@ -69,13 +70,10 @@ class Optimum:
 
 def _solve(hessian: NDArray, damping: float, gradient: NDArray, scale: NDArray) -> NDArray | None:
     """-(hessian + damping diag)^-1 gradient in scaled variables; None where that is not positive definite."""
-    matrix = hessian * np.outer(scale, scale)
+    matrix = hessian * (scale[:, None] * scale)
     matrix.flat[:: len(matrix) + 1] += damping
-    try:
-        np.linalg.cholesky(matrix)
-    except np.linalg.LinAlgError:
-        return None
-    return scale * np.linalg.solve(matrix, -gradient * scale)
+    _, step, failed = dposv(matrix, -gradient * scale)
+    return None if failed else scale * step
 
 
 def _secant(S: NDArray, step: NDArray, change: NDArray, remainder: NDArray) -> NDArray:

@@ -309,14 +309,15 @@ def _compile(tool: str, fold: Any, trace: Any) -> ctypes.CDLL | None:
 def _native(library: ctypes.CDLL, fold: Any, n: int, ny: int, n_work: int) -> tuple[Callable, Callable]:
     ns, nt = fold.numel_out(0), fold.numel_out(1)
     lower = np.tril_indices(ny)
-    pointer = lambda a: ctypes.c_void_p(a.ctypes.data)
-    size = ctypes.c_longlong
+    pointer = lambda a: a.__array_interface__["data"][0]
+    library.fold.argtypes = [ctypes.c_longlong, *[ctypes.c_void_p] * 6]
+    library.trace.argtypes = [*[ctypes.c_longlong] * 5, *[ctypes.c_void_p] * 6]
 
     def run_fold(data: NDArray, lengths: NDArray, parameters: NDArray, weight: NDArray) -> NDArray:
         total, work = np.zeros((len(lengths), nt)), np.empty(2 * ns + 2 * nt + n_work + 1)
         w, p = np.ascontiguousarray(weight[lower]), np.ascontiguousarray(parameters)
         library.fold(
-            size(len(lengths)), pointer(lengths), pointer(data), pointer(p), pointer(w), pointer(total), pointer(work)
+            len(lengths), pointer(lengths), pointer(data), pointer(p), pointer(w), pointer(total), pointer(work)
         )  # fmt: skip
         return total
 
@@ -324,7 +325,7 @@ def _native(library: ctypes.CDLL, fold: Any, n: int, ny: int, n_work: int) -> tu
         state, work, e = np.zeros(max(ns, 1)), np.empty(ns + n_work + 1), np.empty((len(data), ny))
         jacobian = np.empty((len(data), ny, n)) if with_jacobian else None
         library.trace(
-            size(len(data)), size(ns), size(data.shape[1]), size(ny), size(ny * n), pointer(data), pointer(parameters),
+            len(data), ns, data.shape[1], ny, ny * n, pointer(data), pointer(parameters),
             pointer(state), pointer(e), None if jacobian is None else pointer(jacobian), pointer(work),
         )  # fmt: skip
         return e, jacobian
