@@ -130,7 +130,7 @@ class _Dual:
 
     def powers(self, X: NDArray, nu: NDArray, mu: float) -> NDArray[np.complex128]:
         """The spectrum that belongs to a point of the path, (K, q, q)."""
-        return mu * np.linalg.inv(self.slack(X, nu)[0])
+        return np.asarray(mu * np.linalg.inv(self.slack(X, nu)[0]), dtype=np.complex128)
 
 
 def direction_exchange(problem: Problem, *, refine: bool, tolerance: float, max_rounds: int = 25) -> Exchange:

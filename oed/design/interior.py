@@ -142,7 +142,7 @@ def _solved(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np
     from scipy.linalg.lapack import dposv
 
     _, solution, info = dposv(left, right)
-    return np.linalg.solve(left, right) if info else solution
+    return np.asarray(np.linalg.solve(left, right) if info else solution, dtype=np.float64)
 
 
 def inside(w: NDArray[np.float64], Q: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -169,7 +169,9 @@ def _by_the_spectrum(
             above.append(Y[k] - G[k] @ p @ G[k].conj().T >> 0)
     X = conic(problem.criterion, [*constraints, *above], (M + M.T) / 2, 1e-9)
     Gamma = (
-        np.stack([_positive(np.asarray(a.dual_value)) for a in above]) if above else np.zeros((cells, ny, ny))
+        np.stack([_positive(np.asarray(a.dual_value)) for a in above])
+        if above
+        else np.zeros((cells, ny, ny), dtype=np.complex128)
     )
     return X, np.stack([np.asarray(p.value) for p in P]), Gamma
 
@@ -227,7 +229,7 @@ def _by_the_dual(
         (
             np.stack([_positive(np.asarray(g.value)) for g in Gamma])
             if Gamma
-            else np.zeros((cells, *2 * G.shape[1:2]))
+            else np.zeros((cells, *2 * G.shape[1:2]), dtype=np.complex128)
         ),
     )
 
