@@ -26,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from oed.covariances import covariance_of, covariance_of_factor, diagonal_blocks, solved
 from oed.data import frozen
 from oed.errors import InputError
 
@@ -39,8 +40,6 @@ __all__ = [
     "g_criterion",
     "worst_d_criterion",
 ]
-
-OUTSIDE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +113,7 @@ class Criterion:
         float
             The loss.
         """
-        covariance = _covariance_of_factor(factor, self.columns)
+        covariance = covariance_of_factor(factor, self.columns)
         return self._of_covariance(covariance) if covariance is not None else np.inf
 
     def _of_covariance(self, covariance: NDArray[np.float64]) -> float:
@@ -181,7 +180,7 @@ class Criterion:
         ndarray
             X, of the shape of `columns`.
         """
-        Y = _solve(information, self.columns)
+        Y = solved(information, self.columns)
         covariance = self.columns.T @ Y
         if self.kind == "D":
             return Y @ np.linalg.inv(np.linalg.cholesky(covariance)).T
@@ -236,84 +235,6 @@ class Criterion:
         return (
             f"Criterion {self.name} ({self.kind}, {self.n} parameters, {self.columns.shape[1]} combinations)"
         )
-
-
-def diagonal_blocks(matrix: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Square blocks on the diagonal.
-
-    Parameters
-    ----------
-    matrix : ndarray
-        (K s, K s).
-    count : int
-        K.
-
-    Returns
-    -------
-    ndarray
-        (K, s, s).
-    """
-    size = len(matrix) // count
-    return np.einsum("kskt->kst", matrix.reshape(count, size, count, size))
-
-
-def _solve(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64]:
-    from scipy.linalg import cho_factor, cho_solve
-
-    scale = 1 / np.sqrt(np.diag(M))
-    return scale[:, None] * cho_solve(cho_factor(M * np.outer(scale, scale)), scale[:, None] * V)
-
-
-def covariance_of(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """V' M^-1 V, or None where M does not determine V' theta.
-
-    Parameters
-    ----------
-    M : ndarray
-        (n, n), positive semidefinite.
-    V : ndarray
-        (n, s).
-
-    Returns
-    -------
-    ndarray or None
-        (s, s).
-    """
-    if not np.isfinite(M).all():
-        return None
-    scale = np.sqrt(np.clip(np.diag(M), 0, None))
-    if np.any((scale <= 0) & np.any(V != 0, axis=1)):
-        return None
-    scale = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(M / np.outer(scale, scale))
-    root = np.sqrt(np.clip(values, 0, None))
-    return _inverted(vectors, root, V / scale[:, None], 3e-7)
-
-
-def _covariance_of_factor(factor: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    if not np.isfinite(factor).all():
-        return None
-    scale = np.linalg.norm(factor, axis=1)
-    if np.any((scale <= 0) & np.any(V != 0, axis=1)):
-        return None
-    scale = np.where(scale > 0, scale, 1.0)
-    U, values, _ = np.linalg.svd(factor / scale[:, None], full_matrices=True)
-    return _inverted(U, np.concatenate([values, np.zeros(len(U) - len(values))]), V / scale[:, None], 1e-12)
-
-
-def _inverted(
-    U: NDArray[np.float64], root: NDArray[np.float64], V: NDArray[np.float64], threshold: float
-) -> NDArray[np.float64] | None:
-    """V' (U root^2 U')^-1 V on the range; None where V leaves it."""
-    T = U.T @ V
-    null = root <= threshold * root.max()
-    if np.any(null):
-        length = np.linalg.norm(T, axis=0)
-        if np.any(np.linalg.norm(T[null], axis=0) > OUTSIDE * length):
-            return None
-        root, T = root[~null], T[~null]
-    half = T / root[:, None]
-    return half.T @ half
 
 
 def d_criterion(n: int, columns: ArrayLike | None = None, *, name: str = "") -> Criterion:

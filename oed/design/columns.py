@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from oed.criteria import Criterion
 from oed.design.maps import InformationMap
-from oed.errors import InfeasibleDesign, NotIdentifiable
-from oed.information import null_directions
+from oed.design.white import white_root
 
 __all__ = ["Budget", "Columns", "Problem", "Prices", "local_maxima"]
 
@@ -166,7 +165,7 @@ class Problem:
         self.band = np.searchsorted([low for low, _ in bands], omega, side="right")
         self.original = criterion
         D = information.factor(omega)
-        self.R = _white_root(information, D)
+        self.R = white_root(information, D)
         self.criterion, self.scale = criterion.transformed(self.R)
         inverse = np.linalg.inv(self.R)
         self.constant = inverse.T @ information.constant @ inverse
@@ -433,27 +432,3 @@ def local_maxima(values: NDArray[np.float64]) -> NDArray[np.int64]:
     """
     padded = np.concatenate([[-np.inf], values, [-np.inf]])
     return np.flatnonzero((padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:]))
-
-
-def _white_root(information: InformationMap, D: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """R with R'R = constant + mean over the grid of the information of unit power in every channel."""
-    n = information.n
-    flat = np.moveaxis(D, 1, 0).reshape(n, -1) / np.sqrt(len(D))
-    values, vectors = np.linalg.eigh(information.constant)
-    prior = (vectors * np.sqrt(np.clip(values, 0, None))).T
-    rows = np.concatenate([flat.real.T, flat.imag.T, prior])
-    scale = np.linalg.norm(rows, axis=0)
-    if not np.isfinite(rows).all():
-        raise InfeasibleDesign(
-            "the plant's response is not finite on the frequency grid; it has a pole there."
-        )
-    dead = scale == 0
-    R = np.linalg.qr(rows / np.where(dead, 1.0, scale), mode="r") if not dead.any() else None
-    if R is None or np.abs(np.diag(R)).min() < 1e-13:
-        M = rows.T @ rows
-        combinations = null_directions(M, information.names) or ["some combination of the parameters"]
-        raise NotIdentifiable(
-            f"no input in the band tells anything about {'; '.join(combinations)}: fix one of these parameters, "
-            "widen the band, or add prior information."
-        )
-    return R * scale

@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.criteria import Criterion, diagonal_blocks
+from oed.covariances import diagonal_blocks
+from oed.criteria import Criterion
 from oed.design.columns import Columns
 from oed.design.interior import Weights, gathered, inside, reach
 from oed.errors import Status

@@ -1,4 +1,4 @@
-"""White noise as the yardstick: its information, to rounding, by a mean over the circle."""
+"""White noise as the yardstick: its information, to rounding, by a mean over the circle, and its root on a grid."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.design.maps import InformationMap
+from oed.errors import InfeasibleDesign, NotIdentifiable
+from oed.information import null_directions
 
-__all__ = ["white_information"]
+__all__ = ["white_information", "white_root"]
 
 
 def mean_information(information: InformationMap) -> NDArray[np.float64]:
@@ -61,3 +63,47 @@ def white_information(
     """
     total = limits.get("input power", power)
     return information.constant + mean_information(information) * total / information.n_inputs
+
+
+def white_root(information: InformationMap, D: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Triangular R with R'R = constant + mean over the grid of the information of unit power in every channel.
+
+    Parameters
+    ----------
+    information : InformationMap
+        The model.
+    D : ndarray
+        (K, n, ..) factors of the information on the grid.
+
+    Returns
+    -------
+    ndarray
+        (n, n).
+
+    Raises
+    ------
+    InfeasibleDesign
+        The response is not finite on the grid.
+    NotIdentifiable
+        No input tells some combination of the parameters.
+    """
+    n = information.n
+    flat = np.moveaxis(D, 1, 0).reshape(n, -1) / np.sqrt(len(D))
+    values, vectors = np.linalg.eigh(information.constant)
+    prior = (vectors * np.sqrt(np.clip(values, 0, None))).T
+    rows = np.concatenate([flat.real.T, flat.imag.T, prior])
+    scale = np.linalg.norm(rows, axis=0)
+    if not np.isfinite(rows).all():
+        raise InfeasibleDesign(
+            "the plant's response is not finite on the frequency grid; it has a pole there."
+        )
+    dead = scale == 0
+    R = np.linalg.qr(rows / np.where(dead, 1.0, scale), mode="r") if not dead.any() else None
+    if R is None or np.abs(np.diag(R)).min() < 1e-13:
+        M = rows.T @ rows
+        combinations = null_directions(M, information.names) or ["some combination of the parameters"]
+        raise NotIdentifiable(
+            f"no input in the band tells anything about {'; '.join(combinations)}: fix one of these parameters, "
+            "widen the band, or add prior information."
+        )
+    return R * scale
