@@ -102,7 +102,7 @@ def shapes(key: str, channel: Channel, base: Fit, j: int) -> tuple[list[list[flo
         return [[f * su] for f in (0.08, 0.16, 0.3, 0.5, 0.8)], [su], False
     if key == "hysteresis":
         return [[a, w * su] for a in (0.3, 0.7) for w in (0.15, 0.4, 1.0)], [1.0, su], False
-    if key == "backlash_output":
+    if key in ("backlash_output", "backlash_sampled"):
         return [[f * sy] for f in (0.08, 0.16, 0.3, 0.5, 0.8)], [sy], False
     if key == "gain_drift":
         return [[0.05]], [1.0], True

@@ -284,6 +284,8 @@ _ENTRIES = (
            "the sensor has another gain for each sign", lambda x, p, c: static.absolute(x, p[0])),
     Effect("backlash_output", "backlash", _DYN, "output", ("half_width",), ("y",), 6,
            "play at the output", _recursive("play_fine")),
+    Effect("backlash_sampled", "backlash", _DYN, "output", ("half_width",), ("y",), 6,
+           "play at the output that moves with the samples, not between them", _recursive("play")),
     # added to the output
     Effect("offset", "output_offset", _ADD, "added", ("offset",), ("y",), 1,
            "a constant is added", lambda y, p, c: y + p[0]),

@@ -2,7 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete, ss2tf
 
+from estimators.diagnosis.candidates import augmented
+from estimators.diagnosis.fitting import Channel
+from estimators.diagnosis.intersample import between_samples
+from estimators.diagnosis.linear import fit_linear
+from estimators.diagnosis.structure import Structure
 from estimators.effects import terms
 from estimators.effects.catalogue import CATALOGUE, Clock
 from estimators.effects.plant_kernels import bouc_wen, held_response, simulate_feedback
@@ -12,7 +18,7 @@ STATIC = [
     k
     for k, e in CATALOGUE.items()
     if e.apply is not None and e.slot in ("input", "output", "added")
-    and k not in ("rate_limit", "backlash_input", "backlash_output", "hysteresis", "delay", "lag", "gain_drift", "gain_change",
+    and k not in ("rate_limit", "backlash_input", "backlash_output", "backlash_sampled", "hysteresis", "delay", "lag", "gain_drift", "gain_change",
                   "step_input", "step_output", "drift", "tones", "input_lines")
 ]  # fmt: skip
 TIMED = ["gain_drift", "gain_change", "step_input", "step_output", "drift", "tones"]
@@ -151,3 +157,44 @@ def test_hinges_bend_at_their_corners():
     x = np.linspace(-2, 2, 41)
     expected = x + 0.5 * np.maximum(x - 0.3, 0) - 0.2 * np.maximum(x + 1, 0)
     np.testing.assert_allclose(hinges(x, np.array([0.5, 0.3, -0.2, -1.0])), expected, atol=1e-12)
+
+
+def _held_oscillator(u, by):
+    """Output of an oscillator at 0.7 rad per sample behind a held input, `by` values per sample."""
+    A = np.array([[0.0, 1.0], [-0.49, -0.14]])
+    Ad, Bd, *_ = cont2discrete((A, np.array([[0.0], [0.49]]), np.eye(2), np.zeros((2, 1))), 1.0 / by)
+    x, fine = np.zeros(2), []
+    for v in np.repeat(u, by):
+        fine.append(x[0])
+        x = Ad @ x + Bd[:, 0] * v
+    return np.array(fine)
+
+
+def test_output_between_samples_is_that_of_the_continuous_system():
+    u = np.random.default_rng(11).standard_normal(300)
+    fine = _held_oscillator(u, 8)
+    sampled = cont2discrete((np.array([[0.0, 1.0], [-0.49, -0.14]]), np.array([[0.0], [0.49]]),
+                             np.array([[1.0, 0.0]]), np.zeros((1, 1))), 1.0)  # fmt: skip
+    num, den = ss2tf(*sampled[:4])
+    ours = between_samples(u[:, None], num[:, 1:], den[1:], 0, 8)
+    np.testing.assert_allclose(ours.ravel(), fine, atol=1e-10)
+    assert between_samples(u[:, None], np.ones((1, 1)), np.array([0.5]), 0, 8) is None  # pole at -0.5
+
+
+@pytest.mark.parametrize("key, by", [("backlash_output", 64), ("backlash_sampled", 1)])
+def test_play_at_the_output_is_fitted_to_the_noise_between_and_on_the_samples(key, by):
+    rng = np.random.default_rng(21)
+    u = rng.standard_normal(500)
+    fine = _held_oscillator(u, by)
+    y = play(fine, 0.2 * fine.std())[::by]
+    noise = 0.003 * y.std()
+    y = y + noise * rng.standard_normal(len(y))
+    channel = Channel(u[:, None], y, Clock(np.arange(500.0), 500), np.ones(500, dtype=bool))
+    base = fit_linear(channel, Structure(2))
+    errors = {
+        k: np.sqrt(np.mean(next(iter(augmented(channel, base, only={k}))).residual ** 2))
+        for k in ("backlash_output", "backlash_sampled")
+    }
+    assert min(errors, key=errors.__getitem__) == key
+    assert errors[key] < 1.1 * noise
+    assert max(errors.values()) > 2 * noise  # the other of the two does not explain it
