@@ -12,7 +12,13 @@ from estimators.diagnosis.blocks import curved_input, grown, sandwich
 from estimators.diagnosis.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.forces import balanced_fit, effective_samples, follows_output, force_balance
 from estimators.diagnosis.linear import fit_linear
-from estimators.diagnosis.measurement import Signature, held_samples, rounding_step, wild_samples
+from estimators.diagnosis.measurement import (
+    Signature,
+    at_reversals,
+    held_samples,
+    rounding_step,
+    wild_samples,
+)
 from estimators.diagnosis.selection import Attribution, attribute
 from estimators.diagnosis.structure import Part, Structure, simulate
 from estimators.effects.catalogue import CATALOGUE, Clock
@@ -329,7 +335,9 @@ def _examined(record: Record, i: int, setting: Setting) -> Examined:
         simulated = simulate(found.final.structure, found.final.p, channel.u, channel.clock)
         size = float(np.median(np.abs((y - simulated)[wild])))
         spread = float(np.sqrt(np.mean(found.final.residual[channel.keep] ** 2)))
-        if size < 4.0 * spread:  # they stood out from a model error only
+        still = _enough(wild & wild_samples(y - simulated, keep), n).any()
+        if not still or size < 4.0 * spread or _reversing(found, wild, simulated):
+            # they stood out from a model error only
             channel = replace(channel, keep=keep)
             return Examined(
                 channel, _simulating(channel, _refitted(channel, found), setting), signatures, naive
@@ -388,6 +396,15 @@ def _structured(channel: Channel, a: Attribution, setting: Setting) -> Attributi
 def _enough(wild: NDArray[np.bool_], n: int) -> NDArray[np.bool_]:
     """The wild samples, or none where they are too few to be a fault."""
     return wild if wild.sum() >= max(3, 0.001 * n) else np.zeros(n, dtype=bool)
+
+
+REVERSING = {k for k, e in CATALOGUE.items() if e.label in (
+    "backlash", "rate_limiter", "coulomb_friction", "stribeck_friction")}  # fmt: skip
+
+
+def _reversing(a: Attribution, wild: NDArray[np.bool_], simulated: Array) -> bool:
+    """Whether the wild samples are the misfit of an effect that acts where the motion turns."""
+    return any(part.key in REVERSING for part in a.final.structure.effects) and at_reversals(wild, simulated)
 
 
 def _wild(channel: Channel, s: Structure, first: Fit) -> NDArray[np.bool_]:

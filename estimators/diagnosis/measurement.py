@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
 
-__all__ = ["Signature", "held_samples", "rounding_step", "wild_samples"]
+__all__ = ["Signature", "at_reversals", "held_samples", "rounding_step", "wild_samples"]
 
 Array = NDArray[Any]
 
@@ -93,6 +94,34 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
     if len(np.unique(fresh)) < 0.97 * len(fresh):  # values recur anyway: a coarse scale, not a lost sample
         held[:] = False
     return held
+
+
+def at_reversals(wild: NDArray[np.bool_], simulated: Array) -> bool:
+    """Whether wild samples lie where a signal turns more often than chance lets them (p < 0.001).
+
+    Faults do not know of the motion: the number of them within one sample of a turning point is binomial.
+
+    Parameters
+    ----------
+    wild : ndarray of bool
+        (N,) the samples in question.
+    simulated : ndarray
+        (N,) the signal; it may rest after a turn, as behind a play.
+
+    Returns
+    -------
+    bool
+        False also where it turns so often that nothing can be told.
+    """
+    direction = np.sign(np.diff(simulated, prepend=simulated[:1]))
+    moving = np.flatnonzero(direction)
+    turned = np.zeros(len(simulated), dtype=bool)
+    other = direction[moving[1:]] != direction[moving[:-1]]
+    turned[moving[:-1][other]] = True
+    turned[moving[1:][other]] = True
+    near = np.convolve(turned, np.ones(3), "same") > 0
+    hits = int(np.sum(wild & near))
+    return bool(binom.sf(hits - 1, int(wild.sum()), float(near.mean())) < 1e-3)
 
 
 def wild_samples(residual: Array, keep: NDArray[np.bool_], limit: float = 5.0) -> NDArray[np.bool_]:
