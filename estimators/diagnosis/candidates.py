@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.fitting import Channel, Fit, fit
 from estimators.diagnosis.layouts import allowed
-from estimators.diagnosis.linear import fit_linear, layout_starts
+from estimators.diagnosis.linear import fit_linear, layout_starts, prefiltered_error
 from estimators.diagnosis.starts import Start, gains_of_shapes, shapes, tone_starts
 from estimators.diagnosis.structure import Part, Structure, free_responses
 from estimators.effects.catalogue import CATALOGUE
@@ -152,6 +152,37 @@ def _path(channel: Channel, base: Fit, key: str, j: int, sizes: tuple[int, ...])
     return min(fits, key=lambda f: f.criterion) if fits else None
 
 
+def _changed_gain(channel: Channel, base: Fit, j: int) -> Start | None:
+    """A gain that changes, from linear fits with one numerator before and one after: the poles of one linear model
+    for the whole record may be far off, and with them the time at which its score is best."""
+    s = base.structure
+    if s.layout != "tf" or s.effects or len(s.inputs) != 1:
+        return None
+    k, n = channel.clock.k, len(channel)
+    y = channel.y - np.mean(channel.y[channel.keep]) if s.parts else channel.y
+
+    def inputs(time: float) -> Array:
+        return np.stack([channel.u[:, j], channel.u[:, j] * (k >= time)], axis=1)
+
+    den = np.concatenate(([1.0], base.p[: s.order]))
+    rows = channel.keep.copy()
+    rows[: s.order + s.delay] = False
+
+    def squares(time: float) -> float:
+        return prefiltered_error(y, inputs(time), den, s, rows)
+
+    times = k[0] + np.linspace(0.06, 0.94, 23) * n
+    time = float(min(times, key=squares))
+    near = time + np.linspace(-0.035, 0.035, 15) * n
+    time = float(min(near, key=squares))
+    two = Channel(inputs(time), channel.y, channel.clock, channel.keep, channel.step)
+    f = fit_linear(two, replace(s, inputs=(0, 1)), extra=[base.p[: s.order]])
+    b = f.p[s.order : s.order + 2 * s.taps].reshape(2, s.taps)
+    change = float(b[0] @ b[1]) / (float(b[0] @ b[0]) + 1e-300)
+    p = np.concatenate((f.p[: s.order], b[0], f.p[s.order + 2 * s.taps :], [change, time]))
+    return Start(s.adding(Part("gain_change", j)), p, np.concatenate((base.scales, [1.0, 1.0])), 0.0)
+
+
 def _ringing(channel: Channel, base: Fit) -> Start | None:
     """A sinusoid in place of poles that ring through the whole record: a linear model may have taken it for a mode."""
     s = base.structure
@@ -224,6 +255,8 @@ def augmented(
         if key in STATIC_EFFECTS or key in ("offset", "drift", "step_output", "lag"):
             for j in s.inputs if CATALOGUE[key].slot == "input" else s.inputs[:1]:
                 starts = _grid(channel, base, Part(key, j), best)
+                if key == "gain_change" and starts and (more := _changed_gain(channel, base, j)) is not None:
+                    starts = [*starts, more]
                 if starts:
                     scored.append((starts[0].promise, starts, key))
         elif key not in PLANT_EFFECTS and key not in ("sandwich", "input_lines"):

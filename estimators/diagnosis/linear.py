@@ -13,7 +13,7 @@ from estimators.diagnosis.fitting import Channel, Fit, fit
 from estimators.diagnosis.layouts import COEFFICIENTS, LAYOUTS, states
 from estimators.diagnosis.structure import Structure, free_responses, simulate, stable_polynomial
 
-__all__ = ["fit_linear", "layout_starts", "numerators", "plant_scales"]
+__all__ = ["fit_linear", "layout_starts", "numerators", "plant_scales", "prefiltered_error"]
 
 Array = NDArray[Any]
 
@@ -49,6 +49,40 @@ def _regression(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) 
     rows = keep.copy()
     rows[:n] = False
     return np.linalg.lstsq(X[rows], y[rows], rcond=None)[0]
+
+
+def prefiltered_error(y: Array, U: Array, den: Array, s: Structure, rows: NDArray[np.bool_]) -> float:
+    """Sum of squares of one Steiglitz-McBride step: equation error, prefiltered by a given denominator.
+
+    Parameters
+    ----------
+    y : ndarray
+        (N,) output.
+    U : ndarray
+        (N, nu) inputs.
+    den : ndarray
+        Denominator with its leading 1.
+    s : Structure
+        Order, taps and delay.
+    rows : ndarray of bool
+        (N,) samples that count.
+
+    Returns
+    -------
+    float
+        The smallest sum of squares.
+    """
+    v = np.asarray(lfilter([1.0], den, y))
+    W = np.asarray(lfilter([1.0], den, U, axis=0))
+    N = len(v)
+    columns = [-np.concatenate((np.zeros(i), v[: N - i])) for i in range(1, s.order + 1)]
+    for w in W.T:
+        columns += [
+            np.concatenate((np.zeros(i + s.delay), w[: N - i - s.delay])) for i in range(1, s.taps + 1)
+        ]
+    X = np.stack(columns, axis=1)[rows]
+    rest = v[rows] - X @ np.linalg.lstsq(X, v[rows], rcond=None)[0]
+    return float(rest @ rest)
 
 
 def _reflected(f: Array) -> Array:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimators.diagnosis.candidates import augmented, refit
+from estimators.diagnosis.exchange import exchanged, whole_delay
 from estimators.diagnosis.fitting import Channel, Fit, fit
 from estimators.diagnosis.linear import fit_linear
 from estimators.diagnosis.structure import Structure
@@ -237,6 +238,12 @@ def attribute(
         final = good[0].fit
         p_values[good[0].key] = good[0].p_value
         final = _more_effects(channel, final, good, coloured, others, alpha, most, p_values, rivals)
+        final, came = exchanged(channel, final, others=others)
+        p_values |= {key: significance(*pair) for key, pair in came.items()}
+        final = whole_delay(channel, final)
+        present = {part.key for part in final.structure.effects}
+        p_values = {key: p for key, p in p_values.items() if key in present}
+        rivals = {key: names for key, names in rivals.items() if key in present}
     chosen = _importance(final, claims, simulated)
     return Attribution(
         base, coloured, final, claims, chosen, _feedback(channel, final, s, feedback), p_values, rivals

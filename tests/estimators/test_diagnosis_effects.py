@@ -176,7 +176,8 @@ def test_output_between_samples_is_that_of_the_continuous_system():
     sampled = cont2discrete((np.array([[0.0, 1.0], [-0.49, -0.14]]), np.array([[0.0], [0.49]]),
                              np.array([[1.0, 0.0]]), np.zeros((1, 1))), 1.0)  # fmt: skip
     num, den = ss2tf(*sampled[:4])
-    ours = between_samples(u[:, None], num[:, 1:], den[1:], 0, 8)
+    ours = between_samples(u[:, None], num[:, 1:], np.asarray(den)[1:], 0, 8)
+    assert ours is not None
     np.testing.assert_allclose(ours.ravel(), fine, atol=1e-10)
     assert between_samples(u[:, None], np.ones((1, 1)), np.array([0.5]), 0, 8) is None  # pole at -0.5
 

@@ -1,0 +1,97 @@
+"""The backward step of the selection, whole delays, changes of gain, and wild samples where a play turns."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.diagnosis.candidates import augmented
+from estimators.diagnosis.exchange import exchanged, whole_delay, without
+from estimators.diagnosis.fitting import Channel, fit
+from estimators.diagnosis.linear import fit_linear
+from estimators.diagnosis.measurement import at_reversals
+from estimators.diagnosis.structure import Part, Structure
+from estimators.effects.catalogue import Clock
+from estimators.effects.recursion_kernels import play
+
+B, A = [0.0, 0.1, 0.08], [1.0, -1.5, 0.7]
+
+
+def channel_of(u, y):
+    n = len(y)
+    return Channel(u[:, None], y, Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
+
+
+def added(channel, base, key):
+    return next(iter(augmented(channel, base, only={key})))
+
+
+def test_a_step_at_the_wrong_place_is_exchanged_and_an_idle_effect_taken_out():
+    rng = np.random.default_rng(31)
+    u = rng.standard_normal(500)
+    y = lfilter(B, A, u)
+    y = play(np.ascontiguousarray(y), 0.15 * y.std()) + 0.5 * (np.arange(500) >= 290)
+    noise = 0.01 * rng.standard_normal(500)
+    channel = channel_of(u, y + noise)
+    model = added(channel, fit_linear(channel, Structure(2)), "backlash_sampled")
+    model = added(channel, model, "step_input")
+    s = model.structure.adding(Part("output_cubic"))
+    idle = fit(channel, s, np.append(model.p, 1e-4), np.append(model.scales, 0.01))
+    best, came = exchanged(channel, idle)
+    assert {part.key for part in best.structure.parts} == {"backlash_sampled", "step_output"}
+    assert "step_output" in came
+    assert best.p[best.structure.slices()[-1]] == pytest.approx([0.5, 289.5], abs=1.5)
+    assert np.std(best.residual) < 1.02 * np.std(noise)
+    again, came = exchanged(channel, best)  # nothing is left to mend
+    assert again is best
+    assert not came
+
+
+def test_a_part_left_out_leaves_the_others():
+    rng = np.random.default_rng(32)
+    u = rng.standard_normal(300)
+    channel = channel_of(u, lfilter(B, A, np.clip(u, -1, 1)) + 0.3 + 0.01 * rng.standard_normal(300))
+    model = added(channel, added(channel, fit_linear(channel, Structure(2)), "saturation"), "offset")
+    rest = without(channel, model, 0)
+    assert [part.key for part in rest.structure.parts] == ["offset"]
+    assert np.std(rest.residual) > 3 * np.std(model.residual)
+
+
+def test_a_whole_delay_is_preferred_where_it_fits_as_well():
+    rng = np.random.default_rng(33)
+    u = rng.standard_normal(500)
+    for true, whole in ((2.0, True), (1.5, False)):
+        low, part = int(true), true % 1
+        late = [np.concatenate((np.zeros(d), u[: 500 - d])) for d in (low, low + 1)]
+        y = lfilter(B, A, (1 - part) * late[0] + part * late[1])
+        channel = channel_of(u, y + 0.02 * rng.standard_normal(500))
+        base = fit_linear(channel, Structure(2))
+        s = base.structure.adding(Part("delay"))
+        p = np.concatenate((fit_linear(channel, Structure(2, delay=low)).p, [true - 0.4]))
+        free = fit(channel, s, p, np.append(base.scales, 1.0))
+        found = whole_delay(channel, free)
+        assert (found.p[-1] == true) == whole
+        assert found.deviance < free.deviance + np.log(500)
+        assert np.all(np.linalg.norm(found.jacobian, axis=0) > 0)
+
+
+def test_a_large_change_of_gain_is_found_from_poor_poles():
+    rng = np.random.default_rng(34)
+    u = lfilter([0.2], [1.0, -0.8], rng.standard_normal(600)) + 0.5
+    y = lfilter(B, A, u * np.where(np.arange(600) >= 170, 1.8, 1.0))
+    channel = channel_of(u, y + 0.01 * rng.standard_normal(600))
+    base = fit_linear(channel, Structure(2))
+    found = added(channel, base, "gain_change")
+    assert found.p[-2] == pytest.approx(0.8, abs=0.05)
+    assert found.p[-1] == pytest.approx(169.5, abs=3.0)
+    assert np.std(found.residual) < 1.1 * 0.01
+
+
+def test_wild_samples_where_a_signal_turns_are_told_from_faults():
+    rng = np.random.default_rng(35)
+    signal = np.round(np.sin(np.arange(800) / 15.0), 2)  # it rests at its extremes, as behind a play
+    turns = np.flatnonzero((signal >= 0.999) & (np.roll(signal, 1) < 0.999))
+    at_turns, anywhere = np.zeros(800, dtype=bool), np.zeros(800, dtype=bool)
+    at_turns[turns[:6]] = True
+    anywhere[rng.choice(800, 6, replace=False)] = True
+    assert at_reversals(at_turns, signal)
+    assert not at_reversals(anywhere, signal)
