@@ -104,6 +104,8 @@ def test_ctrl_c_is_one_line_and_leaves_a_store_that_resumes(tmp_path):
             "--estimators", "gain", "mu", "frf", "--profile-replicates", "2", "--jobs", "2", "--quiet", "--out", str(folder),
         ],
         stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True,
+        # Where the tests run in the background of a shell, Ctrl-C is ignored, and a child would inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     deadline = time.monotonic() + 120
     while not list(folder.glob("parts/*.parquet")) and time.monotonic() < deadline and process.poll() is None:
