@@ -132,7 +132,7 @@ def _order(channel: Channel, record: Record, setting: Setting, i: int) -> int:
         s, _ = _structure(setting, record, i, order)
         row = []
         for delay in (0, 1, 2, 3):
-            f = fit_linear(channel, replace(s, delay=delay))
+            f = fit_linear(channel, replace(s, delay=delay), rough=True)
             row.append(float(np.sqrt(np.mean(f.residual**2))) if np.isfinite(f.deviance) else np.inf)
         errors.append(min(row))
     for order, error in enumerate(errors, start=1):

@@ -164,7 +164,12 @@ def _starts(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> l
 
 
 def fit_linear(
-    channel: Channel, s: Structure, *, noise: Array | None = None, extra: list[Array] | None = None
+    channel: Channel,
+    s: Structure,
+    *,
+    noise: Array | None = None,
+    extra: list[Array] | None = None,
+    rough: bool = False,
 ) -> Fit:
     """Output-error fit of the linear model from several starts.
 
@@ -178,6 +183,8 @@ def fit_linear(
         AR coefficients for whitening.
     extra : list of ndarray, optional
         Further denominators to start from.
+    rough : bool
+        For comparing errors by a quarter only: a few steps from the best start, and no noise model.
 
     Returns
     -------
@@ -199,6 +206,8 @@ def fit_linear(
         scales = np.concatenate((plant_scales(s, p), np.full(s.size - s.plant_size, np.std(y) + 1e-300)))
         fits.append(fit(channel, s, p, scales, noise=noise, iterations=4, colour=False))
     fits.sort(key=lambda x: x.deviance)
+    if rough:
+        return fit(channel, s, fits[0].p, fits[0].scales, noise=noise, iterations=10, colour=False)
     distinct = [fits[0]]
     for other in fits[1:]:
         if other.deviance > distinct[-1].deviance + 0.5 and len(distinct) < 2:
