@@ -202,7 +202,7 @@ def stable_polynomial(f: Array, limit: float = 0.99999) -> bool:
 
 
 # states of the last models: derivatives by the output map or by effects at the output move none of them
-_recent: deque[tuple[tuple[Any, ...], Array]] = deque(maxlen=3)
+_recent: deque[tuple[tuple[Any, ...], Array]] = deque(maxlen=8)
 
 
 def _plant(s: Structure, p: Array, U: Array, clock: Clock, rest: bool, start: Array | None) -> Array | None:
@@ -235,7 +235,7 @@ def _plant(s: Structure, p: Array, U: Array, clock: Clock, rest: bool, start: Ar
             c[16] = max(c[16], 1e-9)
             c[15] /= c[16]
     c[7] = max(c[7], 1e-9)
-    c[8] = np.clip(c[8], -1.0, 1.0)
+    c[8] = min(max(float(c[8]), -1.0), 1.0)
     if not active:
         c[7] = 0.0
     u = U[:, 0] if s.delay == 0 else np.concatenate((np.zeros(s.delay), U[: -s.delay, 0]))
@@ -253,7 +253,7 @@ def _plant(s: Structure, p: Array, U: Array, clock: Clock, rest: bool, start: Ar
         else:
             X = states(s.layout, p[:n_rates], u, c, x0)
         _recent.append((key, X))
-    if not np.isfinite(X[-1, 0]):
+    if not math.isfinite(X[-1, 0]):
         return None
     return X @ p[n_rates : n_rates + s.order]
 
