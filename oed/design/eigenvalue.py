@@ -9,6 +9,8 @@ equations tr(A_k S^-1 A_l Z) are entrywise products of two Gram matrices of the 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,79 +62,116 @@ def eigenvalue_weights(
     Weights
         Weights, X with X X' = Z, and the budgets' multipliers.
     """
-    from scipy.linalg import solve_triangular
-
     m, n, r = columns.F.shape
     Q, V = columns.q.T, criterion.columns
-    flat = np.moveaxis(columns.F, 0, 1).reshape(n, m * r)
-    w = inside(np.ones(m) if start is None else start, Q)
-    M = constant + columns.information(w)
-    t = 0.7 / criterion.loss(M)
-    S = M - t * (V @ V.T)
-    L = np.asarray(np.linalg.cholesky(S), dtype=np.float64)
-    Y = np.linalg.inv(S)
-    Z = Y / np.trace(V.T @ Y @ V)
-    s = 1 - Q @ w
-    worth = np.einsum("nk,nk->k", flat, Z @ flat).reshape(m, r).sum(axis=1)
-    nu = np.full(len(Q), float(worth @ w) / len(Q))
-    z = np.maximum(Q.T @ nu - worth, 0.1 * float(worth @ w) / m)
-    # tr(A_k S^-1 A_l Z) entry by entry, or as products of n x n blocks: whichever is less work.
-    few, transposed = n * n <= r * r * (2 * n + 20), blocks(flat, r).swapaxes(1, 2)
+    problem = _Problem(columns, constant, np.moveaxis(columns.F, 0, 1).reshape(n, m * r), Q, V)
+    now = problem.first(inside(np.ones(m) if start is None else start, Q), criterion)
     count, status, step = m + len(Q) + n, Status.MAX_ITERATIONS, 0
     while step < max_steps:
         step += 1
-        mu = (w @ z + s @ nu + np.sum(S * Z)) / count
-        dual = Q.T @ nu - worth - z
-        if mu * count <= tolerance * t and np.abs(dual * w).sum() <= tolerance * t:
+        mu = float(now.w @ now.z + now.s @ now.nu + np.sum(now.S * now.Z)) / count
+        dual = Q.T @ now.nu - problem.worth(now.Z) - now.z
+        if mu * count <= tolerance * now.t and np.abs(dual * now.w).sum() <= tolerance * now.t:
             status = Status.CONVERGED
             break
-        target = mu * (0.1 if step % 4 else 0.3)
-        half = solve_triangular(L, flat, lower=True)
+        try:
+            now = problem.next(now, mu * (0.1 if step % 4 else 0.3))
+        except np.linalg.LinAlgError:
+            break
+    values, vectors = np.linalg.eigh(now.Z)
+    X = vectors * np.sqrt(np.clip(values, 0, None))
+    return Weights(np.maximum(now.w, 0.0), X[:, ::-1], now.nu, status, step)
+
+
+@dataclass(frozen=True, eq=False)
+class _Iterate:
+    """Weights w, t and slacks s = 1 - Q w; S = L L'; multipliers Z of S, z of w and nu of the budgets."""
+
+    w: NDArray[np.float64]
+    t: float
+    s: NDArray[np.float64]
+    S: NDArray[np.float64]
+    L: NDArray[np.float64]
+    Z: NDArray[np.float64]
+    z: NDArray[np.float64]
+    nu: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Columns, M_0, the columns' factors side by side (n, m r), the budgets' shares (J, m) and V."""
+
+    columns: Columns
+    constant: NDArray[np.float64]
+    flat: NDArray[np.float64]
+    Q: NDArray[np.float64]
+    V: NDArray[np.float64]
+
+    def worth(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """tr(A_k Z) of every column."""
+        return np.einsum("nk,nk->k", self.flat, Z @ self.flat).reshape(self.Q.shape[1], -1).sum(axis=1)
+
+    def first(self, w: NDArray[np.float64], criterion: Criterion) -> _Iterate:
+        """An iterate inside, from weights inside."""
+        Q, V = self.Q, self.V
+        M = self.constant + self.columns.information(w)
+        t = 0.7 / criterion.loss(M)
+        S = M - t * (V @ V.T)
+        L = np.asarray(np.linalg.cholesky(S), dtype=np.float64)
+        Y = np.asarray(np.linalg.inv(S), dtype=np.float64)
+        Z = np.asarray(Y / np.trace(V.T @ Y @ V), dtype=np.float64)
+        worth = self.worth(Z)
+        nu = np.full(len(Q), float(worth @ w) / len(Q))
+        z = np.maximum(Q.T @ nu - worth, 0.1 * float(worth @ w) / len(w))
+        return _Iterate(w, t, 1 - Q @ w, S, L, Z, z, nu)
+
+    def next(self, now: _Iterate, target: float) -> _Iterate:
+        """One step towards complementarity `target`; LinAlgError where rounding leaves the cone."""
+        Q, V, flat = self.Q, self.V, self.flat
+        m, r = len(now.w), flat.shape[1] // len(now.w)
+        solution = np.asarray(np.linalg.solve(*self._normal_equations(now, target)), dtype=np.float64)
+        dw, dt = solution[:m], float(solution[m])
+        dS = (flat * np.repeat(dw, r)) @ flat.T - dt * (V @ V.T)
+        root = np.asarray(np.linalg.inv(now.L), dtype=np.float64)
+        Y = root.T @ root
+        turned = Y @ dS @ now.Z
+        dZ = target * Y - now.Z - (turned + turned.T) / 2
+        ds = -Q @ dw
+        dz = target / now.w - now.z - now.z / now.w * dw
+        dnu = target / now.s - now.nu - now.nu / now.s * ds
+        ahead = min(1.0, 0.95 * _psd_reach(now.L, dS), 0.95 * reach(now.w, dw), 0.95 * reach(now.s, ds))
+        half = np.asarray(np.linalg.cholesky(now.Z), dtype=np.float64)
+        behind = min(1.0, 0.95 * _psd_reach(half, dZ), 0.95 * reach(now.z, dz), 0.95 * reach(now.nu, dnu))
+        w, t = now.w + ahead * dw, now.t + ahead * dt
+        S = self.constant + self.columns.information(w) - t * (V @ V.T)
+        L = np.asarray(np.linalg.cholesky(S), dtype=np.float64)
+        s, Z = now.s + ahead * ds, now.Z + behind * dZ
+        return _Iterate(w, t, s, S, L, Z, now.z + behind * dz, now.nu + behind * dnu)
+
+    def _normal_equations(
+        self, now: _Iterate, target: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Matrix and right-hand side for the steps of w and t together."""
+        from scipy.linalg import solve_triangular
+
+        Q, V, flat, L, Z = self.Q, self.V, self.flat, now.L, now.Z
+        n, m, r = len(flat), len(now.w), flat.shape[1] // len(now.w)
+        half = np.asarray(solve_triangular(L, flat, lower=True), dtype=np.float64)
         ZF, ZV = Z @ flat, Z @ V
-        YV = np.linalg.solve(L.T, np.linalg.solve(L, V))
-        if few:
-            G = blocks(half, r) @ transposed
+        YV = np.asarray(np.linalg.solve(L.T, np.linalg.solve(L, V)), dtype=np.float64)
+        # tr(A_k S^-1 A_l Z) entry by entry, or as products of n x n blocks: whichever is less work.
+        if n * n <= r * r * (2 * n + 20):
+            G = blocks(half, r) @ blocks(flat, r).swapaxes(1, 2)
             H = G.reshape(m, -1) @ (G @ Z).reshape(m, -1).T
         else:
             H = gathered((half.T @ half) * (flat.T @ ZF), r)
         h = np.sum((flat.T @ YV) * (flat.T @ ZV), axis=1).reshape(m, r).sum(axis=1)
-        g = float(np.sum((V.T @ YV) * (V.T @ ZV)))
         left = np.zeros((m + 1, m + 1))
-        left[:m, :m] = H + np.diag(z / w) + (Q.T * (nu / s)) @ Q
+        left[:m, :m] = H + np.diag(now.z / now.w) + (Q.T * (now.nu / now.s)) @ Q
         left[:m, m] = left[m, :m] = -h
-        left[m, m] = g
+        left[m, m] = float(np.sum((V.T @ YV) * (V.T @ ZV)))
+        right = np.empty(m + 1)
         spread = np.sum(half**2, axis=0).reshape(m, r).sum(axis=1)
-        right = np.concatenate(
-            [target * (spread + 1 / w - Q.T @ (1 / s)), [1 - target * float(np.trace(V.T @ YV))]]
-        )
-        try:
-            solution = np.linalg.solve(left, right)
-        except np.linalg.LinAlgError:
-            break
-        dw, dt = np.asarray(solution[:m], dtype=np.float64), float(solution[m])
-        dS = (flat * np.repeat(dw, r)) @ flat.T - dt * (V @ V.T)
-        Y = np.linalg.inv(L)
-        Y = Y.T @ Y
-        turned = Y @ dS @ Z
-        dZ = target * Y - Z - (turned + turned.T) / 2
-        ds = -Q @ dw
-        dz = target / w - z - z / w * dw
-        dnu = target / s - nu - nu / s * ds
-        try:
-            ahead = min(1.0, 0.95 * _psd_reach(L, dS), 0.95 * reach(w, dw), 0.95 * reach(s, ds))
-            behind = min(
-                1.0,
-                0.95 * _psd_reach(np.asarray(np.linalg.cholesky(Z)), dZ),
-                0.95 * reach(z, dz),
-                0.95 * reach(nu, dnu),
-            )
-            w, t, s = w + ahead * dw, t + ahead * dt, s + ahead * ds
-            S = constant + columns.information(w) - t * (V @ V.T)
-            L = np.asarray(np.linalg.cholesky(S), dtype=np.float64)
-        except np.linalg.LinAlgError:
-            break
-        Z, z, nu = Z + behind * dZ, z + behind * dz, nu + behind * dnu
-        worth = np.einsum("nk,nk->k", flat, Z @ flat).reshape(m, r).sum(axis=1)
-    values, vectors = np.linalg.eigh(Z)
-    X = vectors * np.sqrt(np.clip(values, 0, None))
-    return Weights(np.maximum(w, 0.0), X[:, ::-1], nu, status, step)
+        right[:m] = target * (spread + 1 / now.w - Q.T @ (1 / now.s))
+        right[m] = 1 - target * float(np.trace(V.T @ YV))
+        return left, right
