@@ -4,10 +4,13 @@ In a band of K DFT lines, at distances x from its centre,
 
     Y_i = (sum_j B_ij(x) U_j) / A(x) + T_i(x) / A(x) + noise,
 
-one transient T_i of its own in every experiment. All that the normal equations need of the experiments is
-C_ab = sum_m conj(S_a) S_b', (K, K), of the channels S = (U, Y): with P the projection that takes the transients out
-and V the powers of x over A, the sum over m of the products of V_p S_a and V_r S_b without transients is
-V_p* (P o C_ab) V_r. The cost of a step does not depend on the number of experiments.
+one transient T_i of its own in every experiment. With V the powers of x over A and q an orthonormal basis of the
+transients, the normal equations need of the channels S = (U, Y, model's output) the sums over the experiments of
+
+    (V_p S_a)* (I - q q*) (V_r S_b) = V_p* diag(conj(S_a) S_b) V_r - (q* V_p S_a)* (q* V_r S_b)
+
+(`estimators.local_kernels`). All of it is linear along K and invariant under a rotation among the experiments, so more
+of them than lines times channels are first compressed to that number.
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from estimators.local_kernels import line_products, normal_equations, residuals
 
 __all__ = ["Band", "LocalFit", "Spectra", "fit_band", "response"]
 
@@ -64,17 +69,18 @@ class Spectra:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """DFT lines around a centre, and the moments of the channels there.
+    """DFT lines around a centre.
 
     A band that reaches over 0 or pi holds some lines and their conjugates: the model then has the symmetry of a
     real system, and the information counts those lines twice (`repeats`).
 
     Attributes
     ----------
-    moments : ndarray
-        (nu + ny, nu + ny, K, K) sums over the experiments of conj(S_a) S_b', inputs first.
-    n_inputs, experiments : int
-        nu and M.
+    U, Y : ndarray
+        (nu, K, R) and (ny, K, R): the channels' lines in the M experiments, or, where M is larger than R = K (nu + ny),
+        in R rotated ones with the same sums of products.
+    experiments : int
+        M.
     x : ndarray
         (K,) distances from the centre in [-1, 1].
     centre, half : int
@@ -83,8 +89,8 @@ class Band:
         How often a line and its conjugate are in the band.
     """
 
-    moments: NDArray
-    n_inputs: int
+    U: NDArray
+    Y: NDArray
     experiments: int
     x: NDArray
     centre: int
@@ -105,7 +111,7 @@ class Band:
         Returns
         -------
         Band
-            With its moments.
+            Of those lines.
         """
         N = spectra.samples
         k = np.arange(centre - half, centre + half + 1)
@@ -113,16 +119,23 @@ class Band:
         S = np.concatenate([spectra.U[place], spectra.Y[place]], axis=2)
         S = np.where((k % N > N // 2)[:, None, None], np.conj(S), S)
         K, M, channels = S.shape
-        flat = S.transpose(2, 0, 1).reshape(channels * K, M)
-        moments = (np.conj(flat) @ flat.T).reshape(channels, K, channels, K).transpose(0, 2, 1, 3)
+        lines = np.ascontiguousarray(S.transpose(2, 0, 1))
+        if channels * K < M:
+            rotated = np.linalg.qr(np.conj(lines.reshape(-1, M)).T, mode="r")
+            lines = np.ascontiguousarray(np.conj(rotated).T).reshape(channels, K, -1)
         across = k[0] < 0 or k[-1] > N // 2
         nu = spectra.U.shape[2]
-        return Band(moments.copy(), nu, M, (k - centre) / half, centre, half, 2.0 if across else 1.0)
+        return Band(lines[:nu], lines[nu:], M, (k - centre) / half, centre, half, 2.0 if across else 1.0)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return len(self.U)
 
     @property
     def n_outputs(self) -> int:
         """Number of outputs."""
-        return len(self.moments) - self.n_inputs
+        return len(self.Y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,82 +201,51 @@ def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
         None where the equations are singular.
     """
     nb, na, nt = orders
+    U, Y = band.U, band.Y
     nu, ny, K, M = band.n_inputs, band.n_outputs, len(band.x), band.experiments
-    X = np.vander(band.x, max(orders) + 1, increasing=True).astype(complex)
-    C, inner = band.moments, nu * (nb + 1)
-    nparameters = ny * inner + na
-    shared = slice(nparameters - na, nparameters)
-    a, model = np.zeros(na, complex), [(C[nu + i], C[nu + i, nu + i]) for i in range(ny)]
-    weights, noise, freedom = np.ones(ny), np.ones(ny), 1.0
-    theta, information = np.zeros(0, complex), np.eye(1)
-    q, P = _projection(X, a, nt)
-    floor = 1e-15 * np.array([np.trace(C[nu + i, nu + i]).real for i in range(ny)]) / (K * M) + 1e-300
+    most = max(nb, na)
+    powers = np.vander(band.x, max(2 * most, nt + most, 2 * nt) + 1, increasing=True).T.copy()
+    n = ny * nu * (nb + 1) + na
+    freedom = max(M * (K - nt - 1) - n / ny, 1.0)
+    floor = 1e-15 * np.sum(np.abs(Y) ** 2, axis=(1, 2)) / (K * M) + 1e-300
+    of_inputs = np.empty((nu, nu + ny, K), complex)
+    for j in range(nu):
+        for b in range(nu + ny):
+            line_products(U[j], U[b] if b < nu else Y[b - nu], of_inputs[j, b])
+    a, model, A, scale = np.zeros(na, complex), Y, np.ones(K, complex), np.ones(ny)
+    weights, inverse = _transients(A, powers, nt)
     for _ in range(STEPS):
-        V = X / (1 + X[:, 1 : na + 1] @ a)[:, None]
-        product = lambda moments, V=V, P=P: np.conj(V.T) @ ((P * moments) @ V)
-        T = product(C[:nu])  # (nu, nu + ny, L, L): inputs against all channels
-        own = T[:, :nu, : nb + 1, : nb + 1].transpose(0, 2, 1, 3).reshape(inner, inner)
-        normal = np.zeros((nparameters, nparameters), complex)
-        information = np.zeros_like(normal)
-        right = np.zeros(nparameters, complex)
-        for i in range(ny):
-            here = slice(i * inner, (i + 1) * inner)
-            against = T[:, nu + i, : nb + 1].reshape(inner, -1)
-            instruments = product(model[i][0])  # (nu + ny, L, L): the model's output against all channels
-            back = instruments[:nu, 1 : na + 1, : nb + 1].transpose(1, 0, 2).reshape(na, inner)
-            normal[here, here] = information[here, here] = weights[i] * own
-            normal[here, shared] = -weights[i] * against[:, 1 : na + 1]
-            normal[shared, here] = information[shared, here] = -weights[i] * back
-            information[here, shared] = -weights[i] * np.conj(back.T)
-            normal[shared, shared] += weights[i] * instruments[nu + i, 1 : na + 1, 1 : na + 1]
-            information[shared, shared] += weights[i] * product(model[i][1])[1 : na + 1, 1 : na + 1]
-            right[here] = weights[i] * against[:, 0]
-            right[shared] -= weights[i] * instruments[nu + i, 1 : na + 1, 0]
+        normal, information = np.zeros((2, n, n), complex)
+        right = np.zeros(n, complex)
+        normal_equations(
+            U, Y, model, of_inputs, weights, powers, inverse, scale, orders, normal, information, right
+        )
         try:
             theta = np.linalg.solve(normal, right)
         except np.linalg.LinAlgError:
             return None
-        change = np.max(np.abs(theta[shared] - a), initial=0.0)
-        a = theta[shared]
-        q, P = _projection(X, a, nt)
-        G = response(theta, X, nu, ny, orders)
-        freedom = max(M * (K - nt - 1) - nparameters / ny, 1.0)
-        for i in range(ny):
-            model[i], power = _model_moments(C, G[:, i], nu, nu + i, q, P)
-            noise[i] = power / freedom
-        noise = np.maximum(noise, floor)
+        change = np.max(np.abs(theta[n - na :] - a), initial=0.0)
+        a = theta[n - na :]
+        A = 1 + a @ powers[1 : na + 1]
+        weights, inverse = _transients(A, powers, nt)
+        errors, squares = np.empty_like(Y), np.empty(ny)
+        residuals(U, Y, theta, A, powers, orders, inverse, errors, squares)
+        model = Y - errors  # with the transients as they are
+        noise = np.maximum(squares / freedom, floor)
         change = max(
-            change, np.max(np.abs(noise * weights - 1))
-        )  # the information has the weights of the step before
-        weights = 1 / noise
+            change, np.max(np.abs(noise * scale - 1))
+        )  # the information has the scale of the step before
+        scale = 1 / noise
         if change < SETTLED:
             break
     size = M * K * ny / band.repeats
-    criterion = size * float(np.mean(np.log(noise * freedom / (M * K)))) + 2 * nparameters / band.repeats
+    criterion = size * float(np.mean(np.log(noise * freedom / (M * K)))) + 2 * n / band.repeats
     return LocalFit(theta, information / band.repeats, noise, criterion)
 
 
-def _projection(X: NDArray, a: NDArray, nt: int) -> tuple[NDArray, NDArray]:
-    """An orthonormal basis of the transients and the projection onto what is orthogonal to them."""
-    A = 1 + X[:, 1 : len(a) + 1] @ a
-    q = np.linalg.qr(X[:, : nt + 1] / A[:, None])[0]
-    return q, np.eye(len(X)) - q @ np.conj(q.T)
-
-
-def _model_moments(
-    C: NDArray, G: NDArray, nu: int, output: int, q: NDArray, P: NDArray
-) -> tuple[tuple[NDArray, NDArray], float]:
-    """Moments of the model's output, transients included, with all channels and with itself; the residual power.
-
-    The model's output is Q Y + (I - Q) G U, with Q = q q*.
-    """
-    direct = np.einsum("kj,jbkl->bkl", np.conj(G), C[:nu])  # G U against all channels
-    both = np.einsum("jkl,lj->kl", direct[:nu], G)
-    left = direct[output]
-    rest = C[output, output] - left - np.conj(left.T) + both
-    power = float(np.sum(P * rest).real)
-    away = np.conj(q) @ (q.T @ (direct - C[output]))
-    against = direct - away
-    right = np.einsum("jkl,lj->kl", against[:nu], G)
-    itself = right - ((right - against[output]) @ np.conj(q)) @ q.T
-    return (against, itself), power
+def _transients(A: NDArray, powers: NDArray, nt: int) -> tuple[NDArray, NDArray]:
+    """1 / |A|^2, and the inverse of the Gram matrix of the transients x^j / A."""
+    weights = 1 / (A.real**2 + A.imag**2)
+    moments = powers[: 2 * nt + 1] @ weights
+    each = np.arange(nt + 1)
+    return weights, np.linalg.inv(moments[each[:, None] + each])

@@ -76,7 +76,11 @@ def traces(plant: Plant) -> dict[str, Trace]:
     }
     return {
         name: run(
-            rule, simulated(plant), samples=SAMPLES, experiments=EXPERIMENTS, rng=np.random.default_rng(0)
+            rule,
+            simulated(plant, expected=EXPERIMENTS),
+            samples=SAMPLES,
+            experiments=EXPERIMENTS,
+            rng=np.random.default_rng(0),
         )
         for name, rule in rules.items()
     }

@@ -1,0 +1,201 @@
+"""The refined instruments of `estimators.local_fits`, compiled: sixty lines and twenty experiments are too few for NumPy.
+
+The distances x are real, so with w = 1 / |A|^2 all products of powers of x over A are moments in x:
+
+    V_p* diag(c) V_r = sum_k w x^(p + r) c,        T_j* (V_p S) = sum_k w x^(j + p) S,
+
+T_j = x^j / A the transients. Every matrix of the normal equations is one of moments less one of their coordinates.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = ["line_products", "normal_equations", "residuals"]
+
+
+@njit(error_model="numpy", cache=True)
+def line_products(s, z, found):
+    """Sums over the experiments of conj(s) z.
+
+    Parameters
+    ----------
+    s, z : ndarray
+        (K, R) complex lines of two channels.
+    found : ndarray
+        (K,) complex, written.
+    """
+    for k in range(s.shape[0]):
+        found[k] = 0
+        for m in range(s.shape[1]):
+            found[k] += np.conj(s[k, m]) * z[k, m]
+
+
+@njit(error_model="numpy", cache=True)
+def _moments(weights, powers, c, found):
+    """Sums over the lines of weights x^d c, for d from 0 on."""
+    for d in range(len(powers)):
+        found[d] = 0
+        for k in range(len(c)):
+            found[d] += weights[k] * powers[d, k] * c[k]
+
+
+@njit(error_model="numpy", cache=True)
+def _sums(S, weights, powers, inverse, sums, duals):
+    """Moments of a channel in every experiment, and those from each degree on in the dual basis of the transients."""
+    K, R = S.shape
+    t = len(inverse)
+    for d in range(sums.shape[0]):
+        for m in range(R):
+            sums[d, m] = 0
+        for k in range(K):
+            scale = weights[k] * powers[d, k]
+            for m in range(R):
+                sums[d, m] += scale * S[k, m]
+    for r in range(duals.shape[0]):
+        for j in range(t):
+            for m in range(R):
+                duals[r, j, m] = 0
+            for i in range(t):
+                for m in range(R):
+                    duals[r, j, m] += inverse[j, i] * sums[i + r, m]
+
+
+@njit(error_model="numpy", cache=True)
+def _products(moments, sums, duals, found):
+    """The products of the powers p and r of two channels without transients."""
+    for p in range(found.shape[0]):
+        for r in range(found.shape[1]):
+            value = moments[p + r]
+            for j in range(duals.shape[1]):
+                for m in range(duals.shape[2]):
+                    value -= np.conj(sums[j + p, m]) * duals[r, j, m]
+            found[p, r] = value
+
+
+@njit(error_model="numpy", cache=True)
+def normal_equations(
+    U, Y, model, of_inputs, weights, powers, inverse, scale, orders, normal, information, right
+):
+    """The equations of one refinement.
+
+    Parameters
+    ----------
+    U, Y, model : ndarray
+        (nu, K, R), (ny, K, R) and (ny, K, R) complex lines; the model's outputs are the instruments.
+    of_inputs : ndarray
+        (nu, nu + ny, K) line products of the inputs with all channels.
+    weights, powers : ndarray
+        (K,) 1 / |A|^2 and (D, K) powers of the distances x.
+    inverse : ndarray
+        (nt + 1, nt + 1) inverse of the transients' Gram matrix.
+    scale : ndarray
+        (ny,) inverse variances of the noise.
+    orders : tuple of int
+        Orders of the numerators, the common denominator and the transients' numerators.
+    normal, information, right : ndarray
+        (n, n), (n, n) and (n,), zero at first, written.
+    """
+    nb, na, nt = orders
+    nu, ny, K, R = U.shape[0], Y.shape[0], U.shape[1], U.shape[2]
+    inner = nu * (nb + 1)
+    first = ny * inner
+    most = max(nb, na) + 1
+    sums, duals = (np.empty((nu + 2, nt + most, R), U.dtype), np.empty((nu + 2, most, nt + 1, R), U.dtype))
+    moments, lines, product = (
+        np.empty(len(powers), U.dtype),
+        np.empty(K, U.dtype),
+        np.empty((most, most), U.dtype),
+    )
+    for j in range(nu):
+        _sums(U[j], weights, powers, inverse, sums[j], duals[j])
+    for i in range(ny):
+        at, s = i * inner, scale[i]
+        _sums(Y[i], weights, powers, inverse, sums[nu], duals[nu])
+        _sums(model[i], weights, powers, inverse, sums[nu + 1], duals[nu + 1])
+        for j in range(nu):
+            for h in range(nu):
+                _moments(weights, powers, of_inputs[j, h], moments)
+                _products(moments, sums[j], duals[h], product)
+                for p in range(nb + 1):
+                    for r in range(nb + 1):
+                        row, column = at + j * (nb + 1) + p, at + h * (nb + 1) + r
+                        normal[row, column] = information[row, column] = s * product[p, r]
+            _moments(weights, powers, of_inputs[j, nu + i], moments)
+            _products(moments, sums[j], duals[nu], product)
+            for p in range(nb + 1):
+                row = at + j * (nb + 1) + p
+                right[row] = s * product[p, 0]
+                for r in range(na):
+                    normal[row, first + r] = -s * product[p, r + 1]
+            line_products(model[i], U[j], lines)
+            _moments(weights, powers, lines, moments)
+            _products(moments, sums[nu + 1], duals[j], product)
+            for p in range(nb + 1):
+                row = at + j * (nb + 1) + p
+                for r in range(na):
+                    normal[first + r, row] = information[first + r, row] = -s * product[r + 1, p]
+                    information[row, first + r] = -s * np.conj(product[r + 1, p])
+        line_products(model[i], Y[i], lines)
+        _moments(weights, powers, lines, moments)
+        _products(moments, sums[nu + 1], duals[nu], product)
+        for p in range(na):
+            right[first + p] -= s * product[p + 1, 0]
+            for r in range(na):
+                normal[first + p, first + r] += s * product[p + 1, r + 1]
+        line_products(model[i], model[i], lines)
+        _moments(weights, powers, lines, moments)
+        _products(moments, sums[nu + 1], duals[nu + 1], product)
+        for p in range(na):
+            for r in range(na):
+                information[first + p, first + r] += s * product[p + 1, r + 1]
+
+
+@njit(error_model="numpy", cache=True)
+def residuals(U, Y, theta, A, powers, orders, inverse, errors, squares):
+    """What the model and the transients leave of the outputs.
+
+    Parameters
+    ----------
+    U, Y : ndarray
+        (nu, K, R) and (ny, K, R) complex lines.
+    theta, A : ndarray
+        Coefficients, and (K,) the denominator on the lines.
+    powers, orders, inverse : ndarray or tuple
+        As for `normal_equations`.
+    errors, squares : ndarray
+        (ny, K, R) complex and (ny,) their sums of squares, written.
+    """
+    nb, _, nt = orders
+    nu, ny, K, R = U.shape[0], Y.shape[0], U.shape[1], U.shape[2]
+    along = np.empty((nt + 1, R), U.dtype)
+    for i in range(ny):
+        for j in range(nt + 1):
+            for m in range(R):
+                along[j, m] = 0
+        for k in range(K):
+            for m in range(R):
+                errors[i, k, m] = Y[i, k, m]
+            for j in range(nu):
+                g = 0j
+                for p in range(nb + 1):
+                    g += theta[(i * nu + j) * (nb + 1) + p] * powers[p, k]
+                g /= A[k]
+                for m in range(R):
+                    errors[i, k, m] -= g * U[j, k, m]
+            for j in range(nt + 1):
+                scale = powers[j, k] / np.conj(A[k])
+                for m in range(R):
+                    along[j, m] += scale * errors[i, k, m]
+        squares[i] = 0.0
+        for k in range(K):
+            for h in range(nt + 1):
+                scale = 0j
+                for j in range(nt + 1):
+                    scale += powers[j, k] * inverse[j, h]
+                scale /= A[k]
+                for m in range(R):
+                    errors[i, k, m] -= scale * along[h, m]
+            for m in range(R):
+                squares[i] += errors[i, k, m].real ** 2 + errors[i, k, m].imag ** 2
