@@ -31,17 +31,36 @@ def _white(samples: int, n_inputs: int, rng: np.random.Generator, power: float) 
     return Step(u * np.sqrt(power * samples / np.sum(u**2)), "white")
 
 
+SEARCHED = 4
+"""Experiments up to which every refit searches for the global optimum; later ones go on from the fit before."""
+
+
+class _Refits:
+    """Output-error fits to records that become more."""
+
+    def __init__(self, orders: Any, delay: Any) -> None:
+        self._orders, self._delay = orders, delay
+        self._last: NDArray[np.float64] | None = None
+
+    def plant(self, records: list[Record]) -> Plant:
+        """The plant fitted to all records so far."""
+        from estimators.pem import identify
+
+        known = self._last if len(records) > SEARCHED else None
+        fit = identify(records, "oe", self._orders, delay=self._delay, search="quick", start=known)
+        self._last = fit.theta
+        return fit.to_plant()
+
+
 def _designed(
-    records: list[Record], orders: Any, delay: Any, criterion: str, ahead: int, power: float
+    records: list[Record], fits: _Refits, criterion: str, ahead: int, power: float
 ) -> Spectrum | None:
     """Optimal spectrum for the model fitted to the records; None where no model can be fitted or designed for."""
-    from estimators.pem import identify
     from oed.design import solve_design
     from oed.information import information_of_records
 
     try:
-        fit = identify(records, "oe", orders, delay=delay, search="quick")
-        plant = fit.to_plant()
+        plant = fits.plant(records)
         prior = information_of_records(plant, [r.u for r in records]) / ahead
         return solve_design(plant, criterion, input_power=power, prior=prior).spectrum
     except OedError:
@@ -134,20 +153,14 @@ def _twos_and_threes(done: int) -> bool:
 
 
 def _hedged(
-    records: list[Record],
-    orders: Any,
-    delay: Any,
-    power: float,
-    hedge: tuple[int, float],
-    rng: np.random.Generator,
+    records: list[Record], fits: _Refits, power: float, hedge: tuple[int, float], rng: np.random.Generator
 ) -> Spectrum | None:
     """Mean of the optimal sinusoids of plants drawn from the fit, on the lines of an experiment."""
-    from estimators.pem import identify
     from oed.information import information_of_records
 
     draws, inflation = hedge
     try:
-        plant = identify(records, "oe", orders, delay=delay, search="quick").to_plant()
+        plant = fits.plant(records)
         information = information_of_records(plant, [r.u for r in records])
         root = inflation * np.linalg.cholesky(np.linalg.inv(information))
     except (OedError, np.linalg.LinAlgError):
@@ -216,14 +229,15 @@ def _redesigning(
 
         records: list[Record] = []
         spectrum: Spectrum | None = None
+        fits = _Refits(orders, delay)
         while True:
             done = len(records)
             if done >= first and (due(done) or spectrum is None):
                 ahead = samples * max(budget - done, 1)
                 if hedge:
-                    spectrum = _hedged(records, orders, delay, power, hedge, rng)
+                    spectrum = _hedged(records, fits, power, hedge, rng)
                 else:
-                    spectrum = _designed(records, orders, delay, criterion, ahead, power)
+                    spectrum = _designed(records, fits, criterion, ahead, power)
             if spectrum is None:
                 step = _white(samples, n_inputs, rng, power)
             else:

@@ -11,7 +11,7 @@ from estimators.pem.filtering import filter_kernel
 from estimators.pem.kalman import kalman_recursion, state_space_kalman_recursion
 from estimators.pem.kernel import Kernel, compiler, kernel_of
 from estimators.pem.recursion import polynomial_recursion, weighted
-from estimators.pem.starts import reflected
+from estimators.pem.starts import is_stable, reflected
 from estimators.pem.statespace import state_space_recursion
 from oed.models import Polynomial, StateSpace
 
@@ -70,29 +70,6 @@ def kernel_for(structure: Structure, levels: bool, initial: bool, variant: str =
     nk = structure.nk if initial and variant != "missing" else np.ones_like(structure.nk)
     orders = [*(getattr(structure, x) for x in ("na", "nb", "nc", "nd", "nf")), nk]
     return _cached_kernel((structure.kind, *map(frozen, orders)), levels, initial, variant, compiler())
-
-
-def is_stable(polynomial: NDArray | list[float]) -> bool:
-    """Whether a monic polynomial in q^-1 has all roots inside the unit circle (Schur-Cohn recursion).
-
-    Parameters
-    ----------
-    polynomial : ndarray or list of float
-        Coefficients, the first is 1.
-
-    Returns
-    -------
-    bool
-        True if so.
-    """
-    p = [float(c) for c in polynomial]
-    while len(p) > 1:
-        last = p[-1]
-        if not abs(last) < 1:
-            return False
-        scale = 1 - last * last
-        p = [(p[k] - last * p[-1 - k]) / scale for k in range(len(p) - 1)]
-    return True
 
 
 def predictor_is_stable(structure: Structure, z: NDArray) -> bool:

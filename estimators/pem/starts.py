@@ -19,6 +19,7 @@ __all__ = [
     "armax_start",
     "filtered",
     "high_order",
+    "is_stable",
     "lagged_gram",
     "null_space_fit",
     "reflected",
@@ -49,6 +50,29 @@ def filtered(b: ArrayLike, a: ArrayLike, x: NDArray) -> NDArray:
     return np.asarray(lfilter(b, a, x))
 
 
+def is_stable(polynomial: NDArray | list[float]) -> bool:
+    """Whether a monic polynomial in q^-1 has all roots inside the unit circle (Schur-Cohn recursion).
+
+    Parameters
+    ----------
+    polynomial : ndarray or list of float
+        Coefficients, the first is 1.
+
+    Returns
+    -------
+    bool
+        True if so.
+    """
+    p = [float(c) for c in polynomial]
+    while len(p) > 1:
+        last = p[-1]
+        if not abs(last) < 1:
+            return False
+        scale = 1 - last * last
+        p = [(p[k] - last * p[-1 - k]) / scale for k in range(len(p) - 1)]
+    return True
+
+
 def reflected(tail: NDArray, most: float = 0.999, mirror: bool = True) -> NDArray:
     """A monic polynomial with its unstable roots mirrored into the unit circle.
 
@@ -66,12 +90,10 @@ def reflected(tail: NDArray, most: float = 0.999, mirror: bool = True) -> NDArra
     ndarray
         Coefficients after the leading 1.
     """
-    if not len(tail):
-        return np.zeros(0)
+    if is_stable([1.0, *(c / most ** (k + 1) for k, c in enumerate(np.asarray(tail).tolist()))]):
+        return np.array(tail, dtype=float)
     roots = np.roots(np.concatenate([[1.0], tail])).astype(complex)
     size = np.abs(roots)
-    if size.size == 0 or size.max() < most:
-        return np.array(tail, dtype=float)
     out = size > 1
     if mirror:
         roots[out] = 1 / np.conj(roots[out])
