@@ -12,7 +12,8 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.fitting import Channel, Fit, fit
 from estimators.diagnosis.linear import fit_linear, numerators, plant_scales
-from estimators.diagnosis.structure import Part, sandwiched
+from estimators.diagnosis.simulation import sandwiched
+from estimators.diagnosis.structure import Part
 from estimators.effects.catalogue import Clock
 
 __all__ = ["curved_input", "grown", "sandwich"]

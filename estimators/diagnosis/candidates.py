@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from estimators.diagnosis.fitting import Channel, Fit, fit
 from estimators.diagnosis.layouts import allowed
 from estimators.diagnosis.linear import fit_linear, layout_starts, prefiltered_error
+from estimators.diagnosis.simulation import free_responses
 from estimators.diagnosis.starts import Start, gains_of_shapes, shapes, tone_starts
-from estimators.diagnosis.structure import Part, Structure, free_responses
+from estimators.diagnosis.structure import Part, Structure
 from estimators.effects.catalogue import CATALOGUE
 
 __all__ = ["PLANT_EFFECTS", "STATIC_EFFECTS", "augmented", "refit"]

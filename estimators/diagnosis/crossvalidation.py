@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.fitting import Channel, Fit, fit
-from estimators.diagnosis.structure import simulate
+from estimators.diagnosis.simulation import simulate
 
 __all__ = ["BLOCKS", "blocked_simulation"]
 

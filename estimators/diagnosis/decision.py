@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.discrimination import Discrimination, discriminate
 from estimators.diagnosis.fitting import Fit, levenberg_marquardt
 from estimators.diagnosis.report import Diagnosis
-from estimators.diagnosis.structure import simulate
+from estimators.diagnosis.simulation import simulate
 from estimators.effects.catalogue import Clock
 from oed.errors import InputError
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from estimators.diagnosis.fitting import Fit
-from estimators.diagnosis.structure import simulate
+from estimators.diagnosis.simulation import simulate
 from estimators.effects.catalogue import Clock
 from oed.errors import InputError
 

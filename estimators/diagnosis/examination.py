@@ -20,7 +20,8 @@ from estimators.diagnosis.measurement import (
     wild_samples,
 )
 from estimators.diagnosis.selection import Attribution, attribute
-from estimators.diagnosis.structure import Part, Structure, simulate
+from estimators.diagnosis.simulation import simulate
+from estimators.diagnosis.structure import Part, Structure
 from estimators.effects.catalogue import CATALOGUE, Clock
 from oed.data import Record
 

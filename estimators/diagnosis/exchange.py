@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.candidates import augmented, refit
 from estimators.diagnosis.fitting import Channel, Fit, fit, innovations
-from estimators.diagnosis.structure import simulate
+from estimators.diagnosis.simulation import simulate
 
 __all__ = ["SIBLINGS", "exchanged", "whole_delay", "without"]
 
@@ -20,6 +20,7 @@ _GROUPS = (
     ("step_input", "step_output"),
     ("gain_change", "timescale_change", "damping_change", "pole_change"),
     ("backlash_output", "backlash_sampled"),
+    ("rate_limit", "rate_limit_sampled"),
 )
 SIBLINGS = {key: set(group) for group in _GROUPS for key in group}
 WORTH = 2.0  # by which an exchange must lower Schwarz's criterion

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.structure import Structure, simulate
+from estimators.diagnosis.derivatives import exact_columns
+from estimators.diagnosis.simulation import simulate
+from estimators.diagnosis.structure import Structure
 from estimators.effects.catalogue import Clock
 
 __all__ = ["Channel", "Fit", "ar_model", "fit", "innovations", "levenberg_marquardt"]
@@ -169,6 +171,7 @@ def levenberg_marquardt(
     iterations: int = 30,
     tolerance: float = 1e-5,
     steps: Array | None = None,
+    exact: Callable[[Array], Iterable[tuple[int, Array]]] | None = None,
 ) -> tuple[Array, float, Array]:
     """Minimise the sum of squares of a residual by damped Gauss-Newton steps.
 
@@ -186,6 +189,8 @@ def levenberg_marquardt(
         Relative decrease below which to stop (twice in a row).
     steps : ndarray, optional
         Finite-difference steps; by default 1e-6 of the scales. A parameter with step 0 stays where it starts.
+    exact : callable, optional
+        p -> columns of the Jacobian that need no difference, each with its index.
 
     Returns
     -------
@@ -201,7 +206,11 @@ def levenberg_marquardt(
     damping, small = 1e-3, 0
     J = np.zeros((len(r), len(p)))
     for _ in range(iterations):
-        for i in np.flatnonzero(steps):
+        known = set()
+        for i, column in () if exact is None else exact(p):
+            J[:, i] = column
+            known.add(i)
+        for i in (i for i in np.flatnonzero(steps) if i not in known):
             for sign in (1.0, -1.0):
                 q = p.copy()
                 q[i] += sign * steps[i]
@@ -334,6 +343,11 @@ def fit(
             target = _expected(target, y, channel.step, sigma[0])
         return _innovation(np.where(keep, target - y, 0.0), shape)
 
+    def exact(q: Array) -> Iterator[tuple[int, Array]]:
+        for i, d in exact_columns(structure, q, channel.u, channel.clock):
+            if scales[i] != 0.0:
+                yield i, -_innovation(np.where(keep, d, 0.0), shape)
+
     steps = 1e-6 * scales
     for part, sl in zip(structure.parts, structure.slices(), strict=True):
         for i, unit in enumerate(part.effect.units[: sl.stop - sl.start]):
@@ -359,7 +373,7 @@ def fit(
                 _, variance = _rounded_deviance(channel.y[keep], simulated[keep], channel.step, sigma[0])
                 sigma[0] = max(float(np.sqrt(variance)), channel.step / 200)
     else:
-        p, cost, J = levenberg_marquardt(errors, p, scales, iterations=iterations, steps=steps)
+        p, cost, J = levenberg_marquardt(errors, p, scales, iterations=iterations, steps=steps, exact=exact)
     if not np.isfinite(cost):
         empty = np.zeros((0, len(p)))
         return Fit(structure, p, noise, np.inf, np.inf, np.full(len(channel), np.inf), n, empty, scales)

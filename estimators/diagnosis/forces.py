@@ -11,7 +11,8 @@ from scipy.optimize import minimize
 from scipy.signal import butter, sosfiltfilt
 
 from estimators.diagnosis.fitting import Channel, Fit, fit
-from estimators.diagnosis.structure import Part, Structure, simulate
+from estimators.diagnosis.simulation import simulate
+from estimators.diagnosis.structure import Part, Structure
 from oed.data import Record
 from oed.errors import InputError
 

@@ -13,7 +13,7 @@ from scipy.stats import chi2, f_oneway, kurtosis
 
 from estimators.diagnosis.fitting import Channel, Fit, ar_model, innovations
 from estimators.diagnosis.layouts import COEFFICIENTS, LAYOUTS, states
-from estimators.diagnosis.structure import simulate
+from estimators.diagnosis.simulation import simulate
 from estimators.effects.catalogue import NATURES
 
 __all__ = ["Leftover", "leftovers"]

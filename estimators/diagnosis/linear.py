@@ -11,7 +11,8 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.fitting import Channel, Fit, fit
 from estimators.diagnosis.layouts import COEFFICIENTS, LAYOUTS, states
-from estimators.diagnosis.structure import Structure, free_responses, simulate, stable_polynomial
+from estimators.diagnosis.simulation import free_responses, simulate, stable_polynomial
+from estimators.diagnosis.structure import Structure
 
 __all__ = ["fit_linear", "layout_starts", "numerators", "plant_scales", "prefiltered_error"]
 
@@ -40,12 +41,21 @@ def plant_scales(s: Structure, p: Array) -> Array:
     return scale
 
 
+def _late(x: Array, lags: range) -> list[Array]:
+    """A signal that is zero before it starts, at each of the lags."""
+    return [np.concatenate((np.zeros(i), x[: len(x) - i])) for i in lags]
+
+
+def _lagged(y: Array, U: Array, n: int, taps: int, delay: int) -> Array:
+    """Regressors of an equation error: -y at lags 1 to n, then each input at its lags."""
+    columns = _late(-y, range(1, n + 1))
+    for x in U.T:
+        columns += _late(x, range(1 + delay, taps + delay + 1))
+    return np.stack(columns, axis=1)
+
+
 def _regression(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> Array:
-    N = len(y)
-    columns = [-np.concatenate((np.zeros(i), y[: N - i])) for i in range(1, n + 1)]
-    for j in range(U.shape[1]):
-        columns += [np.concatenate((np.zeros(i + delay), U[: N - i - delay, j])) for i in range(1, taps + 1)]
-    X = np.stack(columns, axis=1)
+    X = _lagged(y, U, n, taps, delay)
     rows = keep.copy()
     rows[:n] = False
     return np.linalg.lstsq(X[rows], y[rows], rcond=None)[0]
@@ -74,13 +84,7 @@ def prefiltered_error(y: Array, U: Array, den: Array, s: Structure, rows: NDArra
     """
     v = np.asarray(lfilter([1.0], den, y))
     W = np.asarray(lfilter([1.0], den, U, axis=0))
-    N = len(v)
-    columns = [-np.concatenate((np.zeros(i), v[: N - i])) for i in range(1, s.order + 1)]
-    for w in W.T:
-        columns += [
-            np.concatenate((np.zeros(i + s.delay), w[: N - i - s.delay])) for i in range(1, s.taps + 1)
-        ]
-    X = np.stack(columns, axis=1)[rows]
+    X = _lagged(v, W, s.order, s.taps, s.delay)[rows]
     rest = v[rows] - X @ np.linalg.lstsq(X, v[rows], rcond=None)[0]
     return float(rest @ rest)
 
@@ -116,13 +120,7 @@ def numerators(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Array)
     ndarray
         (nu * taps,).
     """
-    N = len(y)
-    den = np.concatenate(([1.0], f))
-    columns = []
-    for j in range(U.shape[1]):
-        x = lfilter([1.0], den, U[:, j])
-        columns += [np.concatenate((np.zeros(i + delay), x[: N - i - delay])) for i in range(1, taps + 1)]
-    X = np.stack(columns, axis=1)
+    X = _lagged(y, np.asarray(lfilter([1.0], np.concatenate(([1.0], f)), U, axis=0)), 0, taps, delay)
     return np.linalg.lstsq(X[keep], y[keep], rcond=None)[0]
 
 

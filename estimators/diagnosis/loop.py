@@ -15,7 +15,7 @@ from estimators.diagnosis.examination import Examined, Setting, examine, thinned
 from estimators.diagnosis.fitting import Fit, innovations, levenberg_marquardt
 from estimators.diagnosis.measurement import held_samples
 from estimators.diagnosis.report import Diagnosis, ErrorFigure
-from estimators.diagnosis.structure import free_responses, simulate
+from estimators.diagnosis.simulation import free_responses, simulate
 from estimators.effects.catalogue import Clock
 from oed.data import Record
 from oed.errors import InputError

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.fitting import Fit
 from estimators.diagnosis.report import Diagnosis
-from estimators.diagnosis.structure import simulate
+from estimators.diagnosis.simulation import simulate
 from estimators.effects.catalogue import Clock
 from estimators.gains import gain
 from estimators.limits import Limits

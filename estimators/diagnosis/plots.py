@@ -121,7 +121,7 @@ def _curve(part: Any, q: Any, x: Any) -> Any:
 def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
     """Values that the effect's argument takes in the record, and its name."""
     from estimators.diagnosis.layouts import COEFFICIENTS, LAYOUTS, layout_matrices, states
-    from estimators.diagnosis.structure import sandwiched
+    from estimators.diagnosis.simulation import sandwiched
 
     u = channel.u[:, part.channel]
     if part.key == "sandwich":

@@ -11,7 +11,8 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.fitting import Channel, Fit
 from estimators.diagnosis.layouts import COEFFICIENTS, LAYOUTS, layout_matrices, states
-from estimators.diagnosis.structure import Part, Structure, simulate
+from estimators.diagnosis.simulation import simulate
+from estimators.diagnosis.structure import Part, Structure
 
 __all__ = ["Start", "gains_of_shapes", "shapes", "tone_starts"]
 
@@ -92,7 +93,7 @@ def shapes(key: str, channel: Channel, base: Fit, j: int) -> tuple[list[list[flo
         return [[0.02 / su**2]], [1 / su**2], True
     if key == "input_polynomial":
         return [[a / su, b / su**2] for a in (-0.1, 0.1) for b in (-0.03, 0.03)], [1 / su, 1 / su**2], False
-    if key == "rate_limit":
+    if key in ("rate_limit", "rate_limit_sampled"):
         jump = np.abs(np.diff(u))
         jump = jump[jump > 1e-9 * su]
         wide = float(np.ptp(u))

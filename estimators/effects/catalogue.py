@@ -111,6 +111,8 @@ def _recursive(name: str) -> Callable[[Array, Array, Clock], Array]:
 
         if name == "rate":
             return kernels.rate_limited_mean(x, abs(p[0]))
+        if name == "rate_sampled":
+            return kernels.rate_limited(np.ascontiguousarray(x), abs(p[0]))
         if name == "play_fine":
             return kernels.play(_upsampled(x, 4), abs(p[0]))[::4]
         if name == "bouc_wen":
@@ -203,6 +205,8 @@ _ENTRIES = (
            "the input acts through a broken line, a static curve of no simpler form", lambda x, p, c: _lines(x, p)),
     Effect("rate_limit", "rate_limiter", _DYN, "input", ("rate",), ("u/sample",), 6,
            "the actuator cannot move faster than the rate", _recursive("rate")),
+    Effect("rate_limit_sampled", "rate_limiter", _DYN, "input", ("rate",), ("u/sample",), 6,
+           "the command cannot change faster than the rate from one sample to the next", _recursive("rate_sampled")),
     Effect("backlash_input", "backlash", _DYN, "input", ("half_width",), ("u",), 6,
            "play in the actuator", _recursive("play")),
     Effect("hysteresis", "backlash", _DYN, "input", ("share", "width"), ("1", "u"), 10,

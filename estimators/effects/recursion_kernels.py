@@ -12,6 +12,7 @@ __all__ = [
     "compiled",
     "hinges",
     "play",
+    "rate_limited",
     "rate_limited_mean",
     "rational",
     "tank_levels",
@@ -94,6 +95,30 @@ def rate_limited_mean(signal, rate):  # pragma: no cover - compiled
             move = rate if gap > 0 else -rate
             out[k] = v + 0.5 * move
             v += move
+    return out
+
+
+@compiled
+def rate_limited(signal, rate):  # pragma: no cover - compiled
+    """Command that changes by at most `rate` from one sample to the next, and is held between them.
+
+    Parameters
+    ----------
+    signal : ndarray
+        (N,) the signal.
+    rate : float
+        Largest change per sample.
+
+    Returns
+    -------
+    ndarray
+        (N,).
+    """
+    out = np.empty_like(signal)
+    v = 0.0
+    for k in range(signal.shape[0]):
+        v += min(max(signal[k] - v, -rate), rate)
+        out[k] = v
     return out
 
 

@@ -208,6 +208,8 @@ def hinges_term(corners: int) -> Any:
 def rate_step() -> Any:
     """CasADi function (v, command, rate) -> (next v, mean over the interval) of a rate-limited actuator.
 
+    Where the command itself is limited from sample to sample, the next v is what acts.
+
     Returns
     -------
     casadi.Function

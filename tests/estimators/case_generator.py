@@ -45,7 +45,8 @@ def write_case(
     """
     from estimators.diagnosis.fitting import Channel
     from estimators.diagnosis.linear import fit_linear
-    from estimators.diagnosis.structure import Structure, simulate
+    from estimators.diagnosis.simulation import simulate
+    from estimators.diagnosis.structure import Structure
     from estimators.effects.catalogue import Clock
 
     kinds = list(KINDS)

@@ -5,20 +5,22 @@ import pytest
 from scipy.signal import cont2discrete, ss2tf
 
 from estimators.diagnosis.candidates import augmented
+from estimators.diagnosis.derivatives import exact_columns
 from estimators.diagnosis.fitting import Channel
 from estimators.diagnosis.intersample import between_samples
 from estimators.diagnosis.linear import fit_linear
-from estimators.diagnosis.structure import Structure
+from estimators.diagnosis.simulation import simulate
+from estimators.diagnosis.structure import Part, Structure
 from estimators.effects import terms
 from estimators.effects.catalogue import CATALOGUE, Clock
 from estimators.effects.plant_kernels import bouc_wen, held_response, simulate_feedback
-from estimators.effects.recursion_kernels import hinges, play, rate_limited_mean, rational
+from estimators.effects.recursion_kernels import hinges, play, rate_limited, rate_limited_mean, rational
 
 STATIC = [
     k
     for k, e in CATALOGUE.items()
     if e.apply is not None and e.slot in ("input", "output", "added")
-    and k not in ("rate_limit", "backlash_input", "backlash_output", "backlash_sampled", "hysteresis", "delay", "lag", "gain_drift", "gain_change",
+    and k not in ("rate_limit", "rate_limit_sampled", "backlash_input", "backlash_output", "backlash_sampled", "hysteresis", "delay", "lag", "gain_drift", "gain_change",
                   "step_input", "step_output", "drift", "tones", "input_lines")
 ]  # fmt: skip
 TIMED = ["gain_drift", "gain_change", "step_input", "step_output", "drift", "tones"]
@@ -91,8 +93,9 @@ def test_lag_delay_and_hinges_agree_with_casadi():
 
 def test_rate_limit_agrees_with_casadi():
     u = np.repeat(np.random.default_rng(4).standard_normal(60), 5)
-    _, mean = terms.rate_step().mapaccum(300)(0.0, u[None, :], 0.31)
+    after, mean = terms.rate_step().mapaccum(300)(0.0, u[None, :], 0.31)
     np.testing.assert_allclose(rate_limited_mean(u, 0.31), np.array(mean).ravel(), atol=1e-12)
+    np.testing.assert_allclose(rate_limited(u, 0.31), np.array(after).ravel(), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -199,3 +202,34 @@ def test_play_at_the_output_is_fitted_to_the_noise_between_and_on_the_samples(ke
     assert min(errors, key=errors.__getitem__) == key
     assert errors[key] < 1.1 * noise
     assert max(errors.values()) > 2 * noise  # the other of the two does not explain it
+
+
+@pytest.mark.parametrize(
+    "structure, p",
+    [
+        (Structure(2, (0, 1), delay=1), [-1.2, 0.5, 0.3, 0.1, -0.2, 0.4]),
+        (Structure(2).adding(Part("saturation")).adding(Part("output_cubic")).adding(Part("output_quadratic")),
+         [-1.2, 0.5, 0.3, 0.1, 0.8, 0.01, 0.02]),
+        (Structure(2).adding(Part("offset")).adding(Part("initial")), [-1.2, 0.5, 0.3, 0.1, 0.8, 1.0, 0.5]),
+        (Structure(2).adding(Part("mode", 0, 2)), [-1.2, 0.5, 0.3, 0.1, 0.1, 0.1, -1.3, 0.6]),
+        (Structure(2).adding(Part("sandwich", 0, 101)), [-1.2, 0.5, 0.3, 0.1, -0.5, 0.2, 0.3, 0.4]),
+        (Structure(2, layout="oscillator", delay=1).adding(Part("stiffness_cubic")).adding(Part("output_arctan")),
+         [-2.0, -1.0, 1.0, 0.3, 0.1, 0.3]),
+    ],
+)  # fmt: skip
+def test_exact_derivatives_agree_with_differences(structure, p):
+    rng, p = np.random.default_rng(5), np.array(p)
+    u, clock = rng.standard_normal((200, 2)), Clock(np.arange(200.0), 200)
+    columns = dict(exact_columns(structure, p, u, clock))
+    assert set(columns) >= set(range(structure.plant_size - structure.taps, structure.plant_size))
+    for i, column in columns.items():
+        ahead, behind = p.copy(), p.copy()
+        ahead[i] += 1e-6
+        behind[i] -= 1e-6
+        twin = (simulate(structure, ahead, u, clock) - simulate(structure, behind, u, clock)) / 2e-6
+        np.testing.assert_allclose(column, twin, atol=1e-5 * np.abs(twin).max())
+
+
+def test_an_effect_with_memory_at_the_output_has_no_exact_derivatives():
+    s, u = Structure(1).adding(Part("lag")), np.ones((30, 1))
+    assert not dict(exact_columns(s, np.array([-0.5, 0.3, 0.4]), u, Clock(np.arange(30.0), 30)))
