@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -305,7 +306,7 @@ class Polynomial:
 
 def _delays(omega: ArrayLike):
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
-    return lambda k: np.exp(-1j * k * omega)
+    return cache(lambda k: np.exp(-1j * k * omega))
 
 
 def _value(coefficients: NDArray, z) -> NDArray:

@@ -30,6 +30,8 @@ MANY = 20_000
 FEW, SOME = 400, 3000
 """Samples up to which models of one or two modes are searched for at all, and those of more closely: noise makes
 more optima of few samples."""
+ENOUGH = 5000
+"""Samples of several records that the iterated starts take, spread over the records."""
 MOST = 12
 """Modes up to which a model is searched for closely: with more every evaluation costs too much for that."""
 DRAWS = 12
@@ -232,8 +234,9 @@ def candidates(problem: Problem) -> list[NDArray[np.float64]]:
             fs.append(f)
         systems.append((bs, fs))
     if len(nb) == 1:
+        few = signals[:: max(1, total // ENOUGH)]
         for _, fs in systems[:1] + systems[-1:]:
-            b, f = steiglitz_mcbride(signals, nb[0], fs[0])
+            b, f = steiglitz_mcbride(few, nb[0], fs[0])
             systems.append(([b], [f]))
     for bs, fs in systems:
         z = np.zeros(width)

@@ -25,11 +25,12 @@ from oed.plants import Plant
 def iterations(plant, N, M, replicate):
     single = plant.n_inputs * plant.n_outputs == 1
     start = counter_start(plant, N, replicate=replicate)
+    count = M * (1 if single else 1 + plant.n_inputs * plant.n_outputs)
     return run(
         partial(power_iterations if single else procedure_2, start=start),
-        simulated(plant, replicate=replicate),
+        simulated(plant, replicate=replicate, expected=count),
         samples=N,
-        experiments=M * (1 if single else 1 + plant.n_inputs * plant.n_outputs),
+        experiments=count,
         rng=np.random.default_rng(replicate),
     )
 
