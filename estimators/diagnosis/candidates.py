@@ -32,6 +32,7 @@ PLANT_EFFECTS = (
     "coulomb_asymmetric",
     "drag",
     "bilinear",
+    "bilinear_driven",
     "stiffness_square",
     "stiffness_quintic",
     "stiffness_gap",

@@ -9,6 +9,7 @@ import numpy as np
 from estimators.diagnosis.examination import Examined, Setting
 from estimators.diagnosis.fitting import Fit
 from estimators.diagnosis.leftover import Leftover, leftovers
+from estimators.diagnosis.paired import as_good
 from estimators.diagnosis.selection import labels_of
 from estimators.effects.catalogue import CATALOGUE
 
@@ -66,6 +67,7 @@ def verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
     alpha = setting.alpha / len(outputs)
     natures: list[str] = []
     remaining: list[str] = []
+    inadequate: list[bool] = []
     for i, out in enumerate(outputs):
         a = out.attribution
         tag = f" on output {i + 1}" if len(outputs) > 1 else ""
@@ -98,9 +100,15 @@ def verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
             order.append((weight, key))
             p = a.p_values.get(key, by_key[key].p_value if key in by_key else 0.0)
             p_value = min(p_value, p)
-            evidence.append(f"{CATALOGUE[key].sentence}{tag}: corrected p = {p:.2g}")
+            weak = ""
+            if key in a.refinements:  # below every cause
+                order[-1] = (min(weight, 10.0), key)
+                weak = (f"; it explains {100 * a.refinements[key]:.2g} % of what {CATALOGUE[a.chosen[0]].label} does, "
+                        "and may only refine the shape of that")  # fmt: skip
+            evidence.append(f"{CATALOGUE[key].sentence}{tag}: corrected p = {p:.2g}{weak}")
         rest = leftovers(out.last, a.final, alpha=alpha / 10)
         remaining += [item.sentence + tag for item in rest[:3]]
+        inadequate.append(any("nonlinearity" in item.nature and item.p_value < 1e-6 for item in rest))
         strange = _unexplained(out, rest, alpha)
         if strange is not None:
             natures.append(strange.nature)
@@ -126,30 +134,48 @@ def verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
         label for label, gain in sorted(pool.items(), key=lambda x: -x[1]) if label not in chosen and gain > 0
     ]
     ranked = chosen + rest if detected else ["none"]
-    confusable = _confusable(outputs, ranked[0])
+    confusable = _confusable(outputs, inadequate, ranked[0])
+    refining = labels_of([key for out in outputs for key in out.attribution.refinements])
     nature = "none" if not keys else natures[0] if keys[0] == UNKNOWN else CATALOGUE[keys[0]].nature
     return {
         "detected": detected, "effect": ranked[0], "variant": ", ".join(dict.fromkeys(keys)), "ranked": tuple(ranked),
         "nature": nature, "p_value": p_value, "evidence": tuple(evidence),
         "parameters": parameters, "confusable": confusable, "remaining": "; ".join(remaining),
+        "refinements": tuple(refining), "floor_is_bound": bool(remaining) or any(_absorbing(out) for out in outputs),
     }  # fmt: skip
 
 
-def _confusable(outputs: list[Examined], first: str) -> tuple[str, ...]:
-    """Other single causes whose criterion is within 6 of the first one's."""
+def _absorbing(out: Examined) -> bool:
+    """Whether a noise model stands beside an effect: it may have taken some of the model error for noise."""
+    return len(out.attribution.final.noise) > 0 and any(
+        "nonlinearity" in part.effect.nature for part in out.attribution.final.structure.effects
+    )
+
+
+NEAR = 0.7  # of the first cause's gain
+
+
+def _confusable(outputs: list[Examined], inadequate: list[bool], first: str) -> tuple[str, ...]:
+    """Causes that the record cannot tell from the first one: single effects as good, or as good beside others.
+
+    Where the final residual still shows a nonlinearity, no model is right, and a difference between two wrong ones
+    decides little: then every cause counts that explains by itself most of what the first one does.
+    """
     names: list[str] = []
-    for out in outputs:
-        claims = out.attribution.claims
-        mine = [c for c in claims if c.label == first]
-        if not mine or len(out.attribution.final.structure.effects) != 1:
-            continue
-        names += [
-            c.label for c in claims if c.label != first and c.gain > mine[0].gain - 6.0 and c.p_value < 0.01
-        ]
-    for out in outputs:
-        for key, others in out.attribution.rivals.items():
+    for out, wrong in zip(outputs, inadequate, strict=True):
+        a = out.attribution
+        mine = next((c for c in a.claims if c.label == first), None)
+        if mine is not None:
+            alone = len(a.final.structure.effects) == 1
+            others = [c for c in a.claims if c.label != first and c.p_value < 0.01]
+            names += [
+                c.label
+                for c in others
+                if (alone and as_good(mine.fit, c.fit)) or (wrong and c.gain > NEAR * mine.gain)
+            ]
+        for key, others_near in a.rivals.items():
             if CATALOGUE[key].label == first:
-                names += others
+                names += others_near
     return tuple(dict.fromkeys(names))
 
 

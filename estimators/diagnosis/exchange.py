@@ -21,6 +21,8 @@ _GROUPS = (
     ("gain_change", "timescale_change", "damping_change", "pole_change"),
     ("backlash_output", "backlash_sampled"),
     ("rate_limit", "rate_limit_sampled"),
+    ("bilinear", "bilinear_driven"),
+    ("stiffness_cubic", "stiffness", "stiffness_gap", "stiffness_upper", "stiffness_lower"),
 )
 SIBLINGS = {key: set(group) for group in _GROUPS for key in group}
 WORTH = 2.0  # by which an exchange must lower Schwarz's criterion
@@ -52,7 +54,7 @@ def without(channel: Channel, f: Fit, position: int) -> Fit:
 
 def exchanged(
     channel: Channel, f: Fit, *, others: tuple[int, ...] = ()
-) -> tuple[Fit, dict[str, tuple[Fit, Fit]]]:
+) -> tuple[Fit, dict[str, tuple[Fit, Fit]], dict[str, Fit]]:
     """Each effect left out once and put up against its siblings, with all the others in the model.
 
     A sibling may have won the first round only because the effects found later were not yet there, and a change
@@ -70,12 +72,13 @@ def exchanged(
     Returns
     -------
     tuple
-        The best model by Schwarz's criterion, and for each effect that came in, or found a better fit: the models without and
-        with it.
+        The best model by Schwarz's criterion, for each effect that came in, or found a better fit, the models without and
+        with it, and for each effect of the best model the model without it.
     """
     came: dict[str, tuple[Fit, Fit]] = {}
+    rests: dict[str, Fit] = {}
     if len(f.structure.effects) < 2:
-        return f, came
+        return f, came, rests
     for part in f.structure.effects:
         position = next((i for i, q in enumerate(f.structure.parts) if q == part), None)
         if position is None or len(f.structure.effects) < 2:
@@ -92,8 +95,12 @@ def exchanged(
         if best.criterion < f.criterion + (KEEP if best is options[0] else -WORTH):
             f = best
             if best is not options[0]:
+                rests[best.structure.parts[-1].key] = rest
                 came[best.structure.parts[-1].key] = (options[0], best)
-    return f, came
+        else:
+            rests[part.key] = rest
+    present = {part.key for part in f.structure.effects}
+    return f, came, {key: rest for key, rest in rests.items() if key in present}
 
 
 def whole_delay(channel: Channel, f: Fit) -> Fit:

@@ -27,7 +27,7 @@ LAYOUTS: dict[str, tuple[int, int]] = {
     "tanks": (2, 10),
 }
 STEPS = 5
-COEFFICIENTS = 17  # of the nonlinear term inside a plant, see `simulate_feedback`
+COEFFICIENTS = 18  # of the nonlinear term inside a plant, see `simulate_feedback`
 MOVING = (
     "oscillator",
     "driven",
@@ -36,6 +36,8 @@ MOVING = (
     "integrator",
 )  # layouts whose velocity is not their position
 
+
+DRIVEN = ("cascade", "driven")  # layouts whose last state follows the input and drives the others
 
 CHANGES: dict[str, dict[str, tuple[float, ...]]] = {
     # how the logarithms of the rates move per unit of the change
@@ -165,6 +167,8 @@ def allowed(key: str, layout: str) -> bool:
     """
     if key in ("position_damping", "hysteretic_spring"):
         return layout in MOVING
+    if key == "bilinear_driven":
+        return layout in DRIVEN
     return key not in CHANGES or layout in CHANGES[key]
 
 

@@ -42,25 +42,53 @@ def _sane(y: Array, reference: Array) -> bool:
     return bool(np.all(np.isfinite(y)) and np.max(np.abs(y)) < 8 * np.max(np.abs(reference)) + 1e-300)
 
 
-def _bootstrap(
-    squares: Array, rng: np.random.Generator, other: Array | None = None, draws: int = 200
-) -> ErrorFigure:
-    """Root of the mean (or the difference of two roots) with a moving-block bootstrap interval."""
-    n = len(squares)
+def _resampled(squares: list[Array], rng: np.random.Generator, draws: int = 200) -> list[Array]:
+    """Roots of the means of several series over the same moving blocks, (draws,) each.
+
+    The blocks run on from the end to the start: else the first and last samples, where a transient is, would hardly count.
+    """
+    n = len(squares[0])
     block = max(1, min(n // 5, int(2 * n ** (1 / 3))))
     count = int(np.ceil(n / block))
-    total = np.concatenate(([0.0], np.cumsum(squares)))
-    sums = total[block:] - total[:-block]
-    which = rng.integers(0, len(sums), (draws, count))
-    values = np.sqrt(np.maximum(sums[which].sum(axis=1) / (count * block), 0.0))
-    value = float(np.sqrt(max(squares.mean(), 0.0)))
-    if other is not None:
-        total = np.concatenate(([0.0], np.cumsum(other)))
+    which = rng.integers(0, n, (draws, count))
+    out = []
+    for series in squares:
+        total = np.concatenate(([0.0], np.cumsum(np.concatenate((series, series[: block - 1])))))
         sums = total[block:] - total[:-block]
-        values = values - np.sqrt(np.maximum(sums[which].sum(axis=1) / (count * block), 0.0))
-        value -= float(np.sqrt(max(other.mean(), 0.0)))
+        out.append(np.sqrt(np.maximum(sums[which].sum(axis=1) / (count * block), 0.0)))
+    return out
+
+
+def _root(squares: Array) -> float:
+    return float(np.sqrt(max(squares.mean(), 0.0)))
+
+
+def _bootstrap(squares: Array, rng: np.random.Generator, other: Array | None = None) -> ErrorFigure:
+    """Root of the mean (or the difference of two roots) with a moving-block bootstrap interval."""
+    if other is None:
+        values, value = _resampled([squares], rng)[0], _root(squares)
+    else:
+        first, second = _resampled([squares, other], rng)
+        values, value = first - second, _root(squares) - _root(other)
     low, high = np.quantile(values, (0.025, 0.975))
     return ErrorFigure(value, float(low), float(high))
+
+
+def _removed(
+    before: Array, after: Array, floor: float, samples: int, rng: np.random.Generator
+) -> ErrorFigure:
+    """(before - after)/(before - floor) with its interval; NaN where there is hardly anything to remove.
+
+    The floor is from other data, of so many samples: a standard deviation with its own sampling error.
+    """
+    value = _root(before)
+    if value - floor <= 0.02 * floor:
+        return ErrorFigure(*[float("nan")] * 3)
+    first, second = _resampled([before, after], rng)
+    floors = floor * (1.0 + rng.standard_normal(len(first)) / np.sqrt(2.0 * samples))
+    room = np.maximum(first - floors, 0.02 * floor + 1e-300)
+    low, high = np.quantile((first - second) / room, (0.025, 0.975))
+    return ErrorFigure((value - _root(after)) / (value - floor), float(low), float(high))
 
 
 def _check(train: Record, test: Record | None) -> None:
@@ -231,18 +259,20 @@ def _assess(
     weight[: setting.skip] = False
     rng = np.random.default_rng(20260)
 
+    rows = weight.any(axis=1)
+
+    def squares(e: Array) -> Array:
+        return np.where(weight, e**2, 0.0).sum(axis=1)[rows] / weight.sum(axis=1)[rows]
+
     def figure(e: Array, other: Array | None = None) -> ErrorFigure:
-        count = np.maximum(weight.sum(axis=1), 1)
-        rows = weight.any(axis=1)
-        per = np.where(weight, e**2, 0.0).sum(axis=1)[rows] / count[rows]
-        if other is None:
-            return _bootstrap(per, rng)
-        return _bootstrap(per, rng, np.where(weight, other**2, 0.0).sum(axis=1)[rows] / count[rows])
+        return _bootstrap(squares(e), rng, None if other is None else squares(other))
 
     e0, e1 = np.nan_to_num(test.y) - before, np.nan_to_num(test.y) - after
+    perfect = float(np.sqrt(np.mean(floor**2)))
     return Diagnosis(
         rmse_before=figure(e0), rmse_after=figure(e1), pred_rmse_before=figure(one_before),
-        pred_rmse_after=figure(one_after), difference=figure(e0, e1), noise_floor=float(np.sqrt(np.mean(floor**2))),
+        pred_rmse_after=figure(one_after), difference=figure(e0, e1), noise_floor=perfect,
+        room=_removed(squares(e0), squares(e1), perfect, len(train), rng),
         yhat_before=before, yhat_after=after, held_out=held_out,
         extra={"outputs": outputs, "finals": finals, "train": train, "test": test}, **verdict(outputs, setting),
     )  # fmt: skip

@@ -59,6 +59,8 @@ class Diagnosis:
         Paired difference before - after of the simulation error.
     noise_floor : float
         Estimated error of a perfect model.
+    room : ErrorFigure
+        Fraction of the removable error removed with the floor as it is, and its 95 % interval by the same bootstrap.
     yhat_before, yhat_after : ndarray
         (N, ny) simulated test output.
     evidence : tuple of str
@@ -69,6 +71,10 @@ class Diagnosis:
         Causes that this record cannot tell from the first.
     remaining : str
         What the final residual still shows.
+    refinements : tuple of str
+        Causes in the model that are so weak beside the first that they may only refine its shape.
+    floor_is_bound : bool
+        Whether the noise floor may hold model error, as something remains or a noise model stands beside a nonlinearity.
     held_out : str
         What the errors were measured on.
     extra : dict
@@ -87,22 +93,30 @@ class Diagnosis:
     pred_rmse_after: ErrorFigure
     difference: ErrorFigure
     noise_floor: float
+    room: ErrorFigure
     yhat_before: Array
     yhat_after: Array
     evidence: tuple[str, ...] = ()
     parameters: dict[str, tuple[float, float, str]] = field(default_factory=dict)
     confusable: tuple[str, ...] = ()
     remaining: str = ""
+    refinements: tuple[str, ...] = ()
+    floor_is_bound: bool = False
     held_out: str = "test record"
     extra: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @property
     def removed(self) -> float:
-        """Fraction of the removable error removed, (before - after)/(before - noise floor)."""
-        room = self.rmse_before.value - self.noise_floor
-        if room <= 0.02 * self.noise_floor:
-            return float("nan")
-        return (self.rmse_before.value - self.rmse_after.value) / room
+        """Fraction of the removable error removed, (before - after)/(before - noise floor), at most 1."""
+        return min(self.room.value, 1.0)
+
+    @property
+    def removed_interval(self) -> tuple[float, float]:
+        """95 % interval of `removed`; from the smallest possible floor, zero, where the floor is only a bound."""
+        low, high = min(self.room.low, 1.0), min(self.room.high, 1.0)
+        if self.floor_is_bound and self.rmse_before.value > 0:
+            low = min(low, 1.0 - self.rmse_after.value / self.rmse_before.value)
+        return low, high
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON: the fields of the results file, and more.
@@ -134,11 +148,14 @@ class Diagnosis:
             "pred_rmse_after": self.pred_rmse_after.value,
             "pred_rmse_after_interval": [self.pred_rmse_after.low, self.pred_rmse_after.high],
             "noise_floor": self.noise_floor,
+            "noise_floor_is_bound": self.floor_is_bound,
             "removed": self.removed,
+            "removed_interval": list(self.removed_interval),
             "evidence": list(self.evidence),
             "parameters": {k: [v, se] for k, (v, se, _) in self.parameters.items()},
             "units": {k: unit for k, (_, _, unit) in self.parameters.items()},
             "confusable": list(self.confusable),
+            "refinements": list(self.refinements),
             "remaining": self.remaining,
             "held_out": self.held_out,
             "yhat_before": signal(self.yhat_before),
@@ -155,13 +172,19 @@ class Diagnosis:
         for name, (value, se, unit) in self.parameters.items():
             lines.append(f"  {name} = {value:.5g} +- {se:.2g} {unit}")
         lines.append(f"simulation error on the {self.held_out}: {self.rmse_before} -> {self.rmse_after}")
-        # what the residual still shows counts as noise in the floor
-        bound = "at most " if self.remaining else ""
+        # what the residual still shows, or a noise model has taken, counts as noise in the floor
+        bound = "at most " if self.floor_is_bound else ""
         lines.append(
             f"one-step error: {self.pred_rmse_before} -> {self.pred_rmse_after}; noise floor {bound}{self.noise_floor:.4g}"
         )
         if np.isfinite(self.removed):
-            lines.append(f"removed {bound}{100 * self.removed:.0f} % of the removable error")
+            low, high = self.removed_interval
+            if self.floor_is_bound:
+                share = f"between {100 * low:.3g} % (were there no noise) and {100 * high:.3g} %"
+            else:
+                share = f"{100 * self.removed:.3g} % [{100 * low:.3g}, {100 * high:.3g}]"
+            below = "; the error after lies below the estimated floor" if self.room.value > 1 else ""
+            lines.append(f"removed {share} of the removable error{below}")
         if self.confusable:
             lines.append("this record cannot tell it from: " + ", ".join(self.confusable))
         if len(self.ranked) > 1:

@@ -13,6 +13,7 @@ from estimators.diagnosis.candidates import augmented, refit
 from estimators.diagnosis.exchange import exchanged, whole_delay
 from estimators.diagnosis.fitting import Channel, Fit, fit
 from estimators.diagnosis.linear import fit_linear
+from estimators.diagnosis.paired import as_good
 from estimators.diagnosis.structure import Structure
 from estimators.effects.catalogue import CATALOGUE, effect
 
@@ -66,7 +67,9 @@ class Attribution:
     p_values : dict
         Corrected p-values of the tests, by name.
     rivals : dict
-        For a second or further effect, by its key: causes that would do as well in its place.
+        By the key of an effect of a model of several: causes that would do as well in its place.
+    refinements : dict
+        Effects that are weak beside the first one, by their key: what they explain as a share of what it explains.
     """
 
     base: Fit
@@ -77,6 +80,7 @@ class Attribution:
     feedback: float
     p_values: dict[str, float] = field(default_factory=dict)
     rivals: dict[str, list[str]] = field(default_factory=dict)
+    refinements: dict[str, float] = field(default_factory=dict)
 
 
 def _noise_criterion(f: Fit) -> float:
@@ -234,11 +238,12 @@ def attribute(
     good = [c for c in claims if c.p_value < level and c.gain > 0]
     p_values: dict[str, float] = {}
     rivals: dict[str, list[str]] = {}
+    rests: dict[str, Fit] = {}
     if good:
         final = good[0].fit
         p_values[good[0].key] = good[0].p_value
         final = _more_effects(channel, final, good, coloured, others, alpha, most, p_values, rivals)
-        final, came = exchanged(channel, final, others=others)
+        final, came, rests = exchanged(channel, final, others=others)
         p_values |= {key: significance(*pair) for key, pair in came.items()}
         final = whole_delay(channel, final)
         present = {part.key for part in final.structure.effects}
@@ -246,8 +251,30 @@ def attribute(
         rivals = {key: names for key, names in rivals.items() if key in present}
     chosen = _importance(final, claims, simulated)
     return Attribution(
-        base, coloured, final, claims, chosen, _feedback(channel, final, s, feedback), p_values, rivals
-    )
+        base, coloured, final, claims, chosen, _feedback(channel, final, s, feedback), p_values, rivals,
+        _refinements(final, rests, chosen),
+    )  # fmt: skip
+
+
+WEAK = 0.01  # share of the first effect's variance: a tenth of its error
+SHAPING = (
+    "nonlinearity",
+    "linear dynamics",
+)  # natures of terms that can bend the curve or the poles of another
+
+
+def _refinements(final: Fit, rests: dict[str, Fit], chosen: list[str]) -> dict[str, float]:
+    """Effects without which the simulation error grows little beside what the first one explains."""
+    rss = float(np.sum(final.residual**2))
+    explained = {key: max(float(np.sum(f.residual**2)) - rss, 0.0) for key, f in rests.items()}
+    if not chosen or explained.get(chosen[0], 0.0) <= 0.0:
+        return {}
+    shares = {key: value / explained[chosen[0]] for key, value in explained.items() if key != chosen[0]}
+    return {
+        key: share
+        for key, share in shares.items()
+        if share < WEAK and any(word in CATALOGUE[key].nature for word in SHAPING)
+    }
 
 
 def _explained(base: Fit, fits: list[Fit], position: int) -> dict[str, float]:
@@ -296,19 +323,27 @@ def _more_effects(
             break
         p_values[best.structure.parts[-1].key] = significance(start, best)
         label = best.structure.parts[-1].effect.label
-        near = [
-            g.structure.parts[-1].effect.label
-            for g in tried[id(start)][1:]
-            if g.criterion < best.criterion + 6.0
-        ]
+        near = [g.structure.parts[-1].effect.label for g in tried[id(start)][1:] if as_good(best, g)]
         others_near = [name for name in dict.fromkeys(near) if name != label]
         if others_near:
             rivals[best.structure.parts[-1].key] = others_near
+        for g, _ in options:  # other effects altogether
+            if g is not best and as_good(best, g):
+                _exchangeable(best, g, rivals)
         if start is not final:
             before = start.structure.parts[-1].key
             p_values[before] = next(c.p_value for c in good if c.fit is start)
         final = best
     return final
+
+
+def _exchangeable(best: Fit, other: Fit, rivals: dict[str, list[str]]) -> None:
+    """Notes which causes of one model stand where another model, as good, has others."""
+    mine, theirs = ([part.effect.label for part in f.structure.effects] for f in (best, other))
+    for part in best.structure.effects:
+        if part.effect.label not in theirs:
+            names = rivals.setdefault(part.key, [])
+            names += [name for name in theirs if name not in (*mine, *names)]
 
 
 def _second(channel: Channel, f: Fit, others: tuple[int, ...], coloured: bool = True) -> list[Fit]:

@@ -32,7 +32,7 @@ _PLANT_SLOTS = {
     "stiffness_cubic": (1,), "stiffness": (0, 1), "drag": (3,), "bilinear": (4,), "coulomb": (5,),
     "coulomb_asymmetric": (5, 8), "stribeck": (5, 6, 7), "stiffness_square": (2,), "stiffness_quintic": (1, 9),
     "stiffness_upper": (10, 11), "stiffness_lower": (12, 13), "stiffness_gap": (10, 11), "position_damping": (14,),
-    "hysteretic_spring": (15, 16),
+    "hysteretic_spring": (15, 16), "bilinear_driven": (17,),
 }  # fmt: skip
 
 

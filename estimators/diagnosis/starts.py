@@ -175,8 +175,9 @@ def _plant_shapes(
     if key in ("stiffness_upper", "stiffness_lower", "stiffness_gap"):
         side = -1.0 if key == "stiffness_lower" else 1.0
         levels = (0.3, 0.8, 1.5) if key == "stiffness_gap" else (0.0, 0.7, 1.5)
+        slopes = (0.3, 2.0, 10.0, -0.3) if key == "stiffness_gap" else (0.3, 2.0, -0.3)  # stops are stiff
         return (
-            [[k * su / sx, side * g * sx] for k in (0.3, 2.0, -0.3) for g in levels],
+            [[k * su / sx, side * g * sx] for k in slopes for g in levels],
             [su / sx, sx],
             False,
         )

@@ -249,6 +249,8 @@ _ENTRIES = (
     Effect("hysteretic_spring", "backlash", _DYN, "plant", ("level", "width"), ("u", "u"), 15,
            "a hysteretic restoring force inside the plant (Bouc-Wen), which saturates at the level"),
     Effect("bilinear", "bilinear", _DYN, "plant", ("beta",), ("1/u",), 2, "the input multiplies the state"),
+    Effect("bilinear_driven", "bilinear", _DYN, "plant", ("beta",), ("1/u",), 2,
+           "the input, after a lag of its own, multiplies the state"),
     Effect("timescale_change", "parameter_change", _TIME, "plant", ("log_speed", "time"), ("1", "sample"), 0.03,
            "the natural frequency or time constants change abruptly", None, True),
     Effect("damping_change", "parameter_change", _TIME, "plant", ("log_damping", "time"), ("1", "sample"), 0.03,

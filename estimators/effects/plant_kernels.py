@@ -129,17 +129,17 @@ def held_response(a, columns, h):  # pragma: no cover - compiled
 
 
 @compiled
-def load(c, p, v, u, z):  # pragma: no cover - compiled
+def load(c, p, v, u, q, z):  # pragma: no cover - compiled
     """Force of the smooth effects inside a plant, see `simulate_feedback`.
 
     Parameters
     ----------
     c : ndarray
-        (17,) coefficients.
+        (18,) coefficients.
     p, v : float
         Position and velocity.
-    u : float
-        Input.
+    u, q : float
+        Input, and the last state, which drives the others where the input has a lag of its own.
     z : float
         Hysteretic displacement.
 
@@ -148,7 +148,7 @@ def load(c, p, v, u, z):  # pragma: no cover - compiled
     float
         Force.
     """
-    w = (c[0] + c[1] * p) * p * p + c[2] * abs(p) * p + c[3] * abs(v) * v - c[4] * u * p
+    w = (c[0] + c[1] * p) * p * p + c[2] * abs(p) * p + c[3] * abs(v) * v - (c[4] * u + c[17] * q) * p
     if c[9] != 0.0:
         w += c[9] * p**5
     if c[10] != 0.0 and p > c[11]:
@@ -162,10 +162,10 @@ def load(c, p, v, u, z):  # pragma: no cover - compiled
 def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps):  # pragma: no cover
     """States of x' = A x + B u - E w(x, u), sampled, with `steps` exponential Heun steps per sample.
 
-    w = k2 p^2 + k3 p^3 + k5 p^5 + k |p| p + drag |v| v + damping p^2 v - beta u p + upper max(p - high, 0)
-    + lower min(p - low, 0) + spring z + friction, with p = position x, v = velocity x and z the hysteretic
+    w = k2 p^2 + k3 p^3 + k5 p^5 + k |p| p + drag |v| v + damping p^2 v - (beta u + product q) p
+    + upper max(p - high, 0) + lower min(p - low, 0) + spring z + friction, with p = position x, v = velocity x, q the last state and z the hysteretic
     displacement of a Bouc-Wen element; c = (k2, k3, k, drag, beta, coulomb, static, stribeck_speed, asymmetry, k5,
-    upper, high, lower, low, damping, spring, width). Dry friction is implicit: it is the force within +-level that
+    upper, high, lower, low, damping, spring, width, product). Dry friction is implicit: it is the force within +-level that
     stops v, or the level where that does not suffice.
 
     Parameters
@@ -183,7 +183,7 @@ def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps
     velocity : ndarray
         (n,) row that reads the velocity off the state.
     c : ndarray
-        (17,) coefficients of the nonlinear term w.
+        (18,) coefficients of the nonlinear term w.
     x0 : ndarray
         Initial state.
     steps : int
@@ -236,7 +236,7 @@ def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps
             for i in range(m):
                 p += position[i] * x[i]
                 v += velocity[i] * x[i]
-            w = load(c, p, v, u[k], z)
+            w = load(c, p, v, u[k], x[m - 1], z)
             for i in range(m):
                 total = gamma_u[i] * u[k]
                 for j in range(m):
@@ -244,13 +244,14 @@ def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps
                 free[i] = total
             p1 = 0.0
             v1 = 0.0
+            e = 0.0
             for i in range(m):
                 e = free[i] - gamma_w[i] * w
                 p1 += position[i] * e
                 v1 += velocity[i] * e
             if bending:
                 z1 = hysteresis_step(z, p1 - p, width)
-            w = 0.5 * (w + load(c, p1, v1, u[k], z1))
+            w = 0.5 * (w + load(c, p1, v1, u[k], e, z1))  # e: the last state
             if dry:
                 level = coulomb
                 if static != 0.0:

@@ -228,7 +228,7 @@ def feedback_step(order: int) -> Any:
     """CasADi function (x+, z+) of one exponential Heun step of a plant with nonlinear feedback.
 
     x+ = phi x + gamma_u u - gamma_w w with w = k2 p^2 + k3 p^3 + k5 p^5 + k |p| p + drag |v| v + damping p^2 v
-    - beta u p + upper max(p - high, 0) + lower min(p - low, 0) + spring z + friction.
+    - (beta u + product q) p + upper max(p - high, 0) + lower min(p - low, 0) + spring z + friction, q the last state.
 
     Parameters
     ----------
@@ -238,14 +238,14 @@ def feedback_step(order: int) -> Any:
     Returns
     -------
     casadi.Function
-        Inputs x, u, phi, gamma_u, gamma_w, position, velocity, c (17), z.
+        Inputs x, u, phi, gamma_u, gamma_w, position, velocity, c (18), z.
     """
     import casadi as ca
 
     x, u = ca.SX.sym("x", order), ca.SX.sym("u")
     phi, gu, gw = ca.SX.sym("phi", order, order), ca.SX.sym("gu", order), ca.SX.sym("gw", order)
     position, velocity = ca.SX.sym("position", order), ca.SX.sym("velocity", order)
-    c, z = ca.SX.sym("c", 17), ca.SX.sym("z")
+    c, z = ca.SX.sym("c", 18), ca.SX.sym("z")
     bend = bouc_wen_step()
 
     def load(at: Any, hysteretic: Any) -> Any:
@@ -253,7 +253,7 @@ def feedback_step(order: int) -> Any:
         stiff = (c[0] + c[1] * p) * p**2 + c[2] * ca.fabs(p) * p + c[9] * p**5
         stops = c[10] * ca.fmax(p - c[11], 0) + c[12] * ca.fmin(p - c[13], 0)
         damping = c[3] * ca.fabs(v) * v + c[14] * p**2 * v
-        return stiff + stops + damping - c[4] * u * p + c[15] * hysteretic
+        return stiff + stops + damping - (c[4] * u + c[17] * at[order - 1]) * p + c[15] * hysteretic
 
     free = phi @ x + gu * u
     before = load(x, z)

@@ -36,12 +36,14 @@ def test_a_step_at_the_wrong_place_is_exchanged_and_an_idle_effect_taken_out():
     model = added(channel, model, "step_input")
     s = model.structure.adding(Part("output_cubic"))
     idle = fit(channel, s, np.append(model.p, 1e-4), np.append(model.scales, 0.01))
-    best, came = exchanged(channel, idle)
+    best, came, rests = exchanged(channel, idle)
     assert {part.key for part in best.structure.parts} == {"backlash_sampled", "step_output"}
     assert "step_output" in came
+    assert set(rests) == {"backlash_sampled", "step_output"}
+    assert all(np.std(rest.residual) > 1.2 * np.std(best.residual) for rest in rests.values())
     assert best.p[best.structure.slices()[-1]] == pytest.approx([0.5, 289.5], abs=1.5)
     assert np.std(best.residual) < 1.02 * np.std(noise)
-    again, _ = exchanged(channel, best)  # nothing is left to mend
+    again, _, _ = exchanged(channel, best)  # nothing is left to mend
     assert {part.key for part in again.structure.parts} == {part.key for part in best.structure.parts}
     assert again.criterion > best.criterion - 12
 

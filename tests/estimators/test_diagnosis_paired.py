@@ -1,0 +1,78 @@
+"""Two models compared sample by sample, and what a report says of the removable error."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.diagnosis.candidates import augmented
+from estimators.diagnosis.examination import Setting
+from estimators.diagnosis.fitting import Channel
+from estimators.diagnosis.linear import fit_linear
+from estimators.diagnosis.loop import _bootstrap, diagnose
+from estimators.diagnosis.paired import as_good, paired_difference
+from estimators.diagnosis.report import ErrorFigure
+from estimators.diagnosis.structure import Structure
+from estimators.effects.catalogue import Clock
+from oed.data import Record
+
+
+def fits(seed: int, size: float):
+    """A cubic at the input: the linear model, the cubic and an arctangent-like rival at the output."""
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(600)
+    y = lfilter([0.0, 0.4], [1.0, -0.6], u + size * u**3) + 0.05 * rng.standard_normal(600)
+    channel = Channel(u[:, None], y, Clock(np.arange(600.0), 600), np.ones(600, dtype=bool))
+    linear = fit_linear(channel, Structure(1))
+    right, wrong = (next(iter(augmented(channel, linear, only={k}))) for k in ("input_cubic", "output_cubic"))
+    return linear, right, wrong
+
+
+def test_a_strong_effect_is_told_from_its_rival_and_a_weak_one_is_not():
+    _, right, wrong = fits(41, 0.1)
+    difference, error = paired_difference(right, wrong)
+    assert difference > 5 * error > 0
+    assert not as_good(right, wrong)
+    linear, right, wrong = fits(42, 0.002)
+    assert abs(paired_difference(right, wrong)[0]) < 10
+    assert as_good(right, wrong)
+    assert as_good(right, linear)
+    assert as_good(right, right)
+
+
+def test_the_standard_error_is_that_of_repeated_differences():
+    draws = [paired_difference(*fits(seed, 0.01)[1:]) for seed in range(43, 55)]
+    spread = np.std([d for d, _ in draws], ddof=1)
+    # the spread of 12 draws is good to a fifth, and an error to as much: a factor of two is three of these
+    assert spread / 2 < np.mean([e for _, e in draws]) < 2 * spread
+
+
+def test_a_transient_at_the_start_counts_in_the_interval():
+    squares = np.concatenate(([600.0], np.ones(299)))
+    figure = _bootstrap(squares, np.random.default_rng(1))
+    assert figure.value == pytest.approx(np.sqrt(899 / 300))
+    assert figure.low < figure.value < figure.high
+
+
+def test_the_removed_fraction_has_an_interval_and_never_rests_on_a_bound():
+    rng = np.random.default_rng(61)
+    records = []
+    for n in (400, 300):
+        u = rng.standard_normal((n, 1))
+        y = lfilter([0.0, 0.4], [1.0, -0.6], np.clip(u[:, 0], -0.9, 0.9)) + 0.02 * rng.standard_normal(n)
+        records.append(Record(u, y[:, None]))
+    found = diagnose(*records, Setting(orders=(1,), structure="SISO", separate=True))
+    low, high = found.removed_interval
+    assert found.effect == "input_saturation"
+    assert not found.floor_is_bound
+    assert low <= found.removed <= high <= 1.0
+    assert low > 0.9
+    assert f"removed {100 * found.removed:.3g} % [" in str(found)
+    bound = replace(found, floor_is_bound=True)
+    assert bound.removed_interval[0] == pytest.approx(1 - found.rmse_after.value / found.rmse_before.value)
+    assert "noise floor at most" in str(bound)
+    assert "were there no noise" in str(bound)
+    lucky = replace(found, room=ErrorFigure(1.3, 1.1, 1.5))
+    assert lucky.removed == 1.0
+    assert "below the estimated floor" in str(lucky)
