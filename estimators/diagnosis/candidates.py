@@ -38,6 +38,7 @@ PLANT_EFFECTS = (
     "stiffness_gap",
     "stiffness_upper",
     "stiffness_lower",
+    "end_stop",
     "position_damping",
     "hysteretic_spring",
     "timescale_change",
@@ -52,6 +53,7 @@ REFINED = {  # tried only in the layout and after the success of a simpler effec
     "stiffness_gap": ("stiffness_cubic", "stiffness"),
     "stiffness_upper": ("stiffness_cubic", "stiffness"),
     "stiffness_lower": ("stiffness_cubic", "stiffness"),
+    "end_stop": ("stiffness_cubic", "stiffness"),
     "position_damping": ("drag", "stiffness_cubic"),
     "hysteretic_spring": ("coulomb", "drag"),
 }

@@ -22,7 +22,7 @@ _GROUPS = (
     ("backlash_output", "backlash_sampled"),
     ("rate_limit", "rate_limit_sampled"),
     ("bilinear", "bilinear_driven"),
-    ("stiffness_cubic", "stiffness", "stiffness_gap", "stiffness_upper", "stiffness_lower"),
+    ("stiffness_cubic", "stiffness", "stiffness_gap", "stiffness_upper", "stiffness_lower", "end_stop"),
 )
 SIBLINGS = {key: set(group) for group in _GROUPS for key in group}
 WORTH = 2.0  # by which an exchange must lower Schwarz's criterion

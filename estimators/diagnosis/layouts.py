@@ -27,7 +27,7 @@ LAYOUTS: dict[str, tuple[int, int]] = {
     "tanks": (2, 10),
 }
 STEPS = 5
-COEFFICIENTS = 18  # of the nonlinear term inside a plant, see `simulate_feedback`
+COEFFICIENTS = 19  # of the nonlinear term inside a plant, see `simulate_feedback`
 MOVING = (
     "oscillator",
     "driven",
@@ -165,7 +165,7 @@ def allowed(key: str, layout: str) -> bool:
     bool
         False where it makes no sense.
     """
-    if key in ("position_damping", "hysteretic_spring"):
+    if key in ("position_damping", "hysteretic_spring", "end_stop"):
         return layout in MOVING
     if key == "bilinear_driven":
         return layout in DRIVEN

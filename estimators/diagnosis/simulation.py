@@ -32,7 +32,7 @@ _PLANT_SLOTS = {
     "stiffness_cubic": (1,), "stiffness": (0, 1), "drag": (3,), "bilinear": (4,), "coulomb": (5,),
     "coulomb_asymmetric": (5, 8), "stribeck": (5, 6, 7), "stiffness_square": (2,), "stiffness_quintic": (1, 9),
     "stiffness_upper": (10, 11), "stiffness_lower": (12, 13), "stiffness_gap": (10, 11), "position_damping": (14,),
-    "hysteretic_spring": (15, 16), "bilinear_driven": (17,),
+    "hysteretic_spring": (15, 16), "bilinear_driven": (17,), "end_stop": (18,),
 }  # fmt: skip
 
 
@@ -118,7 +118,7 @@ def plant_states(
     active = False
     for part, sl in zip(s.parts, s.slices(), strict=True):
         for where, value in zip(_PLANT_SLOTS.get(part.key, ()), p[sl], strict=False):
-            c[where] = abs(value) if where in (3, 5, 7, 16) else value
+            c[where] = abs(value) if where in (3, 5, 7, 16, 18) else value
             active = True
         if part.key == "stiffness_gap":
             c[11:14] = abs(c[11]), c[10], -abs(c[11])

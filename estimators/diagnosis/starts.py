@@ -181,6 +181,9 @@ def _plant_shapes(
             [su / sx, sx],
             False,
         )
+    if key == "end_stop":
+        top = float(np.max(np.abs(X @ position)))
+        return [[f * top] for f in (0.9, 0.75, 0.6, 0.45)], [sx], False
     if key == "position_damping":
         return [[f * su / (sx**2 * sv)] for f in (0.05, 0.3, -0.05)], [su / (sx**2 * sv)], False
     if key == "hysteretic_spring":

@@ -236,6 +236,8 @@ _ENTRIES = (
            "another stiffness above a corner: a one-sided spring or an end stop"),
     Effect("stiffness_lower", "duffing", _DYN, "plant", ("slope", "corner"), ("1", "u"), 15,
            "another stiffness below a corner: a one-sided spring or an end stop"),
+    Effect("end_stop", "duffing", _DYN, "plant", ("limit",), ("u",), 10,
+           "a stop on either side holds the position, without rebound"),
     Effect("outflow", "square_root_outflow", _DYN, "plant", (), (), 30,
            "the outflow grows with the square root of the level, and the upper tank overflows"),
     Effect("coulomb", "coulomb_friction", _DYN, "plant", ("level",), ("u",), 6, "dry friction of constant level"),

@@ -135,7 +135,7 @@ def load(c, p, v, u, q, z):  # pragma: no cover - compiled
     Parameters
     ----------
     c : ndarray
-        (18,) coefficients.
+        (19,) coefficients.
     p, v : float
         Position and velocity.
     u, q : float
@@ -165,8 +165,10 @@ def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps
     w = k2 p^2 + k3 p^3 + k5 p^5 + k |p| p + drag |v| v + damping p^2 v - (beta u + product q) p
     + upper max(p - high, 0) + lower min(p - low, 0) + spring z + friction, with p = position x, v = velocity x, q the last state and z the hysteretic
     displacement of a Bouc-Wen element; c = (k2, k3, k, drag, beta, coulomb, static, stribeck_speed, asymmetry, k5,
-    upper, high, lower, low, damping, spring, width, product). Dry friction is implicit: it is the force within +-level that
-    stops v, or the level where that does not suffice.
+    upper, high, lower, low, damping, spring, width, product,
+    stop). Dry friction is implicit: it is the force within +-level that
+    stops v, or the level where that does not suffice. A stop holds a position (the first state, its velocity the second)
+    within +-stop and takes the velocity; 0 for none.
 
     Parameters
     ----------
@@ -183,7 +185,7 @@ def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps
     velocity : ndarray
         (n,) row that reads the velocity off the state.
     c : ndarray
-        (18,) coefficients of the nonlinear term w.
+        (19,) coefficients of the nonlinear term w.
     x0 : ndarray
         Initial state.
     steps : int
@@ -203,6 +205,7 @@ def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps
     dry = coulomb != 0.0 or static != 0.0
     bending = c[15] != 0.0
     width = c[16]
+    stop = c[18]
     z = 0.0
     z1 = 0.0
     gv = 0.0
@@ -273,6 +276,9 @@ def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps
                 p1 += position[i] * x[i]
             if bending:
                 z = hysteresis_step(z, p1 - p, width)
+            if stop > 0.0 and abs(x[0]) > stop:
+                x[0] = stop if x[0] > 0.0 else -stop
+                x[1] = min(x[1], 0.0) if x[0] > 0.0 else max(x[1], 0.0)
             if not big < 1e60:
                 out[k:] = np.inf
                 return out

@@ -238,14 +238,14 @@ def feedback_step(order: int) -> Any:
     Returns
     -------
     casadi.Function
-        Inputs x, u, phi, gamma_u, gamma_w, position, velocity, c (18), z.
+        Inputs x, u, phi, gamma_u, gamma_w, position, velocity, c (19), z; a position within +-c[18] where that is not 0.
     """
     import casadi as ca
 
     x, u = ca.SX.sym("x", order), ca.SX.sym("u")
     phi, gu, gw = ca.SX.sym("phi", order, order), ca.SX.sym("gu", order), ca.SX.sym("gw", order)
     position, velocity = ca.SX.sym("position", order), ca.SX.sym("velocity", order)
-    c, z = ca.SX.sym("c", 18), ca.SX.sym("z")
+    c, z = ca.SX.sym("c", 19), ca.SX.sym("z")
     bend = bouc_wen_step()
 
     def load(at: Any, hysteretic: Any) -> Any:
@@ -264,4 +264,10 @@ def feedback_step(order: int) -> Any:
     w = w + _clip(ca, push, -level * (1 - c[8]), level * (1 + c[8]))
     after = free - gw * w
     hysteretic = bend(z, start, ca.dot(position, after), c[16])
+    if order > 1:  # position and velocity are the first two states
+        held, speed = _clip(ca, after[0], -c[18], c[18]), after[1]
+        speed = ca.if_else(
+            after[0] > c[18], ca.fmin(speed, 0), ca.if_else(after[0] < -c[18], ca.fmax(speed, 0), speed)
+        )
+        after = ca.if_else(c[18] > 0, ca.vertcat(held, speed, after[2:]), after)
     return ca.Function("feedback", [x, u, phi, gu, gw, position, velocity, c, z], [after, hysteretic])

@@ -107,6 +107,7 @@ def test_rate_limit_agrees_with_casadi():
         {9: 0.1, 10: 0.7, 11: 0.3, 12: 0.4, 13: -0.2, 14: 0.5},
         {15: 0.6, 16: 0.4},
         {4: 0.1, 17: 0.2},
+        {1: 0.2, 18: 0.7},
     ],
 )
 def test_feedback_recursion_agrees_with_casadi(c):
@@ -115,7 +116,7 @@ def test_feedback_recursion_agrees_with_casadi(c):
     columns = np.array([[0.0, 0.0], [0.09, 0.09]])
     phi, gamma = held_response(A, columns, 0.2)
     position, velocity, u = np.array([1.0, 0.0]), np.array([0.0, 1.0]), rng.standard_normal(120)
-    gu, gw, values = gamma[:, 0].copy(), gamma[:, 1].copy(), np.zeros(18)
+    gu, gw, values = gamma[:, 0].copy(), gamma[:, 1].copy(), np.zeros(19)
     values[[7, 16]] = 1.0  # divisors: a speed and a width
     values[list(c)] = list(c.values())
     c, z = values, 0.0
