@@ -53,13 +53,20 @@ def _case(family: str, seed: int, which: int, folder: Path) -> Row:
     ny = result.yhat_after.shape[1]
     y = np.loadtxt(case / "test.csv", delimiter=",", skiprows=1)[:, -ny:]
     target = clean[:, :ny] if truth["metric"] == "clean_sim_rmse" else y
-    error = target - result.yhat_after
-    if family == "dropouts":
-        error = np.concatenate([error[~held_samples(y[:, i]), i] for i in range(ny)])
-    after = float(np.sqrt(np.mean(error**2)))
+    counts = np.stack(
+        [~held_samples(y[:, i]) if family == "dropouts" else np.ones(len(y), bool) for i in range(ny)], axis=1
+    )
+
+    def error(simulated: np.ndarray) -> float:
+        return float(np.sqrt(np.mean((target - simulated)[counts] ** 2)))
+
+    after, before, ideal = error(result.yhat_after), error(clean[:, 2 * ny :]), error(clean[:, ny : 2 * ny])
+    if (
+        truth["metric"] != "sim_rmse"
+    ):  # one-step errors, and the error of a clean output, have no oracle in the table
+        before, ideal = truth["criterion_before"], truth["criterion_ideal"]
     if truth["metric"] == "pred_rmse":
         after = result.pred_rmse_after.value
-    before, ideal = truth["criterion_before"], truth["criterion_ideal"]
     kinds = ", ".join(part.split("'")[1] for part in truth["plant"].split("'kind':")[1:])
     right = result.effect in SAME.get(family, (family,))
     return Row(family, kinds, result.detected, result.effect, right, (before - after) / (before - ideal))
