@@ -17,7 +17,7 @@ from oed.files.objects import as_records
 if TYPE_CHECKING:
     from estimators.pem.fit import Fit
 
-__all__ = ["Choice", "Delay", "estimate_delay", "select_orders"]
+__all__ = ["Choice", "Delay", "estimate_delay", "held_out_error", "select_orders"]
 
 NEAR = 10.0
 """Difference of AIC up to which a delay is looked at closely: beyond it the best is 150 times as likely."""
@@ -255,21 +255,78 @@ def select_orders(
     return Choice(criterion, tuple(rows), fits[rows[0]["orders"], rows[0]["delay"]])
 
 
+def _blocks(given: list[Record], folds: int) -> list[tuple[list[Record], Record]]:
+    """What is fitted and what is left out: one of several records, or one block of a single one."""
+    if len(given) > 1:
+        return [([r for r in given if r is not left], left) for left in given]
+    edges = np.linspace(0, len(given[0]), folds + 1).astype(int)
+    blocks = []
+    for a, b in itertools.pairwise(edges):
+        rest = [given[0][s:e] for s, e in ((0, a), (b, len(given[0]))) if e - s > 1]
+        blocks.append((rest, given[0][a:b]))
+    return blocks
+
+
+def held_out_error(
+    records: Record | Sequence[Record], structure: str, orders: Any, delay: Any = 1, *,
+    folds: int = 4, window: int = 0, **options: Any,
+) -> tuple[float, float]:  # fmt: skip
+    """Simulation error on blocks left out in turn: what decides between structures without fresh data.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        The data; of several records one is left out at a time, of a single one a block.
+    structure, orders, delay : object
+        As in `identify`.
+    folds : int
+        Blocks of a single record, 2 or more.
+    window : int
+        First samples of a block that set the state from which it is simulated (`Fit.simulate_record`); they are not
+        judged.
+    **options : object
+        Passed to `identify`.
+
+    Returns
+    -------
+    error : float
+        Root mean square over all outputs and all that was left out.
+    standard_error : float
+        Of it, from the spread between blocks.
+
+    Raises
+    ------
+    InputError
+        If there are too few blocks or samples, or a model cannot be fitted.
+    """
+    from estimators.pem import identify
+
+    given = as_records(records, missing=bool(options.get("missing")))
+    if len(given) == 1 and not 2 <= folds <= len(given[0]) // 2:
+        raise InputError(
+            f"folds is {folds} for {len(given[0])} samples; take 2 or more, of 2 samples or more."
+        )
+    squares, counts = [], []
+    for rest, left in _blocks(given, folds):
+        if not 0 <= window < len(left):
+            raise InputError(f"a window of {window} leaves nothing of {len(left)} samples; shorten it.")
+        fit = identify(rest, structure, orders, delay, **options)
+        e = (fit.simulate_record(left, window=window) - left.y)[window:]
+        squares.append(float(np.nansum(e**2)))
+        counts.append(int(np.isfinite(e).sum()))
+    mean = sum(squares) / sum(counts)
+    each = np.array(squares) / np.array(counts)
+    deviation = float(np.std(each, ddof=1)) / np.sqrt(len(each))
+    return float(np.sqrt(mean)), deviation / (2 * float(np.sqrt(mean)) or 1.0)
+
+
 def _left_out(records: Any, structure: str, orders: Any, nk: int, folds: int, options: dict) -> float:
     """Mean squared one-step error on what was left out, each block predicted by a model of the others."""
     from estimators.pem import identify
 
     given = as_records(records, missing=bool(options.get("missing")))
-    if len(given) > 1:
-        blocks = [([r for r in given if r is not left], left) for left in given]
-    else:
-        edges = np.linspace(0, len(given[0]), folds + 1).astype(int)
-        blocks = []
-        for a, b in itertools.pairwise(edges):
-            rest = [given[0][s:e] for s, e in ((0, a), (b, len(given[0]))) if e - s > 1]
-            blocks.append((rest, given[0][a:b]))
     loss, count = 0.0, 0
-    for rest, left in blocks:
+    for rest, left in _blocks(given, folds):
         opening = "zero" if options.get("initial", "zero") == "zero" and len(given) > 1 else "estimate"
         settings: dict[str, Any] = {**options, "initial": opening}
         fit = identify(rest, structure, orders, nk, **settings)

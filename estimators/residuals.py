@@ -218,12 +218,13 @@ def input_correlation(
 
 def _input_test(
     name: str, parts: Parts, i: int, u: Parts, lags: Iterable[int] | int, sensitivity: Parts | None,
-    weight: NDArray, fresh_covariance: NDArray | None,
+    weight: NDArray, fresh_covariance: NDArray | None, posterior: NDArray | None = None,
 ) -> ResidualTest:  # fmt: skip
     """The residual of output i against an input, after a fit of all outputs together weighted by W.
 
     e_i = e0_i - J_i P sum J' W e0 with P = (sum J' W J)^-1, so that z = sum_k Y_k' e0_k with
-    Y_k = (k = i) X - (J W)_k P (J_i' X): as many columns as lags for every output k.
+    Y_k = (k = i) X - (J W)_k P (J_i' X): as many columns as lags for every output k. Of a posterior with covariance P
+    the residual has taken up X' J P J' X, the prior's share left in it.
     """
     if [len(x) for x in parts] != [len(x) for x in u]:
         raise InputError(
@@ -244,6 +245,8 @@ def _input_test(
         cross = np.sum([j[:, i].T @ x for j, x in zip(sensitivity, columns, strict=True)], axis=0)
         if fresh_covariance is not None:
             extra = cross.T @ fresh_covariance @ cross
+        elif posterior is not None:
+            extra = -cross.T @ posterior @ cross
         else:
             weighted = [np.einsum("tam,ab->tbm", j, weight) for j in sensitivity]
             normal = np.sum(
@@ -319,9 +322,12 @@ def residual_tests(
     weight = np.linalg.inv(fit.noise_covariance)
     stacked = np.concatenate(wide)
     spread = _inverse(np.einsum("tam,ab,tbn->mn", stacked, weight, stacked))
-    if fresh:
+    posterior = not fresh and getattr(fit, "regularisation", None) is not None
+    if fresh or posterior:
         spread = np.zeros_like(spread)
         spread[:shared, :shared] = fit.covariance
+    if posterior and levels:
+        spread[shared:common, shared:common] = np.diag(fit.output_level_errors**2)
     for i in range(ny):
         e = [x[:, i] for x in residuals]
         row = f"_{i + 1}" if ny > 1 else ""
@@ -331,8 +337,9 @@ def residual_tests(
             u = [r.u[:, k] for r in given]
             entry = f"_{i + 1}{k + 1}" if ny * nu > 1 else ""
             tests[f"input{entry}"] = _input_test(
-                f"input{entry}", residuals, i, u, lags, wide, weight, spread if fresh else None
-            )
+                f"input{entry}", residuals, i, u, lags, wide, weight, spread if fresh else None,
+                spread if posterior else None,
+            )  # fmt: skip
             tests[f"feedback{entry}"] = feedback(e, u, lags=min(lags, 10))
     return tests
 

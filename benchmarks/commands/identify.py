@@ -54,6 +54,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--missing", action="store_true", help="NaN in the outputs marks missing samples")
     parser.add_argument("--robust", choices=("huber", "student"), help="a loss that withstands outliers")
+    parser.add_argument(
+        "--regularisation", choices=("tc", "dc", "ss"),
+        help="of fir: a kernel that expects the response to decay, its hyperparameters by marginal likelihood",
+    )  # fmt: skip
+    parser.add_argument(
+        "--disturbance", choices=("ar1", "walk"), help="with --regularisation: a slow disturbance beside the noise"
+    )  # fmt: skip
+    parser.add_argument(
+        "--folds", type=int, metavar="n",
+        help="also simulate each of n blocks (or of several records) by a model of the others; --skip holds for each",
+    )  # fmt: skip
     parser.add_argument("--test", metavar="DATA", help="fresh data: the errors there are reported too")
     parser.add_argument(
         "--skip", type=int, default=0, metavar="n",
@@ -110,6 +121,8 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         "robust": args.robust,
         "max_iterations": args.iterations,
         "search": args.search,
+        "regularisation": args.regularisation,
+        "disturbance": args.disturbance,
     }
     if args.delay == "auto":
         found = estimate_delay(records, args.structure, orders, **options)
@@ -150,6 +163,13 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         ]
     if tests:
         lines += ["residual tests (p-values):", *(f"  {test!r}" for test in tests.values())]
+    if args.folds is not None:
+        from estimators.choice import held_out_error
+
+        how = {"folds": args.folds, "window": 0 if initial == "zero" else args.skip}
+        error, spread = held_out_error(records, args.structure, orders, delay, **how, **options)
+        payload["held_out"] = {"simulation_rmse": error, "standard_error": spread}
+        lines.append(f"on what was left out in turn: simulation error {error:.6g} +- {spread:.2g}")
     if args.test:
         fresh = read_record(args.test, **reading)
         payload["test"] = _fresh(fit, fresh, args.skip)

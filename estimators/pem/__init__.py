@@ -18,7 +18,8 @@ initial="zero", start=None, ...) -> Fit`
 - `start`: parameters to start from; otherwise several starts are tried and the best optimum is kept
   (`search`: auto, quick, thorough).
 - `fixed`, `bounds`, `prior`: by parameter name. `constraints`: CasADi expressions of the parameters. `robust`: "huber" or "student". `prefilter`: (num, den).
-  `missing=True`: NaN in the outputs marks missing samples.
+  `missing=True`: NaN in the outputs marks missing samples. `regularisation`: "tc", "dc" or "ss", a kernel for the taps of
+  fir, with `disturbance` "ar1" or "walk".
 
 `Fit` (frozen): `model` (`oed.models.Model`), `theta`, `names`, `covariance`, `standard_errors`,
 `noise_variance`, `noise_covariance`, `loss`, `fit_percent`, `aic`, `bic`, `status`, `residuals` (list of

@@ -69,7 +69,9 @@ def _plain(kind: str, orders: tuple[int, ...], delay: int, ny: int, nu: int, dia
     return polynomial(kind, orders, delay, n_outputs=ny, n_inputs=nu, diagonal=diagonal)
 
 
-def check_records(records: list[Record], form: Structure, offset: bool, missing: bool = False) -> None:
+def check_records(
+    records: list[Record], form: Structure, offset: bool, missing: bool = False, regularised: bool = False
+) -> None:
     """Refuse records that cannot determine the structure, before any work.
 
     Parameters
@@ -82,11 +84,14 @@ def check_records(records: list[Record], form: Structure, offset: bool, missing:
         Whether levels are unknown.
     missing : bool
         Whether outputs may be missing.
+    regularised : bool
+        Whether the taps are held by a kernel, so that there may be more of them than samples.
     """
     total = (
         sum(int(np.isfinite(r.y).all(axis=1).sum()) for r in records) if missing else sum(map(len, records))
     )
-    count = form.n + (form.n_outputs if offset else 0)
+    count = 5 * form.n_outputs * form.n_inputs if regularised else form.n
+    count += form.n_outputs if offset else 0
     if total * form.n_outputs < 2 * count:
         raise InputError(
             f"{total} samples cannot determine {count} parameters; give at least {-(-2 * count // form.n_outputs)} "

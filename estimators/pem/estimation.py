@@ -23,6 +23,7 @@ from estimators.pem.extras import (
 )
 from estimators.pem.fit import Fit
 from estimators.pem.gauss_newton import Optimum
+from estimators.pem.marginal_likelihood import check_regularisation, regularised
 from estimators.pem.predictors import Structure
 from estimators.pem.problem import Problem, prepare
 from estimators.pem.results import result
@@ -57,6 +58,8 @@ def identify(
     robust: str | None = None,
     prefilter: tuple[ArrayLike, ArrayLike] | None = None,
     missing: bool = False,
+    regularisation: str | None = None,
+    disturbance: str | None = None,
     max_iterations: int = 100,
     tolerance: float = 1e-16,
 ) -> Fit:
@@ -107,6 +110,12 @@ def identify(
         (num, den) of a filter for inputs and outputs: the frequencies it passes count.
     missing : bool
         Whether NaN in the outputs marks missing samples, which a Kalman filter bridges.
+    regularisation : {"tc", "dc", "ss"}, optional
+        Of fir: the taps are expected to decay and to be smooth, as the kernel says, and its hyperparameters are found
+        by marginal likelihood; take more taps than the response is long. See `estimators.pem.impulse_priors`.
+    disturbance : {"ar1", "walk"}, optional
+        With a regularisation, a slow disturbance beside the white noise: a stationary first-order autoregression,
+        or a random walk. The model then has the noise model H = (1 + c z^-1) / (1 + d z^-1).
     max_iterations : int
         Most Gauss-Newton steps from each start.
     tolerance : float
@@ -143,7 +152,19 @@ def identify(
         experiments, levels = _about_means(experiments)
     offset = bool(offset) and not means
     missing = missing and not all(r.complete for r in experiments)
-    check_records(experiments, form, offset or means, missing)
+    check_records(experiments, form, offset or means, missing, regularisation is not None)
+    if regularisation is not None or disturbance is not None:
+        given = {
+            "start": start is not None, "fixed": bool(fixed), "bounds": bool(bounds), "prior": bool(prior),
+            "constraints": constraints is not None, "robust": robust is not None, "missing": missing,
+            'initial="backcast"': initial == "backcast",
+        }  # fmt: skip
+        fir = check_regularisation(form, regularisation, disturbance, given)
+        fit = regularised(
+            fir, experiments, str(regularisation), disturbance,
+            offset=offset, unknown=initial != "zero", max_iterations=max_iterations,
+        )  # fmt: skip
+        return replace(fit, input_level=levels[0], output_level=levels[1]) if means else fit
     how = Settings(offset, initial != "zero", missing, search, max_iterations, tolerance)
     joint = prepare(form, experiments, offset=offset, initial=how.unknown, missing=missing)
     joint = with_limits(joint, fixed or {}, bounds or {})

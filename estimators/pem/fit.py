@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimators.pem.predictors import samples
 from estimators.pem.problem import prepare
+from estimators.pem.regularisation import Regularisation
 from oed.data import Record, as_signal
 from oed.errors import InputError, Status
 from oed.models import Model, Polynomial, StateSpace
@@ -150,6 +151,8 @@ class Fit:
         How the initial states were treated.
     notes : tuple of str
         What a reader should know beside the numbers.
+    regularisation : Regularisation, optional
+        Kernel, disturbance and hyperparameters of a regularised impulse response. Its covariance is the posterior's.
     """
 
     model: Model
@@ -167,6 +170,7 @@ class Fit:
     output_level_errors: NDArray[np.float64]
     initial: str = "zero"
     notes: tuple[str, ...] = field(default=())
+    regularisation: Regularisation | None = None
 
     @property
     def theta(self) -> NDArray[np.float64]:
@@ -247,7 +251,8 @@ class Fit:
         record : Record
             Its input is simulated; its output is used in the window alone.
         window : int
-            Samples to which the initial state is fitted by least squares; 0 starts at rest.
+            Samples to which the initial state is fitted by least squares; 0 starts at rest. Of a regularised
+            impulse response they tell what remains of earlier inputs and the disturbance, which are foretold from them.
 
         Returns
         -------
@@ -256,6 +261,10 @@ class Fit:
         """
         if window <= 0:
             return self.simulate(record.u)
+        form = self.model.structure
+        if self.regularisation is not None and isinstance(form, Polynomial):
+            bare = self.simulate(record.u)
+            return bare + self.regularisation.continued(form, (record.y - bare)[:window], len(record))
         structure, theta = noise_free(self.model)
         data = samples(structure, record.u - self.input_level, record.y - self.output_level)
         ones = np.ones(structure.n_inputs), np.ones(structure.n_outputs)
@@ -289,6 +298,10 @@ class Fit:
         """
         structure = self.model.structure
         unknown = (initial or self.initial) != "zero"
+        if self.regularisation is not None and isinstance(structure, Polynomial):
+            rest = record.y - self.simulate(record.u)
+            e, J = self.regularisation.innovations(structure, record.u - self.input_level, rest, unknown)
+            return e, J if self.output_level_errors.any() else J[:, :, : structure.n]
         ones = np.ones(structure.n_inputs), np.ones(structure.n_outputs)
         offset = bool(self.output_level_errors.any())
         problem = prepare(structure, [record], offset=offset, initial=unknown, scales=ones)
@@ -405,6 +418,7 @@ class Fit:
             "initial": self.initial,
             "status": self.status.name,
             "notes": list(self.notes),
+            **({"regularisation": self.regularisation.to_dict()} if self.regularisation else {}),
         }
 
     def __repr__(self) -> str:
@@ -417,6 +431,7 @@ class Fit:
         rows += [
             f"  noise variance {self.noise_variance:.6g}, loss {self.loss:.6g}, fit {self.fit_percent:.2f} %",
             f"  peak gain {gamma:.6g} +- {error:.2g} at {omega:.5g} rad/sample",
+            *([f"  {self.regularisation!r}"] if self.regularisation else []),
             *(f"  note: {note}" for note in self.notes),
         ]
         return "\n".join(rows)

@@ -62,6 +62,11 @@ class Band:
 
 def _problem(fit: Fit, records: Record | Sequence[Record]) -> tuple[Problem, NDArray]:
     """The problem that a fit solved and where it ended, in scaled parameters."""
+    if fit.regularisation is not None:
+        raise InputError(
+            "this fit is regularised: its covariance is the posterior's, and neither a sandwich nor a profile of the "
+            "squared loss belongs to it; fit without regularisation for these."
+        )
     given = as_records(records)
     offset = bool(fit.output_level_errors.any())
     if not offset:

@@ -60,6 +60,19 @@ def test_every_structure(data, capfd, structure, orders) -> None:
     assert found["fit_percent"] > 80
 
 
+def test_regularised_impulse_response_with_a_disturbance(data, capfd, tmp_path) -> None:
+    options = ["--structure", "fir", "--orders", 30, "--delay", 3, "--regularisation", "tc"]
+    extra = ["--disturbance", "ar1", "--folds", 3, "--skip", 20, "--out", tmp_path / "fit"]
+    found = answer(capfd, data, *options, *extra)
+    assert [found["parameters"][x][0] for x in ("b3", "b4")] == pytest.approx([0.5, 0.8], abs=0.05)
+    assert found["regularisation"]["kernel"] == "tc"
+    assert found["held_out"]["simulation_rmse"] == pytest.approx(0.1, rel=0.3)
+    model = model_from_json((tmp_path / "fit" / "model.json").read_text())
+    assert model.theta[0] == found["parameters"]["b3"][0]
+    assert main(["identify", str(data), "--regularisation", "tc"]) == 2
+    assert "take fir" in capfd.readouterr().err
+
+
 def test_missing_samples_and_outliers(data, capfd) -> None:
     lines = data.read_text().splitlines()
     for k in range(50, 400, 9):
