@@ -19,9 +19,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
+from scipy.linalg.lapack import zgesv
 
-from estimators.local_kernels import line_products, normal_equations, residuals
+from estimators.local_kernels import line_products, normal_equations, residuals, transients
 
 __all__ = ["Band", "LocalFit", "Spectra", "fit_band", "response"]
 
@@ -160,15 +162,15 @@ class LocalFit:
     criterion: float
 
 
-def response(theta: NDArray, X: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
-    """G = B / A of the coefficients at the powers X of x.
+def response(theta: NDArray, x: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
+    """G = B / A of the coefficients at some distances.
 
     Parameters
     ----------
     theta : ndarray
         Coefficients as in `LocalFit`.
-    X : ndarray
-        (K, L) powers of x from 0 on.
+    x : ndarray
+        (K,) distances from the centre.
     nu, ny : int
         Channels.
     orders : tuple of int
@@ -180,9 +182,9 @@ def response(theta: NDArray, X: NDArray, nu: int, ny: int, orders: tuple[int, in
         (K, ny, nu).
     """
     nb, na, _ = orders
-    B = theta[: nu * ny * (nb + 1)].reshape(ny, nu, nb + 1)
-    A = 1 + X[:, 1 : na + 1] @ theta[len(theta) - na :]
-    return np.tensordot(X[:, : nb + 1], B, (1, 2)) / A[:, None, None]
+    B = theta[: nu * ny * (nb + 1)].reshape(-1, nb + 1)
+    A = polyval(x, np.concatenate([[1.0], theta[len(theta) - na :]]))
+    return (polyval(x, B.T) / A).T.reshape(-1, ny, nu)
 
 
 def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
@@ -213,21 +215,21 @@ def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
         for b in range(nu + ny):
             line_products(U[j], U[b] if b < nu else Y[b - nu], of_inputs[j, b])
     a, model, A, scale = np.zeros(na, complex), Y, np.ones(K, complex), np.ones(ny)
-    weights, inverse = _transients(A, powers, nt)
+    weights, inverse = np.empty(K), np.empty((nt + 1, nt + 1))
+    transients(A, powers, weights, inverse)
     for _ in range(STEPS):
         normal, information = np.zeros((2, n, n), complex)
         right = np.zeros(n, complex)
         normal_equations(
             U, Y, model, of_inputs, weights, powers, inverse, scale, orders, normal, information, right
         )
-        try:
-            theta = np.linalg.solve(normal, right)
-        except np.linalg.LinAlgError:
+        *_, theta, singular = zgesv(normal, right)
+        if singular:
             return None
         change = np.max(np.abs(theta[n - na :] - a), initial=0.0)
         a = theta[n - na :]
         A = 1 + a @ powers[1 : na + 1]
-        weights, inverse = _transients(A, powers, nt)
+        transients(A, powers, weights, inverse)
         errors, squares = np.empty_like(Y), np.empty(ny)
         residuals(U, Y, theta, A, powers, orders, inverse, errors, squares)
         model = Y - errors  # with the transients as they are
@@ -241,11 +243,3 @@ def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
     size = M * K * ny / band.repeats
     criterion = size * float(np.mean(np.log(noise * freedom / (M * K)))) + 2 * n / band.repeats
     return LocalFit(theta, information / band.repeats, noise, criterion)
-
-
-def _transients(A: NDArray, powers: NDArray, nt: int) -> tuple[NDArray, NDArray]:
-    """1 / |A|^2, and the inverse of the Gram matrix of the transients x^j / A."""
-    weights = 1 / (A.real**2 + A.imag**2)
-    moments = powers[: 2 * nt + 1] @ weights
-    each = np.arange(nt + 1)
-    return weights, np.linalg.inv(moments[each[:, None] + each])

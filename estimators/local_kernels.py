@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["line_products", "normal_equations", "residuals"]
+__all__ = ["line_products", "normal_equations", "residuals", "transients"]
 
 
 @njit(error_model="numpy", cache=True)
@@ -30,6 +30,42 @@ def line_products(s, z, found):
         found[k] = 0
         for m in range(s.shape[1]):
             found[k] += np.conj(s[k, m]) * z[k, m]
+
+
+@njit(error_model="numpy", cache=True)
+def transients(A, powers, weights, inverse):
+    """What the transients x^j / A need, by elimination in their Gram matrix, which is small and positive definite.
+
+    Parameters
+    ----------
+    A : ndarray
+        (K,) complex denominator on the lines.
+    powers : ndarray
+        (D, K) powers of the distances x.
+    weights, inverse : ndarray
+        (K,) 1 / |A|^2 and (nt + 1, nt + 1) the inverse of the Gram matrix, written.
+    """
+    t = inverse.shape[0]
+    gram = np.zeros((t, t))
+    for k in range(len(A)):
+        weights[k] = 1 / (A[k].real ** 2 + A[k].imag ** 2)
+        for i in range(t):
+            for j in range(t):
+                gram[i, j] += weights[k] * powers[i + j, k]
+    for i in range(t):
+        for j in range(t):
+            inverse[i, j] = 1.0 if i == j else 0.0
+    for i in range(t):
+        pivot = gram[i, i]
+        for j in range(t):
+            gram[i, j] /= pivot
+            inverse[i, j] /= pivot
+        for k in range(t):
+            if k != i:
+                factor = gram[k, i]
+                for j in range(t):
+                    gram[k, j] -= factor * gram[i, j]
+                    inverse[k, j] -= factor * inverse[i, j]
 
 
 @njit(error_model="numpy", cache=True)

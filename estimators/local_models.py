@@ -205,15 +205,16 @@ def _fit(band: Band, orders: tuple[int, int, int], N: int) -> tuple[float, PeakE
     return fit.criterion if np.isfinite(estimate.value) else np.inf, estimate, x
 
 
-def _gradient(theta: NDArray, X: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
+def _gradient(theta: NDArray, x: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
     """(K, parameters) c with d sigma_max^2 = Re(c d theta): c = 2 sigma u* (dG / d theta) v."""
     nb, na, _ = orders
+    X = np.vander(x, max(nb, na) + 1, increasing=True)
     A = 1 + X[:, 1 : na + 1] @ theta[len(theta) - na :]
-    u, s, vh = np.linalg.svd(response(theta, X, nu, ny, orders))
+    u, s, vh = np.linalg.svd(response(theta, x, nu, ny, orders))
     pairs = np.conj(u[:, :, 0])[:, :, None] * np.conj(vh[:, 0])[:, None, :]  # (K, ny, nu)
     numerators = pairs[..., None] * (X[:, : nb + 1] / A[:, None])[:, None, None]
     denominators = -s[:, :1] * X[:, 1 : na + 1] / A[:, None]
-    return 2 * s[:, :1] * np.hstack([numerators.reshape(len(X), -1), denominators])
+    return 2 * s[:, :1] * np.hstack([numerators.reshape(len(x), -1), denominators])
 
 
 def _peak_of_model(
@@ -226,10 +227,9 @@ def _peak_of_model(
     N: int,
 ) -> tuple[PeakEstimate, float]:
     nu, ny = shape
-    vander = lambda x: np.vander(np.atleast_1d(x), max(orders) + 1, increasing=True).astype(complex)
 
     def square(x: NDArray) -> NDArray:
-        return largest_gain(response(theta, vander(x), nu, ny, orders)) ** 2
+        return largest_gain(response(theta, x, nu, ny, orders)) ** 2
 
     grid = np.linspace(band.x[0], band.x[-1], 401)
     heights = square(grid)
@@ -247,7 +247,7 @@ def _peak_of_model(
     near = square(np.array([x - h, x, x + h]))
     value = float(np.sqrt(near[1]))
     bend = -float(near[2] - 2 * near[1] + near[0]) / h**2
-    below, height, above = _gradient(theta, vander([x - h, x, x + h]), nu, ny, orders)
+    below, height, above = _gradient(theta, np.array([x - h, x, x + h]), nu, ny, orders)
     spread = lambda g: float(np.sqrt(max(np.real(g @ covariance @ np.conj(g)) / 2, 0.0)))
     error = spread(height) / (2 * value)
     per_line = 2 * np.pi / N
