@@ -256,7 +256,8 @@ class Problem:
         list of ndarray
             (N, nd) each.
         """
-        return np.split(self.data, np.cumsum(self.lengths)[:-1])
+        ends = np.cumsum(self.lengths).tolist()
+        return [self.data[a:b] for a, b in zip([0, *ends[:-1]], ends, strict=True)]
 
     def first(self, samples: int) -> Problem:
         """The same problem on the first samples alone, records that begin later left out.

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.pem.confirmation import confirmed, first_start
 from estimators.pem.extras import Settings
 from estimators.pem.gauss_newton import Optimum, Point
 from estimators.pem.moves import drawn, integrating, relocations
@@ -48,7 +49,7 @@ def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimu
     own : ndarray, optional
         A start in scaled parameters, which then is the only one.
     how : Settings
-        Its `search`: how far modes are moved. auto: models of more than two modes, or on up to 400 samples, on up to
+        Its `search`: how far modes are moved, unless the first optimum is confirmed (not with thorough). auto: models of more than two modes, or on up to 400 samples, on up to
         30000 samples; closely and with random starts on up to 3000; of larger records a part.
 
     Returns
@@ -57,6 +58,13 @@ def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimu
         The best.
     """
     max_iterations, tolerance, search = how.max_iterations, how.tolerance, how.search
+    first = None
+    if own is None and search != "thorough" and (z := first_start(problem)) is not None:
+        point = problem.evaluate(problem.projected(z))
+        if point is not None:
+            first = problem.descend(point, max_iterations=max_iterations, tolerance=tolerance)
+            if confirmed(problem, first):
+                return first
     large = own is None and search == "auto" and problem.n_samples > 1.5 * MANY and not problem.variant
     zs = [own] if own is not None else candidates(problem)
     if large:  # all starts and relocations on a part first; its optimum is near that of all
@@ -81,6 +89,8 @@ def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimu
         points = [own_first, *points[:1]] if own_first is not None else points
     best = problem.descend(points[0], max_iterations=max_iterations, tolerance=tolerance)
     best, _ = _better(problem, best, points[1:], how)
+    if first is not None and first.point.loss < best.point.loss:
+        best = first
     moves = own is None and search != "quick" and bool(problem.structure.nc[0] or problem.structure.nf.any())
     if moves and (search == "thorough" or problem.n_samples <= 1.5 * MANY):
         best = _explored(problem, best, how)

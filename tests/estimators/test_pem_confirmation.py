@@ -1,0 +1,73 @@
+"""When one search is enough: the optimum is confirmed only where no rival can be, and then it is the global one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.pem import identify
+from estimators.pem.confirmation import confirmed, first_start
+from estimators.pem.problem import prepare
+from oed.data import Record
+from oed.models import bj, oe
+from tests.estimators.test_pem_global import random_case
+
+B, F = [0.0, 0.5, 0.3], [1.0, -1.2, 0.6]
+
+
+def record(seed: int, size: int = 1000, noise: float = 0.3, b=B, f=F, e=(1.0,)) -> Record:
+    rng = np.random.default_rng(seed)
+    u = rng.normal(size=size)
+    return Record(u, lfilter(b, f, u) + lfilter(e, [1.0], noise * rng.normal(size=size)))
+
+
+def ended(structure, data):
+    problem = prepare(structure, [data])
+    z = first_start(problem)
+    assert z is not None
+    return problem, problem.descend(
+        problem.evaluate(problem.projected(z)), max_iterations=100, tolerance=1e-16
+    )
+
+
+def test_confirmed_is_what_a_thorough_search_finds() -> None:
+    data = record(1)
+    problem, optimum = ended(oe(2, 2), data)
+    assert confirmed(problem, optimum)
+    quick, thorough = identify(data, "oe", (2, 2)), identify(data, "oe", (2, 2), search="thorough")
+    assert quick.loss == pytest.approx(thorough.loss, rel=1e-12)
+    assert quick.theta == pytest.approx(thorough.theta, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    "structure, data",
+    [
+        (oe(1, 1), record(2)),  # a mode is missing
+        (oe(3, 3), record(3)),  # one too many: a root in common
+        (oe(2, 2), record(4, e=(1.0, 0.9))),  # the noise is coloured
+        (oe(2, 2), record(5, noise=20.0)),  # hardly any signal
+    ],
+    ids=["missing mode", "common root", "coloured noise", "poor signal"],
+)
+def test_not_confirmed(structure, data) -> None:
+    assert not confirmed(*ended(structure, data))
+
+
+def test_local_optima_are_not_confirmed() -> None:
+    """A plant of order 5 with several optima, of which some are 2 % above the lowest: none is confirmed."""
+    data, _, orders, _, starts = random_case(31, 16)
+    problem, ends = prepare(oe(*orders), [data]), []
+    for start in starts:
+        point = problem.evaluate(problem.projected(start / problem.scale))
+        if point is not None:
+            ends.append(problem.descend(point, max_iterations=200, tolerance=1e-16))
+    losses = [end.point.loss for end in ends]
+    assert max(losses) > 1.01 * min(losses)
+    assert not any(confirmed(problem, end) for end in ends)
+
+
+def test_no_first_start_where_it_does_not_apply() -> None:
+    data = record(7)
+    assert first_start(prepare(bj(2, 1, 1, 2), [data])) is None
+    assert first_start(prepare(oe(2, 2), [data[:100]])) is None
