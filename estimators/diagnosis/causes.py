@@ -11,6 +11,7 @@ from estimators.diagnosis.fitting import Fit
 from estimators.diagnosis.leftover import Leftover, leftovers
 from estimators.diagnosis.paired import as_good
 from estimators.diagnosis.selection import labels_of
+from estimators.diagnosis.simulation import simulate
 from estimators.effects.catalogue import CATALOGUE
 
 __all__ = ["verdict"]
@@ -105,7 +106,9 @@ def verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
                 order[-1] = (min(weight, 10.0), key)
                 weak = (f"; it explains {100 * a.refinements[key]:.2g} % of what {CATALOGUE[a.chosen[0]].label} does, "
                         "and may only refine the shape of that")  # fmt: skip
-            evidence.append(f"{CATALOGUE[key].sentence}{tag}: corrected p = {p:.2g}{weak}")
+            evidence.append(
+                f"{CATALOGUE[key].sentence}{tag}: corrected p = {p:.2g}{weak}{_assumed(out, key)}"
+            )
         rest = leftovers(out.last, a.final, alpha=alpha / 10)
         remaining += [item.sentence + tag for item in rest[:3]]
         inadequate.append(any("nonlinearity" in item.nature and item.p_value < 1e-6 for item in rest))
@@ -145,6 +148,23 @@ def verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _assumed(out: Examined, key: str) -> str:
+    """What a symmetric limit takes for granted where the record reaches one side of it only."""
+    f, channel = out.attribution.final, out.last
+    at = next((i for i, part in enumerate(f.structure.parts) if part.key == key), None)
+    if at is None or key not in ("saturation", "output_clip"):
+        return ""
+    limit = abs(float(f.p[f.structure.slices()[at]][0]))
+    if key == "saturation":
+        x = channel.u[:, f.structure.parts[at].channel]
+    else:
+        x = simulate(f.structure, f.p, channel.u, channel.clock)
+    beyond = [bool(np.any(side * x > 0.98 * limit)) for side in (1.0, -1.0)]
+    if all(beyond) or not any(beyond):
+        return ""
+    return "; this record reaches one side of the limit only, the other side is assumed"
+
+
 def _absorbing(out: Examined) -> bool:
     """Whether a noise model stands beside an effect: it may have taken some of the model error for noise."""
     return len(out.attribution.final.noise) > 0 and any(
@@ -159,7 +179,8 @@ def _confusable(outputs: list[Examined], inadequate: list[bool], first: str) -> 
     """Causes that the record cannot tell from the first one: single effects as good, or as good beside others.
 
     Where the final residual still shows a nonlinearity, no model is right, and a difference between two wrong ones
-    decides little: then every cause counts that explains by itself most of what the first one does.
+    decides little: then every cause counts that explains by itself most of what the first one does, or that is not
+    worse beyond the standard errors of the difference.
     """
     names: list[str] = []
     for out, wrong in zip(outputs, inadequate, strict=True):
@@ -171,7 +192,8 @@ def _confusable(outputs: list[Examined], inadequate: list[bool], first: str) -> 
             names += [
                 c.label
                 for c in others
-                if (alone and as_good(mine.fit, c.fit)) or (wrong and c.gain > NEAR * mine.gain)
+                if (alone and as_good(mine.fit, c.fit, adequate=not wrong))
+                or (wrong and c.gain > NEAR * mine.gain)
             ]
         for key, others_near in a.rivals.items():
             if CATALOGUE[key].label == first:

@@ -38,18 +38,22 @@ def paired_difference(f: Fit, g: Fit) -> tuple[float, float]:
     return g.criterion - f.criterion, float(np.std(sums) * np.sqrt(len(terms) / block))
 
 
-def as_good(f: Fit, g: Fit) -> bool:
+def as_good(f: Fit, g: Fit, *, adequate: bool = True) -> bool:
     """Whether the record cannot tell that a model is worse than another.
 
     Parameters
     ----------
     f, g : Fit
         The better model and the other.
+    adequate : bool
+        Whether f leaves nothing unexplained: the likelihood then decides. Where both are wrong, only a difference
+        beyond its own standard errors does.
 
     Returns
     -------
     bool
-        True where g's criterion is within 6 of f's, or within two standard errors of their paired difference.
+        True where g's criterion is within 6 of f's, or, where f is not adequate, within two standard errors of their
+        paired difference.
     """
     difference, error = paired_difference(f, g)
-    return difference < max(CLOSE, LIMIT * error)
+    return difference < (CLOSE if adequate else max(CLOSE, LIMIT * error))

@@ -1,19 +1,21 @@
 """Two models compared sample by sample, and what a report says of the removable error."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.candidates import augmented
+from estimators.diagnosis.causes import _assumed
 from estimators.diagnosis.examination import Setting
 from estimators.diagnosis.fitting import Channel
 from estimators.diagnosis.linear import fit_linear
 from estimators.diagnosis.loop import _bootstrap, diagnose
 from estimators.diagnosis.paired import as_good, paired_difference
 from estimators.diagnosis.report import ErrorFigure
-from estimators.diagnosis.structure import Structure
+from estimators.diagnosis.structure import Part, Structure
 from estimators.effects.catalogue import Clock
 from oed.data import Record
 
@@ -34,6 +36,7 @@ def test_a_strong_effect_is_told_from_its_rival_and_a_weak_one_is_not():
     difference, error = paired_difference(right, wrong)
     assert difference > 5 * error > 0
     assert not as_good(right, wrong)
+    assert not as_good(right, wrong, adequate=False)
     linear, right, wrong = fits(42, 0.002)
     assert abs(paired_difference(right, wrong)[0]) < 10
     assert as_good(right, wrong)
@@ -76,3 +79,18 @@ def test_the_removed_fraction_has_an_interval_and_never_rests_on_a_bound():
     lucky = replace(found, room=ErrorFigure(1.3, 1.1, 1.5))
     assert lucky.removed == 1.0
     assert "below the estimated floor" in str(lucky)
+
+
+@pytest.mark.parametrize(
+    "shift, words", [(0.0, ""), (0.8, "; this record reaches one side of the limit only")]
+)
+def test_a_limit_that_is_reached_on_one_side_only_is_said_to_be_assumed_on_the_other(shift, words):
+    rng = np.random.default_rng(71)
+    u = (np.clip(rng.standard_normal(300), -1.6, 1.6) + shift)[:, None]
+    channel = Channel(u, np.zeros(300), Clock(np.arange(300.0), 300), np.ones(300, dtype=bool))
+    model = Structure(1).adding(Part("saturation"))
+    f = SimpleNamespace(structure=model, p=np.array([-0.6, 0.4, 1.2]))
+    out = SimpleNamespace(attribution=SimpleNamespace(final=f), last=channel)
+    assert _assumed(out, "saturation").startswith(words)
+    assert bool(_assumed(out, "saturation")) == bool(words)
+    assert _assumed(out, "input_cubic") == ""
