@@ -1,6 +1,6 @@
 """Every family of the case generator on two random plants: detected, named first, removed; as a table.
 
-`python -m tests.estimators.case_table SEED` prints it.
+`python -m tests.estimators.case_table SEED` prints it, row by row.
 """
 
 from __future__ import annotations
@@ -102,7 +102,11 @@ def table(rows: list[Row]) -> str:
 
 
 if __name__ == "__main__":
-    found = [row for name in NAMES for row in measured(name, int(sys.argv[1]))]
+    found: list[Row] = []
     print(table(found))
+    for name in NAMES:
+        rows = measured(name, int(sys.argv[1]))
+        found += rows
+        print("\n".join(table(rows).splitlines()[2:]), flush=True)
     print(f"detected {sum(r.detected for r in found)}, named first {sum(r.right for r in found)} of {len(found)}, "
-          f"median removed {np.median([r.removed for r in found]):.3f}")  # fmt: skip
+          f"median removed {np.nanmedian([r.removed for r in found]):.3f}")  # fmt: skip

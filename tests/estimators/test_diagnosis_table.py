@@ -14,4 +14,4 @@ def test_every_effect_is_found_named_and_removed_on_two_random_plants(record_pro
     print(table(rows))
     assert np.mean([r.detected for r in rows]) >= 26 / 27
     assert np.mean([r.right for r in rows]) >= 23 / 27
-    assert np.median([r.removed for r in rows]) >= 0.9
+    assert np.nanmedian([r.removed for r in rows]) >= 0.9
