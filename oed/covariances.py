@@ -67,10 +67,9 @@ def covariance_of(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.
     """
     if not np.isfinite(M).all():
         return None
-    scale = np.sqrt(np.clip(np.diag(M), 0, None))
-    if np.any((scale <= 0) & np.any(V != 0, axis=1)):
+    scale = _usable(np.sqrt(np.clip(np.diag(M), 0, None)), V)
+    if scale is None:
         return None
-    scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(M / np.outer(scale, scale))
     root = np.sqrt(np.clip(values, 0, None))
     return _inverted(vectors, root, V / scale[:, None], 3e-7)
@@ -93,12 +92,18 @@ def covariance_of_factor(factor: NDArray[np.float64], V: NDArray[np.float64]) ->
     """
     if not np.isfinite(factor).all():
         return None
-    scale = np.linalg.norm(factor, axis=1)
-    if np.any((scale <= 0) & np.any(V != 0, axis=1)):
+    scale = _usable(np.linalg.norm(factor, axis=1), V)
+    if scale is None:
         return None
-    scale = np.where(scale > 0, scale, 1.0)
     U, values, _ = np.linalg.svd(factor / scale[:, None], full_matrices=True)
     return _inverted(U, np.concatenate([values, np.zeros(len(U) - len(values))]), V / scale[:, None], 1e-12)
+
+
+def _usable(scale: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """The scale with 1 for parameters of which nothing is known; None where V needs one of those."""
+    if np.any((scale <= 0) & np.any(V != 0, axis=1)):
+        return None
+    return np.where(scale > 0, scale, 1.0)
 
 
 def _inverted(

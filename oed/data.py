@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,8 @@ def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray
         given = np.asarray(values)
         if np.iscomplexobj(given):
             raise TypeError("complex values")
-        array = np.array(given, dtype=float)
+        own = given.dtype == float and given.ndim == 2 and given.base is None and not given.flags.writeable
+        array = given if own else np.array(given, dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} is not an array of real numbers ({error}); give numbers only.") from None
     if array.ndim == 1:
@@ -61,8 +63,8 @@ def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray
         )
     if array.size == 0:
         raise InputError(f"{name} is empty (shape {array.shape}); give at least one sample and one channel.")
-    good = np.isfinite(array)
-    if not good.all() and (bad := ~good & ~np.isnan(array) if missing else ~good).any():
+    # A sum of squares is finite only where all samples are; where it overflows, the closer look finds nothing.
+    if not isfinite(np.vdot(array, array)) and (bad := _bad(array, missing)).any():
         t, channel = np.argwhere(bad)[0]
         remedy = (
             "replace them by NaN"
@@ -75,6 +77,11 @@ def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray
         )
     array.flags.writeable = False
     return array
+
+
+def _bad(array: NDArray[np.float64], missing: bool) -> NDArray[np.bool_]:
+    """Where samples are infinite, or NaN that marks nothing."""
+    return np.isinf(array) if missing else ~np.isfinite(array)
 
 
 @dataclass(frozen=True, eq=False)
