@@ -13,6 +13,7 @@ from estimators.pem.problem import prepare
 from estimators.pem.regularisation import Regularisation
 from oed.data import Record, as_signal
 from oed.errors import InputError, Status
+from oed.files.objects import as_records
 from oed.models import Model, Polynomial, StateSpace
 
 __all__ = ["Fit", "fit_percent", "noise_free", "peak_gain"]
@@ -259,6 +260,7 @@ class Fit:
         ndarray
             (N, ny). Leave the window out of an error.
         """
+        (record,) = as_records(record)
         if window <= 0:
             return self.simulate(record.u)
         form = self.model.structure
@@ -296,6 +298,7 @@ class Fit:
         jacobian : ndarray
             (N, ny, n + levels + initial states): parameters first.
         """
+        (record,) = as_records(record, missing=True)
         structure = self.model.structure
         unknown = (initial or self.initial) != "zero"
         if self.regularisation is not None and isinstance(structure, Polynomial):
@@ -348,6 +351,7 @@ class Fit:
         ndarray
             (N, ny).
         """
+        (record,) = as_records(record, missing=True)
         return record.y - self.residuals_of(record, initial=initial)
 
     def to_plant(self, name: str = "identified") -> Any:

@@ -59,10 +59,24 @@ def from_pandas(
     source = "the DataFrame"
     names = [str(name) for name in frame.columns]
     extra: dict[str, NDArray] = {}
-    if isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex):
-        extra["t"] = frame.index.to_numpy()
+    index = frame.index.to_timestamp() if isinstance(frame.index, pd.PeriodIndex) else frame.index
+    if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex):
+        zoned = isinstance(index, pd.DatetimeIndex) and index.tz is not None
+        extra["t"] = (
+            index.tz_convert(None) if zoned else index
+        ).to_numpy()  # to UTC: clocks change, time does not
     elif seconds_per(str(frame.index.name)):
         extra[str(frame.index.name)] = frame.index.to_numpy()
+    elif (
+        dt is None
+        and index.dtype.kind == "f"
+        and np.any(index.to_numpy() % 1)
+        and not any(map(seconds_per, names))
+    ):
+        raise InputError(
+            f"the index of {source} holds {index[0]:g}, {index[1]:g}, ... under no name that says what they are; call it t "
+            "(frame.index.name = 't') if these are seconds, else give dt, or leave them out by reset_index(drop=True)."
+        )
     extra = {name: values for name, values in extra.items() if name not in names}
 
     def load(wanted: Sequence[str]) -> list[NDArray[np.float64]]:
@@ -289,8 +303,9 @@ def as_records(given: Any, *, missing: bool = False) -> list[Record]:
 
     Parameters
     ----------
-    given : Record or DataFrame or Dataset or control.TimeResponseData, or a sequence of them
-        Inputs and outputs are found by name, as `from_pandas` and its neighbours do.
+    given : Record or DataFrame or Dataset or DataArray or control.TimeResponseData, or a sequence of them
+        Inputs and outputs are found by name, as `from_pandas` and its neighbours do; of a DataArray by the labels of
+        its second dimension.
     missing : bool
         Whether NaN is allowed, as the mark of a missing sample.
 
@@ -331,6 +346,19 @@ def _record_of_object(item: Any, missing: bool) -> Record | None:
         return from_pandas(item, missing=missing)
     if ("xarray", "Dataset") in kinds:
         return from_xarray(item, missing=missing)
+    if ("xarray", "DataArray") in kinds:
+        return from_xarray(_channels_of(item), missing=missing)
     if ("control", "TimeResponseData") in kinds:
         return from_control(item, missing=missing)
     return None
+
+
+def _channels_of(array: xr.DataArray) -> xr.Dataset:
+    """A DataArray as a Dataset with one variable per label of the dimension that names the channels."""
+    named = [d for d in array.dims if d in array.coords and array.coords[d].dtype.kind in "UOT"]
+    if array.ndim != 2 or len(named) != 1:
+        raise InputError(
+            f"the DataArray has the dimensions {', '.join(map(str, array.dims)) or 'none'}; give two, time and one whose labels "
+            "name the channels (u..., y...), or a Dataset with one variable per channel."
+        )
+    return array.to_dataset(dim=named[0])

@@ -233,7 +233,10 @@ def test_tables_and_time_responses_are_data(rng) -> None:
     (record,) = records(rng, length=300)
     theta = identify(record).theta
     for given in (to_pandas(record), to_xarray(record), to_control(record)):
-        assert identify(given).theta.tobytes() == theta.tobytes()
+        fit = identify(given)
+        assert fit.theta.tobytes() == theta.tobytes()
+        assert fit.predict(given).tobytes() == identify(record).predict(record).tobytes()
+        assert fit.simulate_record(given, window=9).shape == (300, 1)
     both = identify([record, to_pandas(record)]).theta
     assert both == pytest.approx(identify([record, record]).theta, abs=1e-12)
     for wrong in (5, "data.csv", [], [record, record.u]):

@@ -23,6 +23,7 @@ from oed.files import (
     to_xarray,
     write_record,
 )
+from oed.files.objects import as_records
 
 
 def record(nu: int, ny: int, n: int, *, gap: bool = False, dt: float = 0.08, t0: float = 0.0) -> Record:
@@ -237,12 +238,18 @@ def test_pandas(tmp_path: Path) -> None:
         {"u": [1.0, 2.0, 3.0], "y": [1, 2, 3]}, index=pd.date_range("2024-01-01", periods=3, freq="10ms")
     )
     assert from_pandas(dates).dt == 0.01
+    assert from_pandas(dates.tz_localize("Europe/Brussels")).dt == 0.01
+    periods = pd.period_range("2024-01-01", periods=3, freq="min")
+    assert from_pandas(dates.set_index(periods)).dt == 60
+    unnamed = dates.set_index(np.arange(3) * 0.1)
+    assert from_pandas(unnamed, dt=0.1).dt == from_pandas(unnamed.rename_axis("t")).dt == pytest.approx(0.1)
     nullable = pd.DataFrame({"u": pd.array([1, None], dtype="Int64"), "y": [True, False]})
     assert np.isnan(from_pandas(nullable, missing=True).u[1, 0])
     for wrong, message in (
         (pd.DataFrame({"u": [1.0, 2.0], "y": ["a", "b"]}), "column y of the DataFrame holds 'a' in row 0"),
         (pd.DataFrame([[1.0, 2.0, 3.0]], columns=["u", "y", "u"]), "more than one column 'u'"),
         (pd.DataFrame({"u": [], "y": []}), "no rows of data"),
+        (unnamed, "under no name that says what they are; call it t"),
     ):
         with pytest.raises(InputError, match=message):
             from_pandas(wrong)
@@ -264,6 +271,13 @@ def test_xarray() -> None:
         {"u": ("time", [1.0, 2.0]), "y": ("time", [1.0, 2.0])}, coords={"t": ("time", [0.0, 0.2])}
     )
     assert from_xarray(plain).dt == 0.2
+    array = plain.to_dataarray("channel")
+    for given in (array, array.T):
+        (found,) = as_records(given)
+        assert found.u[:, 0].tolist() == [1.0, 2.0]
+        assert found.dt == 0.2
+    with pytest.raises(InputError, match="labels name the channels"):
+        as_records(plain["u"])
     with pytest.raises(InputError, match="u, y of the Dataset have more than one dimension"):
         from_xarray(xr.Dataset({"u": (("t", "i"), np.ones((3, 2))), "y": (("t", "o"), np.ones((3, 2)))}))
     with pytest.raises(InputError, match="needs different names"):
