@@ -24,7 +24,18 @@ def _errors(result: Diagnosis) -> list[dict[str, Any]]:
         ("one step ahead, augmented model", result.pred_rmse_after),
     ):
         rows.append({"error": name, "value": figure.value, "low": figure.low, "high": figure.high})
-    rows.append({"error": "noise floor (estimated)", "value": result.noise_floor, "low": None, "high": None})
+    floor = "noise floor (at most)" if result.floor_is_bound else "noise floor (estimated)"
+    rows.append({"error": floor, "value": result.noise_floor, "low": None, "high": None})
+    if result.detected and result.removed == result.removed:  # NaN where there is nothing to remove
+        low, high = result.removed_interval
+        rows.append(
+            {
+                "error": "share of the removable error removed",
+                "value": result.removed,
+                "low": low,
+                "high": high,
+            }
+        )
     return rows
 
 

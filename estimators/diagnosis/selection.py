@@ -20,7 +20,7 @@ from estimators.effects.catalogue import CATALOGUE, effect
 __all__ = ["Attribution", "Claim", "attribute", "feedback_test", "significance"]
 
 Array = NDArray[Any]
-FAMILY = 60  # effects of the catalogue that one record is tested for
+FAMILY = sum(e.slot != "noise" for e in CATALOGUE.values())  # effects that one record is tested for
 
 
 @dataclass(frozen=True, eq=False)
