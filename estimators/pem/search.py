@@ -222,7 +222,9 @@ def candidates(problem: Problem) -> list[NDArray[np.float64]]:
     total = sum(len(y) for y, _ in signals)
     most = max(2, min(shortest // 3, total // (4 * (1 + len(nb)))))
     least = max([*nb, *nf]) + 1
-    orders = sorted({min(most, max(least, p)) for p in (2 * (sum(nf[:1]) + na) + 4, 20, 40)})
+    several = sum(nf) > 2  # optima are many: so are the starts
+    orders = (2 * (sum(nf[:1]) + na) + 4, 20, 40, *((10, 30) if several else ()))
+    orders = sorted({min(most, max(least, p)) for p in orders})
     found: list[NDArray] = []
     if na or not any(nf):
         for order in orders[1:] or orders:
@@ -245,7 +247,7 @@ def candidates(problem: Problem) -> list[NDArray[np.float64]]:
         systems.append((bs, fs))
     if len(nb) == 1:
         few = signals[:: max(1, total // ENOUGH)]
-        for _, fs in systems[:1] + systems[-1:]:
+        for _, fs in systems[:] if several else systems[:1] + systems[-1:]:
             b, f = steiglitz_mcbride(few, nb[0], fs[0])
             systems.append(([b], [f]))
     for bs, fs in systems:
