@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from benchmarks.campaign import parts, run_campaign
-from benchmarks.settings import Settings
+from benchmarks.settings import Limit, Settings
 from benchmarks.speed.campaign import tabulated, two_workers
 from benchmarks.tabulation import tabulate
 
@@ -49,26 +49,35 @@ def test_ten_kills_at_random_moments(tmp_path, record_figure):
         plants=("reference",),
         noise_variances=(1.0,),
         methods=("white", "power"),
-        estimators=("gain", "fir-selected"),
+        estimators=("gain", "fir-selected", "corrected", "pem"),
         samples=500,
         experiments=20,
         profile_replicates=2,
+        limits=(Limit(40, estimator="corrected"), Limit(40, estimator="pem")),
     )
     command = [
         sys.executable, "-m", "benchmarks.cli", "compare", "--plant", "reference", "--noise-variance", "1", "--methods",
         "white", "power", "--samples", "500", "--experiments", "20", "--replicates", "600", "--estimators", "gain",
-        "fir-selected", "--profile-replicates", "2", "--jobs", "2", "--quiet", "--out", str(tmp_path / "killed"),
+        "fir-selected", "corrected", "pem", "--limit", "replicates=40,estimator=corrected", "--limit",
+        "replicates=40,estimator=pem", "--profile-replicates", "2", "--jobs", "2", "--quiet", "--out",
+        str(tmp_path / "killed"),
     ]  # fmt: skip
     draw = random.Random(7)
+    count = lambda: len(list((tmp_path / "killed").glob("parts/*.parquet")))
     done = []
     for _ in range(10):
         process = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
-        time.sleep(draw.uniform(2.5, 5.0))  # from before the first part to well after it
+        # Told by what is on disk, not by a clock: in the start, and after up to three parts, on any machine.
+        enough = count() + draw.randrange(4)
+        while count() < enough and process.poll() is None:
+            time.sleep(0.02)
+        time.sleep(draw.uniform(0.0, 1.5))
+        assert process.poll() is None, "the campaign ended before it could be killed"
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-        done.append(len(list((tmp_path / "killed").glob("parts/*.parquet"))))
+        done.append(count())
     record_figure("parts on disk after each kill", done)
     total = len(parts(settings, 600))
     assert done[-1] > 0
