@@ -23,7 +23,7 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 from scipy.linalg.lapack import zgesv
 
-from estimators.local_kernels import line_products, normal_equations, residuals, transients
+from estimators.local_kernels import left_over, line_products, normal_equations, transients
 
 __all__ = ["Band", "LocalFit", "Spectra", "fit_band", "response"]
 
@@ -231,7 +231,7 @@ def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
         A = 1 + a @ powers[1 : na + 1]
         transients(A, powers, weights, inverse)
         errors, squares = np.empty_like(Y), np.empty(ny)
-        residuals(U, Y, theta, A, powers, orders, inverse, errors, squares)
+        left_over(U, Y, theta, A, powers, orders, inverse, errors, squares)
         model = Y - errors  # with the transients as they are
         noise = np.maximum(squares / freedom, floor)
         change = max(

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["line_products", "normal_equations", "residuals", "transients"]
+__all__ = ["left_over", "line_products", "normal_equations", "transients"]
 
 
 @njit(error_model="numpy", cache=True)
@@ -189,7 +189,7 @@ def normal_equations(
 
 
 @njit(error_model="numpy", cache=True)
-def residuals(U, Y, theta, A, powers, orders, inverse, errors, squares):
+def left_over(U, Y, theta, A, powers, orders, inverse, errors, squares):
     """What the model and the transients leave of the outputs.
 
     Parameters
