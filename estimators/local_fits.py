@@ -218,7 +218,7 @@ def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
     weights, inverse = np.empty(K), np.empty((nt + 1, nt + 1))
     transients(A, powers, weights, inverse)
     for _ in range(STEPS):
-        normal, information = np.zeros((2, n, n), complex)
+        normal, information = np.zeros((n, n), complex), np.zeros((n, n), complex)
         right = np.zeros(n, complex)
         normal_equations(
             U, Y, model, of_inputs, weights, powers, inverse, scale, orders, normal, information, right
@@ -242,4 +242,4 @@ def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
             break
     size = M * K * ny / band.repeats
     criterion = size * float(np.mean(np.log(noise * freedom / (M * K)))) + 2 * n / band.repeats
-    return LocalFit(theta, information / band.repeats, noise, criterion)
+    return LocalFit(theta, np.asarray(information / band.repeats), noise, criterion)

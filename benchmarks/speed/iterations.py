@@ -180,10 +180,10 @@ def mimo_campaign() -> list[dict[str, Any]]:
     flat = _peak_mb(lambda: monte_carlo(plant, 1000, 10, 320, algorithm="mimo"))
     found = []
     for name, threads in (("iterations-mimo", 1), ("iterations-mimo-threads", os.cpu_count() or 1)):
-        ours = lambda threads=threads: monte_carlo(plant, 1000, 10, 64, algorithm="mimo", threads=threads)
+        ours = lambda threads=threads: monte_carlo(plant, 1000, 10, 256, algorithm="mimo", threads=threads)
         a, b = _in_turn(ours, theirs, 5)
-        size = f"3 x 2, N=1000, 10 iterations, 64 runs, threads: {threads}"
-        found.append(_row(name, size, a, "loop over scipy.signal.lfilter", b * 8, 20.0, flat))
+        size = f"3 x 2, N=1000, 10 iterations, 256 runs, threads: {threads}"
+        found.append(_row(name, size, a, "loop over scipy.signal.lfilter", b * 32, 20.0, flat))
     return found
 
 

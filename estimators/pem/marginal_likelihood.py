@@ -192,9 +192,9 @@ def _maximised(row: _Row, most: int) -> tuple[NDArray, _State, NDArray, bool, in
     H = (H + H.T) / 2
     spread = np.zeros((n, n))
     inside = np.flatnonzero((np.abs(x) < FAR - 1e-6) & (np.diag(H) > 1e-3))
-    block = H[np.ix_(inside, inside)]
+    block = H[inside[:, None], inside]
     if inside.size and np.linalg.eigvalsh(block)[0] > 0:
-        spread[np.ix_(inside, inside)] = np.linalg.inv(block)
+        spread[inside[:, None], inside] = np.linalg.inv(block)
     count = sum(int(r.nit) for r in ends)
     return x, _state(row, moments, x, True), spread, bool(best.success), count
 
@@ -273,7 +273,7 @@ def regularised(
         taps = np.concatenate([np.arange(p.start, p.stop) for p in place["b"]])
         units = np.concatenate([np.full(form.nb[i, j], sy[i] / su[j]) for j in row.inputs])
         theta[taps] = state.taps * units
-        spread[np.ix_(taps, taps)] = state.covariance * state.variance * np.outer(units, units)
+        spread[taps[:, None], taps] = state.covariance * state.variance * np.outer(units, units)
         if coloured:
             at = [place["c"][0].start, place["d"][0].start]
             theta[at] = noise.polynomials
