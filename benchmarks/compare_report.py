@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,14 @@ from benchmarks import figures
 from benchmarks.answer import answer_rows, answer_sentences
 from benchmarks.comparison import BUDGET, COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
 from benchmarks.comparison_sections import (
+    Save,
     answer_section,
     claim_section,
     head_to_head_section,
     profile_section,
 )
 from benchmarks.hair_dryer import hair_dryer_story
+from benchmarks.processes import at_once
 from benchmarks.report import save_figure, save_report, save_table
 from benchmarks.settings import Settings
 from benchmarks.statistics import Target
@@ -55,7 +57,7 @@ def write_comparison(
     tables : Tables
         Of `tabulate`.
     jobs : int
-        Processes.
+        Processes that make tables and figures.
 
     Returns
     -------
@@ -72,7 +74,59 @@ def write_comparison(
     details = answers(rows, information, settings)
     siso = [p for p in settings.plants if known[p, settings.noise_variances[0]].plant.n_inputs == 1]
     siso = [p for p in siso if known[p, settings.noise_variances[0]].plant.n_outputs == 1]
-    comparison = {
+    best = headline_rows(rows)
+    inputs = {
+        "title": "What each input carries, and the estimator that made most of it",
+        "text": details,
+        "tables": [
+            save(
+                "headline",
+                best,
+                HEADLINE,
+                f"What {settings.experiments} experiments of {settings.samples} samples carry, in shares of the certified optimum, "
+                "and the estimator that made most of them.",
+            )
+        ],
+    }
+    tasks: list[Callable[[], Any]] = [
+        partial(_comparison_section, folder, save, rows, settings, replicates),
+        partial(profile_section, folder, save, tables),
+        partial(_information_section, folder, save, information, known, settings, siso),
+    ]
+    if answer:
+        tasks.insert(0, partial(answer_section, folder, save, tables, answer, settings))
+    if "hair-dryer" in settings.plants:
+        tasks.append(partial(_hair_dryer_section, folder, save))
+    tasks += [partial(_theory_figures, folder, settings, known, plant) for plant in siso]
+    sections = at_once(tasks, jobs)
+    theory = [figure for drawn in sections[len(sections) - len(siso) :] for figure in drawn]
+    sections = sections[: len(sections) - len(siso)]
+    last = [sections.pop()] if "hair-dryer" in settings.plants else []
+    sections.insert(1 if answer else 0, inputs)
+    if answer:
+        section, sentence = head_to_head_section(folder, save, jobs)
+        sections.append(section)
+        sentences.append(sentence)
+    if len(settings.plants) > 1 and answer:  # about all plants, so not for a look at one
+        sections.append(claim_section(folder, save, jobs=jobs))
+    sections += [{"title": "The theory beside it", "text": [], "tables": [], "figures": theory}, *last]
+    headline = to_markdown(best, HEADLINE)
+    sentences = sentences or details
+    save_summary(folder, [*sentences, *details], headline)
+    content = {
+        "title": "Which input is worth applying for the H-infinity norm?",
+        "lead": sentences,
+        "sections": sections,
+        "made": made_with,
+    }
+    return sentences, save_report(folder, content)
+
+
+def _comparison_section(
+    folder: Path, save: Save, rows: Sequence[Row], settings: Settings, replicates: int
+) -> dict[str, Any]:
+    """Every input with every estimator."""
+    return {
         "title": "The comparison",
         "text": [
             f"Every input had {settings.experiments} experiments of {settings.samples} samples at unit power, the same plants and "
@@ -98,7 +152,18 @@ def write_comparison(
             )
         ],
     }
-    carried = {
+
+
+def _information_section(
+    folder: Path,
+    save: Save,
+    information: Sequence[Row],
+    known: Targets,
+    settings: Settings,
+    siso: Sequence[str],
+) -> dict[str, Any]:
+    """Efficiencies against the number of experiments."""
+    return {
         "title": "What each input carries",
         "text": [
             "Efficiency is the certified optimal loss over the loss of the information that the inputs carried, both at the same "
@@ -126,41 +191,6 @@ def write_comparison(
             if any(row["plant"] == plant for row in information)
         ],
     }
-    best = headline_rows(rows)
-    inputs = {
-        "title": "What each input carries, and the estimator that made most of it",
-        "text": details,
-        "tables": [
-            save(
-                "headline",
-                best,
-                HEADLINE,
-                f"What {settings.experiments} experiments of {settings.samples} samples carry, in shares of the certified optimum, "
-                "and the estimator that made most of them.",
-            )
-        ],
-    }
-    sections = [answer_section(folder, save, tables, answer, settings)] if answer else []
-    sections += [inputs, comparison, profile_section(folder, save, tables), carried]
-    if answer:
-        section, sentence = head_to_head_section(folder, save, jobs)
-        sections.append(section)
-        sentences.append(sentence)
-    if len(settings.plants) > 1 and answer:  # about all plants, so not for a look at one
-        sections.append(claim_section(folder, save, jobs=jobs))
-    sections.append(_theory_section(folder, settings, known, siso))
-    if "hair-dryer" in settings.plants:
-        sections.append(_hair_dryer_section(folder, save))
-    headline = to_markdown(best, HEADLINE)
-    sentences = sentences or details
-    save_summary(folder, [*sentences, *details], headline)
-    content = {
-        "title": "Which input is worth applying for the H-infinity norm?",
-        "lead": sentences,
-        "sections": sections,
-        "made": made_with,
-    }
-    return sentences, save_report(folder, content)
 
 
 HEADLINE = {
@@ -273,38 +303,33 @@ def _theory(known: Targets, settings: Settings, plant: str) -> dict[float, Any]:
     }
 
 
-def _theory_section(folder: Path, settings: Settings, known: Targets, siso: Sequence[str]) -> dict[str, Any]:
-    """[S] Fig. 2 and 3, and the limit spectra beside the optimal ones."""
+def _theory_figures(folder: Path, settings: Settings, known: Targets, plant: str) -> list[dict[str, Any]]:
+    """[S] Fig. 2 and 3 for a plant, and the limit spectra beside the optimal ones."""
     from oed.design import solve_design
 
-    drawn = []
-    for plant in siso:
-        variances = settings.noise_variances
-        absolute = {v: known[plant, v].plant.noise_variance for v in variances}
-        base = known[plant, variances[0]].plant
-        drawn.append(
-            save_figure(
-                folder,
-                f"limit-spectra-{plant}",
-                figures.limit_spectrum_figure(base, list(absolute.values())),
-                f"{plant}: magnitude of the plant and limit spectra of the power iterations ([S] Fig. 2).",
-            )
-        )
-        optima = {
-            name: solve_design(base, key).spectrum
-            for name, key in (("peak gain", "hinf"), ("D", "D"))
-            if key != "hinf" or known[plant, variances[0]].peak.unique
-        }
-        drawn.append(
-            save_figure(
-                folder,
-                f"spectra-{plant}",
-                figures.spectra_against_optima_figure(base, list(absolute.values()), optima),
-                f"{plant}: where the power lies, iterations against optimal inputs (cumulative, since lines have no density).",
-            )
-        )
-        drawn.append(_estimated_gain(folder, settings, known, plant))
-    return {"title": "The theory beside it", "text": [], "tables": [], "figures": drawn}
+    variances = settings.noise_variances
+    absolute = [known[plant, v].plant.noise_variance for v in variances]
+    base = known[plant, variances[0]].plant
+    optima = {
+        name: solve_design(base, key).spectrum
+        for name, key in (("peak gain", "hinf"), ("D", "D"))
+        if key != "hinf" or known[plant, variances[0]].peak.unique
+    }
+    return [
+        save_figure(
+            folder,
+            f"limit-spectra-{plant}",
+            figures.limit_spectrum_figure(base, absolute),
+            f"{plant}: magnitude of the plant and limit spectra of the power iterations ([S] Fig. 2).",
+        ),
+        save_figure(
+            folder,
+            f"spectra-{plant}",
+            figures.spectra_against_optima_figure(base, absolute, optima),
+            f"{plant}: where the power lies, iterations against optimal inputs (cumulative, since lines have no density).",
+        ),
+        _estimated_gain(folder, settings, known, plant),
+    ]
 
 
 def _estimated_gain(folder: Path, settings: Settings, known: Targets, plant: str) -> dict[str, Any]:

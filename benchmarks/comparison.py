@@ -226,11 +226,12 @@ def compare(
         progress=_Progress(quiet),
         **options,
     )
-    tables = tabulate(stored_runs(store, settings, replicates, **options), settings)
+    workers = jobs or os.cpu_count() or 1
+    tables = tabulate(stored_runs(store, settings, replicates, **options), settings, workers)
     from benchmarks.compare_report import write_comparison
 
     try:
-        sentences, page = write_comparison(folder, settings, replicates, tables, jobs or os.cpu_count() or 1)
+        sentences, page = write_comparison(folder, settings, replicates, tables, workers)
     except OSError as error:
         raise CampaignError(
             f"cannot write the tables and figures in {folder} ({error.strerror or error}); all runs are kept: make room and "

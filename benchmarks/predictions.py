@@ -9,9 +9,32 @@ import numpy as np
 from oed.plants import Plant
 from oed.theory.limit import LimitSpectrum, limit_spectrum
 
-__all__ = ["mimo_prediction", "optimal_losses", "siso_prediction"]
+__all__ = ["mimo_prediction", "optimal_loss", "optimal_losses", "siso_prediction"]
 
 CRITERIA = ("c", "D", "A", "E")
+
+
+def optimal_loss(plant: Plant, criterion: str) -> float:
+    """Certified optimal loss of a plant at unit input power.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    criterion : str
+        One of c, D, A and E.
+
+    Returns
+    -------
+    float
+        The certified lower bound of the design; for c it is NaN where the peak is not unique.
+    """
+    from oed.design import solve_design
+    from oed.norms import peak
+
+    if criterion == "c":
+        return float(solve_design(plant, "hinf").bound) if peak(plant).unique else float("nan")
+    return float(solve_design(plant, criterion).bound)
 
 
 def optimal_losses(plant: Plant) -> Any:
@@ -25,15 +48,11 @@ def optimal_losses(plant: Plant) -> Any:
     Returns
     -------
     oed.theory.efficiency.Losses
-        The certified lower bounds of the four designs; c is NaN where the peak is not unique.
+        Of `optimal_loss`.
     """
-    from oed.design import solve_design
-    from oed.norms import peak
     from oed.theory.efficiency import Losses
 
-    bounds = {k: float(solve_design(plant, k).bound) for k in ("D", "A", "E")}
-    c = float(solve_design(plant, "hinf").bound) if peak(plant).unique else float("nan")
-    return Losses(c=c, **bounds)
+    return Losses(**{k: optimal_loss(plant, k) for k in CRITERIA})
 
 
 def _efficiencies(plant: Plant, spectrum: Any) -> dict[str, float]:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from benchmarks.columns import Estimates, Runs
 from benchmarks.plants import load_plant
-from benchmarks.predictions import CRITERIA, optimal_losses
+from benchmarks.predictions import CRITERIA, optimal_loss
+from benchmarks.processes import spread
 from oed.errors import Status
 from oed.norms import gain_gradient, peak
 from oed.plants import Plant
@@ -53,14 +54,18 @@ class Target:
         Plant, as on the command line.
     noise_variance : float
         Level.
+    at_unit_noise : Losses
+        The certified optima of the plant as it is loaded.
     """
 
-    def __init__(self, spec: str, noise_variance: float) -> None:
+    def __init__(self, spec: str, noise_variance: float, at_unit_noise: Losses) -> None:
         self.plant: Plant = load_plant(spec, noise_variance)
         self.peak = peak(self.plant)
         self.gamma = self.peak.value
         self.c = gain_gradient(self.plant, self.peak) if self.peak.unique else None
-        self.optimum = _optimum(spec, noise_variance)
+        # The losses are proportional to the noise variance.
+        ratio = self.plant.noise_variance / load_plant(spec).noise_variance
+        self.optimum = Losses(*(getattr(at_unit_noise, k) * ratio for k in CRITERIA))
 
     @property
     def channels(self) -> str:
@@ -103,36 +108,39 @@ class Target:
         return float(np.sqrt(losses(information, self.c).c * energy / self.plant.noise_variance))
 
 
-@lru_cache(maxsize=32)
-def _optimum_at_unit_noise(spec: str) -> tuple[Losses, float]:
-    plant = load_plant(spec)
-    return optimal_losses(plant), plant.noise_variance
+@lru_cache(maxsize=128)
+def _known(spec: str, criterion: str) -> float:
+    return optimal_loss(load_plant(spec), criterion)
 
 
-def _optimum(spec: str, noise_variance: float) -> Losses:
-    """Optimal losses at a noise level; they are proportional to the noise variance."""
-    losses_then, variance_then = _optimum_at_unit_noise(spec)
-    ratio = load_plant(spec, noise_variance).noise_variance / variance_then
-    return Losses(*(getattr(losses_then, k) * ratio for k in CRITERIA))
+def _optimum(spec_and_criterion: tuple[str, str]) -> float:
+    return _known(*spec_and_criterion)
 
 
 Targets = Mapping[tuple[str, float], Target]
 
 
-def targets(keys: Iterable[tuple[str, float]]) -> dict[tuple[str, float], Target]:
+def targets(keys: Iterable[tuple[str, float]], jobs: int = 1) -> dict[tuple[str, float], Target]:
     """Targets of plants at noise levels.
 
     Parameters
     ----------
     keys : iterable of tuple
         Plant and noise variance.
+    jobs : int
+        Processes for the optima.
 
     Returns
     -------
     dict
         (plant, noise variance) to Target.
     """
-    return {key: Target(*key) for key in dict.fromkeys(keys)}
+    keys = list(dict.fromkeys(keys))
+    specs = list(dict.fromkeys(spec for spec, _ in keys))
+    asked = [(spec, criterion) for spec in specs for criterion in CRITERIA]
+    found = dict(zip(asked, spread(_optimum, asked, jobs), strict=True))
+    at_unit_noise = {spec: Losses(**{k: found[spec, k] for k in CRITERIA}) for spec in specs}
+    return {(spec, variance): Target(spec, variance, at_unit_noise[spec]) for spec, variance in keys}
 
 
 def _budget(target: Target, samples: float, experiments: float, energy: float, amplitude: float) -> Row:

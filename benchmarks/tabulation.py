@@ -48,7 +48,7 @@ class Tables:
     known: dict[tuple[str, float], Target] = field(repr=False)
 
 
-def tabulate(runs: Iterable[Runs], settings: Settings) -> Tables:
+def tabulate(runs: Iterable[Runs], settings: Settings, jobs: int = 1) -> Tables:
     """Tables of a campaign.
 
     Parameters
@@ -57,13 +57,15 @@ def tabulate(runs: Iterable[Runs], settings: Settings) -> Tables:
         The combinations, those of one plant and noise level together.
     settings : Settings
         The campaign.
+    jobs : int
+        Processes for the certified optima.
 
     Returns
     -------
     Tables
         With every figure's standard error.
     """
-    known: dict[tuple[str, float], Target] = {}
+    known = targets([(p, v) for p in settings.plants for v in settings.noise_variances], jobs)
     rows: list[Row] = []
     information: list[Row] = []
     pairs: list[Row] = []
@@ -88,7 +90,6 @@ def tabulate(runs: Iterable[Runs], settings: Settings) -> Tables:
         if key != current:
             close()
             current = key
-            known |= targets([key])
         target = known[key]
         carried = information_rows(combination, target)
         mine = comparison_rows(combination, carried, target)

@@ -69,7 +69,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--profile-replicates",
         type=int,
         metavar="R",
-        help="replicates in which the estimators also run after parts of the budget (default 10)",
+        help="replicates in which the estimators also run after parts of the budget (default 5)",
     )
     add(
         "--time-limit",
