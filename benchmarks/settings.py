@@ -132,8 +132,8 @@ class Settings:
 
 DEFAULT_LIMITS = (
     Limit(10, plant="three-by-two"),
-    Limit(50, plant="random-fir-1"),
-    Limit(60, plant="hair-dryer"),
+    Limit(40, plant="random-fir-1"),
+    Limit(40, plant="hair-dryer"),
     Limit(0, plant="three-by-two", method="multisine"),
     Limit(0, plant="three-by-two", method="sequential"),
     Limit(0, plant="three-by-two", method="oracle-D"),

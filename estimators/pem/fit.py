@@ -70,7 +70,11 @@ def peak_gain(model: Any, points: int = 512) -> tuple[float, float, NDArray[np.f
         for s in (-2, -1, -0.5, 0, 0.5, 1, 2)
     ]
     grid = np.unique(np.clip(np.concatenate([np.linspace(0, np.pi, points), *near]), 0, np.pi))
-    gain = lambda w: np.linalg.norm(model.response(w)[0], 2, axis=(1, 2))
+
+    def gain(w: NDArray[np.float64]) -> NDArray[np.float64]:
+        G = model.response(w)[0]
+        return np.abs(G[:, 0, 0]) if G.shape[1:] == (1, 1) else np.linalg.norm(G, 2, axis=(1, 2))
+
     values = gain(grid)
     k = int(np.argmax(values))
     left, right = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
