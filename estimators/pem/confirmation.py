@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimators.pem.gauss_newton import Optimum
 from estimators.pem.problem import Problem
-from estimators.pem.starts import high_order, lagged_gram, null_space_fit
+from estimators.pem.starts import lagged_gram, low_order_fits
 
 __all__ = ["confirmed", "first_start"]
 
@@ -59,11 +59,11 @@ def first_start(problem: Problem) -> NDArray[np.float64] | None:
     if max(form.nb.max(), form.nf.max()) >= LAGS:
         return None
     gram = lagged_gram(_channels(problem), LAGS + 1)
-    A, B, spread = high_order(gram, LAGS, 1)
+    bs, fs = low_order_fits(
+        gram, LAGS, [int(form.nb[0, j]) for j in present], [int(form.nf[0, j]) for j in present]
+    )
     z, place = np.zeros(problem.n_parameters), form.places()[0]
-    for k, j in enumerate(present):
-        at = np.r_[0:LAGS, (k + 1) * LAGS : (k + 2) * LAGS]
-        b, f = null_space_fit(A, B[k], spread[np.ix_(at, at)], int(form.nb[0, j]), int(form.nf[0, j]))
+    for j, b, f in zip(present, bs, fs, strict=True):
         z[place["b"][j]], z[place["f"][j]] = b, f
     return z
 

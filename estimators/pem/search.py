@@ -16,9 +16,8 @@ from estimators.pem.starts import (
     arma_start,
     armax_start,
     filtered,
-    high_order,
     lagged_gram,
-    null_space_fit,
+    low_order_fits,
     reflected,
     steiglitz_mcbride,
 )
@@ -235,16 +234,7 @@ def candidates(problem: Problem) -> list[NDArray[np.float64]]:
         return found + [np.zeros(width)]
     channels = [np.column_stack([y, u]) for y, u in signals]
     gram = lagged_gram(channels, orders[-1] + 1)
-    systems: list[tuple[list[NDArray], list[NDArray]]] = []
-    for order in orders:
-        A, B, spread = high_order(gram, order, 1)
-        bs, fs = [], []
-        for j, b_long in enumerate(B):
-            at = np.r_[0:order, (j + 1) * order : (j + 2) * order]
-            b, f = null_space_fit(A, b_long, spread[np.ix_(at, at)], nb[j], nf[j])
-            bs.append(b)
-            fs.append(f)
-        systems.append((bs, fs))
+    systems = [low_order_fits(gram, order, nb, nf) for order in orders]
     if len(nb) == 1:
         few = signals[:: max(1, total // ENOUGH)]
         for _, fs in systems[:] if several else systems[:1] + systems[-1:]:

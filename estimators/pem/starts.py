@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,10 +18,9 @@ __all__ = [
     "arma_start",
     "armax_start",
     "filtered",
-    "high_order",
     "is_stable",
     "lagged_gram",
-    "null_space_fit",
+    "low_order_fits",
     "reflected",
     "steiglitz_mcbride",
 ]
@@ -211,6 +210,35 @@ def null_space_fit(
             break
         theta = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
     return theta[:nb], reflected(theta[nb:])
+
+
+def low_order_fits(
+    gram: NDArray, order: int, nb: Sequence[int], nf: Sequence[int]
+) -> tuple[list[NDArray], list[NDArray]]:
+    """B / F of every input from one long ARX model, by weighted null-space fitting.
+
+    Parameters
+    ----------
+    gram : ndarray
+        `lagged_gram` of the channels (y, u_1, ..., u_nu) with at least order + 1 lags.
+    order : int
+        Of the long model.
+    nb, nf : sequence of int
+        For every input, number of coefficients of B and degree of F.
+
+    Returns
+    -------
+    bs, fs : list of ndarray
+        (nb,) and (nf,) for every input.
+    """
+    A, B, spread = high_order(gram, order, 1)
+    bs, fs = [], []
+    for j, (b_long, n_b, n_f) in enumerate(zip(B, nb, nf, strict=True)):
+        at = np.r_[0:order, (j + 1) * order : (j + 2) * order]
+        b, f = null_space_fit(A, b_long, spread[np.ix_(at, at)], n_b, n_f)
+        bs.append(b)
+        fs.append(f)
+    return bs, fs
 
 
 def steiglitz_mcbride(signals: Signals, nb: int, f: NDArray, iterations: int = 10) -> tuple[NDArray, NDArray]:
