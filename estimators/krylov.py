@@ -102,14 +102,17 @@ def ritz(trace: Trace) -> Gains:
         size = np.linalg.norm(first.u)
         inputs.append(first.u.ravel() / size)
         images.append(np.array(image).ravel() / size)
-    U, W = np.column_stack(inputs), np.column_stack(images)
-    squares = [np.nan]
-    for m in range(1, len(inputs) + 1):
-        V, triangle = np.linalg.qr(U[:, :m])
-        if np.abs(np.diag(triangle)).min() < 1e-8 or not np.isfinite(W[:, :m]).all():
-            squares.append(squares[-1])
-            continue
-        H = V.T @ np.linalg.solve(triangle.T, W[:, :m].T).T
-        values = np.linalg.eigvalsh((H + H.T) / 2)
-        squares.append(float(np.abs(values).max()) ** 2 if single else float(values.max()))
-    return from_squares("krylov", np.array(squares[1:]))
+    W = np.column_stack(images)
+    V, triangle = np.linalg.qr(np.column_stack(inputs))
+    usable = (np.abs(np.diag(triangle)) >= 1e-8) & np.isfinite(W).all(axis=0)
+    count = len(inputs) if usable.all() else int(np.argmin(usable))
+    # The matrices of the first m inputs are the leading parts of those of all.
+    H = np.linalg.solve(triangle[:count, :count].T, (V[:, :count].T @ W[:, :count]).T).T
+    H = (H + H.T) / 2
+    squares = np.full(len(inputs), np.nan)
+    for m in range(1, count + 1):
+        values = np.linalg.eigvalsh(H[:m, :m])
+        squares[m - 1] = np.abs(values).max() ** 2 if single else values.max()
+    if count:
+        squares[count:] = squares[count - 1]
+    return from_squares("krylov", squares)

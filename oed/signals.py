@@ -117,11 +117,19 @@ def realise(
     first = np.concatenate([[True], omega[1:] != omega[:-1]])
     order = np.arange(len(omega)) - np.maximum.accumulate(np.where(first, np.arange(len(omega)), 0))
     aside = np.where(omega + 2 * np.pi * order / N <= np.pi, 1, -1)
-    t = np.arange(N)
-    u = np.zeros((N, spectrum.n_inputs))
-    for w, amplitude in zip(omega + aside * 2 * np.pi * order / N, a * turn[:, None], strict=True):
-        u += (np.exp(1j * w * t)[:, None] * amplitude).real
+    u = _sum_of_lines(omega + aside * 2 * np.pi * order / N, a * turn[:, None], N)
     return _rescaled(u, spectrum.total_power)
+
+
+def _sum_of_lines(
+    omega: NDArray[np.float64], amplitude: NDArray[np.complex128], N: int
+) -> NDArray[np.float64]:
+    """Re sum_k a_k exp(j w_k t), (N, nu), with t = block m + n: exp(j w t) is a product of two short tables."""
+    block = int(np.ceil(np.sqrt(N)))
+    fine = np.exp(1j * np.outer(omega, np.arange(block)))
+    coarse = np.exp(1j * np.outer(omega, block * np.arange(-(-N // block))))
+    columns = [((coarse * a[:, None]).T @ fine).real.ravel()[:N] for a in amplitude.T]
+    return np.column_stack(columns)
 
 
 def _binned(spectrum: Spectrum, N: int) -> NDArray[np.complex128]:
