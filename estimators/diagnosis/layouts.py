@@ -213,4 +213,5 @@ def changed_states(
     for t in (whole, whole + 1):
         later = states(layout, after, u[t:], c, early[t].copy())
         runs.append(np.concatenate((early[:t], later)))
-    return (1.0 - (at - whole)) * runs[0] + (at - whole) * runs[1]
+    with np.errstate(invalid="ignore"):  # states that diverge are infinite, and 0 times that is no number
+        return (1.0 - (at - whole)) * runs[0] + (at - whole) * runs[1]
