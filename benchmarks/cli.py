@@ -121,6 +121,9 @@ def main(argv: list[str] | None = None) -> int:
     int
         Exit status: 0, 1 or 2.
     """
+    # Matrices of this size gain nothing from threads, and with one the last bits are the same whatever the cores.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     args = _parser().parse_args(argv)
     try:
         if not args.json:
