@@ -9,7 +9,7 @@ import numpy as np
 
 from estimators.effects.recursion_kernels import compiled
 
-__all__ = ["bouc_wen", "held_response", "hysteresis_step", "load", "simulate_feedback"]
+__all__ = ["bouc_wen", "dry_friction", "held_response", "hysteresis_step", "load", "simulate_feedback"]
 
 
 @compiled
@@ -159,6 +159,46 @@ def load(c, p, v, u, q, z):  # pragma: no cover - compiled
 
 
 @compiled
+def dry_friction(v, ahead, gain, coulomb, static, speed, tilt):  # pragma: no cover - compiled
+    """Mean dry friction over a step in which the velocity moves on a straight line, to second order in the step.
+
+    The force keeps its side until the velocity is zero. From there on it holds what pushes less than the friction at rest,
+    and else it is on the other side for the rest of the step.
+
+    Parameters
+    ----------
+    v, ahead : float
+        Velocity at the start of the step, and at its end were there no friction.
+    gain : float
+        What a unit of force takes from the velocity over the step.
+    coulomb, static, speed, tilt : float
+        The level is (1 +- tilt) (coulomb + static exp(-(v / speed)^2)), + where the velocity is positive.
+
+    Returns
+    -------
+    float
+        Force.
+    """
+    side = 1.0 if v > 0.0 else -1.0
+    here, there = side * (1.0 + side * tilt), -side * (1.0 - side * tilt)
+    force = here * (coulomb + static * np.exp(-((v / speed) ** 2)))
+    end = ahead - gain * force
+    if end * side > 0.0:
+        force = here * (coulomb + static * np.exp(-((0.5 * (v + end) / speed) ** 2)))
+        if (ahead - gain * force) * side > 0.0:
+            return force
+    force = here * (coulomb + static * np.exp(-((0.5 * v / speed) ** 2)))
+    end = ahead - gain * force
+    before = min(max(v / (v - end), 0.0), 1.0) if v != end else 0.0  # the share of the step before the stop
+    if side * (ahead - v) / gain >= -abs(there) * (coulomb + static):
+        return ahead / gain
+    other = there * (coulomb + static)
+    end = ahead - gain * (before * force + (1.0 - before) * other)
+    other = there * (coulomb + static * np.exp(-((0.5 * end / speed) ** 2)))
+    return before * force + (1.0 - before) * other
+
+
+@compiled
 def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps):  # pragma: no cover
     """States of x' = A x + B u - E w(x, u), sampled, with `steps` exponential Heun steps per sample.
 
@@ -166,8 +206,7 @@ def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps
     + upper max(p - high, 0) + lower min(p - low, 0) + spring z + friction, with p = position x, v = velocity x, q the last state and z the hysteretic
     displacement of a Bouc-Wen element; c = (k2, k3, k, drag, beta, coulomb, static, stribeck_speed, asymmetry, k5,
     upper, high, lower, low, damping, spring, width, product,
-    stop). Dry friction is implicit: it is the force within +-level that
-    stops v, or the level where that does not suffice. A stop holds a position (the first state, its velocity the second)
+    stop). Dry friction is that of `dry_friction`. A stop holds a position (the first state, its velocity the second)
     within +-stop and takes the velocity; 0 for none.
 
     Parameters
@@ -256,17 +295,10 @@ def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps
                 z1 = hysteresis_step(z, p1 - p, width)
             w = 0.5 * (w + load(c, p1, v1, u[k], e, z1))  # e: the last state
             if dry:
-                level = coulomb
-                if static != 0.0:
-                    level = coulomb + static * np.exp(-((v / speed) ** 2))
                 v1 = 0.0
                 for i in range(m):
                     v1 += velocity[i] * (free[i] - gamma_w[i] * w)
-                force = v1 / gv if gv != 0.0 else 0.0
-                if force > level * (1.0 + tilt):
-                    force = level * (1.0 + tilt)
-                elif force < -level * (1.0 - tilt):
-                    force = -level * (1.0 - tilt)
+                force = dry_friction(v, v1, gv, coulomb, static, speed, tilt) if gv != 0.0 else 0.0
                 w += force
             big = 0.0
             p1 = 0.0

@@ -10,6 +10,7 @@ from typing import Any
 __all__ = [
     "bouc_wen_step",
     "delay_term",
+    "dry_friction_term",
     "feedback_step",
     "hinges_term",
     "lag_step",
@@ -224,6 +225,36 @@ def rate_step() -> Any:
     return ca.Function("rate", [v, u, r], [v + _clip(ca, gap, -r, r), mean])
 
 
+def dry_friction_term() -> Any:
+    """CasADi function of the mean dry friction over a step, as in `plant_kernels.dry_friction`.
+
+    Returns
+    -------
+    casadi.Function
+        Inputs v, ahead, gain, coulomb, static, speed, tilt.
+    """
+    import casadi as ca
+
+    given: Any = ca.SX.sym("given", 7)
+    v, ahead, gain, coulomb, static, speed, tilt = (given[i] for i in range(7))
+    level = lambda at: coulomb + static * ca.exp(-((at / speed) ** 2))
+    side = ca.if_else(v > 0, 1, -1)
+    here, there = side * (1 + side * tilt), -side * (1 - side * tilt)
+    onward = here * level(0.5 * (v + ahead - gain * here * level(v)))
+    goes_on = ca.logic_and(side * (ahead - gain * here * level(v)) > 0, side * (ahead - gain * onward) > 0)
+    force = here * level(0.5 * v)
+    drop = v - (ahead - gain * force)
+    before = ca.if_else(drop != 0, _clip(ca, v / (drop + (drop == 0)), 0, 1), 0)
+    held = side * (ahead - v) / gain >= -ca.fabs(there) * level(0)
+    end = ahead - gain * (before * force + (1 - before) * there * level(0))
+    turned = before * force + (1 - before) * there * level(0.5 * end)
+    return ca.Function(
+        "friction",
+        [v, ahead, gain, coulomb, static, speed, tilt],
+        [ca.if_else(goes_on, onward, ca.if_else(held, ahead / gain, turned))],
+    )
+
+
 def feedback_step(order: int) -> Any:
     """CasADi function (x+, z+) of one exponential Heun step of a plant with nonlinear feedback.
 
@@ -259,9 +290,8 @@ def feedback_step(order: int) -> Any:
     before = load(x, z)
     start, trial = ca.dot(position, x), free - gw * before
     w = 0.5 * (before + load(trial, bend(z, start, ca.dot(position, trial), c[16])))
-    level = c[5] + c[6] * ca.exp(-((ca.dot(velocity, x) / c[7]) ** 2))
-    push = ca.dot(velocity, free - gw * w) / ca.dot(velocity, gw)
-    w = w + _clip(ca, push, -level * (1 - c[8]), level * (1 + c[8]))
+    ahead, gain = ca.dot(velocity, free - gw * w), ca.dot(velocity, gw)
+    w = w + dry_friction_term()(ca.dot(velocity, x), ahead, gain, c[5], c[6], c[7], c[8])
     after = free - gw * w
     hysteretic = bend(z, start, ca.dot(position, after), c[16])
     if order > 1:  # position and velocity are the first two states

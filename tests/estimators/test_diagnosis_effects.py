@@ -8,6 +8,7 @@ from estimators.diagnosis.candidates import augmented
 from estimators.diagnosis.derivatives import exact_columns
 from estimators.diagnosis.fitting import Channel
 from estimators.diagnosis.intersample import between_samples
+from estimators.diagnosis.layouts import states
 from estimators.diagnosis.linear import fit_linear
 from estimators.diagnosis.simulation import simulate
 from estimators.diagnosis.structure import Part, Structure
@@ -235,3 +236,38 @@ def test_exact_derivatives_agree_with_differences(structure, p):
 def test_an_effect_with_memory_at_the_output_has_no_exact_derivatives():
     s, u = Structure(1).adding(Part("lag")), np.ones((30, 1))
     assert not dict(exact_columns(s, np.array([-0.5, 0.3, 0.4]), u, Clock(np.arange(30.0), 30)))
+
+
+def stick_slip(u, rate, level, tilt):
+    """v' = rate (u - v - friction) sampled, event by event: between events v is an exponential."""
+    v, out = 0.0, []
+    for held in u:
+        out.append(v)
+        left = 1.0
+        while left > 0:
+            up, down = level * (1 + tilt), level * (1 - tilt)
+            if v == 0 and -down <= held <= up:
+                break
+            side = np.sign(v) if v != 0 else np.sign(held)
+            target = held - (up if side > 0 else -down)
+            stop = np.log((v - target) / -target) / rate if v * target < 0 else np.inf
+            if stop >= left:
+                v, left = target + (v - target) * np.exp(-rate * left), 0.0
+            else:
+                v, left = 0.0, left - stop
+    return np.array(out)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_dry_friction_is_exact_to_second_order(tilt):
+    """A motor that stops and reverses within samples, against its exact solution; four times the steps, 16 times less error."""
+    rng = np.random.default_rng(8)
+    u, level = np.repeat(rng.uniform(-1.0, 1.0, 100), 7), 0.35
+    exact = stick_slip(u, 0.16, level, tilt)
+    assert np.sum(exact == 0.0) > 50  # it sticks
+    assert np.sum(exact[1:] * exact[:-1] < 0) > 5  # and reverses
+    rates, c = np.log([0.16]), np.zeros(19)
+    c[[5, 7, 8, 16]] = level, 1.0, tilt, 1.0
+    errors = [np.abs(states("first", rates, u, c, steps=n)[:, 0] - exact).max() for n in (5, 20)]
+    assert errors[0] < 2e-3 * np.std(exact)
+    assert errors[1] < errors[0] / 10
