@@ -88,28 +88,30 @@ def write_comparison(
             )
         ],
     }
-    tasks: list[Callable[[], Any]] = [
-        partial(_comparison_section, folder, save, rows, settings, replicates),
-        partial(profile_section, folder, save, tables),
-        partial(_information_section, folder, save, information, known, settings, siso),
-    ]
+    tasks: dict[str, Callable[[], Any]] = {
+        "comparison": partial(_comparison_section, folder, save, rows, settings, replicates),
+        "profiles": partial(profile_section, folder, save, tables),
+        "information": partial(_information_section, folder, save, information, known, settings, siso),
+    }
     if answer:
-        tasks.insert(0, partial(answer_section, folder, save, tables, answer, settings))
+        tasks["answer"] = partial(answer_section, folder, save, tables, answer, settings)
     if "hair-dryer" in settings.plants:
-        tasks.append(partial(_hair_dryer_section, folder, save))
-    tasks += [partial(_theory_figures, folder, settings, known, plant) for plant in siso]
-    sections = at_once(tasks, jobs)
-    theory = [figure for drawn in sections[len(sections) - len(siso) :] for figure in drawn]
-    sections = sections[: len(sections) - len(siso)]
-    last = [sections.pop()] if "hair-dryer" in settings.plants else []
-    sections.insert(1 if answer else 0, inputs)
+        tasks["hair dryer"] = partial(_hair_dryer_section, folder, save)
+    tasks |= {
+        f"theory of {plant}": partial(_theory_figures, folder, settings, known, plant) for plant in siso
+    }
+    found = dict(zip(tasks, at_once(tasks.values(), jobs), strict=True))
+    sections = [inputs, found["comparison"], found["profiles"], found["information"]]
     if answer:
         section, sentence = head_to_head_section(folder, save, jobs)
-        sections.append(section)
+        sections = [found["answer"], *sections, section]
         sentences.append(sentence)
     if len(settings.plants) > 1 and answer:  # about all plants, so not for a look at one
         sections.append(claim_section(folder, save, jobs=jobs))
-    sections += [{"title": "The theory beside it", "text": [], "tables": [], "figures": theory}, *last]
+    theory = [figure for plant in siso for figure in found[f"theory of {plant}"]]
+    sections.append({"title": "The theory beside it", "text": [], "tables": [], "figures": theory})
+    if "hair dryer" in found:
+        sections.append(found["hair dryer"])
     headline = to_markdown(best, HEADLINE)
     sentences = sentences or details
     save_summary(folder, [*sentences, *details], headline)
