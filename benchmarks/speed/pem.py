@@ -65,7 +65,7 @@ def _row(
     }
 
 
-def against_scipy(order: int, samples: int, repeats: int = 5) -> dict:
+def against_scipy(order: int, samples: int, repeats: int = 15) -> dict:
     """Our fit against `scipy.optimize.least_squares` with `lfilter` and finite differences.
 
     Parameters
