@@ -128,11 +128,12 @@ def _comparison_section(
     folder: Path, save: Save, rows: Sequence[Row], settings: Settings, replicates: int
 ) -> dict[str, Any]:
     """Every input with every estimator."""
+    fewer = " or as often as the column runs says" if settings.limits else ""
     return {
         "title": "The comparison",
         "text": [
             f"Every input had {settings.experiments} experiments of {settings.samples} samples at unit power, the same plants and "
-            f"the same noise, {replicates} times. rho is the root mean square error of the estimated H-infinity norm times the root of "
+            f"the same noise, {replicates} times{fewer}. rho is the root mean square error of the estimated H-infinity norm times the root of "
             "the input energy over the noise variance: no unbiased method gets below 1 (a bound that holds locally and for "
             "large samples). The column predicted is what the Fisher information of the same inputs promises to an efficient estimator.",
             ORACLE,

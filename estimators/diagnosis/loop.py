@@ -14,6 +14,7 @@ from estimators.diagnosis.crossvalidation import BLOCKS, blocked_simulation
 from estimators.diagnosis.examination import Examined, Setting, examine, thinned
 from estimators.diagnosis.fitting import Fit, innovations, levenberg_marquardt
 from estimators.diagnosis.measurement import held_samples
+from estimators.diagnosis.overlap import copied_rows
 from estimators.diagnosis.report import Diagnosis, ErrorFigure
 from estimators.diagnosis.simulation import free_responses, simulate
 from estimators.effects.catalogue import Clock
@@ -118,28 +119,10 @@ def _check(train: Record, test: Record | None) -> None:
         raise InputError(
             f"the sampling times are {train.dt:g} and {test.dt:g} s; resample one record to the other's."
         )
-    shared = _shared_rows(train, test)
+    shared = copied_rows(train, test)
     if shared:
         raise InputError(f"{shared} consecutive rows of the test record are also in the training record; the error on "
                          "them would prove nothing: give data that were not used.")  # fmt: skip
-
-
-def _shared_rows(train: Record, test: Record, run: int = 8) -> int:
-    """Length of the longest stretch of the test record that is also in the training record, 0 if below `run`.
-
-    Single rows may agree by chance where signals are quantised; stretches with several distinct rows do not.
-    """
-    pieces = []
-    for record in (train, test):
-        rows = np.ascontiguousarray(np.concatenate((record.u, record.y), axis=1))
-        marks = [row.tobytes() for row in rows]
-        pieces.append([tuple(marks[k : k + run]) for k in range(len(marks) - run + 1)])
-    known = {piece for piece in pieces[0] if len(set(piece)) > run // 2}
-    longest = current = 0
-    for piece in pieces[1]:
-        current = current + 1 if piece in known else 0
-        longest = max(longest, current)
-    return longest + run - 1 if longest else 0
 
 
 def diagnose(train: Record, test: Record | None = None, setting: Setting | None = None) -> Diagnosis:

@@ -1,0 +1,83 @@
+"""Rows of one record that are also in another: by copying, or by chance where signals are coarse or periodic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Record
+
+__all__ = ["copied_rows"]
+
+FEWEST = 8
+"""Consecutive rows from which on a copy is thought of; single rows agree by chance where signals are rounded."""
+
+
+def copied_rows(train: Record, test: Record) -> int:
+    """Length of the longest stretch of the test record that must have been copied from the training record.
+
+    Parameters
+    ----------
+    train, test : Record
+        Of the same channels.
+
+    Returns
+    -------
+    int
+        0 where there is none. A stretch counts where it is the whole test record, or more than twice as long as any that
+        either record repeats within itself: rounding and periodic inputs repeat rows by chance.
+    """
+    rows = np.concatenate([np.concatenate((r.u, r.y), axis=1) for r in (train, test)])
+    rows = np.where(np.isnan(rows), np.inf, rows)  # missing samples are equal
+    _, names = np.unique(rows, axis=0, return_inverse=True)
+    windows = _Windows(names.ravel())
+    n, total = len(train), len(rows)
+
+    def shared(length: int) -> bool:
+        names = windows.of(length)
+        return bool(np.intersect1d(names[: n - length + 1], names[n:]).size)
+
+    def repeated(first: int, stop: int, length: int) -> bool:
+        names = windows.of(length)[first : stop - length + 1]
+        return len(np.unique(names)) < len(names)
+
+    shorter = min(len(train), len(test))
+    if shorter < FEWEST or not shared(FEWEST):
+        return 0
+    longest = _longest(shared, shorter)
+    if longest == len(test):
+        return longest
+    own = max(
+        _longest(lambda k: repeated(0, n, k), n - 1), _longest(lambda k: repeated(n, total, k), total - n - 1)
+    )
+    return longest if longest > 2 * own else 0
+
+
+class _Windows:
+    """Names of all windows of a sequence, equal where the windows are, by doubling their length."""
+
+    def __init__(self, names: NDArray[np.int64]) -> None:
+        self.known = {1: names}
+
+    def of(self, length: int) -> NDArray[np.int64]:
+        half = 1 << (length.bit_length() - 1)
+        for k in (2**j for j in range(1, half.bit_length())):
+            if k not in self.known:
+                self.known[k] = self._joined(self.known[k // 2], k // 2)
+        return self.known[half] if half == length else self._joined(self.known[half], length - half)
+
+    @staticmethod
+    def _joined(names: NDArray[np.int64], later: int) -> NDArray[np.int64]:
+        pairs = names[: len(names) - later] * (int(names.max()) + 1) + names[later:]
+        return np.unique(pairs, return_inverse=True)[1].ravel()
+
+
+def _longest(found: Callable[[int], bool], most: int) -> int:
+    """The largest length up to `most` that is found, where all shorter ones are."""
+    low, high = 0, most
+    while low < high:
+        middle = (low + high + 1) // 2
+        low, high = (middle, high) if found(middle) else (low, middle - 1)
+    return low
