@@ -109,12 +109,9 @@ class Target:
 
 
 @lru_cache(maxsize=128)
-def _known(spec: str, criterion: str) -> float:
-    return optimal_loss(load_plant(spec), criterion)
-
-
 def _optimum(spec_and_criterion: tuple[str, str]) -> float:
-    return _known(*spec_and_criterion)
+    spec, criterion = spec_and_criterion
+    return optimal_loss(load_plant(spec), criterion)
 
 
 Targets = Mapping[tuple[str, float], Target]

@@ -133,7 +133,6 @@ from benchmarks.settings import Settings
 from benchmarks.tabulation import tabulate
 given = json.loads(sys.argv[2])
 settings = Settings(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
-tabulate([], settings)
 start = time.perf_counter()
 replicates = int(sys.argv[3])
 store = fill_store(settings, replicates, Path(sys.argv[1]), jobs=1)
