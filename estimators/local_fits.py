@@ -19,11 +19,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
-from scipy.linalg.lapack import zgesv
 
-from estimators.local_kernels import left_over, line_products, normal_equations, transients
+from estimators.local_kernels import gains, refine
 
 __all__ = ["Band", "LocalFit", "Spectra", "fit_band", "response"]
 
@@ -181,10 +179,9 @@ def response(theta: NDArray, x: NDArray, nu: int, ny: int, orders: tuple[int, in
     ndarray
         (K, ny, nu).
     """
-    nb, na, _ = orders
-    B = theta[: nu * ny * (nb + 1)].reshape(-1, nb + 1)
-    A = polyval(x, np.concatenate([[1.0], theta[len(theta) - na :]]))
-    return (polyval(x, B.T) / A).T.reshape(-1, ny, nu)
+    found = np.empty((len(x), ny, nu), complex)
+    gains(theta, x, orders, found)
+    return found
 
 
 def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
@@ -210,36 +207,9 @@ def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
     n = ny * nu * (nb + 1) + na
     freedom = max(M * (K - nt - 1) - n / ny, 1.0)
     floor = 1e-15 * np.sum(np.abs(Y) ** 2, axis=(1, 2)) / (K * M) + 1e-300
-    of_inputs = np.empty((nu, nu + ny, K), complex)
-    for j in range(nu):
-        for b in range(nu + ny):
-            line_products(U[j], U[b] if b < nu else Y[b - nu], of_inputs[j, b])
-    a, model, A, scale = np.zeros(na, complex), Y, np.ones(K, complex), np.ones(ny)
-    weights, inverse = np.empty(K), np.empty((nt + 1, nt + 1))
-    transients(A, powers, weights, inverse)
-    for _ in range(STEPS):
-        normal, information = np.zeros((n, n), complex), np.zeros((n, n), complex)
-        right = np.zeros(n, complex)
-        normal_equations(
-            U, Y, model, of_inputs, weights, powers, inverse, scale, orders, normal, information, right
-        )
-        *_, theta, singular = zgesv(normal, right)
-        if singular:
-            return None
-        change = np.max(np.abs(theta[n - na :] - a), initial=0.0)
-        a = theta[n - na :]
-        A = 1 + a @ powers[1 : na + 1]
-        transients(A, powers, weights, inverse)
-        errors, squares = np.empty_like(Y), np.empty(ny)
-        left_over(U, Y, theta, A, powers, orders, inverse, errors, squares)
-        model = Y - errors  # with the transients as they are
-        noise = np.maximum(squares / freedom, floor)
-        change = max(
-            change, np.max(np.abs(noise * scale - 1))
-        )  # the information has the scale of the step before
-        scale = 1 / noise
-        if change < SETTLED:
-            break
+    theta, information, noise = np.empty(n, complex), np.empty((n, n), complex), np.empty(ny)
+    if not refine(U, Y, powers, orders, floor, freedom, STEPS, SETTLED, theta, information, noise):
+        return None
     size = M * K * ny / band.repeats
     criterion = size * float(np.mean(np.log(noise * freedom / (M * K)))) + 2 * n / band.repeats
-    return LocalFit(theta, np.asarray(information / band.repeats), noise, criterion)
+    return LocalFit(theta, information / band.repeats, noise, criterion)

@@ -12,11 +12,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["left_over", "line_products", "normal_equations", "transients"]
+__all__ = ["gains", "refine"]
 
 
 @njit(error_model="numpy", cache=True)
-def line_products(s, z, found):
+def _line_products(s, z, found):
     """Sums over the experiments of conj(s) z.
 
     Parameters
@@ -33,7 +33,7 @@ def line_products(s, z, found):
 
 
 @njit(error_model="numpy", cache=True)
-def transients(A, powers, weights, inverse):
+def _transients(A, powers, weights, inverse):
     """What the transients x^j / A need, by elimination in their Gram matrix, which is small and positive definite.
 
     Parameters
@@ -111,7 +111,7 @@ def _products(moments, sums, duals, found):
 
 
 @njit(error_model="numpy", cache=True)
-def normal_equations(
+def _normal_equations(
     U, Y, model, of_inputs, weights, powers, inverse, scale, orders, normal, information, right
 ):
     """The equations of one refinement.
@@ -165,7 +165,7 @@ def normal_equations(
                 right[row] = s * product[p, 0]
                 for r in range(na):
                     normal[row, first + r] = -s * product[p, r + 1]
-            line_products(model[i], U[j], lines)
+            _line_products(model[i], U[j], lines)
             _moments(weights, powers, lines, moments)
             _products(moments, sums[nu + 1], duals[j], product)
             for p in range(nb + 1):
@@ -173,14 +173,14 @@ def normal_equations(
                 for r in range(na):
                     normal[first + r, row] = information[first + r, row] = -s * product[r + 1, p]
                     information[row, first + r] = -s * np.conj(product[r + 1, p])
-        line_products(model[i], Y[i], lines)
+        _line_products(model[i], Y[i], lines)
         _moments(weights, powers, lines, moments)
         _products(moments, sums[nu + 1], duals[nu], product)
         for p in range(na):
             right[first + p] -= s * product[p + 1, 0]
             for r in range(na):
                 normal[first + p, first + r] += s * product[p + 1, r + 1]
-        line_products(model[i], model[i], lines)
+        _line_products(model[i], model[i], lines)
         _moments(weights, powers, lines, moments)
         _products(moments, sums[nu + 1], duals[nu + 1], product)
         for p in range(na):
@@ -189,7 +189,7 @@ def normal_equations(
 
 
 @njit(error_model="numpy", cache=True)
-def left_over(U, Y, theta, A, powers, orders, inverse, errors, squares):
+def _left_over(U, Y, theta, A, powers, orders, inverse, errors, squares, model):
     """What the model and the transients leave of the outputs.
 
     Parameters
@@ -199,9 +199,9 @@ def left_over(U, Y, theta, A, powers, orders, inverse, errors, squares):
     theta, A : ndarray
         Coefficients, and (K,) the denominator on the lines.
     powers, orders, inverse : ndarray or tuple
-        As for `normal_equations`.
-    errors, squares : ndarray
-        (ny, K, R) complex and (ny,) their sums of squares, written.
+        As for `_normal_equations`.
+    errors, squares, model : ndarray
+        (ny, K, R) complex, (ny,) their sums of squares and (ny, K, R) the outputs less them, written.
     """
     nb, _, nt = orders
     nu, ny, K, R = U.shape[0], Y.shape[0], U.shape[1], U.shape[2]
@@ -235,3 +235,140 @@ def left_over(U, Y, theta, A, powers, orders, inverse, errors, squares):
                     errors[i, k, m] -= scale * along[h, m]
             for m in range(R):
                 squares[i] += errors[i, k, m].real ** 2 + errors[i, k, m].imag ** 2
+                model[i, k, m] = Y[i, k, m] - errors[i, k, m]
+
+
+@njit(error_model="numpy", cache=True)
+def _solve(matrix, right):
+    """Solve in place by elimination with row exchanges; False where a column has no pivot."""
+    n = len(right)
+    for c in range(n):
+        best, at = 0.0, -1
+        for r in range(c, n):
+            size = abs(matrix[r, c])
+            if size > best:
+                best, at = size, r
+        if at < 0:
+            return False
+        if at != c:
+            for k in range(c, n):
+                matrix[c, k], matrix[at, k] = matrix[at, k], matrix[c, k]
+            right[c], right[at] = right[at], right[c]
+        for r in range(c + 1, n):
+            factor = matrix[r, c] / matrix[c, c]
+            if factor != 0:
+                for k in range(c + 1, n):
+                    matrix[r, k] -= factor * matrix[c, k]
+                right[r] -= factor * right[c]
+    for c in range(n - 1, -1, -1):
+        for k in range(c + 1, n):
+            right[c] -= matrix[c, k] * right[k]
+        right[c] /= matrix[c, c]
+    return True
+
+
+@njit(error_model="numpy", cache=True)
+def refine(U, Y, powers, orders, floor, freedom, steps, settled, theta, information, noise):
+    """Refined instruments until they settle.
+
+    Parameters
+    ----------
+    U, Y : ndarray
+        (nu, K, R) and (ny, K, R) complex lines.
+    powers : ndarray
+        (D, K) powers of the distances x.
+    orders : tuple of int
+        Orders of the numerators, the common denominator and the transients' numerators.
+    floor, freedom : ndarray, float
+        (ny,) least variance of the noise, and what the sums of squares are divided by.
+    steps, settled : int, float
+        Most refinements, and the change of the denominator and of the noise (relative) at which they end.
+    theta, information, noise : ndarray
+        (n,) complex, (n, n) complex and (ny,), written.
+
+    Returns
+    -------
+    bool
+        False where the equations are singular.
+    """
+    nb, na, nt = orders
+    nu, ny, K = U.shape[0], Y.shape[0], U.shape[1]
+    n = ny * nu * (nb + 1) + na
+    of_inputs = np.empty((nu, nu + ny, K), U.dtype)
+    for j in range(nu):
+        for b in range(nu):
+            _line_products(U[j], U[b], of_inputs[j, b])
+        for b in range(ny):
+            _line_products(U[j], Y[b], of_inputs[j, nu + b])
+    a, A = np.zeros(na, U.dtype), np.empty(K, U.dtype)
+    normal, scale, squares = np.empty((n, n), U.dtype), np.empty(ny), np.empty(ny)
+    weights, inverse = np.empty(K), np.empty((nt + 1, nt + 1))
+    model, errors = np.empty(Y.shape, U.dtype), np.empty(Y.shape, U.dtype)
+    for i in range(ny):
+        scale[i] = 1.0
+        for k in range(K):
+            for m in range(Y.shape[2]):
+                model[i, k, m] = Y[i, k, m]
+    for k in range(K):
+        A[k] = 1
+    _transients(A, powers, weights, inverse)
+    for _ in range(steps):
+        for r in range(n):  # loops, since whole arrays compile three times as long
+            theta[r] = 0
+            for c in range(n):
+                normal[r, c] = information[r, c] = 0
+        _normal_equations(
+            U, Y, model, of_inputs, weights, powers, inverse, scale, orders, normal, information, theta
+        )
+        if not _solve(normal, theta):
+            return False
+        change = 0.0
+        for r in range(na):
+            change = max(change, abs(theta[n - na + r] - a[r]))
+            a[r] = theta[n - na + r]
+        for k in range(K):
+            A[k] = 1
+            for r in range(na):
+                A[k] += a[r] * powers[r + 1, k]
+        _transients(A, powers, weights, inverse)
+        _left_over(U, Y, theta, A, powers, orders, inverse, errors, squares, model)
+        for i in range(ny):
+            noise[i] = max(squares[i] / freedom, floor[i])
+            change = max(
+                change, abs(noise[i] * scale[i] - 1)
+            )  # the information has the scale of the step before
+            scale[i] = 1 / noise[i]
+        if change < settled:
+            break
+    return True
+
+
+@njit(error_model="numpy", cache=True)
+def gains(theta, x, orders, found):
+    """G = B / A of the coefficients.
+
+    Parameters
+    ----------
+    theta : ndarray
+        (n,) complex: B of every entry, output by output, then A without its leading 1.
+    x : ndarray
+        (K,) distances from the centre.
+    orders : tuple of int
+        Orders of the numerators, the common denominator and the transients' numerators.
+    found : ndarray
+        (K, ny, nu) complex, written.
+    """
+    nb, na, _ = orders
+    ny, nu = found.shape[1:]
+    for k in range(len(x)):
+        A = 0j
+        for r in range(len(theta) - 1, len(theta) - na - 1, -1):
+            A = (A + theta[r]) * x[k]
+        A += 1
+        for i in range(ny):
+            for j in range(nu):
+                first = (i * nu + j) * (nb + 1)
+                B = 0j
+                for p in range(nb, -1, -1):
+                    B = B * x[k] + theta[first + p]
+                found[k, i, j] = B / A

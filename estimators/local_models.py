@@ -210,11 +210,19 @@ def _gradient(theta: NDArray, x: NDArray, nu: int, ny: int, orders: tuple[int, i
     nb, na, _ = orders
     X = np.vander(x, max(nb, na) + 1, increasing=True)
     A = 1 + X[:, 1 : na + 1] @ theta[len(theta) - na :]
-    u, s, vh = np.linalg.svd(response(theta, x, nu, ny, orders))
-    pairs = np.conj(u[:, :, 0])[:, :, None] * np.conj(vh[:, 0])[:, None, :]  # (K, ny, nu)
+    s, pairs = _principal(response(theta, x, nu, ny, orders))
     numerators = pairs[..., None] * (X[:, : nb + 1] / A[:, None])[:, None, None]
-    denominators = -s[:, :1] * X[:, 1 : na + 1] / A[:, None]
-    return 2 * s[:, :1] * np.hstack([numerators.reshape(len(x), -1), denominators])
+    denominators = -s * X[:, 1 : na + 1] / A[:, None]
+    return 2 * s * np.hstack([numerators.reshape(len(x), -1), denominators])
+
+
+def _principal(G: NDArray) -> tuple[NDArray, NDArray]:
+    """(K, 1) largest singular values sigma and (K, ny, nu) their conj(u) v', so that sigma = Re sum conj(u) v' G."""
+    if G.shape[1:] == (1, 1):
+        s = np.abs(G[:, 0])
+        return s, np.conj(G) / np.maximum(s, 1e-300)[:, None]
+    u, s, vh = np.linalg.svd(G)
+    return s[:, :1], np.conj(u[:, :, 0])[:, :, None] * np.conj(vh[:, 0])[:, None, :]
 
 
 def _peak_of_model(
