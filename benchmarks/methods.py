@@ -291,9 +291,9 @@ def fir_selected(trace: Trace, plant: Plant) -> Estimate:
     Estimate
         Peak gain of the estimated response.
     """
-    from estimators.fir import peak_of_fir, plug_in, select_taps
+    from estimators.fir import peak_of_fir, plug_in
 
-    return _from_peak(peak_of_fir(plug_in(trace, select_taps(trace))))
+    return _from_peak(peak_of_fir(plug_in(trace)))
 
 
 def frequency_response_peak(trace: Trace, plant: Plant) -> Estimate:

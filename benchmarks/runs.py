@@ -21,7 +21,7 @@ from benchmarks.plants import load_plant
 from benchmarks.settings import Settings
 from oed.errors import Status
 from oed.experiments import simulated
-from oed.information import information_of_records
+from oed.information import information_of_each
 
 __all__ = [
     "CHUNK",
@@ -264,7 +264,7 @@ def run_part(
                 estimator = own.get(name) or ESTIMATORS[name]
                 rows.append(_estimated(head, name, estimator, trace.first(k), plant, time_limit))
                 rows[-1]["final"] = k == len(trace)
-    return rows + [sums[k] for k in sorted(sums)]
+    return rows + [sums[k] | {"information": sums[k]["information"].tolist()} for k in sorted(sums)]
 
 
 def _run(settings: Settings, part: Part, replicate: int, own: Mapping[str, Any]) -> tuple[Any, Any]:
@@ -288,20 +288,22 @@ def _add_information(sums: dict[int, Row], head: Row, settings: Settings, plant:
     """Add what the inputs of a trace carry to the sums over the replicates of the part."""
     n = len(plant.free)
     information, energy = np.zeros((n, n)), 0.0
-    marks = checkpoints(settings.experiments)
+    inputs = [r.u for r in trace.records]
+    each = information_of_each(plant, inputs)
     done = 0
-    for k in marks:
-        since = trace.records[done:k]
-        if done + len(since) < k:
+    for k in checkpoints(settings.experiments):
+        if k > len(inputs):
             break
+        information = information + each[done:k].sum(axis=0)
+        energy += sum(float(np.vdot(u, u)) for u in inputs[done:k])
         done = k
-        information = information + information_of_records(plant, [r.u for r in since])
-        energy += sum(float(np.sum(r.u**2)) for r in since)
         row = sums.setdefault(
             k,
-            _row(head, "", status=Status.OK.name, information=[0.0] * n * n, energy=0.0, peak_amplitude=0.0),
+            _row(
+                head, "", status=Status.OK.name, information=np.zeros(n * n), energy=0.0, peak_amplitude=0.0
+            ),
         )
-        row["information"] = (np.array(row["information"]) + information.ravel()).tolist()
+        row["information"] += information.ravel()
         row |= {
             "count": row["count"] + 1,
             "experiments": k,

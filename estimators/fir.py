@@ -23,6 +23,9 @@ from oed.errors import InputError, Status, check_names
 
 __all__ = ["FirModel", "peak_of_fir", "plug_in", "select_taps"]
 
+CANDIDATES = (2, 3, 5, 8, 12, 18, 27, 40, 60, 90)
+"""Numbers of taps to choose from."""
+
 
 @dataclass(frozen=True, eq=False)
 class FirModel:
@@ -98,15 +101,15 @@ def _excited(R: NDArray) -> bool:
     return bool(values[0] > 1e-12 * values[-1])
 
 
-def plug_in(data: Trace | Sequence[Record], taps: int, *, kernel: str = "none") -> FirModel:
+def plug_in(data: Trace | Sequence[Record], taps: int | None = None, *, kernel: str = "none") -> FirModel:
     """Impulse response of given length from all records together.
 
     Parameters
     ----------
     data : Trace or sequence of Record
         Experiments from rest.
-    taps : int
-        Number of taps n, g_0 included.
+    taps : int, optional
+        Number of taps n, g_0 included; by default chosen as by `select_taps`.
     kernel : {"none", "tc"}
         Least squares, or regularised by the TC kernel.
 
@@ -122,6 +125,10 @@ def plug_in(data: Trace | Sequence[Record], taps: int, *, kernel: str = "none") 
     """
     check_names([kernel], ("none", "tc"), "kernel")
     records = _records(data)
+    if taps is None:
+        taps, (R, F, S, samples) = _selected(records, CANDIDATES)
+        n = taps * records[0].n_inputs
+        return _solve(R[:n, :n], F[:n], S, samples, taps, kernel)
     longest = max(map(len, records))
     if not isinstance(taps, int | np.integer) or not 1 <= taps < longest:
         raise InputError(f"taps is {taps!r}; it must be a positive integer below the {longest} samples.")
@@ -172,9 +179,7 @@ def _tc(R: NDArray, f: NDArray, noise: float, taps: int, nu: int) -> NDArray:
     )
 
 
-def select_taps(
-    data: Trace | Sequence[Record], candidates: Sequence[int] = (2, 3, 5, 8, 12, 18, 27, 40, 60, 90)
-) -> int:
+def select_taps(data: Trace | Sequence[Record], candidates: Sequence[int] = CANDIDATES) -> int:
     """Number of taps with the smallest Bayesian information criterion.
 
     Parameters
@@ -189,13 +194,19 @@ def select_taps(
     int
         The choice.
     """
+    return _selected(_records(data), candidates)[0]
+
+
+def _selected(
+    records: list[Record], candidates: Sequence[int]
+) -> tuple[int, tuple[NDArray, NDArray, NDArray, int]]:
+    """The number of taps, and the moments of the largest number tried."""
     from scipy.linalg import cholesky, solve_triangular
 
-    records = _records(data)
     longest = max(min(len(r) for r in records) // 2, 1)
     tried = sorted(n for n in candidates if n <= longest) or [1]
     nu = records[0].n_inputs
-    R, F, S, samples = _moments(records, max(tried))
+    R, F, S, samples = moments = _moments(records, max(tried))
     while tried and not _excited(R[: tried[-1] * nu, : tried[-1] * nu]):
         tried.pop()  # the condition of a leading block grows with it
     if not tried:
@@ -209,7 +220,7 @@ def select_taps(
     for n in tried:
         rest = np.maximum((np.diag(S) - explained[n * nu - 1]) / samples, 1e-300)
         scores[n] = samples * float(np.sum(np.log(rest))) + np.log(samples) * n * nu * F.shape[1]
-    return min(scores, key=scores.__getitem__)
+    return min(scores, key=scores.__getitem__), moments
 
 
 def peak_of_fir(model: FirModel, points: int = 4096) -> PeakEstimate:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -74,20 +75,21 @@ def scaled(x: ArrayLike, limits: Limits) -> NDArray[np.float64]:
     """
     x = np.asarray(x, dtype=float)
     N, nu = x.shape
-    peak = np.abs(x).max(axis=0)
-    if not peak.any():
+    power = np.square(x).sum(axis=0) / N
+    total = float(power.sum())
+    if total == 0:
         raise ExperimentError(
             "the next input would be zero, because the measured output was; "
             "check the actuator, or start from another input."
         )
-    power = np.mean(np.square(x), axis=0)
     factors = []
     if limits.power is not None:
-        factors.append(np.sqrt(limits.power / power.sum()))
+        factors.append(sqrt(limits.power / total))
     if limits.energy is not None:
-        factors.append(np.sqrt(limits.energy / (N * power.sum())))
+        factors.append(sqrt(limits.energy / (N * total)))
     with np.errstate(divide="ignore"):
         if limits.amplitude is not None:
+            peak = np.abs(x).max(axis=0)
             factors.append(np.min(_per_channel(limits.amplitude, nu, "amplitude") / peak))
         if limits.channel_power is not None:
             factors.append(np.min(np.sqrt(_per_channel(limits.channel_power, nu, "channel_power") / power)))

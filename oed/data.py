@@ -49,7 +49,7 @@ def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray
     """
     try:
         given = np.asarray(values)
-        if np.iscomplexobj(given):
+        if given.dtype.kind == "c":
             raise TypeError("complex values")
         own = given.dtype == float and given.ndim == 2 and given.base is None and not given.flags.writeable
         array = given if own else np.array(given, dtype=float)
@@ -121,11 +121,11 @@ class Record:
                 f"the input has {len(u)} samples and the output {len(y)}; they must be equal: "
                 "cut both to the time in which both were recorded."
             )
-        if not (np.isfinite(self.dt) and self.dt > 0):
+        if not (isfinite(self.dt) and self.dt > 0):
             raise InputError(f"the sampling time is {self.dt}; it must be a positive number of seconds.")
         object.__setattr__(self, "u", u)
         object.__setattr__(self, "y", y)
-        if not np.isfinite(self.t0):
+        if not isfinite(self.t0):
             raise InputError(
                 f"the time of the first sample is {self.t0}; it must be a finite number of seconds."
             )

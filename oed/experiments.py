@@ -56,8 +56,8 @@ class Usage:
         return Usage(
             self.experiments + 1,
             self.samples + len(u),
-            self.energy + float(np.sum(np.square(u))),
-            max(self.peak, float(np.abs(u).max())),
+            self.energy + float(np.vdot(u, u)),
+            max(self.peak, float(u.max()), -float(u.min())),
         )
 
 

@@ -9,6 +9,7 @@ which is linear in the spectrum, hence additive over experiments.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Responding",
     "covariance",
+    "information_of_each",
     "information_of_records",
     "information_of_signal",
     "information_of_spectrum",
@@ -266,18 +268,51 @@ def information_of_records(plant: Responding, inputs: list[NDArray[np.float64]])
         (n, n).
     """
     plant = _as_plant(plant)
-    W = _inverse_root(plant.noise_covariance)
-    signals = [as_signal(u, "the input") for u in inputs]
     n = len(plant.free)
     total = np.zeros((n, n))
-    for length in sorted({len(u) for u in signals}):
-        same = [u for u in signals if len(u) == length]
-        each = max(1, TOGETHER // (length * max(n, 1) * plant.n_outputs))
-        for k in range(0, len(same), each):
-            psi = _signal_gradients(plant, np.stack(same[k : k + each]))
-            for flat in np.tensordot(W, psi, axes=1).reshape(plant.n_outputs, n, -1):
-                total += flat @ flat.T
+    for _, gradients in _weighted_gradients(plant, inputs):
+        for flat in gradients.reshape(plant.n_outputs, n, -1):
+            total += flat @ flat.T
     return total
+
+
+def information_of_each(plant: Responding, inputs: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Fisher information of each of several experiments.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    inputs : list of ndarray
+        (N_k, nu) each.
+
+    Returns
+    -------
+    ndarray
+        (experiments, n, n); `information_of_records` is its sum.
+    """
+    plant = _as_plant(plant)
+    n = len(plant.free)
+    found = np.zeros((len(inputs), n, n))
+    for places, gradients in _weighted_gradients(plant, inputs):
+        for output in gradients.transpose(0, 2, 1, 3):
+            found[places] += output @ output.transpose(0, 2, 1)
+    return found
+
+
+def _weighted_gradients(
+    plant: Plant, inputs: list[NDArray[np.float64]]
+) -> Iterator[tuple[list[int], NDArray[np.float64]]]:
+    """Which experiments, and their gradients weighted by the noise, (ny, n, M, N); as many as memory should hold."""
+    W = _inverse_root(plant.noise_covariance)
+    signals = [as_signal(u, "the input") for u in inputs]
+    for length in sorted({len(u) for u in signals}):
+        same = [k for k, u in enumerate(signals) if len(u) == length]
+        each = max(1, TOGETHER // (length * max(len(plant.free), 1) * plant.n_outputs))
+        for k in range(0, len(same), each):
+            places = same[k : k + each]
+            psi = _signal_gradients(plant, np.stack([signals[p] for p in places]))
+            yield places, np.tensordot(W, psi, axes=1)
 
 
 def null_directions(information: NDArray[np.float64], names: tuple[str, ...]) -> list[str]:

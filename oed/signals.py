@@ -59,7 +59,10 @@ def _check(spectrum: Spectrum, N: int) -> None:
 
 def _components(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """Frequencies and complex amplitudes a, (m,) and (m, nu): P_k = sum of a a^* over the line's components."""
-    values, vectors = np.linalg.eigh(spectrum.power)
+    if spectrum.n_inputs == 1:
+        values, vectors = spectrum.power[:, :, 0].real, np.ones_like(spectrum.power)
+    else:
+        values, vectors = np.linalg.eigh(spectrum.power)
     k, i = np.nonzero(values > 1e-12 * max(values.max(), 1e-300))
     return spectrum.omega[k], vectors[k, :, i] * np.sqrt(values[k, i])[:, None]
 

@@ -104,6 +104,9 @@ def test_the_number_of_taps_has_the_smallest_criterion():
         rest = np.linalg.lstsq(np.array(rows), y, rcond=None)[1][0]
         scores[n] = len(y) * np.log(rest / len(y)) + n * np.log(len(y))
     assert select_taps(trace, tuple(scores)[::-1]) == min(scores, key=lambda n: scores[n])
+    best, chosen = plug_in(trace, select_taps(trace)), plug_in(trace)
+    np.testing.assert_allclose(chosen.taps, best.taps, atol=1e-10)
+    np.testing.assert_allclose(chosen.covariance, best.covariance, atol=1e-10)
 
 
 def test_standard_error_of_the_plug_in():

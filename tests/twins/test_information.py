@@ -7,7 +7,13 @@ import pytest
 
 from oed.data import Spectrum
 from oed.design import information_map
-from oed.information import covariance, information_of_records, information_of_signal, information_of_spectrum
+from oed.information import (
+    covariance,
+    information_of_each,
+    information_of_records,
+    information_of_signal,
+    information_of_spectrum,
+)
 from oed.models import Model, bj
 from oed.named import named_plant
 from oed.plants import Plant
@@ -96,6 +102,9 @@ def test_of_signal(name, coloured, rng) -> None:
     oracle = information.of_signal(pair(plant), u, plant.noise_covariance, prefilter)
     close(information_of_signal(plant, u), oracle)
     v = rng.standard_normal((25, q))
+    each = information_of_each(plant, [u, v, 2 * u])
+    for found, expected in zip(each, (u, v, 2 * u), strict=True):
+        close(found, information.of_signal(pair(plant), expected, plant.noise_covariance, prefilter))
     close(
         information_of_records(plant, [u, v]),
         oracle + information.of_signal(pair(plant), v, plant.noise_covariance, prefilter),
