@@ -236,6 +236,8 @@ def run_part(
         One row per replicate and estimator (`final` where it used the whole budget), and one per checkpoint with the sum
         over the replicates of the information of the inputs so far (estimator "", `count` replicates).
     """
+    import scipy.signal  # noqa: F401 - before the clock starts: loading it is no part of a run
+
     own = own or {}
     rows: list[Row] = []
     sums: dict[int, Row] = {}

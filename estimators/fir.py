@@ -16,10 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.local_models import PeakEstimate, largest_gain
+from estimators.local_models import PeakEstimate
 from estimators.trace import Trace
 from oed.data import Record, frozen
 from oed.errors import InputError, Status, check_names
+from oed.norms import largest_gain
 
 __all__ = ["FirModel", "peak_of_fir", "plug_in", "select_taps"]
 

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.local_models import PeakEstimate, largest_gain, local_peak
+from estimators.local_models import PeakEstimate, local_peak
 from estimators.trace import Trace
 from oed.data import frozen
 from oed.errors import InputError, Status
+from oed.norms import largest_gain
 
 __all__ = ["FrequencyResponse", "frequency_response", "lpm", "peak_of_response"]
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.local_kernels import gains, refine
+from estimators.local_kernels import refine, responses
 
 __all__ = ["Band", "LocalFit", "Spectra", "fit_band", "response"]
 
@@ -180,7 +180,7 @@ def response(theta: NDArray, x: NDArray, nu: int, ny: int, orders: tuple[int, in
         (K, ny, nu).
     """
     found = np.empty((len(x), ny, nu), complex)
-    gains(theta, x, orders, found)
+    responses(theta, x, orders, found)
     return found
 
 

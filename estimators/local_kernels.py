@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["gains", "refine"]
+__all__ = ["refine", "responses"]
 
 
 @njit(error_model="numpy", cache=True)
@@ -344,7 +344,7 @@ def refine(U, Y, powers, orders, floor, freedom, steps, settled, theta, informat
 
 
 @njit(error_model="numpy", cache=True)
-def gains(theta, x, orders, found):
+def responses(theta, x, orders, found):
     """G = B / A of the coefficients.
 
     Parameters

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from estimators.local_fits import Band, Spectra, fit_band, response
 from estimators.trace import Trace
 from oed.errors import InputError, Status
+from oed.norms import largest_gain
 
-__all__ = ["PeakEstimate", "largest_gain", "local_peak"]
+__all__ = ["PeakEstimate", "local_peak"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,26 +78,6 @@ class PeakEstimate:
             f"peak gain {self.value:.6g} +- {self.standard_error:.2g} at "
             f"{self.frequency:.6g} +- {self.frequency_error:.2g} rad/sample{tail}"
         )
-
-
-def largest_gain(G: NDArray) -> NDArray[np.float64]:
-    """Largest singular value of every matrix of a stack; without a decomposition where it is a number or a vector.
-
-    Parameters
-    ----------
-    G : ndarray
-        (..., ny, nu) complex.
-
-    Returns
-    -------
-    ndarray
-        (...,).
-    """
-    if G.shape[-2:] == (1, 1):
-        return np.abs(G[..., 0, 0])
-    if 1 in G.shape[-2:]:
-        return np.linalg.norm(G, axis=(-2, -1))
-    return np.linalg.norm(G, 2, axis=(-2, -1))
 
 
 def _centre(trace: Trace, spectra: Spectra) -> int:

@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 
 from estimators.gains import gain, mu
 from estimators.local_fits import Spectra
-from estimators.local_models import PeakEstimate, largest_gain, local_peak
+from estimators.local_models import PeakEstimate, local_peak
 from estimators.trace import Trace
 from oed.errors import InputError, Status
+from oed.norms import largest_gain
 
 __all__ = ["corrected", "fixed_point", "theorem_12"]
 

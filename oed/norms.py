@@ -16,7 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from oed.errors import SolverFailure
 from oed.plants import Plant
 
-__all__ = ["Peak", "gain_gradient", "peak", "response_derivatives", "singular_value_curvature"]
+__all__ = [
+    "Peak",
+    "gain_gradient",
+    "largest_gain",
+    "peak",
+    "response_derivatives",
+    "singular_value_curvature",
+]
 
 EQUAL = 1e-10
 """Relative difference below which two local maxima count as equal peaks."""
@@ -72,6 +79,26 @@ class Peak:
     def __repr__(self) -> str:
         where = ", ".join(f"{w:.7g}" for w in self.frequencies)
         return f"H-infinity norm {self.value:.9g} at {where} rad/sample (no frequency exceeds {self.upper_bound:.9g})"
+
+
+def largest_gain(G: NDArray) -> NDArray[np.float64]:
+    """Largest singular value of every matrix of a stack; without a decomposition where it is a number or a vector.
+
+    Parameters
+    ----------
+    G : ndarray
+        (..., ny, nu) complex.
+
+    Returns
+    -------
+    ndarray
+        (...,).
+    """
+    if G.shape[-2:] == (1, 1):
+        return np.abs(G[..., 0, 0])
+    if 1 in G.shape[-2:]:
+        return np.linalg.norm(G, axis=(-2, -1))
+    return np.linalg.norm(G, 2, axis=(-2, -1))
 
 
 def response_derivatives(

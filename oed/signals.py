@@ -59,10 +59,8 @@ def _check(spectrum: Spectrum, N: int) -> None:
 
 def _components(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """Frequencies and complex amplitudes a, (m,) and (m, nu): P_k = sum of a a^* over the line's components."""
-    if spectrum.n_inputs == 1:
-        values, vectors = spectrum.power[:, :, 0].real, np.ones_like(spectrum.power)
-    else:
-        values, vectors = np.linalg.eigh(spectrum.power)
+    P = spectrum.power
+    values, vectors = (P[:, 0].real, np.ones_like(P)) if P.shape[1] == 1 else np.linalg.eigh(P)
     k, i = np.nonzero(values > 1e-12 * max(values.max(), 1e-300))
     return spectrum.omega[k], vectors[k, :, i] * np.sqrt(values[k, i])[:, None]
 

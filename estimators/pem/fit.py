@@ -15,6 +15,7 @@ from oed.data import Record, as_signal
 from oed.errors import InputError, Status
 from oed.files.objects import as_records
 from oed.models import Model, Polynomial, StateSpace
+from oed.norms import largest_gain
 
 __all__ = ["Fit", "fit_percent", "noise_free", "peak_gain"]
 
@@ -71,10 +72,7 @@ def peak_gain(model: Any, points: int = 512) -> tuple[float, float, NDArray[np.f
     ]
     grid = np.unique(np.clip(np.concatenate([np.linspace(0, np.pi, points), *near]), 0, np.pi))
 
-    def gain(w: NDArray[np.float64]) -> NDArray[np.float64]:
-        G = model.response(w)[0]
-        return np.abs(G[:, 0, 0]) if G.shape[1:] == (1, 1) else np.linalg.norm(G, 2, axis=(1, 2))
-
+    gain = lambda w: largest_gain(model.response(w)[0])
     values = gain(grid)
     k = int(np.argmax(values))
     left, right = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
