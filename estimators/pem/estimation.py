@@ -265,10 +265,12 @@ def _fit_with_gaps(
 
 
 def _about_means(records: list[Record]) -> tuple[list[Record], tuple[NDArray, NDArray]]:
-    total = sum(map(len, records))
-    u, y = (
-        np.sum([x.sum(axis=0) for x in side], axis=0) / total for side in zip(*((r.u, r.y) for r in records))
-    )
+    def mean(signals: list[NDArray]) -> NDArray:
+        x = np.concatenate(signals)
+        known = np.isfinite(x)
+        return np.sum(x, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
+
+    u, y = mean([r.u for r in records]), mean([r.y for r in records])
     return [r.replace(u=r.u - u, y=r.y - y) for r in records], (u, y)
 
 

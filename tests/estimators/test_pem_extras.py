@@ -132,6 +132,15 @@ def test_nothing_missing_is_the_plain_fit(rng) -> None:
     assert identify(data, missing=True).theta.tolist() == identify(data).theta.tolist()
 
 
+def test_means_are_those_of_the_samples_that_are_there(rng):
+    u = rng.standard_normal(300)
+    y = lfilter([0.0, 1.0], [1.0, -0.5], u) + 3.0 + 0.1 * rng.standard_normal(300)
+    y[50:60] = np.nan
+    fit = identify(Record(u, y), "oe", (1, 1), offset="mean", missing=True)
+    assert fit.output_level == pytest.approx(np.nanmean(y))
+    np.testing.assert_allclose(fit.theta, [1.0, -0.5], atol=0.05)
+
+
 @pytest.mark.parametrize(
     "change, words",
     [
