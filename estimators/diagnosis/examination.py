@@ -246,13 +246,12 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
     y = np.array(record.y[:, i])
     missing = ~np.isfinite(y)
     y[missing] = 0.0
-    keep = ~missing
-    if any(sig.key == "held" for sig in short.signatures):
-        keep &= ~held_samples(y)
+    faults = {sig.key for sig in short.signatures}
+    keep = ~missing & ~held_samples(y) if "held" in faults else ~missing
     channel = Channel(record.u, y, Clock(np.arange(n, dtype=float), n), keep, short.channel.step)
     ratio = n / len(short.channel)
 
-    def again(f: Fit, white: bool = False) -> Fit:
+    def again(f: Fit, channel: Channel, white: bool = False) -> Fit:
         p = f.p.copy()
         for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
             for k, unit in enumerate(part.effect.units[: sl.stop - sl.start]):
@@ -267,13 +266,14 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
         f = fit(few, a.final.structure, a.final.p, a.final.scales, iterations=40, colour=False)
         a = replace(a, final=grown(few, f, 16))
     found = replace(
-        a, base=again(a.base, True), coloured=again(a.coloured), final=again(a.final, not setting.deviations)
-    )
-    if any(sig.key == "outliers" for sig in short.signatures):
-        wild = wild_samples(found.final.residual, keep)
-        channel = replace(channel, keep=keep & ~wild)
-        found = replace(found, final=again(found.final))
-    return Examined(channel, found, short.signatures, found.base)
+        a, base=again(a.base, channel, True), coloured=again(a.coloured, channel),
+        final=again(a.final, channel, not setting.deviations),
+    )  # fmt: skip
+    naive = again(found.base, replace(channel, keep=~missing), True) if "held" in faults else found.base
+    if "outliers" in faults:
+        channel = replace(channel, keep=keep & ~wild_samples(found.final.residual, keep))
+        found = replace(found, base=again(found.base, channel, True), final=again(found.final, channel))
+    return Examined(channel, found, short.signatures, naive)
 
 
 def _examined(record: Record, i: int, setting: Setting) -> Examined:

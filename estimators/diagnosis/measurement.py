@@ -67,6 +67,12 @@ def rounding_step(y: Array) -> float:
     return step if np.max(np.abs(off - np.round(off))) < 0.05 else 0.0
 
 
+def _longest(flags: NDArray[np.bool_]) -> int:
+    """Length of the longest run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False]))))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))
+
+
 def held_samples(y: Array) -> NDArray[np.bool_]:
     """Samples that repeat the one before exactly, where values do not recur by coarseness or at an end stop.
 
@@ -80,8 +86,16 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
     ndarray of bool
         (N,) True where a sample is a repeat.
     """
-    held = np.zeros(len(y), dtype=bool)
-    held[1:] = (y[1:] == y[:-1]) & (y[1:] != np.max(y)) & (y[1:] != np.min(y))
+    held, repeats = np.zeros((2, len(y)), dtype=bool)
+    repeats[1:] = y[1:] == y[:-1]
+    held[:] = repeats & (y != np.max(y)) & (y != np.min(y))
+    for end in (
+        np.max(y),
+        np.min(y),
+    ):  # lost there too, unless the signal rests there longer or more than once
+        at = np.flatnonzero(y == end)
+        if 1 < len(at) == at[-1] - at[0] + 1 <= 1 + _longest(held):
+            held[at[1:]] = True
     steps = np.abs(np.diff(y))
     moved = steps[steps > 0]
     if len(

@@ -107,6 +107,11 @@ def test_rounded_and_held_samples_are_recognised():
     held = y.copy()
     held[100:104] = held[99]
     assert held_samples(held).sum() == 4
+    top = int(np.argmax(held))
+    held[top + 1 : top + 3] = held[top]
+    assert held_samples(held).sum() == 6  # lost at the largest value
+    held[top + 10] = held[top]
+    assert held_samples(held).sum() == 4  # a limit that is reached again
     assert held_samples(y).sum() == 0
     assert held_samples(np.round(y)).sum() == 0  # values recur: coarse, not lost
 
