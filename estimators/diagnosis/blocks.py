@@ -12,11 +12,11 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.fitting import Channel, Fit, fit
 from estimators.diagnosis.linear import fit_linear, numerators, plant_scales
-from estimators.diagnosis.simulation import sandwiched
+from estimators.diagnosis.simulation import sandwiched, simulate
 from estimators.diagnosis.structure import Part
-from estimators.effects.catalogue import Clock
+from estimators.effects.catalogue import CATALOGUE, Clock
 
-__all__ = ["curved_input", "grown", "sandwich"]
+__all__ = ["curved", "grown", "sandwich"]
 
 Array = NDArray[Any]
 SPLIT = 3000
@@ -104,15 +104,17 @@ def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 6) -> Fi
     return fit(channel, best.structure, best.p, best.scales, iterations=40)
 
 
-def curved_input(channel: Channel, base: Fit, *, corners: int = 6) -> Fit | None:
-    """Hammerstein model with a broken line, corner by corner, for curves that no simple form fits.
+def curved(channel: Channel, f: Fit, key: str, *, corners: int = 6) -> Fit | None:
+    """The model with a broken line for its static curve, corner by corner: for curves that no simple form fits.
 
     Parameters
     ----------
     channel : Channel
         Data.
-    base : Fit
-        Linear fit.
+    f : Fit
+        The model: linear, or with a curve of a simple form that is left out, and other effects that stay.
+    key : {"input_lines", "output_lines"}
+        Where the curve is.
     corners : int
         Most corners.
 
@@ -121,12 +123,20 @@ def curved_input(channel: Channel, base: Fit, *, corners: int = 6) -> Fit | None
     Fit or None
         The model; None where no corner gains.
     """
-    s = base.structure
-    if s.layout != "tf" or s.effects or len(s.inputs) != 1:
+    s, slot = f.structure, CATALOGUE[key].slot
+    if len(s.inputs) != 1 or (slot == "input" and s.layout != "tf"):
         return None
-    white = fit(channel, s, base.p, base.scales, iterations=15, colour=False)
-    bare = replace(white, structure=s.adding(Part("input_lines", s.inputs[0], 0)))
-    best = grown(channel, bare, corners)
+    simple = [
+        q.effect.slot == slot and q.effect.nature.startswith("static") and q.effect.apply is not None
+        for q in s.parts
+    ]
+    gone = np.concatenate(
+        [np.zeros(0, int), *(np.arange(s.size)[sl] for sl, x in zip(s.slices(), simple, strict=True) if x)]
+    )
+    stay = tuple(q for q, x in zip(s.parts, simple, strict=True) if not x)
+    bare = replace(s, parts=(*stay, Part(key, s.inputs[0], 0)))
+    white = fit(channel, bare, np.delete(f.p, gone), np.delete(f.scales, gone), iterations=15, colour=False)
+    best = grown(channel, white, corners)
     if not best.structure.parts[-1].size:
         return None
     return fit(channel, best.structure, best.p, best.scales, iterations=40)
@@ -183,15 +193,25 @@ def _cornered(channel: Channel, f: Fit) -> Fit | None:
     if part.key == "sandwich":
         order, unit = part.size % 100, 100
         x = sandwiched(x, np.concatenate((f.p[sl][: 2 * order], [0.0, 0.0])), order)
+    elif part.key == "output_lines":
+        linear = replace(s, parts=tuple(q for q in s.parts if q.effect.slot not in ("output", "added")))
+        kept = [np.arange(s.plant_size)]
+        kept += [
+            np.arange(s.size)[at]
+            for q, at in zip(s.parts, s.slices(), strict=True)
+            if q.effect.slot not in ("output", "added")
+        ]
+        x = simulate(linear, f.p[np.concatenate(kept)], channel.u, channel.clock)
     new = replace(s, parts=(*s.parts[:-1], replace(part, size=part.size + unit)))
-    den = np.concatenate(([1.0], f.p[: s.order]))
+    den = np.concatenate(([1.0], f.p[: s.order]))  # of no use, and not used, for a curve at the output
     num = np.concatenate((np.zeros(1 + s.delay), f.p[s.order : s.order + s.taps]))
     Q = np.linalg.qr(f.jacobian)[0] if f.jacobian.size else np.zeros((len(x), 0))
     r = f.residual - Q @ (Q.T @ f.residual)
     trials: list[tuple[float, float, float]] = []
     for level in np.concatenate(([0.003, 0.01], np.linspace(0.03, 0.97, 24), [0.99, 0.997])):
         corner = float(np.quantile(x, level))
-        d = np.where(channel.keep, lfilter(num, den, np.maximum(x - corner, 0.0)), 0.0)
+        bend = np.maximum(x - corner, 0.0)
+        d = np.where(channel.keep, bend if part.key == "output_lines" else lfilter(num, den, bend), 0.0)
         d0 = d - Q @ (Q.T @ d)
         power = float(d0 @ d0)
         if power > 1e-14 * float(d @ d):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.fitting import Channel, Fit, fit
 from estimators.diagnosis.layouts import allowed
 from estimators.diagnosis.linear import fit_linear, layout_starts, prefiltered_error
-from estimators.diagnosis.simulation import free_responses
+from estimators.diagnosis.simulation import acted, free_responses
 from estimators.diagnosis.starts import Start, gains_of_shapes, shapes, tone_starts
 from estimators.diagnosis.structure import Part, Structure
 from estimators.effects.catalogue import CATALOGUE
@@ -21,9 +21,11 @@ __all__ = ["PLANT_EFFECTS", "STATIC_EFFECTS", "augmented", "refit"]
 
 Array = NDArray[Any]
 
+CURVES = ("sandwich", "input_lines", "output_lines")
+"""Found corner by corner, not among the candidates (`estimators.diagnosis.blocks`)."""
 STATIC_EFFECTS = tuple(
-    k for k, e in CATALOGUE.items() if e.slot in ("input", "output") and k not in ("delay", "lag", "sandwich", "input_lines")
-)  # fmt: skip
+    k for k, e in CATALOGUE.items() if e.slot in ("input", "output") and k not in ("delay", "lag", *CURVES)
+)
 PLANT_EFFECTS = (
     "stiffness_cubic",
     "stiffness",
@@ -211,11 +213,22 @@ def _ringing(channel: Channel, base: Fit) -> Start | None:
 
 
 def _higher_order(channel: Channel, base: Fit, key: str, extra: int) -> Fit | None:
+    """More poles; beside effects that act on the input, from a linear fit to what they make of it."""
     s = base.structure
-    if s.layout != "tf" or s.effects:
+    added = s.parts[s.base :]
+    if s.layout != "tf" or any(part.effect.slot != "input" for part in added):
         return None
-    f = fit_linear(channel, replace(s, order=s.order + extra, taps=s.taps + extra), noise=base.noise)
-    return replace(f, structure=f.structure.adding(Part(key, 0, extra)))
+    wide = replace(s, order=s.order + extra, taps=s.taps + extra, parts=s.parts[: s.base])
+    if not added:
+        f = fit_linear(channel, wide, noise=base.noise)
+        return replace(f, structure=f.structure.adding(Part(key, 0, extra)))
+    entering = acted(s, base.p, channel.u, channel.clock)
+    if entering is None:
+        return None
+    f = fit_linear(replace(channel, u=entering), replace(wide, inputs=tuple(range(len(s.inputs)))))
+    start = s.slices()[s.base].start
+    p, scales = np.concatenate((f.p, base.p[start:])), np.concatenate((f.scales, base.scales[start:]))
+    return fit(channel, replace(wide, parts=(*s.parts, Part(key, 0, extra))), p, scales, noise=base.noise)
 
 
 def augmented(
@@ -263,7 +276,7 @@ def augmented(
                     starts = [*starts, more]
                 if starts:
                     scored.append((starts[0].promise, starts, key))
-        elif key not in PLANT_EFFECTS and key not in ("sandwich", "input_lines"):
+        elif key not in PLANT_EFFECTS and key not in CURVES:
             for found in _special(channel, base, key, others):
                 if found is not None and np.isfinite(found.deviance):
                     yield found

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.blocks import curved_input, grown, sandwich
+from estimators.diagnosis.blocks import curved, grown, sandwich
 from estimators.diagnosis.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.forces import balanced_fit, effective_samples, follows_output, force_balance
 from estimators.diagnosis.linear import fit_linear
@@ -316,7 +316,9 @@ def _examined(record: Record, i: int, setting: Setting) -> Examined:
         again = _enough(
             wild_samples(residual, keep) & wild_samples(innovations(residual, found.final.noise), keep), n
         )
-        if np.sum(again & wild) >= 0.5 * wild.sum():
+        if (
+            np.sum(again & wild) >= 0.5 * wild.sum() or not again.any()
+        ):  # they stay, or the model explains them all
             wild = again
             found = _refitted(replace(channel, keep=keep & ~wild), found)
         else:
@@ -371,7 +373,7 @@ def _structured(channel: Channel, a: Attribution, setting: Setting) -> Attributi
     order = a.base.structure.order
     trials = [] if setting.deviations else [("outflow", tanks(channel, a.base))]
     if (order <= 4 or not setting.deviations) and any("nonlinearity" in nature for nature in natures):
-        trials.append(("input_lines", curved_input(channel, a.base)))
+        trials += [(key, curved(channel, f, key)) for key, f in _curves(a)]
         wide = max(order + 2, min(2 * order, 6))
         # a suggested order counts the poles of both blocks; one chosen for an approximation has too few
         for size in (max(order, 2), wide) if setting.deviations else (wide,):
@@ -390,8 +392,18 @@ def _structured(channel: Channel, a: Attribution, setting: Setting) -> Attributi
         Claim(k, CATALOGUE[k].label, a.coloured.criterion - g.criterion, significance(a.coloured, g), g)
         for k, g in sorted(found, key=lambda pair: pair[1].criterion)
     ]
-    chosen = [key] + (["coloured"] if len(f.noise) else [])
-    return replace(a, final=f, claims=[*claims, *a.claims], chosen=chosen, p_values={key: claims[0].p_value})
+    beside = {part.key for part in f.structure.effects} - {key}
+    chosen = [key, *(k for k in a.chosen if k in beside)] + (["coloured"] if len(f.noise) else [])
+    p_values = {key: claims[0].p_value} | {k: p for k, p in a.p_values.items() if k in beside}
+    return replace(a, final=f, claims=[*claims, *a.claims], chosen=chosen, p_values=p_values)
+
+
+def _curves(a: Attribution) -> list[tuple[str, Fit]]:
+    """Where a broken line is tried, and the model that it becomes part of: one with effects that stay beside it."""
+    slots = {q.effect.slot for q in a.final.structure.effects if q.effect.nature.startswith("static")}
+    several = len(a.final.structure.effects) > 1
+    found = [("input_lines", a.final if several and "input" in slots else a.base)]
+    return found + ([("output_lines", a.final)] if "output" in slots else [])
 
 
 def _enough(wild: NDArray[np.bool_], n: int) -> NDArray[np.bool_]:

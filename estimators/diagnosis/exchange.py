@@ -81,7 +81,7 @@ def exchanged(
         return f, came, rests
     for part in f.structure.effects:
         position = next((i for i, q in enumerate(f.structure.parts) if q == part), None)
-        if position is None or len(f.structure.effects) < 2:
+        if position is None or len(f.structure.effects) < 2 or part.effect.slot == "order":
             continue
         rest = without(channel, f, position)
         if not np.isfinite(rest.deviance):

@@ -91,7 +91,7 @@ def _curve(part: Any, q: Any, x: Any) -> Any:
     key, e = part.key, part.effect
     if key == "sandwich":
         return hinges(x, np.ascontiguousarray(q[2 * (part.size % 100) :]))
-    if key == "input_lines":
+    if key in ("input_lines", "output_lines"):
         return e.apply(x, q, None)
     if key == "stiffness_square":
         return x + q[0] * np.abs(x) * x

@@ -53,7 +53,7 @@ class Part:
             self.key == "sandwich"
         ):  # size = order of the first block + 100 times the corners of the nonlinearity
             return 2 * (self.size % 100) + 2 * (self.size // 100)
-        if self.key == "input_lines":
+        if self.key in ("input_lines", "output_lines"):
             return 2 * self.size
         if self.key in ("cross", "mode"):
             return 2 * self.size

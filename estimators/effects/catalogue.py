@@ -276,6 +276,8 @@ _ENTRIES = (
            "the sensor reads y + c3 y^3", lambda x, p, c: static.polynomial(x, 0.0, p[0])),
     Effect("output_polynomial", "output_nonlinearity", _OUT, "output", ("c2", "c3"), ("1/y", "1/y^2"), 1,
            "the sensor reads y + c2 y^2 + c3 y^3", lambda x, p, c: static.polynomial(x, p[0], p[1])),
+    Effect("output_lines", "output_nonlinearity", _OUT, "output", (), (), 30,
+           "the sensor's curve is a broken line, of no simpler form", lambda x, p, c: _lines(x, p)),
     Effect("output_arctan", "output_nonlinearity", _OUT, "output", ("c",), ("1/y",), 2,
            "the sensor reads atan(c y)/c", lambda x, p, c: static.arctangent(x, p[0])),
     Effect("output_tanh", "output_nonlinearity", _OUT, "output", ("c",), ("1/y",), 2,

@@ -54,6 +54,20 @@ def test_a_planted_nonlinearity_is_found_and_removed():
 
 
 @pytest.mark.slow
+def test_wild_samples_of_a_long_record_are_left_out_of_the_answer():
+    """Of more samples than are examined at once: the model after is the one without the wild samples."""
+    rng = np.random.default_rng(14)
+    train, test = linear_record(rng, 6000), linear_record(rng, 1000, start=7000)
+    clean = lfilter([0.0, 0.1, 0.1], [1.0, -1.5, 0.7], test.u[:, 0])
+    y = train.y.copy()
+    y[rng.choice(6000, 200, replace=False), 0] += 3.0
+    result = diagnose(train.replace(y=y), test, SETTING)
+    assert result.effect == "outliers"
+    before, after = (np.std(yhat[:, 0] - clean) for yhat in (result.yhat_before, result.yhat_after))
+    assert after < 0.5 * before
+
+
+@pytest.mark.slow
 def test_a_planted_hysteresis_is_found_with_its_parameters():
     # the element by Euler steps of its differential equation, 200 per sample
     rng = np.random.default_rng(4)

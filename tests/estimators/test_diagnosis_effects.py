@@ -22,7 +22,7 @@ STATIC = [
     for k, e in CATALOGUE.items()
     if e.apply is not None and e.slot in ("input", "output", "added")
     and k not in ("rate_limit", "rate_limit_sampled", "backlash_input", "backlash_output", "backlash_sampled", "hysteresis", "delay", "lag", "gain_drift", "gain_change",
-                  "step_input", "step_output", "drift", "tones", "input_lines")
+                  "step_input", "step_output", "drift", "tones", "input_lines", "output_lines")
 ]  # fmt: skip
 TIMED = ["gain_drift", "gain_change", "step_input", "step_output", "drift", "tones"]
 
@@ -150,10 +150,11 @@ def test_rational_agrees_with_lfilter():
     np.testing.assert_allclose(rational(u, b, f, 1), expected, rtol=1e-9, atol=1e-11)
 
 
-def test_a_broken_line_at_the_input_agrees_with_casadi_and_keeps_the_origin():
+@pytest.mark.parametrize("key", ["input_lines", "output_lines"])
+def test_a_broken_line_agrees_with_casadi_and_keeps_the_origin(key):
     x, p = np.linspace(-2, 2, 41), np.array([0.5, -0.4, -1.2, 0.7])
     line = terms.hinges_term(2)
-    ours = CATALOGUE["input_lines"].apply(x, p, Clock(np.arange(41.0), 41))
+    ours = CATALOGUE[key].apply(x, p, Clock(np.arange(41.0), 41))
     theirs = np.array(line(x[None, :], p)).ravel() - float(line(0.0, p))
     np.testing.assert_allclose(ours, theirs, atol=1e-12)
     assert abs(ours[20]) < 1e-12  # a deviation of zero stays zero

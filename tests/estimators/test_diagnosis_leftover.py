@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.blocks import sandwich
+from estimators.diagnosis.blocks import curved, sandwich
+from estimators.diagnosis.candidates import augmented
 from estimators.diagnosis.crossvalidation import blocked_simulation
-from estimators.diagnosis.fitting import Channel
+from estimators.diagnosis.exchange import exchanged
+from estimators.diagnosis.fitting import Channel, fit
 from estimators.diagnosis.forces import effective_samples, force_balance
 from estimators.diagnosis.leftover import leftovers
 from estimators.diagnosis.linear import fit_linear
 from estimators.diagnosis.loop import Setting, diagnose
-from estimators.diagnosis.structure import Structure
+from estimators.diagnosis.structure import Part, Structure
 from estimators.effects.catalogue import Clock
 from oed.data import Record
 from oed.errors import InputError
@@ -143,3 +145,48 @@ def test_two_filters_with_a_bend_between_them_are_told_apart():
     f = sandwich(channel, base, 3)
     assert np.std(base.residual) > 0.05
     assert np.std(f.residual) < 0.004
+
+
+def with_parts(channel, base, parts, values):
+    """The linear model with effects, fitted from given parameters of theirs."""
+    structure = base.structure
+    for part in parts:
+        structure = structure.adding(part)
+    scales = np.concatenate((base.scales, np.abs(values)))
+    return fit(channel, structure, np.concatenate((base.p, values)), scales)
+
+
+@pytest.mark.parametrize("side", ["input", "output"])
+def test_a_curve_of_no_simple_form_is_found_beside_a_trend(side):
+    """A tanh on one side of zero only: the cubic polynomial is the nearest simple form, and not near enough."""
+    rng = np.random.default_rng(12)
+    bent = lambda x: np.where(x > 0, np.tanh(1.5 * x) / 1.5, x)
+    u = np.repeat(rng.uniform(-2, 2, 401), 2)[:800]
+    x = lfilter(B, A, bent(u) if side == "input" else u)
+    y = (x if side == "input" else bent(x)) + 0.3 * np.arange(800) / 800 + 0.01 * rng.standard_normal(800)
+    channel = channel_of(Record(u, y))
+    parts = (Part(f"{side}_polynomial"), Part("drift"))
+    simple = with_parts(channel, fit_linear(channel, Structure(2)), parts, [-0.1, 0.01, 0.01, 0.3])
+    f = curved(channel, simple, f"{side}_lines")
+    assert np.std(simple.residual) > 0.02
+    assert np.std(f.residual) < 0.0105
+    assert [part.key for part in f.structure.parts] == ["drift", f"{side}_lines"]
+    assert f.p[f.structure.slices()[0]][1] == pytest.approx(0.3, abs=0.01)
+
+
+def test_one_more_order_is_found_beside_an_effect_at_the_input():
+    """A rate limit and the lag of a sensor: with the order of the plant alone the rate comes out wrong."""
+    rng = np.random.default_rng(13)
+    u = np.repeat(rng.uniform(-2, 2, 81), 10)[:800]
+    command, v = 0.0, np.zeros(800)
+    for k in range(800):
+        v[k] = command = command + np.clip(u[k] - command, -0.3, 0.3)
+    y = lfilter([0.3], [1.0, -0.7], lfilter(B, A, v)) + 0.01 * rng.standard_normal(800)
+    channel = channel_of(Record(u, y))
+    low = with_parts(channel, fit_linear(channel, Structure(2)), [Part("rate_limit_sampled")], [0.4])
+    (f,) = augmented(channel, low, only={"order_one"})
+    assert np.std(low.residual) > 0.02
+    assert np.std(f.residual) < 0.0105
+    assert f.p[f.structure.slices()[0]][0] == pytest.approx(0.3, rel=0.01)
+    kept, *_ = exchanged(channel, f)  # the order has no parameters of its own, and stays a cause
+    assert {part.key for part in kept.structure.effects} == {"rate_limit_sampled", "order_one"}
