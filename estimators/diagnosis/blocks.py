@@ -42,7 +42,7 @@ def _subsets(groups: list[Array], most: int) -> list[tuple[Array, Array]]:
     return out
 
 
-def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 6) -> Fit | None:
+def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 12) -> Fit | None:
     """Wiener-Hammerstein model from the poles and zeros of a linear model of a higher order.
 
     Parameters
@@ -104,7 +104,7 @@ def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 6) -> Fi
     return fit(channel, best.structure, best.p, best.scales, iterations=40)
 
 
-def curved(channel: Channel, f: Fit, key: str, *, corners: int = 6) -> Fit | None:
+def curved(channel: Channel, f: Fit, key: str, *, corners: int = 12) -> Fit | None:
     """The model with a broken line for its static curve, corner by corner: for curves that no simple form fits.
 
     Parameters
