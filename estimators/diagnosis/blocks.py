@@ -126,16 +126,14 @@ def curved(channel: Channel, f: Fit, key: str, *, corners: int = 12) -> Fit | No
     s, slot = f.structure, CATALOGUE[key].slot
     if len(s.inputs) != 1 or (slot == "input" and s.layout != "tf"):
         return None
-    simple = [
-        q.effect.slot == slot and q.effect.nature.startswith("static") and q.effect.apply is not None
-        for q in s.parts
-    ]
-    gone = np.concatenate(
-        [np.zeros(0, int), *(np.arange(s.size)[sl] for sl, x in zip(s.slices(), simple, strict=True) if x)]
+    stays, at = s.keeping(
+        [
+            q.effect.slot != slot or not q.effect.nature.startswith("static") or q.effect.apply is None
+            for q in s.parts
+        ]
     )
-    stay = tuple(q for q, x in zip(s.parts, simple, strict=True) if not x)
-    bare = replace(s, parts=(*stay, Part(key, s.inputs[0], 0)))
-    white = fit(channel, bare, np.delete(f.p, gone), np.delete(f.scales, gone), iterations=15, colour=False)
+    bare = stays.adding(Part(key, s.inputs[0], 0))
+    white = fit(channel, bare, f.p[at], f.scales[at], iterations=15, colour=False)
     best = grown(channel, white, corners)
     if not best.structure.parts[-1].size:
         return None
@@ -188,30 +186,24 @@ def _scales(s, p: Array, channel: Channel) -> Array:
 def _cornered(channel: Channel, f: Fit) -> Fit | None:
     """One more corner, at the place whose score against the residual is the highest."""
     s, part = f.structure, f.structure.parts[-1]
-    sl = s.slices()[-1]
     x, unit = channel.u[:, part.channel], 1
+    at_output = part.effect.slot == "output"
     if part.key == "sandwich":
         order, unit = part.size % 100, 100
-        x = sandwiched(x, np.concatenate((f.p[sl][: 2 * order], [0.0, 0.0])), order)
-    elif part.key == "output_lines":
-        linear = replace(s, parts=tuple(q for q in s.parts if q.effect.slot not in ("output", "added")))
-        kept = [np.arange(s.plant_size)]
-        kept += [
-            np.arange(s.size)[at]
-            for q, at in zip(s.parts, s.slices(), strict=True)
-            if q.effect.slot not in ("output", "added")
-        ]
-        x = simulate(linear, f.p[np.concatenate(kept)], channel.u, channel.clock)
+        x = sandwiched(x, np.concatenate((f.p[s.slices()[-1]][: 2 * order], [0.0, 0.0])), order)
+    elif at_output:
+        linear, at = s.keeping([q.effect.slot not in ("output", "added") for q in s.parts])
+        x = simulate(linear, f.p[at], channel.u, channel.clock)
     new = replace(s, parts=(*s.parts[:-1], replace(part, size=part.size + unit)))
-    den = np.concatenate(([1.0], f.p[: s.order]))  # of no use, and not used, for a curve at the output
+    den = np.concatenate(([1.0], f.p[: s.order]))
     num = np.concatenate((np.zeros(1 + s.delay), f.p[s.order : s.order + s.taps]))
+    follows = (lambda v: v) if at_output else (lambda v: lfilter(num, den, v))
     Q = np.linalg.qr(f.jacobian)[0] if f.jacobian.size else np.zeros((len(x), 0))
     r = f.residual - Q @ (Q.T @ f.residual)
     trials: list[tuple[float, float, float]] = []
     for level in np.concatenate(([0.003, 0.01], np.linspace(0.03, 0.97, 24), [0.99, 0.997])):
         corner = float(np.quantile(x, level))
-        bend = np.maximum(x - corner, 0.0)
-        d = np.where(channel.keep, bend if part.key == "output_lines" else lfilter(num, den, bend), 0.0)
+        d = np.where(channel.keep, follows(np.maximum(x - corner, 0.0)), 0.0)
         d0 = d - Q @ (Q.T @ d)
         power = float(d0 @ d0)
         if power > 1e-14 * float(d @ d):

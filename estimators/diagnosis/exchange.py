@@ -46,10 +46,8 @@ def without(channel: Channel, f: Fit, position: int) -> Fit:
     Fit
         The smaller model, its noise model chosen from its residual.
     """
-    sl = f.structure.slices()[position]
-    parts = f.structure.parts[:position] + f.structure.parts[position + 1 :]
-    p, scales = (np.delete(x, np.arange(sl.start, sl.stop)) for x in (f.p, f.scales))
-    return fit(channel, replace(f.structure, parts=parts), p, scales, iterations=20)
+    s, at = f.structure.keeping([i != position for i in range(len(f.structure.parts))])
+    return fit(channel, s, f.p[at], f.scales[at], iterations=20)
 
 
 def exchanged(

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
 
 from estimators.diagnosis.layouts import LAYOUTS
 from estimators.effects.catalogue import CATALOGUE, Effect
@@ -127,6 +131,27 @@ class Structure:
             out.append(slice(start, start + part.count(self.order)))
             start = out[-1].stop
         return out
+
+    def keeping(self, wanted: Sequence[bool]) -> tuple[Structure, NDArray[np.int_]]:
+        """The structure with some of its parts only.
+
+        Parameters
+        ----------
+        wanted : sequence of bool
+            For every part, whether it stays.
+
+        Returns
+        -------
+        structure : Structure
+            With those parts.
+        places : ndarray of int
+            Where its parameters stand in the vector of this structure.
+        """
+        parts = tuple(part for part, stays in zip(self.parts, wanted, strict=True) if stays)
+        stays = np.ones(self.size, dtype=bool)
+        for sl, kept in zip(self._slices, wanted, strict=True):
+            stays[sl] = kept
+        return replace(self, parts=parts, base=sum(wanted[: self.base])), np.flatnonzero(stays)
 
     def adding(self, part: Part) -> Structure:
         """The structure with one more part.
