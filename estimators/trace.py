@@ -175,9 +175,13 @@ def run(
             y = experiment(u)
             _check_varies(u, y, step.kind, len(records) + 1)
         except Exception as error:
-            if not records:
-                raise
             reason = str(error) if isinstance(error, OedError) else f"{type(error).__name__}: {error}"
+            if not records and isinstance(error, OedError):
+                raise
+            if not records:
+                raise ExperimentError(
+                    f"experiment 1 failed with {reason}; nothing was measured: check the system and its interface."
+                ) from error
             status, message = Status.FAILED, f"{reason} The {len(records)} experiments before are kept."
             break
         records.append(Record(u, y, dt=experiment.dt))
