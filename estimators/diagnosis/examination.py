@@ -316,9 +316,8 @@ def _examined(record: Record, i: int, setting: Setting) -> Examined:
         again = _enough(
             wild_samples(residual, keep) & wild_samples(innovations(residual, found.final.noise), keep), n
         )
-        if (
-            np.sum(again & wild) >= 0.5 * wild.sum() or not again.any()
-        ):  # they stay, or the model explains them all
+        explained = not again.any() and not len(found.final.noise)
+        if np.sum(again & wild) >= 0.5 * wild.sum() or explained:
             wild = again
             found = _refitted(replace(channel, keep=keep & ~wild), found)
         else:
