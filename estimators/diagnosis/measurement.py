@@ -89,10 +89,8 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
     held, repeats = np.zeros((2, len(y)), dtype=bool)
     repeats[1:] = y[1:] == y[:-1]
     held[:] = repeats & (y != np.max(y)) & (y != np.min(y))
-    for end in (
-        np.max(y),
-        np.min(y),
-    ):  # lost there too, unless the signal rests there longer or more than once
+    # Lost at the largest or the least value too, unless the signal rests there longer or more than once.
+    for end in (np.max(y), np.min(y)):
         at = np.flatnonzero(y == end)
         if 1 < len(at) == at[-1] - at[0] + 1 <= 1 + _longest(held):
             held[at[1:]] = True
