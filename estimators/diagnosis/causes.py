@@ -211,13 +211,9 @@ def _parameters(f: Fit, prefix: str) -> dict[str, tuple[float, float, str]]:
     covariance = np.linalg.pinv(H) * f.variance / np.outer(norms, norms).clip(1e-290)
     se = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
-        names = part.effect.parameters * (part.size if part.key == "tones" else 1)
-        units = part.effect.units * (part.size if part.key == "tones" else 1)
-        for i in range(sl.stop - sl.start):
-            name = names[i] if i < len(names) else f"c{i}"
-            unit = units[i] if i < len(units) else ""
+        for i, (name, unit) in enumerate(part.parameters(f.structure.order)):
             label = f"{prefix}{part.key}.{name}"
-            if label in out:
-                label += f"_{i // len(part.effect.parameters) + 1}"
+            if label in out:  # the same effect at another input
+                label += f"_{part.channel + 1}"
             out[label] = (float(f.p[sl.start + i]), float(se[sl.start + i]), unit)
     return out

@@ -38,6 +38,39 @@ class Part:
         """The catalogue's entry."""
         return CATALOGUE[self.key]
 
+    def parameters(self, order: int) -> list[tuple[str, str]]:
+        """Names and units of the parameters, given the order of the linear part.
+
+        Parameters
+        ----------
+        order : int
+            Order of the linear part.
+
+        Returns
+        -------
+        list of tuple of str
+            In the order in which they stand in the vector.
+        """
+        known = self.effect
+        signal = "y" if known.slot == "output" else "u"
+        numbered = lambda names, count: [(f"{n}{i + 1}", u) for i in range(count) for n, u in names]
+        corners = [("slope", "1"), ("corner", signal)]
+        if (
+            self.key == "sandwich"
+        ):  # size = order of the first block + 100 times the corners of the nonlinearity
+            first = self.size % 100
+            blocks = numbered([("f", "1")], first) + numbered([("b", "1")], first)
+            return blocks + numbered(corners, self.size // 100)
+        if self.key in ("input_lines", "output_lines"):
+            return numbered(corners, self.size)
+        if self.key in ("cross", "mode"):
+            return numbered([("b", "y/u")], self.size) + numbered([("f", "1")], self.size)
+        if self.key == "initial":
+            return numbered([("x", "y")], order)
+        if self.key == "tones" and self.size > 1:
+            return numbered(list(zip(known.parameters, known.units, strict=True)), self.size)
+        return list(zip(known.parameters, known.units, strict=True))
+
     def count(self, order: int) -> int:
         """Number of parameters, given the order of the linear part.
 
@@ -51,19 +84,7 @@ class Part:
         int
             Number of parameters.
         """
-        if self.key == "tones":
-            return 3 * self.size
-        if (
-            self.key == "sandwich"
-        ):  # size = order of the first block + 100 times the corners of the nonlinearity
-            return 2 * (self.size % 100) + 2 * (self.size // 100)
-        if self.key in ("input_lines", "output_lines"):
-            return 2 * self.size
-        if self.key in ("cross", "mode"):
-            return 2 * self.size
-        if self.key == "initial":
-            return order
-        return len(self.effect.parameters)
+        return len(self.parameters(order))
 
 
 @dataclass(frozen=True)
@@ -109,7 +130,7 @@ class Structure:
             return LAYOUTS["tanks"][1]
         return LAYOUTS[self.layout][1] + self.order + self.taps * (len(self.inputs) - 1)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of parameters."""
         return self.plant_size + sum(p.count(self.order) for p in self.parts)

@@ -272,3 +272,16 @@ def test_dry_friction_is_exact_to_second_order(tilt):
     errors = [np.abs(states("first", rates, u, c, steps=n)[:, 0] - exact).max() for n in (5, 20)]
     assert errors[0] < 2e-3 * np.std(exact)
     assert errors[1] < errors[0] / 10
+
+
+def test_every_parameter_has_a_name_and_a_unit():
+    names = lambda part, order=2: [name for name, _ in part.parameters(order)]
+    assert names(Part("output_lines", 0, 2)) == ["slope1", "corner1", "slope2", "corner2"]
+    assert [unit for _, unit in Part("output_lines", 0, 1).parameters(2)] == ["1", "y"]
+    assert names(Part("sandwich", 0, 101)) == ["f1", "b1", "slope1", "corner1"]
+    assert names(Part("cross", 1, 1)) == ["b1", "f1"]
+    assert names(Part("initial"), 3) == ["x1", "x2", "x3"]
+    assert names(Part("tones", 0, 2))[3:] == ["frequency2", "cosine2", "sine2"]
+    for key in CATALOGUE:
+        part = Part(key)
+        assert len(part.parameters(2)) == part.count(2) == Structure(2).adding(part).size - 4
