@@ -176,9 +176,9 @@ def run(
             _check_varies(u, y, step.kind, len(records) + 1)
         except Exception as error:
             reason = str(error) if isinstance(error, OedError) else f"{type(error).__name__}: {error}"
-            if not records and isinstance(error, OedError):
-                raise
             if not records:
+                if isinstance(error, OedError):
+                    raise
                 raise ExperimentError(
                     f"experiment 1 failed with {reason}; nothing was measured: check the system and its interface."
                 ) from error

@@ -215,11 +215,10 @@ def _ringing(channel: Channel, base: Fit) -> Start | None:
 def _higher_order(channel: Channel, base: Fit, key: str, extra: int) -> Fit | None:
     """More poles; beside effects that act on the input, from a linear fit to what they make of it."""
     s = base.structure
-    added = s.parts[s.base :]
-    if s.layout != "tf" or any(part.effect.slot != "input" for part in added):
+    if s.layout != "tf" or any(part.effect.slot != "input" for part in s.effects):
         return None
     wide = replace(s, order=s.order + extra, taps=s.taps + extra, parts=s.parts[: s.base])
-    if not added:
+    if not s.effects:
         f = fit_linear(channel, wide, noise=base.noise)
         return replace(f, structure=f.structure.adding(Part(key, 0, extra)))
     entering = acted(s, base.p, channel.u, channel.clock)
