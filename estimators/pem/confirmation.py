@@ -18,7 +18,7 @@ from estimators.pem.gauss_newton import Optimum
 from estimators.pem.problem import Problem
 from estimators.pem.starts import lagged_gram, low_order_fits
 
-__all__ = ["confirmed", "first_start"]
+__all__ = ["LAGS", "confirmed", "first_start"]
 
 LAGS = 20
 """Of the residual and of each input."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.confirmation import confirmed, first_start
+from estimators.pem.confirmation import LAGS, confirmed, first_start
 from estimators.pem.extras import Settings
 from estimators.pem.gauss_newton import Optimum, Point
 from estimators.pem.moves import drawn, integrating, relocations
@@ -57,15 +57,15 @@ def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimu
         The best.
     """
     max_iterations, tolerance, search = how.max_iterations, how.tolerance, how.search
-    first = None
-    if own is None and search != "thorough" and (z := first_start(problem)) is not None:
-        point = problem.evaluate(problem.projected(z))
+    first = begun = None
+    if own is None and search != "thorough" and (begun := first_start(problem)) is not None:
+        point = problem.evaluate(problem.projected(begun))
         if point is not None:
             first = problem.descend(point, max_iterations=max_iterations, tolerance=tolerance)
             if confirmed(problem, first):
                 return first
     large = own is None and search == "auto" and problem.n_samples > 1.5 * MANY and not problem.variant
-    zs = [own] if own is not None else candidates(problem)
+    zs = [own] if own is not None else candidates(problem, begun)
     if large:  # all starts and relocations on a part first; its optimum is near that of all
         part = problem.first(MANY)
         zs.append(best_optimum(part, None, replace(how, tolerance=1e-10)).point.z)
@@ -86,8 +86,11 @@ def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimu
     if large:
         own_first = problem.evaluate(problem.projected(zs[-1]))
         points = [own_first, *points[:1]] if own_first is not None else points
-    best = problem.descend(points[0], max_iterations=max_iterations, tolerance=tolerance)
-    best, _ = _better(problem, best, points[1:], how)
+    if first is not None and first.status.ok and not large:
+        best = first
+    else:
+        best = problem.descend(points.pop(0), max_iterations=max_iterations, tolerance=tolerance)
+    best, _ = _better(problem, best, points, how)
     if first is not None and first.point.loss < best.point.loss:
         best = first
     moves = own is None and search != "quick" and bool(problem.structure.nc[0] or problem.structure.nf.any())
@@ -194,13 +197,15 @@ def _signals(problem: Problem) -> list[tuple[NDArray, NDArray]]:
     return [(d[:, width], d[:, :width]) for d in problem.records()]
 
 
-def candidates(problem: Problem) -> list[NDArray[np.float64]]:
+def candidates(problem: Problem, known: NDArray | None = None) -> list[NDArray[np.float64]]:
     """Starts for one output, by linear algebra alone.
 
     Parameters
     ----------
     problem : Problem
         Of one output.
+    known : ndarray, optional
+        Its `first_start`, which then is not computed again.
 
     Returns
     -------
@@ -234,7 +239,12 @@ def candidates(problem: Problem) -> list[NDArray[np.float64]]:
         return found + [np.zeros(width)]
     channels = [np.column_stack([y, u]) for y, u in signals]
     gram = lagged_gram(channels, orders[-1] + 1)
-    systems = [low_order_fits(gram, order, nb, nf) for order in orders]
+    systems = [
+        ([known[place["b"][j]] for j in present], [known[place["f"][j]] for j in present])
+        if known is not None and order == LAGS
+        else low_order_fits(gram, order, nb, nf)
+        for order in orders
+    ]
     if len(nb) == 1:
         few = signals[:: max(1, total // ENOUGH)]
         for _, fs in systems[:] if several else systems[:1] + systems[-1:]:

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
 
 __all__ = [
     "arma_start",
@@ -62,9 +63,11 @@ def is_stable(polynomial: NDArray | list[float]) -> bool:
     bool
         True if so.
     """
-    p = [float(c) for c in polynomial]
+    p = np.asarray(polynomial, dtype=float).tolist()
     while len(p) > 1:
         last = p[-1]
+        if len(p) == 3:  # the triangle of stability; most of the time is spent here
+            return abs(last) < 1 and abs(p[1]) < 1 + last
         if not abs(last) < 1:
             return False
         scale = 1 - last * last
@@ -127,9 +130,10 @@ def lagged_gram(channels: Iterable[NDArray], lags: int) -> NDArray[np.float64]:
         tail[:, : len(last)] = last.T
     gram = -np.einsum("rci,rdj->cidj", tails, tails)
     length, total = joined.shape[1], np.zeros((width, lags, width, lags))
-    for k in range(lags):
-        product = joined[:, : length - k] @ joined[:, k:].T  # sum_t x_c(t - k) x_d(t)
-        total[:, k, :, 0], total[:, 0, :, k] = product, product.T
+    for c in range(width):
+        for d in range(width):  # sum_t x_c(t - k) x_d(t) for every lag k
+            total[c, :, d, 0] = np.correlate(joined[d], joined[c, : length - lags + 1])
+            total[d, 0, c, :] = total[c, :, d, 0]
     for i in range(1, lags):
         total[:, i, :, 1:] = total[:, i - 1, :, :-1] + gram[:, i - 1, :, :-1]
     return total
@@ -196,18 +200,23 @@ def null_space_fit(
     design = np.column_stack(
         [shifted(full, k) for k in range(nb)] + [-shifted(B, k) for k in range(1, nf + 1)]
     )  # B = design (b, f)
+    system = np.column_stack([design, B])
     theta = np.linalg.lstsq(design, B, rcond=None)[0]
     for _ in range(iterations):
         b, f = theta[:nb], reflected(theta[nb:])
-        by_b = sum((c * np.eye(n, k=-k) for k, c in enumerate([1.0, *f])), np.zeros((n, n)))
-        by_a = sum((c * np.eye(n, k=-(k + 1)) for k, c in enumerate(b)), np.zeros((n, n)))
-        slope = np.hstack([by_a, by_b])  # of F B - B_low A in (-A, B), the order of the regression
-        try:
-            spread = slope @ covariance @ slope.T
-            factor = np.linalg.cholesky(spread + 1e-12 * np.trace(spread) / n * np.eye(n))
-            whitened = np.linalg.solve(factor, np.column_stack([design, B]))
-        except np.linalg.LinAlgError:
+        slope = np.zeros(
+            (n, 2 * n)
+        )  # of F B - B_low A in (-A, B), the order of the regression: Toeplitz blocks
+        for k, c in enumerate(b[: n - 1], 1):
+            slope.flat[2 * n * k :: 2 * n + 1] = c
+        for k, c in enumerate([1.0, *f][:n]):
+            slope.flat[2 * n * k + n :: 2 * n + 1] = c
+        spread = slope @ covariance @ slope.T
+        spread.flat[:: n + 1] += 1e-12 * spread.trace() / n
+        factor, failed = dpotrf(spread, lower=1)
+        if failed:
             break
+        whitened = dtrtrs(factor, system, lower=1)[0]
         theta = np.linalg.lstsq(whitened[:, :-1], whitened[:, -1], rcond=None)[0]
     return theta[:nb], reflected(theta[nb:])
 
@@ -277,7 +286,9 @@ def steiglitz_mcbride(signals: Signals, nb: int, f: NDArray, iterations: int = 1
         gram, right = flat @ flat.T, flat @ shaped[0].ravel()
         if not np.isfinite(gram).all():
             break
-        theta = np.linalg.lstsq(gram, right, rcond=1e-13)[0]
+        _, theta, failed = dposv(gram, right)
+        if failed:
+            theta = np.linalg.lstsq(gram, right, rcond=1e-13)[0]
         before, b, f = f, theta[:nb], reflected(theta[nb:])
         if np.abs(f - before).max(initial=0.0) < 1e-4:
             break
