@@ -22,6 +22,7 @@ from benchmarks.settings import Settings
 from oed.errors import Status
 from oed.experiments import simulated
 from oed.information import information_of_each
+from oed.noise import noise_key
 
 __all__ = [
     "CHUNK",
@@ -38,6 +39,9 @@ CHUNK = 5
 """Replicates of the first parts: small enough that a kill loses seconds."""
 LARGEST = 1000
 """Replicates of the largest parts: a million are about a thousand files."""
+
+SEVERAL_TENS, MOST_NOISE = 32, 2**16
+"""Replicates of a part from which on the noise of many is computed together, and samples of each up to which it is."""
 
 Row = dict[str, Any]
 
@@ -241,6 +245,7 @@ def run_part(
     own = own or {}
     rows: list[Row] = []
     sums: dict[int, Row] = {}
+    noise = _Noise(settings, part)
     for replicate in range(part.start, part.stop):
         head = {
             "plant": part.plant,
@@ -255,7 +260,7 @@ def run_part(
             and replicate < settings.replicates_of(part.stop, part.plant, part.method, name)
         ]
         try:
-            plant, trace = within(time_limit, _run, settings, part, replicate, own)
+            plant, trace = within(time_limit, _run, settings, part, replicate, own, noise)
         except Exception as error:  # a method that raises is a row of the table, not the end of the campaign
             rows += [_row(head, name, final=True, **_failure(error)) for name in names]
             continue
@@ -269,13 +274,38 @@ def run_part(
     return rows + [sums[k] | {"information": sums[k]["information"].tolist()} for k in sorted(sums)]
 
 
-def _run(settings: Settings, part: Part, replicate: int, own: Mapping[str, Any]) -> tuple[Any, Any]:
+class _Noise:
+    """The noise of the replicates of a large part, computed for many of them at once."""
+
+    def __init__(self, settings: Settings, part: Part) -> None:
+        self.settings, self.part = settings, part
+        self.first, self.block = 0, np.empty((0, 0))
+
+    def of(self, plant: Any, replicate: int) -> dict[int, Any] | None:
+        """By experiment; None where the part is small or its noise large: it is then computed run by run."""
+        size = (self.settings.experiments, self.settings.samples, plant.n_outputs)
+        if self.part.stop - self.part.start < SEVERAL_TENS or np.prod(size) > MOST_NOISE:
+            return None
+        if not self.first <= replicate < self.first + len(self.block):
+            from estimators.engine import noise_of_replicates
+
+            self.first = replicate
+            self.block = noise_of_replicates(noise_key(self.settings.seed, plant.name), replicate, *size)
+        return dict(enumerate(self.block[replicate - self.first]))
+
+
+def _run(
+    settings: Settings, part: Part, replicate: int, own: Mapping[str, Any], noise: _Noise | None = None
+) -> tuple[Any, Any]:
     if part.method in own:
         plant = load_plant(part.plant, part.noise_variance)
         method = own[part.method](plant)
     else:
         plant, method = _prepared(*part.combination)
-    experiment = simulated(plant, seed=settings.seed, replicate=replicate, expected=settings.experiments)
+    computed = noise.of(plant, replicate) if noise is not None else None
+    experiment = simulated(
+        plant, seed=settings.seed, replicate=replicate, expected=settings.experiments, computed=computed
+    )
     rng = seed_for(settings.seed, part.plant, part.method, replicate)
     return plant, method(experiment, samples=settings.samples, iterations=settings.experiments, rng=rng)
 

@@ -15,12 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpocon, dpotrf, dtrtrs
 
 from estimators.local_models import PeakEstimate
 from estimators.trace import Trace
 from oed.data import Record, frozen
 from oed.errors import InputError, Status, check_names
-from oed.norms import largest_gain
+from oed.norms import largest_gain, refined_maximum
 
 __all__ = ["FirModel", "peak_of_fir", "plug_in", "select_taps"]
 
@@ -69,35 +70,46 @@ def _moments(records: list[Record], taps: int) -> tuple[NDArray, NDArray, NDArra
     of R every block loses the product of the two samples that leave at the end of the record,
     R[i+1, j+1] = R[i, j] - u_(N-1-i) u_(N-1-j)'.
     """
+    from scipy.fft import irfft, next_fast_len
+
     nu, ny = records[0].n_inputs, records[0].n_outputs
-    size = 1 << (max(map(len, records)) + taps - 1).bit_length()
+    size = next_fast_len(max(map(len, records)) + taps - 1, real=True)
     U, Y = (_transforms(signals, size) for signals in ([r.u for r in records], [r.y for r in records]))
-    own = np.fft.irfft(np.einsum("mka,mkb->kab", U, np.conj(U)), size, axis=0)[:taps]
-    crossed = np.fft.irfft(np.einsum("mka,mko->kao", np.conj(U), Y), size, axis=0)[:taps]
+    own = irfft(np.einsum("mak,mbk->abk", U, np.conj(U)), size)[..., :taps]
+    crossed = irfft(np.einsum("mak,mok->aok", np.conj(U), Y), size)[..., :taps]
     ends = np.zeros((len(records), taps, nu))
     for record, end in zip(records, ends, strict=True):
         end[: len(record)] = record.u[::-1][:taps]
     ends = ends.reshape(len(records), taps * nu)
-    lost = ends.T @ ends
-    R = np.zeros((taps * nu, taps * nu))
-    R[:nu] = own.transpose(1, 0, 2).reshape(nu, taps * nu)
-    R[:, :nu] = R[:nu].T
-    for i in range(nu, taps * nu, nu):
-        R[i : i + nu, nu:] = R[i - nu : i, :-nu] - lost[i - nu : i, :-nu]
+    lost = (ends.T @ ends).reshape(taps, nu, taps, nu)
+    # Rows of taps + 1 blocks turn the diagonals into columns: all are summed at once. What lies below them is overwritten.
+    along = np.zeros((taps + 1, taps, nu, nu))
+    along[0] = own.transpose(2, 0, 1)
+    along[1:-1, 1:] = -lost[:-1, :, :-1].transpose(0, 2, 1, 3)
+    along = along.reshape(taps, taps + 1, nu, nu).cumsum(axis=0).reshape(taps + 1, taps, nu, nu)[:-1]
+    R = along.transpose(0, 2, 1, 3).reshape(taps * nu, taps * nu)
+    R = np.triu(R) + np.triu(R, 1).T
     S = sum((r.y.T @ r.y for r in records), start=np.zeros((ny, ny)))
-    return R, crossed.reshape(taps * nu, ny), S, sum(map(len, records))
+    return R, crossed.transpose(2, 0, 1).reshape(taps * nu, ny), S, sum(map(len, records))
 
 
 def _transforms(signals: list[NDArray], size: int) -> NDArray:
-    """(records, lines, channels), zeros after the ends."""
-    padded = np.zeros((len(signals), size, signals[0].shape[1]))
+    """(records, channels, lines), zeros after the ends."""
+    from scipy.fft import rfft
+
+    padded = np.zeros((len(signals), signals[0].shape[1], size))
     for row, signal in zip(padded, signals, strict=True):
-        row[: len(signal)] = signal
-    return np.fft.rfft(padded, axis=1)
+        row[:, : len(signal)] = signal.T
+    return np.asarray(rfft(padded))
 
 
-def _excited(R: NDArray) -> bool:
-    """Whether least squares can tell the taps apart: the condition of R is below 1e12."""
+def _excited(R: NDArray, factor: NDArray | None = None) -> bool:
+    """Whether least squares can tell the taps apart: the condition of R is below 1e12.
+
+    With the Cholesky factor, where there is one, LAPACK's estimate of the condition spares most the eigenvalues.
+    """
+    if factor is not None and dpocon(factor, np.abs(R).sum(axis=0).max(), uplo="L")[0] > 1e-9:
+        return True
     values = np.linalg.eigvalsh(R)
     return bool(values[0] > 1e-12 * values[-1])
 
@@ -202,21 +214,21 @@ def _selected(
     records: list[Record], candidates: Sequence[int]
 ) -> tuple[int, tuple[NDArray, NDArray, NDArray, int]]:
     """The number of taps, and the moments of the largest number tried."""
-    from scipy.linalg import cholesky, solve_triangular
-
     longest = max(min(len(r) for r in records) // 2, 1)
     tried = sorted(n for n in candidates if n <= longest) or [1]
     nu = records[0].n_inputs
     R, F, S, samples = moments = _moments(records, max(tried))
-    while tried and not _excited(R[: tried[-1] * nu, : tried[-1] * nu]):
+    factor = None
+    while tried:
+        size = tried[-1] * nu
+        factor, failed = dpotrf(R[:size, :size], lower=1)
+        if not failed and _excited(R[:size, :size], factor):
+            break
         tried.pop()  # the condition of a leading block grows with it
-    if not tried:
+    if factor is None or not tried:
         raise InputError("the input is zero or excites no tap; apply another input.")
     # One factor serves all: what the first n taps explain are the first rows of L^-1 F.
-    size = tried[-1] * nu
-    explained = np.cumsum(
-        solve_triangular(cholesky(R[:size, :size], lower=True), F[:size], lower=True) ** 2, axis=0
-    )
+    explained = np.cumsum(dtrtrs(factor, F[: len(factor)], lower=1)[0] ** 2, axis=0)
     scores = {}
     for n in tried:
         rest = np.maximum((np.diag(S) - explained[n * nu - 1]) / samples, 1e-300)
@@ -240,20 +252,16 @@ def peak_of_fir(model: FirModel, points: int = 4096) -> PeakEstimate:
         The plug-in estimate of the norm. The maximum over frequencies is biased up where the noise at other
         frequencies reaches the peak.
     """
-    from scipy.optimize import minimize_scalar
-
     n, ny, _ = model.taps.shape
     k = np.arange(n)
-    response = lambda w: np.einsum("k,kij->ij", np.exp(-1j * w * k), model.taps)
-    height = lambda w: float(largest_gain(response(w)))
+    response = lambda w: np.tensordot(np.exp(-1j * np.multiply.outer(w, k)), model.taps, 1)
+    height = lambda w: largest_gain(response(w))
     heights = largest_gain(np.fft.rfft(model.taps, max(points, 2 * n), axis=0))
     step = np.pi / (len(heights) - 1)
     at = int(np.argmax(heights))
     omega = at * step
     if 0 < at < len(heights) - 1:
-        ends = (omega - step, omega + step)
-        found = minimize_scalar(lambda w: -height(w), bounds=ends, method="bounded", options={"xatol": 1e-10})
-        omega = float(found.x)
+        omega = refined_maximum(height, omega - step, omega + step)
     U, s, Vh = np.linalg.svd(response(omega))
     wave = np.exp(-1j * omega * k)
     variance = 0.0
@@ -261,7 +269,8 @@ def peak_of_fir(model: FirModel, points: int = 4096) -> PeakEstimate:
         c = np.real(np.conj(U[i, 0]) * wave[:, None] * np.conj(Vh[0])[None, :]).ravel()
         variance += model.noise[i] * float(c @ model.covariance @ c)
     h = 1e-4
-    bend = -(height(omega + h) ** 2 - 2 * height(omega) ** 2 + height(omega - h) ** 2) / h**2
+    squares = height(omega + h * np.array([-1.0, 0.0, 1.0])) ** 2
+    bend = -(squares[2] - 2 * squares[1] + squares[0]) / h**2
     status = Status.OK if np.isfinite(s[0]) else Status.NOT_FINITE
     error = float(np.sqrt(max(variance, 0.0)))
     return PeakEstimate(

@@ -7,7 +7,6 @@ likelihood at its fixed point: nothing about the plant outside the band is assum
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from estimators.local_fits import Band, Spectra, fit_band, response
 from estimators.trace import Trace
 from oed.errors import InputError, Status
-from oed.norms import largest_gain
+from oed.norms import largest_gain, refined_maximum
 
 __all__ = ["PeakEstimate", "local_peak"]
 
@@ -227,7 +226,7 @@ def _peak_of_model(
     k = int(np.argmax(heights))
     x, inside = float(grid[k]), 0 < k < 400
     if inside:
-        x = _maximum(square, grid[k - 1], grid[k + 1])
+        x = refined_maximum(square, grid[k - 1], grid[k + 1])
     try:
         covariance = np.linalg.inv(information)
     except np.linalg.LinAlgError:
@@ -256,16 +255,6 @@ def _peak_of_model(
         np.stack([(band.centre + band.half * band.x) * per_line, square(band.x)]),
     )
     return estimate, x
-
-
-def _maximum(square: Callable[[NDArray], NDArray], low: float, high: float) -> float:
-    """Where a smooth function is largest between two points: a finer grid, then a parabola through three of it."""
-    points = np.linspace(low, high, 101)
-    heights = square(points)
-    k = int(np.clip(np.argmax(heights), 1, 99))
-    bend = heights[k + 1] - 2 * heights[k] + heights[k - 1]
-    move = 0.5 * (heights[k - 1] - heights[k + 1]) / bend if bend < 0 else 0.0
-    return float(points[k] + np.clip(move, -1, 1) * (points[1] - points[0]))
 
 
 def _failed() -> PeakEstimate:

@@ -190,14 +190,24 @@ def run(
             status, message = Status.CONVERGED, Status.CONVERGED.value
             break
     generator.close()
-    return _trace(tuple(records), tuple(kinds), status, message)
+    fresh = experiment.used.experiments == len(
+        records
+    )  # nothing before, nothing refused: it has counted already
+    return _trace(tuple(records), tuple(kinds), status, message, experiment.used if fresh else None)
 
 
-def _trace(records: tuple[Record, ...], kinds: tuple[str, ...], status: Status, message: str) -> Trace:
-    usage = Usage()
-    for record in records:
-        usage = usage.add(record.u)
-    return Trace(records, kinds, usage, status, message)
+def _trace(
+    records: tuple[Record, ...],
+    kinds: tuple[str, ...],
+    status: Status,
+    message: str,
+    used: Usage | None = None,
+) -> Trace:
+    if used is None:
+        used = Usage()
+        for record in records:
+            used = used.add(record.u)
+    return Trace(records, kinds, used, status, message)
 
 
 def _check_varies(u: NDArray, y: NDArray, kind: str, number: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,7 +134,13 @@ class Experiment:
 
 
 def simulated(
-    plant: Plant, *, seed: int = 0, replicate: int = 0, first: int = 0, expected: int = 1
+    plant: Plant,
+    *,
+    seed: int = 0,
+    replicate: int = 0,
+    first: int = 0,
+    expected: int = 1,
+    computed: Mapping[int, NDArray[np.float64]] | None = None,
 ) -> Experiment:
     """An experiment on a simulated plant; experiment k of replicate r always meets the same noise.
 
@@ -149,6 +155,9 @@ def simulated(
     expected : int
         How many experiments will follow, if that is known: the noise of short ones is then computed together, which is
         faster and changes nothing.
+    computed : mapping, optional
+        (N, ny) standard normal noise of some experiments by their number, where it is known already (that of many
+        replicates is computed faster together); it must be what `noise_series` gives.
 
     Returns
     -------
@@ -159,7 +168,7 @@ def simulated(
     factor = noise_factor(plant)
     count = first
     white = plant.white_noise
-    ahead: dict[int, NDArray[np.float64]] = {}
+    ahead = dict(computed or {})
 
     def apply(u: NDArray[np.float64]) -> NDArray[np.float64]:
         nonlocal count

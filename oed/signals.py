@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -102,35 +103,50 @@ def realise(
     InputError
         If the spectrum has no power, or the number of phases is wrong.
     """
-    _check(spectrum, N)
-    omega, a = _components(spectrum)
+    lines = _sinusoids(spectrum, int(N) if int(N) == N else N)
+    shape = lines.real.shape
     if phases is None:
-        phi = rng.uniform(0, 2 * np.pi, len(omega)) if rng is not None else np.zeros(len(omega))
+        phi = rng.uniform(0, 2 * np.pi, shape) if rng is not None else np.zeros(shape)
     else:
         phi = np.asarray(phases, dtype=float)
-        if phi.shape != omega.shape:
+        if phi.shape != shape:
             raise InputError(
-                f"{phi.size} phases were given for {len(omega)} sinusoids; give one for each, or none."
+                f"{phi.size} phases were given for {shape[0]} sinusoids; give one for each, or none."
             )
-    real = (omega < 1e-12) | (omega > np.pi - 1e-12)
     # A line at 0 or pi has no quadrature: only the sign of its phase is left.
-    turn = np.where(real, np.where(np.cos(phi) >= 0, 1.0, -1.0), np.sqrt(2) * np.exp(1j * phi))
+    turn = np.where(lines.real, np.where(np.cos(phi) >= 0, 1.0, -1.0), np.sqrt(2) * np.exp(1j * phi))
+    return _rescaled(lines.signal(lines.amplitudes * turn[:, None]), lines.power)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sinusoids:
+    """What all signals of one spectrum and length share: exp(j w t), t = block m + n, is a product of two short tables."""
+
+    real: NDArray[np.bool_]  # (m,) whether a sinusoid lies at 0 or pi
+    amplitudes: NDArray[np.complex128]  # (m, nu)
+    fine: NDArray[np.complex128]  # (m, block)
+    coarse: NDArray[np.complex128]  # (m, blocks)
+    samples: int
+    power: float
+
+    def signal(self, amplitudes: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """Re sum_k a_k exp(j w_k t), (N, nu)."""
+        columns = [((self.coarse * a[:, None]).T @ self.fine).real.ravel() for a in amplitudes.T]
+        return np.column_stack([column[: self.samples] for column in columns])
+
+
+@lru_cache(maxsize=8)
+def _sinusoids(spectrum: Spectrum, N: int) -> _Sinusoids:
+    _check(spectrum, N)
+    omega, a = _components(spectrum)
     first = np.concatenate([[True], omega[1:] != omega[:-1]])
     order = np.arange(len(omega)) - np.maximum.accumulate(np.where(first, np.arange(len(omega)), 0))
     aside = np.where(omega + 2 * np.pi * order / N <= np.pi, 1, -1)
-    u = _sum_of_lines(omega + aside * 2 * np.pi * order / N, a * turn[:, None], N)
-    return _rescaled(u, spectrum.total_power)
-
-
-def _sum_of_lines(
-    omega: NDArray[np.float64], amplitude: NDArray[np.complex128], N: int
-) -> NDArray[np.float64]:
-    """Re sum_k a_k exp(j w_k t), (N, nu), with t = block m + n: exp(j w t) is a product of two short tables."""
-    block = int(np.ceil(np.sqrt(N)))
-    fine = np.exp(1j * np.outer(omega, np.arange(block)))
-    coarse = np.exp(1j * np.outer(omega, block * np.arange(-(-N // block))))
-    columns = [((coarse * a[:, None]).T @ fine).real.ravel()[:N] for a in amplitude.T]
-    return np.column_stack(columns)
+    used, block = omega + aside * 2 * np.pi * order / N, int(np.ceil(np.sqrt(N)))
+    fine = np.exp(1j * np.outer(used, np.arange(block)))
+    coarse = np.exp(1j * np.outer(used, block * np.arange(-(-N // block))))
+    real = (omega < 1e-12) | (omega > np.pi - 1e-12)
+    return _Sinusoids(real, a, fine, coarse, N, spectrum.total_power)
 
 
 def _binned(spectrum: Spectrum, N: int) -> NDArray[np.complex128]:

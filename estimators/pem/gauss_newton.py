@@ -68,6 +68,12 @@ class Optimum:
     decrement: float
 
 
+def _scale(hessian: NDArray) -> NDArray[np.float64]:
+    """Units in which the diagonal is 1; where it is zero, or negative by rounding, as if it were just not."""
+    diagonal = np.diag(hessian)
+    return 1 / np.sqrt(np.maximum(diagonal, max(1e-14 * diagonal.max(), np.finfo(float).tiny)))
+
+
 def _solve(hessian: NDArray, damping: float, gradient: NDArray, scale: NDArray) -> NDArray | None:
     """-(hessian + damping diag)^-1 gradient in scaled variables; None where that is not positive definite."""
     matrix = hessian * (scale[:, None] * scale)
@@ -105,8 +111,7 @@ def _along(normals: NDArray, point: Point, moves: NDArray) -> NDArray:
     if not len(normals):
         return np.eye(n)
     hessian, gradient = point.hessian[moves[:, None], moves], point.gradient[moves]
-    scale = 1 / np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
-    inner = _solve(hessian, 1e-9, gradient, scale)
+    inner = _solve(hessian, 1e-9, gradient, _scale(hessian))
     outward = normals[normals @ (inner if inner is not None else -gradient) > 0]
     if not len(outward):
         return np.eye(n)
@@ -170,8 +175,7 @@ def minimise(
             along = along @ _along(edges[:, moves], point, moves) if len(edges) else along
             gradient, hessian = along.T @ gradient, along.T @ hessian @ along
             learned = along.T @ S @ along
-        diagonal = np.diag(hessian)
-        scale = 1 / np.sqrt(np.maximum(diagonal, max(1e-14 * diagonal.max(), np.finfo(float).tiny)))
+        scale = _scale(hessian)
         newton = _solve(hessian, 1e-14, gradient, scale)
         newton = _solve(hessian, 1e-9, gradient, scale) if newton is None else newton
         decrement = np.inf if newton is None else float(-gradient @ newton) / max(point.loss, 1e-300)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.engine import batches, counter_start, monte_carlo, twin_batch
+from estimators.engine import batches, counter_start, monte_carlo, noise_of_replicates, twin_batch
 from oed.errors import InputError
 from oed.experiments import Experiment, simulated
 from oed.named import NAMES, named_plant
-from oed.noise import noise_key, standard_noise
+from oed.noise import noise_key, noise_series, standard_noise
 
 
 def coloured(name):
@@ -78,6 +78,13 @@ def test_compiled_normals_are_the_same_bits():
     normal_block(*(np.uint64(k) for k in key), 1001, 2, 7, 11, x)
     for r in (0, B - 1):
         np.testing.assert_array_equal(x.reshape(-1, B)[:, r], standard_noise(key, 11 + r, 7, 1001, 3)[:, 2])
+
+
+def test_noise_of_replicates_is_that_of_each_run():
+    key = noise_key(5, "plant")
+    found = noise_of_replicates(key, 11, 3, 101, 2)
+    for r in (0, 5):
+        np.testing.assert_array_equal(found[r], noise_series(key, 11 + r, range(3), 101, 2))
 
 
 def test_result_does_not_depend_on_threads_or_on_splitting():

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from oed.errors import SolverFailure
 from oed.named import NAMES, named_plant
-from oed.norms import gain_gradient, peak, response_derivatives
+from oed.norms import gain_gradient, peak, refined_maximum, response_derivatives
 from oed.plants import Plant
 from oed.realisations import state_space
 from oed.theory import limit_spectrum
@@ -142,3 +142,10 @@ def test_double_poles_peak_exactly_at_the_ends(rng):
         den = np.convolve([1, -r], [1, -r]) * [1, 1, 1 + rng.choice([0, 1e-16, 1e-15, -1e-15])]
         plant = Plant(num=[[np.r_[np.zeros(rng.integers(3)), 0.562]]], den=[[den]])
         assert peak(plant).frequencies == ((0.0,) if r > 0 else (np.pi,))
+
+
+def test_refined_maximum_is_good_to_the_square_of_the_distance():
+    height = lambda x: np.cos(x - 0.3) + 0.2 * (x - 0.3) ** 3
+    for wide in (0.1, 0.01):
+        assert abs(refined_maximum(height, 0.3 - 0.7 * wide, 0.3 + 0.3 * wide) - 0.3) < 1e-4 * wide**2
+    assert refined_maximum(lambda x: x, 0.0, 1.0) == pytest.approx(1.0)
