@@ -16,6 +16,7 @@ of them than lines times channels are first compressed to that number.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -184,6 +185,12 @@ def response(theta: NDArray, x: NDArray, nu: int, ny: int, orders: tuple[int, in
     return found
 
 
+@lru_cache(maxsize=32)
+def _powers(half: int, most: int) -> NDArray[np.float64]:
+    """(most + 1, K) powers of a band's distances x; not to be written to."""
+    return np.vander(np.arange(-half, half + 1) / half, most + 1, increasing=True).T.copy()
+
+
 def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
     """Maximum likelihood of the local model by refined instruments.
 
@@ -203,7 +210,7 @@ def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
     U, Y = band.U, band.Y
     nu, ny, K, M = band.n_inputs, band.n_outputs, len(band.x), band.experiments
     most = max(nb, na)
-    powers = np.vander(band.x, max(2 * most, nt + most, 2 * nt) + 1, increasing=True).T.copy()
+    powers = _powers(band.half, max(2 * most, nt + most, 2 * nt))
     n = ny * nu * (nb + 1) + na
     freedom = max(M * (K - nt - 1) - n / ny, 1.0)
     floor = 1e-15 * np.sum(np.abs(Y) ** 2, axis=(1, 2)) / (K * M) + 1e-300

@@ -16,20 +16,33 @@ __all__ = ["refine", "responses"]
 
 
 @njit(error_model="numpy", cache=True)
+def _planes(S):
+    """(c, K, R) complex lines as (c, K, 2, R) real and imaginary parts, so that loops over the experiments vectorise."""
+    found = np.empty((S.shape[0], S.shape[1], 2, S.shape[2]))
+    for c in range(S.shape[0]):
+        for k in range(S.shape[1]):
+            for m in range(S.shape[2]):
+                found[c, k, 0, m], found[c, k, 1, m] = S[c, k, m].real, S[c, k, m].imag
+    return found
+
+
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, cache=True)
 def _line_products(s, z, found):
     """Sums over the experiments of conj(s) z.
 
     Parameters
     ----------
     s, z : ndarray
-        (K, R) complex lines of two channels.
+        (K, 2, R) lines of two channels.
     found : ndarray
         (K,) complex, written.
     """
     for k in range(s.shape[0]):
-        found[k] = 0
-        for m in range(s.shape[1]):
-            found[k] += np.conj(s[k, m]) * z[k, m]
+        real = imag = 0.0
+        for m in range(s.shape[2]):
+            real += s[k, 0, m] * z[k, 0, m] + s[k, 1, m] * z[k, 1, m]
+            imag += s[k, 0, m] * z[k, 1, m] - s[k, 1, m] * z[k, 0, m]
+        found[k] = complex(real, imag)
 
 
 @njit(error_model="numpy", cache=True)
@@ -72,42 +85,50 @@ def _transients(A, powers, weights, inverse):
 def _moments(weights, powers, c, found):
     """Sums over the lines of weights x^d c, for d from 0 on."""
     for d in range(len(powers)):
-        found[d] = 0
+        real = imag = 0.0
         for k in range(len(c)):
-            found[d] += weights[k] * powers[d, k] * c[k]
+            scale = weights[k] * powers[d, k]
+            real += scale * c[k].real
+            imag += scale * c[k].imag
+        found[d] = complex(real, imag)
 
 
 @njit(error_model="numpy", cache=True)
 def _sums(S, weights, powers, inverse, sums, duals):
     """Moments of a channel in every experiment, and those from each degree on in the dual basis of the transients."""
-    K, R = S.shape
+    K, _, R = S.shape
     t = len(inverse)
     for d in range(sums.shape[0]):
-        for m in range(R):
-            sums[d, m] = 0
+        for part in range(2):
+            for m in range(R):
+                sums[d, part, m] = 0
         for k in range(K):
             scale = weights[k] * powers[d, k]
-            for m in range(R):
-                sums[d, m] += scale * S[k, m]
+            for part in range(2):
+                for m in range(R):
+                    sums[d, part, m] += scale * S[k, part, m]
     for r in range(duals.shape[0]):
         for j in range(t):
-            for m in range(R):
-                duals[r, j, m] = 0
-            for i in range(t):
+            for part in range(2):
                 for m in range(R):
-                    duals[r, j, m] += inverse[j, i] * sums[i + r, m]
+                    duals[r, j, part, m] = 0
+            for i in range(t):
+                for part in range(2):
+                    for m in range(R):
+                        duals[r, j, part, m] += inverse[j, i] * sums[i + r, part, m]
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy", fastmath={"reassoc", "contract"}, cache=True)
 def _products(moments, sums, duals, found):
     """The products of the powers p and r of two channels without transients."""
     for p in range(found.shape[0]):
         for r in range(found.shape[1]):
-            value = moments[p + r]
+            real = imag = 0.0
             for j in range(duals.shape[1]):
-                for m in range(duals.shape[2]):
-                    value -= np.conj(sums[j + p, m]) * duals[r, j, m]
-            found[p, r] = value
+                for m in range(duals.shape[3]):
+                    real += sums[j + p, 0, m] * duals[r, j, 0, m] + sums[j + p, 1, m] * duals[r, j, 1, m]
+                    imag += sums[j + p, 0, m] * duals[r, j, 1, m] - sums[j + p, 1, m] * duals[r, j, 0, m]
+            found[p, r] = moments[p + r] - complex(real, imag)
 
 
 @njit(error_model="numpy", cache=True)
@@ -119,7 +140,7 @@ def _normal_equations(
     Parameters
     ----------
     U, Y, model : ndarray
-        (nu, K, R), (ny, K, R) and (ny, K, R) complex lines; the model's outputs are the instruments.
+        (nu, K, 2, R), (ny, K, 2, R) and (ny, K, 2, R) lines; the model's outputs are the instruments.
     of_inputs : ndarray
         (nu, nu + ny, K) line products of the inputs with all channels.
     weights, powers : ndarray
@@ -134,15 +155,15 @@ def _normal_equations(
         (n, n), (n, n) and (n,), zero at first, written.
     """
     nb, na, nt = orders
-    nu, ny, K, R = U.shape[0], Y.shape[0], U.shape[1], U.shape[2]
+    nu, ny, K, R = U.shape[0], Y.shape[0], U.shape[1], U.shape[3]
     inner = nu * (nb + 1)
     first = ny * inner
     most = max(nb, na) + 1
-    sums, duals = (np.empty((nu + 2, nt + most, R), U.dtype), np.empty((nu + 2, most, nt + 1, R), U.dtype))
+    sums, duals = np.empty((nu + 2, nt + most, 2, R)), np.empty((nu + 2, most, nt + 1, 2, R))
     moments, lines, product = (
-        np.empty(len(powers), U.dtype),
-        np.empty(K, U.dtype),
-        np.empty((most, most), U.dtype),
+        np.empty(len(powers), right.dtype),
+        np.empty(K, right.dtype),
+        np.empty((most, most), right.dtype),
     )
     for j in range(nu):
         _sums(U[j], weights, powers, inverse, sums[j], duals[j])
@@ -189,53 +210,61 @@ def _normal_equations(
 
 
 @njit(error_model="numpy", cache=True)
+def _add(x, real, imag, z):
+    """x += (real + j imag) z, both (2, R)."""
+    for m in range(x.shape[1]):
+        x[0, m] += real * z[0, m] - imag * z[1, m]
+        x[1, m] += real * z[1, m] + imag * z[0, m]
+
+
+@njit(error_model="numpy", cache=True)
 def _left_over(U, Y, theta, A, powers, orders, inverse, errors, squares, model):
     """What the model and the transients leave of the outputs.
 
     Parameters
     ----------
     U, Y : ndarray
-        (nu, K, R) and (ny, K, R) complex lines.
+        (nu, K, 2, R) and (ny, K, 2, R) lines.
     theta, A : ndarray
         Coefficients, and (K,) the denominator on the lines.
     powers, orders, inverse : ndarray or tuple
         As for `_normal_equations`.
     errors, squares, model : ndarray
-        (ny, K, R) complex, (ny,) their sums of squares and (ny, K, R) the outputs less them, written.
+        (ny, K, 2, R), (ny,) their sums of squares and (ny, K, 2, R) the outputs less them, written.
     """
     nb, _, nt = orders
-    nu, ny, K, R = U.shape[0], Y.shape[0], U.shape[1], U.shape[2]
-    along = np.empty((nt + 1, R), U.dtype)
+    nu, ny, K, R = U.shape[0], Y.shape[0], U.shape[1], U.shape[3]
+    along, total = np.empty((nt + 1, 2, R)), np.empty(R)
     for i in range(ny):
+        for m in range(R):
+            total[m] = 0
         for j in range(nt + 1):
             for m in range(R):
-                along[j, m] = 0
+                along[j, 0, m] = along[j, 1, m] = 0
         for k in range(K):
             for m in range(R):
-                errors[i, k, m] = Y[i, k, m]
+                errors[i, k, 0, m], errors[i, k, 1, m] = Y[i, k, 0, m], Y[i, k, 1, m]
             for j in range(nu):
                 g = 0j
                 for p in range(nb + 1):
                     g += theta[(i * nu + j) * (nb + 1) + p] * powers[p, k]
                 g /= A[k]
-                for m in range(R):
-                    errors[i, k, m] -= g * U[j, k, m]
+                _add(errors[i, k], -g.real, -g.imag, U[j, k])
             for j in range(nt + 1):
                 scale = powers[j, k] / np.conj(A[k])
-                for m in range(R):
-                    along[j, m] += scale * errors[i, k, m]
-        squares[i] = 0.0
+                _add(along[j], scale.real, scale.imag, errors[i, k])
         for k in range(K):
             for h in range(nt + 1):
                 scale = 0j
                 for j in range(nt + 1):
                     scale += powers[j, k] * inverse[j, h]
                 scale /= A[k]
+                _add(errors[i, k], -scale.real, -scale.imag, along[h])
+            for part in range(2):
                 for m in range(R):
-                    errors[i, k, m] -= scale * along[h, m]
-            for m in range(R):
-                squares[i] += errors[i, k, m].real ** 2 + errors[i, k, m].imag ** 2
-                model[i, k, m] = Y[i, k, m] - errors[i, k, m]
+                    total[m] += errors[i, k, part, m] ** 2
+                    model[i, k, part, m] = Y[i, k, part, m] - errors[i, k, part, m]
+        squares[i] = total.sum()
 
 
 @njit(error_model="numpy", cache=True)
@@ -294,21 +323,19 @@ def refine(U, Y, powers, orders, floor, freedom, steps, settled, theta, informat
     nb, na, nt = orders
     nu, ny, K = U.shape[0], Y.shape[0], U.shape[1]
     n = ny * nu * (nb + 1) + na
-    of_inputs = np.empty((nu, nu + ny, K), U.dtype)
+    U, Y = _planes(U), _planes(Y)
+    of_inputs = np.empty((nu, nu + ny, K), theta.dtype)
     for j in range(nu):
         for b in range(nu):
             _line_products(U[j], U[b], of_inputs[j, b])
         for b in range(ny):
             _line_products(U[j], Y[b], of_inputs[j, nu + b])
-    a, A = np.zeros(na, U.dtype), np.empty(K, U.dtype)
-    normal, scale, squares = np.empty((n, n), U.dtype), np.empty(ny), np.empty(ny)
+    a, A = np.zeros(na, theta.dtype), np.empty(K, theta.dtype)
+    normal, scale, squares = np.empty((n, n), theta.dtype), np.empty(ny), np.empty(ny)
     weights, inverse = np.empty(K), np.empty((nt + 1, nt + 1))
-    model, errors = np.empty(Y.shape, U.dtype), np.empty(Y.shape, U.dtype)
+    model, errors = Y.copy(), np.empty(Y.shape)
     for i in range(ny):
         scale[i] = 1.0
-        for k in range(K):
-            for m in range(Y.shape[2]):
-                model[i, k, m] = Y[i, k, m]
     for k in range(K):
         A[k] = 1
     _transients(A, powers, weights, inverse)

@@ -8,6 +8,7 @@ likelihood at its fixed point: nothing about the plant outside the band is assum
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from oed.errors import InputError, Status
 from oed.norms import largest_gain, refined_maximum
 
 __all__ = ["PeakEstimate", "local_peak"]
+
+GRID = np.linspace(-1, 1, 401)
+"""Distances from the centre of a band at which the peak is first sought."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,12 +189,12 @@ def _fit(band: Band, orders: tuple[int, int, int], N: int) -> tuple[float, PeakE
     return fit.criterion if np.isfinite(estimate.value) else np.inf, estimate, x
 
 
-def _gradient(theta: NDArray, x: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
-    """(K, parameters) c with d sigma_max^2 = Re(c d theta): c = 2 sigma u* (dG / d theta) v."""
+def _gradient(theta: NDArray, x: NDArray, G: NDArray, orders: tuple[int, int, int]) -> NDArray:
+    """(K, parameters) c with d sigma_max^2 = Re(c d theta): c = 2 sigma u* (dG / d theta) v, at the responses G."""
     nb, na, _ = orders
-    X = np.vander(x, max(nb, na) + 1, increasing=True)
+    X = x[:, None] ** np.arange(max(nb, na) + 1)
     A = 1 + X[:, 1 : na + 1] @ theta[len(theta) - na :]
-    s, pairs = _principal(response(theta, x, nu, ny, orders))
+    s, pairs = _principal(G)
     numerators = pairs[..., None] * (X[:, : nb + 1] / A[:, None])[:, None, None]
     denominators = -s * X[:, 1 : na + 1] / A[:, None]
     return 2 * s * np.hstack([numerators.reshape(len(x), -1), denominators])
@@ -219,24 +223,25 @@ def _peak_of_model(
     def square(x: NDArray) -> NDArray:
         return largest_gain(response(theta, x, nu, ny, orders)) ** 2
 
-    grid = np.linspace(band.x[0], band.x[-1], 401)
-    heights = square(grid)
+    heights = square(GRID)
     if not np.isfinite(heights).all():
         return _failed(), 0.0
-    k = int(np.argmax(heights))
-    x, inside = float(grid[k]), 0 < k < 400
+    k = int(heights.argmax())
+    x, inside = float(GRID[k]), 0 < k < len(GRID) - 1
     if inside:
-        x = refined_maximum(square, grid[k - 1], grid[k + 1])
+        x = refined_maximum(square, GRID[k - 1], GRID[k + 1])
     try:
         covariance = np.linalg.inv(information)
     except np.linalg.LinAlgError:
         return _failed(), 0.0
     h = 1e-3
-    near = square(np.array([x - h, x, x + h]))
-    value = float(np.sqrt(near[1]))
-    bend = -float(near[2] - 2 * near[1] + near[0]) / h**2
-    below, height, above = _gradient(theta, np.array([x - h, x, x + h]), nu, ny, orders)
-    spread = lambda g: float(np.sqrt(max(np.real(g @ covariance @ np.conj(g)) / 2, 0.0)))
+    places = np.concatenate([[x - h, x, x + h], band.x])
+    G = response(theta, places, nu, ny, orders)
+    squares = largest_gain(G) ** 2
+    value = sqrt(squares[1])
+    bend = -float(squares[2] - 2 * squares[1] + squares[0]) / h**2
+    below, height, above = _gradient(theta, places[:3], G[:3], orders)
+    spread = lambda g: sqrt(max(float((g @ covariance @ np.conj(g)).real) / 2, 0.0))
     error = spread(height) / (2 * value)
     per_line = 2 * np.pi / N
     where_error = (
@@ -247,12 +252,12 @@ def _peak_of_model(
     estimate = PeakEstimate(
         value,
         error,
-        float(np.clip((band.centre + band.half * x) * per_line, 0, np.pi)),
+        min(max((band.centre + band.half * x) * per_line, 0.0), np.pi),
         where_error,
         bend / (band.half * per_line) ** 2,
         noise,
         Status.OK if trusted else Status.INACCURATE,
-        np.stack([(band.centre + band.half * band.x) * per_line, square(band.x)]),
+        np.array([(band.centre + band.half * band.x) * per_line, squares[3:]]),
     )
     return estimate, x
 
