@@ -74,9 +74,8 @@ def scaled(x: ArrayLike, limits: Limits) -> NDArray[np.float64]:
         If the signal is zero: it has no direction to go on with.
     """
     x = np.asarray(x, dtype=float)
-    N, nu = x.shape
-    power = np.square(x).sum(axis=0) / N
-    total = float(power.sum())
+    N = len(x)
+    total = float(np.vdot(x, x)) / N
     if total == 0:
         raise ExperimentError(
             "the next input would be zero, because the measured output was; "
@@ -87,13 +86,23 @@ def scaled(x: ArrayLike, limits: Limits) -> NDArray[np.float64]:
         factors.append(sqrt(limits.power / total))
     if limits.energy is not None:
         factors.append(sqrt(limits.energy / (N * total)))
-    with np.errstate(divide="ignore"):
-        if limits.amplitude is not None:
-            peak = np.abs(x).max(axis=0)
-            factors.append(np.min(_per_channel(limits.amplitude, nu, "amplitude") / peak))
-        if limits.channel_power is not None:
-            factors.append(np.min(np.sqrt(_per_channel(limits.channel_power, nu, "channel_power") / power)))
+    if limits.amplitude is not None or limits.channel_power is not None:
+        with np.errstate(divide="ignore"):
+            factors += _channel_factors(x, limits)
     return x * min(factors)
+
+
+def _channel_factors(x: NDArray[np.float64], limits: Limits) -> list[float]:
+    """What the channels' own limits allow; infinite for a channel that is zero."""
+    factors, nu = [], x.shape[1]
+    if limits.amplitude is not None:
+        peak = np.abs(x).max(axis=0)
+        factors.append(float(np.min(_per_channel(limits.amplitude, nu, "amplitude") / peak)))
+    if limits.channel_power is not None:
+        power = np.mean(np.square(x), axis=0)
+        allowed = _per_channel(limits.channel_power, nu, "channel_power")
+        factors.append(float(np.min(np.sqrt(allowed / power))))
+    return factors
 
 
 def white_start(

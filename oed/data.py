@@ -131,17 +131,19 @@ class Record:
             )
         object.__setattr__(self, "dt", float(self.dt))
         object.__setattr__(self, "t0", float(self.t0))
-        for side, n in (("input", u.shape[1]), ("output", y.shape[1])):
-            letter = "u" if side == "input" else "y"
-            names = tuple(getattr(self, f"{side}_names")) or _channel_names(letter, n)
-            units = tuple(getattr(self, f"{side}_units")) or ("",) * n
-            for what, given in (("names", names), ("units", units)):
-                if len(given) != n:
-                    raise InputError(
-                        f"{len(given)} {side} {what} for {n} {side} channels; give one per channel."
-                    )
-            object.__setattr__(self, f"{side}_names", names)
-            object.__setattr__(self, f"{side}_units", units)
+        for field, default in (
+            ("input_names", _channel_names("u", u.shape[1])),
+            ("output_names", _channel_names("y", y.shape[1])),
+            ("input_units", ("",) * u.shape[1]),
+            ("output_units", ("",) * y.shape[1]),
+        ):
+            given = tuple(getattr(self, field)) or default
+            if len(given) != len(default):
+                side, what = field.split("_")
+                raise InputError(
+                    f"{len(given)} {side} {what} for {len(default)} {side} channels; give one per channel."
+                )
+            object.__setattr__(self, field, given)
 
     def __len__(self) -> int:
         return len(self.u)

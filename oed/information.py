@@ -305,6 +305,7 @@ def _weighted_gradients(
 ) -> Iterator[tuple[list[int], NDArray[np.float64]]]:
     """Which experiments, and their gradients weighted by the noise, (ny, n, M, N); as many as memory should hold."""
     W = _inverse_root(plant.noise_covariance)
+    apart = np.count_nonzero(W) == np.count_nonzero(np.diag(W))
     signals = [as_signal(u, "the input") for u in inputs]
     for length in sorted({len(u) for u in signals}):
         same = [k for k, u in enumerate(signals) if len(u) == length]
@@ -312,7 +313,9 @@ def _weighted_gradients(
         for k in range(0, len(same), each):
             places = same[k : k + each]
             psi = _signal_gradients(plant, np.stack([signals[p] for p in places]))
-            yield places, np.tensordot(W, psi, axes=1)
+            if apart:
+                psi *= np.diag(W)[:, None, None, None]
+            yield places, psi if apart else np.tensordot(W, psi, axes=1)
 
 
 def null_directions(information: NDArray[np.float64], names: tuple[str, ...]) -> list[str]:
