@@ -15,7 +15,7 @@ from oed.data import Record, as_signal
 from oed.errors import InputError, Status
 from oed.files.objects import as_records
 from oed.models import Model, Polynomial, StateSpace
-from oed.norms import largest_gain
+from oed.norms import largest_gain, refined_maximum
 
 __all__ = ["Fit", "fit_percent", "noise_free", "peak_gain"]
 
@@ -76,13 +76,11 @@ def peak_gain(model: Any, points: int = 512) -> tuple[float, float, NDArray[np.f
     values = gain(grid)
     k = int(np.argmax(values))
     left, right = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
-    for _ in range(8):
-        inner = np.linspace(left, right, 11)
-        values = gain(inner)
-        k = int(np.argmax(values))
-        left, right = inner[max(k - 1, 0)], inner[min(k + 1, 10)]
-    near_end = [end for end in (0.0, np.pi) if abs(inner[k] - end) < 1e-6]
-    omega = near_end[0] if near_end else float(inner[k])  # by symmetry the slope vanishes there
+    omega = refined_maximum(gain, left, right)
+    step = (right - left) / 100
+    omega = refined_maximum(gain, max(omega - step, left), min(omega + step, right))
+    for end in (0.0, np.pi):
+        omega = end if abs(omega - end) < 1e-6 else omega  # by symmetry the slope vanishes there
     g, dg = model.response([omega])
     left_vectors, singular, right_vectors = np.linalg.svd(g[0])
     gradient = np.real(np.einsum("i,kij,j->k", left_vectors[:, 0].conj(), dg[0], right_vectors[0].conj()))
