@@ -78,7 +78,7 @@ class Settings:
     samples: int = 1000
     experiments: int = 20
     seed: int = 0
-    profile_replicates: int = 5
+    profile_replicates: int = 3
     limits: tuple[Limit, ...] = ()
     sources: tuple[tuple[str, str], ...] = field(default=(), repr=False)
 

@@ -70,7 +70,7 @@ class Optimum:
 
 def _scale(hessian: NDArray) -> NDArray[np.float64]:
     """Units in which the diagonal is 1; where it is zero, or negative by rounding, as if it were just not."""
-    diagonal = np.diag(hessian)
+    diagonal = hessian.diagonal()
     return 1 / np.sqrt(np.maximum(diagonal, max(1e-14 * diagonal.max(), np.finfo(float).tiny)))
 
 
