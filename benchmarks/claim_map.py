@@ -7,13 +7,14 @@ spectrum, an optimal experiment for the peak gain? Every row carries its certifi
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
-from benchmarks.processes import spread
 from oed.theory.cases import ClaimCase, claim_cases, claim_map
 from oed.theory.claim import ClaimRow
 
-__all__ = ["COLUMNS", "claim_rows", "row_of"]
+__all__ = ["COLUMNS", "claim_rows", "claim_tasks", "row_of"]
 
 COLUMNS = {
     "group": "Varied",
@@ -60,24 +61,37 @@ def row_of(group: str, row: ClaimRow) -> dict[str, Any]:
     }
 
 
-def claim_rows(cases: Any = None, jobs: int = 1) -> list[dict[str, Any]]:
-    """The map as rows of plain values; the usual cases take about 20 seconds of one core.
+def claim_tasks(cases: Sequence[ClaimCase] | None = None) -> list[Callable[[], list[dict[str, Any]]]]:
+    """The map case by case; the usual ones take about 20 seconds of one core.
 
     Parameters
     ----------
-    cases : list of ClaimCase, optional
+    cases : sequence of ClaimCase, optional
         By default those of `oed.theory.cases`.
-    jobs : int
-        Processes.
+
+    Returns
+    -------
+    list of callable
+        Each gives rows, for `benchmarks.processes.at_once`.
+    """
+    return [partial(_mapped, case) for case in (claim_cases() if cases is None else cases)]
+
+
+def claim_rows(cases: Sequence[ClaimCase] | None = None) -> list[dict[str, Any]]:
+    """The map as rows of plain values.
+
+    Parameters
+    ----------
+    cases : sequence of ClaimCase, optional
+        As for `claim_tasks`.
 
     Returns
     -------
     list of dict
         One per case.
     """
-    cases = claim_cases() if cases is None else cases
-    return [row_of(group, row) for rows in spread(_mapped, cases, jobs) for group, row in rows]
+    return [row for task in claim_tasks(cases) for row in task()]
 
 
-def _mapped(case: ClaimCase) -> list[tuple[str, ClaimRow]]:
-    return claim_map([case])
+def _mapped(case: ClaimCase) -> list[dict[str, Any]]:
+    return [row_of(group, row) for group, row in claim_map([case])]

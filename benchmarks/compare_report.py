@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from benchmarks import figures
 from benchmarks.answer import answer_rows, answer_sentences
+from benchmarks.claim_map import claim_tasks
 from benchmarks.comparison import BUDGET, COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
 from benchmarks.comparison_sections import (
     Save,
@@ -20,6 +22,7 @@ from benchmarks.comparison_sections import (
     profile_section,
 )
 from benchmarks.hair_dryer import hair_dryer_story
+from benchmarks.head_to_head import head_to_head_tasks
 from benchmarks.processes import at_once
 from benchmarks.report import save_figure, save_report, save_table
 from benchmarks.settings import Settings
@@ -39,6 +42,7 @@ ORACLE = (
 )
 FIG3_ITERATIONS = 50
 FIG3_REPLICATES = 1000
+HEAD_TO_HEAD_PLANTS = 40
 
 
 def write_comparison(
@@ -100,14 +104,20 @@ def write_comparison(
     tasks |= {
         f"theory of {plant}": partial(_theory_figures, folder, settings, known, plant) for plant in siso
     }
-    found = dict(zip(tasks, at_once(tasks.values(), jobs), strict=True))
+    claims = (
+        claim_tasks() if len(settings.plants) > 1 and answer else []
+    )  # about all plants, so not for a look at one
+    duels = head_to_head_tasks(HEAD_TO_HEAD_PLANTS) if answer else []
+    done = iter(at_once([*claims, *tasks.values(), *duels], jobs))
+    mapped = [row for rows in islice(done, len(claims)) for row in rows]
+    found = dict(zip(tasks, islice(done, len(tasks)), strict=True))
     sections = [inputs, found["comparison"], found["profiles"], found["information"]]
     if answer:
-        section, sentence = head_to_head_section(folder, save, jobs)
+        section, sentence = head_to_head_section(folder, save, list(done))
         sections = [found["answer"], *sections, section]
         sentences.append(sentence)
-    if len(settings.plants) > 1 and answer:  # about all plants, so not for a look at one
-        sections.append(claim_section(folder, save, jobs=jobs))
+    if claims:
+        sections.append(claim_section(folder, save, mapped))
     theory = [figure for plant in siso for figure in found[f"theory of {plant}"]]
     sections.append({"title": "The theory beside it", "text": [], "tables": [], "figures": theory})
     if "hair dryer" in found:

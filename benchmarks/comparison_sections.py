@@ -20,7 +20,6 @@ __all__ = ["answer_section", "claim_section", "head_to_head_section", "profile_s
 
 Row = dict[str, Any]
 Save = Callable[..., dict[str, Any]]
-HEAD_TO_HEAD_PLANTS = 40
 
 PAIRS = {
     "plant": "plant",
@@ -239,7 +238,7 @@ def _summary(performance: Sequence[Row]) -> list[Row]:
     return sorted(rows.values(), key=lambda row: -row["within_2"])
 
 
-def claim_section(folder: Path, save: Save, cases: Any = None, jobs: int = 1) -> dict[str, Any]:
+def claim_section(folder: Path, save: Save, rows: Sequence[Row]) -> dict[str, Any]:
     """The map of the claim: in which cases the sinusoid at the peak, and the limit of the iterations, are optimal.
 
     Parameters
@@ -248,10 +247,8 @@ def claim_section(folder: Path, save: Save, cases: Any = None, jobs: int = 1) ->
         Results folder.
     save : callable
         `save_table` with folder and metadata given.
-    cases : list of ClaimCase, optional
-        By default all of `oed.theory.cases`.
-    jobs : int
-        Processes.
+    rows : sequence of dict
+        Of `benchmarks.claim_map.claim_tasks`.
 
     Returns
     -------
@@ -259,10 +256,8 @@ def claim_section(folder: Path, save: Save, cases: Any = None, jobs: int = 1) ->
         A section of report.json.
     """
     from benchmarks.claim_map import COLUMNS as CLAIM
-    from benchmarks.claim_map import claim_rows
     from benchmarks.figures_claim import claim_figure
 
-    rows = claim_rows(cases, jobs)
     return {
         "title": "In theory: the map of the claim",
         "text": [
@@ -283,7 +278,7 @@ def claim_section(folder: Path, save: Save, cases: Any = None, jobs: int = 1) ->
     }
 
 
-def head_to_head_section(folder: Path, save: Save, jobs: int = 1) -> tuple[dict[str, Any], str]:
+def head_to_head_section(folder: Path, save: Save, found: Sequence[Any]) -> tuple[dict[str, Any], str]:
     """The public head-to-head with intervals, and the line that is not in print.
 
     Parameters
@@ -292,8 +287,8 @@ def head_to_head_section(folder: Path, save: Save, jobs: int = 1) -> tuple[dict[
         Results folder.
     save : callable
         `save_table` with folder and metadata given.
-    jobs : int
-        Processes.
+    found : sequence
+        What the tasks of `benchmarks.head_to_head` returned.
 
     Returns
     -------
@@ -302,7 +297,7 @@ def head_to_head_section(folder: Path, save: Save, jobs: int = 1) -> tuple[dict[
     sentence : str
         What it says.
     """
-    rows = head_to_head_rows(HEAD_TO_HEAD_PLANTS, jobs)
+    rows = head_to_head_rows(found)
     sentence = head_to_head_sentence(rows)
     section = {
         "title": "The public head-to-head, settled",

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from benchmarks.processes import spread
 from benchmarks.reproductions.head_to_head import CASES, plants, traces
 from oed.norms import peak
 from oed.plants import Plant
 
-__all__ = ["HEAD_TO_HEAD", "head_to_head_rows", "head_to_head_sentence"]
+__all__ = ["HEAD_TO_HEAD", "head_to_head_rows", "head_to_head_sentence", "head_to_head_tasks"]
 
 HEAD_TO_HEAD = {
     "name": "input and estimator",
@@ -55,22 +55,35 @@ def median_interval(values: Sequence[float], level: float = 0.95) -> tuple[float
     return float(ordered[max(rank - 1, 0)]), float(ordered[min(n - rank, n - 1)])
 
 
-def head_to_head_rows(count: int, jobs: int = 1) -> list[dict[str, Any]]:
-    """Every way of the protocol on random FIR plants of length 10, 200 experiments of 50 samples, noise 0.1.
+def head_to_head_tasks(count: int) -> list[Callable[[], Any]]:
+    """The runs of the protocol on random FIR plants of length 10: 200 experiments of 50 samples, noise 0.1.
 
     Parameters
     ----------
     count : int
         Random plants, each with noise of its own.
-    jobs : int
-        Processes.
+
+    Returns
+    -------
+    list of callable
+        One for each plant, for `benchmarks.processes.at_once`.
+    """
+    return [partial(_errors_on, plant) for plant in plants(count)]
+
+
+def head_to_head_rows(found: Sequence[Any]) -> list[dict[str, Any]]:
+    """Every way of the protocol.
+
+    Parameters
+    ----------
+    found : sequence
+        What the tasks returned.
 
     Returns
     -------
     list of dict
         The keys of HEAD_TO_HEAD, in the order of the medians.
     """
-    found = spread(_errors_on, plants(count), jobs)
     table = []
     for k, case in enumerate(CASES):
         values = np.array([errors[k] for errors, _ in found])

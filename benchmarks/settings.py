@@ -142,6 +142,7 @@ DEFAULT_LIMITS = (
     Limit(0, plant="hair-dryer", method="procedure-2"),
     Limit(0, plant="random-fir-1", method="procedure-2"),
     Limit(30, method="sequential"),
+    Limit(60, estimator="pem"),
     Limit(15, estimator="corrected"),
     Limit(30, estimator="fir-selected"),
 )
@@ -161,7 +162,7 @@ def default_limits(
     Returns
     -------
     tuple of Limit
-        Those whose names occur.
+        Those whose names occur; those of estimators alone only where several plants share the time.
     """
     return tuple(
         limit
@@ -169,6 +170,7 @@ def default_limits(
         if limit.plant in ("", *plants)
         and limit.method in ("", *methods)
         and limit.estimator in ("", *estimators)
+        and (limit.plant or limit.method or len(plants) > 1)
     )
 
 

@@ -10,7 +10,8 @@ from html import escape
 import numpy as np
 import pytest
 
-from benchmarks import comparison_sections
+from benchmarks import compare_report, comparison_sections
+from benchmarks.claim_map import claim_rows
 from benchmarks.comparison import compare
 from benchmarks.hair_dryer import hair_dryer_story
 from benchmarks.readme import END, START, with_headline, write_readme
@@ -35,7 +36,7 @@ SIZE = {
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compare")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(comparison_sections, "HEAD_TO_HEAD_PLANTS", 6)
+        patch.setattr(compare_report, "HEAD_TO_HEAD_PLANTS", 6)
         yield folder, compare(**SIZE, out=folder, jobs=1)
 
 
@@ -178,7 +179,8 @@ def test_the_map_of_the_claim_has_its_place(tmp_path):
     """Three of its cases, as table and figure of the page."""
     from oed.theory.cases import claim_cases
 
-    section = comparison_sections.claim_section(tmp_path, partial(save_table, tmp_path), claim_cases()[:3])
+    rows = claim_rows(claim_cases()[:3])
+    section = comparison_sections.claim_section(tmp_path, partial(save_table, tmp_path), rows)
     rows, _ = from_parquet(tmp_path / section["tables"][0]["file"])
     assert len(rows) == 3
     assert set(section["tables"][0]["columns"]) <= set(rows[0])

@@ -85,7 +85,8 @@ def test_default_limits_concern_what_is_compared():
     everything = default_limits(blank.plants, blank.methods, blank.estimators)
     settings = Settings(limits=everything)
     assert settings.replicates_of(100, "reference", "procedure-2") == 0
-    assert settings.replicates_of(100, "reference", "power", "pem") == 100
+    assert settings.replicates_of(100, "reference", "power", "mu") == 100
+    assert settings.replicates_of(100, "reference", "power", "pem") == 60
     assert settings.replicates_of(100, "three-by-two", "procedure-2") == 10
 
 
