@@ -37,7 +37,7 @@ class _Posterior:
         able = np.flatnonzero(gain + SURE * deviation >= np.max(gain - SURE * deviation))
         m, s = gain[able].astype(np.float32), deviation[able].astype(np.float32)
         # r^2 exponential and phi uniform need no normal numbers; sixteen random bits for each are fine enough here.
-        bits = np.asarray(rng.bit_generator.random_raw(DRAWS * len(able) // 2)).view(np.uint16)
+        bits = np.frombuffer(rng.bytes(4 * DRAWS * len(able)), np.uint16)
         uniform = bits.reshape(2, DRAWS, len(able)).astype(np.float32)
         uniform += np.float32(0.5)
         uniform *= np.float32(2.0**-16)

@@ -190,9 +190,8 @@ def run(
             status, message = Status.CONVERGED, Status.CONVERGED.value
             break
     generator.close()
-    fresh = experiment.used.experiments == len(
-        records
-    )  # nothing before, nothing refused: it has counted already
+    # Where the system had nothing to do before, and refused nothing, it has counted already.
+    fresh = experiment.used.experiments == len(records)
     return _trace(tuple(records), tuple(kinds), status, message, experiment.used if fresh else None)
 
 

@@ -135,7 +135,7 @@ class _Sinusoids:
         return np.column_stack([column[: self.samples] for column in columns])
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=4)
 def _sinusoids(spectrum: Spectrum, N: int) -> _Sinusoids:
     _check(spectrum, N)
     omega, a = _components(spectrum)

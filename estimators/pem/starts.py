@@ -204,9 +204,8 @@ def null_space_fit(
     theta = np.linalg.lstsq(design, B, rcond=None)[0]
     for _ in range(iterations):
         b, f = theta[:nb], reflected(theta[nb:])
-        slope = np.zeros(
-            (n, 2 * n)
-        )  # of F B - B_low A in (-A, B), the order of the regression: Toeplitz blocks
+        # The slope of F B - B_low A in (-A, B), the order of the regression: two Toeplitz blocks, diagonal by diagonal.
+        slope = np.zeros((n, 2 * n))
         for k, c in enumerate(b[: n - 1], 1):
             slope.flat[2 * n * k :: 2 * n + 1] = c
         for k, c in enumerate([1.0, *f][:n]):
