@@ -104,9 +104,8 @@ def write_comparison(
     tasks |= {
         f"theory of {plant}": partial(_theory_figures, folder, settings, known, plant) for plant in siso
     }
-    claims = (
-        claim_tasks() if len(settings.plants) > 1 and answer else []
-    )  # about all plants, so not for a look at one
+    # The map of the claim is about all plants, so not for a look at one.
+    claims = claim_tasks() if len(settings.plants) > 1 and answer else []
     duels = head_to_head_tasks(HEAD_TO_HEAD_PLANTS) if answer else []
     done = iter(at_once([*claims, *tasks.values(), *duels], jobs))
     mapped = [row for rows in islice(done, len(claims)) for row in rows]
