@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dposv
 
 from oed.errors import Status
 
-__all__ = ["Optimum", "Point", "minimise"]
+__all__ = ["Optimum", "Point", "minimise", "units"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +68,19 @@ class Optimum:
     decrement: float
 
 
-def _scale(hessian: NDArray) -> NDArray[np.float64]:
-    """Units in which the diagonal is 1; where it is zero, or negative by rounding, as if it were just not."""
+def units(hessian: NDArray) -> NDArray[np.float64]:
+    """Units of the parameters in which the diagonal of a matrix is 1.
+
+    Parameters
+    ----------
+    hessian : ndarray
+        (n, n) positive semidefinite.
+
+    Returns
+    -------
+    ndarray
+        (n,) factors; where the diagonal is zero, or negative by rounding, as if it were just not.
+    """
     diagonal = hessian.diagonal()
     return 1 / np.sqrt(np.maximum(diagonal, max(1e-14 * diagonal.max(), np.finfo(float).tiny)))
 
@@ -111,7 +122,7 @@ def _along(normals: NDArray, point: Point, moves: NDArray) -> NDArray:
     if not len(normals):
         return np.eye(n)
     hessian, gradient = point.hessian[moves[:, None], moves], point.gradient[moves]
-    inner = _solve(hessian, 1e-9, gradient, _scale(hessian))
+    inner = _solve(hessian, 1e-9, gradient, units(hessian))
     outward = normals[normals @ (inner if inner is not None else -gradient) > 0]
     if not len(outward):
         return np.eye(n)
@@ -175,7 +186,7 @@ def minimise(
             along = along @ _along(edges[:, moves], point, moves) if len(edges) else along
             gradient, hessian = along.T @ gradient, along.T @ hessian @ along
             learned = along.T @ S @ along
-        scale = _scale(hessian)
+        scale = units(hessian)
         newton = _solve(hessian, 1e-14, gradient, scale)
         newton = _solve(hessian, 1e-9, gradient, scale) if newton is None else newton
         decrement = np.inf if newton is None else float(-gradient @ newton) / max(point.loss, 1e-300)

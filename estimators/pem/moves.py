@@ -13,7 +13,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.gauss_newton import Point
+from estimators.pem.gauss_newton import Point, units
 from estimators.pem.problem import Problem
 from estimators.pem.starts import reflected
 
@@ -63,12 +63,12 @@ def solved(problem: Problem, z: NDArray, free: NDArray) -> Trial | None:
         return None
     moves = np.flatnonzero(free)
     hessian, gradient = point.hessian[moves[:, None], moves], point.gradient[moves]
-    size = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
-    scaled = hessian / np.outer(size, size)
+    scale = units(hessian)
+    scaled = hessian * np.outer(scale, scale)
     scaled.flat[:: len(moves) + 1] += 1e-10
     if not np.isfinite(scaled).all():
         return None
-    step = np.linalg.solve(scaled, -gradient / size) / size
+    step = -scale * np.linalg.solve(scaled, scale * gradient)
     z = point.z.copy()
     z[moves] += step
     return point.loss + float(gradient @ step), z
