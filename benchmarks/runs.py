@@ -287,7 +287,7 @@ class _Noise:
         if self.part.stop - self.part.start < SEVERAL_TENS or np.prod(size) > MOST_NOISE:
             return None
         if not self.first <= replicate < self.first + len(self.block):
-            from estimators.engine import noise_of_replicates
+            from estimators.noise_ahead import noise_of_replicates
 
             self.first = replicate
             self.block = noise_of_replicates(noise_key(self.settings.seed, plant.name), replicate, *size)

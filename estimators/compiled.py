@@ -25,7 +25,8 @@ def _local_models() -> None:
 
 
 def _iterations() -> None:
-    from estimators.engine import monte_carlo, noise_of_replicates
+    from estimators.engine import monte_carlo
+    from estimators.noise_ahead import noise_of_replicates
     from oed.named import named_plant
 
     monte_carlo(named_plant("reference"), 20, 2, 2)

@@ -27,7 +27,7 @@ from oed.experiments import Experiment, noise_factor, simulated
 from oed.noise import START, noise_key, standard_noise
 from oed.plants import Plant
 
-__all__ = ["Batch", "Campaign", "batches", "counter_start", "monte_carlo", "noise_of_replicates"]
+__all__ = ["Batch", "Campaign", "batches", "counter_start", "monte_carlo"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,36 +121,6 @@ class Campaign:
                 lines.append(f"  {name} {self.mean[name][-1]:.6g} +- {self.error(name)[-1]:.2g}")
         lines.append(f"  negative squares {self.negative.sum() / (self.replicates * len(self.negative)):.3%}")
         return "\n".join(lines)
-
-
-def noise_of_replicates(
-    key: tuple[int, int], first: int, experiments: int, samples: int, n_outputs: int = 1
-) -> NDArray[np.float64]:
-    """Standard normal noise of B successive replicates, bit by bit that of `oed.noise.noise_series`, compiled.
-
-    Parameters
-    ----------
-    key : tuple of int
-        From `oed.noise.noise_key`.
-    first : int
-        First replicate.
-    experiments, samples, n_outputs : int
-        Number of experiments from 0 on, length, channels.
-
-    Returns
-    -------
-    ndarray
-        (B, experiments, samples, n_outputs).
-    """
-    from estimators.engine_kernels import B, normal_block
-
-    words = [np.uint64(k) for k in key]
-    found, x = np.empty((B, experiments, samples, n_outputs)), np.empty(samples * B)
-    for m in range(experiments):
-        for i in range(n_outputs):
-            normal_block(*words, samples, i, m, first, x)
-            found[:, m, :, i] = x.reshape(samples, B).T
-    return found
 
 
 def counter_start(

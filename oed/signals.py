@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.data import Spectrum, as_signal
 from oed.errors import InputError
+from oed.sinusoid_tables import check_realisable, sinusoids
 
 __all__ = [
     "Realised",
@@ -49,21 +49,6 @@ def crest_factor(u: ArrayLike) -> float:
     rms = np.sqrt(np.mean(u**2, axis=0))
     excited = rms > 0
     return float((np.abs(u).max(axis=0)[excited] / rms[excited]).max()) if excited.any() else float("nan")
-
-
-def _check(spectrum: Spectrum, N: int) -> None:
-    if int(N) != N or N < 2:
-        raise InputError(f"the signal has N = {N} samples; ask for a whole number of at least 2.")
-    if not (len(spectrum) and spectrum.total_power > 0):
-        raise InputError("the spectrum has no power; a signal needs at least one line with positive power.")
-
-
-def _components(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
-    """Frequencies and complex amplitudes a, (m,) and (m, nu): P_k = sum of a a^* over the line's components."""
-    P = spectrum.power
-    values, vectors = (P[:, 0].real, np.ones_like(P)) if P.shape[1] == 1 else np.linalg.eigh(P)
-    k, i = np.nonzero(values > 1e-12 * max(values.max(), 1e-300))
-    return spectrum.omega[k], vectors[k, :, i] * np.sqrt(values[k, i])[:, None]
 
 
 def _rescaled(u: NDArray[np.float64], power: float) -> NDArray[np.float64]:
@@ -103,7 +88,7 @@ def realise(
     InputError
         If the spectrum has no power, or the number of phases is wrong.
     """
-    lines = _sinusoids(spectrum, int(N) if int(N) == N else N)
+    lines = sinusoids(spectrum, int(N) if int(N) == N else N)
     shape = lines.real.shape
     if phases is None:
         phi = rng.uniform(0, 2 * np.pi, shape) if rng is not None else np.zeros(shape)
@@ -116,37 +101,6 @@ def realise(
     # A line at 0 or pi has no quadrature: only the sign of its phase is left.
     turn = np.where(lines.real, np.where(np.cos(phi) >= 0, 1.0, -1.0), np.sqrt(2) * np.exp(1j * phi))
     return _rescaled(lines.signal(lines.amplitudes * turn[:, None]), lines.power)
-
-
-@dataclass(frozen=True, eq=False)
-class _Sinusoids:
-    """What all signals of one spectrum and length share: exp(j w t), t = block m + n, is a product of two short tables."""
-
-    real: NDArray[np.bool_]  # (m,) whether a sinusoid lies at 0 or pi
-    amplitudes: NDArray[np.complex128]  # (m, nu)
-    fine: NDArray[np.complex128]  # (m, block)
-    coarse: NDArray[np.complex128]  # (m, blocks)
-    samples: int
-    power: float
-
-    def signal(self, amplitudes: NDArray[np.complex128]) -> NDArray[np.float64]:
-        """Re sum_k a_k exp(j w_k t), (N, nu)."""
-        columns = [((self.coarse * a[:, None]).T @ self.fine).real.ravel() for a in amplitudes.T]
-        return np.column_stack([column[: self.samples] for column in columns])
-
-
-@lru_cache(maxsize=4)
-def _sinusoids(spectrum: Spectrum, N: int) -> _Sinusoids:
-    _check(spectrum, N)
-    omega, a = _components(spectrum)
-    first = np.concatenate([[True], omega[1:] != omega[:-1]])
-    order = np.arange(len(omega)) - np.maximum.accumulate(np.where(first, np.arange(len(omega)), 0))
-    aside = np.where(omega + 2 * np.pi * order / N <= np.pi, 1, -1)
-    used, block = omega + aside * 2 * np.pi * order / N, int(np.ceil(np.sqrt(N)))
-    fine = np.exp(1j * np.outer(used, np.arange(block)))
-    coarse = np.exp(1j * np.outer(used, block * np.arange(-(-N // block))))
-    real = (omega < 1e-12) | (omega > np.pi - 1e-12)
-    return _Sinusoids(real, a, fine, coarse, N, spectrum.total_power)
 
 
 def _binned(spectrum: Spectrum, N: int) -> NDArray[np.complex128]:
@@ -223,7 +177,7 @@ def multisine(
     Source: E. Van der Ouderaa, J. Schoukens, J. Renneboog, "Peak factor minimization using a time-frequency
     domain swapping algorithm", IEEE Transactions on Instrumentation and Measurement 37 (1988) 145-147.
     """
-    _check(spectrum, N)
+    check_realisable(spectrum, N)
     power = _binned(spectrum, N)
     nu = spectrum.n_inputs
     amplitude = _random_rank(power, rng) if _full_rank(power) else _principal(power)
@@ -279,7 +233,7 @@ def filtered_noise(spectrum: Spectrum, N: int, rng: np.random.Generator) -> NDAr
     ndarray
         (N, nu).
     """
-    _check(spectrum, N)
+    check_realisable(spectrum, N)
     power = _binned(spectrum, 2 * N)
     values, vectors = np.linalg.eigh(power)
     shape = values.shape
@@ -318,7 +272,7 @@ def binary(
     ndarray
         (N, nu), every sample + or - the amplitude.
     """
-    _check(spectrum, N)
+    check_realisable(spectrum, N)
     channel = np.einsum("kii->i", spectrum.power).real
     level = np.broadcast_to(
         np.sqrt(channel) if amplitude is None else np.asarray(amplitude, float), channel.shape

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.engine import batches, counter_start, monte_carlo, noise_of_replicates, twin_batch
+from estimators.engine import batches, counter_start, monte_carlo, twin_batch
+from estimators.noise_ahead import noise_of_replicates
 from oed.errors import InputError
 from oed.experiments import Experiment, simulated
 from oed.named import NAMES, named_plant
