@@ -54,10 +54,12 @@ class _Posterior:
         return np.bincount(able[np.argmax(squares, axis=1)], minlength=len(gain)) / DRAWS
 
 
-def _posterior(power: NDArray, cross: NDArray, energy: float, experiments: int) -> _Posterior:
+def _posterior(
+    power: NDArray[np.float64], cross: NDArray[np.complex128], energy: float, experiments: int
+) -> _Posterior:
     """From sum |U|^2 and sum Y U* of every line, and the sum of |Y|^2 over lines and experiments."""
     power = np.maximum(power, 1e-12)
-    mean = cross / power
+    mean = np.asarray(cross / power, complex)
     rest = max(energy - float(np.sum(np.abs(cross) ** 2 / power)), 1e-15 * energy)
     noise = rest / (len(power) * (experiments - 1)) if experiments > 1 else energy / len(power)
     return _Posterior(mean, noise / power, noise)

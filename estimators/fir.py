@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,10 +74,10 @@ def _moments(records: list[Record], taps: int) -> tuple[NDArray, NDArray, NDArra
     from scipy.fft import irfft, next_fast_len
 
     nu, ny = records[0].n_inputs, records[0].n_outputs
-    size = next_fast_len(max(map(len, records)) + taps - 1, real=True)
+    size = cast(int, next_fast_len(max(map(len, records)) + taps - 1, real=True))
     U, Y = (_transforms(signals, size) for signals in ([r.u for r in records], [r.y for r in records]))
-    own = irfft(np.einsum("mak,mbk->abk", U, np.conj(U)), size)[..., :taps]
-    crossed = irfft(np.einsum("mak,mok->aok", np.conj(U), Y), size)[..., :taps]
+    own = np.asarray(irfft(np.einsum("mak,mbk->abk", U, np.conj(U)), size))[..., :taps]
+    crossed = np.asarray(irfft(np.einsum("mak,mok->aok", np.conj(U), Y), size))[..., :taps]
     ends = np.zeros((len(records), taps, nu))
     for record, end in zip(records, ends, strict=True):
         end[: len(record)] = record.u[::-1][:taps]

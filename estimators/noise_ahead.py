@@ -29,10 +29,10 @@ def noise_of_replicates(
     """
     from estimators.engine_kernels import B, normal_block
 
-    words = [np.uint64(k) for k in key]
+    k0, k1 = (np.uint64(k) for k in key)
     found, x = np.empty((B, experiments, samples, n_outputs)), np.empty(samples * B)
     for m in range(experiments):
         for i in range(n_outputs):
-            normal_block(*words, samples, i, m, first, x)
+            normal_block(k0, k1, samples, i, m, first, x)
             found[:, m, :, i] = x.reshape(samples, B).T
     return found
