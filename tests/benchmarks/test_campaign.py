@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import errno
 import itertools
 import json
@@ -17,7 +16,6 @@ import numpy as np
 import pytest
 
 import benchmarks.methods as methods
-import benchmarks.runs as runs
 from benchmarks.campaign import CHUNK, Settings, checkpoints, fill_store, parts, run_campaign, stored_runs
 from benchmarks.runs import boundaries
 from benchmarks.settings import Limit
@@ -246,20 +244,6 @@ def test_all_methods_meet_the_same_noise(tmp_path):
         errors.append(np.concatenate([r.y - plant.simulate(r.u) for r in trace.records]))
     assert np.allclose(errors[0], errors[1], atol=1e-12)
     assert np.allclose(errors[0], errors[2], atol=1e-12)
-
-
-@pytest.mark.parametrize("plant", ["reference", "three-by-two"])
-def test_noise_of_many_replicates_at_once_is_that_of_each(plant, monkeypatch):
-    """A part of 70 replicates, two blocks of compiled noise, against the same part computed run by run."""
-    settings = dataclasses.replace(
-        SMALL, plants=(plant,), methods=("white",), estimators=("frf",), experiments=4, samples=130
-    )
-    part = runs.Part(plant, 1.0, "white", 100, 170)
-    block = runs.run_part(settings, part)
-    monkeypatch.setattr(runs, "SEVERAL_TENS", 1000)
-    assert repr(block) == repr(runs.run_part(settings, part))
-    other = runs.run_part(settings, dataclasses.replace(part, start=101, stop=171))
-    assert repr(block[:5]) != repr(other[:5])  # the control: another replicate is another run
 
 
 def test_rho_of_a_known_estimator(tmp_path):
