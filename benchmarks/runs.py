@@ -295,16 +295,19 @@ class _Noise:
 
 
 def _run(
-    settings: Settings, part: Part, replicate: int, own: Mapping[str, Any], noise: _Noise | None = None
+    settings: Settings, part: Part, replicate: int, own: Mapping[str, Any], noise: _Noise
 ) -> tuple[Any, Any]:
     if part.method in own:
         plant = load_plant(part.plant, part.noise_variance)
         method = own[part.method](plant)
     else:
         plant, method = _prepared(*part.combination)
-    computed = noise.of(plant, replicate) if noise is not None else None
     experiment = simulated(
-        plant, seed=settings.seed, replicate=replicate, expected=settings.experiments, computed=computed
+        plant,
+        seed=settings.seed,
+        replicate=replicate,
+        expected=settings.experiments,
+        computed=noise.of(plant, replicate),
     )
     rng = seed_for(settings.seed, part.plant, part.method, replicate)
     return plant, method(experiment, samples=settings.samples, iterations=settings.experiments, rng=rng)

@@ -127,7 +127,7 @@ def refined_maximum(height: Callable[[NDArray], NDArray], low: float, high: floa
         return float(points[k])
     bend = heights[k + 1] - 2 * heights[k] + heights[k - 1]
     move = 0.5 * (heights[k - 1] - heights[k + 1]) / bend if bend < 0 else 0.0
-    return float(points[k] + min(max(move, -1.0), 1.0) * (points[1] - points[0]))
+    return float(points[k] + move * (points[1] - points[0]))
 
 
 def response_derivatives(

@@ -88,7 +88,7 @@ def realise(
     InputError
         If the spectrum has no power, or the number of phases is wrong.
     """
-    lines = sinusoids(spectrum, int(N) if int(N) == N else N)
+    lines = sinusoids(spectrum, N)
     shape = lines.real.shape
     if phases is None:
         phi = rng.uniform(0, 2 * np.pi, shape) if rng is not None else np.zeros(shape)

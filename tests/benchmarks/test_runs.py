@@ -28,6 +28,5 @@ def test_noise_of_many_replicates_at_once_is_that_of_each(plant, monkeypatch):
     monkeypatch.setattr(runs, "SEVERAL_TENS", 32)
     later = runs.run_part(settings, dataclasses.replace(part, start=101, stop=171))
     assert repr(later[:60]) == repr(block[1:61])  # wherever a block begins
-    assert (
-        len({row["estimate"] for row in block[:70]}) == 70
-    )  # the control: no two replicates meet the same noise
+    # The control: no two replicates meet the same noise.
+    assert len({row["estimate"] for row in block[:70]}) == 70
