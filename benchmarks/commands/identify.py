@@ -52,6 +52,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="how hard the optimum is looked for",
     )
+    parser.add_argument(
+        "--method", choices=("pem", "moesp", "n4sid", "cva"), default="pem",
+        help="of ss: prediction errors (default), or a subspace method, which needs no search",
+    )  # fmt: skip
+    parser.add_argument(
+        "--horizon",
+        type=int,
+        metavar="i",
+        help="block rows of the subspace method (default: chosen from the data)",
+    )
     parser.add_argument("--missing", action="store_true", help="NaN in the outputs marks missing samples")
     parser.add_argument("--robust", choices=("huber", "student"), help="a loss that withstands outliers")
     parser.add_argument(
@@ -123,6 +133,8 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         "search": args.search,
         "regularisation": args.regularisation,
         "disturbance": args.disturbance,
+        "method": args.method,
+        "horizon": args.horizon,
     }
     if args.delay == "auto":
         found = estimate_delay(records, args.structure, orders, **options)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -30,6 +30,7 @@ from estimators.pem.results import result
 from estimators.pem.search import best_optimum
 from estimators.pem.starts import reflected
 from estimators.pem.statespace import state_space_of_armax, subspace_candidates
+from estimators.pem.subspace import by_subspace, check_subspace
 from oed.data import Record
 from oed.errors import InputError, Status
 from oed.files.objects import as_records
@@ -60,6 +61,8 @@ def identify(
     missing: bool = False,
     regularisation: str | None = None,
     disturbance: str | None = None,
+    method: str = "pem",
+    horizon: int | None = None,
     max_iterations: int = 100,
     tolerance: float = 1e-16,
 ) -> Fit:
@@ -116,6 +119,11 @@ def identify(
     disturbance : {"ar1", "walk"}, optional
         With a regularisation, a slow disturbance beside the white noise: a stationary first-order autoregression,
         or a random walk. The model then has the noise model H = (1 + c z^-1) / (1 + d z^-1).
+    method : {"pem", "moesp", "n4sid", "cva"}
+        Prediction errors; or, of ss, a subspace method, which needs no search and no start. Its model has no noise
+        model and minimises no loss; `Fit.subspace` holds its singular values and horizons.
+    horizon : int, optional
+        With a subspace method, the block rows; by default chosen from the data.
     max_iterations : int
         Most Gauss-Newton steps from each start.
     tolerance : float
@@ -150,21 +158,33 @@ def identify(
     means = offset == "mean"
     if means:
         experiments, levels = _about_means(experiments)
+    restored: Callable[[Fit], Fit] = lambda fit: (
+        replace(fit, input_level=levels[0], output_level=levels[1]) if means else fit
+    )
     offset = bool(offset) and not means
     missing = missing and not all(r.complete for r in experiments)
+    given = {
+        "start": start is not None, "fixed": bool(fixed), "bounds": bool(bounds), "prior": bool(prior),
+        "constraints": constraints is not None, "robust": robust is not None, "missing": missing,
+        'initial="backcast"': initial == "backcast",
+    }  # fmt: skip
+    kernel = regularisation is not None or disturbance is not None
+    states = None
+    if method != "pem" or horizon is not None:
+        form = states = check_subspace(form, method, horizon, given | {"a kernel": kernel})
     check_records(experiments, form, offset or means, missing, regularisation is not None)
-    if regularisation is not None or disturbance is not None:
-        given = {
-            "start": start is not None, "fixed": bool(fixed), "bounds": bool(bounds), "prior": bool(prior),
-            "constraints": constraints is not None, "robust": robust is not None, "missing": missing,
-            'initial="backcast"': initial == "backcast",
-        }  # fmt: skip
+    if states is not None:
+        return restored(
+            by_subspace(
+                states, experiments, method, horizon, offset=offset, centred=offset or means, initial=initial
+            )
+        )
+    if kernel:
         fir = check_regularisation(form, regularisation, disturbance, given)
-        fit = regularised(
+        return restored(regularised(
             fir, experiments, str(regularisation), disturbance,
             offset=offset, unknown=initial != "zero", max_iterations=max_iterations,
-        )  # fmt: skip
-        return replace(fit, input_level=levels[0], output_level=levels[1]) if means else fit
+        ))  # fmt: skip
     how = Settings(offset, initial != "zero", missing, search, max_iterations, tolerance)
     joint = prepare(form, experiments, offset=offset, initial=how.unknown, missing=missing)
     joint = with_limits(joint, fixed or {}, bounds or {})
@@ -190,8 +210,7 @@ def identify(
                     robustly(problem, Optimum(point, Status.OK, optimum.iterations, np.inf), robust, how)
                 )
         problem, optimum = min(ends, key=lambda end: robust_scale(*end))
-    fit = result(problem, optimum, experiments, offset, initial, robust, normals)
-    return replace(fit, input_level=levels[0], output_level=levels[1]) if means else fit
+    return restored(result(problem, optimum, experiments, offset, initial, robust, normals))
 
 
 def _fitted(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from estimators.pem.observability import Subspace
 from estimators.pem.predictors import samples
 from estimators.pem.problem import prepare
 from estimators.pem.regularisation import Regularisation
@@ -154,6 +155,8 @@ class Fit:
         What a reader should know beside the numbers.
     regularisation : Regularisation, optional
         Kernel, disturbance and hyperparameters of a regularised impulse response. Its covariance is the posterior's.
+    subspace : Subspace, optional
+        Horizon and singular values of a subspace method, whose parameters minimise no loss.
     """
 
     model: Model
@@ -172,6 +175,7 @@ class Fit:
     initial: str = "zero"
     notes: tuple[str, ...] = field(default=())
     regularisation: Regularisation | None = None
+    subspace: Subspace | None = None
 
     @property
     def theta(self) -> NDArray[np.float64]:
@@ -423,6 +427,7 @@ class Fit:
             "status": self.status.name,
             "notes": list(self.notes),
             **({"regularisation": self.regularisation.to_dict()} if self.regularisation else {}),
+            **({"subspace": self.subspace.to_dict()} if self.subspace else {}),
         }
 
     def __repr__(self) -> str:
@@ -435,7 +440,7 @@ class Fit:
         rows += [
             f"  noise variance {self.noise_variance:.6g}, loss {self.loss:.6g}, fit {self.fit_percent:.2f} %",
             f"  peak gain {gamma:.6g} +- {error:.2g} at {omega:.5g} rad/sample",
-            *([f"  {self.regularisation!r}"] if self.regularisation else []),
+            *(f"  {how!r}" for how in (self.regularisation, self.subspace) if how),
             *(f"  note: {note}" for note in self.notes),
         ]
         return "\n".join(rows)

@@ -1,4 +1,5 @@
-"""Figures of an identified model: measured against modelled, residuals, gain and phase, poles and zeros, step."""
+"""Figures of an identified model: measured against modelled, residuals, gain and phase, poles and zeros, step,
+singular values."""
 
 from __future__ import annotations
 
@@ -13,8 +14,10 @@ from estimators.pem.fit import Fit, fit_percent
 from estimators.pem.uncertainty import bode_band, pole_covariances, step_band
 from estimators.residuals import ResidualTest
 from oed.data import Record
+from oed.errors import InputError
+from oed.models import Polynomial
 
-__all__ = ["plot_bode", "plot_compare", "plot_poles", "plot_residual_tests", "plot_step"]
+__all__ = ["plot_bode", "plot_compare", "plot_order", "plot_poles", "plot_residual_tests", "plot_step"]
 
 BLUE, ORANGE, GREY = "#1f77b4", "#d95f02", "#777777"
 
@@ -206,4 +209,40 @@ def plot_step(fit: Fit, samples: int = 100, *, level: float = 0.95) -> Figure:
             axes[i, j].set_title(f"input {j + 1} to output {i + 1}" if ny * nu > 1 else "")
     axes[-1, 0].set_xlabel("sample")
     axes[0, 0].set_ylabel("step response")
+    return figure
+
+
+def plot_order(fit: Fit) -> Figure:
+    """What a subspace method went by: the singular values that tell the order, and the simulation error by horizon.
+
+    Parameters
+    ----------
+    fit : Fit
+        By a subspace method, as `identify(..., method="moesp")`.
+
+    Returns
+    -------
+    Figure
+        Two panels; the second only where several horizons were tried. InputError for a fit by another method.
+    """
+    form, how = fit.model.structure, fit.subspace
+    if how is None or isinstance(form, Polynomial):
+        raise InputError(
+            'this fit has no singular values; it takes one with method="moesp", "n4sid" or "cva".'
+        )
+    n, many = form.order, len(how.tried) > 1
+    figure = Figure(figsize=(8 if many else 4.5, 3), layout="constrained")
+    axes = figure.subplots(1, 2 if many else 1, squeeze=False)[0]
+    size = np.maximum(how.singular_values, np.finfo(float).tiny)
+    size = size[size > 1e-16 * size[0]]
+    at = np.arange(1, len(size) + 1)
+    axes[0].semilogy(at[:n], size[:n], "o", color=BLUE, label=f"taken: {min(n, len(size))}")
+    axes[0].semilogy(at[n:], size[n:], "o", color=GREY, mfc="none", label="left")
+    axes[0].set(xlabel="number", ylabel=f"singular value ({how.method})")
+    axes[0].legend(fontsize="small")
+    if many:
+        axes[1].plot(list(how.tried), list(how.tried.values()), ".-", color=BLUE, lw=1)
+        axes[1].plot(how.horizon, how.tried[how.horizon], "o", color=ORANGE, label=f"taken: {how.horizon}")
+        axes[1].set(xlabel="horizon [block rows]", ylabel="simulation error / output size")
+        axes[1].legend(fontsize="small")
     return figure

@@ -26,6 +26,7 @@ def result(
     initial: str,
     robust: str | None = None,
     normals: NDArray | None = None,
+    spread: NDArray | None = None,
 ) -> Fit:
     """A fit from the optimum that was found.
 
@@ -45,6 +46,8 @@ def result(
         Which robust loss was used.
     normals : ndarray, optional
         (m, n + levels) gradients of active constraints: nothing varies across them.
+    spread : ndarray, optional
+        (n + levels, n + levels) covariance in scaled units, where it is not that of a minimum.
 
     Returns
     -------
@@ -67,18 +70,14 @@ def result(
         across = inner @ normals[:, moves].T
         inner = inner - across @ np.linalg.pinv(normals[:, moves] @ across) @ across.T
         estimated -= len(normals)
-    spread = np.zeros((problem.n_parameters, problem.n_parameters))
     kept = np.flatnonzero(free & ~at_bound)
-    spread[kept[:, None], kept] = inner
     scaled = point.extra[1]
     freedom = total / max(total - estimated / ny, 1.0)
     noise = scaled * np.outer(problem.output_scale, problem.output_scale) * freedom
-    if robust:
-        spread = spread * robust_factor(problem, point, robust) * freedom
-    elif problem.variant == "missing":  # the loss is the likelihood's, concentrated over a common factor
-        spread = spread * (point.loss / problem.n_values * freedom)
-    else:  # the weight of several outputs is the inverse of their residuals' moment
-        spread = spread * ((float(scaled[0, 0]) if ny == 1 else 1.0) * freedom)
+    if spread is None:
+        spread = np.zeros((problem.n_parameters, problem.n_parameters))
+        spread[kept[:, None], kept] = inner
+        spread = spread * _level(problem, point, robust, freedom)
     spread = spread * np.outer(problem.scale, problem.scale)
     theta = point.z[:n] * problem.scale[:n]
     level, level_error = problem.output_level, np.zeros(ny)
@@ -110,6 +109,17 @@ def result(
         model, covariance, loss, total, estimated, fit, status, optimum.iterations, optimum.decrement,
         residuals, problem.input_level, level, level_error, initial, tuple(notes),
     )  # fmt: skip
+
+
+def _level(problem: Problem, point: Point, robust: str | None, freedom: float) -> float:
+    """What the inverse of the Gauss-Newton matrix is multiplied by."""
+    scaled = point.extra[1]
+    if robust:
+        return robust_factor(problem, point, robust) * freedom
+    if problem.variant == "missing":  # the loss is the likelihood's, concentrated over a common factor
+        return point.loss / problem.n_values * freedom
+    # the weight of several outputs is the inverse of their residuals' moment
+    return (float(scaled[0, 0]) if len(scaled) == 1 else 1.0) * freedom
 
 
 def _covariance(

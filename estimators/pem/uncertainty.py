@@ -20,7 +20,16 @@ from oed.data import Record
 from oed.errors import InputError
 from oed.files.objects import as_records
 
-__all__ = ["Band", "bode_band", "pole_covariances", "profile_interval", "sandwich", "step_band"]
+__all__ = [
+    "Band",
+    "bode_band",
+    "default_lags",
+    "long_run",
+    "pole_covariances",
+    "profile_interval",
+    "sandwich",
+    "step_band",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +75,11 @@ def _problem(fit: Fit, records: Record | Sequence[Record]) -> tuple[Problem, NDA
         raise InputError(
             "this fit is regularised: its covariance is the posterior's, and neither a sandwich nor a profile of the "
             "squared loss belongs to it; fit without regularisation for these."
+        )
+    if fit.subspace is not None:
+        raise InputError(
+            "this fit is a subspace estimate, which minimises no loss: its covariance holds for coloured noise as it is; "
+            'a profile or a sandwich belongs to a fit with method="pem".'
         )
     given = as_records(records)
     offset = bool(fit.output_level_errors.any())
@@ -132,14 +146,14 @@ def sandwich(fit: Fit, records: Record | Sequence[Record], *, lags: int | None =
             else point.hessian[k]
         )
     H = (H + H.T) / 2
-    lags = int(np.ceil(4 * (problem.n_observed / 100) ** (2 / 9))) if lags is None else lags
+    lags = default_lags(problem.n_observed) if lags is None else lags
     initial, scores = point.extra[0], []
     for r, data in enumerate(problem.records()):
         states = np.zeros(0) if initial is None else initial[r]
         e, jacobian = problem.kernel.trace(data, np.concatenate([z, states]), True)
         if jacobian is not None:
             scores.append(_scores(e, jacobian[:, :, :n], problem.weight, point.hessian))
-    M = _long_run(scores, lags)
+    M = long_run(scores, lags)
     inverse = np.linalg.inv(H)
     covariance = inverse @ M @ inverse * np.outer(problem.scale, problem.scale)
     m = len(fit.theta)
@@ -157,8 +171,37 @@ def _scores(e: NDArray, jacobian: NDArray, weight: NDArray, hessian: NDArray) ->
     return np.einsum("tji,jk,tk->ti", jacobian, weight, np.linalg.solve(kept, e[:, :, None])[:, :, 0])
 
 
-def _long_run(scores: list[NDArray], lags: int) -> NDArray[np.float64]:
-    """Sum over all pairs of times of the covariance of the scores, (n, n)."""
+def default_lags(samples: int) -> int:
+    """How many lags a long-run covariance takes: 4 (N / 100)^(2/9) (Newey, West 1994).
+
+    Parameters
+    ----------
+    samples : int
+        N.
+
+    Returns
+    -------
+    int
+        Rounded up.
+    """
+    return int(np.ceil(4 * (samples / 100) ** (2 / 9)))
+
+
+def long_run(scores: list[NDArray], lags: int) -> NDArray[np.float64]:
+    """Sum over all pairs of times of the covariance of a series: whitened, weighted by Bartlett, coloured again.
+
+    Parameters
+    ----------
+    scores : list of ndarray
+        (N, n) of each record.
+    lags : int
+        How far the whitened series is correlated; with 0 it is not whitened and its terms are independent.
+
+    Returns
+    -------
+    ndarray
+        (n, n).
+    """
     n = scores[0].shape[1]
     recolour = np.eye(n)
     if lags:

@@ -150,3 +150,12 @@ def test_first_test_samples_are_left_out(data, capfd) -> None:
     assert (rest["skipped"], window["skipped"]) == (0, 20)
     assert main(["identify", *map(str, split), "--skip", "200"]) == 2
     assert "--skip 200" in capfd.readouterr().err
+
+
+def test_subspace_method(data, capfd) -> None:
+    options = ("--structure", "ss", "--orders", 5, "--method", "moesp", "--horizon", 12)
+    found = answer(capfd, data, *options)
+    assert found["fit_percent"] > 80
+    assert (found["subspace"]["method"], found["subspace"]["horizon"]) == ("moesp", 12)
+    assert main(["identify", str(data), "--method", "moesp"]) == 2
+    assert 'take the structure "ss" instead of oe' in capfd.readouterr().err

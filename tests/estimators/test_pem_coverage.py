@@ -92,6 +92,21 @@ def test_coverage_of_state_space(record_figure) -> None:
 
 
 @pytest.mark.validate
+@pytest.mark.parametrize("method", ["moesp", "n4sid", "cva"])
+def test_coverage_of_subspace_methods(method, record_figure) -> None:
+    """The output-error case with a horizon of 15: no likelihood, but errors to first order in the noise."""
+    filters, _, theta = CASES["oe"]
+    b, f = np.array(theta[:2]), np.array(theta[2:])
+    true = np.array([-f[1], -f[0], b[0], b[1] - f[0] * b[0]])  # the state holds the next two outputs
+
+    def one(rng):
+        fit = identify(simulated(rng, filters), "ss", [2], method=method, horizon=15)
+        return fit.theta - true, fit.standard_errors
+
+    check(f"ss by {method}", one, record_figure)
+
+
+@pytest.mark.validate
 @pytest.mark.parametrize("outputs", [1, 2])
 def test_coverage_of_several_channels(outputs, record_figure) -> None:
     """Output error, two inputs; one output, and two with correlated noise."""

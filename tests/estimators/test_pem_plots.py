@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 
 from estimators.pem import identify, plots
 from estimators.residuals import residual_tests
 from oed.data import Record
+from oed.errors import InputError
 
 
 def test_figures(rng, tmp_path) -> None:
@@ -31,3 +33,19 @@ def test_figures(rng, tmp_path) -> None:
     for k, figure in enumerate(figures):
         figure.savefig(tmp_path / f"{k}.png", dpi=50)
         assert (tmp_path / f"{k}.png").stat().st_size > 2000
+
+
+def test_figure_of_a_subspace_method(rng, tmp_path) -> None:
+    u = rng.normal(size=300)
+    record = Record(u, lfilter([0, 0.2, 0.2], [1, -1, 0.8], u) + 0.1 * rng.normal(size=300))
+    for how, panels in (({}, 2), ({"horizon": 6}, 1)):
+        fit = identify(record, "ss", (2,), method="moesp", **how)
+        figure = plots.plot_order(fit)
+        assert len(figure.axes) == panels
+        taken, left = figure.axes[0].get_lines()
+        assert len(taken.get_xdata()) == 2
+        assert len(left.get_xdata()) == fit.subspace.horizon - 2
+        figure.savefig(tmp_path / f"{panels}.png", dpi=50)
+        assert (tmp_path / f"{panels}.png").stat().st_size > 2000
+    with pytest.raises(InputError, match="has no singular values"):
+        plots.plot_order(identify(record, "oe", (2, 2)))

@@ -1,0 +1,171 @@
+"""Block-Hankel matrices of records, by their triangular factor: all that a subspace method needs of the data.
+
+At each sample t, the present, a row holds the future inputs u(t) ... u(t+i-1), the past inputs and outputs
+u(t-i) ... u(t-1), y(t-i) ... y(t-1), and the future outputs y(t) ... y(t+i-1). The factor R of these rows has i (2 nu +
+2 ny) columns however long the records are; it is found block by block, in memory that does not grow with them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+__all__ = ["Factor", "autoregressive_order", "factored", "windows"]
+
+CHUNK = 4096
+"""Rows that are factored at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Triangular factor of the rows [future inputs, past inputs and outputs, future outputs].
+
+    Attributes
+    ----------
+    R : ndarray
+        (d, d) upper triangular, d = 2 i (nu + ny).
+    horizon : int
+        i, block rows that look back, and as many that look forward.
+    n_inputs, n_outputs : int
+        nu, ny.
+    """
+
+    R: NDArray[np.float64]
+    horizon: int
+    n_inputs: int
+    n_outputs: int
+
+    def shorter(self, horizon: int) -> Factor:
+        """The factor of fewer block rows, at the same samples.
+
+        Parameters
+        ----------
+        horizon : int
+            At most this factor's.
+
+        Returns
+        -------
+        Factor
+            With 2 horizon (nu + ny) columns.
+        """
+        i, nu, ny = self.horizon, self.n_inputs, self.n_outputs
+        begin = np.cumsum([0, i * nu, i * nu, i * ny])
+        take = [
+            np.arange(horizon * nu),
+            np.arange((i - horizon) * nu, i * nu),
+            np.arange((i - horizon) * ny, i * ny),
+            np.arange(horizon * ny),
+        ]
+        at = np.concatenate([first + part for first, part in zip(begin, take, strict=True)])
+        return Factor(np.linalg.qr(self.R[:, at], mode="r"), horizon, nu, ny)
+
+    def blocks(self) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray, NDArray]:
+        """The blocks of R' by future inputs (1), past (2), future outputs (3).
+
+        Returns
+        -------
+        L11, L21, L22, L31, L32, L33 : ndarray
+            Lower triangular: rows are signals, columns are directions.
+        """
+        L = self.R.T
+        a = self.horizon * self.n_inputs
+        b = a + self.horizon * (self.n_inputs + self.n_outputs)
+        return L[:a, :a], L[a:b, :a], L[a:b, a:b], L[b:, :a], L[b:, a:b], L[b:, b:]
+
+
+def windows(signal: NDArray, rows: int, first: int, count: int) -> NDArray[np.float64]:
+    """Rows of a block-Hankel matrix, transposed: what a signal does over some samples, at each of several times.
+
+    Parameters
+    ----------
+    signal : ndarray
+        (N, k).
+    rows : int
+        How many samples.
+    first : int
+        The first of them at the first time.
+    count : int
+        How many times.
+
+    Returns
+    -------
+    ndarray
+        (count, rows k): sample by sample, within these channel by channel.
+    """
+    view = sliding_window_view(signal[first : first + count + rows - 1], rows, axis=0)
+    return view.transpose(0, 2, 1).reshape(count, -1)
+
+
+def factored(signals: list[tuple[NDArray, NDArray]], horizon: int, centred: bool) -> Factor:
+    """Factor of all records together.
+
+    Parameters
+    ----------
+    signals : list of tuple
+        (u (N, nu), y (N, ny)) of each record; those of fewer than 2 horizon samples give no row.
+    horizon : int
+        Block rows.
+    centred : bool
+        Whether the mean of every column is taken off.
+
+    Returns
+    -------
+    Factor
+        Of at least one row.
+    """
+    nu, ny = signals[0][0].shape[1], signals[0][1].shape[1]
+    R = np.zeros((0, 2 * horizon * (nu + ny) + 1))
+    for u, y in signals:
+        count = len(u) - 2 * horizon + 1
+        for a in range(0, max(count, 0), CHUNK):
+            n = min(CHUNK, count - a)
+            parts = [(u, a + horizon), (u, a), (y, a), (y, a + horizon)]
+            rows = [windows(signal, horizon, first, n) for signal, first in parts]
+            R = np.linalg.qr(np.vstack([R, np.column_stack([np.ones(n), *rows])]), mode="r")
+    if centred:  # the constant comes first: what is below its row is orthogonal to it
+        R = R[1:, 1:]
+    else:
+        R = np.linalg.qr(R[:, 1:], mode="r")
+    return Factor(R, horizon, nu, ny)
+
+
+def autoregressive_order(signals: list[tuple[NDArray, NDArray]], most: int, centred: bool) -> int:
+    """Order of the autoregression with inputs that Akaike's criterion takes: how far back the data look.
+
+    Parameters
+    ----------
+    signals : list of tuple
+        (u (N, nu), y (N, ny)) of each record.
+    most : int
+        Highest order tried.
+    centred : bool
+        Whether there is a constant among the regressors.
+
+    Returns
+    -------
+    int
+        From 1 to `most`.
+    """
+    nu, ny = signals[0][0].shape[1], signals[0][1].shape[1]
+    R, total = np.zeros((0, 1 + nu + most * (nu + ny) + ny)), 0
+    for u, y in signals:
+        joint = np.column_stack([u, y])[:, None, :]
+        count = len(u) - most
+        for a in range(0, max(count, 0), CHUNK):
+            n = min(CHUNK, count - a)
+            past = windows(joint[:, 0], most, a, n).reshape(n, most, nu + ny)[:, ::-1].reshape(n, -1)
+            now = slice(most + a, most + a + n)
+            R = np.linalg.qr(
+                np.vstack([R, np.column_stack([np.full(n, centred), u[now], past, y[now]])]), mode="r"
+            )
+            total += n
+    outputs = R[:, -ny:]
+    floor = np.finfo(float).eps ** 2 * np.trace(outputs.T @ outputs) * np.eye(ny)
+    values = []
+    for order in range(1, most + 1):
+        left = outputs[1 + nu + order * (nu + ny) :]
+        values.append(total * np.linalg.slogdet(left.T @ left + floor)[1] + 2 * order * (nu + ny) * ny)
+    return int(np.argmin(values)) + 1

@@ -1,0 +1,247 @@
+"""Subspace identification: exact without noise, a plain twin, standard errors, clear errors."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.choice import held_out_error, select_orders
+from estimators.pem import hankel, identify
+from estimators.pem.hankel import autoregressive_order, factored, windows
+from estimators.pem.observability import range_of
+from estimators.pem.subspace_errors import range_sensitivity
+from estimators.pem.uncertainty import profile_interval, sandwich
+from oed.data import Record
+from oed.errors import InputError
+from oed.models import StateSpace, model_from_json
+from tests.oracles.subspace import po_moesp
+
+METHODS = ("moesp", "n4sid", "cva")
+OMEGA = np.linspace(0, np.pi, 9)
+B, F = [0.0, 1.0, 0.5], np.poly([0.8 * np.exp(0.6j), 0.8 * np.exp(-0.6j)]).real
+TRUTH = np.array([-F[2], -F[1], 1.0, 0.5 - F[1]])
+"""A21, A22, B11, B21 of (B, F): the state holds the next two outputs, whose first two answers are 1 and 0.5 - f1."""
+
+
+def siso(rng, length=1000, noise=0.5, transient=200) -> Record:
+    u = rng.normal(size=length + transient)
+    y = lfilter(B, F, u) + noise * rng.normal(size=length + transient)
+    return Record(u[transient:], y[transient:])
+
+
+def mimo(rng, lengths=(300, 500)):
+    """Three states, two inputs, two outputs, free of noise, each record from a state of its own."""
+    A = np.array([[0.7, 0.3, 0], [-0.3, 0.7, 0], [0.1, 0.2, 0.5]])
+    B2, C, D = rng.normal(size=(3, 2)), rng.normal(size=(2, 3)), 0.3 * rng.normal(size=(2, 2))
+    records = []
+    for length in lengths:
+        u, x, y = rng.normal(size=(length, 2)), rng.normal(size=3), np.zeros((length, 2))
+        for t in range(length):
+            y[t] = C @ x + D @ u[t]
+            x = A @ x + B2 @ u[t]
+        records.append(Record(u, y))
+    answer = [C @ np.linalg.solve(np.exp(1j * w) * np.eye(3) - A, B2) + D for w in OMEGA]
+    return records, np.array(answer)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("offset", [False, True])
+def test_exact_without_noise(rng, method, offset) -> None:
+    """Two records from different states; with levels and other units too, if levels are asked for."""
+    records, answer = mimo(rng)
+    if offset:
+        records = [r.replace(u=1e-3 * (r.u + 5), y=1e4 * (r.y - 7)) for r in records]
+    fit = identify(records, "ss", (3,), 0, initial="estimate", method=method, offset=offset)
+    found = fit.model.structure.response(fit.theta, OMEGA)[0] * (1e-7 if offset else 1)
+    assert np.allclose(found, answer, atol=1e-9)
+    if not offset:
+        return
+    assert np.all(fit.output_level_errors < 1e-6 * np.abs(fit.output_level))
+    static = np.real(answer[0]) @ (1e3 * fit.input_level - 5)  # the inputs' means are their levels
+    assert np.allclose(fit.output_level, 1e4 * (static - 7), rtol=1e-8)
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_plain_twin(rng, delay) -> None:
+    record = siso(rng)
+    fit = identify(record, "ss", (2,), delay, initial="estimate", method="moesp", horizon=11)
+    *matrices, simulated = po_moesp(record.u[:, 0], record.y[:, 0], 11, 2, delay == 0)
+    twin = fit.model.structure.theta_of(*matrices, np.zeros((2, 1)))
+    assert np.allclose(fit.theta, twin, rtol=1e-8, atol=1e-10)
+    assert np.allclose(record.y[:, 0] - fit.residuals[0][:, 0], simulated, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_near_the_optimum(rng, method) -> None:
+    """In white noise the estimate is within the errors of the output-error optimum, and nearly as precise."""
+    record = siso(rng)
+    fit = identify(record, "ss", (2,), initial="estimate", method=method)
+    best = identify(record, StateSpace((2,), noise=False), initial="estimate")
+    assert np.all(np.abs(fit.theta - best.theta) < 2 * best.standard_errors)
+    assert fit.standard_errors == pytest.approx(best.standard_errors, rel=0.3)
+    assert best.loss <= fit.loss < 1.01 * best.loss
+    assert 0 < fit.decrement < 0.02  # what the optimum would still take off the loss
+
+
+def test_means_as_levels(rng) -> None:
+    record = siso(rng)
+    moved = record.replace(u=record.u + 3, y=record.y - 5)
+    fit, plain = (
+        identify(r, "ss", (2,), initial="estimate", method="moesp", horizon=9, offset="mean")
+        for r in (moved, record)
+    )
+    assert np.allclose(fit.theta, plain.theta)
+    assert fit.output_level == pytest.approx(moved.y.mean(axis=0))
+    assert not fit.output_level_errors.any()
+
+
+def test_default_horizon(rng) -> None:
+    """The horizon is that of the least simulation error among those tried; given, it leads to the same numbers."""
+    record = siso(rng, 400)
+    fit = identify(record, "ss", (2,), initial="estimate", method="moesp")
+    assert fit.subspace.horizon == min(fit.subspace.tried, key=fit.subspace.tried.get)
+    scaled = record.u / np.sqrt(np.mean(record.u**2)), record.y / np.sqrt(np.mean(record.y**2))
+    back = autoregressive_order([scaled], 26, False)
+    assert min(fit.subspace.tried) == 2 * back
+    assert max(fit.subspace.tried) <= 6 * back
+    again = identify(record, "ss", (2,), initial="estimate", method="moesp", horizon=fit.subspace.horizon)
+    assert np.array_equal(again.theta, fit.theta)
+    assert np.array_equal(again.covariance, fit.covariance)
+    assert list(again.subspace.tried) == [fit.subspace.horizon]
+
+
+def test_standard_errors(rng) -> None:
+    """200 records of 1000 samples: the spread of the estimates is what each says of itself (`make validate` looks at
+    the coverage in 2000)."""
+    found = [
+        identify(siso(rng), "ss", (2,), initial="estimate", method="moesp", horizon=8) for _ in range(200)
+    ]
+    away = np.array([f.theta - TRUTH for f in found])
+    said = np.mean([f.standard_errors for f in found], axis=0)
+    assert np.std(away, axis=0) == pytest.approx(said, rel=0.15)
+    assert np.all(np.abs(away.mean(axis=0)) < 0.3 * said)
+
+
+def test_standard_errors_of_several_outputs(rng) -> None:
+    """Outputs of different size, in correlated noise, two records each."""
+
+    def one():
+        records = []
+        for _ in range(2):
+            u = rng.normal(size=(400, 2))
+            e = 0.3 * rng.normal(size=(400, 2)) @ np.array([[1.0, 0.8], [0.0, 20.0]])
+            first = lfilter([0, 1.0], [1, -0.7], u[:, 0])
+            second = lfilter([0, 30.0], [1, 0.5], u[:, 1])
+            records.append(Record(u, np.column_stack([first + second / 30, second]) + e))
+        return identify(records, "ss", (2,), method="cva", horizon=6)
+
+    found = [one() for _ in range(120)]
+    spread = np.std([f.theta for f in found], axis=0)
+    assert spread == pytest.approx(np.mean([f.standard_errors for f in found], axis=0), rel=0.2)
+
+
+def test_sensitivity_of_the_range(rng) -> None:
+    """Against the range that a small change of the future outputs gives: cva, two outputs."""
+    records, _ = mimo(rng)
+    form = StateSpace((2, 1), 2, noise=False)
+    found = range_of(factored([(r.u, r.y) for r in records], 5, False), 3, "cva")
+    theta = lambda basis: np.concatenate(
+        [form.theta_of(A, np.zeros((3, 2)), basis[:2], np.zeros((2, 2)), np.zeros((3, 2)))[:6]
+         for A in [np.linalg.lstsq(basis[:-2], basis[2:], rcond=None)[0]]]
+    )  # fmt: skip
+    across = np.eye(10) - (own := found.weight @ found.basis) @ own.T
+    lever = range_sensitivity(found, form)
+    for _ in range(3):
+        noise, state = rng.normal(size=10), rng.normal(size=3)
+        shift = 1e-6 * np.outer(found.unweight @ across @ found.weight @ noise, state)
+        slope = (theta(found.basis + shift) - theta(found.basis - shift)) / 2e-6
+        assert np.einsum("arj,r,j->a", lever, noise, state) == pytest.approx(slope, rel=1e-5, abs=1e-7)
+
+
+def test_factor_in_chunks_and_of_fewer_rows(rng, monkeypatch) -> None:
+    u, y = rng.normal(size=(90, 2)), rng.normal(size=(90, 1))
+    rows = [windows(s, 4, first, 83) for s, first in ((u, 4), (u, 0), (y, 0), (y, 4))]
+    whole = np.column_stack(rows)
+    centred = whole - whole.mean(axis=0)
+    monkeypatch.setattr(hankel, "CHUNK", 7)
+    for matrix, about_means in ((whole, False), (centred, True)):
+        R = factored([(u, y)], 4, about_means).R
+        assert np.allclose(R.T @ R, matrix.T @ matrix)
+    short = factored([(u, y)], 4, False).shorter(3)
+    direct = np.column_stack([windows(s, 3, first, 83) for s, first in ((u, 4), (u, 1), (y, 1), (y, 4))])
+    assert np.allclose(short.R.T @ short.R, direct.T @ direct)
+
+
+def test_autoregressive_order(rng) -> None:
+    """Against the criterion with each order's own least squares, at the same samples."""
+    u = rng.normal(size=(600, 1))
+    y = lfilter(B, F, u, axis=0) + lfilter(
+        [1.0], [1, -1.1, 0.5, -0.2, 0.1], rng.normal(size=(600, 1)), axis=0
+    )
+    values = []
+    for order in range(1, 13):
+        past = [x[12 - k : -k] for k in range(1, order + 1) for x in (u, y)]
+        regressor = np.column_stack([np.ones(588), u[12:], *past])
+        e = y[12:] - regressor @ np.linalg.lstsq(regressor, y[12:], rcond=None)[0]
+        values.append(588 * np.log(np.sum(e**2)) + 4 * order)
+    assert autoregressive_order([(u, y)], 12, True) == 1 + int(np.argmin(values))
+
+
+def test_goes_with_the_rest(rng) -> None:
+    """Saved and read back, printed, put into JSON, judged on what was left out, orders compared."""
+    record = siso(rng, 600)
+    fit = identify(record, "ss", (2,), initial="estimate", method="cva", horizon=8)
+    assert np.array_equal(model_from_json(fit.model.to_json()).theta, fit.theta)
+    plain = json.loads(json.dumps(fit.to_dict()))
+    assert plain["subspace"]["method"] == "cva"
+    assert plain["subspace"]["horizon"] == 8
+    assert len(plain["subspace"]["singular_values"]) == 8
+    assert "by cva with 8 block rows; singular values" in repr(fit)
+    how = {"method": "moesp", "horizon": 8, "initial": "estimate"}
+    error, spread = held_out_error(record, "ss", (2,), folds=3, window=10, **how)
+    assert abs(error - 0.5) < 4 * spread
+    assert select_orders(record, "ss", [(1,), (2,), (4,)], **how).orders == (2,)
+
+
+def test_a_minimum_is_not_pretended(rng) -> None:
+    record = siso(rng, 300)
+    fit = identify(record, "ss", (2,), method="moesp", horizon=6)
+    for ask in (lambda: sandwich(fit, record), lambda: profile_interval(fit, record, "A21")):
+        with pytest.raises(InputError, match="minimises no loss"):
+            ask()
+
+
+@pytest.mark.parametrize(
+    "structure, options, message",
+    [
+        ("oe", {"method": "moesp"}, 'take the structure "ss" instead of oe'),
+        ("ss", {"method": "best"}, "method is 'best'; choose pem, moesp, n4sid, cva"),
+        ("ss", {"horizon": 10}, "a horizon of 10 is for a subspace method"),
+        ("ss", {"method": "moesp", "horizon": 2}, "the horizon is 2 block rows; .* needs 3 or more"),
+        ("ss", {"method": "moesp", "horizon": 60}, "allow 30 at most .*: choose one between"),
+        ("ss", {"method": "moesp", "horizon": 7.5}, "the horizon is 7.5; give a whole number"),
+        ("ss", {"method": "moesp", "robust": "huber"}, "robust cannot go with moesp"),
+        ("ss", {"method": "cva", "fixed": {"A21": 0.1}}, "fixed cannot go with cva"),
+    ],
+)
+def test_refusals(rng, structure, options, message) -> None:
+    with pytest.raises(InputError, match=message):
+        identify(siso(rng, 300), structure, (2,) if structure == "ss" else (2, 2), **options)
+
+
+def test_too_short_too_many_states_unstable(rng) -> None:
+    with pytest.raises(InputError, match="give longer records or lower the order"):
+        identify(siso(rng, 30), "ss", (6,), method="moesp")
+    with pytest.raises(InputError, match="the data show 2 states, of 3 asked for"):
+        identify(siso(rng, 300, noise=0.0, transient=0), "ss", (3,), method="moesp", horizon=10)
+    u = rng.normal(size=300)
+    with pytest.raises(InputError, match="unstable .a pole of size 1.02.*; choose another horizon"):
+        identify(Record(u, lfilter([0, 1.0], [1, -1.02], u)), "ss", (1,), method="moesp", horizon=10)
+    record = siso(rng, 300)
+    y = record.y.copy()
+    y[50] = np.nan
+    with pytest.raises(InputError, match="missing cannot go with moesp"):
+        identify(record.replace(y=y), "ss", (2,), method="moesp", missing=True)
