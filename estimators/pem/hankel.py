@@ -60,7 +60,7 @@ class Factor:
             np.arange(horizon * ny),
         ]
         at = np.concatenate([first + part for first, part in zip(begin, take, strict=True)])
-        return Factor(np.linalg.qr(self.R[:, at], mode="r"), horizon, nu, ny)
+        return Factor(_triangle(self.R[:, at]), horizon, nu, ny)
 
     def blocks(self) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray, NDArray]:
         """The blocks of R' by future inputs (1), past (2), future outputs (3).
@@ -74,6 +74,10 @@ class Factor:
         a = self.horizon * self.n_inputs
         b = a + self.horizon * (self.n_inputs + self.n_outputs)
         return L[:a, :a], L[a:b, :a], L[a:b, a:b], L[b:, :a], L[b:, a:b], L[b:, b:]
+
+
+def _triangle(matrix: NDArray) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.qr(matrix, mode="r"), dtype=float)
 
 
 def windows(signal: NDArray, rows: int, first: int, count: int) -> NDArray[np.float64]:
@@ -124,11 +128,11 @@ def factored(signals: list[tuple[NDArray, NDArray]], horizon: int, centred: bool
             n = min(CHUNK, count - a)
             parts = [(u, a + horizon), (u, a), (y, a), (y, a + horizon)]
             rows = [windows(signal, horizon, first, n) for signal, first in parts]
-            R = np.linalg.qr(np.vstack([R, np.column_stack([np.ones(n), *rows])]), mode="r")
+            R = _triangle(np.vstack([R, np.column_stack([np.ones(n), *rows])]))
     if centred:  # the constant comes first: what is below its row is orthogonal to it
         R = R[1:, 1:]
     else:
-        R = np.linalg.qr(R[:, 1:], mode="r")
+        R = _triangle(R[:, 1:])
     return Factor(R, horizon, nu, ny)
 
 
@@ -158,9 +162,7 @@ def autoregressive_order(signals: list[tuple[NDArray, NDArray]], most: int, cent
             n = min(CHUNK, count - a)
             past = windows(joint[:, 0], most, a, n).reshape(n, most, nu + ny)[:, ::-1].reshape(n, -1)
             now = slice(most + a, most + a + n)
-            R = np.linalg.qr(
-                np.vstack([R, np.column_stack([np.full(n, centred), u[now], past, y[now]])]), mode="r"
-            )
+            R = _triangle(np.vstack([R, np.column_stack([np.full(n, centred), u[now], past, y[now]])]))
             total += n
     outputs = R[:, -ny:]
     floor = np.finfo(float).eps ** 2 * np.trace(outputs.T @ outputs) * np.eye(ny)

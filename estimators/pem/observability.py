@@ -125,7 +125,7 @@ def range_of(factor: Factor, order: int, method: str) -> Range:
         )
     left, right, size = left[:, :order], right[:order], singular[:order]
     basis = unweight @ left
-    A = np.linalg.lstsq(basis[:-ny], basis[ny:], rcond=None)[0]
+    A = np.linalg.lstsq(basis[:-ny], basis[ny:], rcond=None)[0].astype(float)
     # the state is q = left' weight Theta S S|u^-1 (past given the future inputs); moesp and cva have S = S|u
     if method == "n4sid":
         past = inverse.T @ (right.T * size)[L21.shape[1] :]

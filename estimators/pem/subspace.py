@@ -202,9 +202,9 @@ def _completed(form: StateSpace, problem: Problem, found: Range) -> Point:
                 f"with {found.factor.horizon} block rows the model is unstable (a pole of size {pole:.6g}); choose another "
                 'horizon or order, or take method="pem".'
             )
-        at = np.ix_(free, free)
+        at = np.flatnonzero(free)
         z = point.z.copy()
-        z[free] -= np.linalg.lstsq(point.hessian[at], point.gradient[free], rcond=1e-14)[0]
+        z[free] -= np.linalg.lstsq(point.hessian[at[:, None], at], point.gradient[free], rcond=1e-14)[0]
         point = problem.evaluate(z)
     if point is None:
         raise InputError("the simulation error is not finite; check the units of the records.")

@@ -54,8 +54,8 @@ def covariance(
     left = max(len(problem.data) - (n + slopes[1]) / ny - lags, 1.0)
     shape = np.sqrt(len(problem.data) / left)
     lever = range_sensitivity(found, form)
-    at = np.ix_(free, free)
-    follow = np.linalg.pinv(point.hessian[at], rcond=1e-14, hermitian=True)
+    at = np.flatnonzero(free)
+    follow = np.linalg.pinv(point.hessian[at[:, None], at], rcond=1e-14, hermitian=True)
     drag = _pull(problem, point, free)
     terms = []
     for (u, y), e, slope in zip(signals, errors, slopes[0], strict=True):

@@ -26,9 +26,20 @@ TRUTH = np.array([-F[2], -F[1], 1.0, 0.5 - F[1]])
 """A21, A22, B11, B21 of (B, F): the state holds the next two outputs, whose first two answers are 1 and 0.5 - f1."""
 
 
+def filtered(b, f, x) -> np.ndarray:
+    return np.asarray(lfilter(b, f, x, axis=0))
+
+
+def subspace(*given, **how):
+    """A fit, and how it came about."""
+    fit = identify(*given, **how)
+    assert fit.subspace is not None
+    return fit, fit.subspace
+
+
 def siso(rng, length=1000, noise=0.5, transient=200) -> Record:
     u = rng.normal(size=length + transient)
-    y = lfilter(B, F, u) + noise * rng.normal(size=length + transient)
+    y = filtered(B, F, u) + noise * rng.normal(size=length + transient)
     return Record(u[transient:], y[transient:])
 
 
@@ -101,16 +112,16 @@ def test_means_as_levels(rng) -> None:
 def test_default_horizon(rng) -> None:
     """The horizon is that of the least simulation error among those tried; given, it leads to the same numbers."""
     record = siso(rng, 400)
-    fit = identify(record, "ss", (2,), initial="estimate", method="moesp")
-    assert fit.subspace.horizon == min(fit.subspace.tried, key=fit.subspace.tried.get)
+    fit, how = subspace(record, "ss", (2,), initial="estimate", method="moesp")
+    assert how.horizon == min(how.tried, key=how.tried.get)
     scaled = record.u / np.sqrt(np.mean(record.u**2)), record.y / np.sqrt(np.mean(record.y**2))
     back = autoregressive_order([scaled], 26, False)
-    assert min(fit.subspace.tried) == 2 * back
-    assert max(fit.subspace.tried) <= 6 * back
-    again = identify(record, "ss", (2,), initial="estimate", method="moesp", horizon=fit.subspace.horizon)
+    assert min(how.tried) == 2 * back
+    assert max(how.tried) <= 6 * back
+    again, found = subspace(record, "ss", (2,), initial="estimate", method="moesp", horizon=how.horizon)
     assert np.array_equal(again.theta, fit.theta)
     assert np.array_equal(again.covariance, fit.covariance)
-    assert list(again.subspace.tried) == [fit.subspace.horizon]
+    assert list(found.tried) == [how.horizon]
 
 
 def test_standard_errors(rng) -> None:
@@ -133,8 +144,8 @@ def test_standard_errors_of_several_outputs(rng) -> None:
         for _ in range(2):
             u = rng.normal(size=(400, 2))
             e = 0.3 * rng.normal(size=(400, 2)) @ np.array([[1.0, 0.8], [0.0, 20.0]])
-            first = lfilter([0, 1.0], [1, -0.7], u[:, 0])
-            second = lfilter([0, 30.0], [1, 0.5], u[:, 1])
+            first = filtered([0, 1.0], [1, -0.7], u[:, 0])
+            second = filtered([0, 30.0], [1, 0.5], u[:, 1])
             records.append(Record(u, np.column_stack([first + second / 30, second]) + e))
         return identify(records, "ss", (2,), method="cva", horizon=6)
 
@@ -178,9 +189,7 @@ def test_factor_in_chunks_and_of_fewer_rows(rng, monkeypatch) -> None:
 def test_autoregressive_order(rng) -> None:
     """Against the criterion with each order's own least squares, at the same samples."""
     u = rng.normal(size=(600, 1))
-    y = lfilter(B, F, u, axis=0) + lfilter(
-        [1.0], [1, -1.1, 0.5, -0.2, 0.1], rng.normal(size=(600, 1)), axis=0
-    )
+    y = filtered(B, F, u) + filtered([1.0], [1, -1.1, 0.5, -0.2, 0.1], rng.normal(size=(600, 1)), axis=0)
     values = []
     for order in range(1, 13):
         past = [x[12 - k : -k] for k in range(1, order + 1) for x in (u, y)]
@@ -239,7 +248,7 @@ def test_too_short_too_many_states_unstable(rng) -> None:
         identify(siso(rng, 300, noise=0.0, transient=0), "ss", (3,), method="moesp", horizon=10)
     u = rng.normal(size=300)
     with pytest.raises(InputError, match="unstable .a pole of size 1.02.*; choose another horizon"):
-        identify(Record(u, lfilter([0, 1.0], [1, -1.02], u)), "ss", (1,), method="moesp", horizon=10)
+        identify(Record(u, filtered([0, 1.0], [1, -1.02], u)), "ss", (1,), method="moesp", horizon=10)
     record = siso(rng, 300)
     y = record.y.copy()
     y[50] = np.nan
