@@ -189,7 +189,7 @@ def test_factor_in_chunks_and_of_fewer_rows(rng, monkeypatch) -> None:
 def test_autoregressive_order(rng) -> None:
     """Against the criterion with each order's own least squares, at the same samples."""
     u = rng.normal(size=(600, 1))
-    y = filtered(B, F, u) + filtered([1.0], [1, -1.1, 0.5, -0.2, 0.1], rng.normal(size=(600, 1)), axis=0)
+    y = filtered(B, F, u) + filtered([1.0], [1, -1.1, 0.5, -0.2, 0.1], rng.normal(size=(600, 1)))
     values = []
     for order in range(1, 13):
         past = [x[12 - k : -k] for k in range(1, order + 1) for x in (u, y)]
