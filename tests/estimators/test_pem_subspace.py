@@ -113,7 +113,7 @@ def test_default_horizon(rng) -> None:
     """The horizon is that of the least simulation error among those tried; given, it leads to the same numbers."""
     record = siso(rng, 400)
     fit, how = subspace(record, "ss", (2,), initial="estimate", method="moesp")
-    assert how.horizon == min(how.tried, key=how.tried.get)
+    assert how.horizon == min(how.tried, key=lambda i: how.tried[i])
     scaled = record.u / np.sqrt(np.mean(record.u**2)), record.y / np.sqrt(np.mean(record.y**2))
     back = autoregressive_order([scaled], 26, False)
     assert min(how.tried) == 2 * back
