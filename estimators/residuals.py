@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from estimators.residual_columns import Parts, delayed, inverse, spread_of, taken_up
 from oed.data import Record, frozen
 from oed.errors import InputError
 from oed.files.objects import as_records
 
-__all__ = ["ResidualTest", "feedback", "input_correlation", "noise_filter", "residual_tests", "whiteness"]
-
-Parts = Sequence[NDArray[np.float64]]
+__all__ = ["ResidualTest", "feedback", "input_correlation", "residual_tests", "whiteness"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,45 +92,6 @@ class ResidualTest:
         return f"{self.name}: chi2({self.freedom}) = {self.statistic:.4g}, p = {self.p_value:.3g}{where}"
 
 
-def noise_filter(residuals: Parts, most: int | None = None) -> NDArray[np.float64]:
-    """Autoregression that whitens a noise, its order chosen by Akaike's criterion.
-
-    Parameters
-    ----------
-    residuals : sequence of ndarray
-        (N,) of each record.
-    most : int, optional
-        Highest order; by default N / 20 and at most 40.
-
-    Returns
-    -------
-    ndarray
-        1, a_1, ..., a_p: the noise is white noise filtered by 1 / (1 + a_1 q^-1 + ...); stable by
-        construction (Levinson's recursion on the windowed autocovariance).
-    """
-    total = sum(map(len, residuals))
-    most = min(40, total // 20, min(map(len, residuals)) - 1) if most is None else most
-    covariance = np.array(
-        [sum(float(e[k:] @ e[: len(e) - k]) for e in residuals) for k in range(max(most, 0) + 1)]
-    )
-    if covariance[0] <= 0:
-        return np.ones(1)
-    covariance = covariance / covariance[0]
-    a, variance = np.ones(1), 1.0
-    best, lowest = a, 0.0
-    for order in range(1, len(covariance)):
-        reflection = -float(a @ covariance[order:0:-1]) / variance
-        if not abs(reflection) < 1:
-            break
-        longer = np.append(a, 0.0)
-        a = longer + reflection * longer[::-1]
-        variance *= 1 - reflection**2
-        aic = total * np.log(variance) + 2 * order
-        if aic < lowest:
-            best, lowest = a, aic
-    return best
-
-
 def whiteness(
     residuals: NDArray | Parts,
     *,
@@ -169,10 +129,10 @@ def whiteness(
     spread = np.diag([sum(max(len(e) - k, 1) for e in parts) for k in range(1, lags + 1)]) / total**2
     if jacobian is not None:
         stacked = np.concatenate(_parts(jacobian, 2))
-        delayed = np.concatenate([_delayed(e[:, None], range(1, lags + 1)) for e in parts])
-        gamma = stacked.T @ delayed
+        past = np.concatenate([delayed(e[:, None], range(1, lags + 1)) for e in parts])
+        gamma = stacked.T @ past
         if covariance is None:
-            covariance = _inverse(stacked.T @ stacked) * power / total
+            covariance = inverse(stacked.T @ stacked) * power / total
         spread = spread - gamma.T @ covariance @ gamma / power**2
     return _test("whiteness", np.arange(1, lags + 1), r, spread)
 
@@ -219,12 +179,14 @@ def input_correlation(
 def _input_test(
     name: str, parts: Parts, i: int, u: Parts, lags: Iterable[int] | int, sensitivity: Parts | None,
     weight: NDArray, fresh_covariance: NDArray | None, posterior: NDArray | None = None,
+    influence: Parts | None = None,
 ) -> ResidualTest:  # fmt: skip
     """The residual of output i against an input, after a fit of all outputs together weighted by W.
 
     e_i = e0_i - J_i P sum J' W e0 with P = (sum J' W J)^-1, so that z = sum_k Y_k' e0_k with
     Y_k = (k = i) X - (J W)_k P (J_i' X): as many columns as lags for every output k. Of a posterior with covariance P
-    the residual has taken up X' J P J' X, the prior's share left in it.
+    the residual has taken up X' J P J' X, the prior's share left in it. Where the first parameters are no minimum of this
+    sum but moved by sum_t kappa_t e0(t), the influence, the others alone are fitted, and Y_k gains kappa_k (sum_m J_m' Y_m).
     """
     if [len(x) for x in parts] != [len(x) for x in u]:
         raise InputError(
@@ -235,12 +197,11 @@ def _input_test(
         np.arange(_limited(lags, parts) + 1) if isinstance(lags, int) else np.array(list(lags), dtype=int)
     )
     average = sum(x.sum() for x in u) / sum(map(len, u))
-    columns = [_delayed(x[:, None] - average, chosen) for x in u]
+    columns = [delayed(x[:, None] - average, chosen) for x in u]
     power = sum(float(e[:, i] @ e[:, i]) for e in parts)
     z = np.sum([x.T @ e[:, i] for x, e in zip(columns, parts, strict=True)], axis=0)
     extra: NDArray | float = 0.0
-    ny = parts[0].shape[1]
-    per_output = [[x if k == i else np.zeros_like(x) for x in columns] for k in range(ny)]
+    per_output = [[x if k == i else np.zeros_like(x) for x in columns] for k in range(parts[0].shape[1])]
     if sensitivity is not None:
         cross = np.sum([j[:, i].T @ x for j, x in zip(sensitivity, columns, strict=True)], axis=0)
         if fresh_covariance is not None:
@@ -248,16 +209,8 @@ def _input_test(
         elif posterior is not None:
             extra = -cross.T @ posterior @ cross
         else:
-            weighted = [np.einsum("tam,ab->tbm", j, weight) for j in sensitivity]
-            normal = np.sum(
-                [np.einsum("tam,tan->mn", w, j) for w, j in zip(weighted, sensitivity, strict=True)], axis=0
-            )
-            gain = _inverse(normal) @ cross
-            per_output = [
-                [y - w[:, k] @ gain for y, w in zip(own, weighted, strict=True)]
-                for k, own in enumerate(per_output)
-            ]
-    covariance = _spread(parts, per_output) + extra
+            per_output = taken_up(per_output, sensitivity, weight, influence)
+    covariance = spread_of(parts, per_output) + extra
     size = np.sqrt(power * sum(float(((x - average) ** 2).sum()) for x in u)) or 1.0
     return _test(name, chosen, z / size, covariance / size**2)
 
@@ -321,8 +274,16 @@ def residual_tests(
     residuals = [e for e, _ in linear]
     weight = np.linalg.inv(fit.noise_covariance)
     stacked = np.concatenate(wide)
-    spread = _inverse(np.einsum("tam,ab,tbn->mn", stacked, weight, stacked))
+    spread = inverse(np.einsum("tam,ab,tbn->mn", stacked, weight, stacked))
     posterior = not fresh and getattr(fit, "regularisation", None) is not None
+    influence = None
+    if not fresh and getattr(fit, "subspace", None) is not None:
+        influence = fit.subspace.influence
+        if [len(x) for x in influence] != [len(e) for e in residuals]:
+            raise InputError(
+                f"records of {[len(e) for e in residuals]} samples, and {[len(x) for x in influence]} were fitted; give "
+                "those that were fitted, or fresh=True."
+            )
     if fresh or posterior:
         spread = np.zeros_like(spread)
         spread[:shared, :shared] = fit.covariance
@@ -338,33 +299,10 @@ def residual_tests(
             entry = f"_{i + 1}{k + 1}" if ny * nu > 1 else ""
             tests[f"input{entry}"] = _input_test(
                 f"input{entry}", residuals, i, u, lags, wide, weight, spread if fresh else None,
-                spread if posterior else None,
+                spread if posterior else None, influence,
             )  # fmt: skip
             tests[f"feedback{entry}"] = feedback(e, u, lags=min(lags, 10))
     return tests
-
-
-def _spread(parts: Parts, per_output: list[list[NDArray]]) -> NDArray:
-    """sum_kl Y_k' Sigma_kl Y_l: noise k is white noise w_k filtered by 1 / A_k, the w correlated at equal times.
-
-    A column against filtered noise is the column through the same filter, backwards in time, against w.
-    """
-    from scipy.signal import lfilter
-
-    filters = [noise_filter([e[:, k] for e in parts]) for k in range(len(per_output))]
-    white = [
-        np.concatenate([np.asarray(lfilter(a, [1.0], e[:, k])) for e in parts]) for k, a in enumerate(filters)
-    ]
-    back = [
-        np.concatenate([np.asarray(lfilter([1.0], a, y[::-1], axis=0))[::-1] for y in own])
-        for a, own in zip(filters, per_output, strict=True)
-    ]
-    joint = np.cov(white, bias=True).reshape(len(white), len(white))
-    total: NDArray | float = 0.0
-    for k, one in enumerate(back):
-        for m, other in enumerate(back):
-            total = total + joint[k, m] * (one.T @ other)
-    return np.asarray(total)
 
 
 def _test(name: str, lags: NDArray, r: NDArray, covariance: NDArray) -> ResidualTest:
@@ -389,22 +327,6 @@ def _test(name: str, lags: NDArray, r: NDArray, covariance: NDArray) -> Residual
         freedom,
         float(chdtrc(freedom, statistic)) if freedom else 1.0,
     )
-
-
-def _inverse(matrix: NDArray) -> NDArray:
-    size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    return np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)
-
-
-def _delayed(x: NDArray, lags: Iterable[int]) -> NDArray:
-    """(N, L) columns u(t - l), zero outside the record."""
-    n, out = len(x), []
-    for k in lags:
-        column = np.zeros(n)
-        if abs(k) < n:
-            column[max(k, 0) : n + min(k, 0)] = x[max(-k, 0) : n - max(k, 0), 0]
-        out.append(column)
-    return np.column_stack(out)
 
 
 def _limited(lags: int, parts: Parts) -> int:

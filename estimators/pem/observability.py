@@ -59,12 +59,15 @@ class Subspace:
     tried : dict of int to float
         Root mean square of the simulation error on the data, over the outputs' sizes, for each horizon that gave a
         stable model.
+    influence : list of ndarray
+        (N, ny, n + levels) of each record: what noise in each output at each sample adds to the estimate.
     """
 
     method: str
     horizon: int
     singular_values: NDArray[np.float64]
     tried: dict[int, float]
+    influence: list[NDArray[np.float64]]
 
     def to_dict(self) -> dict:
         """Plain numbers.

@@ -20,7 +20,7 @@ from estimators.pem.observability import Range, Subspace, range_of
 from estimators.pem.predictors import Structure
 from estimators.pem.problem import Problem, prepare
 from estimators.pem.results import result
-from estimators.pem.subspace_errors import covariance, linear_entries
+from estimators.pem.subspace_errors import covariance, influence, linear_entries
 from oed.data import Record
 from oed.errors import InputError, Status
 from oed.models import StateSpace
@@ -142,10 +142,14 @@ def by_subspace(
         point = _completed(form, problem, found)
     step = np.linalg.lstsq(point.hessian, point.gradient, rcond=1e-12)[0]
     decrement = float(point.gradient @ step) / max(point.loss, 1e-300)
-    spread = covariance(form, problem, point, found, signals)
+    terms = influence(form, problem, point, found, signals)
+    size = problem.output_scale
+    residuals = [e / size for e in problem.residuals(point)]
+    spread = covariance(problem, residuals, terms, best)
     fit = result(problem, Optimum(point, Status.OK, 0, decrement), records, offset, initial, spread=spread)
+    in_units = [kappa * problem.scale / size[:, None] for kappa in terms]
     errors = tried or {best: _relative_error(point)}
-    return replace(fit, subspace=Subspace(method, best, found.singular_values, errors))
+    return replace(fit, subspace=Subspace(method, best, found.singular_values, errors, in_units))
 
 
 def _relative_error(point: Point) -> float:

@@ -19,13 +19,13 @@ from estimators.pem.problem import Problem
 from estimators.pem.uncertainty import default_lags, long_run
 from oed.models import StateSpace
 
-__all__ = ["covariance", "linear_entries"]
+__all__ = ["covariance", "influence", "linear_entries"]
 
 
-def covariance(
+def influence(
     form: StateSpace, problem: Problem, point: Point, found: Range, signals: list[tuple[NDArray, NDArray]]
-) -> NDArray[np.float64]:
-    """Covariance of the parameters of A, B and D and of the levels.
+) -> list[NDArray[np.float64]]:
+    """What noise in each output at each sample adds to the estimate: kappa.
 
     Parameters
     ----------
@@ -42,29 +42,52 @@ def covariance(
 
     Returns
     -------
-    ndarray
-        (n + levels, n + levels) in scaled units.
+    list of ndarray
+        (N, ny, n + levels) of each record, in scaled units.
     """
-    n, ny = problem.n_parameters, form.n_outputs
-    free = linear_entries(form, n)
-    errors, slopes = _traces(problem, point)
-    # noise that the states colour enters a whole horizon at a time, and cancels only over all of it
-    lags = max(default_lags(len(problem.data)), found.factor.horizon)
-    # as many degrees of freedom are lost as parameters were fitted, and by Bartlett's weights as lags are taken
-    left = max(len(problem.data) - (n + slopes[1]) / ny - lags, 1.0)
-    shape = np.sqrt(len(problem.data) / left)
-    lever = range_sensitivity(found, form)
+    free = linear_entries(form, problem.n_parameters)
     at = np.flatnonzero(free)
     follow = np.linalg.pinv(point.hessian[at[:, None], at], rcond=1e-14, hermitian=True)
-    drag = _pull(problem, point, free)
+    lever, drag = range_sensitivity(found, form), _pull(problem, point, free)
     terms = []
-    for (u, y), e, slope in zip(signals, errors, slopes[0], strict=True):
-        moved = np.zeros((len(e), n))
-        moved[:, ~free] = _moves(found, u, y, lever, e)
-        push = np.einsum("tik,ij,tj->tk", slope[:, :, free], problem.weight, e)
-        moved[:, free] = -(push + moved[:, ~free] @ drag.T) @ follow
-        terms.append(shape * moved)
-    return long_run(terms, lags)
+    for (u, y), slope in zip(signals, _slopes(problem, point), strict=True):
+        kappa = np.zeros(slope.shape)
+        moved = _moves(found, u, y, lever)
+        kappa[:, :, ~free] = moved
+        push = np.einsum("tik,ij->tjk", slope[:, :, free], problem.weight)
+        kappa[:, :, free] = -(push + moved @ drag.T) @ follow
+        terms.append(kappa)
+    return terms
+
+
+def covariance(
+    problem: Problem, residuals: list[NDArray], terms: list[NDArray], horizon: int
+) -> NDArray[np.float64]:
+    """Covariance of the parameters of A, B and D and of the levels.
+
+    Parameters
+    ----------
+    problem : Problem
+        The scaled records.
+    residuals : list of ndarray
+        (N, ny) simulation errors of each record, in the units of the terms.
+    terms : list of ndarray
+        (N, ny, n + levels) of `influence`.
+    horizon : int
+        Block rows.
+
+    Returns
+    -------
+    ndarray
+        (n + levels, n + levels) in the units of the terms.
+    """
+    total, n, ny = problem.n_samples, problem.n_parameters, residuals[0].shape[1]
+    # noise that the states colour enters a whole horizon at a time, and cancels only over all of it
+    lags = max(default_lags(total), horizon)
+    # as many degrees of freedom are lost as parameters were fitted, and by Bartlett's weights as lags are taken
+    left = max(total - (n + len(residuals) * problem.n_initial) / ny - lags, 1.0)
+    moved = [np.einsum("tjk,tj->tk", kappa, e) for kappa, e in zip(terms, residuals, strict=True)]
+    return total / left * long_run(moved, lags)
 
 
 def linear_entries(form: StateSpace, count: int) -> NDArray[np.bool_]:
@@ -87,23 +110,20 @@ def linear_entries(form: StateSpace, count: int) -> NDArray[np.bool_]:
     return free
 
 
-def _traces(problem: Problem, point: Point) -> tuple[list[NDArray], tuple[list[NDArray], int]]:
-    """Simulation errors, and their slopes free of what the initial states can do; the number of these states."""
-    n, states = problem.n_parameters, point.extra[0]
-    errors, slopes = [], []
+def _slopes(problem: Problem, point: Point) -> list[NDArray[np.float64]]:
+    """Slopes of the simulation errors, free of what the initial states can do, (N, ny, n + levels) of each record."""
+    n, states, slopes = problem.n_parameters, point.extra[0], []
     for r, data in enumerate(problem.records()):
         own = np.zeros(0) if states is None else states[r]
-        e, jacobian = problem.kernel.trace(data, np.concatenate([point.z, own]), True)
-        slope = np.asarray(jacobian)
+        slope = np.asarray(problem.kernel.trace(data, np.concatenate([point.z, own]), True)[1])
         if own.size:
             initial = slope[:, :, n:].reshape(-1, own.size)
             weighted = np.einsum("ij,tjk->tik", problem.weight, slope[:, :, n:]).reshape(-1, own.size)
             flat = slope[:, :, :n].reshape(-1, n)
             part = np.linalg.pinv(weighted.T @ initial, rcond=1e-12, hermitian=True) @ (weighted.T @ flat)
-            slope = (flat - initial @ part).reshape(len(e), -1, n)
-        errors.append(e)
+            slope = (flat - initial @ part).reshape(len(slope), -1, n)
         slopes.append(slope)
-    return errors, (slopes, 0 if states is None else states.size)
+    return slopes
 
 
 def _pull(problem: Problem, point: Point, free: NDArray) -> NDArray[np.float64]:
@@ -122,11 +142,11 @@ def _pull(problem: Problem, point: Point, free: NDArray) -> NDArray[np.float64]:
     return np.column_stack(columns)
 
 
-def _moves(found: Range, u: NDArray, y: NDArray, lever: NDArray, e: NDArray) -> NDArray[np.float64]:
-    """What the noise at each sample adds to the parameters of A, (N, count)."""
+def _moves(found: Range, u: NDArray, y: NDArray, lever: NDArray) -> NDArray[np.float64]:
+    """What the noise at each sample adds to the parameters of A, (N, ny, p)."""
     factor = found.factor
     i, nu, ny = factor.horizon, factor.n_inputs, factor.n_outputs
-    moved = np.zeros((len(e), len(lever)))
+    moved = np.zeros((len(y), ny, len(lever)))
     count = len(u) - 2 * i + 1
     if count <= 0:
         return moved
@@ -140,9 +160,7 @@ def _moves(found: Range, u: NDArray, y: NDArray, lever: NDArray, e: NDArray) -> 
         x -= u[i + k : i + k + count] @ known[k * nu : (k + 1) * nu]
     for k in range(i):  # noise k samples ahead of the present
         own = lever[:, k * ny : (k + 1) * ny]  # (count of parameters, ny, n)
-        moved[i + k : i + k + count] += np.einsum(
-            "ts,tj,asj->ta", e[i + k : i + k + count], x, own, optimize=True
-        )
+        moved[i + k : i + k + count] += np.einsum("tj,asj->tsa", x, own)
     return moved
 
 

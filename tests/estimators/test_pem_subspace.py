@@ -14,6 +14,7 @@ from estimators.pem.hankel import autoregressive_order, factored, windows
 from estimators.pem.observability import range_of
 from estimators.pem.subspace_errors import range_sensitivity
 from estimators.pem.uncertainty import profile_interval, sandwich
+from estimators.residuals import residual_tests
 from oed.data import Record
 from oed.errors import InputError
 from oed.models import StateSpace, model_from_json
@@ -134,6 +135,23 @@ def test_standard_errors(rng) -> None:
     said = np.mean([f.standard_errors for f in found], axis=0)
     assert np.std(away, axis=0) == pytest.approx(said, rel=0.15)
     assert np.all(np.abs(away.mean(axis=0)) < 0.3 * said)
+
+
+@pytest.mark.parametrize("offset", [False, True])
+def test_residual_tests_know_the_method(rng, offset) -> None:
+    """100 records with nothing missing: as many false alarms at 5 and 20 % as there should be. An estimate that is taken
+    for the minimum that it is not gives 60 % at 5 %. A pole too few is seen."""
+    p_values = []
+    for _ in range(100):
+        record = siso(rng, 600)
+        fit = identify(record, "ss", (2,), initial="estimate", method="moesp", horizon=8, offset=offset)
+        p_values.append(residual_tests(fit, record)["input"].p_value)
+    assert np.mean(np.array(p_values) < 0.05) <= 0.12
+    assert 0.08 <= np.mean(np.array(p_values) < 0.2) <= 0.32
+    small = identify(record, "ss", (1,), initial="estimate", method="moesp", horizon=8)
+    assert residual_tests(small, record)["input"].p_value < 1e-10
+    with pytest.raises(InputError, match="records of .500. samples, and .600. were fitted"):
+        residual_tests(fit, record[:500])
 
 
 def test_standard_errors_of_several_outputs(rng) -> None:

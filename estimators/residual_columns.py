@@ -1,0 +1,171 @@
+"""The algebra of a residual's correlations: noise filters, delayed columns, what a fit has taken, the spread left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Parts", "delayed", "inverse", "noise_filter", "spread_of", "taken_up"]
+
+Parts = Sequence[NDArray[np.float64]]
+
+
+def noise_filter(residuals: Parts, most: int | None = None) -> NDArray[np.float64]:
+    """Autoregression that whitens a noise, its order chosen by Akaike's criterion.
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray
+        (N,) of each record.
+    most : int, optional
+        Highest order; by default N / 20 and at most 40.
+
+    Returns
+    -------
+    ndarray
+        1, a_1, ..., a_p: the noise is white noise filtered by 1 / (1 + a_1 q^-1 + ...); stable by
+        construction (Levinson's recursion on the windowed autocovariance).
+    """
+    total = sum(map(len, residuals))
+    most = min(40, total // 20, min(map(len, residuals)) - 1) if most is None else most
+    covariance = np.array(
+        [sum(float(e[k:] @ e[: len(e) - k]) for e in residuals) for k in range(max(most, 0) + 1)]
+    )
+    if covariance[0] <= 0:
+        return np.ones(1)
+    covariance = covariance / covariance[0]
+    a, variance = np.ones(1), 1.0
+    best, lowest = a, 0.0
+    for order in range(1, len(covariance)):
+        reflection = -float(a @ covariance[order:0:-1]) / variance
+        if not abs(reflection) < 1:
+            break
+        longer = np.append(a, 0.0)
+        a = longer + reflection * longer[::-1]
+        variance *= 1 - reflection**2
+        aic = total * np.log(variance) + 2 * order
+        if aic < lowest:
+            best, lowest = a, aic
+    return best
+
+
+def delayed(x: NDArray, lags: Iterable[int]) -> NDArray:
+    """A signal at several lags.
+
+    Parameters
+    ----------
+    x : ndarray
+        (N, 1).
+    lags : iterable of int
+        Samples, positive into the past.
+
+    Returns
+    -------
+    ndarray
+        (N, L) columns x(t - l), zero outside the record.
+    """
+    n, out = len(x), []
+    for k in lags:
+        column = np.zeros(n)
+        if abs(k) < n:
+            column[max(k, 0) : n + min(k, 0)] = x[max(-k, 0) : n - max(k, 0), 0]
+        out.append(column)
+    return np.column_stack(out)
+
+
+def taken_up(
+    per_output: list[list[NDArray]], sensitivity: Parts, weight: NDArray, influence: Parts | None
+) -> list[list[NDArray]]:
+    """What is left of the columns once the fit has taken its part: by least squares, or by the noise's influence.
+
+    Parameters
+    ----------
+    per_output : list of list of ndarray
+        [output][record] (N, L) columns.
+    sensitivity : sequence of ndarray
+        (N, ny, n) of each record, to everything that was fitted.
+    weight : ndarray
+        (ny, ny) of the least squares.
+    influence : sequence of ndarray, optional
+        (N, ny, m) what noise adds to the first m parameters, where these are no least squares estimate; the others are.
+
+    Returns
+    -------
+    list of list of ndarray
+        Columns that give with the true noise what the given ones give with the residuals.
+    """
+    known = 0 if influence is None else influence[0].shape[2]
+    cross = np.zeros((sensitivity[0].shape[2] - known, per_output[0][0].shape[1]))
+    normal = np.zeros((len(cross), len(cross)))
+    weighted = [np.einsum("tam,ab->tbm", j[:, :, known:], weight) for j in sensitivity]
+    for r, (w, j) in enumerate(zip(weighted, sensitivity, strict=True)):
+        normal += np.einsum("tam,tan->mn", w, j[:, :, known:])
+        cross += np.sum([j[:, k, known:].T @ own[r] for k, own in enumerate(per_output)], axis=0)
+    gain = inverse(normal) @ cross
+    left = [
+        [y - w[:, k] @ gain for y, w in zip(own, weighted, strict=True)] for k, own in enumerate(per_output)
+    ]
+    if influence is None:
+        return left
+    pull = sum(
+        j[:, k, :known].T @ y for k, own in enumerate(left) for j, y in zip(sensitivity, own, strict=True)
+    )
+    return [
+        [y + kappa[:, k] @ pull for y, kappa in zip(own, influence, strict=True)]
+        for k, own in enumerate(left)
+    ]
+
+
+def spread_of(parts: Parts, per_output: list[list[NDArray]]) -> NDArray:
+    """Covariance of columns times noise, sum_kl Y_k' Sigma_kl Y_l.
+
+    Noise k is white noise w_k filtered by 1 / A_k, the w correlated at equal times. A column against filtered noise is
+    the column through the same filter, backwards in time, against w.
+
+    Parameters
+    ----------
+    parts : sequence of ndarray
+        (N, ny) residuals of each record, from which the filters come.
+    per_output : list of list of ndarray
+        [output][record] (N, L) columns Y.
+
+    Returns
+    -------
+    ndarray
+        (L, L).
+    """
+    from scipy.signal import lfilter
+
+    filters = [noise_filter([e[:, k] for e in parts]) for k in range(len(per_output))]
+    white = [
+        np.concatenate([np.asarray(lfilter(a, [1.0], e[:, k])) for e in parts]) for k, a in enumerate(filters)
+    ]
+    back = [
+        np.concatenate([np.asarray(lfilter([1.0], a, y[::-1], axis=0))[::-1] for y in own])
+        for a, own in zip(filters, per_output, strict=True)
+    ]
+    joint = np.cov(white, bias=True).reshape(len(white), len(white))
+    total: NDArray | float = 0.0
+    for k, one in enumerate(back):
+        for m, other in enumerate(back):
+            total = total + joint[k, m] * (one.T @ other)
+    return np.asarray(total)
+
+
+def inverse(matrix: NDArray) -> NDArray:
+    """Pseudo-inverse of a positive semidefinite matrix in units that make its diagonal 1.
+
+    Parameters
+    ----------
+    matrix : ndarray
+        (n, n).
+
+    Returns
+    -------
+    ndarray
+        (n, n).
+    """
+    size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    return np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)
