@@ -117,24 +117,11 @@ def by_subspace(
     signals = [(d[:, :nu], d[:, nu : nu + ny]) for d in problem.records()]
     candidates = [horizon] if horizon is not None else _horizons(form, signals, centred)
     _check(form, signals, candidates)
-    longest = factored(signals, candidates[-1], centred)
-    tried, reason = {}, None
-    for i in candidates if len(candidates) > 1 else ():
-        try:
-            point = _completed(form, problem, range_of(longest.shorter(i), form.order, method))
-        except InputError as error:
-            reason = error
-            continue
-        tried[i] = _relative_error(point)
-    if len(candidates) > 1 and not tried:
-        raise InputError(
-            f"none of the horizons from {candidates[0]} to {candidates[-1]} gives a model; {reason}"
-        )
-    best = min(tried, key=lambda i: tried[i]) if tried else candidates[0]
-    found = range_of(
-        longest if best == longest.horizon else factored(signals, best, centred), form.order, method
+    tried = _errors_by_horizon(form, problem, signals, method, candidates, centred)
+    found, point = _first_model(
+        form, problem, signals, method, sorted(tried, key=lambda i: tried[i]), centred
     )
-    point = _completed(form, problem, found)
+    best = found.factor.horizon
     if ny > 1:
         problem = problem.replace(
             weight=np.linalg.inv(point.extra[1] + 1e-12 * np.trace(point.extra[1]) * np.eye(ny))
@@ -148,8 +135,43 @@ def by_subspace(
     spread = covariance(problem, residuals, terms, best)
     fit = result(problem, Optimum(point, Status.OK, 0, decrement), records, offset, initial, spread=spread)
     in_units = [kappa * problem.scale / size[:, None] for kappa in terms]
-    errors = tried or {best: _relative_error(point)}
-    return replace(fit, subspace=Subspace(method, best, found.singular_values, errors, in_units))
+    if len(candidates) == 1:
+        tried = {best: _relative_error(point)}
+    return replace(fit, subspace=Subspace(method, best, found.singular_values, tried, in_units))
+
+
+def _errors_by_horizon(
+    form: StateSpace, problem: Problem, signals: list, method: str, candidates: list[int], centred: bool
+) -> dict[int, float]:
+    """Simulation error for each horizon that gives a model, all from one factor, at the samples that the longest has."""
+    if len(candidates) == 1:
+        return {candidates[0]: np.nan}
+    longest, tried, reason = factored(signals, candidates[-1], centred), {}, None
+    for i in candidates:
+        try:
+            found = range_of(longest.shorter(i), form.order, method)
+            tried[i] = _relative_error(_completed(form, problem, found))
+        except InputError as error:
+            reason = error
+    if not tried:
+        raise InputError(
+            f"none of the horizons from {candidates[0]} to {candidates[-1]} gives a model; {reason}"
+        )
+    return tried
+
+
+def _first_model(
+    form: StateSpace, problem: Problem, signals: list, method: str, ranking: list[int], centred: bool
+) -> tuple[Range, Point]:
+    """The first horizon that gives a stable model with all the samples that it has."""
+    for i in ranking:
+        try:
+            found = range_of(factored(signals, i, centred), form.order, method)
+            return found, _completed(form, problem, found)
+        except InputError:
+            if i == ranking[-1]:
+                raise
+    raise InputError("no horizon to try; this should not happen.")
 
 
 def _relative_error(point: Point) -> float:
@@ -165,7 +187,7 @@ def _check(form: StateSpace, signals: list, candidates: list[int]) -> None:
     for i in (candidates[0], candidates[-1]):
         if not least <= i <= most:
             raise InputError(
-                f"the horizon is {i} block rows; a model of order {form.order} with {form.n_outputs} outputs needs {least} or "
+                f"the horizon is {i} block rows; order {form.order} with {form.n_outputs} output(s) needs {least} or "
                 f"more, and these records allow {most} at most (2 (nu + ny) rows of either half, twice as many samples): "
                 + ("give longer records or lower the order." if most < least else "choose one between.")
             )

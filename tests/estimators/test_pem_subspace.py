@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from benchmarks.plants import hair_dryer_record
 from estimators.choice import held_out_error, select_orders
 from estimators.pem import hankel, identify
 from estimators.pem.hankel import autoregressive_order, factored, windows
@@ -123,6 +124,16 @@ def test_default_horizon(rng) -> None:
     assert np.array_equal(again.theta, fit.theta)
     assert np.array_equal(again.covariance, fit.covariance)
     assert list(found.tried) == [how.horizon]
+
+
+def test_unstable_horizons_are_passed_over() -> None:
+    """Too many states for the hair dryer: most horizons give an unstable model, the best one once it has all samples."""
+    fit, how = subspace(
+        hair_dryer_record()[:500], "ss", (4,), offset=True, initial="estimate", method="moesp"
+    )
+    assert fit.model.stable
+    assert len(how.tried) < 20
+    assert how.tried[how.horizon] > min(how.tried.values())
 
 
 def test_standard_errors(rng) -> None:
