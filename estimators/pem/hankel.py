@@ -156,11 +156,11 @@ def autoregressive_order(signals: list[tuple[NDArray, NDArray]], most: int, cent
     nu, ny = signals[0][0].shape[1], signals[0][1].shape[1]
     R, total = np.zeros((0, 1 + nu + most * (nu + ny) + ny)), 0
     for u, y in signals:
-        joint = np.column_stack([u, y])[:, None, :]
+        joint = np.column_stack([u, y])
         count = len(u) - most
         for a in range(0, max(count, 0), CHUNK):
             n = min(CHUNK, count - a)
-            past = windows(joint[:, 0], most, a, n).reshape(n, most, nu + ny)[:, ::-1].reshape(n, -1)
+            past = windows(joint, most, a, n).reshape(n, most, nu + ny)[:, ::-1].reshape(n, -1)
             now = slice(most + a, most + a + n)
             R = _triangle(np.vstack([R, np.column_stack([np.full(n, centred), u[now], past, y[now]])]))
             total += n
