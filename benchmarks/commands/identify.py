@@ -161,8 +161,9 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
 
         payload["hinf_frequency_hz"] = payload["hinf_frequency"] / (2 * np.pi * records[0].dt)
     lines = [repr(fit)]
-    if seen:
-        lines += ["seen in the data, and left as it is:", *(f"  {defect}" for defect in seen)]
+    unanswered = [defect for defect in seen if not (offset and defect.kind == "offset")]
+    if unanswered:
+        lines += ["seen in the data, and left as it is:", *(f"  {defect}" for defect in unanswered)]
     if offset:
         lines += [
             f"  level of {name}: {value:.6g}" + (f" +- {error:.2g}" if error else "")

@@ -159,3 +159,11 @@ def test_subspace_method(data, capfd) -> None:
     assert (found["subspace"]["method"], found["subspace"]["horizon"]) == ("moesp", 12)
     assert main(["identify", str(data), "--method", "moesp"]) == 2
     assert 'take the structure "ss" instead of oe' in capfd.readouterr().err
+
+
+def test_a_mean_is_no_complaint_where_the_level_is_estimated(data, capfd) -> None:
+    """The payload keeps what was seen; a reader is told only of what the call does not answer."""
+    for options, told in (((), False), (("--no-offset", "--initial", "estimate"), True)):
+        assert main(["identify", str(data), "--delay", "3", *options]) == 0
+        assert ("u: the mean is" in capfd.readouterr().out) is told
+    assert "offset" in {d["kind"] for d in answer(capfd, data, "--delay", 3)["data_defects"]}
