@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-__all__ = ["Factor", "autoregressive_order", "factored", "windows"]
+__all__ = ["Factor", "autoregressive_order", "factored", "lagged", "windows"]
 
 CHUNK = 4096
 """Rows that are factored at a time."""
@@ -103,6 +103,29 @@ def windows(signal: NDArray, rows: int, first: int, count: int) -> NDArray[np.fl
     return view.transpose(0, 2, 1).reshape(count, -1)
 
 
+def lagged(signal: NDArray, lags: int, first: int, count: int) -> NDArray[np.float64]:
+    """The past of a signal at each of several times, the last sample first.
+
+    Parameters
+    ----------
+    signal : ndarray
+        (N, k).
+    lags : int
+        How many samples.
+    first : int
+        The earliest of them at the first time.
+    count : int
+        How many times.
+
+    Returns
+    -------
+    ndarray
+        (count, lags k): x(t - 1), ..., x(t - lags).
+    """
+    past = windows(signal, lags, first, count).reshape(count, lags, -1)
+    return past[:, ::-1].reshape(count, -1)
+
+
 def factored(signals: list[tuple[NDArray, NDArray]], horizon: int, centred: bool) -> Factor:
     """Factor of all records together.
 
@@ -121,19 +144,16 @@ def factored(signals: list[tuple[NDArray, NDArray]], horizon: int, centred: bool
         Of at least one row.
     """
     nu, ny = signals[0][0].shape[1], signals[0][1].shape[1]
-    R = np.zeros((0, 2 * horizon * (nu + ny) + 1))
+    R = np.zeros((0, 2 * horizon * (nu + ny) + centred))
     for u, y in signals:
         count = len(u) - 2 * horizon + 1
         for a in range(0, max(count, 0), CHUNK):
             n = min(CHUNK, count - a)
             parts = [(u, a + horizon), (u, a), (y, a), (y, a + horizon)]
             rows = [windows(signal, horizon, first, n) for signal, first in parts]
-            R = _triangle(np.vstack([R, np.column_stack([np.ones(n), *rows])]))
-    if centred:  # the constant comes first: what is below its row is orthogonal to it
-        R = R[1:, 1:]
-    else:
-        R = _triangle(R[:, 1:])
-    return Factor(R, horizon, nu, ny)
+            R = _triangle(np.vstack([R, np.column_stack([np.ones((n, int(centred))), *rows])]))
+    # where there is a constant it comes first: what is below its row is orthogonal to it
+    return Factor(R[1:, 1:] if centred else R, horizon, nu, ny)
 
 
 def autoregressive_order(signals: list[tuple[NDArray, NDArray]], most: int, centred: bool) -> int:
@@ -160,9 +180,9 @@ def autoregressive_order(signals: list[tuple[NDArray, NDArray]], most: int, cent
         count = len(u) - most
         for a in range(0, max(count, 0), CHUNK):
             n = min(CHUNK, count - a)
-            past = windows(joint, most, a, n).reshape(n, most, nu + ny)[:, ::-1].reshape(n, -1)
             now = slice(most + a, most + a + n)
-            R = _triangle(np.vstack([R, np.column_stack([np.full(n, centred), u[now], past, y[now]])]))
+            rows = [np.full(n, centred), u[now], lagged(joint, most, a, n), y[now]]
+            R = _triangle(np.vstack([R, np.column_stack(rows)]))
             total += n
     outputs = R[:, -ny:]
     floor = np.finfo(float).eps ** 2 * np.trace(outputs.T @ outputs) * np.eye(ny)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.pem.hankel import lagged
 from estimators.pem.recursion import Recursion
 from oed.errors import InputError
 from oed.models import Polynomial, StateSpace
@@ -122,7 +123,7 @@ def subspace_start(
     back, now_y, now_u = [], [], []
     for y, u in signals:
         joint = np.column_stack([u, y])
-        back.append(np.column_stack([joint[past - k : len(y) - k] for k in range(1, past + 1)]))
+        back.append(lagged(joint, past, 0, len(y) - past))
         now_y.append(y[past:])
         now_u.append(u[past:])
     Z, Y, U = (np.concatenate(x) for x in (back, now_y, now_u))
