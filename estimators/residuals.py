@@ -202,14 +202,12 @@ def _input_test(
     z = np.sum([x.T @ e[:, i] for x, e in zip(columns, parts, strict=True)], axis=0)
     extra: NDArray | float = 0.0
     per_output = [[x if k == i else np.zeros_like(x) for x in columns] for k in range(parts[0].shape[1])]
-    if sensitivity is not None:
+    known = fresh_covariance if fresh_covariance is not None else posterior
+    if sensitivity is not None and known is not None:
         cross = np.sum([j[:, i].T @ x for j, x in zip(sensitivity, columns, strict=True)], axis=0)
-        if fresh_covariance is not None:
-            extra = cross.T @ fresh_covariance @ cross
-        elif posterior is not None:
-            extra = -cross.T @ posterior @ cross
-        else:
-            per_output = taken_up(per_output, sensitivity, weight, influence)
+        extra = cross.T @ known @ cross * (-1 if fresh_covariance is None else 1)
+    elif sensitivity is not None:
+        per_output = taken_up(per_output, sensitivity, weight, influence)
     covariance = spread_of(parts, per_output) + extra
     size = np.sqrt(power * sum(float(((x - average) ** 2).sum()) for x in u)) or 1.0
     return _test(name, chosen, z / size, covariance / size**2)

@@ -233,10 +233,9 @@ def plot_order(fit: Fit) -> Figure:
     n, many = form.order, len(how.tried) > 1
     figure = Figure(figsize=(8 if many else 4.5, 3), layout="constrained")
     axes = figure.subplots(1, 2 if many else 1, squeeze=False)[0]
-    size = np.maximum(how.singular_values, np.finfo(float).tiny)
-    size = size[size > 1e-16 * size[0]]
+    size = how.singular_values[how.singular_values > 1e-16 * how.singular_values[0]]
     at = np.arange(1, len(size) + 1)
-    axes[0].semilogy(at[:n], size[:n], "o", color=BLUE, label=f"taken: {min(n, len(size))}")
+    axes[0].semilogy(at[:n], size[:n], "o", color=BLUE, label=f"taken: {n}")
     axes[0].semilogy(at[n:], size[n:], "o", color=GREY, mfc="none", label="left")
     axes[0].set(xlabel="number", ylabel=f"singular value ({how.method})")
     axes[0].legend(fontsize="small")

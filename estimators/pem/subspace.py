@@ -117,10 +117,11 @@ def by_subspace(
     signals = [(d[:, :nu], d[:, nu : nu + ny]) for d in problem.records()]
     candidates = [horizon] if horizon is not None else _horizons(form, signals, centred)
     _check(form, signals, candidates)
-    tried = _errors_by_horizon(form, problem, signals, method, candidates, centred)
-    found, point = _first_model(
-        form, problem, signals, method, sorted(tried, key=lambda i: tried[i]), centred
-    )
+    tried = {}
+    if len(candidates) > 1:
+        tried = _errors_by_horizon(form, problem, signals, method, candidates, centred)
+    ranking = sorted(tried, key=lambda i: tried[i]) or candidates
+    found, point = _first_model(form, problem, signals, method, ranking, centred)
     best = found.factor.horizon
     if ny > 1:
         problem = problem.replace(
@@ -135,8 +136,7 @@ def by_subspace(
     spread = covariance(problem, residuals, terms, best)
     fit = result(problem, Optimum(point, Status.OK, 0, decrement), records, offset, initial, spread=spread)
     in_units = [kappa * problem.scale / size[:, None] for kappa in terms]
-    if len(candidates) == 1:
-        tried = {best: _relative_error(point)}
+    tried = tried or {best: _relative_error(point)}
     return replace(fit, subspace=Subspace(method, best, found.singular_values, tried, in_units))
 
 
@@ -144,8 +144,6 @@ def _errors_by_horizon(
     form: StateSpace, problem: Problem, signals: list, method: str, candidates: list[int], centred: bool
 ) -> dict[int, float]:
     """Simulation error for each horizon that gives a model, all from one factor, at the samples that the longest has."""
-    if len(candidates) == 1:
-        return {candidates[0]: np.nan}
     longest, tried, reason = factored(signals, candidates[-1], centred), {}, None
     for i in candidates:
         try:
