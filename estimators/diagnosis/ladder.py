@@ -1,0 +1,161 @@
+"""The ladder: every model of an output on the same unused blocks, and the rung that they vouch for.
+
+A step is one whole model, whatever stage it came from: it brings its predictions of blocks that its parameters did not
+see, and simulates any record. The stages do not know of each other here; a new kind of model is one more step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.policy import Policy
+from oed.data import Record
+
+__all__ = ["Gain", "Kind", "Ladder", "Rung", "Step", "climb", "paired_gain", "unused_error"]
+
+Array = NDArray[Any]
+
+
+class Kind(Enum):
+    """Where a step comes from, the simplest first: this order is that of the one-standard-error rule."""
+
+    LINEAR = "linear"
+    NAMED = "named"
+    DISCOVERED = "discovered"
+    REMAINDER = "remainder"
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One whole model of one output: `unused` (N,) per training record, `simulate(record, window)` (N,)."""
+
+    kind: Kind
+    adds: tuple[str, ...]  # keys of effects, or the terms of an equation
+    unused: tuple[Array, ...]  # every block predicted with parameters that did not see it; NaN where none is
+    simulate: Callable[[Record, int], Array]  # the first `window` measured samples may set the state
+    size: int = 0  # parameters, for ties
+    parameters: dict[str, tuple[float, float, str]] = field(
+        default_factory=dict
+    )  # value, standard error, unit
+    sentences: tuple[str, ...] = ()
+    equation: str = ""
+    noise: Array = field(
+        default_factory=lambda: np.zeros(0)
+    )  # AR coefficients that whiten its simulation error
+    admitted: bool = True  # False where the stage's own cross-validation refuses it: shown, never the answer
+
+
+@dataclass(frozen=True)
+class Gain:
+    """By how much the mean squared error falls from one model to another, with its standard error by pieces."""
+
+    value: float
+    error: float
+    share: float  # of the first model's root mean square error
+
+    def beyond(self, errors: float) -> bool:
+        """Whether it is larger than so many of its standard errors."""
+        return self.value > errors * self.error and self.value > 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Rung:
+    """One step with its error on unused blocks: value and 95 % interval."""
+
+    step: Step
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """The steps of one output, the simplest first, and which of them is the answer."""
+
+    rungs: tuple[Rung, ...]
+    answer: int
+    counted: tuple[NDArray[np.bool_], ...]  # samples of each record on which the errors were taken
+
+    @property
+    def linear(self) -> Step:
+        """The model before anything was added."""
+        return self.rungs[0].step
+
+    @property
+    def chosen(self) -> Step:
+        """The answer."""
+        return self.rungs[self.answer].step
+
+
+def _pieces(squares: Sequence[Array], counted: Sequence[NDArray[np.bool_]], count: int) -> Array:
+    """Sums of squares and numbers of samples over about `count` stretches of all records together, (pieces, 2)."""
+    total = sum(len(s) for s in squares)
+    rows = []
+    for s, use in zip(squares, counted, strict=True):
+        for part in np.array_split(np.arange(len(s)), max(2, round(count * len(s) / total))):
+            rows.append((float(np.sum(s[part][use[part]])), float(np.sum(use[part]))))
+    return np.array([row for row in rows if row[1] > 0])
+
+
+def _mean(pieces: Array) -> tuple[float, float]:
+    """Mean over samples and its standard error, the pieces taken for independent."""
+    total = pieces[:, 1].sum()
+    mean = float(pieces[:, 0].sum() / total)
+    spread = pieces[:, 0] - mean * pieces[:, 1]
+    return mean, float(np.sqrt(np.sum(spread**2) * len(pieces) / max(len(pieces) - 1, 1)) / total)
+
+
+def paired_gain(
+    measured: Sequence[Array], first: Sequence[Array], second: Sequence[Array],
+    counted: Sequence[NDArray[np.bool_]], policy: Policy,
+) -> Gain:  # fmt: skip
+    """What the second prediction gains over the first on the same samples; minus infinity where it is not finite."""
+    before = [(y - a) ** 2 for y, a in zip(measured, first, strict=True)]
+    after = [(y - b) ** 2 for y, b in zip(measured, second, strict=True)]
+    if not all(np.all(np.isfinite(s[use])) for s, use in zip(after, counted, strict=True)):
+        return Gain(-np.inf, 0.0, -np.inf)
+    value, error = _mean(_pieces([a - b for a, b in zip(before, after, strict=True)], counted, policy.pieces))
+    base, _ = _mean(_pieces(before, counted, policy.pieces))
+    return Gain(value, error, 1.0 - float(np.sqrt(max(base - value, 0.0) / max(base, 1e-300))))
+
+
+def unused_error(
+    measured: Sequence[Array], step: Step, counted: Sequence[NDArray[np.bool_]], policy: Policy
+) -> Rung:
+    """The step's root mean square error on unused blocks, with its interval."""
+    squares = [(y - s) ** 2 for y, s in zip(measured, step.unused, strict=True)]
+    if not all(np.all(np.isfinite(s[use])) for s, use in zip(squares, counted, strict=True)):
+        return Rung(step, np.inf, np.inf, np.inf)
+    mean, error = _mean(_pieces(squares, counted, policy.pieces))
+    low, high = (float(np.sqrt(max(mean + z * error, 0.0))) for z in (-1.96, 1.96))
+    return Rung(step, float(np.sqrt(mean)), low, high)
+
+
+def climb(
+    measured: Sequence[Array], steps: Sequence[Step], counted: Sequence[NDArray[np.bool_]], policy: Policy
+) -> Ladder:
+    """Order the steps and choose the answer: the simplest within a standard error of the best on unused blocks.
+
+    `measured` and `counted` are (N,) per training record; the first step is the linear model. By construction the
+    answer is no worse there than the linear model, whatever a stage claims of itself.
+    """
+    counted = tuple(
+        use & np.isfinite(first) for use, first in zip(counted, steps[0].unused, strict=True)
+    )  # where the linear model predicts nothing, nothing is compared
+    order = list(Kind)
+    ranked = [steps[0], *sorted(steps[1:], key=lambda s: (order.index(s.kind), s.size))]
+    rungs = tuple(unused_error(measured, s, counted, policy) for s in ranked)
+    able = [i for i, r in enumerate(rungs) if i == 0 or (r.step.admitted and np.isfinite(r.value))]
+    best = min(able, key=lambda i: rungs[i].value)
+
+    def loses(i: int) -> bool:
+        gain = paired_gain(measured, rungs[i].step.unused, rungs[best].step.unused, counted, policy)
+        return gain.beyond(policy.claim_errors)
+
+    return Ladder(rungs, next(i for i in able if i == best or not loses(i)), counted)

@@ -1,0 +1,60 @@
+"""The ladder chooses by unused blocks only: the simplest within a standard error, never worse than the linear model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimators.diagnosis.ladder import Kind, Step, climb, paired_gain
+from estimators.diagnosis.policy import Policy
+
+N = 2000
+POLICY = Policy()
+COUNTED = (np.ones(N, dtype=bool),)
+
+
+def _step(kind: Kind, unused: np.ndarray, **more) -> Step:
+    return Step(kind, (), (unused,), lambda record, window: np.zeros(len(record)), **more)
+
+
+def _case(seed: int, *sizes: float) -> tuple[list[np.ndarray], list[Step]]:
+    """Measured noise, and one step per kind whose prediction is off by a signal of the given size."""
+    rng = np.random.default_rng(seed)
+    y = rng.standard_normal(N)
+    steps = [
+        _step(kind, size * rng.standard_normal(N)) for kind, size in zip(list(Kind), sizes, strict=False)
+    ]
+    return [y], steps
+
+
+def test_a_better_step_is_climbed_and_a_worse_one_is_not() -> None:
+    y, steps = _case(1, 1.0, 0.3)
+    assert climb(y, steps, COUNTED, POLICY).chosen.kind is Kind.NAMED
+    y, steps = _case(1, 0.3, 1.0)
+    ladder = climb(y, steps, COUNTED, POLICY)
+    assert ladder.chosen is ladder.linear
+
+
+def test_within_its_error_the_simpler_step_is_the_answer() -> None:
+    y, steps = _case(2, 1.0, 0.3, 0.3)
+    assert climb(y, steps, COUNTED, POLICY).chosen.kind is Kind.NAMED
+    better = _step(Kind.DISCOVERED, 0.0 * y[0])
+    assert climb(y, [*steps[:2], better], COUNTED, POLICY).chosen is better
+
+
+def test_the_gain_of_nothing_passes_one_standard_error_in_about_a_sixth() -> None:
+    """Two equally wrong models: one-sided normal rate .16; 400 pairs, 3.5 standard deviations of the count."""
+    passed = 0
+    for seed in range(400):
+        y, steps = _case(seed, 0.5, 0.5)
+        passed += paired_gain(y, steps[0].unused, steps[1].unused, COUNTED, POLICY).beyond(1.0)
+    assert abs(passed / 400 - 0.159) < 3.5 * np.sqrt(0.159 * 0.841 / 400)
+
+
+def test_what_is_refused_or_not_finite_is_never_the_answer() -> None:
+    y, steps = _case(3, 1.0)
+    best = y[0].copy()
+    refused = _step(Kind.REMAINDER, best, admitted=False)
+    broken = _step(Kind.NAMED, np.where(np.arange(N) == 7, np.inf, best))
+    ladder = climb(y, [*steps, refused, broken], COUNTED, POLICY)
+    assert ladder.chosen is ladder.linear
+    assert not np.isfinite(ladder.rungs[1].value)
