@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from oed.errors import CampaignError
+from oed.files.parquet import open_parquet, read_columns, table_bytes
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -147,14 +148,12 @@ class Store:
             One row per estimate, and per checkpoint.
         """
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
         path = self.path(key)
         if not path.exists():
             return None
         try:
-            with pq.ParquetFile(path) as file:  # read_table would take a folder named a=b for a column
-                return file.read()
+            return read_columns(open_parquet(path.read_bytes()))
         except (OSError, pa.ArrowException):
             print(f"{path} is damaged and is computed again.", file=sys.stderr)
             return None
@@ -173,13 +172,12 @@ class Store:
             From the end of the file, without reading the rows.
         """
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
         path = self.path(key)
         if not path.exists():
             return False
         try:
-            with pq.ParquetFile(path) as file:
+            with open_parquet(path) as file:
                 return file.metadata.num_rows > 0
         except (OSError, pa.ArrowException):
             print(f"{path} is damaged and is computed again.", file=sys.stderr)
@@ -196,13 +194,12 @@ class Store:
             Its rows.
         """
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
         path = self.path(key)
         temporary = path.with_name(f".{path.name}.{os.getpid()}")
         try:
             table = pa.Table.from_pylist(list(rows)).replace_schema_metadata(self.metadata)
-            pq.write_table(table, temporary)
+            temporary.write_bytes(table_bytes(table))
             os.replace(temporary, path)
         except OSError as error:
             temporary.unlink(missing_ok=True)

@@ -18,6 +18,7 @@ from typing import Any
 
 from oed.errors import InputError
 from oed.files import write_bytes
+from oed.files.parquet import open_parquet, read_columns, table_bytes
 
 __all__ = [
     "escape_latex",
@@ -333,7 +334,6 @@ def to_parquet(
         If a column mixes numbers with text, or the file exists.
     """
     import pyarrow as pa
-    from pyarrow import parquet
 
     arrays = {}
     for key in _keys(rows, columns):
@@ -345,9 +345,7 @@ def to_parquet(
                 f"the column {key} cannot be stored ({message}); give it one type of values."
             ) from None
     table = pa.table(arrays).replace_schema_metadata({METADATA: json.dumps(dict(metadata or {})).encode()})
-    stream = io.BytesIO()
-    parquet.write_table(table, stream)
-    return write_bytes(path, stream.getvalue(), overwrite=overwrite)
+    return write_bytes(path, table_bytes(table), overwrite=overwrite)
 
 
 def from_parquet(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
@@ -371,10 +369,9 @@ def from_parquet(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], di
         If the file does not exist or is damaged.
     """
     import pyarrow as pa
-    from pyarrow import parquet
 
     try:
-        table = parquet.read_table(io.BytesIO(Path(path).read_bytes()))
+        table = read_columns(open_parquet(Path(path).read_bytes()))
         metadata = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
     except (OSError, pa.ArrowException, ValueError) as error:
         message = (str(error).splitlines() or [type(error).__name__])[0]

@@ -38,11 +38,11 @@ def synthetic_store(folder: Path, runs: int) -> tuple[Any, int]:
         Half the runs.
     """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     from benchmarks.runs import checkpoints, parts
     from benchmarks.settings import Settings
     from benchmarks.store import Store
+    from oed.files.parquet import table_bytes
 
     settings = Settings(
         plants=("reference",),
@@ -83,7 +83,7 @@ def synthetic_store(folder: Path, runs: int) -> tuple[Any, int]:
                 np.full(m, np.nan), False, n, carried,
             )
         )  # fmt: skip
-        pq.write_table(pa.concat_tables(tables), store.path(part.key))
+        store.path(part.key).write_bytes(table_bytes(pa.concat_tables(tables)))
     return settings, runs // 2
 
 

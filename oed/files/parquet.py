@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,41 @@ from oed.errors import InputError
 from oed.files.arrays import first_line
 from oed.files.columns import Table, numbers, seconds_per
 
-__all__ = ["parquet_bytes", "parquet_table"]
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+__all__ = ["open_parquet", "parquet_bytes", "parquet_table", "read_columns", "table_bytes"]
 
 KEY = b"oed.record"
+
+
+def open_parquet(source: Path | bytes) -> parquet.ParquetFile:
+    """The only way here into a Parquet file: its pages carry checksums, and no thread of Arrow's is started.
+
+    Arrow's asynchronous scanner (`read_table`, `pre_buffer`, `use_threads`) leaves a thread that may still free a
+    Python buffer when the interpreter ends; that thread then asks for the GIL, and the process aborts.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    file = pa.BufferReader(source) if isinstance(source, bytes) else str(source)
+    return parquet.ParquetFile(file, pre_buffer=False, page_checksum_verification=True)
+
+
+def read_columns(file: parquet.ParquetFile, columns: Sequence[str] | None = None) -> pa.Table:
+    """The table of an open file, all columns or some, read by the calling thread alone."""
+    names = None if columns is None else list(columns)
+    return file.read(columns=names, use_threads=False, use_pandas_metadata=False)
+
+
+def table_bytes(table: pa.Table) -> bytes:
+    """A table as the content of a Parquet file, every page with its checksum."""
+    from pyarrow import parquet
+
+    stream = io.BytesIO()
+    parquet.write_table(table, stream, write_page_checksum=True)
+    return stream.getvalue()
 
 
 def parquet_table(content: bytes, source: str) -> Table:
@@ -41,10 +74,9 @@ def parquet_table(content: bytes, source: str) -> Table:
         If the file is damaged.
     """
     import pyarrow as pa
-    from pyarrow import parquet
 
     try:
-        file = parquet.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
+        file = open_parquet(content)
         schema = file.schema_arrow
         own = json.loads((schema.metadata or {}).get(KEY, b"null"))
         marks = {} if own is None else _marks(own, schema.names)
@@ -55,7 +87,7 @@ def parquet_table(content: bytes, source: str) -> Table:
 
     def load(wanted: Sequence[str]) -> list[NDArray[np.float64]]:
         try:
-            table = file.read(columns=list(wanted), use_pandas_metadata=False)
+            table = read_columns(file, wanted)
             return [_values(table[name], name, source) for name in wanted]
         except (pa.ArrowException, OSError) as error:
             raise InputError(
@@ -122,7 +154,6 @@ def parquet_bytes(record: Record) -> bytes:
         The file's content.
     """
     import pyarrow as pa
-    from pyarrow import parquet
 
     channels = {}
     for side, signal in (("input", record.u), ("output", record.y)):
@@ -142,8 +173,4 @@ def parquet_bytes(record: Record) -> bytes:
         "labels": dict(zip(columns, bare)),
     }
     table = pa.table({"t": record.t, **dict(zip(columns, (np.ascontiguousarray(v) for _, _, v in listed)))})
-    stream = io.BytesIO()
-    parquet.write_table(
-        table.replace_schema_metadata({KEY: json.dumps(own).encode()}), stream, write_page_checksum=True
-    )
-    return stream.getvalue()
+    return table_bytes(table.replace_schema_metadata({KEY: json.dumps(own).encode()}))
