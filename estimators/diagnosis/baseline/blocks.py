@@ -1,0 +1,84 @@
+"""Blocks of the training records, and the samples that count: the one definition that every later stage uses."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Record
+
+__all__ = ["Block", "Blocks", "blocks_of"]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Samples `start` to `stop` - 1 of record number `record`."""
+
+    record: int
+    start: int
+    stop: int
+
+    @property
+    def rows(self) -> slice:
+        """The block as a slice of its record."""
+        return slice(self.start, self.stop)
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """A partition of the records into consecutive blocks, each to be simulated by a model fitted to the others.
+
+    Attributes
+    ----------
+    lengths : tuple of int
+        Samples of each record.
+    window : int
+        First samples of a block: they set the state of its free run and do not count.
+    guard : int
+        Samples on both sides of a held-out block that no fit may use, as they are correlated with it.
+    blocks : tuple of Block
+        In the order of the records and of time; together they are all samples.
+    """
+
+    lengths: tuple[int, ...]
+    window: int
+    guard: int
+    blocks: tuple[Block, ...]
+
+    def training(self, held_out: Block) -> list[NDArray[np.bool_]]:
+        """Per record (N,) the samples that a fit may use while a block is held out."""
+        rows = [np.ones(n, dtype=bool) for n in self.lengths]
+        rows[held_out.record][max(0, held_out.start - self.guard) : held_out.stop + self.guard] = False
+        return rows
+
+    def counting(self, records: Sequence[Record]) -> list[NDArray[np.bool_]]:
+        """Per record (N, ny) the samples that count in an error: measured, and after their block's window."""
+        out = [np.isfinite(record.y) for record in records]
+        for block in self.blocks:
+            out[block.record][block.start : block.start + self.window] = False
+        return out
+
+    def batches(self, each: int) -> list[Block]:
+        """Every block's counting samples cut into `each` parts: the units of standard errors."""
+        out = []
+        for b in self.blocks:
+            edges = np.linspace(b.start + self.window, b.stop, each + 1).astype(int)
+            out += [Block(b.record, i, j) for i, j in itertools.pairwise(edges) if j > i]
+        return out
+
+
+def blocks_of(records: Sequence[Record], count: int, window: int, guard: int) -> Blocks:
+    """About `count` blocks of equal length over all records, at least one a record and two in all."""
+    lengths = tuple(len(record) for record in records)
+    size = sum(lengths) / max(count, 2)
+    blocks = []
+    for r, n in enumerate(lengths):
+        parts = max(2 if len(lengths) == 1 else 1, round(n / size))
+        edges = np.linspace(0, n, parts + 1).astype(int)
+        blocks += [Block(r, a, b) for a, b in itertools.pairwise(edges)]
+    shortest = min(b.stop - b.start for b in blocks)
+    return Blocks(lengths, min(window, shortest // 4), min(guard, shortest // 2), tuple(blocks))

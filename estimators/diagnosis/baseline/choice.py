@@ -1,0 +1,87 @@
+"""Candidates compared by the error of their free run on blocks that they did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.baseline.blocks import Blocks
+from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from oed.data import Record
+
+__all__ = ["Candidate", "Trial", "simplest", "tried"]
+
+Array = NDArray[np.float64]
+
+BATCHES = 4
+"""Parts of a block whose errors are one unit of a standard error: longer than what noise remembers, and enough of them."""
+WORSE = 0.02
+"""A simpler model may cost at most so much of the least error, however uncertain that is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A model of one output: its kind, its orders in words, its number of parameters, its fit without each block.
+
+    `models` has one model per block, fitted to the others, and the model of all blocks last.
+    """
+
+    kind: str
+    orders: str
+    size: int
+    models: list[LinearModel]
+    form: object = field(default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A candidate with its free runs on unused blocks, per record (N,), and the mean squares of their batches."""
+
+    candidate: Candidate
+    unused: list[Array]
+    squares: Array
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square error on unused blocks; infinite where one of the fits has no bounded free run."""
+        return float(np.sqrt(np.mean(self.squares)))
+
+
+def tried(
+    candidate: Candidate, records: Sequence[Record], output: int, blocks: Blocks, prior: Prior
+) -> Trial | None:
+    """A candidate simulated on each block by the fit to the others; None where one of them is not stable."""
+    if any(model.radius > 1.0 for model in candidate.models):
+        return None
+    unused = [np.full(n, np.nan) for n in blocks.lengths]
+    for block, model in zip(blocks.blocks, candidate.models, strict=False):
+        record, rows = records[block.record], block.rows
+        unused[block.record][rows] = model.free_run(
+            prior, record.u[rows], record.y[rows, output], blocks.window
+        )
+    return Trial(candidate, unused, batch_squares(unused, records, output, blocks))
+
+
+def batch_squares(unused: Sequence[Array], records: Sequence[Record], output: int, blocks: Blocks) -> Array:
+    """Mean squares of measured minus simulated output over each batch of each block that has a sample."""
+    out = []
+    for b in blocks.batches(BATCHES):
+        e = records[b.record].y[b.start : b.stop, output] - unused[b.record][b.start : b.stop]
+        if (seen := np.isfinite(records[b.record].y[b.start : b.stop, output])).any():
+            out.append(np.mean(e[seen] ** 2))
+    return np.array(out)
+
+
+def simplest(trials: Iterable[Trial]) -> Trial:
+    """The trial with fewest parameters whose error is the least within one standard error of their difference."""
+    known = [t for t in trials if np.isfinite(t.rmse)]
+    best = min(known, key=lambda t: t.rmse)
+
+    def as_good(t: Trial) -> bool:
+        d = t.squares - best.squares
+        return d.mean() <= d.std() / np.sqrt(max(len(d) - 1, 1)) and t.rmse <= (1.0 + WORSE) * best.rmse
+
+    return min((t for t in known if as_good(t)), key=lambda t: (t.candidate.size, t.rmse))

@@ -1,0 +1,144 @@
+"""Least squares of many lagged models at once: triangular factors per block, so that each fit is a small problem.
+
+All regressors that any candidate may want stand in one matrix; QR of each block's rows keeps all that least squares needs
+of them. A fit without a block takes the factors of the others: no candidate touches the samples again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.baseline.blocks import Blocks
+from estimators.diagnosis.baseline.linear_model import LinearModel
+from oed.data import Record
+
+__all__ = ["Arx", "Lagged", "lagged"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Arx:
+    """Orders of y(k) = -a1 y(k-1) - ... + sum_j b_j(q) u_j(k - delay_j) + c: `na`, `nb` per input, `delay` per input."""
+
+    na: int
+    nb: int
+    delay: tuple[int, ...]
+    offset: bool
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return self.na + self.nb * len(self.delay) + self.offset
+
+
+@dataclass(frozen=True, eq=False)
+class Lagged:
+    """Factors of all regressors: lags 1 to `na` of the output, `lags` of each input from its first on, a constant.
+
+    Attributes
+    ----------
+    na : int
+        Output lags.
+    first : tuple of int
+        First lag of each input.
+    lags : int
+        Lags per input.
+    factors : list of ndarray
+        For each block, a triangular factor of the rows of all *other* blocks; the last is of all rows.
+    scale : ndarray
+        Sizes of the columns, in which the factors are expressed.
+    """
+
+    na: int
+    first: tuple[int, ...]
+    lags: int
+    factors: list[Array]
+    scale: Array
+
+    def holds(self, form: Arx) -> bool:
+        """Whether the candidate's regressors are all here."""
+        within = zip(form.delay, self.first, strict=True)
+        return form.na <= self.na and all(f <= d and d - f + form.nb <= self.lags for d, f in within)
+
+    def columns(self, form: Arx) -> NDArray[np.int64]:
+        """Where the candidate's regressors stand."""
+        out = list(range(form.na))
+        for j, delay in enumerate(form.delay):
+            at = self.na + j * self.lags + delay - self.first[j]
+            out += range(at, at + form.nb)
+        return np.array(out + ([self.na + self.lags * len(self.first)] if form.offset else []), dtype=int)
+
+    def fit(self, form: Arx, held_out: int = -1) -> LinearModel:
+        """The candidate by least squares, on all blocks or without one of them."""
+        columns, R = self.columns(form), self.factors[held_out]
+        # relative to the largest singular value: what the data do not tell apart stays at its least size
+        theta = (
+            np.linalg.lstsq(R[:, columns], R[:, -1], rcond=1e-10)[0] * self.scale[-1] / self.scale[columns]
+        )
+        num = np.zeros((len(form.delay), max(form.delay) + form.nb))
+        for j, delay in enumerate(form.delay):
+            num[j, delay : delay + form.nb] = theta[form.na + j * form.nb : form.na + (j + 1) * form.nb]
+        return LinearModel(
+            np.concatenate(([1.0], -theta[: form.na])), num, float(theta[-1]) if form.offset else 0.0
+        )
+
+    def one_step(self, form: Arx) -> float:
+        """Root mean square of the one-step error of a fit to all blocks, in units of the output's column."""
+        columns, R = self.columns(form), self.factors[-1]
+        rest = R[:, -1] - R[:, columns] @ np.linalg.lstsq(R[:, columns], R[:, -1], rcond=1e-10)[0]
+        return float(np.linalg.norm(rest) * self.scale[-1])
+
+
+def lagged(
+    records: Sequence[Record], output: int, blocks: Blocks, na: int, first: tuple[int, ...], lags: int
+) -> Lagged:
+    """Factors of the regressors of one output, rows with missing samples left out."""
+    tables = [_table(record, output, na, first, lags) for record in records]
+    scale = np.sqrt(np.mean(np.concatenate(tables) ** 2, axis=0, where=np.isfinite(np.concatenate(tables))))
+    scale[scale == 0.0] = 1.0
+    tables = [table / scale for table in tables]
+    whole = [np.isfinite(table).all(axis=1) for table in tables]
+    pieces = {  # the rows of a block that its neighbours' guards leave, and those at its two ends
+        (b, part): _factor(tables[block.record][rows][whole[block.record][rows]])
+        for b, block in enumerate(blocks.blocks)
+        for part, rows in enumerate(_parts(block.start, block.stop, blocks.guard))
+    }
+    factors = []
+    for b, block in enumerate(blocks.blocks):
+        used = []
+        for (c, part), factor in pieces.items():
+            other = blocks.blocks[c]
+            near = other.record == block.record and (
+                (part == 0 and other.start == block.stop) or (part == 2 and other.stop == block.start)
+            )
+            if c != b and not near:
+                used.append(factor)
+        factors.append(_factor(np.concatenate(used)))
+    factors.append(_factor(np.concatenate(list(pieces.values()))))
+    return Lagged(na, first, lags, factors, scale)
+
+
+def _parts(start: int, stop: int, guard: int) -> tuple[slice, slice, slice]:
+    guard = min(guard, (stop - start) // 2)
+    return slice(start, start + guard), slice(start + guard, stop - guard), slice(stop - guard, stop)
+
+
+def _factor(rows: Array) -> Array:
+    return np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
+
+
+def _table(record: Record, output: int, na: int, first: tuple[int, ...], lags: int) -> Array:
+    """(N, na + nu lags + 2) lags of the output, of the inputs (constant before the record), 1, the output itself."""
+    y, n = record.y[:, output], len(record)
+    before = np.concatenate((np.full(na, np.nan), y))
+    columns = [before[na - i : na - i + n] for i in range(1, na + 1)]
+    for x, begin in zip(record.u.T, first, strict=True):
+        most = begin + lags - 1
+        padded = np.concatenate((np.full(most, x[0]), x))
+        columns += [padded[most - i : most - i + n] for i in range(begin, begin + lags)]
+    return np.stack([*columns, np.ones(n), y], axis=1)
