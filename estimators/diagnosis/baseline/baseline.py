@@ -177,7 +177,7 @@ def best_linear(records: Sequence[Record], options: Options | None = None) -> Ba
     options = Options() if options is None else options
     if not records:
         raise InputError("there is no training record; give at least one.")
-    blocks = blocks_of(records, options.blocks, options.window, options.guard)
+    blocks = blocks_of(records, options.blocks, 0 if options.deviations else options.window, options.guard)
     found = [_output(records, i, blocks, options) for i in range(records[0].n_outputs)]
     unused = tuple(np.stack([t.unused[r] for _, t in found], axis=1) for r in range(len(records)))
     outputs = tuple(m for m, _ in found)
@@ -192,7 +192,7 @@ def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options)
     inputs = (i,) if options.diagonal else tuple(range(records[0].n_inputs))
     own = [r.replace(u=r.u[:, list(inputs)], input_names=(), input_units=()) for r in records]
     prior = _prior(own, i, blocks, options)
-    regressors = lagged(own, i, blocks, 10, (0,) * len(inputs), 29)
+    regressors = lagged(own, i, blocks, Arx(10, 29, (0,) * len(inputs), True), prior.rest)
     trials = [
         t
         for form in _grid(regressors, len(inputs), options)

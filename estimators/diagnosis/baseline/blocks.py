@@ -32,12 +32,14 @@ class Block:
 class Blocks:
     """A partition of the records into consecutive blocks, each to be simulated by a model fitted to the others.
 
+    A free run begins where the record begins and runs through to the block, with the parameters of the other blocks.
+
     Attributes
     ----------
     lengths : tuple of int
         Samples of each record.
     window : int
-        First samples of a block: they set the state of its free run and do not count.
+        First samples of a record: they set the state of its free run and do not count.
     guard : int
         Samples on both sides of a held-out block that no fit may use, as they are correlated with it.
     blocks : tuple of Block
@@ -56,17 +58,17 @@ class Blocks:
         return rows
 
     def counting(self, records: Sequence[Record]) -> list[NDArray[np.bool_]]:
-        """Per record (N, ny) the samples that count in an error: measured, and after their block's window."""
+        """Per record (N, ny) the samples that count in an error: measured, and after the record's window."""
         out = [np.isfinite(record.y) for record in records]
-        for block in self.blocks:
-            out[block.record][block.start : block.start + self.window] = False
+        for counts in out:
+            counts[: self.window] = False
         return out
 
     def batches(self, each: int) -> list[Block]:
         """Every block's counting samples cut into `each` parts: the units of standard errors."""
         out = []
         for b in self.blocks:
-            edges = np.linspace(b.start + self.window, b.stop, each + 1).astype(int)
+            edges = np.linspace(max(b.start, self.window), b.stop, each + 1).astype(int)
             out += [Block(b.record, i, j) for i, j in itertools.pairwise(edges) if j > i]
         return out
 

@@ -78,14 +78,15 @@ class LinearModel:
         """Largest magnitude of a pole."""
         return float(np.abs(self.poles).max(initial=0.0))
 
-    def driven(self, u: Array) -> Array:
-        """(N,) what enters 1/A; before the record the inputs are those of its first sample."""
+    def driven(self, u: Array, before: Array | None = None) -> Array:
+        """(N,) what enters 1/A; inputs `before` (m, nu) came first, and before them, or without them, the first ones."""
         out = np.full(len(u), self.constant)
-        for b, x in zip(self.num, u.T, strict=True):
-            if (used := np.flatnonzero(b)).size:
-                first, last = used[0], used[-1]
-                padded = np.concatenate((np.full(last, x[0]), x[: len(x) - first]))
-                out += np.convolve(padded, b[first : last + 1])[last - first : last - first + len(x)]
+        held = u[:1] if before is None or not len(before) else before
+        for b, x, past in zip(self.num, u.T, held.T, strict=True):
+            if len(u) and (used := np.flatnonzero(b)).size:
+                last = used[-1]
+                lead = np.concatenate((np.full(last, past[0]), past[1:]))[-last:] if last else past[:0]
+                out += np.convolve(np.concatenate((lead, x)), b)[last : last + len(x)]
         return out
 
     def level(self, u: Array) -> float:
@@ -105,46 +106,42 @@ class LinearModel:
             return driven
         return np.asarray(lfilter([1.0], self.den, driven, zi=self._memory @ past)[0])
 
+    def free(self, length: int) -> Array:
+        """(length, n) what each of the outputs y(-1), ..., y(-n) leaves in the free run."""
+        return np.asarray(lfilter([1.0], self.den, np.zeros((self.order, length)), zi=self._memory.T)[0]).T
+
     def _before(self, prior: Prior, u: Array, y: Array) -> tuple[float, Array]:
-        """Mean and covariance (n, n) of the outputs before the record."""
+        """Mean and covariance (n, n) of the outputs before the first sample."""
         n = self.order
-        size = prior.covariance[0]
-        still = toeplitz(REST * prior.covariance[:n]) if n else np.empty((0, 0))
+        anywhere = toeplitz(prior.covariance[:n]) if n else np.empty((0, 0))
         if prior.rest:
-            return 0.0, still
+            return 0.0, REST * anywhere
         seen = y[np.isfinite(y)]
-        level = self.level(u[0]) if self.radius < FAR else np.nan
-        if len(seen) < 2:  # nothing is measured: at rest under the first input, or anywhere
-            return (level, still) if np.isfinite(level) else (prior.mean, still)
+        if len(seen) < 2:  # nothing is measured: at rest under the first input, if there is such a rest
+            level = self.level(u[0]) if self.radius < FAR else np.nan
+            return level if np.isfinite(level) else prior.mean, REST * anywhere
         if np.ptp(u[: len(y)], axis=0).max() == 0.0 and np.ptp(seen) < 6.0 * np.sqrt(prior.noise):
-            return float(np.mean(seen)), size * np.ones((n, n)) + still
-        return prior.mean, toeplitz(prior.covariance[:n]) if n else still
-
-    def opening(self, prior: Prior, u: Array, y: Array) -> Array:
-        """(n + w,) simulated output from n samples before the record to the end of a window of w samples y.
-
-        It is the conditional mean of a Gaussian: outputs before the record with the prior's covariance, a disturbance of
-        variance `drive` that enters with the input, noise of variance `noise` on the samples; NaN where none is measured.
-        """
-        n, w = self.order, len(y)
-        mean, cov = self._before(prior, u, y)
-        past = np.full(n, mean)
-        ahead = np.concatenate((past, self.run(self.driven(u[:w]), past)))
-        if not n or not w:
-            return ahead
-        free = lfilter([1.0], self.den, np.zeros((n, w)), zi=self._memory.T)[0].T  # (w, n)
-        lead = np.concatenate((np.eye(n)[::-1], free))
-        spread = lead @ cov @ lead.T
-        if prior.drive:
-            T = toeplitz(lfilter([1.0], self.den, np.eye(1, w)[0]), np.zeros(w))
-            spread[n:, n:] += prior.drive * T @ T.T
-        seen = np.flatnonzero(np.isfinite(y)) + n
-        inner = spread[np.ix_(seen, seen)] + prior.noise * np.eye(len(seen))
-        return ahead + spread[:, seen] @ np.linalg.lstsq(inner, y[seen - n] - ahead[seen], rcond=1e-13)[0]
+            return float(np.mean(seen)), prior.covariance[0] * np.ones((n, n)) + REST * anywhere
+        return prior.mean, anywhere
 
     def free_run(self, prior: Prior, u: Array, y: Array, window: int) -> Array:
-        """(N,) simulated output; the first `window` samples of y (N,) set the state, and are smoothed by it."""
+        """(N,) simulated output; the first `window` samples of y (N,) set the state, and are smoothed by it.
+
+        The state is the conditional mean of a Gaussian: outputs before the first sample with the prior's covariance, a
+        disturbance of variance `drive` that enters with the input, noise of variance `noise` on the samples.
+        """
         n, w = self.order, min(window, len(y))
-        opening = self.opening(prior, u, y[:w])
-        later = self.run(self.driven(u)[w:], opening[w:][::-1])
-        return np.concatenate((opening[n:], later))
+        driven = self.driven(u, np.zeros((1, u.shape[1])) if prior.rest else None)
+        mean, cov = self._before(prior, u, y[:w])
+        past = np.full(n, mean)
+        ahead = np.concatenate((past, self.run(driven[:w], past)))
+        seen = np.flatnonzero(np.isfinite(y[:w])) + n
+        if n and len(seen):
+            lead = np.concatenate((np.eye(n)[::-1], self.free(w)))
+            spread = lead @ cov @ lead.T
+            if prior.drive:
+                T = toeplitz(lfilter([1.0], self.den, np.eye(1, w)[0]), np.zeros(w))
+                spread[n:, n:] += prior.drive * T @ T.T
+            inner = spread[np.ix_(seen, seen)] + prior.noise * np.eye(len(seen))
+            ahead += spread[:, seen] @ np.linalg.lstsq(inner, y[seen - n] - ahead[seen], rcond=1e-13)[0]
+        return np.concatenate((ahead[n:], self.run(driven[w:], ahead[w:][::-1])))

@@ -16,7 +16,7 @@ from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel
 from oed.data import Record
 
-__all__ = ["Arx", "Lagged", "lagged"]
+__all__ = ["Arx", "Lagged", "lagged", "lagged_inputs"]
 
 Array = NDArray[np.float64]
 
@@ -34,6 +34,15 @@ class Arx:
     def size(self) -> int:
         """Number of parameters."""
         return self.na + self.nb * len(self.delay) + self.offset
+
+    def model(self, theta: Array) -> LinearModel:
+        """The model of these orders with parameters a, b by input, c."""
+        num = np.zeros((len(self.delay), max(self.delay) + self.nb))
+        for j, delay in enumerate(self.delay):
+            at = self.na + j * self.nb
+            num[j, delay : delay + self.nb] = theta[at : at + self.nb]
+        constant = float(theta[self.size - 1]) if self.offset else 0.0
+        return LinearModel(np.concatenate(([1.0], theta[: self.na])), num, constant)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +89,7 @@ class Lagged:
         theta = (
             np.linalg.lstsq(R[:, columns], R[:, -1], rcond=1e-10)[0] * self.scale[-1] / self.scale[columns]
         )
-        num = np.zeros((len(form.delay), max(form.delay) + form.nb))
-        for j, delay in enumerate(form.delay):
-            num[j, delay : delay + form.nb] = theta[form.na + j * form.nb : form.na + (j + 1) * form.nb]
-        return LinearModel(
-            np.concatenate(([1.0], -theta[: form.na])), num, float(theta[-1]) if form.offset else 0.0
-        )
+        return form.model(np.concatenate((-theta[: form.na], theta[form.na :])))
 
     def one_step(self, form: Arx) -> float:
         """Root mean square of the one-step error of a fit to all blocks, in units of the output's column."""
@@ -94,11 +98,9 @@ class Lagged:
         return float(np.linalg.norm(rest) * self.scale[-1])
 
 
-def lagged(
-    records: Sequence[Record], output: int, blocks: Blocks, na: int, first: tuple[int, ...], lags: int
-) -> Lagged:
-    """Factors of the regressors of one output, rows with missing samples left out."""
-    tables = [_table(record, output, na, first, lags) for record in records]
+def lagged(records: Sequence[Record], output: int, blocks: Blocks, widest: Arx, rest: bool) -> Lagged:
+    """Factors of the regressors of the widest form (with its offset) for one output, rows with missing samples left out."""
+    tables = [_table(record, output, widest, rest) for record in records]
     scale = np.sqrt(np.mean(np.concatenate(tables) ** 2, axis=0, where=np.isfinite(np.concatenate(tables))))
     scale[scale == 0.0] = 1.0
     tables = [table / scale for table in tables]
@@ -120,7 +122,17 @@ def lagged(
                 used.append(factor)
         factors.append(_factor(np.concatenate(used)))
     factors.append(_factor(np.concatenate(list(pieces.values()))))
-    return Lagged(na, first, lags, factors, scale)
+    return Lagged(widest.na, widest.delay, widest.nb, factors, scale)
+
+
+def lagged_inputs(record: Record, form: Arx, rest: bool) -> Array:
+    """(N, nu nb (+ 1)) the inputs at the lags of a form, then 1; before the record at rest (0) or at their first sample."""
+    n, columns = len(record), []
+    for x, delay in zip(record.u.T, form.delay, strict=True):
+        most = delay + form.nb - 1
+        padded = np.concatenate((np.full(most, 0.0 if rest else x[0]), x))
+        columns += [padded[most - i : most - i + n] for i in range(delay, delay + form.nb)]
+    return np.stack([*columns, np.ones(n)] if form.offset else columns, axis=1)
 
 
 def _parts(start: int, stop: int, guard: int) -> tuple[slice, slice, slice]:
@@ -132,13 +144,11 @@ def _factor(rows: Array) -> Array:
     return np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
 
 
-def _table(record: Record, output: int, na: int, first: tuple[int, ...], lags: int) -> Array:
-    """(N, na + nu lags + 2) lags of the output, of the inputs (constant before the record), 1, the output itself."""
-    y, n = record.y[:, output], len(record)
-    before = np.concatenate((np.full(na, np.nan), y))
-    columns = [before[na - i : na - i + n] for i in range(1, na + 1)]
-    for x, begin in zip(record.u.T, first, strict=True):
-        most = begin + lags - 1
-        padded = np.concatenate((np.full(most, x[0]), x))
-        columns += [padded[most - i : most - i + n] for i in range(begin, begin + lags)]
-    return np.stack([*columns, np.ones(n), y], axis=1)
+def _table(record: Record, output: int, widest: Arx, rest: bool) -> Array:
+    """(N, na + nu nb + 2) lags of the output, of the inputs, 1, the output itself."""
+    y, n, na = record.y[:, output], len(record), widest.na
+    before = np.concatenate((np.full(na, 0.0 if rest else np.nan), y))
+    lags = [before[na - i : na - i + n] for i in range(1, na + 1)]
+    return np.concatenate(
+        (np.array(lags).reshape(na, n).T, lagged_inputs(record, widest, rest), y[:, None]), axis=1
+    )

@@ -1,0 +1,170 @@
+"""Output-error fits: a model's free run brought close to the outputs by Gauss-Newton, from a model that is near."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
+
+from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from estimators.diagnosis.baseline.regression import Arx, lagged_inputs
+from oed.data import Record
+
+__all__ = ["OutputError", "realised"]
+
+Array = NDArray[np.float64]
+
+DAMPING = (1e-6, 10.0, 1e6)
+"""Levenberg's first damping in units of each parameter's information, its factor, and where a search gives up."""
+STILL = 1e-4
+"""Relative decrease of the loss below which a search has arrived: a tenth of what the choice between models can tell."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutputError:
+    """Fits of one form to one output of some records.
+
+    Attributes
+    ----------
+    records : sequence of Record
+        The data, inputs of this output only.
+    output : int
+        Which output.
+    form : Arx
+        Orders: of A, of B, delays, offset.
+    prior : Prior
+        Of the outputs before each record.
+    whitener : ndarray
+        D: the loss is the sum of squares of D times the simulation error (1 for plain output error).
+    """
+
+    records: Sequence[Record]
+    output: int
+    form: Arx
+    prior: Prior
+    whitener: Array
+
+    def fit(
+        self, start: LinearModel, rows: Sequence[NDArray[np.bool_]], steps: int
+    ) -> tuple[LinearModel, float]:
+        """The best model within so many steps of `start` and its mean square on the rows, (N,) per record."""
+        theta = self._vector(start)
+        loss, gradient, hessian = self._local(theta, rows)
+        damping, factor, most = DAMPING
+        for _ in range(steps):
+            scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+            while damping < most:
+                H = hessian / np.outer(scale, scale) + damping * np.eye(len(theta))
+                step = np.linalg.solve(H, gradient / scale) / scale
+                if self._model(theta + step).radius < 1.0:
+                    new = self._local(theta + step, rows)
+                    if new[0] < loss:
+                        break
+                damping *= factor
+            else:
+                break
+            gained = loss - new[0]
+            theta, (loss, gradient, hessian) = theta + step, new
+            damping /= factor
+            if gained < STILL * loss:
+                break
+        return self._model(theta), loss
+
+    def _vector(self, model: LinearModel) -> Array:
+        """(p,) parameters: a, b by input, c, then the outputs before each record."""
+        f = self.form
+        num = np.zeros((len(f.delay), max(f.delay) + f.nb))
+        m = min(num.shape[1], model.num.shape[1])
+        num[:, :m] = model.num[:, :m]
+        b = [row[d : d + f.nb] for row, d in zip(num, f.delay, strict=True)]
+        past = []
+        if not self.prior.rest:
+            for r in self.records:
+                few = slice(0, 20 * f.na + 20)
+                run = model.free_run(self.prior, r.u[few], r.y[few, self.output], 20)
+                past.append(np.full(f.na, run[0]))
+        return np.concatenate((model.den[1:], *b, [model.constant] if f.offset else [], *past))
+
+    def _model(self, theta: Array) -> LinearModel:
+        return self.form.model(theta)
+
+    def _local(self, theta: Array, rows: Sequence[NDArray[np.bool_]]) -> tuple[float, Array, Array]:
+        """Mean square, half its negative gradient and the Gauss-Newton matrix."""
+        f, model, n = self.form, self._model(theta), self.form.na
+        gram = np.zeros((len(theta) + 1, len(theta) + 1))
+        count = 0
+        for k, (record, used) in enumerate(zip(self.records, rows, strict=True)):
+            at = f.size + k * n
+            past = np.zeros(n) if self.prior.rest else theta[at : at + n]
+            X = lagged_inputs(record, f, self.prior.rest)
+            run = model.run(X @ theta[n : f.size], past)
+            before = np.concatenate((past[::-1], run))
+            lags = (
+                np.stack([-before[n - i : len(before) - i] for i in range(1, n + 1)], axis=1)
+                if n
+                else X[:, :0]
+            )
+            J = np.asarray(lfilter([1.0], model.den, np.concatenate((lags, X), axis=1), axis=0))
+            e = record.y[:, self.output] - run
+            parts = [J, e[:, None]]
+            if not self.prior.rest and n:
+                parts.insert(1, model.free(len(run)))
+            Z = np.concatenate(parts, axis=1)
+            keep = used & np.isfinite(e)
+            if len(self.whitener) > 1:
+                Z = np.asarray(lfilter(self.whitener, [1.0], np.nan_to_num(Z), axis=0))
+                keep &= np.convolve(~keep, np.ones(len(self.whitener)))[: len(keep)] < 0.5
+            Z = Z[keep]
+            count += len(Z)
+            where = np.concatenate(
+                (np.arange(f.size), np.arange(at, at + Z.shape[1] - 1 - f.size), [len(theta)])
+            )
+            gram[np.ix_(where, where)] += Z.T @ Z
+        loss, gradient, hessian = gram[-1, -1], gram[:-1, -1].copy(), gram[:-1, :-1]
+        if n and not self.prior.rest:  # the outputs before the record, as the prior has them
+            weight = max(loss, 1e-300) / max(count, 1) * np.linalg.pinv(toeplitz(self.prior.covariance[:n]))
+            for k in range(len(self.records)):
+                sl = slice(f.size + k * n, f.size + (k + 1) * n)
+                hessian[sl, sl] += weight
+                gradient[sl] -= weight @ (theta[sl] - self.prior.mean)
+        return loss / max(count, 1), gradient, hessian
+
+
+def realised(model: LinearModel, form: Arx, lags: int) -> LinearModel | None:
+    """A model of the orders of `form` with nearly the impulse responses of another, by Ho and Kalman's realisation.
+
+    None where the responses do not bear so many states, or its poles are not stable.
+    """
+    n, delay = form.na, form.delay
+    length = 2 * lags + 1
+    pulses = np.stack(
+        [_pulse(model, j, d, length) for j, d in enumerate(delay)]
+    )  # (nu, length), from its delay on
+    later = 1 if form.nb > n else 0  # B of n + 1 coefficients leaves the first sample to itself
+    H = np.concatenate([toeplitz_rows(p[later:], lags) for p in pulses], axis=1)
+    left, size, _ = np.linalg.svd(H, full_matrices=False)
+    if n == 0 or len(size) < n or size[n - 1] <= 1e-10 * size[0]:
+        return None
+    O = left[:, :n] * np.sqrt(size[:n])
+    den = np.real(np.poly(np.linalg.eigvals(np.linalg.lstsq(O[:-1], O[1:], rcond=None)[0])))
+    if np.abs(np.roots(den)).max() >= 1.0:
+        return None
+    num = np.zeros((len(delay), max(delay) + form.nb))
+    for j, (p, d) in enumerate(zip(pulses, delay, strict=True)):
+        G = np.asarray(lfilter([1.0], den, np.eye(length, form.nb), axis=0))
+        num[j, d : d + form.nb] = np.linalg.lstsq(G, p, rcond=None)[0]
+    level = model.level(np.zeros(len(delay))) if model.radius < 1.0 else 0.0
+    return LinearModel(den, num, float(level * den.sum()) if form.offset else 0.0)
+
+
+def _pulse(model: LinearModel, j: int, delay: int, length: int) -> Array:
+    return np.asarray(lfilter(model.num[j], model.den, np.eye(1, delay + length)[0]))[delay:]
+
+
+def toeplitz_rows(pulse: Array, rows: int) -> Array:
+    """Hankel matrix of an impulse response."""
+    return np.lib.stride_tricks.sliding_window_view(pulse, rows)[:rows]
