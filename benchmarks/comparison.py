@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.campaign import TIME_LIMIT, Settings, fill_store, stored_runs
-from benchmarks.own import Own
-from benchmarks.settings import Limit, default_limits
-from benchmarks.store import versions, write_atomically
-from benchmarks.tables import to_text
-from benchmarks.tabulation import tabulate
+from benchmarks.campaign.running import TIME_LIMIT, Settings, fill_store, stored_runs
+from benchmarks.campaign.settings import Limit, default_limits
+from benchmarks.campaign.store import versions, write_atomically
+from benchmarks.campaign.users_own import Own
+from benchmarks.tables.formats import to_text
+from benchmarks.tables.tabulation import tabulate
 from oed.errors import CampaignError, InputError
 
 __all__ = ["COLUMNS", "Comparison", "compare"]
@@ -162,9 +162,9 @@ def compare(
     samples, experiments, replicates : int
         Length of an experiment, experiments per run, Monte-Carlo runs.
     methods, estimators : sequence, optional
-        Names of inputs and estimators; one's own as functions or `FILE.py:FUNCTION` (see `benchmarks.own`).
+        Names of inputs and estimators; one's own as functions or `FILE.py:FUNCTION` (see `benchmarks.campaign.users_own`).
     limits : sequence of Limit, optional
-        What has fewer replicates than the rest; by default `benchmarks.settings.DEFAULT_LIMITS`, those of inputs only where
+        What has fewer replicates than the rest; by default `benchmarks.campaign.settings.DEFAULT_LIMITS`, those of inputs only where
         `methods` is not given.
     profile_replicates : int
         For so many replicates the estimators are also run after every checkpoint of the budget.
@@ -228,7 +228,7 @@ def compare(
     )
     workers = jobs or os.cpu_count() or 1
     tables = tabulate(stored_runs(store, settings, replicates, **options), settings, workers)
-    from benchmarks.compare_report import write_comparison
+    from benchmarks.page.compare_report import write_comparison
 
     try:
         sentences, page = write_comparison(folder, settings, replicates, tables, workers)
@@ -244,9 +244,9 @@ def _dry_run(settings: Settings, replicates: int, out: Path, options: dict[str, 
     """Every plant, input and estimator once at the first noise level, a few short experiments each, nothing kept."""
     from dataclasses import replace
 
-    from benchmarks.columns import UNUSABLE
-    from benchmarks.plants import load_plant
-    from benchmarks.runs import parts, run_part
+    from benchmarks.campaign.part import UNUSABLE
+    from benchmarks.campaign.plants import load_plant
+    from benchmarks.campaign.run import parts, run_part
 
     plants = [load_plant(name) for name in settings.plants]
     iteration = 1 + max(plant.n_inputs * plant.n_outputs for plant in plants)  # of Procedure 2

@@ -6,10 +6,10 @@ import argparse
 import shutil
 from pathlib import Path
 
-from benchmarks.answer import ANSWER
-from benchmarks.head_to_head import head_to_head_sentence
-from benchmarks.store import write_atomically
-from benchmarks.tables import from_parquet, to_markdown
+from benchmarks.campaign.store import write_atomically
+from benchmarks.tables.answer import ANSWER
+from benchmarks.tables.formats import from_parquet, to_markdown
+from benchmarks.tables.head_to_head import head_to_head_sentence
 from oed.errors import InputError
 
 __all__ = ["with_headline", "write_readme"]

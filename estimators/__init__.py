@@ -9,22 +9,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from estimators.checks import additivity_by_monte_carlo, additivity_of_records, additivity_of_spectra
     from estimators.diagnosis.loop import diagnose
+    from estimators.montecarlo.additivity import (
+        additivity_by_monte_carlo,
+        additivity_of_records,
+        additivity_of_spectra,
+    )
     from estimators.pem import identify
-    from estimators.power import power_iterations
-    from estimators.trace import Trace, run
+    from estimators.rules.power import power_iterations
+    from estimators.rules.trace import Trace, run
 
 
 _HOME = {
-    "Trace": "estimators.trace",
-    "additivity_by_monte_carlo": "estimators.checks",
-    "additivity_of_records": "estimators.checks",
-    "additivity_of_spectra": "estimators.checks",
+    "Trace": "estimators.rules.trace",
+    "additivity_by_monte_carlo": "estimators.montecarlo.additivity",
+    "additivity_of_records": "estimators.montecarlo.additivity",
+    "additivity_of_spectra": "estimators.montecarlo.additivity",
     "diagnose": "estimators.diagnosis.loop",
     "identify": "estimators.pem",
-    "power_iterations": "estimators.power",
-    "run": "estimators.trace",
+    "power_iterations": "estimators.rules.power",
+    "run": "estimators.rules.trace",
 }
 
 __all__ = [

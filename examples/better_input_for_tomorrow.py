@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.plants import hair_dryer_record
+from benchmarks.campaign.plants import hair_dryer_record
 from estimators import identify
 from oed import simulated, solve_design
 from oed.data import Record
 from oed.information import information_of_records
-from oed.signals import realise
+from oed.signals.realise import realise
 
 N = 500
 
@@ -54,7 +54,7 @@ def _centred(record: Record) -> Record:
 
 def _promised(plant, information: np.ndarray) -> float:
     """Standard error of the largest gain: the delta method on the Fisher information."""
-    from oed.norms import gain_gradient
+    from oed.plants.norms import gain_gradient
 
     c = gain_gradient(plant)
     return float(np.sqrt(c @ np.linalg.solve(information, c)))

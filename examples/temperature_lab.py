@@ -29,8 +29,8 @@ from estimators.sessions.rig_limits import check_input
 from oed import solve_design
 from oed.data import Record
 from oed.information import information_of_records
-from oed.plant_files import plant_to_json
-from oed.signals import realise
+from oed.plants.json import plant_to_json
+from oed.signals.realise import realise
 
 LEVEL, RANGE, DT, N = (
     40.0,

@@ -14,8 +14,8 @@ import numpy as np
 
 from estimators.sessions import Session, Settings, what_is_missing
 from oed import named_plant, simulated
-from oed.plant_files import plant_to_json
-from oed.plants import Plant
+from oed.plants.json import plant_to_json
+from oed.plants.plant import Plant
 
 # Largest gain 1.95 at 296 Hz with a half-power width of 24 Hz, and the directions in which it acts.
 HERTZ, WIDTH, GAIN, DT = 296.0, 24.0, 1.95, 0.001

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from oed.experiments import Experiment, replayed, simulated
     from oed.files import read_record, write_record
     from oed.information import information_of_records, information_of_signal, information_of_spectrum
-    from oed.named import named_plant
-    from oed.norms import peak
-    from oed.plant_files import plant_from_json, plant_to_json
-    from oed.plants import Plant
+    from oed.plants.json import plant_from_json, plant_to_json
+    from oed.plants.named import named_plant
+    from oed.plants.norms import peak
+    from oed.plants.plant import Plant
     from oed.theory import limit_spectrum
 
 
@@ -29,7 +29,7 @@ _HOME = {
     "ExperimentError": "oed.errors",
     "InputError": "oed.errors",
     "OedError": "oed.errors",
-    "Plant": "oed.plants",
+    "Plant": "oed.plants.plant",
     "Record": "oed.data",
     "Spectrum": "oed.data",
     "Status": "oed.errors",
@@ -37,10 +37,10 @@ _HOME = {
     "information_of_signal": "oed.information",
     "information_of_spectrum": "oed.information",
     "limit_spectrum": "oed.theory",
-    "named_plant": "oed.named",
-    "peak": "oed.norms",
-    "plant_from_json": "oed.plant_files",
-    "plant_to_json": "oed.plant_files",
+    "named_plant": "oed.plants.named",
+    "peak": "oed.plants.norms",
+    "plant_from_json": "oed.plants.json",
+    "plant_to_json": "oed.plants.json",
     "read_record": "oed.files",
     "replayed": "oed.experiments",
     "simulated": "oed.experiments",

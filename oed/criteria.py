@@ -8,7 +8,7 @@ combinations of the parameters matter:
     E   largest eigenvalue        V = identity: E
     G   max_k trace(V_k' M^-1 V_k)  V of shape (K, n, s): the worst of several
     W   max_k det(V_k' M^-1 V_k)^(1/s)  V of shape (K, n, s): the worst of several D
-    K   condition number of V' M^-1 V: modified E (its certificate is a ratio of two: `oed.design.condition`)
+    K   condition number of V' M^-1 V: modified E (its certificate is a ratio of two: `oed.design.solvers.condition_number`)
 
 and has the lower bound, valid for every X (n, s), also where M is singular (Cauchy-Schwarz):
 

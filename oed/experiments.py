@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from oed.data import Record, as_signal
 from oed.errors import ExperimentError, InputError
-from oed.noise import noise_key, noise_series
-from oed.plants import Plant
+from oed.plants.plant import Plant
+from oed.signals.noise import noise_key, noise_series
 
 __all__ = ["Experiment", "Usage", "replayed", "simulated"]
 
@@ -149,7 +149,7 @@ def simulated(
     plant : Plant
         The plant, with its noise.
     seed, replicate : int
-        Coordinates of the noise (`oed.noise`).
+        Coordinates of the noise (`oed.signals.noise`).
     first : int
         Number of the first experiment.
     expected : int

@@ -19,7 +19,7 @@ from oed.data import Spectrum, as_signal
 from oed.errors import InputError, NotIdentifiable
 
 if TYPE_CHECKING:
-    from oed.plants import Plant
+    from oed.plants.plant import Plant
 
 __all__ = [
     "Responding",
@@ -219,7 +219,7 @@ def signal_gradient(plant: Responding, u: ArrayLike) -> NDArray[np.float64]:
 
 
 def _as_plant(plant: Responding) -> Plant:
-    from oed.plants import Plant
+    from oed.plants.plant import Plant
 
     if isinstance(plant, Plant):
         return plant

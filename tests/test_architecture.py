@@ -56,8 +56,8 @@ HOMES = {
     "cvxpy": ("oed.design", lambda module: within(module, "oed.design")),
     "clarabel": ("oed.design", lambda module: within(module, "oed.design")),
     "casadi": (
-        "estimators.pem and estimators.effects",
-        lambda module: within(module, "estimators.pem", "estimators.effects"),
+        "estimators.pem and estimators.diagnosis.effects",
+        lambda module: within(module, "estimators.pem", "estimators.diagnosis.effects"),
     ),
     "matplotlib": ("modules named plots, figures* or report", in_plots),
     "numba": ("modules named *_kernels", lambda module: last(module).endswith("_kernels")),

@@ -97,13 +97,13 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Run or resume the comparison."""
     from pathlib import Path
 
+    from benchmarks.campaign.settings import campaign_from_toml, limit_from_text
     from benchmarks.comparison import compare
-    from benchmarks.settings import campaign_from_toml, limit_from_text
 
     options: dict[str, Any] = {"seed": args.seed}
     merged: dict[str, Any] = {}
     if args.merge:
-        from benchmarks.merging import merge_stores
+        from benchmarks.campaign.merging import merge_stores
 
         merged = merge_stores([Path(folder) for folder in args.merge], Path(args.out or "results/compare"))
         options |= merged

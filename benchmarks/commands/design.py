@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from benchmarks.plants import add_plant_arguments, load_plant
+from benchmarks.campaign.plants import add_plant_arguments, load_plant
 from oed.errors import InputError
 
 HELP = "an optimal input: spectrum, loss, certified bound, and a signal that realises it"
@@ -56,9 +56,9 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Design, realise, write."""
     import numpy as np
 
-    from oed import signals
     from oed.design import solve_design
-    from oed.design.amplitude import amplitude_design
+    from oed.design.parametrisations.amplitude import amplitude_design
+    from oed.signals.realise import realise as signals
 
     plant = load_plant(args.plant, args.noise_variance)
     writer = _writer(args.out, args.realise)

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if args.meta:
         payload["case"] = Path(args.meta).parent.name
     if args.out:
-        from benchmarks.diagnosis_report import write_diagnosis_report
+        from benchmarks.page.diagnosis_report import write_diagnosis_report
         from estimators.diagnosis.saving import save
 
         folder = save(result, args.out)

@@ -103,10 +103,10 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     text : str
         What a person reads.
     """
-    from estimators.choice import estimate_delay
     from estimators.pem import identify
+    from estimators.pem.choice import estimate_delay
     from estimators.pem.results import needed
-    from estimators.residuals import residual_tests
+    from estimators.residual.tests import residual_tests
     from oed.files import read_record
     from oed.inspection import defects
 
@@ -177,7 +177,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     if tests:
         lines += ["residual tests (p-values):", *(f"  {test!r}" for test in tests.values())]
     if args.folds is not None:
-        from estimators.choice import held_out_error
+        from estimators.pem.choice import held_out_error
 
         how = {"folds": args.folds, "window": 0 if initial == "zero" else args.skip}
         error, spread = held_out_error(records, args.structure, orders, delay, **how, **options)

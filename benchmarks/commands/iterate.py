@@ -55,11 +55,11 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     """
     import numpy as np
 
-    from benchmarks.plants import load_plant
-    from estimators.iterations import iterate
-    from estimators.peak_estimates import corrected
-    from estimators.stopping import settled
-    from estimators.worst_inputs import worst_case
+    from benchmarks.campaign.plants import load_plant
+    from estimators.norm.peak_estimates import corrected
+    from estimators.norm.worst_inputs import worst_case
+    from estimators.rules.by_name import iterate
+    from estimators.rules.stopping import settled
     from oed.errors import InputError, OedError
     from oed.experiments import simulated
 
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     except OedError as error:  # too short for a local model: say so, and go on
         reason = str(error)
     if args.out:
-        from benchmarks.traces import write_trace
+        from benchmarks.campaign.traces import write_trace
 
         write_trace(trace, args.out)
     complex_pairs = lambda v: [[float(x.real), float(x.imag)] for x in v]

@@ -17,7 +17,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Write the page."""
-    from benchmarks.report import write_report
+    from benchmarks.page.report import write_report
 
     path = write_report(Path(args.folder))
     return {"path": str(path)}, f"report: {path}"

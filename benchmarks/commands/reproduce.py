@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     OedError
         With --strict, if a row does not hold.
     """
-    from benchmarks.reproduced import rows_of
+    from benchmarks.tables.reproduced import rows_of
     from oed.errors import OedError
 
     progress = None if args.quiet else lambda name: print(f"reproducing {name}", file=sys.stderr)

@@ -150,11 +150,11 @@ def _start(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     from estimators.sessions import Settings, start_session
     from oed.errors import InputError
-    from oed.files.columns import split_unit
+    from oed.files.tables import split_unit
 
     model = None
     if args.model is not None:
-        from oed.plant_files import plant_from_json, plant_to_json
+        from oed.plants.json import plant_from_json, plant_to_json
 
         model = plant_to_json(plant_from_json(args.model))
         model = json.loads(json.dumps(model))

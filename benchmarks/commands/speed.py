@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from importlib import import_module
 
     import benchmarks.speed
-    from benchmarks.tables import to_text
+    from benchmarks.tables.formats import to_text
     from oed.errors import OedError, check_names
 
     known = tuple(info.name for info in pkgutil.iter_modules(benchmarks.speed.__path__))

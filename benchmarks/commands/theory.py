@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from benchmarks.plants import add_plant_arguments, load_plant
+from benchmarks.campaign.plants import add_plant_arguments, load_plant
 from oed.errors import InputError
 
 HELP = "what the theory predicts for the iterations: limit spectrum, bias, efficiency"
@@ -36,7 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Compute the prediction."""
-    from benchmarks.predictions import mimo_prediction, siso_prediction
+    from benchmarks.tables.predictions import mimo_prediction, siso_prediction
 
     plant = load_plant(args.plant, args.noise_variance)
     several = plant.n_inputs * plant.n_outputs > 1
@@ -59,8 +59,8 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 def _claim_map(plant: Any) -> tuple[dict[str, Any], str]:
     """This plant's row and those of the usual cases, each with its certificate."""
-    from benchmarks.claim_map import COLUMNS, claim_rows, row_of
-    from benchmarks.tables import to_text
+    from benchmarks.tables.claim_map import COLUMNS, claim_rows, row_of
+    from benchmarks.tables.formats import to_text
     from oed.theory import map_of_claim
 
     rows = [row_of("this plant", map_of_claim([plant])[0]), *claim_rows()]

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reproduced import row
-from estimators.engine import batches
-from oed.named import named_plant
+from benchmarks.tables.reproduced import row
+from estimators.montecarlo.engine import batches
+from oed.plants.named import named_plant
 from oed.theory.finite import EFFECTS, finite_moments
 from oed.theory.finite_mimo import finite_mimo_moments
 
@@ -119,7 +119,7 @@ def rows() -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        Rows of `benchmarks.reproduced`.
+        Rows of `benchmarks.tables.reproduced`.
     """
     found = []
     for samples, variance, published, spread in CASES:

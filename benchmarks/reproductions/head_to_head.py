@@ -15,18 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reproduced import row
-from estimators.bandit import best_arm, thompson_sampling
-from estimators.fir import peak_of_fir, plug_in, select_taps
-from estimators.gains import gain
-from estimators.inputs import fixed, white
-from estimators.limits import Limits
-from estimators.power import power_iterations
-from estimators.procedure2 import procedure_2
-from estimators.trace import Trace, run
+from benchmarks.tables.reproduced import row
+from estimators.norm.fir import peak_of_fir, plug_in, select_taps
+from estimators.norm.gains import gain
+from estimators.rules.bandit import best_arm, thompson_sampling
+from estimators.rules.inputs import fixed, white
+from estimators.rules.limits import Limits
+from estimators.rules.power import power_iterations
+from estimators.rules.procedure2 import procedure_2
+from estimators.rules.trace import Trace, run
 from oed.experiments import simulated
-from oed.norms import peak
-from oed.plants import Plant
+from oed.plants.norms import peak
+from oed.plants.plant import Plant
 
 __all__ = ["CASES", "Case", "plants", "rows", "traces"]
 
@@ -147,7 +147,7 @@ def rows() -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        Rows of `benchmarks.reproduced`.
+        Rows of `benchmarks.tables.reproduced`.
     """
     errors: dict[str, list[float]] = {case.name: [] for case in CASES}
     energies: dict[str, float] = {}

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reproduced import row
-from estimators.gains import gain, transposed_output
-from estimators.iterations import iterate
-from estimators.procedure2 import procedure_2
-from estimators.trace import run
-from estimators.worst_inputs import worst_case
+from benchmarks.tables.reproduced import row
+from estimators.norm.gains import gain, transposed_output
+from estimators.norm.worst_inputs import worst_case
+from estimators.rules.by_name import iterate
+from estimators.rules.procedure2 import procedure_2
+from estimators.rules.trace import run
 from oed.experiments import simulated
-from oed.named import named_plant
+from oed.plants.named import named_plant
 from oed.theory.finite import finite_norm
 
 __all__ = ["rows"]
@@ -26,7 +26,7 @@ def rows() -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        Rows of `benchmarks.reproduced`.
+        Rows of `benchmarks.tables.reproduced`.
     """
     return [*_identities(), *_story()]
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reproduced import row
-from estimators.gains import gain
-from estimators.krylov import lanczos, ritz
-from estimators.power import power_iterations
-from estimators.procedure2 import procedure_2
-from estimators.trace import run
+from benchmarks.tables.reproduced import row
+from estimators.norm.gains import gain
+from estimators.rules.krylov import lanczos, ritz
+from estimators.rules.power import power_iterations
+from estimators.rules.procedure2 import procedure_2
+from estimators.rules.trace import run
 from oed.experiments import simulated
-from oed.named import NAMES, named_plant
+from oed.plants.named import NAMES, named_plant
 
 __all__ = ["rows"]
 
@@ -27,7 +27,7 @@ def rows() -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        Rows of `benchmarks.reproduced`.
+        Rows of `benchmarks.tables.reproduced`.
     """
     return [each for name in NAMES for each in _plant(name)]
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reproduced import row
-from oed.named import named_plant
+from benchmarks.tables.reproduced import row
+from oed.plants.named import named_plant
 from oed.theory.limit import limit_spectrum, limit_spectrum_on_grid
 
 __all__ = ["rows"]
@@ -19,7 +19,7 @@ def rows() -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        Rows of `benchmarks.reproduced`.
+        Rows of `benchmarks.tables.reproduced`.
     """
     found = []
     omega = np.linspace(0, np.pi, 20001)

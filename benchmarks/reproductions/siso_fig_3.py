@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reproduced import row
-from estimators.engine import monte_carlo
-from oed.named import named_plant
+from benchmarks.tables.reproduced import row
+from estimators.montecarlo.engine import monte_carlo
+from oed.plants.named import named_plant
 from oed.theory.finite import finite_moments, finite_norm
 
 __all__ = ["rows"]
@@ -22,7 +22,7 @@ def rows() -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        Rows of `benchmarks.reproduced`.
+        Rows of `benchmarks.tables.reproduced`.
     """
     samples, iterations, runs = 1000, 50, 1000
     norm = finite_norm(named_plant("reference"), samples)

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reproduced import row
-from estimators.engine import monte_carlo
-from estimators.gains import rayleigh
-from estimators.power import power_iterations
-from estimators.trace import run
+from benchmarks.tables.reproduced import row
+from estimators.montecarlo.engine import monte_carlo
+from estimators.norm.gains import rayleigh
+from estimators.rules.power import power_iterations
+from estimators.rules.trace import run
 from oed.experiments import simulated
-from oed.named import named_plant
-from oed.norms import peak
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.norms import peak
+from oed.plants.plant import Plant
 from oed.theory.finite import finite_norm, singular_values
 from oed.theory.limit import spectra_of_iterations
 
@@ -28,7 +28,7 @@ def rows() -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        Rows of `benchmarks.reproduced`.
+        Rows of `benchmarks.tables.reproduced`.
     """
     found = []
     plain = Plant([0.5, 1.0, 0.3], [1.0, -0.2], noise_covariance=0.0, name="few-taps")

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reproduced import row
-from oed.named import named_plant
+from benchmarks.tables.reproduced import row
+from oed.plants.named import named_plant
 from oed.theory.limit import limit_spectrum
 
 __all__ = ["rows"]
@@ -19,7 +19,7 @@ def rows() -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        Rows of `benchmarks.reproduced`.
+        Rows of `benchmarks.tables.reproduced`.
     """
     found = []
     for variance in (4.0, 9.0):

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reproduced import row
-from oed.named import NAMES, named_plant
-from oed.norms import peak
+from benchmarks.tables.reproduced import row
+from oed.plants.named import NAMES, named_plant
+from oed.plants.norms import peak
 from oed.theory.limit import limit_spectrum
 
 __all__ = ["rows"]
@@ -22,7 +22,7 @@ def rows() -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        Rows of `benchmarks.reproduced`.
+        Rows of `benchmarks.tables.reproduced`.
     """
     plants = [p for p in map(named_plant, NAMES) if p.n_inputs * p.n_outputs == 1]
     omega = np.linspace(0, np.pi, 8001)

@@ -39,9 +39,9 @@ def synthetic_store(folder: Path, runs: int) -> tuple[Any, int]:
     """
     import pyarrow as pa
 
-    from benchmarks.runs import checkpoints, parts
-    from benchmarks.settings import Settings
-    from benchmarks.store import Store
+    from benchmarks.campaign.run import checkpoints, parts
+    from benchmarks.campaign.settings import Settings
+    from benchmarks.campaign.store import Store
     from oed.files.parquet import table_bytes
 
     settings = Settings(
@@ -128,9 +128,9 @@ def _columns(
 TABULATE = """
 import json, resource, sys, time
 from pathlib import Path
-from benchmarks.campaign import fill_store, stored_runs
-from benchmarks.settings import Settings
-from benchmarks.tabulation import tabulate
+from benchmarks.campaign.running import fill_store, stored_runs
+from benchmarks.campaign.settings import Settings
+from benchmarks.tables.tabulation import tabulate
 given = json.loads(sys.argv[2])
 settings = Settings(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
 start = time.perf_counter()
@@ -178,8 +178,8 @@ def two_workers(replicates: int = 2000) -> tuple[float, float]:
     tuple of float
         One process, two workers.
     """
-    from benchmarks.campaign import fill_store
-    from benchmarks.settings import Settings
+    from benchmarks.campaign.running import fill_store
+    from benchmarks.campaign.settings import Settings
 
     settings = Settings(
         plants=("reference",),

@@ -21,10 +21,10 @@ GAP = 1e-6
 def _problem(parameters: int, frequencies: int, criterion: str) -> Any:
     from oed.criteria import Criterion
     from oed.design import information_map
-    from oed.design.columns import Problem
-    from oed.design.limits import power_budgets
-    from oed.design.named_criteria import criterion_of
-    from oed.named import named_plant
+    from oed.design.problem.budgets import power_budgets
+    from oed.design.problem.criteria_by_name import criterion_of
+    from oed.design.problem.lines import Problem
+    from oed.plants.named import named_plant
 
     plant = named_plant("reference" if parameters == 4 else "order-20")
     if parameters != 4:
@@ -72,8 +72,8 @@ def against_cvxpy(criterion: str, parameters: int, frequencies: int, target: flo
     dict
         The row.
     """
-    from oed.design.column_generation import evaluated_bound, exchange
-    from oed.design.reference import cvxpy_weights
+    from oed.design.solvers.column_generation import evaluated_bound, exchange
+    from oed.design.solvers.whole_grid import cvxpy_weights
 
     problem = _problem(parameters, frequencies, criterion)
     columns = _all_columns(problem)
@@ -116,9 +116,9 @@ def elfving_dual(repeats: int = 5) -> dict:
     dict
         The row.
     """
-    from oed.design.column_generation import exchange
-    from oed.design.cone import elfving
-    from oed.design.reference import cvxpy_weights
+    from oed.design.solvers.column_generation import exchange
+    from oed.design.solvers.weights_clarabel import elfving
+    from oed.design.solvers.whole_grid import cvxpy_weights
 
     peak, D = _problem(4, 1000, "hinf"), _problem(4, 1000, "D")
     columns = _all_columns(D)

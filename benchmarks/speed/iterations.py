@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from oed.plants import Plant
+    from oed.plants.plant import Plant
 
 __all__ = ["BENCHMARKS", "lfilter_campaign", "lfilter_mimo_campaign", "rows"]
 
@@ -143,8 +143,8 @@ def siso_campaign() -> list[dict[str, Any]]:
         campaign of 1000 runs per variance; the baseline does 8 of them, whose time per run does not depend on
         their number.
     """
-    from estimators.engine import monte_carlo
-    from oed.named import named_plant
+    from estimators.montecarlo.engine import monte_carlo
+    from oed.plants.named import named_plant
 
     plants = [named_plant("reference", v) for v in (1.0, 4.0, 9.0)]
     theirs = lambda: [lfilter_campaign(1000, 50, 8, plant.noise_variance) for plant in plants]
@@ -172,8 +172,8 @@ def mimo_campaign() -> list[dict[str, Any]]:
     list of dict
         Two rows: one thread, and as many as there are processors.
     """
-    from estimators.engine import monte_carlo
-    from oed.named import named_plant
+    from estimators.montecarlo.engine import monte_carlo
+    from oed.plants.named import named_plant
 
     plant = named_plant("three-by-two")
     theirs = lambda: lfilter_mimo_campaign(plant, 1000, 10, 8)
@@ -195,7 +195,7 @@ def finite_time_norm() -> list[dict[str, Any]]:
     list of dict
         One row; the baseline is the second that is allowed.
     """
-    from oed.named import named_plant
+    from oed.plants.named import named_plant
     from oed.theory.finite import finite_norm
 
     plant = named_plant("reference")
@@ -217,10 +217,10 @@ def hinf_norm() -> list[dict[str, Any]]:
     """
     from importlib import import_module
 
-    from oed.named import named_plant
-    from oed.norms import peak
-    from oed.plants import Plant
-    from oed.realisations import state_space
+    from oed.plants.named import named_plant
+    from oed.plants.norms import peak
+    from oed.plants.plant import Plant
+    from oed.plants.realisations import state_space
 
     try:
         control = import_module("control")

@@ -86,7 +86,7 @@ def against_scipy(order: int, samples: int, repeats: int = 15) -> dict:
     from scipy.signal import lfilter
 
     from estimators.pem import identify
-    from estimators.pem.kernel import compiler
+    from estimators.pem.predictors.kernel import compiler
 
     record, start, _ = _case(order, samples)
     u, y = record.u[:, 0], record.y[:, 0]

@@ -8,21 +8,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.blocks import curved, grown, sandwich
-from estimators.diagnosis.fitting import Channel, Fit, fit, innovations
-from estimators.diagnosis.forces import balanced_fit, effective_samples, follows_output, force_balance
-from estimators.diagnosis.linear import fit_linear
-from estimators.diagnosis.measurement import (
+from estimators.diagnosis.effects.catalogue import CATALOGUE, Clock
+from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
+from estimators.diagnosis.model.forces import balanced_fit, effective_samples, follows_output, force_balance
+from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.simulation import simulate
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.record.measurement import (
     Signature,
     at_reversals,
     held_samples,
     rounding_step,
     wild_samples,
 )
-from estimators.diagnosis.selection import Attribution, attribute
-from estimators.diagnosis.simulation import simulate
-from estimators.diagnosis.structure import Part, Structure
-from estimators.effects.catalogue import CATALOGUE, Clock
+from estimators.diagnosis.search.blocks import curved, grown, sandwich
+from estimators.diagnosis.search.selection import Attribution, attribute
 from oed.data import Record
 
 __all__ = ["Examined", "Setting", "examine", "thinned"]
@@ -363,8 +363,8 @@ def _simulating(channel: Channel, a: Attribution, setting: Setting) -> Attributi
 
 def _structured(channel: Channel, a: Attribution, setting: Setting) -> Attribution:
     """Block structures, where a nonlinearity was found but its model leaves a coloured residual."""
-    from estimators.diagnosis.outflow import tanks
-    from estimators.diagnosis.selection import Claim, significance
+    from estimators.diagnosis.model.outflow import tanks
+    from estimators.diagnosis.search.selection import Claim, significance
 
     if not len(a.final.noise):
         return a

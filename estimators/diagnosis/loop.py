@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from estimators.diagnosis.causes import verdict
-from estimators.diagnosis.crossvalidation import BLOCKS, blocked_simulation
+from estimators.diagnosis.effects.catalogue import Clock
 from estimators.diagnosis.examination import Examined, Setting, examine, thinned
-from estimators.diagnosis.fitting import Fit, innovations, levenberg_marquardt
-from estimators.diagnosis.measurement import held_samples
-from estimators.diagnosis.overlap import copied_rows
+from estimators.diagnosis.model.fitting import Fit, innovations, levenberg_marquardt
+from estimators.diagnosis.model.simulation import free_responses, simulate
+from estimators.diagnosis.record.crossvalidation import BLOCKS, blocked_simulation
+from estimators.diagnosis.record.measurement import held_samples
+from estimators.diagnosis.record.overlap import copied_rows
 from estimators.diagnosis.report import Diagnosis, ErrorFigure
-from estimators.diagnosis.simulation import free_responses, simulate
-from estimators.effects.catalogue import Clock
+from estimators.diagnosis.verdict import verdict
 from oed.data import Record
 from oed.errors import InputError
 

@@ -86,7 +86,7 @@ def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
 
 def _curve(part: Any, q: Any, x: Any) -> Any:
     """Value of an effect's characteristic at x, with its parameters q; None where it is no curve."""
-    from estimators.effects.recursion_kernels import hinges
+    from estimators.diagnosis.effects.recursion_kernels import hinges
 
     key, e = part.key, part.effect
     if key == "sandwich":
@@ -120,8 +120,8 @@ def _curve(part: Any, q: Any, x: Any) -> Any:
 
 def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
     """Values that the effect's argument takes in the record, and its name."""
-    from estimators.diagnosis.layouts import COEFFICIENTS, LAYOUTS, layout_matrices, states
-    from estimators.diagnosis.simulation import sandwiched
+    from estimators.diagnosis.model.layouts import COEFFICIENTS, LAYOUTS, layout_matrices, states
+    from estimators.diagnosis.model.simulation import sandwiched
 
     u = channel.u[:, part.channel]
     if part.key == "sandwich":

@@ -21,13 +21,13 @@ initial="zero", start=None, ...) -> Fit`
   `missing=True`: NaN in the outputs marks missing samples. `regularisation`: "tc", "dc" or "ss", a kernel for the taps of
   fir, with `disturbance` "ar1" or "walk". `method`, of ss: "moesp", "n4sid" or "cva", subspace methods, with `horizon`.
 
-`Fit` (frozen): `model` (`oed.models.Model`), `theta`, `names`, `covariance`, `standard_errors`,
+`Fit` (frozen): `model` (`oed.models.model.Model`), `theta`, `names`, `covariance`, `standard_errors`,
 `noise_variance`, `noise_covariance`, `loss`, `fit_percent`, `aic`, `bic`, `status`, `residuals` (list of
 (N, ny)), `iterations`, `hinf_norm`, `subspace`, `input_level`, `output_level`; verbs `simulate(u)`, `predict(record)`,
 `simulate_record(record, window=n)`, `residuals_of(record)`, `linearised(record)`, `to_plant()`, `to_dict()`.
 
 Beside it: `pem.uncertainty` (sandwich, profile_interval, bode_band, step_band, pole_covariances), `pem.greybox`
-(physically parametrised models), `pem.plots`, `estimators.residuals`, `estimators.choice`, `estimators.fractional`.
+(physically parametrised models), `pem.plots`, `estimators.residual.tests`, `estimators.pem.choice`, `estimators.pem.fractional_delay`.
 """
 
 from __future__ import annotations

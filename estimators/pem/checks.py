@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from estimators.pem.predictors import Structure
+from estimators.pem.predictors.of_structure import Structure
 from oed.data import Record
 from oed.errors import InputError
-from oed.models import Polynomial, StateSpace, polynomial, state_space
+from oed.models.model import Polynomial, StateSpace, polynomial, state_space
 
 __all__ = ["check_records", "structure_for"]
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.extras import Settings
-from estimators.pem.gauss_newton import Optimum
-from estimators.pem.problem import Problem
+from estimators.pem.search.extras import Settings
+from estimators.pem.search.levenberg_marquardt import Optimum
+from estimators.pem.search.problem import Problem
 from oed.errors import InputError, SolverFailure, Status
 
 __all__ = ["Constraints", "constrained"]

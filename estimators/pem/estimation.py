@@ -11,7 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimators.pem.checks import check_records, structure_for
 from estimators.pem.constraints import Constraints, constrained
-from estimators.pem.extras import (
+from estimators.pem.fit import Fit
+from estimators.pem.predictors.of_structure import Structure
+from estimators.pem.predictors.statespace import state_space_of_armax, subspace_candidates
+from estimators.pem.regularised.marginal_likelihood import check_regularisation, regularised
+from estimators.pem.results import result
+from estimators.pem.search.best_optimum import best_optimum
+from estimators.pem.search.extras import (
     Settings,
     bridged,
     filtered_record,
@@ -21,20 +27,14 @@ from estimators.pem.extras import (
     with_prior,
     without_outliers,
 )
-from estimators.pem.fit import Fit
-from estimators.pem.gauss_newton import Optimum
-from estimators.pem.marginal_likelihood import check_regularisation, regularised
-from estimators.pem.predictors import Structure
-from estimators.pem.problem import Problem, prepare
-from estimators.pem.results import result
-from estimators.pem.search import best_optimum
-from estimators.pem.starts import reflected
-from estimators.pem.statespace import state_space_of_armax, subspace_candidates
-from estimators.pem.subspace import by_subspace, check_subspace
+from estimators.pem.search.levenberg_marquardt import Optimum
+from estimators.pem.search.problem import Problem, prepare
+from estimators.pem.search.starts import reflected
+from estimators.pem.subspace.by_subspace import by_subspace, check_subspace
 from oed.data import Record
 from oed.errors import InputError, Status
 from oed.files.objects import as_records
-from oed.models import Polynomial, StateSpace, polynomial
+from oed.models.model import Polynomial, StateSpace, polynomial
 
 __all__ = ["identify"]
 
@@ -79,7 +79,7 @@ def identify(
     structure : str or Polynomial or StateSpace
         fir, arx, armax, oe, bj, ss; or a structure, whose orders and delays then count.
     orders : sequence of int
-        fir nb; arx na nb; armax na nb nc; oe nb nf; bj nb nc nd nf; ss n. See `oed.models.polynomial`.
+        fir nb; arx na nb; armax na nb nc; oe nb nf; bj nb nc nd nf; ss n. See `oed.models.model.polynomial`.
     delay : int or array_like
         nk in samples, a number or (ny, nu).
     diagonal : bool
@@ -115,7 +115,7 @@ def identify(
         Whether NaN in the outputs marks missing samples, which a Kalman filter bridges.
     regularisation : {"tc", "dc", "ss"}, optional
         Of fir: the taps are expected to decay and to be smooth, as the kernel says, and its hyperparameters are found
-        by marginal likelihood; take more taps than the response is long. See `estimators.pem.impulse_priors`.
+        by marginal likelihood; take more taps than the response is long. See `estimators.pem.regularised.impulse_priors`.
     disturbance : {"ar1", "walk"}, optional
         With a regularisation, a slow disturbance beside the white noise: a stationary first-order autoregression,
         or a random walk. The model then has the noise model H = (1 + c z^-1) / (1 + d z^-1).

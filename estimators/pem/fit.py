@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimators.pem.observability import Subspace
-from estimators.pem.predictors import samples
-from estimators.pem.problem import prepare
-from estimators.pem.regularisation import Regularisation
+from estimators.pem.predictors.of_structure import samples
+from estimators.pem.regularised.regularisation import Regularisation
+from estimators.pem.search.problem import prepare
+from estimators.pem.subspace.observability import Subspace
 from oed.data import Record, as_signal
 from oed.errors import InputError, Status
 from oed.files.objects import as_records
-from oed.models import Model, Polynomial, StateSpace
-from oed.norms import largest_gain, refined_maximum
+from oed.models.model import Model, Polynomial, StateSpace
+from oed.plants.norms import largest_gain, refined_maximum
 
 __all__ = ["Fit", "fit_percent", "noise_free", "peak_gain"]
 
@@ -371,7 +371,7 @@ class Fit:
         Plant
             With the same G; InputError if it is unstable, or if outputs have different noise filters.
         """
-        from oed.plants import Plant
+        from oed.plants.plant import Plant
 
         structure, num, den, filters = self.model.structure, [], [], []
         if isinstance(structure, StateSpace):

@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 
 from estimators.pem.fit import Fit, fit_percent
 from estimators.pem.uncertainty import bode_band, pole_covariances, step_band
-from estimators.residuals import ResidualTest
+from estimators.residual.tests import ResidualTest
 from oed.data import Record
 from oed.errors import InputError
-from oed.models import Polynomial
+from oed.models.model import Polynomial
 
 __all__ = ["plot_bode", "plot_compare", "plot_order", "plot_poles", "plot_residual_tests", "plot_step"]
 
@@ -61,7 +61,7 @@ def plot_residual_tests(tests: Mapping[str, ResidualTest], *, level: float = 0.9
     Parameters
     ----------
     tests : mapping of str to ResidualTest
-        As `estimators.residuals.residual_tests` returns them.
+        As `estimators.residual.tests.residual_tests` returns them.
     level : float
         Of the band, at each lag by itself.
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.extras import robust_factor, unweighted
 from estimators.pem.fit import Fit, fit_percent
-from estimators.pem.gauss_newton import Optimum, Point
-from estimators.pem.predictors import Structure
-from estimators.pem.problem import Problem
+from estimators.pem.predictors.of_structure import Structure
+from estimators.pem.search.extras import robust_factor, unweighted
+from estimators.pem.search.levenberg_marquardt import Optimum, Point
+from estimators.pem.search.problem import Problem
 from oed.data import Record
 from oed.errors import NotIdentifiable, Status
 from oed.inspection import excitation_order
-from oed.models import Model, StateSpace
+from oed.models.model import Model, StateSpace
 
 __all__ = ["needed", "result"]
 

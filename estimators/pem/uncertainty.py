@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.pem.fit import Fit
-from estimators.pem.gauss_newton import minimise
-from estimators.pem.problem import Problem, prepare
+from estimators.pem.search.levenberg_marquardt import minimise
+from estimators.pem.search.problem import Problem, prepare
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.objects import as_records

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from estimators.sessions.settings import Settings
 from oed.errors import InputError
 from oed.files.clock import sampling_time
-from oed.files.columns import Table, split_unit
 from oed.files.reading import read_table
+from oed.files.tables import Table, split_unit
 
 __all__ = ["Reading", "check_output", "check_reference", "faults", "read_output"]
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.peak_estimates import PeakEstimate, local_peak
+from estimators.norm.peak_estimates import PeakEstimate, local_peak
+from estimators.rules.trace import Trace
 from estimators.sessions.settings import Settings
-from estimators.trace import Trace
 from oed.errors import OedError, Status
 
 __all__ = ["SessionEstimate", "estimate_of"]
@@ -118,7 +118,7 @@ def _peak(settings: Settings, records: Trace) -> tuple[PeakEstimate, str, str]:
         except OedError as error:
             why = f"no model of the orders {settings.orders} fits yet: {error}"
     if settings.method == "bandit" and settings.periodic:  # from rest its lines leak into each other
-        from estimators.bandit import best_arm
+        from estimators.rules.bandit import best_arm
 
         return best_arm(records), "best line", ""
     try:
@@ -184,7 +184,7 @@ def _by_model(settings: Settings, records: Trace) -> PeakEstimate:
 def _gains(own: Trace) -> tuple[float, ...]:
     if own.kinds[0] not in ("power", "forward"):
         return ()
-    from estimators.gains import gain
+    from estimators.norm.gains import gain
 
     return tuple(map(float, gain(own).values))
 
@@ -195,12 +195,12 @@ def _ratio(own: Trace) -> float:
 
 
 def _frequency(records: Trace) -> float:
-    from estimators.worst_inputs import dominant_frequency
+    from estimators.norm.worst_inputs import dominant_frequency
 
     return dominant_frequency(records.records[records.iterations[-1].start].u)
 
 
 def _direction(records: Trace) -> NDArray[np.complex128]:
-    from estimators.worst_inputs import worst_case
+    from estimators.norm.worst_inputs import worst_case
 
     return worst_case(records).input_direction

@@ -1,4 +1,4 @@
-"""The sequential methods that a session can run, each as a rule for `estimators.trace`."""
+"""The sequential methods that a session can run, each as a rule for `estimators.rules.trace`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.limits import Limits
+from estimators.rules.limits import Limits
+from estimators.rules.trace import Rule
 from estimators.sessions.settings import Settings
-from estimators.trace import Rule
 from oed.errors import InputError
 
 __all__ = ["rule_of"]
@@ -44,16 +44,16 @@ def rule_of(settings: Settings, known: Sequence[NDArray[np.float64]] = ()) -> Ru
             f"the method {settings.method} fits models to experiments from rest; use one period and no warm-up."
         )
     if settings.method == "power":
-        from estimators.power import power_iterations
+        from estimators.rules.power import power_iterations
 
         return partial(power_iterations, limits=_limits(settings))
     if settings.method == "procedure-2":
-        from estimators.procedure2 import procedure_2
+        from estimators.rules.procedure2 import procedure_2
 
         return partial(procedure_2, limits=_limits(settings), scaling=settings.scaling)
     power = nominal_power(settings)
     if settings.method == "bandit":
-        from estimators.bandit import thompson_sampling
+        from estimators.rules.bandit import thompson_sampling
 
         return partial(thompson_sampling, power=power)
     if settings.method == "diagnose-next":
@@ -61,7 +61,7 @@ def rule_of(settings: Settings, known: Sequence[NDArray[np.float64]] = ()) -> Ru
 
         amplitude = settings.amplitude[0] if settings.amplitude else 3 * float(np.sqrt(power))
         return partial(diagnose_next, power=power, amplitude=amplitude, seed=settings.seed, known=known)
-    from estimators import adaptive
+    from estimators.rules import adaptive
 
     make = adaptive.two_stage if settings.method == "two-stage" else adaptive.sequential
     return make(

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.trace import Trace
+from estimators.rules.trace import Trace
 from oed.errors import InputError
-from oed.plants import Plant
+from oed.plants.plant import Plant
 
 __all__ = ["Cause", "ModelError", "what_is_missing"]
 

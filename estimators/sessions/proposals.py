@@ -9,7 +9,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.trace import Step
+from estimators.rules.trace import Step
 from oed.data import Record
 from oed.errors import InputError, OedError
 
@@ -136,8 +136,8 @@ def propose(
     levels = Proposal(_silenced(_levels(length, power, amplitude, rng), samples))
     if not records:
         return levels
-    from estimators.diagnosis.discrimination import discriminate
     from estimators.diagnosis.examination import Setting, examine
+    from estimators.diagnosis.next_experiment.discrimination import discriminate
 
     try:
         found = examine(joined(records), 0, Setting()).attribution

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from estimators.rules.trace import Step, Trace
 from estimators.sessions.checking import check_output, check_reference, faults
 from estimators.sessions.estimates import SessionEstimate, estimate_of
 from estimators.sessions.layout import measured, placed, rig_samples, taper
 from estimators.sessions.methods import rule_of
 from estimators.sessions.rig_limits import check_input, fitting_factor
 from estimators.sessions.settings import Settings
-from estimators.trace import Step, Trace
 from oed.data import Record, frozen
 from oed.errors import ExperimentError, InputError, Status
 from oed.experiments import Usage
@@ -346,7 +346,7 @@ def _model(settings: Settings) -> Any:
     """The model whose error is looked for, checked against the session."""
     if settings.model is None:
         return None
-    from oed.plant_files import plant_from_json
+    from oed.plants.json import plant_from_json
 
     plant = plant_from_json(settings.model)
     if (plant.n_inputs, plant.n_outputs) != (settings.n_inputs, settings.n_outputs):

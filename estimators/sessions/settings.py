@@ -72,7 +72,7 @@ class Settings:
     seed : int
         Of everything random.
     model : dict or None
-        A plant as in `oed.plant_files`: the iterations then run on model minus rig.
+        A plant as in `oed.plants.json`: the iterations then run on model minus rig.
     """
 
     method: str

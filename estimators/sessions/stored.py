@@ -19,7 +19,7 @@ from estimators.sessions.lock import locked
 from estimators.sessions.session import FlaggedMeasurement, Session
 from estimators.sessions.settings import Settings, settings_from_json, settings_to_json
 from oed.errors import CampaignError, InputError
-from oed.files.columns import column_name
+from oed.files.tables import column_name
 from oed.files.text import csv_table
 
 __all__ = ["StoredSession", "open_session", "start_session"]

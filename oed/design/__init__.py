@@ -25,7 +25,7 @@ parametrisations, by CVXPY), `basis_design` and `autoregressive_design` (spectra
 `model` is a Plant, a Model, an InformationMap (what all designs reduce to), or anything with
 `response(omega) -> (G (K, ny, nu), dG (K, n, ny, nu))` through `information_map(model, noise_covariance=..)`.
 `criterion` is "D", "A", "E", "hinf", "static-gain", ... or a Criterion of `oed.criteria`.
-Signals from spectra are in `oed.signals`: multisine, realise, filtered_noise, binary.
+Signals from spectra are in `oed.signals.realise`: multisine, realise, filtered_noise, binary.
 
 CVXPY and Clarabel are imported only in this package, and only when a design needs them.
 """
@@ -36,19 +36,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from oed.design.amplitude import amplitude_design
-    from oed.design.autocorrelation import autocorrelation_design, moment_design
-    from oed.design.certificate import Certificate
-    from oed.design.closed_loop import closed_loop_map
-    from oed.design.least_power import application_criterion, least_power_design
-    from oed.design.maps import InformationMap, information_map
-    from oed.design.masked import masked_design
-    from oed.design.quantile import QuantileDesign, quantile_design
-    from oed.design.repeated import RepeatedDesign
-    from oed.design.result import Design
-    from oed.design.robust import robust_design
-    from oed.design.shaped import autoregressive_design, band_basis, basis_design
+    from oed.design.parametrisations.amplitude import amplitude_design
+    from oed.design.parametrisations.autocorrelation import autocorrelation_design, moment_design
+    from oed.design.parametrisations.masked import masked_design
+    from oed.design.parametrisations.shaped import autoregressive_design, band_basis, basis_design
+    from oed.design.problem.certificate import Certificate
+    from oed.design.problem.design import Design
+    from oed.design.problem.information_map import InformationMap, information_map
+    from oed.design.questions.closed_loop import closed_loop_map
+    from oed.design.questions.least_power import application_criterion, least_power_design
+    from oed.design.questions.quantile import QuantileDesign, quantile_design
+    from oed.design.questions.robust import robust_design
     from oed.design.solve import solve_design
+    from oed.design.solvers.compiled_once import RepeatedDesign
 
 _HOME = {
     "amplitude_design": "amplitude",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oed.design.result import Design
+from oed.design.problem.design import Design
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,7 +101,7 @@ def plot_autocorrelation(
     matplotlib.axes.Axes
         With the relative excess of the loss over the certified bound, against the lags; both logarithmic.
     """
-    from oed.design.autocorrelation import autocorrelation_design
+    from oed.design.parametrisations.autocorrelation import autocorrelation_design
     from oed.design.solve import solve_design
 
     axes = _axes(axes)

@@ -11,18 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.criteria import Criterion
 from oed.data import Spectrum
-from oed.design import directions
-from oed.design.certificate import Certificate
-from oed.design.collapse import better, collapsed
-from oed.design.column_generation import Exchange, evaluated_bound, exchange, seed_columns
-from oed.design.columns import Columns, Problem
-from oed.design.condition import condition_design
-from oed.design.gain_scaling import peak_sinusoid
-from oed.design.grid import bands_of, frequency_grid
-from oed.design.limits import power_budgets
-from oed.design.maps import information_map
-from oed.design.named_criteria import criterion_of
-from oed.design.result import Design
+from oed.design.problem.budgets import power_budgets
+from oed.design.problem.certificate import Certificate
+from oed.design.problem.criteria_by_name import criterion_of
+from oed.design.problem.design import Design
+from oed.design.problem.grid import bands_of, frequency_grid
+from oed.design.problem.information_map import information_map
+from oed.design.problem.lines import Columns, Problem
+from oed.design.solvers import elfving_barrier as directions
+from oed.design.solvers.column_generation import Exchange, evaluated_bound, exchange, seed_columns
+from oed.design.solvers.condition_number import condition_design
+from oed.design.solvers.merging_lines import better, collapsed
+from oed.design.solvers.peak_sinusoid import peak_sinusoid
 from oed.errors import InputError, Status
 
 __all__ = ["certified", "solve_design"]
@@ -53,7 +53,7 @@ def solve_design(
     model : Plant, Model, InformationMap or object
         What is to be identified; anything that `information_map` takes.
     criterion : str or Criterion
-        "D", "A", "E", "modified-E", "hinf" (the peak gain), or another name of `oed.design.named_criteria`.
+        "D", "A", "E", "modified-E", "hinf" (the peak gain), or another name of `oed.design.problem.criteria_by_name`.
     input_power : float, optional
         Limit on the input power summed over channels, squared input units; 1 where no power is limited.
     output_power : float, optional
@@ -121,7 +121,7 @@ def solve_design(
             tolerance=tolerance,
         )
     if solver == "clarabel":
-        from oed.design.reference import reference_exchange
+        from oed.design.solvers.whole_grid import reference_exchange
 
         found = reference_exchange(problem, refine=refine, tolerance=tolerance)
     elif (

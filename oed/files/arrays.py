@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from oed.data import Record
 from oed.errors import InputError
-from oed.files.columns import Table, numbers
+from oed.files.tables import Table, numbers
 
 __all__ = ["arrays_of", "npz_bytes", "npz_table", "table_of_arrays"]
 

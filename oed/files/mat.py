@@ -11,7 +11,7 @@ import numpy as np
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.arrays import arrays_of, first_line, scalar, table_of_arrays, texts
-from oed.files.columns import Table, numbers
+from oed.files.tables import Table, numbers
 
 __all__ = ["mat_bytes", "mat_table"]
 

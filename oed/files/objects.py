@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.clock import sampling_time
-from oed.files.columns import Table, column_name, numbers, record_of, seconds_per
+from oed.files.tables import Table, column_name, numbers, record_of, seconds_per
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.arrays import first_line
-from oed.files.columns import Table, numbers, seconds_per
+from oed.files.tables import Table, numbers, seconds_per
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -12,9 +12,9 @@ from pathlib import Path
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.arrays import npz_table
-from oed.files.columns import Table, record_of
 from oed.files.mat import mat_table
 from oed.files.parquet import parquet_table
+from oed.files.tables import Table, record_of
 from oed.files.text import csv_table
 
 __all__ = ["read_record", "read_table"]

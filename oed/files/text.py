@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from oed.data import Record
 from oed.errors import InputError
-from oed.files.columns import Table, column_name
+from oed.files.tables import Table, column_name
 
 __all__ = ["csv_bytes", "csv_table"]
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from oed.named import named_plant
-from oed.norms import peak
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.norms import peak
+from oed.plants.plant import Plant
 from oed.theory.claim import ClaimRow, amplitude_row, claim_row, offset_row
 
 __all__ = ["ClaimCase", "claim_cases", "claim_map"]

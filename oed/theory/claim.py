@@ -35,8 +35,8 @@ from numpy.typing import NDArray
 
 from oed.data import Spectrum
 from oed.errors import OedError
-from oed.norms import gain_gradient, peak
-from oed.plants import Plant
+from oed.plants.norms import gain_gradient, peak
+from oed.plants.plant import Plant
 
 __all__ = [
     "ClaimRow",
@@ -243,7 +243,7 @@ def amplitude_row(plant: Plant, amplitude: float) -> ClaimRow:
     A signal within the amplitude a has a power of at most a^2, which bounds its information; the sinusoid at the
     peak has a^2 / 2, a square wave of its frequency a^2, of which its fundamental holds 8 / pi^2. Where the gain-scaling
     theorem holds, x' I x is the mean square of G u / gamma over the noise variance, and for plants of at most two states
-    sums of squares bound it more tightly than the power does (`oed.design.bounded_inputs`).
+    sums of squares bound it more tightly than the power does (`oed.design.parametrisations.bounded_inputs`).
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def amplitude_row(plant: Plant, amplitude: float) -> ClaimRow:
 
 def _passed_share(plant: Plant, closed: bool) -> float:
     """Certified bound on the mean square of G u / gamma over |u| <= 1; 1 where sums of squares do not apply."""
-    from oed.design.bounded_inputs import passed_power
+    from oed.design.parametrisations.bounded_inputs import passed_power
     from oed.errors import InputError
 
     white = len(plant.noise_num) == len(plant.noise_den) == 1

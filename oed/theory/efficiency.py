@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from oed.data import Spectrum
 from oed.information import whitened_gradient
-from oed.norms import gain_gradient, peak
-from oed.plants import Plant
+from oed.plants.norms import gain_gradient, peak
+from oed.plants.plant import Plant
 from oed.theory.limit import spectra_of_iterations
 
 __all__ = ["Losses", "losses", "peak_gain_efficiency_by_experiments"]

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.errors import InputError, check_names
-from oed.norms import peak
-from oed.plants import Plant
+from oed.plants.norms import peak
+from oed.plants.plant import Plant
 
 __all__ = [
     "EFFECTS",

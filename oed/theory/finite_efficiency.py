@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from oed.errors import InputError
 from oed.information import information_of_signal
-from oed.norms import gain_gradient, peak
-from oed.plants import Plant
+from oed.plants.norms import gain_gradient, peak
+from oed.plants.plant import Plant
 from oed.theory.efficiency import losses
 from oed.theory.finite import random_mu
 

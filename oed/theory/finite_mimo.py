@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.errors import InputError, check_names
-from oed.plants import Plant
+from oed.plants.plant import Plant
 from oed.theory.finite import EFFECTS, LARGEST, FiniteMoments, finite_norm, singular_values
 from oed.theory.mimo import SCALINGS, mimo_limit_spectrum, mimo_recursion
 
@@ -50,7 +50,7 @@ def finite_mimo_moments(
     effect : {"infinite", "edge", "random-mu"}
         Up to which effect the description goes.
     scaling : {"none", "each", "common"}
-        Scaling of the second-stage inputs (`estimators.procedure2`).
+        Scaling of the second-stage inputs (`estimators.rules.procedure2`).
 
     Returns
     -------

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from oed.data import Spectrum
 from oed.errors import InputError, SolverFailure
-from oed.norms import Peak, peak
-from oed.plants import Plant
+from oed.plants.norms import Peak, peak
+from oed.plants.plant import Plant
 from oed.theory.quadrature import Nodes, graded_nodes
 
 __all__ = ["LimitSpectrum", "limit_spectrum", "limit_spectrum_on_grid", "spectra_of_iterations"]

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from oed.data import Spectrum
 from oed.errors import InputError, check_names
-from oed.norms import Peak, peak
-from oed.plants import Plant
+from oed.plants.norms import Peak, peak
+from oed.plants.plant import Plant
 from oed.theory.quadrature import Nodes, graded_nodes
 
 __all__ = ["MimoLimitSpectrum", "mimo_limit_spectrum", "mimo_recursion"]
@@ -103,7 +103,7 @@ def mimo_limit_spectrum(plant: Plant, *, scaling: str = "none") -> MimoLimitSpec
     plant : Plant
         Any number of inputs and outputs; positive noise variance, any noise filter and covariance.
     scaling : {"none", "each", "common"}
-        Scaling of the second-stage inputs (`estimators.procedure2`).
+        Scaling of the second-stage inputs (`estimators.rules.procedure2`).
 
     Returns
     -------

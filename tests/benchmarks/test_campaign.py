@@ -15,12 +15,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import benchmarks.methods as methods
-from benchmarks.campaign import CHUNK, Settings, checkpoints, fill_store, parts, run_campaign, stored_runs
-from benchmarks.runs import boundaries
-from benchmarks.settings import Limit
-from benchmarks.statistics import mean_with_error
-from benchmarks.tabulation import tabulate
+import benchmarks.campaign.registry as methods
+from benchmarks.campaign.run import boundaries
+from benchmarks.campaign.running import (
+    CHUNK,
+    Settings,
+    checkpoints,
+    fill_store,
+    parts,
+    run_campaign,
+    stored_runs,
+)
+from benchmarks.campaign.settings import Limit
+from benchmarks.tables.statistics import mean_with_error
+from benchmarks.tables.tabulation import tabulate
 from oed.errors import CampaignError, InputError
 
 SMALL = Settings(
@@ -232,7 +240,7 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays(tmp_path):
 def test_all_methods_meet_the_same_noise(tmp_path):
     """The output noise of experiment k in replicate r is the same whatever the method."""
     from oed.experiments import simulated
-    from oed.named import named_plant
+    from oed.plants.named import named_plant
 
     plant = named_plant("reference")
     errors = []
@@ -262,10 +270,10 @@ def test_rho_of_a_known_estimator(tmp_path):
 
 def test_information_of_a_campaign_against_a_plain_loop(tmp_path):
     """The stored sums, divided by their counts, are the mean information of the same runs done here one by one."""
-    from benchmarks.runs import seed_for
+    from benchmarks.campaign.run import seed_for
     from oed.experiments import simulated
     from oed.information import information_of_signal
-    from oed.named import named_plant
+    from oed.plants.named import named_plant
 
     raw = run_campaign(SMALL, 7, tmp_path, jobs=1)
     plant = named_plant("reference")
@@ -333,8 +341,8 @@ def test_inputs_for_one_channel_are_left_out_on_several(tmp_path):
 
 def test_a_disk_that_fills_while_the_report_is_written(tmp_path, monkeypatch):
     """The figures hit the end of the disk: one line, all runs kept, and the next call writes the report."""
-    from benchmarks import compare_report
     from benchmarks.comparison import compare
+    from benchmarks.page import compare_report
 
     def full(*args, **kwargs):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

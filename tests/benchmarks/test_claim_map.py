@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from benchmarks.claim_map import COLUMNS, claim_rows
-from benchmarks.figures_claim import claim_figure
-from benchmarks.tables import to_markdown
+from benchmarks.page.figures_claim import claim_figure
+from benchmarks.tables.claim_map import COLUMNS, claim_rows
+from benchmarks.tables.formats import to_markdown
 from oed.theory import ClaimCase, claim_cases
 
 

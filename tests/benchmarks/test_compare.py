@@ -10,13 +10,13 @@ from html import escape
 import numpy as np
 import pytest
 
-from benchmarks import compare_report, comparison_sections
-from benchmarks.claim_map import claim_rows
 from benchmarks.comparison import compare
-from benchmarks.hair_dryer import hair_dryer_story
+from benchmarks.page import compare_report, comparison_sections
+from benchmarks.page.report import save_table, write_report
 from benchmarks.readme import END, START, with_headline, write_readme
-from benchmarks.report import save_table, write_report
-from benchmarks.tables import from_parquet
+from benchmarks.tables.claim_map import claim_rows
+from benchmarks.tables.formats import from_parquet
+from benchmarks.tables.hair_dryer import hair_dryer_story
 from oed.errors import CampaignError, InputError
 
 SIZE = {

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks.commands import diagnose as command
-from benchmarks.report import write_report
+from benchmarks.page.report import write_report
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks.cli import main
-from oed.models import model_from_json
+from oed.models.model import model_from_json
 
 
 @pytest.fixture

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from benchmarks.methods import ESTIMATORS, METHODS, Estimate, compatible, method_for, model_orders
+from benchmarks.campaign.registry import ESTIMATORS, METHODS, Estimate, compatible, method_for, model_orders
 from oed.errors import InputError
 from oed.experiments import simulated
-from oed.named import named_plant
-from oed.norms import peak
+from oed.plants.named import named_plant
+from oed.plants.norms import peak
 
 REFERENCE = named_plant("reference").replace(noise_variance=0.01)
 SLOW = ("sequential", "two-stage")

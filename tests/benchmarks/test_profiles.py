@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.columns import Estimates
-from benchmarks.head_to_head import median_interval
-from benchmarks.pairs import holm, paired_rows
-from benchmarks.profiles import RATIOS, TOLERANCE, Profiles, wilson
+from benchmarks.campaign.part import Estimates
+from benchmarks.tables.head_to_head import median_interval
+from benchmarks.tables.pairs import holm, paired_rows
+from benchmarks.tables.profiles import RATIOS, TOLERANCE, Profiles, wilson
 
 
 def estimates(values, good=None) -> Estimates:

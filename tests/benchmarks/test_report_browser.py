@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from benchmarks.report import save_figure, save_report, save_table
+from benchmarks.page.report import save_figure, save_report, save_table
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
 needs_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium on PATH (.ci/run installs Debian's)")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.reproduced import KEYS, row, row_names, rows_of
+from benchmarks.tables.reproduced import KEYS, row, row_names, rows_of
 from oed.errors import InputError
 
 

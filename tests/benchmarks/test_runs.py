@@ -6,8 +6,8 @@ import dataclasses
 
 import pytest
 
-import benchmarks.runs as runs
-from benchmarks.settings import Settings
+import benchmarks.campaign.run as runs
+from benchmarks.campaign.settings import Settings
 
 
 @pytest.mark.parametrize("plant", ["reference", "three-by-two"])

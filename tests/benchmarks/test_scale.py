@@ -13,10 +13,10 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.campaign import parts, run_campaign
-from benchmarks.settings import Limit, Settings
+from benchmarks.campaign.running import parts, run_campaign
+from benchmarks.campaign.settings import Limit, Settings
 from benchmarks.speed.campaign import tabulated, two_workers
-from benchmarks.tabulation import tabulate
+from benchmarks.tables.tabulation import tabulate
 
 
 def test_a_synthetic_store_is_tabulated_like_any_other():
@@ -134,11 +134,11 @@ def test_a_sinusoid_at_the_peak_tells_the_gain_there_and_not_where_the_peak_is(v
     The gain of the fitted model at the true peak frequency meets the bound (rho 1 within 4 standard errors, 0.45); its
     largest gain over all frequencies, which is what an estimator without the oracle must give, lies above it in every run.
     """
-    from benchmarks.methods import method_for
+    from benchmarks.campaign.registry import method_for
     from estimators.pem import identify
     from oed.experiments import simulated
-    from oed.named import named_plant
-    from oed.norms import peak
+    from oed.plants.named import named_plant
+    from oed.plants.norms import peak
 
     plant = named_plant("reference", variance)
     method, top = method_for("oracle-hinf", plant), peak(plant)

@@ -10,9 +10,9 @@ import pytest
 
 from benchmarks.cli import main
 from oed.experiments import simulated
-from oed.named import named_plant
-from oed.norms import peak
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.norms import peak
+from oed.plants.plant import Plant
 
 KEYS = {"schema_version", "step", "input", "output", "estimate", "interval", "frequency", "status"}
 
@@ -135,7 +135,7 @@ def cut(given: str, out: Path) -> str:
 def test_the_error_of_a_model_on_the_vibration_isolation_rig(capfd, tmp_path):
     """[M] Sec. IV: two inputs, two outputs; the model lacks the mode at 121 Hz, and the session says so."""
     avis = named_plant("avis", 1e-4)
-    from oed.plant_files import plant_to_json
+    from oed.plants.json import plant_to_json
 
     model = without_the_mode(avis, 121.0)
     file = tmp_path / "model.json"

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.campaign import fill_store, run_campaign, stored_runs
+from benchmarks.campaign.merging import merge_stores
+from benchmarks.campaign.running import fill_store, run_campaign, stored_runs
+from benchmarks.campaign.settings import Limit, Settings, campaign_from_toml, default_limits, limit_from_text
+from benchmarks.campaign.users_own import Own
 from benchmarks.cli import main
 from benchmarks.comparison import compare
-from benchmarks.merging import merge_stores
-from benchmarks.own import Own
-from benchmarks.settings import Limit, Settings, campaign_from_toml, default_limits, limit_from_text
 from oed.errors import CampaignError, InputError
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "benchmarks" / "campaigns" / "published.toml"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.speed.iterations import BENCHMARKS, lfilter_campaign, lfilter_mimo_campaign
-from estimators.engine import monte_carlo
-from oed.named import named_plant
+from estimators.montecarlo.engine import monte_carlo
+from oed.plants.named import named_plant
 
 
 def test_baseline_and_engine_do_the_same_campaign():

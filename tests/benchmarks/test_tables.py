@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.tables import (
+from benchmarks.tables.formats import (
     escape_latex,
     format_value,
     from_parquet,

@@ -43,11 +43,11 @@ def write_case(
 
     `wide` draws plants, inputs, strengths, noise levels, record lengths and units from wider ranges.
     """
-    from estimators.diagnosis.fitting import Channel
-    from estimators.diagnosis.linear import fit_linear
-    from estimators.diagnosis.simulation import simulate
-    from estimators.diagnosis.structure import Structure
-    from estimators.effects.catalogue import Clock
+    from estimators.diagnosis.effects.catalogue import Clock
+    from estimators.diagnosis.model.fitting import Channel
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.simulation import simulate
+    from estimators.diagnosis.model.structure import Structure
 
     kinds = list(KINDS)
     inner = {"duffing": ["osc", "osc_lag"], "coulomb_friction": ["lag1", "lag2", "osc"], "bilinear": ["lag1", "lag2", "osc"],

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from estimators.adaptive import sequential, two_stage
-from estimators.inputs import white
-from estimators.trace import run
+from estimators.rules.adaptive import sequential, two_stage
+from estimators.rules.inputs import white
+from estimators.rules.trace import run
 from oed.errors import InputError
 from oed.experiments import simulated
 from oed.information import information_of_records
-from oed.named import named_plant
-from oed.norms import gain_gradient
+from oed.plants.named import named_plant
+from oed.plants.norms import gain_gradient
 
 REFERENCE = named_plant("reference")
 
@@ -83,7 +83,7 @@ def test_the_hedged_design_narrows_as_the_peak_becomes_known():
 
 def test_hedging_for_several_channels_puts_the_power_in_the_direction_of_the_peak():
     """3 x 2 at little noise: the design is the sinusoid of the true peak, in both channels, to a line."""
-    from oed.norms import peak
+    from oed.plants.norms import peak
 
     plant = named_plant("three-by-two").replace(noise_variance=1e-6)
     orders = [[2, 1], [1, 1], [2, 2]], [[2, 1], [1, 2], [2, 2]]

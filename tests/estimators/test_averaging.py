@@ -7,15 +7,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-from estimators.averaging import averaged_iterations
-from estimators.engine import counter_start
-from estimators.peak_estimates import corrected
-from estimators.power import power_iterations
-from estimators.trace import run
+from estimators.montecarlo.engine import counter_start
+from estimators.norm.peak_estimates import corrected
+from estimators.rules.averaging import averaged_iterations
+from estimators.rules.power import power_iterations
+from estimators.rules.trace import run
 from oed.errors import InputError
 from oed.experiments import simulated
-from oed.named import named_plant
-from oed.norms import peak
+from oed.plants.named import named_plant
+from oed.plants.norms import peak
 
 
 def records(rule, plant, replicate, samples=1000, experiments=50):

@@ -3,14 +3,18 @@
 import numpy as np
 import pytest
 
-from estimators.checks import additivity_by_monte_carlo, additivity_of_records, additivity_of_spectra
-from estimators.inputs import white
-from estimators.power import power_iterations
-from estimators.trace import Step, run
+from estimators.montecarlo.additivity import (
+    additivity_by_monte_carlo,
+    additivity_of_records,
+    additivity_of_spectra,
+)
+from estimators.rules.inputs import white
+from estimators.rules.power import power_iterations
+from estimators.rules.trace import Step, run
 from oed.data import Spectrum
 from oed.errors import InputError, NotIdentifiable
 from oed.information import information_of_signal
-from oed.named import NAMES, named_plant
+from oed.plants.named import NAMES, named_plant
 
 REFERENCE = named_plant("reference")
 
@@ -67,7 +71,7 @@ def test_negative_control_a_wrong_sum_is_caught():
 
 def test_negative_control_an_input_that_foresees_the_noise_is_caught():
     """Without independence of the noise of experiment k from u^(k) the scores are no martingale differences."""
-    from oed.noise import noise_key, standard_noise
+    from oed.signals.noise import noise_key, standard_noise
 
     def clairvoyant(experiment, *, samples, iterations, rng):
         replicate = clairvoyant.replicate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.choice import estimate_delay, select_orders
+from estimators.pem.choice import estimate_delay, select_orders
 from oed.data import Record
 from oed.errors import InputError
 

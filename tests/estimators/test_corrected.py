@@ -7,19 +7,19 @@ from functools import partial
 import numpy as np
 import pytest
 
-from estimators.engine import counter_start
-from estimators.gains import gain
-from estimators.inputs import multisine
-from estimators.local_models import local_peak
-from estimators.peak_estimates import corrected, fixed_point, theorem_12
-from estimators.power import power_iterations
-from estimators.procedure2 import procedure_2
-from estimators.trace import run
+from estimators.montecarlo.engine import counter_start
+from estimators.norm.gains import gain
+from estimators.norm.local_models import local_peak
+from estimators.norm.peak_estimates import corrected, fixed_point, theorem_12
+from estimators.rules.inputs import multisine
+from estimators.rules.power import power_iterations
+from estimators.rules.procedure2 import procedure_2
+from estimators.rules.trace import run
 from oed.errors import InputError, Status
 from oed.experiments import simulated
-from oed.named import NAMES, named_plant
-from oed.norms import peak
-from oed.plants import Plant
+from oed.plants.named import NAMES, named_plant
+from oed.plants.norms import peak
+from oed.plants.plant import Plant
 
 
 def iterations(plant, N, M, replicate):

@@ -9,10 +9,10 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.cases import diagnose_files
-from estimators.diagnosis.fitting import ar_model
 from estimators.diagnosis.loop import Setting, diagnose
-from estimators.diagnosis.measurement import held_samples, rounding_step, wild_samples
-from estimators.diagnosis.selection import feedback_test
+from estimators.diagnosis.model.fitting import ar_model
+from estimators.diagnosis.record.measurement import held_samples, rounding_step, wild_samples
+from estimators.diagnosis.search.selection import feedback_test
 from oed.data import Record
 from oed.errors import InputError
 

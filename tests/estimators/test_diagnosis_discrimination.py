@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.candidates import augmented
-from estimators.diagnosis.decision import decision_samples, next_experiment
-from estimators.diagnosis.discrimination import discriminate, distance
-from estimators.diagnosis.fitting import Channel
-from estimators.diagnosis.linear import fit_linear
-from estimators.diagnosis.structure import Structure
-from estimators.effects.catalogue import Clock
+from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.model.fitting import Channel
+from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.structure import Structure
+from estimators.diagnosis.next_experiment.decision import decision_samples, next_experiment
+from estimators.diagnosis.next_experiment.discrimination import discriminate, distance
+from estimators.diagnosis.search.candidates import augmented
 from oed.data import Record
 from oed.errors import InputError
 

@@ -4,18 +4,24 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, ss2tf
 
-from estimators.diagnosis.candidates import augmented
-from estimators.diagnosis.derivatives import exact_columns
-from estimators.diagnosis.fitting import Channel
-from estimators.diagnosis.intersample import between_samples
-from estimators.diagnosis.layouts import states
-from estimators.diagnosis.linear import fit_linear
-from estimators.diagnosis.simulation import simulate
-from estimators.diagnosis.structure import Part, Structure
-from estimators.effects import terms
-from estimators.effects.catalogue import CATALOGUE, Clock
-from estimators.effects.plant_kernels import bouc_wen, held_response, simulate_feedback
-from estimators.effects.recursion_kernels import hinges, play, rate_limited, rate_limited_mean, rational
+from estimators.diagnosis.effects import terms
+from estimators.diagnosis.effects.catalogue import CATALOGUE, Clock
+from estimators.diagnosis.effects.plant_kernels import bouc_wen, held_response, simulate_feedback
+from estimators.diagnosis.effects.recursion_kernels import (
+    hinges,
+    play,
+    rate_limited,
+    rate_limited_mean,
+    rational,
+)
+from estimators.diagnosis.model.derivatives import exact_columns
+from estimators.diagnosis.model.fitting import Channel
+from estimators.diagnosis.model.intersample import between_samples
+from estimators.diagnosis.model.layouts import states
+from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.simulation import simulate
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.search.candidates import augmented
 
 STATIC = [
     k

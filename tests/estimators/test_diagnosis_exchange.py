@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.candidates import augmented
-from estimators.diagnosis.exchange import exchanged, whole_delay, without
-from estimators.diagnosis.fitting import Channel, fit
-from estimators.diagnosis.linear import fit_linear
-from estimators.diagnosis.measurement import at_reversals
-from estimators.diagnosis.structure import Part, Structure
-from estimators.effects.catalogue import Clock
-from estimators.effects.recursion_kernels import play
+from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.effects.recursion_kernels import play
+from estimators.diagnosis.model.fitting import Channel, fit
+from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.record.measurement import at_reversals
+from estimators.diagnosis.search.candidates import augmented
+from estimators.diagnosis.search.exchange import exchanged, whole_delay, without
 
 B, A = [0.0, 0.1, 0.08], [1.0, -1.5, 0.7]
 

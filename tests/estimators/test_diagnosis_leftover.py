@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.blocks import curved, sandwich
-from estimators.diagnosis.candidates import augmented
-from estimators.diagnosis.crossvalidation import blocked_simulation
-from estimators.diagnosis.exchange import exchanged
-from estimators.diagnosis.fitting import Channel, fit
-from estimators.diagnosis.forces import effective_samples, force_balance
-from estimators.diagnosis.leftover import leftovers
-from estimators.diagnosis.linear import fit_linear
+from estimators.diagnosis.effects.catalogue import Clock
 from estimators.diagnosis.loop import Setting, diagnose
-from estimators.diagnosis.structure import Part, Structure
-from estimators.effects.catalogue import Clock
+from estimators.diagnosis.model.fitting import Channel, fit
+from estimators.diagnosis.model.forces import effective_samples, force_balance
+from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.record.crossvalidation import blocked_simulation
+from estimators.diagnosis.record.leftover import leftovers
+from estimators.diagnosis.search.blocks import curved, sandwich
+from estimators.diagnosis.search.candidates import augmented
+from estimators.diagnosis.search.exchange import exchanged
 from oed.data import Record
 from oed.errors import InputError
 

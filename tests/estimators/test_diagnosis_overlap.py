@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.overlap import copied_rows
+from estimators.diagnosis.record.overlap import copied_rows
 from oed.data import Record
 
 

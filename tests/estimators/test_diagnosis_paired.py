@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.candidates import augmented
-from estimators.diagnosis.causes import _assumed
+from estimators.diagnosis.effects.catalogue import Clock
 from estimators.diagnosis.examination import Setting
-from estimators.diagnosis.fitting import Channel
-from estimators.diagnosis.linear import fit_linear
 from estimators.diagnosis.loop import _bootstrap, diagnose
-from estimators.diagnosis.paired import as_good, paired_difference
+from estimators.diagnosis.model.fitting import Channel
+from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.record.paired import as_good, paired_difference
 from estimators.diagnosis.report import ErrorFigure
-from estimators.diagnosis.structure import Part, Structure
-from estimators.effects.catalogue import Clock
+from estimators.diagnosis.search.candidates import augmented
+from estimators.diagnosis.verdict import _assumed
 from oed.data import Record
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from estimators.diagnosis.cases import diagnose_files
-from estimators.diagnosis.forces import force_balance
+from estimators.diagnosis.model.forces import force_balance
 from oed.files import read_record
 
 DATA = os.environ.get("OED_DATA")

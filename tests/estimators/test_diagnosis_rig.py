@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.loop import Setting, diagnose
-from estimators.diagnosis.model_error import linear_models, model_error_gain, models_of
+from estimators.diagnosis.next_experiment.model_error import linear_models, model_error_gain, models_of
 from oed.data import Record
 from oed.errors import InputError
 from oed.experiments import Experiment

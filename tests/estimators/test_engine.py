@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.engine import batches, counter_start, monte_carlo, twin_batch
-from estimators.noise_ahead import noise_of_replicates
+from estimators.montecarlo.engine import batches, counter_start, monte_carlo, twin_batch
+from estimators.montecarlo.noise_ahead import noise_of_replicates
 from oed.errors import InputError
 from oed.experiments import Experiment, simulated
-from oed.named import NAMES, named_plant
-from oed.noise import noise_key, noise_series, standard_noise
+from oed.plants.named import NAMES, named_plant
+from oed.signals.noise import noise_key, noise_series, standard_noise
 
 
 def coloured(name):
@@ -72,7 +72,7 @@ def test_another_noise_would_show():
 
 
 def test_compiled_normals_are_the_same_bits():
-    from estimators.engine_kernels import B, normal_block
+    from estimators.montecarlo.engine_kernels import B, normal_block
 
     key = noise_key(5, "plant")
     x = np.empty(1001 * B)

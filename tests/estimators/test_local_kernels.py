@@ -1,11 +1,11 @@
-"""The compiled loops of the local models against matrices: the plain twin of `estimators.local_kernels`."""
+"""The compiled loops of the local models against matrices: the plain twin of `estimators.norm.local_kernels`."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from estimators.local_fits import SETTLED, STEPS, Band, Spectra, fit_band
+from estimators.norm.local_fits import SETTLED, STEPS, Band, Spectra, fit_band
 
 
 def spectra(rng, nu, ny, experiments, samples=240):

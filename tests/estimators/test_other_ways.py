@@ -7,20 +7,20 @@ from functools import partial
 import numpy as np
 import pytest
 
-from estimators.bandit import best_arm, thompson_sampling
-from estimators.fir import peak_of_fir, plug_in, select_taps
-from estimators.frf import frequency_response, lpm, peak_of_response
-from estimators.gains import gain
-from estimators.inputs import multisine, white
-from estimators.krylov import lanczos, ritz
-from estimators.power import power_iterations
-from estimators.procedure2 import procedure_2
-from estimators.trace import run
+from estimators.norm.fir import peak_of_fir, plug_in, select_taps
+from estimators.norm.frf import frequency_response, lpm, peak_of_response
+from estimators.norm.gains import gain
+from estimators.rules.bandit import best_arm, thompson_sampling
+from estimators.rules.inputs import multisine, white
+from estimators.rules.krylov import lanczos, ritz
+from estimators.rules.power import power_iterations
+from estimators.rules.procedure2 import procedure_2
+from estimators.rules.trace import run
 from oed.errors import InputError, Status
 from oed.experiments import simulated
-from oed.named import NAMES, named_plant
-from oed.norms import peak
-from oed.plants import Plant
+from oed.plants.named import NAMES, named_plant
+from oed.plants.norms import peak
+from oed.plants.plant import Plant
 from oed.theory.finite import finite_norm
 
 
@@ -75,7 +75,7 @@ def test_fir_of_several_channels_and_lengths_is_least_squares(rng):
 
 def test_wins_of_the_lines_are_those_of_plain_draws():
     """200 x 300 draws of the chance to be the peak against complex normal numbers: 5 standard errors, 6 lines."""
-    from estimators.bandit import DRAWS, _Posterior
+    from estimators.rules.bandit import DRAWS, _Posterior
 
     rng = np.random.default_rng(8)
     mean = rng.standard_normal(6) + 1j * rng.standard_normal(6)

@@ -7,14 +7,14 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.pem import identify
-from estimators.pem import recursion as recursions
-from estimators.pem.filtering import filter_kernel
-from estimators.pem.kernel import kernel_of
-from estimators.pem.recursion import polynomial_recursion
+from estimators.pem.predictors.filtering import filter_kernel
+from estimators.pem.predictors.kernel import kernel_of
+from estimators.pem.predictors.of_structure import recursion as recursions
+from estimators.pem.predictors.recursion import polynomial_recursion
 from oed.data import Record
 from oed.errors import InputError, NotIdentifiable, Status
 from oed.files import to_control, to_pandas, to_xarray
-from oed.models import armax, arx, bj, fir, model_from_json, oe, polynomial
+from oed.models.model import armax, arx, bj, fir, model_from_json, oe, polynomial
 from tests.oracles import pem as oracle
 
 B, A = [0.0, 0.2155, 0.2012], [1.0, -0.9854, 0.8187]
@@ -152,7 +152,7 @@ def test_full_two_by_two(rng) -> None:
 
 
 def test_interpreted_and_compiled_agree(rng, monkeypatch) -> None:
-    from estimators.pem import kernel
+    from estimators.pem.predictors.of_structure import kernel
 
     if kernel.compiler() is None:
         pytest.skip("no C compiler here")

@@ -7,10 +7,10 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.pem import identify
-from estimators.pem.confirmation import confirmed, first_start
-from estimators.pem.problem import prepare
+from estimators.pem.search.confirmation import confirmed, first_start
+from estimators.pem.search.problem import prepare
 from oed.data import Record
-from oed.models import bj, oe
+from oed.models.model import bj, oe
 from tests.estimators.test_pem_global import random_case
 
 B, F = [0.0, 0.5, 0.3], [1.0, -1.2, 0.6]

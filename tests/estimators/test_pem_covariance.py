@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from benchmarks.methods import method_for
+from benchmarks.campaign.registry import method_for
 from estimators.pem import identify
 from oed.experiments import simulated
 from oed.information import information_of_records
-from oed.named import named_plant
+from oed.plants.named import named_plant
 
 REFERENCE = named_plant("reference")
 REPLICATES = 250

@@ -9,13 +9,13 @@ import pytest
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from estimators.choice import estimate_delay
-from estimators.fractional import estimate_fractional_delay
 from estimators.pem import identify
+from estimators.pem.choice import estimate_delay
+from estimators.pem.fractional_delay import estimate_fractional_delay
 from estimators.pem.greybox import GreyBox, identify_grey_box
 from estimators.pem.uncertainty import sandwich
 from oed.data import Record
-from oed.models import state_space
+from oed.models.model import state_space
 
 SEED, REPLICATES, SAMPLES = 20261121, 2000, 1000
 LOW, HIGH = 0.93, 0.97

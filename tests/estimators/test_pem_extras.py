@@ -9,10 +9,10 @@ from scipy.optimize import minimize
 from scipy.signal import lfilter
 
 from estimators.pem import identify
-from estimators.pem.problem import prepare
+from estimators.pem.search.problem import prepare
 from oed.data import Record
 from oed.errors import InputError
-from oed.models import armax, bj, oe
+from oed.models.model import armax, bj, oe
 
 B, A = [0.0, 0.2155, 0.2012], [1.0, -0.9854, 0.8187]
 THETA = np.array([0.2155, 0.2012, -0.9854, 0.8187])

@@ -8,12 +8,12 @@ from scipy.signal import lfilter
 
 from estimators.pem import identify
 from estimators.pem.checks import structure_for
-from estimators.pem.moves import solved
-from estimators.pem.predictors import EDGE, walls
-from estimators.pem.problem import prepare
+from estimators.pem.predictors.of_structure import EDGE, walls
+from estimators.pem.search.problem import prepare
+from estimators.pem.search.relocations import solved
 from oed.data import Record
 from oed.errors import OedError, Status
-from oed.models import bj
+from oed.models.model import bj
 
 KINDS = ("oe", "bj", "armax", "ss")
 LOWER = 1e-6

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.pem import identify, plots
-from estimators.residuals import residual_tests
+from estimators.residual.tests import residual_tests
 from oed.data import Record
 from oed.errors import InputError
 

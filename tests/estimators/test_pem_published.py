@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.choice import estimate_delay, held_out_error, select_orders
 from estimators.pem import identify
-from estimators.residuals import residual_tests
+from estimators.pem.choice import estimate_delay, held_out_error, select_orders
+from estimators.residual.tests import residual_tests
 from oed.errors import Status
 from oed.files import read_record
-from oed.models import StateSpace
+from oed.models.model import StateSpace
 
 
 def test_hair_dryer_textbook_arx(shared_data) -> None:

@@ -9,13 +9,13 @@ import pytest
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 
-from estimators.choice import held_out_error
 from estimators.pem import identify
-from estimators.pem.impulse_priors import SlowNoise, kernel_factor
-from estimators.residuals import residual_tests
+from estimators.pem.choice import held_out_error
+from estimators.pem.regularised.impulse_priors import SlowNoise, kernel_factor
+from estimators.residual.tests import residual_tests
 from oed.data import Record
 from oed.errors import InputError
-from oed.models import fir, model_from_json
+from oed.models.model import fir, model_from_json
 
 TAPS = 12
 

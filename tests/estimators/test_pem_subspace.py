@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from benchmarks.plants import hair_dryer_record
-from estimators.choice import held_out_error, select_orders
-from estimators.pem import hankel, identify
-from estimators.pem.hankel import autoregressive_order, factored, windows
-from estimators.pem.observability import range_of
-from estimators.pem.subspace_errors import range_sensitivity
+from benchmarks.campaign.plants import hair_dryer_record
+from estimators.pem import identify
+from estimators.pem.choice import held_out_error, select_orders
+from estimators.pem.subspace.by_subspace import hankel
+from estimators.pem.subspace.errors import range_sensitivity
+from estimators.pem.subspace.hankel import autoregressive_order, factored, windows
+from estimators.pem.subspace.observability import range_of
 from estimators.pem.uncertainty import profile_interval, sandwich
-from estimators.residuals import residual_tests
+from estimators.residual.tests import residual_tests
 from oed.data import Record
 from oed.errors import InputError
-from oed.models import StateSpace, model_from_json
+from oed.models.model import StateSpace, model_from_json
 from tests.oracles.subspace import po_moesp
 
 METHODS = ("moesp", "n4sid", "cva")

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from estimators.pem import identify
-from estimators.pem.predictors import predictor_is_stable
+from estimators.pem.predictors.of_structure import predictor_is_stable
 from oed.data import Record
 from tests.estimators.test_pem_global import polynomial
 from tests.oracles import pem as oracle

@@ -7,17 +7,17 @@ from functools import partial
 import numpy as np
 import pytest
 
-from estimators.gains import gain, mu, rayleigh, transposed_output
-from estimators.inputs import white
-from estimators.iterations import iterate
-from estimators.power import power_iterations
-from estimators.procedure2 import procedure_2
-from estimators.trace import run
-from estimators.worst_inputs import worst_case
+from estimators.norm.gains import gain, mu, rayleigh, transposed_output
+from estimators.norm.worst_inputs import worst_case
+from estimators.rules.by_name import iterate
+from estimators.rules.inputs import white
+from estimators.rules.power import power_iterations
+from estimators.rules.procedure2 import procedure_2
+from estimators.rules.trace import run
 from oed.errors import InputError, Status
 from oed.experiments import simulated
-from oed.named import NAMES, named_plant
-from oed.plants import Plant
+from oed.plants.named import NAMES, named_plant
+from oed.plants.plant import Plant
 
 
 def dense(plant, N):

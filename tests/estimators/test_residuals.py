@@ -8,8 +8,8 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from estimators.pem import identify
-from estimators.residual_columns import noise_filter
-from estimators.residuals import feedback, input_correlation, residual_tests, whiteness
+from estimators.residual.algebra import noise_filter
+from estimators.residual.tests import feedback, input_correlation, residual_tests, whiteness
 from oed.data import Record
 from oed.errors import InputError
 from tests.oracles import residuals as oracle

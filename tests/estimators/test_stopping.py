@@ -7,14 +7,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from estimators.gains import gain
-from estimators.power import power_iterations
-from estimators.procedure2 import procedure_2
-from estimators.stopping import settled
-from estimators.trace import run
+from estimators.norm.gains import gain
+from estimators.rules.power import power_iterations
+from estimators.rules.procedure2 import procedure_2
+from estimators.rules.stopping import settled
+from estimators.rules.trace import run
 from oed.errors import InputError, Status
 from oed.experiments import simulated
-from oed.named import named_plant
+from oed.plants.named import named_plant
 
 
 @pytest.mark.parametrize("variance", [0.0, 0.1, 4.0])

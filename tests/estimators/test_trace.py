@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.inputs import fixed, multisine, prbs, sweep, white
-from estimators.limits import Limits, scaled
-from estimators.power import power_iterations
-from estimators.trace import Step, run
+from estimators.rules.inputs import fixed, multisine, prbs, sweep, white
+from estimators.rules.limits import Limits, scaled
+from estimators.rules.power import power_iterations
+from estimators.rules.trace import Step, run
 from oed.errors import ExperimentError, InputError, Status
 from oed.experiments import Experiment, replayed, simulated
-from oed.named import named_plant
+from oed.plants.named import named_plant
 
 
 def apply_reference(u):

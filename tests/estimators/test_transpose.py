@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.iterations import iterate
-from estimators.peak_estimates import corrected
-from estimators.properties import passivity_index, small_gain, smallest_gain
-from estimators.transpose import adjoint_learning, apply_transpose, lipschitz_constant, model_error
+from estimators.norm.peak_estimates import corrected
+from estimators.norm.properties import passivity_index, small_gain, smallest_gain
+from estimators.rules.by_name import iterate
+from estimators.rules.transpose import adjoint_learning, apply_transpose, lipschitz_constant, model_error
 from oed.errors import InputError
 from oed.experiments import simulated
-from oed.named import named_plant
-from oed.norms import peak
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.norms import peak
+from oed.plants.plant import Plant
 from oed.theory.finite import finite_norm, singular_values
 
 

@@ -6,7 +6,7 @@ import pytest
 from oed.data import Record, Spectrum, join
 from oed.errors import ExperimentError, InputError, Status, check_names
 from oed.experiments import Experiment, replayed, simulated
-from oed.named import named_plant
+from oed.plants.named import named_plant
 
 
 def test_one_channel_becomes_a_column_and_is_copied():

@@ -8,8 +8,8 @@ import pytest
 from oed.data import Spectrum
 from oed.design import information_map, solve_design
 from oed.errors import InputError, NotIdentifiable, Status
-from oed.named import named_plant
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.plant import Plant
 
 # theory.md section 4, computed there by two independent programs; 12 printed digits.
 OPTIMA = {
@@ -78,7 +78,7 @@ def test_scaling_of_power_and_noise(designs):
 @pytest.mark.parametrize("name", OPTIMA)
 def test_three_powers_agree(designs, name, rng):
     """Optimiser, sum of lines, and variance of the realised signal."""
-    from oed.signals import multisine, realise
+    from oed.signals.realise import multisine, realise
 
     design = designs[name]
     assert design.power_used["input power"] == pytest.approx(1.0, rel=1e-12)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from oed.design.bounded_inputs import passed_power
+from oed.design.parametrisations.bounded_inputs import passed_power
 from oed.errors import InputError
-from oed.norms import peak
-from oed.plants import Plant
+from oed.plants.norms import peak
+from oed.plants.plant import Plant
 
 
 def _resonance(radius: float, angle: float, zero: float) -> tuple[np.ndarray, np.ndarray, float]:

@@ -7,13 +7,13 @@ import pytest
 
 from oed.criteria import c_criterion
 from oed.design import information_map, solve_design
-from oed.design.columns import Problem
-from oed.design.directions import applies, direction_exchange
-from oed.design.limits import power_budgets
-from oed.design.named_criteria import criterion_of
+from oed.design.problem.budgets import power_budgets
+from oed.design.problem.criteria_by_name import criterion_of
+from oed.design.problem.lines import Problem
+from oed.design.solvers.elfving_barrier import applies, direction_exchange
 from oed.errors import Status
-from oed.named import named_plant
-from oed.norms import gain_gradient, peak
+from oed.plants.named import named_plant
+from oed.plants.norms import gain_gradient, peak
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_who_is_solved_this_way(three):
 
 def test_one_input_is_the_case_of_the_cone_programme():
     """Twin: Elfving's second-order cone programme by Clarabel, on the same grid of one input."""
-    from oed.design.cone import elfving
+    from oed.design.solvers.weights_clarabel import elfving
 
     plant = named_plant("reference")
     information = information_map(plant)

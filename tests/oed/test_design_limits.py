@@ -20,13 +20,13 @@ from oed.design import (
     robust_design,
     solve_design,
 )
-from oed.design.amplitude import slew_limited
-from oed.design.masked_mimo import masked_mimo_design
-from oed.design.named_criteria import criterion_of
+from oed.design.parametrisations.amplitude import slew_limited
+from oed.design.parametrisations.masked_mimo import masked_mimo_design
+from oed.design.problem.criteria_by_name import criterion_of
 from oed.errors import InfeasibleDesign, InputError, Status
-from oed.named import named_plant
-from oed.plants import Plant
-from oed.signals import realise
+from oed.plants.named import named_plant
+from oed.plants.plant import Plant
+from oed.signals.realise import realise
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import linprog
 
 from oed.design import solve_design
-from oed.design.masked import knapsack, masked_design
+from oed.design.parametrisations.masked import knapsack, masked_design
 from oed.errors import InfeasibleDesign, InputError
-from oed.named import named_plant
+from oed.plants.named import named_plant
 
 
 def test_the_knapsack_is_the_linear_programme(rng):

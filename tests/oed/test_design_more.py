@@ -9,16 +9,16 @@ from scipy.optimize import minimize
 from oed.criteria import c_criterion, d_criterion, g_criterion
 from oed.data import Spectrum
 from oed.design import InformationMap, information_map, solve_design
-from oed.design.autocorrelation import autocorrelation_design, moment_design
-from oed.design.closed_loop import closed_loop_map
-from oed.design.least_power import application_criterion, least_power_design
-from oed.design.named_criteria import criterion_of, scalar_criterion
-from oed.design.robust import robust_design
+from oed.design.parametrisations.autocorrelation import autocorrelation_design, moment_design
+from oed.design.problem.criteria_by_name import criterion_of, scalar_criterion
+from oed.design.questions.closed_loop import closed_loop_map
+from oed.design.questions.least_power import application_criterion, least_power_design
+from oed.design.questions.robust import robust_design
 from oed.errors import InfeasibleDesign, InputError
-from oed.models import Model, bj
-from oed.named import named_plant
-from oed.norms import peak
-from oed.plants import Plant
+from oed.models.model import Model, bj
+from oed.plants.named import named_plant
+from oed.plants.norms import peak
+from oed.plants.plant import Plant
 
 OPTIMA = {"D": 0.033674015758, "A": 0.339118600620, "E": 0.230078614237, "hinf": 1.0}
 

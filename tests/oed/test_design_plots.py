@@ -7,7 +7,7 @@ import pytest
 
 from oed.design import solve_design
 from oed.design.plots import plot_design, plot_sensitivity
-from oed.named import named_plant
+from oed.plants.named import named_plant
 
 
 def test_the_support_lies_on_the_curve_at_one():

@@ -16,8 +16,8 @@ import pytest
 
 from oed.criteria import c_criterion
 from oed.design import InformationMap, autocorrelation_design, information_map, solve_design
-from oed.named import named_plant
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.plant import Plant
 
 
 def _regression(rows: Callable, n: int) -> InformationMap:

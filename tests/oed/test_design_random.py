@@ -7,7 +7,7 @@ import pytest
 
 from oed.design import solve_design
 from oed.errors import OedError
-from oed.plants import Plant
+from oed.plants.plant import Plant
 
 
 def random_plant(rng: np.random.Generator, several: bool = False) -> Plant:

@@ -15,11 +15,11 @@ from oed.design import (
     information_map,
     solve_design,
 )
-from oed.design.shaped import step_down, step_up
+from oed.design.parametrisations.shaped import step_down, step_up
 from oed.errors import InputError, NotIdentifiable
-from oed.named import named_plant
-from oed.plants import Plant
-from oed.signals import realise
+from oed.plants.named import named_plant
+from oed.plants.plant import Plant
+from oed.signals.realise import realise
 
 GRID = np.concatenate([[0.01, 0.4, 0.7], np.linspace(0.85, 1.15, 7), [1.4, 2.0, 3.1]])
 

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from oed.data import Spectrum
 from oed.errors import InputError, NotIdentifiable
 from oed.information import covariance, information_of_signal, information_of_spectrum, null_directions
-from oed.named import NAMES, named_plant
-from oed.plants import Plant
+from oed.plants.named import NAMES, named_plant
+from oed.plants.plant import Plant
 from oed.theory.efficiency import flat_spectrum, losses
 
 REFERENCE = named_plant("reference")

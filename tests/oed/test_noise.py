@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oed.noise import noise_key, noise_series, philox, standard_noise
+from oed.signals.noise import noise_key, noise_series, philox, standard_noise
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_a_pure_function_of_its_coordinates():
 def test_experiments_at_once_are_those_one_by_one():
     """Bit by bit, also where the lengths change from experiment to experiment and ahead was computed in vain."""
     from oed.experiments import simulated
-    from oed.named import named_plant
+    from oed.plants.named import named_plant
 
     key = noise_key(2, "several")
     for samples, outputs in ((500, 1), (7, 3), (1, 2)):

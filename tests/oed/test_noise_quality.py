@@ -11,7 +11,7 @@ from math import erfc
 import numpy as np
 import pytest
 
-from oed.noise import START, noise_key, philox, standard_noise
+from oed.signals.noise import START, noise_key, philox, standard_noise
 
 KEY = noise_key(7, "reference")
 

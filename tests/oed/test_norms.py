@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oed.errors import SolverFailure
-from oed.named import NAMES, named_plant
-from oed.norms import gain_gradient, peak, refined_maximum, response_derivatives
-from oed.plants import Plant
-from oed.realisations import state_space
+from oed.plants.named import NAMES, named_plant
+from oed.plants.norms import gain_gradient, peak, refined_maximum, response_derivatives
+from oed.plants.plant import Plant
+from oed.plants.realisations import state_space
 from oed.theory import limit_spectrum
 
 

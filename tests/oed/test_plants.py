@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oed.errors import InputError
-from oed.named import NAMES, named_plant
-from oed.plant_files import plant_from_json, plant_to_json
-from oed.plants import Plant
-from oed.realisations import from_state_space, state_space
+from oed.plants.json import plant_from_json, plant_to_json
+from oed.plants.named import NAMES, named_plant
+from oed.plants.plant import Plant
+from oed.plants.realisations import from_state_space, state_space
 
 OMEGA = np.linspace(0.01, 3.13, 40)
 

@@ -8,8 +8,8 @@ import pytest
 from oed.data import Spectrum
 from oed.design import solve_design
 from oed.errors import InputError
-from oed.named import named_plant
-from oed.signals import (
+from oed.plants.named import named_plant
+from oed.signals.realise import (
     binary,
     crest_factor,
     filtered_noise,

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from oed.criteria import c_criterion
 from oed.data import Spectrum
 from oed.information import information_of_spectrum
-from oed.named import named_plant
-from oed.norms import gain_gradient, peak
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.norms import gain_gradient, peak
+from oed.plants.plant import Plant
 from oed.theory import (
     claim_cases,
     claim_map,

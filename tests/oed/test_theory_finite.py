@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.engine import batches
+from estimators.montecarlo.engine import batches
 from oed.errors import InputError
-from oed.named import NAMES, named_plant
-from oed.norms import peak
+from oed.plants.named import NAMES, named_plant
+from oed.plants.norms import peak
 from oed.theory.finite import EFFECTS, finite_moments, finite_norm, finite_prediction, singular_values
 
 

@@ -7,14 +7,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from estimators.engine import counter_start
-from estimators.power import power_iterations
-from estimators.trace import run
+from estimators.montecarlo.engine import counter_start
+from estimators.rules.power import power_iterations
+from estimators.rules.trace import run
 from oed.errors import InputError
 from oed.experiments import simulated
 from oed.information import information_of_signal
-from oed.named import named_plant
-from oed.norms import gain_gradient
+from oed.plants.named import named_plant
+from oed.plants.norms import gain_gradient
 from oed.theory.efficiency import losses, peak_gain_efficiency_by_experiments
 from oed.theory.finite_efficiency import finite_peak_gain_efficiency
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.engine import batches
+from estimators.montecarlo.engine import batches
 from oed.errors import InputError
-from oed.named import named_plant
+from oed.plants.named import named_plant
 from oed.theory.finite import EFFECTS, singular_values
 from oed.theory.finite_mimo import finite_mimo_moments, finite_mimo_prediction
 

@@ -5,9 +5,9 @@ import pytest
 
 from oed.errors import InputError, SolverFailure
 from oed.information import information_of_spectrum
-from oed.named import named_plant
-from oed.norms import gain_gradient
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.norms import gain_gradient
+from oed.plants.plant import Plant
 from oed.theory.efficiency import losses, peak_gain_efficiency_by_experiments
 from oed.theory.limit import limit_spectrum, limit_spectrum_on_grid, spectra_of_iterations
 

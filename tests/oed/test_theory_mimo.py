@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.engine import monte_carlo
+from estimators.montecarlo.engine import monte_carlo
 from oed.errors import InputError
-from oed.named import named_plant
+from oed.plants.named import named_plant
 from oed.theory.limit import limit_spectrum
 from oed.theory.mimo import mimo_limit_spectrum, mimo_recursion
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from oed.design import solve_design
-from oed.named import named_plant
-from oed.norms import gain_gradient, peak
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.norms import gain_gradient, peak
+from oed.plants.plant import Plant
 from tests.oracles import designs, information
 
 SISO = ("two-peaks", "nonminimum-phase", "peak-at-zero")

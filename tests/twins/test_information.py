@@ -14,9 +14,9 @@ from oed.information import (
     information_of_signal,
     information_of_spectrum,
 )
-from oed.models import Model, bj
-from oed.named import named_plant
-from oed.plants import Plant
+from oed.models.model import Model, bj
+from oed.plants.named import named_plant
+from oed.plants.plant import Plant
 from tests.oracles import information, lti
 
 # Finite differences, twice extrapolated: 1e-9 of the largest derivative, twice that in a product.

@@ -13,15 +13,15 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from estimators.gains import gain, mu
-from estimators.power import power_iterations
-from estimators.procedure2 import procedure_2
-from estimators.trace import run
+from estimators.norm.gains import gain, mu
+from estimators.rules.power import power_iterations
+from estimators.rules.procedure2 import procedure_2
+from estimators.rules.trace import run
 from oed.data import Spectrum
 from oed.experiments import Experiment
 from oed.information import information_of_signal, information_of_spectrum
-from oed.norms import gain_gradient, peak
-from oed.plants import Plant
+from oed.plants.norms import gain_gradient, peak
+from oed.plants.plant import Plant
 from oed.theory.limit import limit_spectrum
 
 CHANNELS = st.integers(1, 3)

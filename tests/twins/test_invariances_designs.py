@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from estimators.pem import identify
-from estimators.residuals import input_correlation, whiteness
+from estimators.residual.tests import input_correlation, whiteness
 from oed.criteria import a_criterion
 from oed.data import Record
 from oed.design import solve_design
-from oed.named import named_plant
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.plant import Plant
 
 UNITS = (1e-6, 1.0, 3.7e5)
 

@@ -1,12 +1,12 @@
-"""oed.norms against the oracles: search on a grid, 50-digit curvatures, derivatives by moving the plant."""
+"""oed.plants.norms against the oracles: search on a grid, 50-digit curvatures, derivatives by moving the plant."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from oed.named import NAMES, named_plant
-from oed.norms import gain_gradient, peak, response_derivatives
+from oed.plants.named import NAMES, named_plant
+from oed.plants.norms import gain_gradient, peak, response_derivatives
 from tests.oracles import information, limit_spectrum, lti
 
 SISO = [name for name in NAMES if named_plant(name).n_inputs * named_plant(name).n_outputs == 1]

@@ -7,16 +7,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from estimators.gains import gain, mu, rayleigh
-from estimators.iterations import iterate
-from estimators.power import power_iterations
-from estimators.procedure2 import SCALINGS, procedure_2
-from estimators.trace import run
+from estimators.norm.gains import gain, mu, rayleigh
+from estimators.rules.by_name import iterate
+from estimators.rules.power import power_iterations
+from estimators.rules.procedure2 import SCALINGS, procedure_2
+from estimators.rules.trace import run
 from oed.data import Record
 from oed.errors import Status
 from oed.experiments import Experiment, simulated
-from oed.named import named_plant
-from oed.noise import ROUNDS, noise_key, philox, standard_noise
+from oed.plants.named import named_plant
+from oed.signals.noise import ROUNDS, noise_key, philox, standard_noise
 from tests.oracles import limit_spectrum, lti, power
 from tests.oracles.philox import KNOWN_ANSWERS, philox4x32
 

@@ -1,11 +1,11 @@
-"""estimators.residuals against permutation: p-values of the same statistics without any distribution theory."""
+"""estimators.residual.tests against permutation: p-values of the same statistics without any distribution theory."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from estimators.residuals import input_correlation, whiteness
+from estimators.residual.tests import input_correlation, whiteness
 from tests.oracles import lti, residuals
 
 

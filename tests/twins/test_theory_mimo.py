@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.named import named_plant
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.plant import Plant
 from oed.theory.finite import finite_moments, finite_norm, singular_values
 from oed.theory.mimo import mimo_limit_spectrum, mimo_recursion
 from tests.oracles import limit_spectrum, lti, power

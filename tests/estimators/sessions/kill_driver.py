@@ -18,10 +18,9 @@ import time
 from pathlib import Path
 
 from benchmarks.cli import main
-from estimators import power, sessions  # noqa: F401  (imported before the forks)
 from estimators.sessions import Settings, open_session, start_session
 from oed.experiments import simulated
-from oed.named import named_plant
+from oed.plants.named import named_plant
 
 EXPERIMENTS, SAMPLES = 16, 100
 PLANT = named_plant("reference", 0.01)

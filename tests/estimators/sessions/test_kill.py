@@ -12,7 +12,7 @@ import pytest
 
 from estimators.sessions import Session, Settings, open_session
 from oed.experiments import simulated
-from oed.named import named_plant
+from oed.plants.named import named_plant
 
 DRIVER = Path(__file__).with_name("kill_driver.py")
 

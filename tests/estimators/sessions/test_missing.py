@@ -11,8 +11,8 @@ from estimators.sessions.proposals import joined, propose
 from oed.data import Record
 from oed.errors import InputError
 from oed.experiments import simulated
-from oed.plant_files import plant_to_json
-from oed.plants import Plant
+from oed.plants.json import plant_to_json
+from oed.plants.plant import Plant
 
 NUM, DEN = np.array([0.0, 0.5, 0.2]), np.array([1.0, -1.2, 0.72])
 

@@ -9,7 +9,7 @@ from estimators.sessions import FlaggedMeasurement, Session, Settings
 from estimators.sessions.rig_limits import check_input, fitting_factor
 from oed.errors import InputError
 from oed.experiments import simulated
-from oed.named import named_plant
+from oed.plants.named import named_plant
 
 TWO = {
     "method": "procedure-2",

@@ -7,17 +7,17 @@ from functools import partial
 import numpy as np
 import pytest
 
-from estimators.adaptive import sequential, two_stage
-from estimators.bandit import thompson_sampling
-from estimators.power import power_iterations
-from estimators.procedure2 import procedure_2
+from estimators.rules.adaptive import sequential, two_stage
+from estimators.rules.bandit import thompson_sampling
+from estimators.rules.power import power_iterations
+from estimators.rules.procedure2 import procedure_2
+from estimators.rules.trace import run
 from estimators.sessions import FlaggedMeasurement, Session, Settings
 from estimators.sessions.layout import placed, rig_samples, taper
-from estimators.trace import run
 from oed.errors import InputError, Status
 from oed.experiments import simulated
-from oed.named import named_plant
-from oed.norms import peak
+from oed.plants.named import named_plant
+from oed.plants.norms import peak
 
 REFERENCE = named_plant("reference", 0.01)
 
@@ -118,8 +118,8 @@ def test_a_ramp_from_rest_iterates_on_the_tapered_system():
 
 def test_model_minus_rig():
     """[M] (1): the session's system is the model minus the rig, its norm that of the difference."""
-    from oed.plant_files import plant_to_json
-    from oed.plants import Plant
+    from oed.plants.json import plant_to_json
+    from oed.plants.plant import Plant
 
     rig = Plant([0, 0.2155, 0.2012], [1, -0.9854, 0.8187], noise_covariance=1e-4, name="rig")
     model = Plant([0, 0.2155, 0.1012], [1, -0.9854, 0.8187], noise_covariance=0.0, name="model")

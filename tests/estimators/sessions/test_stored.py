@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimators.gains import gain
-from estimators.procedure2 import procedure_2
+from estimators.norm.gains import gain
+from estimators.rules.procedure2 import procedure_2
+from estimators.rules.trace import run
 from estimators.sessions import FlaggedMeasurement, Settings, open_session, start_session
 from estimators.sessions.estimates import estimate_of
-from estimators.trace import run
 from oed.errors import CampaignError, InputError
 from oed.experiments import simulated
-from oed.named import named_plant
+from oed.plants.named import named_plant
 
 AVIS = named_plant("avis", 0.01)
 CHANNELS = {

@@ -1,0 +1,97 @@
+"""Stores put together: machines that each ran some plants, noise levels, inputs or replicates of one campaign."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.campaign.settings import Limit
+from benchmarks.campaign.store import Store, versions
+from oed.errors import CampaignError, InputError
+
+__all__ = ["merge_stores"]
+
+UNITED = ("plants", "noise_variances", "methods")
+
+
+def merge_stores(folders: Sequence[Path], out: Path) -> dict[str, Any]:
+    """Copy the finished parts of several stores into one.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Stores with the same settings except for plants, noise variances and methods, written by the same versions.
+    out : Path
+        A new or empty folder, or the merged store of before.
+
+    Returns
+    -------
+    dict
+        The arguments of `compare` for the merged campaign: what the stores do not hold is computed when it runs. Its
+        replicates are the most that any store holds.
+
+    Raises
+    ------
+    InputError
+        If there is no store to merge.
+    CampaignError
+        If the stores do not belong together. Nothing is written then.
+    """
+    if not folders:
+        raise InputError("no folders to merge; give at least one.")
+    found = [_description(folder) for folder in folders]
+    base = found[0]
+    for folder, other in zip(folders, found, strict=True):
+        if other["versions"] != versions():
+            raise CampaignError(
+                f"{folder} was written with other versions and is not mixed. Nothing was written."
+            )
+        different = [
+            name
+            for name in base["settings"]
+            if name not in UNITED and other["settings"].get(name) != base["settings"][name]
+        ]
+        if different:
+            raise CampaignError(
+                f"{folder} and {folders[0]} have different {', '.join(different)}; only plants, noise variances and methods "
+                "may differ. Nothing was written."
+            )
+    settings = dict(base["settings"])
+    for name in UNITED:
+        settings[name] = list(dict.fromkeys(v for other in found for v in other["settings"][name]))
+    if settings.get("sources"):
+        raise CampaignError(
+            "stores with one's own methods are not merged: their code is not in the store. Nothing was written."
+        )
+    store = Store(out, settings)
+    replicates = 2
+    for folder in folders:
+        for path in sorted((folder / "parts").glob("*.parquet")):
+            replicates = max(replicates, int(path.stem.rpartition("-")[2]))
+            if store.path(path.stem).exists() or path.resolve() == store.path(path.stem).resolve():
+                continue
+            temporary = store.parts / f".{path.name}.merging"
+            try:
+                shutil.copyfile(path, temporary)
+                temporary.replace(store.path(path.stem))
+            except OSError as error:
+                temporary.unlink(missing_ok=True)
+                raise CampaignError(
+                    f"cannot copy {path} ({error.strerror}); what was copied is kept."
+                ) from None
+    settings.pop("sources", None)
+    limits = tuple(Limit(**entry) for entry in settings.pop("limits", []))
+    return settings | {"limits": limits, "replicates": replicates, "out": str(out)}
+
+
+def _description(folder: Path) -> dict[str, Any]:
+    try:
+        content = json.loads((folder / "campaign.json").read_text(encoding="utf-8"))
+        return {"settings": dict(content["settings"]), "versions": content["versions"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(
+            f"{folder} holds no readable campaign.json; give the --out folders of comparisons."
+        ) from None

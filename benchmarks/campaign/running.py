@@ -1,0 +1,237 @@
+"""Monte-Carlo campaigns: plants x noise x methods x replicates, resumable, the same on any number of workers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from benchmarks.campaign.part import Runs, runs_of
+from benchmarks.campaign.run import CHUNK, Part, checkpoints, parts, run_part, seed_for
+from benchmarks.campaign.settings import Settings
+from benchmarks.campaign.store import Store
+from oed.errors import CampaignError, InputError
+
+__all__ = [
+    "CHUNK",
+    "Settings",
+    "checkpoints",
+    "fill_store",
+    "parts",
+    "run_campaign",
+    "seed_for",
+    "stored_runs",
+]
+
+TIME_LIMIT = 300.0
+"""Seconds for one run of a method, and for one estimate."""
+
+Own = Mapping[str, Callable[..., Any]]
+
+
+def run_campaign(
+    settings: Settings,
+    replicates: int,
+    folder: Path,
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    time_limit: float | None = TIME_LIMIT,
+    own: Own | None = None,
+) -> list[Runs]:
+    """Run or resume a campaign, and read all of it.
+
+    Parameters
+    ----------
+    settings : Settings
+        What decides the numbers.
+    replicates : int
+        Monte-Carlo runs; a folder with fewer is extended.
+    folder : Path
+        Where the parts are kept.
+    jobs : int, optional
+        Worker processes; default one per core.
+    scheduler : str, optional
+        Address of a Dask scheduler to run on instead (needs the extra `dask`).
+    progress : callable, optional
+        Called with the number of parts done and in all.
+    time_limit : float, optional
+        Seconds for one run of a method, and for one estimate; what takes longer is a row that says so.
+    own : mapping, optional
+        The user's methods (`plant -> method`) and estimators by name.
+
+    Returns
+    -------
+    list of Runs
+        One per plant, noise variance and method, in an order that depends on nothing but the settings.
+    """
+    store = fill_store(
+        settings,
+        replicates,
+        folder,
+        jobs=jobs,
+        scheduler=scheduler,
+        progress=progress,
+        time_limit=time_limit,
+        own=own,
+    )
+    return list(stored_runs(store, settings, replicates, time_limit=time_limit, own=own))
+
+
+def fill_store(
+    settings: Settings,
+    replicates: int,
+    folder: Path,
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    time_limit: float | None = TIME_LIMIT,
+    own: Own | None = None,
+) -> Store:
+    """Run or resume a campaign; the results stay on disk.
+
+    Parameters
+    ----------
+    settings : Settings
+        What decides the numbers.
+    replicates : int
+        Monte-Carlo runs; a folder with fewer is extended.
+    folder : Path
+        Where the parts are kept.
+    jobs : int, optional
+        Worker processes; default one per core.
+    scheduler : str, optional
+        Address of a Dask scheduler to run on instead (needs the extra `dask`).
+    progress : callable, optional
+        Called with the number of parts done and in all.
+    time_limit : float, optional
+        Seconds for one run of a method, and for one estimate.
+    own : mapping, optional
+        The user's methods (`plant -> method`) and estimators by name.
+
+    Returns
+    -------
+    Store
+        With all parts.
+    """
+    if replicates < 2:
+        raise InputError(f"replicates is {replicates}; standard errors need at least 2.")
+    if time_limit is not None and not time_limit > 0:
+        raise InputError(f"the time limit is {time_limit:g} s; it must be positive.")
+    todo = parts(settings, replicates)
+    if not todo:
+        raise InputError(
+            "nothing is left to run: none of the inputs is made for the channels of these plants, or the limits leave "
+            "everything out."
+        )
+    store = Store(folder, asdict(settings))
+    missing = [part for part in todo if not store.holds(part.key)]
+    report = progress or (lambda done, total: None)
+    report(len(todo) - len(missing), len(todo))
+    options = {"time_limit": time_limit, "own": dict(own or {})}
+    for count, (part, result) in enumerate(
+        _results(settings, missing, jobs, scheduler, options), len(todo) - len(missing) + 1
+    ):
+        store.write(part.key, result)
+        report(count, len(todo))
+    return store
+
+
+def stored_runs(
+    store: Store,
+    settings: Settings,
+    replicates: int,
+    *,
+    time_limit: float | None = TIME_LIMIT,
+    own: Own | None = None,
+) -> Iterator[Runs]:
+    """The combinations of a finished campaign one after the other, so that memory holds one at a time.
+
+    Parameters
+    ----------
+    store : Store
+        With all parts.
+    settings : Settings
+        The campaign.
+    replicates : int
+        Monte-Carlo runs.
+    time_limit : float, optional
+        As of `fill_store`, for a part that turns out damaged inside and is computed again.
+    own : mapping, optional
+        As of `fill_store`.
+
+    Yields
+    ------
+    Runs
+        One per plant, noise variance and method.
+    """
+    grouped: dict[tuple[str, float, str], list[Part]] = {}
+    for part in parts(settings, replicates):
+        grouped.setdefault(part.combination, []).append(part)
+    for combination, mine in grouped.items():
+        tables = []
+        for part in mine:
+            table = store.read(part.key)
+            if table is None:
+                store.write(part.key, run_part(settings, part, time_limit=time_limit, own=own))
+                table = store.read(part.key)
+            if table is None:
+                raise CampaignError(f"{store.path(part.key)} cannot be read back; check the disk.")
+            tables.append(table)
+        yield runs_of(combination, tables)
+
+
+def _results(
+    settings: Settings,
+    missing: list[Part],
+    jobs: int | None,
+    scheduler: str | None,
+    options: dict[str, Any],
+) -> Iterator[tuple[Part, list[dict[str, Any]]]]:
+    """Parts with their rows, as they are finished; the same code whoever does the work."""
+    jobs = min(jobs or os.cpu_count() or 1, max(len(missing), 1))
+    if scheduler is None and jobs <= 1:
+        for part in missing:
+            yield part, run_part(settings, part, **options)
+        return
+    from joblib import Parallel, delayed, parallel_config
+
+    if scheduler is None:
+        backend: dict[str, Any] = {"backend": "loky", "inner_max_num_threads": 1, "n_jobs": jobs}
+    else:
+        backend = {"backend": "dask", "wait_for_workers_timeout": 30}
+    with _connected(scheduler), parallel_config(**backend):
+        work = Parallel(return_as="generator_unordered")  # type: ignore[arg-type]
+        yield from work(delayed(_with_part)(settings, part, options) for part in missing)  # type: ignore[misc]
+
+
+@contextmanager
+def _connected(scheduler: str | None) -> Iterator[None]:
+    """A client of the scheduler while the block runs; nothing without a scheduler."""
+    if scheduler is None:
+        yield
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError(
+            '--scheduler needs the package distributed; install the extra: pip install "oed[dask]".'
+        ) from None
+    try:
+        client = Client(scheduler, timeout=10)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(
+            f"no Dask scheduler answers at {scheduler} ({type(error).__name__}); start one with `dask scheduler` and "
+            "give its address, such as tcp://127.0.0.1:8786."
+        ) from None
+    with client:
+        yield
+
+
+def _with_part(settings: Settings, part: Part, options: dict[str, Any]) -> tuple[Part, list[dict[str, Any]]]:
+    return part, run_part(settings, part, **options)

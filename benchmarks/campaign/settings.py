@@ -1,0 +1,263 @@
+"""What decides the numbers of a campaign, from Python, the command line or a TOML file."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.campaign.plants import check_plants
+from benchmarks.campaign.registry import ESTIMATORS, METHODS
+from oed.errors import InputError, check_names
+
+__all__ = ["Limit", "Settings", "campaign_from_toml", "limit_from_text"]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """At most so many replicates of what is named; what is not named matches everything.
+
+    Attributes
+    ----------
+    replicates : int
+        The most; 0 leaves it out.
+    plant, method, estimator : str
+        Names, "" for any. With an estimator only its estimates are limited, not the runs.
+    """
+
+    replicates: int
+    plant: str = ""
+    method: str = ""
+    estimator: str = ""
+
+    def __post_init__(self) -> None:
+        if self.replicates < 0:
+            raise InputError(f"a limit has {self.replicates} replicates; it must be at least 0.")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What decides the numbers of a campaign.
+
+    Attributes
+    ----------
+    plants : tuple of str
+        Names or files.
+    noise_variances : tuple of float
+        For every plant (for hair-dryer in multiples of the identified variance).
+    methods, estimators : tuple of str
+        Names, or `FILE.py:FUNCTION` for one's own; pairs that do not fit are left out.
+    samples, experiments : int
+        N of every experiment, and how many.
+    seed : int
+        Of everything random.
+    profile_replicates : int
+        For so many replicates the estimators are also run after every checkpoint of the budget.
+    limits : tuple of Limit
+        What has fewer replicates than the rest.
+    sources : tuple of tuple of str
+        Name and digest of the source of one's own methods and estimators.
+    """
+
+    plants: tuple[str, ...] = ("reference", "hair-dryer", "random-fir-1", "three-by-two")
+    noise_variances: tuple[float, ...] = (1.0, 4.0, 9.0)
+    methods: tuple[str, ...] = (
+        "white",
+        "multisine",
+        "power",
+        "procedure-2",
+        "sequential",
+        "oracle-D",
+        "oracle-hinf",
+    )
+    estimators: tuple[str, ...] = ("rayleigh", "gain", "mu", "corrected", "fir-selected", "pem")
+    samples: int = 1000
+    experiments: int = 20
+    seed: int = 0
+    profile_replicates: int = 3
+    limits: tuple[Limit, ...] = ()
+    sources: tuple[tuple[str, str], ...] = field(default=(), repr=False)
+
+    def __post_init__(self) -> None:
+        own = {name for name, _ in self.sources}
+        check_plants(self.plants)
+        check_names([m for m in self.methods if m not in own], tuple(METHODS), "method")
+        check_names([e for e in self.estimators if e not in own], tuple(ESTIMATORS), "estimator")
+        for name, least in (("samples", 10), ("experiments", 1), ("profile_replicates", 0)):
+            if getattr(self, name) < least:
+                raise InputError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
+        for variance in self.noise_variances:
+            if not (np.isfinite(variance) and variance > 0):
+                raise InputError(
+                    f"the noise variance is {variance:g}; a comparison needs positive, finite ones."
+                )
+        for name in ("plants", "noise_variances", "methods", "estimators"):
+            values = getattr(self, name)
+            if not values or len(set(values)) != len(values):
+                raise InputError(f"{name} is {values}; give at least one, and each once.")
+        for limit in self.limits:
+            for kind in ("plant", "method", "estimator"):
+                wanted = getattr(limit, kind)
+                check_names([wanted] if wanted else [], getattr(self, f"{kind}s"), f"{kind} of a limit")
+
+    def replicates_of(self, replicates: int, plant: str, method: str, estimator: str = "") -> int:
+        """How many replicates a combination has.
+
+        Parameters
+        ----------
+        replicates : int
+            Of the campaign.
+        plant, method : str
+            Which runs.
+        estimator : str
+            Which estimates of them; "" for the runs themselves.
+
+        Returns
+        -------
+        int
+            The smallest of the limits that match.
+        """
+        most = [replicates]
+        for limit in self.limits:
+            if limit.plant not in ("", plant) or limit.method not in ("", method):
+                continue
+            if limit.estimator in ("", estimator):
+                most.append(limit.replicates)
+        return min(most)
+
+
+DEFAULT_LIMITS = (
+    Limit(10, plant="three-by-two"),
+    Limit(40, plant="random-fir-1"),
+    Limit(40, plant="hair-dryer"),
+    Limit(0, plant="three-by-two", method="multisine"),
+    Limit(0, plant="three-by-two", method="sequential"),
+    Limit(0, plant="three-by-two", method="oracle-D"),
+    Limit(0, plant="three-by-two", method="oracle-hinf", estimator="pem"),
+    Limit(0, plant="reference", method="procedure-2"),  # one channel: the iterations twice over
+    Limit(0, plant="hair-dryer", method="procedure-2"),
+    Limit(0, plant="random-fir-1", method="procedure-2"),
+    Limit(30, method="sequential"),
+    Limit(60, estimator="pem"),
+    Limit(15, estimator="corrected"),
+    Limit(30, estimator="fir-selected"),
+)
+"""Of a comparison that sets none: prediction-error fits of six transfer functions would take most of its time."""
+
+
+def default_limits(
+    plants: Sequence[str], methods: Sequence[str], estimators: Sequence[str]
+) -> tuple[Limit, ...]:
+    """The default limits that concern a comparison.
+
+    Parameters
+    ----------
+    plants, methods, estimators : sequence of str
+        What is compared.
+
+    Returns
+    -------
+    tuple of Limit
+        Those whose names occur; those of estimators alone only where several plants share the time.
+    """
+    return tuple(
+        limit
+        for limit in DEFAULT_LIMITS
+        if limit.plant in ("", *plants)
+        and limit.method in ("", *methods)
+        and limit.estimator in ("", *estimators)
+        and (limit.plant or limit.method or len(plants) > 1)
+    )
+
+
+PLAIN = {"replicates": int, "time_limit": float, "out": str}
+LISTS = ("plants", "noise_variances", "methods", "estimators")
+
+
+def campaign_from_toml(file: str | Path) -> dict[str, Any]:
+    """The arguments of `compare` that a TOML file holds.
+
+    Parameters
+    ----------
+    file : str or Path
+        Keys of `Settings`, `replicates`, `time_limit` (seconds per run of a method or an estimator), `out`, and tables
+        `[[limit]]` with `replicates` and any of `plant`, `method`, `estimator`.
+
+    Returns
+    -------
+    dict
+        Only what the file gives.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, has an unknown key, or a value of another kind.
+    """
+    path = Path(file)
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"the campaign file {path} cannot be read ({error.strerror}).") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"the campaign file {path} is not TOML ({error}); mend that line.") from None
+    known = {f.name for f in fields(Settings)} - {"limits", "sources"} | set(PLAIN) | {"limit"}
+    check_names(list(content), tuple(sorted(known)), f"key of {path.name}")
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        if key == "limit":
+            found["limits"] = tuple(_limit(path, entry) for entry in _list(path, key, value))
+        elif key in LISTS:
+            kind = (int, float) if key == "noise_variances" else (str,)
+            found[key] = tuple(_typed(path, key, entry, *kind) for entry in _list(path, key, value))
+        elif key == "time_limit":
+            found[key] = float(_typed(path, key, value, int, float))
+        else:
+            found[key] = _typed(path, key, value, PLAIN.get(key, int))
+    return found
+
+
+def limit_from_text(text: str) -> Limit:
+    """A limit as the command line takes it.
+
+    Parameters
+    ----------
+    text : str
+        Such as "replicates=100,estimator=pem".
+
+    Returns
+    -------
+    Limit
+        InputError where the text is of another form.
+    """
+    pairs = [part.partition("=") for part in text.split(",")]
+    entry = {key: value for key, _, value in pairs}
+    check_names(list(entry), ("replicates", "plant", "method", "estimator"), "key of --limit")
+    if not entry.get("replicates", "").isdigit():
+        raise InputError(f"--limit {text}: give replicates=R with a whole number R of at least 0.")
+    return Limit(**entry | {"replicates": int(entry["replicates"])})  # type: ignore[arg-type]
+
+
+def _typed(path: Path, key: str, value: Any, *kinds: type) -> Any:
+    if isinstance(value, bool) or not isinstance(value, kinds):
+        words = " or ".join({int: "a whole number", float: "a number", str: "a text"}[k] for k in kinds)
+        raise InputError(f"{path.name}: {key} is {value!r}; it must be {words}.")
+    return value
+
+
+def _list(path: Path, key: str, value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise InputError(f"{path.name}: {key} is {value!r}; it must be a list.")
+    return value
+
+
+def _limit(path: Path, entry: Any) -> Limit:
+    if not isinstance(entry, dict) or "replicates" not in entry:
+        raise InputError(f"{path.name}: a [[limit]] needs replicates, and any of plant, method, estimator.")
+    check_names(list(entry), ("replicates", "plant", "method", "estimator"), f"key of a limit in {path.name}")
+    return Limit(
+        **{k: _typed(path, f"limit.{k}", v, int if k == "replicates" else str) for k, v in entry.items()}
+    )

@@ -1,0 +1,65 @@
+"""Traces to files: every input and output of the experiments of a run."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oed.errors import InputError
+
+if TYPE_CHECKING:
+    from estimators.rules.trace import Trace
+
+__all__ = ["write_trace"]
+
+
+def write_trace(trace: Trace, path: str) -> None:
+    """Write the experiments of a trace, stacked in time, with their numbers.
+
+    Parameters
+    ----------
+    trace : Trace
+        What was measured.
+    path : str
+        A new file ending in .npz (arrays u (n, N, nu), y (n, N, ny), kinds, dt) or .csv (columns experiment,
+        t, u1.., y1..).
+
+    Raises
+    ------
+    InputError
+        If the file exists, its folder does not, or its ending is another.
+    """
+    target = Path(path)
+    if target.suffix not in (".npz", ".csv"):
+        raise InputError(f"--out is {path}; the file must end in .npz or .csv.")
+    if target.exists():
+        raise InputError(f"{path} exists; nothing is overwritten: give another name or remove it.")
+    if not target.parent.is_dir():
+        raise InputError(f"the folder {target.parent} does not exist; make it first.")
+    temporary = target.with_name(f".{target.name}.part")
+    try:
+        with temporary.open("wb") as file:
+            if target.suffix == ".npz":
+                np.savez_compressed(
+                    file,
+                    u=np.stack([r.u for r in trace.records]),
+                    y=np.stack([r.y for r in trace.records]),
+                    kinds=np.array(trace.kinds),
+                    dt=trace.records[0].dt,
+                )
+            else:
+                first = trace.records[0]
+                header = ",".join(["experiment", "t", *first.input_names, *first.output_names])
+                rows = np.vstack(
+                    [
+                        np.column_stack([np.full(len(r), k + 1.0), r.t, r.u, r.y])
+                        for k, r in enumerate(trace.records)
+                    ]
+                )
+                np.savetxt(file, rows, delimiter=",", header=header, comments="", fmt="%.17g")
+        os.replace(temporary, target)
+    finally:
+        temporary.unlink(missing_ok=True)

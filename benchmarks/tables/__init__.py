@@ -1,0 +1,1 @@
+"""Tables of a comparison: from the rows of a campaign to figures with their errors."""

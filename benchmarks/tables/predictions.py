@@ -1,0 +1,203 @@
+"""What `oed theory` reports: the theory's prediction for the iterations, as numbers and as text."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from oed.plants.plant import Plant
+from oed.theory.limit import LimitSpectrum, limit_spectrum
+
+__all__ = ["mimo_prediction", "optimal_loss", "optimal_losses", "siso_prediction"]
+
+CRITERIA = ("c", "D", "A", "E")
+
+
+def optimal_loss(plant: Plant, criterion: str) -> float:
+    """Certified optimal loss of a plant at unit input power.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    criterion : str
+        One of c, D, A and E.
+
+    Returns
+    -------
+    float
+        The certified lower bound of the design; for c it is NaN where the peak is not unique.
+    """
+    from oed.design import solve_design
+    from oed.plants.norms import peak
+
+    if criterion == "c":
+        return float(solve_design(plant, "hinf").bound) if peak(plant).unique else float("nan")
+    return float(solve_design(plant, criterion).bound)
+
+
+def optimal_losses(plant: Plant) -> Any:
+    """Certified optimal losses of a plant for c, D, A and E at unit input power.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+
+    Returns
+    -------
+    oed.theory.efficiency.Losses
+        Of `optimal_loss`.
+    """
+    from oed.theory.efficiency import Losses
+
+    return Losses(**{k: optimal_loss(plant, k) for k in CRITERIA})
+
+
+def _efficiencies(plant: Plant, spectrum: Any) -> dict[str, float]:
+    from oed.information import information_of_spectrum
+    from oed.plants.norms import gain_gradient, peak
+    from oed.theory.efficiency import losses
+
+    top = peak(plant)
+    c = gain_gradient(plant, top) if top.unique else None
+    share = losses(information_of_spectrum(plant, spectrum), c).efficiency(optimal_losses(plant))
+    return {f"{k.lower()}_efficiency": getattr(share, k) for k in CRITERIA}
+
+
+def siso_prediction(plant: Plant, *, experiments: int, samples: int | None) -> tuple[dict[str, Any], str]:
+    """Prediction for Algorithm 1 on a plant with one input and one output.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant with its noise.
+    experiments : int
+        Up to how many experiments together the efficiency is given.
+    samples : int, optional
+        Experiment length for the finite-sample predictions.
+
+    Returns
+    -------
+    tuple
+        The keys of `oed theory --json`, and the text.
+    """
+    from oed.theory.efficiency import peak_gain_efficiency_by_experiments
+
+    limit = limit_spectrum(plant)
+    together = peak_gain_efficiency_by_experiments(plant, experiments)
+    payload: dict[str, Any] = {
+        "plant": plant.name,
+        "noise_variance": plant.noise_variance,
+        "algorithm": "siso",
+        "hinf_norm": limit.peak.value,
+        "peak_frequency": limit.peak.frequency,
+        "peak_curvature": limit.peak.curvature,
+        "mu2": limit.mu2,
+        "mu2_excess": limit.mu2_excess,
+        "beta2_mean": limit.beta2_mean,
+        "spectrum_max": limit.spectrum_max,
+        "spectrum_min": limit.spectrum_min,
+        **_efficiencies(plant, limit.spectrum),
+        "c_efficiency_by_experiments": together,
+        "peak_frequencies": list(limit.peak.frequencies),
+    }
+    if plant.dt != 1:
+        payload["peak_frequency_hz"] = limit.peak.frequency / (2 * np.pi * plant.dt)
+    if samples is not None:
+        from oed.theory.finite import finite_prediction
+
+        payload |= finite_prediction(plant, samples)
+    return payload, _siso_text(plant, limit, payload)
+
+
+def _siso_text(plant: Plant, limit: LimitSpectrum, payload: dict[str, Any]) -> str:
+    gamma = payload["hinf_norm"]
+    together = payload["c_efficiency_by_experiments"]
+    bias = np.sqrt(payload["beta2_mean"]) - gamma if payload["beta2_mean"] > 0 else float("nan")
+    lines = [
+        f"Power iterations (Algorithm 1) on {plant.name}, noise variance {plant.noise_variance:g}",
+        f"  H-infinity norm      {gamma:.12g} at {payload['peak_frequency']:.10g} rad/sample"
+        f" (curvature {payload['peak_curvature']:.6g})",
+        f"  limit of mu^2        {payload['mu2']:.12g} = gamma^2 + {payload['mu2_excess']:.6g}",
+        f"  limit of E beta_2^2  {payload['beta2_mean']:.10g} (beta_2 is biased by {bias:+.4g})",
+        f"  limit spectrum       from {payload['spectrum_min']:.6g} to {payload['spectrum_max']:.6g}",
+        "  efficiency of the limit spectrum against certified optima:",
+        "    " + ", ".join(f"{k} {payload[f'{k.lower()}_efficiency']:.5f}" for k in CRITERIA),
+        "  peak-gain efficiency of the first n experiments together:",
+        "    " + ", ".join(f"n={k + 1}: {together[k]:.4f}" for k in _some(len(together))),
+    ]
+    if "finite_norm" in payload:
+        lines.append(_finite_text(payload))
+    return "\n".join(lines)
+
+
+def _finite_text(payload: dict[str, Any]) -> str:
+    line = f"  at {payload['samples']} samples: finite-time norm {payload['finite_norm']:.9g}"
+    if "finite_mu2" in payload:
+        line += f", mu^2 {payload['finite_mu2']:.7g}, mean squared gain {payload['finite_beta2_mean']:.7g}"
+    if "finite_beta2_mean_random_mu" in payload:
+        line += f" ({payload['finite_beta2_mean_random_mu']:.7g} with the fluctuation of mu)"
+    return line
+
+
+def _some(n: int) -> list[int]:
+    return sorted({k for k in (0, 1, 4, 9, 49, 199, n - 1) if k < n})
+
+
+def mimo_prediction(
+    plant: Plant, algorithm: str, scaling: str, *, experiments: int, samples: int | None
+) -> tuple[dict[str, Any], str]:
+    """Prediction for Procedure 2 or the two-experiment scheme.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant with its noise.
+    algorithm : {"mimo", "two-experiment"}
+        Which.
+    scaling : {"none", "each", "common"}
+        How the second-stage inputs are scaled.
+    experiments : int
+        Up to how many iterations the efficiency is given.
+    samples : int, optional
+        Experiment length for the finite-sample predictions.
+
+    Returns
+    -------
+    tuple
+        The keys of `oed theory --json`, and the text.
+    """
+    from oed.theory.mimo import mimo_limit_spectrum
+
+    limit = mimo_limit_spectrum(plant, scaling=scaling)
+    payload: dict[str, Any] = {
+        "plant": plant.name,
+        "noise_variance": plant.noise_variance,
+        "algorithm": algorithm,
+        "scaling": scaling,
+        "hinf_norm": limit.peak.value,
+        "peak_frequency": limit.peak.frequency,
+        "peak_curvature": limit.peak.curvature,
+        "mu2": limit.mu2,
+        "mu2_excess": limit.mu2_excess,
+        "beta2_mean": limit.gain2_mean,
+        "spectrum_max": limit.spectrum_max,
+        "spectrum_min": limit.spectrum_min,
+        **_efficiencies(plant, limit.spectrum),
+    }
+    text = [
+        f"Procedure 2 on {plant.name}, noise variance {plant.noise_variance:g}, second stage scaled: {scaling}",
+        f"  H-infinity norm      {payload['hinf_norm']:.12g} at {payload['peak_frequency']:.10g} rad/sample",
+        f"  limit of mu^2        {payload['mu2']:.12g} = gamma^4 + {payload['mu2_excess']:.6g}",
+        f"  limit of E gamma_2^2 {payload['beta2_mean']:.10g}",
+        "  efficiency of the limit spectrum against certified optima:",
+        "    " + ", ".join(f"{k} {payload[f'{k.lower()}_efficiency']:.5f}" for k in CRITERIA),
+    ]
+    if samples is not None:
+        from oed.theory.finite_mimo import finite_mimo_prediction
+
+        payload |= finite_mimo_prediction(plant, samples, scaling)
+        text.append(_finite_text(payload))
+    return payload, "\n".join(text)

@@ -1,0 +1,293 @@
+"""From the rows of a campaign to the comparison table: every figure with its Monte-Carlo standard error.
+
+rho = RMSE(gamma^) sqrt(input energy / lambda_e), the yardstick of theory.md section 4: at least 1 for unbiased
+estimators (a local, large-sample bound), whatever the method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.campaign.part import Estimates, Runs
+from benchmarks.campaign.plants import load_plant
+from benchmarks.campaign.processes import spread
+from benchmarks.tables.predictions import CRITERIA, optimal_loss
+from oed.errors import Status
+from oed.plants.norms import gain_gradient, peak
+from oed.plants.plant import Plant
+from oed.theory.efficiency import Losses, losses
+
+__all__ = ["Target", "comparison_rows", "information_rows", "mean_with_error", "targets"]
+
+Row = dict[str, Any]
+
+
+def mean_with_error(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Mean and its standard error.
+
+    Parameters
+    ----------
+    values : ndarray
+        (R,) independent values.
+
+    Returns
+    -------
+    tuple of float
+        NaN where there are too few.
+    """
+    if len(values) < 2:
+        return (float(values[0]) if len(values) else float("nan")), float("nan")
+    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
+
+
+class Target:
+    """What the estimates of one plant at one noise level are compared with.
+
+    Parameters
+    ----------
+    spec : str
+        Plant, as on the command line.
+    noise_variance : float
+        Level.
+    at_unit_noise : Losses
+        The certified optima of the plant as it is loaded.
+    """
+
+    def __init__(self, spec: str, noise_variance: float, at_unit_noise: Losses) -> None:
+        self.plant: Plant = load_plant(spec, noise_variance)
+        self.peak = peak(self.plant)
+        self.gamma = self.peak.value
+        self.c = gain_gradient(self.plant, self.peak) if self.peak.unique else None
+        # The losses are proportional to the noise variance.
+        ratio = self.plant.noise_variance / load_plant(spec).noise_variance
+        self.optimum = Losses(*(getattr(at_unit_noise, k) * ratio for k in CRITERIA))
+
+    @property
+    def channels(self) -> str:
+        """Outputs x inputs, as tables state them."""
+        return f"{self.plant.n_outputs} x {self.plant.n_inputs}"
+
+    def efficiencies(self, information: NDArray[np.float64], energy: float) -> dict[str, float]:
+        """Efficiencies of a total information against the certified optima at the same energy.
+
+        Parameters
+        ----------
+        information : ndarray
+            (n, n) of all experiments.
+        energy : float
+            Of their inputs.
+
+        Returns
+        -------
+        dict
+            c_efficiency, d_efficiency, a_efficiency, e_efficiency.
+        """
+        share = losses(information / energy, self.c).efficiency(self.optimum)
+        return {f"{k.lower()}_efficiency": float(getattr(share, k)) for k in CRITERIA}
+
+    def predicted_rho(self, information: NDArray[np.float64], energy: float) -> float:
+        """Rho of an efficient estimator on these inputs: sqrt(c' I^-1 c energy / lambda_e).
+
+        Parameters
+        ----------
+        information : ndarray
+            (n, n) of all experiments.
+        energy : float
+            Of their inputs.
+
+        Returns
+        -------
+        float
+            At least 1 up to the finite length.
+        """
+        return float(np.sqrt(losses(information, self.c).c * energy / self.plant.noise_variance))
+
+
+@lru_cache(maxsize=128)
+def _optimum(spec_and_criterion: tuple[str, str]) -> float:
+    spec, criterion = spec_and_criterion
+    return optimal_loss(load_plant(spec), criterion)
+
+
+Targets = Mapping[tuple[str, float], Target]
+
+
+def targets(keys: Iterable[tuple[str, float]], jobs: int = 1) -> dict[tuple[str, float], Target]:
+    """Targets of plants at noise levels.
+
+    Parameters
+    ----------
+    keys : iterable of tuple
+        Plant and noise variance.
+    jobs : int
+        Processes for the optima.
+
+    Returns
+    -------
+    dict
+        (plant, noise variance) to Target.
+    """
+    keys = list(dict.fromkeys(keys))
+    specs = list(dict.fromkeys(spec for spec, _ in keys))
+    asked = [(spec, criterion) for spec in specs for criterion in CRITERIA]
+    found = dict(zip(asked, spread(_optimum, asked, jobs), strict=True))
+    at_unit_noise = {spec: Losses(**{k: found[spec, k] for k in CRITERIA}) for spec in specs}
+    return {(spec, variance): Target(spec, variance, at_unit_noise[spec]) for spec, variance in keys}
+
+
+def _budget(target: Target, samples: float, experiments: float, energy: float, amplitude: float) -> Row:
+    """What was spent, as every table states it."""
+    plant = target.plant
+    return {
+        "channels": target.channels,
+        "samples": int(samples),
+        "experiments": int(experiments),
+        "energy": float(energy),
+        "energy_per_input": float(energy) / plant.n_inputs,
+        "peak_amplitude": float(amplitude),
+    }
+
+
+def information_rows(runs: Runs, target: Target) -> list[Row]:
+    """What an input carries: efficiencies after every checkpoint, with jackknife standard errors.
+
+    Parameters
+    ----------
+    runs : Runs
+        One combination.
+    target : Target
+        Of its plant.
+
+    Returns
+    -------
+    list of dict
+        plant, noise_variance, method, the budget, the four efficiencies each with _se, and rho_predicted, the rho of an
+        efficient estimator.
+    """
+    n = len(target.plant.free)
+    marks: dict[int, list[Row]] = {}
+    for row in runs.information:
+        marks.setdefault(row["experiments"], []).append(row)
+    table = []
+    for experiments, group in sorted(marks.items()):
+        sums = np.array([row["information"] for row in group]).reshape(len(group), n, n)
+        counts = np.array([row["count"] for row in group], dtype=float)
+        energy = sum(row["energy"] for row in group) / counts.sum()
+        mean = sums.sum(axis=0) / counts.sum()
+        values = target.efficiencies(mean, energy)
+        blocks = np.array_split(np.arange(len(group)), min(10, len(group)))
+        left_out = [
+            target.efficiencies(
+                np.delete(sums, block, axis=0).sum(axis=0) / np.delete(counts, block).sum(), energy
+            )
+            for block in blocks
+            if len(blocks) > 1
+        ]
+        row: Row = {"plant": runs.plant, "noise_variance": runs.noise_variance, "method": runs.method}
+        amplitude = max(r["peak_amplitude"] for r in group)
+        row |= _budget(target, group[0]["samples"], experiments, energy, amplitude)
+        for key, value in values.items():
+            row[key] = value
+            row[f"{key}_se"] = _jackknife(np.array([other[key] for other in left_out]))
+        row["rho_predicted"] = target.predicted_rho(mean, energy)
+        row["n"] = int(counts.sum())
+        table.append(row)
+    return table
+
+
+def _jackknife(values: NDArray[np.float64]) -> float:
+    m = len(values)
+    if m < 2 or not np.isfinite(values).all():
+        return float("nan")
+    return float(np.sqrt((m - 1) / m * np.sum((values - values.mean()) ** 2)))
+
+
+def comparison_rows(runs: Runs, information: Sequence[Row], target: Target) -> list[Row]:
+    """Rows of the comparison table: bias, RMSE and rho of an input with every estimator.
+
+    Parameters
+    ----------
+    runs : Runs
+        One combination.
+    information : sequence of dict
+        Of `information_rows`, of the same combination.
+    target : Target
+        Of its plant.
+
+    Returns
+    -------
+    list of dict
+        One row per estimator. Failed runs are counted in `n_failed`, named in `failures`, and left out of the averages,
+        which are then averages over the runs that gave a number.
+    """
+    carried = {row["experiments"]: row for row in information}
+    table = []
+    for estimator, found in runs.final.items():
+        errors = found.estimate[found.good] - target.gamma
+        spent = found.spent
+        bias, bias_se = mean_with_error(errors)
+        mse, mse_se = mean_with_error(errors**2)
+        rmse = float(np.sqrt(mse))
+        rmse_se = mse_se / (2 * rmse) if rmse > 0 else float("nan")
+        scale = float(np.sqrt(spent["energy"] / target.plant.noise_variance))
+        row: Row = {
+            "plant": runs.plant,
+            "noise_variance": runs.noise_variance,
+            "method": runs.method,
+            "estimator": estimator,
+            **_budget(target, *spent.values()),
+            "rho": rmse * scale,
+            "rho_se": rmse_se * scale,
+            "rho_predicted": float("nan"),
+            "bias": bias,
+            "bias_se": bias_se,
+            "bias_predicted": float("nan"),
+            "rmse": rmse,
+            "rmse_se": rmse_se,
+        }
+        source = carried.get(row["experiments"], {})
+        for name in ("c_efficiency", "d_efficiency", "a_efficiency", "e_efficiency"):
+            row[name] = source.get(name, float("nan"))
+            row[f"{name}_se"] = source.get(f"{name}_se", float("nan"))
+        if estimator.startswith("pem"):
+            row["rho_predicted"] = source.get("rho_predicted", float("nan"))
+        if estimator in ("gain", "mu") and runs.method == "power":
+            row["bias_predicted"] = _predicted_bias(target, estimator)
+        row |= _coverage(found, target.gamma)
+        failed = {k: n for k, n in found.statuses.items() if not Status[k].ok}
+        row |= {
+            "hinf_norm": target.gamma,
+            "n": len(found),
+            "n_failed": int(np.sum(~found.good)),
+            "failures": ", ".join(f"{n} {k.lower().replace('_', ' ')}" for k, n in failed.items()),
+        }
+        table.append(row)
+    return table
+
+
+def _predicted_bias(target: Target, estimator: str) -> float:
+    """Limit bias of beta_2 or mu ([S] Theorems 9 and 12, exact rather than to second order)."""
+    from oed.theory.limit import limit_spectrum
+
+    limit = limit_spectrum(target.plant)
+    square = limit.beta2_mean if estimator == "gain" else limit.mu2
+    return float(np.sqrt(square) - target.gamma) if square > 0 else float("nan")
+
+
+def _coverage(found: Estimates, gamma: float) -> Row:
+    """Share of 95 % intervals that contain the norm, where the estimator states standard errors."""
+    stated = found.good & np.isfinite(found.standard_error)
+    if not stated.any():
+        return {"coverage": float("nan"), "coverage_se": float("nan")}
+    hit = np.abs(found.estimate[stated] - gamma) <= 1.96 * found.standard_error[stated]
+    # The add-two rule keeps the error positive at shares of 0 and 1.
+    shrunk = (hit.sum() + 2) / (len(hit) + 4)
+    return {
+        "coverage": float(hit.mean()),
+        "coverage_se": float(np.sqrt(shrunk * (1 - shrunk) / (len(hit) + 4))),
+    }

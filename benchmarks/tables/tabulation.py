@@ -1,0 +1,114 @@
+"""From a store to all tables, one combination in memory at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from benchmarks.campaign.part import Estimates, Runs
+from benchmarks.campaign.run import profile_replicates
+from benchmarks.campaign.settings import Settings
+from benchmarks.tables.pairs import holm, paired_rows
+from benchmarks.tables.profiles import Profiles
+from benchmarks.tables.statistics import Target, comparison_rows, information_rows, targets
+
+__all__ = ["Tables", "tabulate"]
+
+Row = dict[str, Any]
+LEAST = 30
+"""Replicates below which a solver is left out of the performance profiles, where others have more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """All tables of a comparison.
+
+    Attributes
+    ----------
+    rows : list of dict
+        The comparison: one row per plant, noise variance, input and estimator.
+    information : list of dict
+        What the inputs carry, by number of experiments.
+    pairs : list of dict
+        Paired differences, with p-values corrected over the whole table.
+    performance, data : list of dict
+        Profiles.
+    known : dict
+        (plant, noise variance) to Target.
+    """
+
+    rows: list[Row]
+    information: list[Row] = field(repr=False)
+    pairs: list[Row] = field(repr=False)
+    performance: list[Row] = field(repr=False)
+    data: list[Row] = field(repr=False)
+    known: dict[tuple[str, float], Target] = field(repr=False)
+
+
+def tabulate(runs: Iterable[Runs], settings: Settings, jobs: int = 1) -> Tables:
+    """Tables of a campaign.
+
+    Parameters
+    ----------
+    runs : iterable of Runs
+        The combinations, those of one plant and noise level together.
+    settings : Settings
+        The campaign.
+    jobs : int
+        Processes for the certified optima.
+
+    Returns
+    -------
+    Tables
+        With every figure's standard error.
+    """
+    known = targets([(p, v) for p in settings.plants for v in settings.noise_variances], jobs)
+    rows: list[Row] = []
+    information: list[Row] = []
+    pairs: list[Row] = []
+    profiles = Profiles()
+    solvers: dict[tuple[str, str], Estimates] = {}
+    scale = {}
+    current: tuple[str, float] | None = None
+
+    def close() -> None:
+        if current is None or not solvers:
+            return
+        gamma = known[current].gamma
+        head = {"plant": current[0], "noise_variance": current[1]}
+        pairs.extend(head | row for row in paired_rows(solvers, gamma, scale[current]))
+        most = max(len(found) for found in solvers.values())
+        profiles.least = min(LEAST, most)
+        profiles.add(solvers, gamma, known[current].channels)
+        solvers.clear()
+
+    for combination in runs:
+        key = combination.plant, combination.noise_variance
+        if key != current:
+            close()
+            current = key
+        target = known[key]
+        carried = information_rows(combination, target)
+        mine = comparison_rows(combination, carried, target)
+        information += carried
+        rows += mine
+        energies = [row["energy"] for row in mine if np.isfinite(row["energy"])]
+        if energies:
+            scale.setdefault(key, max(energies) / target.plant.noise_variance)
+        scale.setdefault(key, float("nan"))
+        for estimator, found in combination.final.items():
+            solvers[combination.method, estimator] = found
+        profiled = profile_replicates(settings, target.plant)
+        whole = [((e, found.spent["experiments"]), found) for e, found in combination.final.items()]
+        for (estimator, experiments), found in [*combination.earlier.items(), *whole]:
+            if profiled and experiments:
+                key = (combination.method, estimator, target.channels, experiments)
+                profiles.add_budget(key, found, target.gamma, profiled)
+    close()
+    for row, corrected in zip(pairs, holm([row["p_value"] for row in pairs]), strict=True):
+        row["p_holm"] = float(corrected)
+        row["differs"] = bool(corrected <= 0.05)
+    return Tables(rows, information, pairs, profiles.performance_rows(), profiles.data_rows(), known)

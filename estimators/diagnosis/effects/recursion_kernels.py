@@ -1,0 +1,240 @@
+"""Compiled twins of the recursive effects: play, rate limit, broken lines, tanks.
+
+CasADi defines the same steps in `estimators.diagnosis.effects.terms`; a test holds the two to 1e-9.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = [
+    "compiled",
+    "hinges",
+    "play",
+    "rate_limited",
+    "rate_limited_mean",
+    "rational",
+    "tank_levels",
+]
+
+
+def compiled(function):
+    """Compile with a cache on disk, or without one where no folder for it can be written.
+
+    Parameters
+    ----------
+    function : callable
+        Of arrays and numbers.
+
+    Returns
+    -------
+    callable
+        The same, compiled at its first call.
+    """
+    try:
+        return njit(cache=True)(function)
+    except RuntimeError:
+        return njit(function)
+
+
+@compiled
+def play(signal, half_width):  # pragma: no cover - compiled
+    """Output of a play (backlash) operator that starts at the middle of its gap.
+
+    Parameters
+    ----------
+    signal : ndarray
+        (N,) the signal.
+    half_width : float
+        Half the gap.
+
+    Returns
+    -------
+    ndarray
+        (N,).
+    """
+    out = np.empty_like(signal)
+    m = 0.0
+    for k in range(signal.shape[0]):
+        v = signal[k]
+        if m < v - half_width:
+            m = v - half_width
+        elif m > v + half_width:
+            m = v + half_width
+        out[k] = m
+    return out
+
+
+@compiled
+def rate_limited_mean(signal, rate):  # pragma: no cover - compiled
+    """Mean over each sample interval of an actuator that follows a held command at a limited rate.
+
+    Parameters
+    ----------
+    signal : ndarray
+        (N,) the signal.
+    rate : float
+        Largest change per sample.
+
+    Returns
+    -------
+    ndarray
+        (N,).
+    """
+    out = np.empty_like(signal)
+    v = 0.0
+    for k in range(signal.shape[0]):
+        gap = signal[k] - v
+        distance = abs(gap)
+        if distance <= rate:
+            # it arrives after distance/rate of the interval and then rests
+            out[k] = signal[k] - 0.5 * gap * distance / rate if rate > 0 else signal[k]
+            v = signal[k]
+        else:
+            move = rate if gap > 0 else -rate
+            out[k] = v + 0.5 * move
+            v += move
+    return out
+
+
+@compiled
+def rate_limited(signal, rate):  # pragma: no cover - compiled
+    """Command that changes by at most `rate` from one sample to the next, and is held between them.
+
+    Parameters
+    ----------
+    signal : ndarray
+        (N,) the signal.
+    rate : float
+        Largest change per sample.
+
+    Returns
+    -------
+    ndarray
+        (N,).
+    """
+    out = np.empty_like(signal)
+    v = 0.0
+    for k in range(signal.shape[0]):
+        v += min(max(signal[k] - v, -rate), rate)
+        out[k] = v
+    return out
+
+
+@compiled
+def rational(u, b, f, delay):  # pragma: no cover - compiled
+    """Sum of B_j/F u_j with B_j = b[j, 0] z^-(1+delay) + ...; infinite once it overflows.
+
+    Parameters
+    ----------
+    u : ndarray
+        (N, nu) inputs.
+    b : ndarray
+        (nu, nb) numerator coefficients.
+    f : ndarray
+        (nf,) denominator coefficients after the leading 1.
+    delay : int
+        Samples of delay beyond the first.
+
+    Returns
+    -------
+    ndarray
+        (N,).
+    """
+    n = u.shape[0]
+    channels = b.shape[0]
+    taps = b.shape[1]
+    order = f.shape[0]
+    y = np.zeros(n)
+    for k in range(n):
+        total = 0.0
+        for j in range(channels):
+            for i in range(taps):
+                at = k - 1 - delay - i
+                if at >= 0:
+                    total += b[j, i] * u[at, j]
+        for i in range(order):
+            if k - 1 - i >= 0:
+                total -= f[i] * y[k - 1 - i]
+        if not abs(total) < 1e100:
+            y[k:] = np.inf
+            return y
+        y[k] = total
+    return y
+
+
+@compiled
+def hinges(x, c):  # pragma: no cover - compiled
+    """x + sum c[2i] max(x - c[2i + 1], 0): a broken line of slope 1 at the far left.
+
+    Parameters
+    ----------
+    x : ndarray
+        (N,) the signal.
+    c : ndarray
+        Slopes and corners in turn.
+
+    Returns
+    -------
+    ndarray
+        (N,).
+    """
+    out = np.empty_like(x)
+    for k in range(x.shape[0]):
+        total = x[k]
+        for i in range(0, c.shape[0], 2):
+            if x[k] > c[i + 1]:
+                total += c[i] * (x[k] - c[i + 1])
+        out[k] = total
+    return out
+
+
+@compiled
+def tank_levels(u, p, x0, steps):  # pragma: no cover - compiled
+    """Levels of two tanks in series with square-root outflow; the first overflows, partly into the second.
+
+    x1' = a u + b - k1 sqrt(x1) - spill, x2' = k2 sqrt(x1) - k3 sqrt(x2) + share spill, with
+    p = (a, b, k1, k2, k3, brim, share); `spill` is whatever would raise the first tank above its brim.
+
+    Parameters
+    ----------
+    u : ndarray
+        (N, nu) inputs.
+    p : ndarray
+        Parameters.
+    x0 : ndarray
+        Initial state.
+    steps : int
+        Integration steps per sample.
+
+    Returns
+    -------
+    ndarray
+        (N, 2) levels.
+    """
+    n = u.shape[0]
+    out = np.empty((n, 2))
+    x1, x2 = x0[0], x0[1]
+    h = 1.0 / steps
+    for k in range(n):
+        out[k, 0] = x1
+        out[k, 1] = x2
+        for _ in range(steps):
+            r1 = np.sqrt(max(x1, 0.0))
+            r2 = np.sqrt(max(x2, 0.0))
+            d1 = p[0] * u[k] + p[1] - p[2] * r1
+            d2 = p[3] * r1 - p[4] * r2
+            y1 = max(x1 + h * d1, 0.0)
+            y2 = max(x2 + h * d2, 0.0)
+            s1 = np.sqrt(y1)
+            s2 = np.sqrt(y2)
+            x1 = x1 + 0.5 * h * (d1 + p[0] * u[k] + p[1] - p[2] * s1)
+            spill = 0.0
+            if x1 > p[5]:
+                spill = x1 - p[5]
+                x1 = p[5]
+            if x1 < 0.0:
+                x1 = 0.0
+            x2 = max(x2 + 0.5 * h * (d2 + p[3] * s1 - p[4] * s2) + p[6] * spill, 0.0)
+    return out

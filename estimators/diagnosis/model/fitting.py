@@ -1,0 +1,395 @@
+"""Fitting a structure to a record: Levenberg-Marquardt on simulation errors, whitened by an AR noise model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.model.derivatives import exact_columns
+from estimators.diagnosis.model.simulation import simulate
+from estimators.diagnosis.model.structure import Structure
+
+__all__ = ["Channel", "Fit", "ar_model", "fit", "innovations", "levenberg_marquardt"]
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One measured output with the inputs that may act on it.
+
+    Attributes
+    ----------
+    u : ndarray
+        (N, nu) inputs.
+    y : ndarray
+        (N,) output.
+    clock : Clock
+        Sample numbers.
+    keep : ndarray
+        (N,) True where the sample counts: not held, not an outlier.
+    step : float
+        Quantisation step, 0 where the output is not coarsely rounded.
+    """
+
+    u: Array
+    y: Array
+    clock: Clock
+    keep: NDArray[np.bool_]
+    step: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted structure.
+
+    Attributes
+    ----------
+    structure : Structure
+        Its form.
+    p : ndarray
+        Parameters.
+    noise : ndarray
+        AR coefficients of the noise, empty for white noise.
+    variance : float
+        Innovation variance.
+    deviance : float
+        n log(variance): minus twice the log-likelihood, up to a constant.
+    residual : ndarray
+        (N,) simulation error, 0 where a sample does not count.
+    n : int
+        Samples that count.
+    jacobian : ndarray
+        (N, size) derivatives of the residual at the solution.
+    scales : ndarray
+        (size,) typical sizes of the parameters.
+    """
+
+    structure: Structure
+    p: Array
+    noise: Array
+    variance: float
+    deviance: float
+    residual: Array
+    n: int
+    jacobian: Array = field(repr=False)
+    scales: Array = field(repr=False)
+
+    @property
+    def size(self) -> int:
+        """Number of fitted parameters, the noise model's included."""
+        return len(self.p) + len(self.noise)
+
+    @property
+    def criterion(self) -> float:
+        """Schwarz's criterion, with the price of the shapes that the search tried."""
+        tries = sum(np.log(part.effect.tries(self.n)) for part in self.structure.effects)
+        return self.deviance + self.size * np.log(self.n) + 2.0 * tries
+
+
+def _innovation(r: Array, noise: Array) -> Array:
+    # np.convolve: what lfilter does for a finite filter, without its cost per call
+    return np.convolve(r, np.concatenate(([1.0], noise)))[: len(r)] if len(noise) else r
+
+
+def innovations(r: Array, noise: Array) -> Array:
+    """One-step-ahead errors A(q) r of a simulation error r.
+
+    Parameters
+    ----------
+    r : ndarray
+        (N,) simulation errors.
+    noise : ndarray
+        AR coefficients without the leading one.
+
+    Returns
+    -------
+    ndarray
+        (N,) one-step errors.
+    """
+    return _innovation(r, noise)
+
+
+def ar_model(r: Array, largest: int = 12) -> tuple[Array, float]:
+    """AR model of a residual by least squares, its order by Schwarz's criterion (0 is white).
+
+    Parameters
+    ----------
+    r : ndarray
+        (N,) residual.
+    largest : int
+        Highest order tried.
+
+    Returns
+    -------
+    tuple
+        Coefficients without the leading one, and n log(variance) of the choice without penalty.
+    """
+    n = len(r)
+    largest = int(min(largest, n // 20))
+    best, best_value, best_deviance = np.zeros(0), np.inf, np.inf
+    past = np.zeros((n, largest + 1))
+    for i in range(largest + 1):
+        past[i:, i] = r[: n - i]
+    gram = past.T @ past
+    for order in range(largest + 1):
+        a = np.zeros(0)
+        rss = float(gram[0, 0])
+        if order:
+            try:
+                a = -np.linalg.solve(gram[1 : order + 1, 1 : order + 1], gram[1 : order + 1, 0])
+            except np.linalg.LinAlgError:
+                break
+            rss += float(gram[0, 1 : order + 1] @ a)
+        deviance = n * np.log(max(rss / n, 1e-300))
+        value = deviance + order * np.log(n) + (np.log(largest) * 2 if order else 0)
+        if value < best_value - 1e-9:
+            best, best_value, best_deviance = a, value, deviance
+    return best, best_deviance
+
+
+def _finite(x: Array) -> bool:
+    """Whether every value is finite: their sum is, which is quicker to ask (infinities that cancel give NaN)."""
+    return math.isfinite(float(np.add.reduce(x)))
+
+
+def levenberg_marquardt(
+    residual: Callable[[Array], Array | None],
+    p: Array,
+    scales: Array,
+    *,
+    iterations: int = 30,
+    tolerance: float = 1e-5,
+    steps: Array | None = None,
+    exact: Callable[[Array], Iterable[tuple[int, Array]]] | None = None,
+) -> tuple[Array, float, Array]:
+    """Minimise the sum of squares of a residual by damped Gauss-Newton steps.
+
+    Parameters
+    ----------
+    residual : callable
+        p -> (N,) or None where p is not admissible.
+    p : ndarray
+        Start.
+    scales : ndarray
+        Typical sizes of the parameters.
+    iterations : int
+        Most Jacobians taken.
+    tolerance : float
+        Relative decrease below which to stop (twice in a row).
+    steps : ndarray, optional
+        Finite-difference steps; by default 1e-6 of the scales. A parameter with step 0 stays where it starts.
+    exact : callable, optional
+        p -> columns of the Jacobian that need no difference, each with its index.
+
+    Returns
+    -------
+    tuple
+        Parameters, sum of squares, Jacobian of the residual.
+    """
+    p = np.array(p, dtype=float)
+    r = residual(p)
+    if r is None or not np.all(np.isfinite(r)):
+        return p, np.inf, np.zeros((0, len(p)))
+    cost = float(r @ r)
+    steps = 1e-6 * scales if steps is None else steps
+    damping, small = 1e-3, 0
+    J = np.zeros((len(r), len(p)))
+    for _ in range(iterations):
+        known = set()
+        for i, column in () if exact is None else exact(p):
+            J[:, i] = column
+            known.add(i)
+        for i in (i for i in np.flatnonzero(steps) if i not in known):
+            for sign in (1.0, -1.0):
+                q = p.copy()
+                q[i] += sign * steps[i]
+                ri = residual(q)
+                if ri is not None and _finite(ri):
+                    J[:, i] = sign * (ri - r) / steps[i]
+                    break
+            else:
+                J[:, i] = 0.0
+        norms = np.sqrt(np.einsum("ij,ij->j", J, J))
+        norms[norms == 0] = 1.0
+        Js = J / norms
+        H, g = Js.T @ Js, Js.T @ r
+        improved = False
+        for _ in range(8):
+            try:
+                delta = -np.linalg.solve(H + damping * np.eye(len(p)), g) / norms
+            except np.linalg.LinAlgError:
+                damping *= 10
+                continue
+            q = p + delta
+            rq = residual(q)
+            if rq is not None and _finite(rq):
+                with np.errstate(over="ignore"):
+                    new = float(rq @ rq)
+                if new < cost:
+                    drop = (cost - new) / cost if cost > 0 else 0.0
+                    p, r, cost = q, rq, new
+                    damping = max(damping * 0.2, 1e-9)
+                    improved = True
+                    break
+            damping *= 6.0
+        if not improved:
+            break
+        small = small + 1 if drop < tolerance else 0
+        if small >= 2 or cost <= 1e-300:
+            break
+    return p, cost, J
+
+
+def _expected(y: Array, simulated: Array, step: float, sigma: float) -> Array:
+    """Expected unrounded output within the rounding interval, given the simulated one (truncated normal)."""
+    from scipy.special import ndtr
+
+    a = (y - step / 2 - simulated) / sigma
+    b = (y + step / 2 - simulated) / sigma
+    mass = ndtr(b) - ndtr(a)
+    density = (np.exp(-0.5 * np.clip(a, -30, 30) ** 2) - np.exp(-0.5 * np.clip(b, -30, 30) ** 2)) / np.sqrt(
+        2 * np.pi
+    )
+    inside = simulated + sigma * density / np.maximum(mass, 1e-12)
+    return np.where(
+        mass > 1e-9,
+        np.clip(inside, y - step / 2, y + step / 2),
+        np.clip(simulated, y - step / 2, y + step / 2),
+    )
+
+
+def _deviance_residual(y: Array, simulated: Array, step: float, sigma: float) -> Array:
+    """Signed residual whose square is -2 log of the probability of the rounding interval."""
+    from scipy.special import ndtr
+
+    gap = y - simulated
+    mass = ndtr((gap + step / 2) / sigma) - ndtr((gap - step / 2) / sigma)
+    far = (np.abs(gap) - step / 2) / sigma  # beyond the tails' precision, their leading term
+    value = np.where(
+        mass > 1e-12, -2.0 * np.log(np.maximum(mass, 1e-12)), 55.3 + np.maximum(far**2 - 47.0, 0.0)
+    )
+    return np.sign(gap) * np.sqrt(np.maximum(value, 0.0))
+
+
+def _rounded_deviance(y: Array, simulated: Array, step: float, sigma: float) -> tuple[float, float]:
+    """-2 log-likelihood of rounded samples, on the scale of n log(variance), the noise level maximised over."""
+    from scipy.special import ndtr
+
+    best, best_sigma = np.inf, sigma
+    for factor in (0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0):
+        s = sigma * factor
+        mass = ndtr((y + step / 2 - simulated) / s) - ndtr((y - step / 2 - simulated) / s)
+        value = -2.0 * float(np.sum(np.log(np.maximum(mass, 1e-40))))
+        if value < best:
+            best, best_sigma = value, s
+    n = len(y)
+    return best + n * (2.0 * np.log(step) - 1.0 - np.log(2 * np.pi)), best_sigma**2
+
+
+def fit(
+    channel: Channel,
+    structure: Structure,
+    p: Array,
+    scales: Array,
+    *,
+    noise: Array | None = None,
+    iterations: int = 30,
+    colour: bool = True,
+) -> Fit:
+    """Fit a structure to a channel from a start.
+
+    Parameters
+    ----------
+    channel : Channel
+        Data.
+    structure : Structure
+        Form.
+    p, scales : ndarray
+        Start and typical sizes.
+    noise : ndarray, optional
+        AR coefficients by which the simulation error is whitened.
+    iterations : int
+        Most Gauss-Newton steps.
+    colour : bool
+        Whether the noise model is chosen again from the residual at the end.
+
+    Returns
+    -------
+    Fit
+        The fit; its deviance is infinite where no admissible point was found.
+    """
+    shape = np.zeros(0) if noise is None else noise
+    noise = shape
+    keep = channel.keep
+    sigma = [np.inf]
+
+    def errors(q: Array) -> Array | None:
+        y = simulate(structure, q, channel.u, channel.clock)
+        if not _finite(y):
+            return None
+        target = channel.y
+        if channel.step > 0 and np.isfinite(sigma[0]):
+            target = _expected(target, y, channel.step, sigma[0])
+        return _innovation(np.where(keep, target - y, 0.0), shape)
+
+    def exact(q: Array) -> Iterator[tuple[int, Array]]:
+        for i, d in exact_columns(structure, q, channel.u, channel.clock):
+            if scales[i] != 0.0:
+                yield i, -_innovation(np.where(keep, d, 0.0), shape)
+
+    steps = 1e-6 * scales
+    for part, sl in zip(structure.parts, structure.slices(), strict=True):
+        for i, unit in enumerate(part.effect.units[: sl.stop - sl.start]):
+            if unit == "sample" and part.effect.per_sample:
+                steps[sl.start + i] = 0.25
+    n = int(keep.sum())
+    if channel.step > 0:
+        p, cost, J = levenberg_marquardt(errors, p, scales, iterations=iterations, steps=steps)
+        if np.isfinite(cost):
+            sigma[0] = max(float(np.sqrt(cost / n)), channel.step / 30)
+
+            def likelihood(q: Array) -> Array | None:
+                y = simulate(structure, q, channel.u, channel.clock)
+                if not np.all(np.isfinite(y)):
+                    return None
+                return np.where(keep, _deviance_residual(channel.y, y, channel.step, sigma[0]), 0.0)
+
+            for _ in range(3):
+                p, _, J = levenberg_marquardt(
+                    likelihood, p, scales, iterations=max(5, iterations // 3), steps=steps
+                )
+                simulated = simulate(structure, p, channel.u, channel.clock)
+                _, variance = _rounded_deviance(channel.y[keep], simulated[keep], channel.step, sigma[0])
+                sigma[0] = max(float(np.sqrt(variance)), channel.step / 200)
+    else:
+        p, cost, J = levenberg_marquardt(errors, p, scales, iterations=iterations, steps=steps, exact=exact)
+    if not np.isfinite(cost):
+        empty = np.zeros((0, len(p)))
+        return Fit(structure, p, noise, np.inf, np.inf, np.full(len(channel), np.inf), n, empty, scales)
+    simulated = simulate(structure, p, channel.u, channel.clock)
+    target = channel.y if channel.step == 0 else _expected(channel.y, simulated, channel.step, sigma[0])
+    r = np.where(keep, target - simulated, 0.0)
+    variance = float(np.sum(_innovation(r, noise) ** 2) / n)
+    deviance = n * np.log(max(variance, 1e-300))
+    if channel.step > 0:
+        r = np.where(keep, channel.y - simulated, 0.0)
+        deviance, variance = _rounded_deviance(channel.y[keep], simulated[keep], channel.step, sigma[0])
+    if colour and channel.step == 0:
+        again, _ = ar_model(r)
+        v = float(np.sum(_innovation(r, again) ** 2) / n)
+        if n * np.log(max(v, 1e-300)) + len(again) * np.log(n) < deviance + len(noise) * np.log(n):
+            if not len(noise) and J.size:
+                J = np.asarray(lfilter(np.concatenate(([1.0], again)), [1.0], J, axis=0))
+            noise, variance, deviance = again, v, n * np.log(max(v, 1e-300))
+    return Fit(structure, p, noise, variance, deviance, r, n, J, scales)

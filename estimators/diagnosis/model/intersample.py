@@ -1,0 +1,73 @@
+"""The output of a sampled linear model between its samples, the input held: what a play at the output follows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.recursion_kernels import rational
+
+__all__ = ["between_samples"]
+
+Array = NDArray[Any]
+
+
+def between_samples(U: Array, b: Array, f: Array, delay: int, by: int) -> Array | None:
+    """Values of B/F u at `by` equal steps per sample, exact for an input that is held over each interval.
+
+    Parameters
+    ----------
+    U : ndarray
+        (N, nu) inputs.
+    b : ndarray
+        (nu, taps) numerators.
+    f : ndarray
+        (n,) common denominator after the leading 1, stable.
+    delay : int
+        Whole samples of delay beyond the first.
+    by : int
+        Values per sample.
+
+    Returns
+    -------
+    ndarray or None
+        (N, by), the first column at the samples. None where no continuous-time system has this sampled model
+        (a pole that is zero or negative, more taps than poles) or where its modes are too close to part.
+
+    Notes
+    -----
+    With x(k+1) = A x(k) + e u(k) in companion form, x(k+s) = A^s x(k) + (A^s - I)(A - I)^-1 e u(k), 0 <= s < 1.
+    """
+    n, taps = len(f), b.shape[1]
+    if taps > n or n == 0:
+        return None
+    A = np.zeros((n, n))
+    A[0] = -f
+    A[np.arange(1, n), np.arange(n - 1)] = 1.0
+    poles, V = np.linalg.eig(A)
+    if np.any((np.abs(poles) < 1e-6) | ((np.abs(np.imag(poles)) < 1e-9) & (np.real(poles) <= 0))):
+        return None
+    try:
+        inverse = np.linalg.inv(V)
+        if np.abs(inverse).max() > 1e8:  # the columns of V have length 1
+            return None
+        e = np.zeros(n)
+        e[0] = 1.0
+        settled = np.linalg.solve(A - np.eye(n), e)
+    except np.linalg.LinAlgError:
+        return None
+    steps = np.arange(by) / by
+    powers = np.real((V * (poles.astype(complex)[None, :] ** steps[:, None])[:, None, :]) @ inverse)
+    out = np.zeros((len(U), by))
+    for j in range(U.shape[1]):
+        u = U[:, j]
+        if delay:
+            u = np.concatenate((np.zeros(delay), u[: len(u) - delay]))
+        w = rational(np.ascontiguousarray(u[:, None]), np.ones((1, 1)), f, 0)
+        X = np.stack([np.concatenate((np.zeros(i), w[: len(w) - i])) for i in range(n)], axis=1)
+        c = np.concatenate((b[j], np.zeros(n - taps)))
+        rows = c @ powers
+        out += X @ rows.T + u[:, None] * (rows @ settled - c @ settled)
+    return out if np.all(np.isfinite(out)) else None

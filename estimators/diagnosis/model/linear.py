@@ -1,0 +1,307 @@
+"""The linear model: output-error fits from several starts, and its translation into physical layouts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from estimators.diagnosis.model.fitting import Channel, Fit, fit
+from estimators.diagnosis.model.layouts import COEFFICIENTS, LAYOUTS, states
+from estimators.diagnosis.model.simulation import free_responses, simulate, stable_polynomial
+from estimators.diagnosis.model.structure import Structure
+
+__all__ = ["fit_linear", "layout_starts", "numerators", "plant_scales", "prefiltered_error"]
+
+Array = NDArray[Any]
+
+
+def plant_scales(s: Structure, p: Array) -> Array:
+    """Typical sizes of the linear part's parameters, for finite differences.
+
+    Parameters
+    ----------
+    s : Structure
+        The structure.
+    p : ndarray
+        Parameters.
+
+    Returns
+    -------
+    ndarray
+        One size per parameter.
+    """
+    scale = np.ones(s.plant_size)
+    head = s.order if s.layout == "tf" else LAYOUTS[s.layout][1]
+    b = np.abs(p[head : s.plant_size])
+    scale[head:] = np.maximum(b, 0.1 * (b.max(initial=0.0) or 1.0))
+    return scale
+
+
+def _late(x: Array, lags: range) -> list[Array]:
+    """A signal that is zero before it starts, at each of the lags."""
+    return [np.concatenate((np.zeros(i), x[: len(x) - i])) for i in lags]
+
+
+def _lagged(y: Array, U: Array, n: int, taps: int, delay: int) -> Array:
+    """Regressors of an equation error: -y at lags 1 to n, then each input at its lags."""
+    columns = _late(-y, range(1, n + 1))
+    for x in U.T:
+        columns += _late(x, range(1 + delay, taps + delay + 1))
+    return np.stack(columns, axis=1)
+
+
+def _regression(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> Array:
+    X = _lagged(y, U, n, taps, delay)
+    rows = keep.copy()
+    rows[:n] = False
+    return np.linalg.lstsq(X[rows], y[rows], rcond=None)[0]
+
+
+def prefiltered_error(y: Array, U: Array, den: Array, s: Structure, rows: NDArray[np.bool_]) -> float:
+    """Sum of squares of one Steiglitz-McBride step: equation error, prefiltered by a given denominator.
+
+    Parameters
+    ----------
+    y : ndarray
+        (N,) output.
+    U : ndarray
+        (N, nu) inputs.
+    den : ndarray
+        Denominator with its leading 1.
+    s : Structure
+        Order, taps and delay.
+    rows : ndarray of bool
+        (N,) samples that count.
+
+    Returns
+    -------
+    float
+        The smallest sum of squares.
+    """
+    v = np.asarray(lfilter([1.0], den, y))
+    W = np.asarray(lfilter([1.0], den, U, axis=0))
+    X = _lagged(v, W, s.order, s.taps, s.delay)[rows]
+    rest = v[rows] - X @ np.linalg.lstsq(X, v[rows], rcond=None)[0]
+    return float(rest @ rest)
+
+
+def _reflected(f: Array) -> Array:
+    """The polynomial with its unstable roots moved inside the circle."""
+    roots = np.roots(np.concatenate(([1.0], f)))
+    size = np.abs(roots)
+    roots = np.where(
+        size >= 0.998, roots / np.maximum(size, 1e-9) * np.minimum(0.995, 1 / np.maximum(size, 1e-9)), roots
+    )
+    return np.real(np.poly(roots))[1:]
+
+
+def numerators(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Array) -> Array:
+    """Numerators by least squares for a given denominator.
+
+    Parameters
+    ----------
+    y : ndarray
+        (N,) output.
+    U : ndarray
+        (N, nu) inputs.
+    f : ndarray
+        Denominator coefficients after the leading 1.
+    taps, delay : int
+        Coefficients per input, and samples of delay beyond the first.
+    keep : ndarray of bool
+        (N,) samples that count.
+
+    Returns
+    -------
+    ndarray
+        (nu * taps,).
+    """
+    X = _lagged(y, np.asarray(lfilter([1.0], np.concatenate(([1.0], f)), U, axis=0)), 0, taps, delay)
+    return np.linalg.lstsq(X[keep], y[keep], rcond=None)[0]
+
+
+def _starts(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> list[Array]:
+    """Denominators to start from: ARX, Steiglitz-McBride passes, and reduced high-order models."""
+    out = []
+    theta = _regression(y, U, n, taps, delay, keep)
+    out.append(theta[:n])
+    f = _reflected(theta[:n])
+    for _ in range(8):
+        den = np.concatenate(([1.0], f))
+        theta = _regression(
+            np.asarray(lfilter([1.0], den, y)),
+            np.asarray(lfilter([1.0], den, U, axis=0)),
+            n,
+            taps,
+            delay,
+            keep,
+        )
+        f = _reflected(theta[:n])
+        out.append(f)
+    out = [out[0], out[2], out[-1]]
+    high = min(max(3 * n, 12), len(y) // 20)
+    theta = _regression(y, U, high, high, delay, keep)
+    impulse = np.zeros(81)
+    impulse[0] = 1.0
+    f_high = _reflected(theta[:high])
+    g = lfilter(np.concatenate(([0.0], theta[high : 2 * high])), np.concatenate(([1.0], f_high)), impulse)[1:]
+    rows = len(g) // 2
+    H = np.lib.stride_tricks.sliding_window_view(g, rows)[:rows].copy()
+    try:
+        left, sv, _ = np.linalg.svd(H[:, : rows - 1])
+        O = left[:, :n] * np.sqrt(sv[:n])
+        A = np.linalg.lstsq(O[:-1], O[1:], rcond=None)[0]
+        out.append(np.real(np.poly(np.linalg.eigvals(A)))[1:])
+    except np.linalg.LinAlgError:
+        pass
+    return out
+
+
+def fit_linear(
+    channel: Channel,
+    s: Structure,
+    *,
+    noise: Array | None = None,
+    extra: list[Array] | None = None,
+    rough: bool = False,
+) -> Fit:
+    """Output-error fit of the linear model from several starts.
+
+    Parameters
+    ----------
+    channel : Channel
+        Data.
+    s : Structure
+        Linear structure in layout "tf", perhaps with an offset and an initial state.
+    noise : ndarray, optional
+        AR coefficients for whitening.
+    extra : list of ndarray, optional
+        Further denominators to start from.
+    rough : bool
+        For comparing errors by a quarter only: a few steps from the best start, and no noise model.
+
+    Returns
+    -------
+    Fit
+        The best of the fits.
+    """
+    y, U = channel.y, channel.u[:, list(s.inputs)]
+    centred = y - np.mean(y[channel.keep]) if any(p.key == "offset" for p in s.parts) else y
+    fits = []
+    for f in _starts(centred, U, s.order, s.taps, s.delay, channel.keep) + list(extra or []):
+        f = _reflected(f)
+        if not stable_polynomial(f):
+            continue
+        b = numerators(centred, U, f, s.taps, s.delay, channel.keep)
+        p = np.concatenate((f, b, np.zeros(s.size - s.plant_size)))
+        for part, sl in zip(s.parts, s.slices(), strict=True):
+            if part.key == "offset":
+                p[sl] = np.mean(y[channel.keep])
+        scales = np.concatenate((plant_scales(s, p), np.full(s.size - s.plant_size, np.std(y) + 1e-300)))
+        fits.append(fit(channel, s, p, scales, noise=noise, iterations=4, colour=False))
+    fits.sort(key=lambda x: x.deviance)
+    if rough:
+        return fit(channel, s, fits[0].p, fits[0].scales, noise=noise, iterations=10, colour=False)
+    distinct = [fits[0]]
+    for other in fits[1:]:
+        if other.deviance > distinct[-1].deviance + 0.5 and len(distinct) < 2:
+            distinct.append(other)
+    final = [fit(channel, s, x.p, x.scales, noise=noise, iterations=40) for x in distinct]
+    return min(final, key=lambda x: x.deviance)
+
+
+def _rates(f: Array) -> tuple[list[float], list[tuple[float, float]]]:
+    """Real rates and (a0, a1) of complex pairs, in continuous time per sample."""
+    poles = np.roots(np.concatenate(([1.0], f))).astype(complex)
+    real, pairs = [], []
+    for z in poles:
+        if abs(z.imag) < 1e-9:
+            x = z.real if z.real > 0.02 else 0.05
+            real.append(float(-np.log(min(x, 0.99999))))
+        elif z.imag > 0:
+            s = np.log(z)
+            pairs.append((float(abs(s) ** 2), float(-2 * s.real)))
+    return sorted(real), pairs
+
+
+def layout_starts(channel: Channel, base: Fit) -> list[tuple[Structure, Array, Array]]:
+    """The linear fit in each physical layout of its order, output map by least squares.
+
+    Parameters
+    ----------
+    channel : Channel
+        Data.
+    base : Fit
+        The linear fit in layout "tf".
+
+    Returns
+    -------
+    list of tuple
+        Structure, parameters and scales of each layout.
+    """
+    s = base.structure
+    real, pairs = _rates(base.p[: s.order])
+    options: list[tuple[str, list[float]]] = []
+
+    def pair_of(a: float, b: float) -> tuple[float, float]:
+        return a * b, a + b
+
+    if s.order == 1:
+        options.append(("first", [real[0]]))
+    elif s.order == 2:
+        if not pairs and real[0] < 0.03:
+            options.append(("integrator", [real[1]]))
+        if pairs and pairs[0][0] < 1e-3:
+            options.append(("integrator", [pairs[0][1]]))
+        if pairs:
+            a0, a1 = pairs[0]
+            options.append(("oscillator", [a0, a1]))
+            w = np.sqrt(a0)
+            options += [("cascade", [w, 1.2 * w]), ("chain", [w, 1.2 * w])]
+        else:
+            a, b = real
+            options += [("oscillator", list(pair_of(a, b))), ("cascade", [a, b]), ("cascade", [b, a])]
+            options += [("chain", [a, b]), ("chain", [b, a])]
+    elif s.order == 3:
+        if pairs:
+            options += [("driven", [*pairs[0], real[0]]), ("sensed", [*pairs[0], real[0]])]
+        else:
+            a, b, c = real
+            options += [("driven", [*pair_of(a, b), c]), ("sensed", [*pair_of(a, b), c])]
+    elif s.order == 4:
+        both = list(pairs)
+        while len(both) < 2 and len(real) >= 2:
+            both.append(pair_of(real.pop(0), real.pop(0)))
+        if len(both) == 2:
+            options += [("modes", [*both[0], *both[1]]), ("modes", [*both[1], *both[0]])]
+    out = []
+    linear = simulate(s, base.p, channel.u, channel.clock)
+    free = simulate(replace(s, parts=()), base.p[: s.plant_size], channel.u, channel.clock)
+    for layout, rates in options:
+        r = np.log(np.maximum(rates, 1e-6))
+        c = np.zeros(COEFFICIENTS)
+        u = channel.u[:, s.inputs[0]]
+        if s.delay:
+            u = np.concatenate((np.zeros(s.delay), u[: -s.delay]))
+        X = states(layout, r, u, c)
+        if not np.all(np.isfinite(X)):
+            continue
+        target = channel.y - (linear - free)
+        C = np.linalg.lstsq(X[channel.keep], target[channel.keep], rcond=None)[0]
+        new = replace(s, layout=layout)
+        p = np.concatenate((r, C, base.p[s.plant_size :]))
+        scales = np.concatenate(
+            (np.ones(len(r)), np.full(len(C), np.abs(C).max() + 1e-300), base.scales[s.plant_size :])
+        )
+        for part, sl in zip(new.parts, new.slices(), strict=True):
+            if part.key == "initial":  # the same free response, as a state of the layout
+                old = s.slices()[new.parts.index(part)]
+                wanted = free_responses(s, base.p, len(channel)) @ base.p[old]
+                p[sl] = np.linalg.lstsq(free_responses(new, p, len(channel)), wanted, rcond=None)[0]
+                scales[sl] = np.abs(p[sl]) + 0.1 * np.abs(p[sl]).max() + 1e-300
+        out.append((new, p, scales))
+    return out

@@ -1,0 +1,180 @@
+"""How many samples an input needs to decide between two models, by Monte Carlo with standard errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.model.fitting import Fit, levenberg_marquardt
+from estimators.diagnosis.model.simulation import simulate
+from estimators.diagnosis.next_experiment.discrimination import Discrimination, discriminate
+from estimators.diagnosis.report import Diagnosis
+from oed.errors import InputError
+
+__all__ = ["Decision", "decision_samples", "next_experiment"]
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """Right decisions by the length of the experiment.
+
+    Attributes
+    ----------
+    lengths : ndarray
+        (K,) samples of the experiment.
+    rates : ndarray
+        (K,) share of right decisions.
+    standard_errors : ndarray
+        (K,) of the shares, binomial.
+    samples : float
+        Length at which the share first reaches the wanted one, interpolated; infinite where it does not.
+    samples_error : float
+        Its standard error, by a bootstrap over the replicates; NaN where that is infinite.
+    """
+
+    lengths: Array
+    rates: Array
+    standard_errors: Array
+    samples: float
+    samples_error: float
+
+    def __str__(self) -> str:
+        return f"{self.samples:.0f} +- {self.samples_error:.0f} samples"
+
+
+def _crossing(lengths: Array, rates: Array, wanted: float) -> float:
+    """Length at which the running maximum of the rates passes `wanted`, from half right at length 0."""
+    x = np.concatenate(([0.0], lengths))
+    y = np.maximum.accumulate(np.concatenate(([0.5], rates)))
+    above = np.flatnonzero(y >= wanted)
+    if not len(above):
+        return float("inf")
+    k = int(above[0])
+    return float(x[k - 1] + (x[k] - x[k - 1]) * (wanted - y[k - 1]) / max(y[k] - y[k - 1], 1e-12))
+
+
+def decision_samples(
+    a: Fit,
+    b: Fit,
+    u: Array,
+    *,
+    lengths: tuple[int, ...],
+    noise: float,
+    replicates: int,
+    rng: np.random.Generator,
+    wanted: float = 0.9,
+) -> Decision:
+    """Samples of an input that decide between two models with a wanted probability.
+
+    Parameters
+    ----------
+    a, b : Fit
+        Models of the same single-input record; each is the truth in half of the replicates.
+    u : ndarray
+        (N,) input, at least as long as the longest length: its first samples are used.
+    lengths : tuple of int
+        Lengths tried, increasing.
+    noise : float
+        Standard deviation of the new experiment's white noise, output units.
+    replicates : int
+        Experiments per length.
+    rng : numpy.random.Generator
+        For the noise.
+    wanted : float
+        Probability of the right decision.
+
+    Returns
+    -------
+    Decision
+        Shares and the length needed.
+
+    Raises
+    ------
+    InputError
+        If the input is shorter than the longest length, or a number is out of range.
+
+    Notes
+    -----
+    Both models are fitted again to the old record and the new experiment together (Gauss-Newton steps on the
+    new errors, the old record's information as a prior): the one with the smaller cost is decided for.
+    """
+    if len(u) < max(lengths) or list(lengths) != sorted(lengths):
+        raise InputError(f"the input has {len(u)} samples and the lengths are {lengths}; give them in increasing "
+                         "order, none above the length of the input.")  # fmt: skip
+    if replicates < 2 or not noise > 0 or not 0.5 < wanted < 1:
+        raise InputError(
+            f"replicates {replicates}, noise {noise} and wanted {wanted} must be at least 2, positive, and between 0.5 and 1."
+        )
+    right = np.zeros((len(lengths), replicates), dtype=bool)
+    for r in range(replicates):
+        truth = (a, b)[r % 2]
+        clock = Clock(np.arange(float(len(u))), len(u))
+        clean = simulate(truth.structure, truth.p, u[:, None], clock, rest=True)
+        y = clean + noise * rng.standard_normal(len(u))
+        for i, n in enumerate(lengths):
+            costs = [_cost(f, u[:n], y[:n], noise) for f in (a, b)]
+            right[i, r] = (costs[0] < costs[1]) == (r % 2 == 0)
+    rates = right.mean(axis=1)
+    x = np.array(lengths, dtype=float)
+    draws = rng.integers(0, replicates, (200, replicates))
+    again = np.array([_crossing(x, right[:, rows].mean(axis=1), wanted) for rows in draws])
+    value = _crossing(x, rates, wanted)
+    error = float(np.std(again[np.isfinite(again)])) if np.isfinite(value) else float("nan")
+    return Decision(x, rates, np.sqrt(rates * (1 - rates) / replicates), value, error)
+
+
+def _cost(f: Fit, u: Array, y: Array, noise: float) -> float:
+    """Smallest |new errors|^2/noise^2 + |J_old (p - p_old)|^2/s_old^2 over the parameters, by Gauss-Newton."""
+    n = len(u)
+    clock = Clock(np.arange(float(n)), n)
+    prior = f.jacobian / np.sqrt(f.variance)
+    steps = 1e-5 * f.scales
+
+    def errors(p: Array) -> Array | None:
+        out = simulate(f.structure, p, u[:, None], clock, rest=True)
+        return (
+            None if not np.all(np.isfinite(out)) else np.concatenate(((out - y) / noise, prior @ (p - f.p)))
+        )
+
+    _, cost, _ = levenberg_marquardt(errors, f.p, f.scales, iterations=4, steps=steps)
+    return cost
+
+
+def next_experiment(
+    result: Diagnosis, *, length: int, rng: np.random.Generator, amplitude: float | None = None
+) -> tuple[tuple[str, str], Discrimination] | None:
+    """The experiment that separates the first cause from the one that the record cannot tell it from.
+
+    Parameters
+    ----------
+    result : Diagnosis
+        What `diagnose` returned.
+    length : int
+        Samples of the new experiment.
+    rng : numpy.random.Generator
+        For the search.
+    amplitude : float, optional
+        Largest |u|; by default that of the training record.
+
+    Returns
+    -------
+    tuple or None
+        The two causes and the designed input; None where nothing is confusable, or where the model has several
+        inputs or was fitted to a thinned record.
+    """
+    train = result.extra["train"]
+    if not result.confusable or train.n_inputs != 1:
+        return None
+    for out in result.extra["outputs"]:
+        fits = {claim.label: claim.fit for claim in reversed(out.attribution.claims)}
+        if out.thin == 1 and result.effect in fits and result.confusable[0] in fits:
+            limit = float(np.max(np.abs(train.u))) if amplitude is None else amplitude
+            pair = (result.effect, result.confusable[0])
+            return pair, discriminate(fits[pair[0]], fits[pair[1]], length=length, amplitude=limit, rng=rng)
+    return None

@@ -1,0 +1,202 @@
+"""The model error on the rig: power iterations on the difference of model and rig, before and after an effect is added."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.model.fitting import Fit
+from estimators.diagnosis.model.simulation import simulate
+from estimators.diagnosis.report import Diagnosis
+from estimators.norm.gains import gain
+from estimators.rules.limits import Limits
+from estimators.rules.power import power_iterations
+from estimators.rules.procedure2 import procedure_2
+from estimators.rules.trace import Trace, run
+from oed.errors import InputError
+from oed.experiments import Experiment
+
+__all__ = ["ModelErrorGain", "error_experiment", "linear_models", "model_error_gain", "models_of"]
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class ModelErrorGain:
+    """Gain of the model error P_model - P_rig, and where it is reached.
+
+    Attributes
+    ----------
+    gamma : float
+        Estimate of its norm at the input power used, outputs per input.
+    standard_error : float
+        From the scatter of the iterations after the first half.
+    frequency : float
+        Of the last input, rad/sample.
+    direction : ndarray
+        (nu,) complex unit vector, the last input at that frequency.
+    trace : Trace
+        All that was measured.
+    """
+
+    gamma: float
+    standard_error: float
+    frequency: float
+    direction: Array
+    trace: Trace
+
+    def __str__(self) -> str:
+        return f"gamma {self.gamma:.4g} +- {self.standard_error:.2g} at {self.frequency:.4g} rad/sample"
+
+
+def _models(fits: list[Fit]) -> Callable[[Array], Array]:
+    def apply(u: Array) -> Array:
+        clock = Clock(np.arange(len(u), dtype=float), max(len(u), len(fits[0].residual)))
+        return np.stack([simulate(f.structure, f.p, u, clock, rest=True) for f in fits], axis=1)
+
+    return apply
+
+
+def models_of(result: Diagnosis) -> Callable[[Array], Array]:
+    """The augmented model of a diagnosis as a function u -> y, from rest and without noise.
+
+    Parameters
+    ----------
+    result : Diagnosis
+        What `diagnose` returned for a record that was not thinned.
+
+    Returns
+    -------
+    callable
+        (N, nu) -> (N, ny).
+
+    Raises
+    ------
+    InputError
+        If the model was fitted to a thinned record.
+    """
+    if any(
+        out.thin_of(f) != 1 for out, f in zip(result.extra["outputs"], result.extra["finals"], strict=True)
+    ):
+        raise InputError(
+            "the model was fitted to a thinned record; resample the rig to its sampling time first."
+        )
+    return _models(result.extra["finals"])
+
+
+def linear_models(result: Diagnosis) -> Callable[[Array], Array]:
+    """The linear model before anything was added, as a function u -> y.
+
+    Parameters
+    ----------
+    result : Diagnosis
+        What `diagnose` returned for a record that was not thinned.
+
+    Returns
+    -------
+    callable
+        (N, nu) -> (N, ny).
+
+    Raises
+    ------
+    InputError
+        If the model was fitted to a thinned record.
+    """
+    if any(out.thin != 1 for out in result.extra["outputs"]):
+        raise InputError(
+            "the model was fitted to a thinned record; resample the rig to its sampling time first."
+        )
+    return _models([out.naive for out in result.extra["outputs"]])
+
+
+def error_experiment(rig: Experiment, model: Callable[[Array], Array]) -> Experiment:
+    """The rig with the model in parallel: u -> P_model u - P_rig u, [M] Section V.
+
+    Parameters
+    ----------
+    rig : Experiment
+        The system; its limits and its count of experiments stay in force.
+    model : callable
+        (N, nu) -> (N, ny), from rest.
+
+    Returns
+    -------
+    Experiment
+        The model error as a system of its own.
+    """
+    return Experiment(
+        lambda u: model(u) - rig(u), rig.n_inputs, rig.n_outputs, dt=rig.dt, amplitude=rig.amplitude
+    )
+
+
+def model_error_gain(
+    rig: Experiment,
+    model: Callable[[Array], Array],
+    *,
+    samples: int,
+    iterations: int,
+    rng: np.random.Generator,
+    power: float = 1.0,
+    amplitude: float | None = None,
+) -> ModelErrorGain:
+    """Norm of the model error by power iterations on the rig itself.
+
+    Parameters
+    ----------
+    rig : Experiment
+        The system.
+    model : callable
+        (N, nu) -> (N, ny), from rest: `linear_models(result)` or `models_of(result)`.
+    samples : int
+        Length of every experiment.
+    iterations : int
+        Iterations; Procedure 2 needs 1 + nu ny experiments for each.
+    rng : numpy.random.Generator
+        For the first input.
+    power : float
+        Input power: the model error of a nonlinear rig depends on it.
+    amplitude : float, optional
+        Largest absolute input.
+
+    Returns
+    -------
+    ModelErrorGain
+        Gain, frequency, direction.
+
+    Raises
+    ------
+    InputError
+        If fewer than 4 iterations are asked for.
+
+    Notes
+    -----
+    [M] Section V with the estimator (12), [S] (7) for one channel. The mean of the squares is unbiased by the
+    noise; where it is negative the model error is below what these experiments can see, and gamma is 0.
+    """
+    if iterations < 4:
+        raise InputError(f"iterations is {iterations}; the gain and its scatter need at least 4.")
+    error = error_experiment(rig, model)
+    limits = Limits(power=power, amplitude=amplitude)
+    one = (rig.n_inputs, rig.n_outputs) == (1, 1)
+    rule = partial(power_iterations if one else procedure_2, limits=limits)
+    count = iterations if one else iterations * (1 + rig.n_inputs * rig.n_outputs)
+    trace = run(rule, error, samples=samples, experiments=count, rng=rng)
+    squares = gain(trace).squares
+    late = squares[len(squares) // 2 :]
+    late = late[np.isfinite(late)]
+    mean = float(np.mean(late)) if late.size else 0.0
+    spread = float(np.std(late, ddof=1) / np.sqrt(late.size)) if late.size > 1 else float("nan")
+    gamma = float(np.sqrt(max(mean, 0.0)))
+    u = trace.records[trace.iterations[-1]][0].u
+    spectrum = np.fft.rfft(u, axis=0)
+    k = int(np.argmax(np.sum(np.abs(spectrum) ** 2, axis=1)))
+    direction = spectrum[k] / (np.linalg.norm(spectrum[k]) + 1e-300)
+    # the derivative of the root; where gamma is near 0 the root of the spread itself bounds it
+    se = min(spread / (2 * gamma), float(np.sqrt(spread))) if gamma > 0 else float(np.sqrt(spread))
+    return ModelErrorGain(gamma, se, 2 * np.pi * k / len(u), direction, trace)

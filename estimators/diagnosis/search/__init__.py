@@ -1,0 +1,1 @@
+"""The search for what the linear model lacks: candidates fitted, selected, exchanged."""

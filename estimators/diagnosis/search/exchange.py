@@ -1,0 +1,146 @@
+"""The backward step of a selection: each effect of the model taken out or exchanged once, the others kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
+from estimators.diagnosis.model.simulation import simulate
+from estimators.diagnosis.search.candidates import augmented, refit
+
+__all__ = ["SIBLINGS", "exchanged", "whole_delay", "without"]
+
+Array = NDArray[Any]
+
+_GROUPS = (
+    ("step_input", "step_output"),
+    ("gain_change", "timescale_change", "damping_change", "pole_change"),
+    ("backlash_output", "backlash_sampled"),
+    ("rate_limit", "rate_limit_sampled"),
+    ("bilinear", "bilinear_driven"),
+    ("stiffness_cubic", "stiffness", "stiffness_gap", "stiffness_upper", "stiffness_lower", "end_stop"),
+)
+SIBLINGS = {key: set(group) for group in _GROUPS for key in group}
+WORTH = 2.0  # by which an exchange must lower Schwarz's criterion
+KEEP = 6.0  # by which an effect must lower it to stay, as it had to when it came
+
+
+def without(channel: Channel, f: Fit, position: int) -> Fit:
+    """A model fitted again without one of its parts, by least squares.
+
+    Parameters
+    ----------
+    channel : Channel
+        Data.
+    f : Fit
+        The model.
+    position : int
+        Which of its parts.
+
+    Returns
+    -------
+    Fit
+        The smaller model, its noise model chosen from its residual.
+    """
+    s, at = f.structure.keeping([i != position for i in range(len(f.structure.parts))])
+    return fit(channel, s, f.p[at], f.scales[at], iterations=20)
+
+
+def exchanged(
+    channel: Channel, f: Fit, *, others: tuple[int, ...] = ()
+) -> tuple[Fit, dict[str, tuple[Fit, Fit]], dict[str, Fit]]:
+    """Each effect left out once and put up against its siblings, with all the others in the model.
+
+    A sibling may have won the first round only because the effects found later were not yet there, and a change
+    time that was found then may be wrong.
+
+    Parameters
+    ----------
+    channel : Channel
+        Data.
+    f : Fit
+        The model that forward selection ended with.
+    others : tuple of int
+        Inputs that do not act on this output in the model.
+
+    Returns
+    -------
+    tuple
+        The best model by Schwarz's criterion, for each effect that came in, or found a better fit, the models without and
+        with it, and for each effect of the best model the model without it.
+    """
+    came: dict[str, tuple[Fit, Fit]] = {}
+    rests: dict[str, Fit] = {}
+    if len(f.structure.effects) < 2:
+        return f, came, rests
+    for part in f.structure.effects:
+        position = next((i for i, q in enumerate(f.structure.parts) if q == part), None)
+        if position is None or len(f.structure.effects) < 2 or part.effect.slot == "order":
+            continue
+        rest = without(channel, f, position)
+        if not np.isfinite(rest.deviance):
+            continue
+        options = [refit(channel, rest)]
+        if part.key in SIBLINGS:
+            plain = fit(channel, rest.structure, rest.p, rest.scales, iterations=2, colour=False)
+            found = augmented(channel, plain, only=SIBLINGS[part.key], best=2, iterations=20, others=others)
+            options += [refit(channel, g) for g in found]
+        best = min(options, key=lambda g: g.criterion)
+        if best.criterion < f.criterion + (KEEP if best is options[0] else -WORTH):
+            f = best
+            if best is not options[0]:
+                rests[best.structure.parts[-1].key] = rest
+                came[best.structure.parts[-1].key] = (options[0], best)
+        else:
+            rests[part.key] = rest
+    present = {part.key for part in f.structure.effects}
+    return f, came, {key: rest for key, rest in rests.items() if key in present}
+
+
+def whole_delay(channel: Channel, f: Fit) -> Fit:
+    """The model with its delay at a whole sample, where that is no worse by Schwarz's criterion.
+
+    A fraction of a sample mixes two taps, as free numerators do: near a whole delay the two are hard to tell
+    apart, and a fit may end between samples at the same error.
+
+    Parameters
+    ----------
+    channel : Channel
+        Data.
+    f : Fit
+        A fitted model.
+
+    Returns
+    -------
+    Fit
+        The model at the whole delay, the derivative by the delay in its Jacobian, or `f`.
+    """
+    at = next(
+        (sl.start for q, sl in zip(f.structure.parts, f.structure.slices(), strict=True) if q.key == "delay"),
+        None,
+    )
+    if at is None or channel.step > 0 or f.p[at] == np.floor(f.p[at]):
+        return f
+    low = int(np.floor(f.p[at]))
+    held = f.scales.copy()
+    held[at] = 0.0  # no step: it stays where it is put
+    fits = []
+    for d in (low, low + 1, low + 2):
+        p = f.p.copy()
+        p[at] = float(d)
+        fits.append(fit(channel, f.structure, p, held, noise=f.noise, iterations=30))
+    best = min(fits, key=lambda g: g.deviance + len(g.noise) * np.log(g.n))
+    if not best.criterion < f.criterion + np.log(f.n) or best.p[at] < 1.0:
+        return f
+    q = best.p.copy()
+    q[at] += 1e-6
+    moved = simulate(f.structure, q, channel.u, channel.clock) - simulate(
+        f.structure, best.p, channel.u, channel.clock
+    )
+    J = best.jacobian.copy()
+    J[:, at] = innovations(np.where(channel.keep, -moved / 1e-6, 0.0), best.noise)
+    return replace(best, jacobian=J, scales=f.scales)

@@ -1,0 +1,411 @@
+"""Attribution: which effects, one or several, explain what the linear model leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from estimators.diagnosis.effects.catalogue import CATALOGUE, effect
+from estimators.diagnosis.model.fitting import Channel, Fit, fit
+from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.structure import Structure
+from estimators.diagnosis.record.paired import as_good
+from estimators.diagnosis.search.candidates import augmented, refit
+from estimators.diagnosis.search.exchange import exchanged, whole_delay
+
+__all__ = ["Attribution", "Claim", "attribute", "feedback_test", "significance"]
+
+Array = NDArray[Any]
+FAMILY = sum(e.slot != "noise" for e in CATALOGUE.values())  # effects that one record is tested for
+
+
+@dataclass(frozen=True, eq=False)
+class Claim:
+    """One effect as a candidate: how much better the model is with it, and how surely.
+
+    Attributes
+    ----------
+    key, label : str
+        Variant and cause.
+    gain : float
+        Gain of Schwarz's criterion over the model without it.
+    p_value : float
+        Of its likelihood ratio, corrected for the shapes tried and the number of effects.
+    fit : Fit
+        The model with it.
+    """
+
+    key: str
+    label: str
+    gain: float
+    p_value: float
+    fit: Fit
+
+
+@dataclass(frozen=True, eq=False)
+class Attribution:
+    """Outcome for one output.
+
+    Attributes
+    ----------
+    base : Fit
+        The linear model, fitted by least squares.
+    coloured : Fit
+        The linear model with the noise model that its residual asks for.
+    final : Fit
+        The augmented model.
+    claims : list of Claim
+        Single effects, best first.
+    chosen : list of str
+        Keys of the effects in `final`, most important first, noise effects included.
+    feedback : float
+        p-value of the innovations against the future input.
+    p_values : dict
+        Corrected p-values of the tests, by name.
+    rivals : dict
+        By the key of an effect of a model of several: causes that would do as well in its place.
+    refinements : dict
+        Effects that are weak beside the first one, by their key: what they explain as a share of what it explains.
+    """
+
+    base: Fit
+    coloured: Fit
+    final: Fit
+    claims: list[Claim]
+    chosen: list[str]
+    feedback: float
+    p_values: dict[str, float] = field(default_factory=dict)
+    rivals: dict[str, list[str]] = field(default_factory=dict)
+    refinements: dict[str, float] = field(default_factory=dict)
+
+
+def _noise_criterion(f: Fit) -> float:
+    return f.deviance + len(f.noise) * np.log(f.n)
+
+
+def significance(null: Fit, f: Fit, family: int = FAMILY) -> float:
+    """Corrected p-value of a model against a smaller one.
+
+    Parameters
+    ----------
+    null, f : Fit
+        Without and with the effect.
+    family : int
+        Number of effects that were tried.
+
+    Returns
+    -------
+    float
+        Bonferroni bound over effects and shapes, at most 1.
+    """
+    ratio = _noise_criterion(null) - _noise_criterion(f)
+    k = max(1, len(f.p) - len(null.p))
+    new = f.structure.parts[len(null.structure.parts) :]
+    tries = float(np.prod([part.effect.tries(f.n) for part in new])) if new else 1.0
+    return float(min(1.0, family * tries * chi2.sf(max(ratio, 0.0), k)))
+
+
+def feedback_test(u: Array, e: Array, lags: int = 5, memory: int = 12) -> float:
+    """p-value of 'the input does not follow the noise': past innovations help to predict the input.
+
+    Parameters
+    ----------
+    u : ndarray
+        (N,) input.
+    e : ndarray
+        (N,) innovations.
+    lags : int
+        Innovations at lags 0 to lags.
+    memory : int
+        Past inputs that predict first.
+
+    Returns
+    -------
+    float
+        Likelihood-ratio p-value.
+    """
+    n = len(u)
+    own = [np.concatenate((np.zeros(i), u[: n - i])) for i in range(1, memory + 1)] + [np.ones(n)]
+    past = [np.concatenate((np.zeros(i), e[: n - i])) for i in range(lags + 1)]
+    X0, X1 = np.stack(own, axis=1)[memory:], np.stack(own + past, axis=1)[memory:]
+    target = u[memory:]
+    rows = np.ones(len(target), dtype=bool)
+    for _ in range(8):  # the reference's jumps are no noise: samples far off the prediction are left out
+        r0 = target - X0 @ np.linalg.lstsq(X0[rows], target[rows], rcond=None)[0]
+        spread = 1.4826 * float(np.median(np.abs(r0)))
+        inside = np.abs(r0) <= 4.0 * spread
+        if (
+            spread <= 1e-7 * float(np.std(u))
+            or inside.sum() < 0.5 * len(rows)
+            or np.array_equal(inside, rows)
+        ):
+            break
+        rows = inside
+    scale = np.sqrt(np.mean(X1**2, axis=0)) + 1e-300
+    r0 = target[rows] - X0[rows] @ np.linalg.lstsq(X0[rows], target[rows], rcond=None)[0]
+    r1 = target[rows] - X1[rows] / scale @ np.linalg.lstsq(X1[rows] / scale, target[rows], rcond=None)[0]
+    rss0, rss1 = float(r0 @ r0), float(r1 @ r1)
+    if rss0 <= 1e-12 * float(u @ u) or rss1 <= 0 or (n > 4000 and rss1 > 0.98 * rss0):
+        return 1.0  # nothing left to predict, or a share too small for a loop
+    return float(chi2.sf(rows.sum() * np.log(rss0 / rss1), lags + 1))
+
+
+def _white(f: Fit) -> Fit:
+    """The same fit without a noise model (its deviance recomputed)."""
+    if not len(f.noise):
+        return f
+    variance = float(np.sum(f.residual**2) / f.n)
+    return replace(f, noise=np.zeros(0), variance=variance, deviance=f.n * np.log(max(variance, 1e-300)))
+
+
+def _settled(channel: Channel, fits: list[Fit], count: int) -> list[Fit]:
+    """The most promising fits, fitted again under their own noise models; sorted by criterion."""
+    fits = sorted(fits, key=lambda f: f.criterion)
+    head = [refit(channel, f) for f in fits[:count]]
+    return sorted(head + fits[count:], key=lambda f: f.criterion)
+
+
+def _per_key(fits: list[Fit], position: int) -> list[Fit]:
+    """Best fit per effect and input."""
+    best: dict[tuple[str, int], Fit] = {}
+    for f in fits:
+        part = f.structure.parts[position]
+        name = (part.key, part.channel)
+        if name not in best or f.criterion < best[name].criterion:
+            best[name] = f
+    return sorted(best.values(), key=lambda f: f.criterion)
+
+
+def attribute(
+    channel: Channel, s: Structure, *, others: tuple[int, ...] = (), alpha: float = 0.01, most: int = 3,
+    feedback: bool = True,
+) -> Attribution:  # fmt: skip
+    """Find what a linear model of one output lacks.
+
+    Parameters
+    ----------
+    channel : Channel
+        Data.
+    s : Structure
+        The linear model.
+    others : tuple of int
+        Inputs that do not act on this output in the linear model.
+    alpha : float
+        False-alarm rate over all effects together.
+    most : int
+        Largest number of effects (the noise model not counted).
+    feedback : bool
+        Whether to test for feedback.
+
+    Returns
+    -------
+    Attribution
+        Claims, the chosen effects, and the fits.
+    """
+    base = fit_linear(channel, s)
+    coloured = base
+    if len(base.noise):
+        coloured = refit(channel, base, iterations=25)
+        again = fit_linear(channel, s, noise=coloured.noise, extra=[coloured.p[: s.order]])
+        again = refit(channel, again)
+        coloured = min((coloured, again), key=lambda f: f.criterion)
+    white = _white(base)
+    position = len(s.parts)
+    fits = list(augmented(channel, white, others=others))
+    simulated = _explained(white, fits, position) if s.base else {}
+    fits = _settled(channel, fits, 6)
+    if len(coloured.noise) and (not fits or len(fits[0].noise)):
+        more = list(augmented(channel, coloured, others=others, best=1, iterations=15))
+        fits = _settled(channel, _per_key(fits + more, position), 4)
+    fits = _per_key(fits, position)
+    claims = [
+        Claim(
+            f.structure.parts[position].key,
+            _label(f, position),
+            coloured.criterion - f.criterion,
+            significance(coloured, f),
+            f,
+        )
+        for f in fits
+    ]
+    final = coloured
+    # under an estimated noise model the likelihood ratio runs high: a tenth of the rate for it
+    level = 0.1 * alpha if len(coloured.noise) else alpha
+    good = [c for c in claims if c.p_value < level and c.gain > 0]
+    p_values: dict[str, float] = {}
+    rivals: dict[str, list[str]] = {}
+    rests: dict[str, Fit] = {}
+    if good:
+        final = good[0].fit
+        p_values[good[0].key] = good[0].p_value
+        final = _more_effects(channel, final, good, coloured, others, alpha, most, p_values, rivals)
+        final, came, rests = exchanged(channel, final, others=others)
+        p_values |= {key: significance(*pair) for key, pair in came.items()}
+        final = whole_delay(channel, final)
+        present = {part.key for part in final.structure.effects}
+        p_values = {key: p for key, p in p_values.items() if key in present}
+        rivals = {key: names for key, names in rivals.items() if key in present}
+    chosen = _importance(final, claims, simulated)
+    return Attribution(
+        base, coloured, final, claims, chosen, _feedback(channel, final, s, feedback), p_values, rivals,
+        _refinements(final, rests, chosen),
+    )  # fmt: skip
+
+
+WEAK = 0.01  # share of the first effect's variance: a tenth of its error
+SHAPING = (
+    "nonlinearity",
+    "linear dynamics",
+)  # natures of terms that can bend the curve or the poles of another
+
+
+def _refinements(final: Fit, rests: dict[str, Fit], chosen: list[str]) -> dict[str, float]:
+    """Effects without which the simulation error grows little beside what the first one explains."""
+    rss = float(np.sum(final.residual**2))
+    explained = {key: max(float(np.sum(f.residual**2)) - rss, 0.0) for key, f in rests.items()}
+    if not chosen or explained.get(chosen[0], 0.0) <= 0.0:
+        return {}
+    shares = {key: value / explained[chosen[0]] for key, value in explained.items() if key != chosen[0]}
+    return {
+        key: share
+        for key, share in shares.items()
+        if share < WEAK and any(word in CATALOGUE[key].nature for word in SHAPING)
+    }
+
+
+def _explained(base: Fit, fits: list[Fit], position: int) -> dict[str, float]:
+    """By how much each effect alone lowers the simulation error: n log of the ratio of the variances."""
+    out: dict[str, float] = {}
+    rss = float(np.sum(base.residual**2))
+    for f in fits:
+        key = f.structure.parts[position].key
+        gain = f.n * float(np.log(rss / max(float(np.sum(f.residual**2)), 1e-300)))
+        out[key] = max(gain, out.get(key, -np.inf))
+    return out
+
+
+def _label(f: Fit, position: int) -> str:
+    part = f.structure.parts[position]
+    return part.effect.label
+
+
+def _more_effects(
+    channel: Channel, first: Fit, good: list[Claim], null: Fit, others: tuple[int, ...], alpha: float, most: int,
+    p_values: dict[str, float], rivals: dict[str, list[str]],
+) -> Fit:  # fmt: skip
+    """Second and further effects, from several of the best first ones."""
+    final = first
+    for depth in range(1, most):
+        options: list[tuple[Fit, Fit]] = []
+        tried: dict[int, list[Fit]] = {}
+        bases = [final]
+        if depth == 1:
+            labels = {good[0].label}
+            for claim in good[1:]:
+                near = claim.gain > 0.15 * good[0].gain
+                if claim.label not in labels and len(labels) < 5 and near:
+                    labels.add(claim.label)
+                    bases.append(claim.fit)
+        for start in bases:
+            found = _second(channel, start, others, start is final)
+            limit = alpha * (1e-4 if len(found) and len(found[0].noise) else 1e-1)
+            tried[id(start)] = found
+            if found and significance(start, found[0]) < limit:
+                options.append((found[0], start))
+        if not options:
+            break
+        best, start = min(options, key=lambda pair: pair[0].criterion)
+        if best.criterion > final.criterion - 6.0:
+            break
+        p_values[best.structure.parts[-1].key] = significance(start, best)
+        label = best.structure.parts[-1].effect.label
+        near = [g.structure.parts[-1].effect.label for g in tried[id(start)][1:] if as_good(best, g)]
+        others_near = [name for name in dict.fromkeys(near) if name != label]
+        if others_near:
+            rivals[best.structure.parts[-1].key] = others_near
+        for g, _ in options:  # other effects altogether
+            if g is not best and as_good(best, g):
+                _exchangeable(best, g, rivals)
+        if start is not final:
+            before = start.structure.parts[-1].key
+            p_values[before] = next(c.p_value for c in good if c.fit is start)
+        final = best
+    return final
+
+
+def _exchangeable(best: Fit, other: Fit, rivals: dict[str, list[str]]) -> None:
+    """Notes which causes of one model stand where another model, as good, has others."""
+    mine, theirs = ([part.effect.label for part in f.structure.effects] for f in (best, other))
+    for part in best.structure.effects:
+        if part.effect.label not in theirs:
+            names = rivals.setdefault(part.key, [])
+            names += [name for name in theirs if name not in (*mine, *names)]
+
+
+def _second(channel: Channel, f: Fit, others: tuple[int, ...], coloured: bool = True) -> list[Fit]:
+    position = len(f.structure.parts)
+    fits = list(augmented(channel, _white(f), others=others, best=1, iterations=12, top=8))
+    fits = _settled(channel, _per_key(fits, position), 3)
+    if coloured and len(f.noise) and (not fits or len(fits[0].noise)):
+        fits += list(augmented(channel, f, others=others, best=1, iterations=10, top=5))
+        fits = _settled(channel, _per_key(fits, position), 2)
+    if fits:
+        top = fit(channel, fits[0].structure, fits[0].p, fits[0].scales, noise=fits[0].noise, iterations=40)
+        if np.isfinite(top.criterion) and top.criterion < fits[0].criterion:
+            fits[0] = top
+    return fits
+
+
+def _importance(final: Fit, claims: list[Claim], simulated: dict[str, float]) -> list[str]:
+    """Effects of the final model, the one that explains most by itself first; correlated noise where significant.
+
+    For records that are no deviations that is the simulation error explained (`simulated`): there a noise model
+    of high order predicts most of a smooth model error, and what is left says little of its causes.
+    """
+    alone: dict[str, float] = {}
+    for claim in claims:
+        alone[claim.key] = max(claim.gain, alone.get(claim.key, -np.inf))
+    alone |= simulated
+    costs = {part.key: alone.get(part.key, -np.inf) for part in final.structure.effects}
+    if len(final.noise):
+        plain = _white(final)
+        ratio = plain.deviance - final.deviance
+        p = FAMILY * effect("coloured").trials * chi2.sf(ratio, len(final.noise))
+        if p < 0.01:
+            costs["coloured"] = plain.criterion - final.criterion
+    return sorted(costs, key=lambda k: (k == "coloured", -costs[k]))
+
+
+def _follows_input(u: Array, e: Array, lags: int = 20) -> bool:
+    """Whether innovations are predicted by the past input or its cube, which noise is not (p < 1e-8)."""
+    n = len(e)
+    columns = [np.concatenate((np.zeros(i), x[: n - i])) for x in (u, u**3) for i in range(1, lags + 1)]
+    X = np.stack(columns, axis=1)
+    X = X / (np.sqrt(np.mean(X**2, axis=0)) + 1e-300)
+    r = e - X @ np.linalg.lstsq(X, e, rcond=None)[0]
+    return bool(chi2.sf(n * np.log(float(e @ e) / max(float(r @ r), 1e-300)), 2 * lags) < 1e-8)
+
+
+def _feedback(channel: Channel, final: Fit, s: Structure, wanted: bool) -> float:
+    if not wanted or channel.step > 0:
+        return 1.0
+    from estimators.diagnosis.model.fitting import innovations
+
+    e = innovations(final.residual, final.noise)
+    if any(_follows_input(channel.u[:, j], e) for j in s.inputs):
+        return 1.0  # what is left is model error, not noise: the input would seem to follow it
+    return min(1.0, min(feedback_test(channel.u[:, j], e) * len(s.inputs) for j in s.inputs))
+
+
+def labels_of(keys: list[str]) -> list[str]:
+    """Causes of a list of keys, each once."""
+    out: list[str] = []
+    for key in keys:
+        label = CATALOGUE[key].label if key in CATALOGUE else key
+        if label not in out:
+            out.append(label)
+    return out

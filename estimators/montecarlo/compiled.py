@@ -1,0 +1,44 @@
+"""Compile the loops of campaigns ahead, so that no run waits for them: `python -m estimators.montecarlo.compiled`.
+
+Numba compiles a function when it first meets its arguments, and keeps the result in NUMBA_CACHE_DIR until the file changes.
+`make setup` calls this once; without it, two workers that begin together would both compile the same.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+
+__all__ = ["compile_all"]
+
+
+def _local_models() -> None:
+    from estimators.norm.local_models import local_peak
+    from estimators.rules.power import power_iterations
+    from estimators.rules.trace import run
+    from oed.experiments import simulated
+    from oed.plants.named import named_plant
+
+    experiment = simulated(named_plant("reference"))
+    local_peak(run(power_iterations, experiment, samples=100, experiments=6, rng=np.random.default_rng(0)))
+
+
+def _iterations() -> None:
+    from estimators.montecarlo.engine import monte_carlo
+    from estimators.montecarlo.noise_ahead import noise_of_replicates
+    from oed.plants.named import named_plant
+
+    monte_carlo(named_plant("reference"), 20, 2, 2)
+    noise_of_replicates((1, 2), 0, 1, 20)
+
+
+def compile_all() -> None:
+    """Compile on two processes what is not yet in the cache."""
+    with ProcessPoolExecutor(2) as pool:
+        for task in [pool.submit(_local_models), pool.submit(_iterations)]:
+            task.result()
+
+
+if __name__ == "__main__":
+    compile_all()

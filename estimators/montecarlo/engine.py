@@ -1,0 +1,438 @@
+"""Monte-Carlo campaigns of the iterations: thousands of runs in seconds, memory independent of their number.
+
+The compiled kernels run any stable rational plant; a plant that is a Python callable runs through the plain loop.
+Both meet the noise of `oed.signals.noise`, so run r is the same run on either path, in any order and on any number of
+threads; the starts are white noise of exactly unit power from the same source (`counter_start`).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.norm.gains import Gains
+from estimators.rules.by_name import algorithm_rule
+from estimators.rules.limits import Limits, scaled
+from estimators.rules.procedure2 import SCALINGS
+from estimators.rules.trace import run
+from oed.data import frozen
+from oed.errors import InputError, check_names
+from oed.experiments import Experiment, noise_factor, simulated
+from oed.plants.plant import Plant
+from oed.signals.noise import START, noise_key, standard_noise
+
+__all__ = ["Batch", "Campaign", "batches", "counter_start", "monte_carlo"]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """A few runs.
+
+    Attributes
+    ----------
+    first : int
+        Number of the first replicate.
+    gain_squares : ndarray
+        (R, M) squares of [S] (7) or [M] (12); the first of [S] (7) is NaN.
+    mu_squares : ndarray
+        (R, M) squares of mu.
+    rayleigh : ndarray
+        (R, M) [S] (4); NaN for Procedure 2.
+    energy : ndarray
+        (R, M) input energy of each iteration.
+    """
+
+    first: int
+    gain_squares: NDArray[np.float64]
+    mu_squares: NDArray[np.float64]
+    rayleigh: NDArray[np.float64]
+    energy: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """Means and standard deviations over the runs, per iteration.
+
+    Attributes
+    ----------
+    replicates : int
+        Number of runs.
+    mean, deviation : dict
+        By estimator (gain, mu, rayleigh, gain_square, mu_square): (M,) over the runs that have a value.
+    negative : ndarray
+        (M,) how many runs had a negative square of the gain (and so no value).
+    energy : ndarray
+        (M,) mean input energy of each iteration.
+    gain_first : ndarray
+        (M,) gains of the first run, NaN where it has none.
+    samples : int
+        Length of every experiment.
+    plant : Plant or None
+        What was simulated (None for a callable).
+    """
+
+    replicates: int
+    mean: dict[str, NDArray[np.float64]]
+    deviation: dict[str, NDArray[np.float64]]
+    negative: NDArray[np.float64]
+    energy: NDArray[np.float64]
+    gain_first: NDArray[np.float64]
+    samples: int
+    plant: Plant | None = None
+
+    @property
+    def gain_mean(self) -> NDArray[np.float64]:
+        """Mean of the gain over the runs that have one, (M,)."""
+        return self.mean["gain"]
+
+    @property
+    def finite_norm(self) -> float:
+        """Norm of the plant over the samples of one experiment (NaN for a callable)."""
+        from oed.theory.finite import finite_norm
+
+        return finite_norm(self.plant, self.samples) if self.plant else float("nan")
+
+    def error(self, name: str) -> NDArray[np.float64]:
+        """Monte-Carlo standard error of the mean of an estimator.
+
+        Parameters
+        ----------
+        name : str
+            Key of `mean`.
+
+        Returns
+        -------
+        ndarray
+            (M,).
+        """
+        lost = self.negative if name == "gain" else 0
+        return self.deviation[name] / np.sqrt(np.maximum(self.replicates - lost, 1))
+
+    def __repr__(self) -> str:
+        lines = [f"{self.replicates} runs of {len(self.negative)} iterations; at the last:"]
+        for name in ("gain", "mu", "rayleigh"):
+            if np.isfinite(self.mean[name][-1]):
+                lines.append(f"  {name} {self.mean[name][-1]:.6g} +- {self.error(name)[-1]:.2g}")
+        lines.append(f"  negative squares {self.negative.sum() / (self.replicates * len(self.negative)):.3%}")
+        return "\n".join(lines)
+
+
+def counter_start(
+    plant: Plant, samples: int, *, seed: int = 0, replicate: int = 0, limits: Limits | None = None
+) -> NDArray[np.float64]:
+    """White start from the counter-based noise, scaled to the limits.
+
+    Parameters
+    ----------
+    plant : Plant
+        Its name and number of inputs matter.
+    samples : int
+        Length N.
+    seed, replicate : int
+        Coordinates.
+    limits : Limits, optional
+        Default: total power 1.
+
+    Returns
+    -------
+    ndarray
+        (N, nu).
+    """
+    key = noise_key(seed, plant.name)
+    return scaled(standard_noise(key, replicate, START, samples, plant.n_inputs), limits or Limits())
+
+
+def batches(
+    system: Plant | Callable[[int], Experiment],
+    *,
+    algorithm: str = "siso",
+    samples: int,
+    iterations: int,
+    replicates: int,
+    seed: int = 0,
+    first: int = 0,
+    scaling: str = "none",
+    threads: int = 1,
+) -> Iterator[Batch]:
+    """Run the iterations many times, a few runs at a time.
+
+    Parameters
+    ----------
+    system : Plant or callable
+        A plant (compiled), or a function from the number of a replicate to a fresh Experiment (plain loop,
+        start from numpy's generator seeded by seed and replicate).
+    algorithm : {"siso", "two-experiment", "mimo"}
+        As in `estimators.rules.by_name`.
+    samples, iterations, replicates : int
+        Size.
+    seed : int
+        Seed of noise and starts.
+    first : int
+        Number of the first replicate, so that campaigns can be split and extended.
+    scaling : {"none", "each", "common"}
+        Scaling of second-stage inputs.
+    threads : int
+        Worker threads; the result does not depend on it.
+
+    Yields
+    ------
+    Batch
+        In the order of the replicates.
+    """
+    check_names([scaling], SCALINGS, "scaling")
+    for name, value, least in (
+        ("samples", samples, 2),
+        ("iterations", iterations, 1),
+        ("replicates", replicates, 1),
+        ("first", first, 0),
+        ("threads", threads, 1),
+    ):
+        if not isinstance(value, int | np.integer) or value < least:
+            raise InputError(f"{name} is {value!r}; it must be an integer of at least {least}.")
+    if not isinstance(system, Plant):
+        for r in range(first, first + replicates):
+            yield plain_batch(system(r), algorithm, samples, iterations, seed, r, scaling)
+        return
+    algorithm_rule(algorithm, system.n_inputs, system.n_outputs)  # refuses what does not fit
+    if algorithm in ("siso", "procedure-1") and (system.n_inputs, system.n_outputs) != (1, 1):
+        raise InputError(
+            f"power iterations need one input and one output, and {system.name} has {system.n_inputs} and "
+            f"{system.n_outputs}; use the algorithm mimo."
+        )
+    from estimators.montecarlo.engine_kernels import B
+
+    work = _compiled_work(system, algorithm, samples, iterations, seed, SCALINGS.index(scaling))
+    parts = [(r, min(B, first + replicates - r)) for r in range(first, first + replicates, B)]
+    if threads == 1:
+        for part in parts:
+            yield work(*part)
+        return
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(threads) as pool:  # a window of tasks, so that memory stays flat
+        waiting = [pool.submit(work, *part) for part in parts[: 2 * threads]]
+        for k in range(len(parts)):
+            yield waiting.pop(0).result()
+            if k + 2 * threads < len(parts):
+                waiting.append(pool.submit(work, *parts[k + 2 * threads]))
+
+
+def _compiled_work(
+    plant: Plant, algorithm: str, samples: int, iterations: int, seed: int, scaling: int
+) -> Callable[[int, int], Batch]:
+    """What runs the batch of a first replicate and a number of them; all that batches share is made once."""
+    from estimators.montecarlo.engine_kernels import B, power_block, procedure_block
+
+    k0, k1 = (np.uint64(word) for word in noise_key(seed, plant.name))
+    length = max(len(c) for side in (plant.num, plant.den) for row in side for c in row)
+    single = algorithm in ("siso", "procedure-1")
+    length = max(length, 3) if single else length
+    num, den = (_padded(side, length) for side in (plant.num, plant.den))
+    h = max(len(plant.noise_num), len(plant.noise_den)) if not plant.white_noise else 1
+    noise = [np.pad(np.array(c)[:h], (0, h - len(c[:h]))) for c in (plant.noise_num, plant.noise_den)]
+    factor = np.ascontiguousarray(noise_factor(plant))
+    size: list[Any] = [samples, iterations]
+    local = threading.local()  # fresh pages of memory for every batch would cost more than they hold
+
+    def work(first: int, replicates: int) -> Batch:
+        gain, mu, third = (np.full((B, iterations), np.nan) for _ in range(3))
+        coordinates: list[Any] = [k0, k1, START, first]
+        if single:
+            if getattr(local, "signals", None) is None:
+                local.signals = np.empty((2, samples * B))
+            arguments = [*size, num[0, 0], den[0, 0], *noise, factor[0], *coordinates, gain, mu, third]
+            arguments.append(local.signals)
+            power_block(*arguments)
+            energy = np.full((B, iterations), float(samples))
+        else:
+            energy = np.empty((B, iterations))
+            arguments = [*size, num, den, *noise, factor, *coordinates, scaling, gain, mu, energy]
+            procedure_block(*arguments)
+        keep = slice(replicates)
+        return Batch(first, gain[keep], mu[keep], third[keep], energy[keep])
+
+    return work
+
+
+def _padded(matrix: Any, length: int) -> NDArray[np.float64]:
+    return np.array([[np.pad(c, (0, length - len(c))) for c in row] for row in matrix])
+
+
+def plain_batch(
+    experiment: Experiment,
+    algorithm: str,
+    samples: int,
+    iterations: int,
+    seed: int,
+    replicate: int,
+    scaling: str = "none",
+    start: Any = None,
+) -> Batch:
+    """One run by the plain loop: the slow path, and the twin of the kernels.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The system.
+    algorithm, scaling : str
+        As in `batches`.
+    samples, iterations, seed, replicate : int
+        Size and coordinates.
+    start : array_like, optional
+        First input.
+
+    Returns
+    -------
+    Batch
+        Of one run.
+    """
+    from estimators.norm.gains import gain, mu, rayleigh
+
+    rule: Any
+    rule, each = algorithm_rule(algorithm, experiment.n_inputs, experiment.n_outputs, scaling=scaling)
+    trace = run(
+        partial(rule, start=start),
+        experiment,
+        samples=samples,
+        experiments=iterations * each,
+        rng=np.random.default_rng([seed, replicate]),
+    )
+    values: list[Gains] = [gain(trace), mu(trace)]
+    energy = [sum(float(np.sum(r.u**2)) for r in trace.records[part]) for part in trace.iterations]
+    third = rayleigh(trace).values if each == 1 else np.full(len(energy), np.nan)
+    rows = [np.array(v)[None] for v in (values[0].squares, values[1].squares, third, energy)]
+    return Batch(replicate, *rows)
+
+
+def twin_batch(
+    plant: Plant,
+    algorithm: str,
+    samples: int,
+    iterations: int,
+    seed: int,
+    replicate: int,
+    scaling: str = "none",
+) -> Batch:
+    """The run of the compiled engine, by the plain loop.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    algorithm, scaling : str
+        As in `batches`.
+    samples, iterations, seed, replicate : int
+        Size and coordinates.
+
+    Returns
+    -------
+    Batch
+        Of one run.
+    """
+    return plain_batch(
+        simulated(plant, seed=seed, replicate=replicate),
+        algorithm,
+        samples,
+        iterations,
+        seed,
+        replicate,
+        scaling,
+        counter_start(plant, samples, seed=seed, replicate=replicate),
+    )
+
+
+def monte_carlo(
+    system: Plant | Callable[[int], Experiment],
+    samples: int,
+    iterations: int,
+    replicates: int,
+    seed: int = 0,
+    *,
+    algorithm: str = "siso",
+    scaling: str = "none",
+    threads: int = 1,
+) -> Campaign:
+    """Mean and spread of the iterations' estimates over many runs.
+
+    Parameters
+    ----------
+    system : Plant or callable
+        As in `batches`.
+    samples, iterations, replicates, seed : int
+        Size and seed.
+    algorithm : {"siso", "two-experiment", "mimo"}
+        Which iterations.
+    scaling : {"none", "each", "common"}
+        Scaling of second-stage inputs.
+    threads : int
+        Worker threads; the result does not depend on it.
+
+    Returns
+    -------
+    Campaign
+        Means, standard deviations and counts per iteration.
+    """
+    sums: dict[str, list[NDArray]] = {}
+    negative, energy = np.zeros(iterations), np.zeros(iterations)
+    gain_first = np.full(iterations, np.nan)
+    parts = batches(
+        system,
+        algorithm=algorithm,
+        samples=samples,
+        iterations=iterations,
+        replicates=replicates,
+        seed=seed,
+        scaling=scaling,
+        threads=threads,
+    )
+    for batch in parts:
+        square = batch.gain_squares
+        rows = {
+            "gain": np.sqrt(np.where(square >= 0, square, np.nan)),
+            "mu": np.sqrt(batch.mu_squares),
+            "rayleigh": batch.rayleigh,
+            "gain_square": square,
+            "mu_square": batch.mu_squares,
+        }
+        if batch.first == 0:
+            gain_first = rows["gain"][0]
+        negative += np.sum(square < 0, axis=0)
+        energy += batch.energy.sum(axis=0)
+        for name, values in rows.items():
+            _accumulate(sums.setdefault(name, [np.zeros(iterations) for _ in range(3)]), values)
+    mean, deviation = {}, {}
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for name, (count, average, squares) in sums.items():
+            mean[name] = frozen(np.where(count > 0, average, np.nan))
+            deviation[name] = frozen(np.where(count > 1, np.sqrt(squares / (count - 1)), np.nan))
+    return Campaign(
+        replicates,
+        mean,
+        deviation,
+        frozen(negative),
+        frozen(energy / replicates),
+        frozen(gain_first),
+        samples,
+        system if isinstance(system, Plant) else None,
+    )
+
+
+def _accumulate(sums: list[NDArray], values: NDArray[np.float64]) -> None:
+    """Counts, means and sums of squared deviations, batch by batch (Chan, Golub and LeVeque)."""
+    count, average, squares = sums
+    finite = np.isfinite(values)
+    n = finite.sum(axis=0)
+    own = np.divide(np.where(finite, values, 0).sum(axis=0), n, out=np.zeros(len(n)), where=n > 0)
+    spread = np.where(finite, values - own, 0)
+    total = count + n
+    share = np.divide(n, total, out=np.zeros(len(n)), where=total > 0)
+    shift = own - average
+    squares += (spread**2).sum(axis=0) + shift**2 * count * share
+    average += shift * share
+    count += n

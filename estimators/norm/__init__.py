@@ -1,0 +1,1 @@
+"""From records to the H-infinity norm without a parametric model."""

@@ -1,0 +1,119 @@
+"""Where the gain peaks, read from the iterations' last inputs: frequency and directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.rules.trace import Trace
+from oed.data import frozen
+
+__all__ = ["WorstCase", "dominant_frequency", "worst_case"]
+
+
+@dataclass(frozen=True, eq=False)
+class WorstCase:
+    """Estimate of the frequency and the directions of the largest gain.
+
+    Attributes
+    ----------
+    frequency : float
+        In rad/sample.
+    frequency_error : float
+        Its standard error, from the spread over the last iterations; infinite with fewer than three.
+    input_direction : ndarray
+        (nu,) complex, unit norm, its largest component real and positive.
+    output_direction : ndarray
+        (ny,) likewise.
+    dt : float
+        Sampling time in seconds.
+    """
+
+    frequency: float
+    frequency_error: float
+    input_direction: NDArray[np.complex128]
+    output_direction: NDArray[np.complex128]
+    dt: float = 1.0
+
+    @property
+    def frequency_hz(self) -> float:
+        """The frequency in Hz."""
+        return self.frequency / (2 * np.pi * self.dt)
+
+    def __repr__(self) -> str:
+        return (
+            f"worst case at {self.frequency:.6g} +- {self.frequency_error:.2g} rad/sample "
+            f"({self.frequency_hz:.6g} Hz), input direction {np.round(self.input_direction, 4).tolist()}"
+        )
+
+
+def dominant_frequency(u: NDArray[np.float64]) -> float:
+    """Frequency of the largest periodogram value, refined between the lines.
+
+    Parameters
+    ----------
+    u : ndarray
+        (N, channels).
+
+    Returns
+    -------
+    float
+        In rad/sample, in [0, pi].
+    """
+    from scipy.optimize import minimize_scalar
+
+    N = len(u)
+    size = 8 * N
+    power = np.sum(np.abs(np.fft.rfft(u, size, axis=0)) ** 2, axis=1)
+    k = int(np.argmax(power))
+    omega = 2 * np.pi * k / size
+    step = 2 * np.pi / size
+    result = minimize_scalar(
+        lambda w: -float(np.sum(np.abs(_transform(u, w)) ** 2)),
+        bounds=(max(omega - step, 0.0), min(omega + step, np.pi)),
+        method="bounded",
+        options={"xatol": 1e-10},
+    )
+    return omega if -result.fun < power[k] else float(result.x)
+
+
+def worst_case(trace: Trace, last: int = 10) -> WorstCase:
+    """Worst-case frequency and directions from the last iterations.
+
+    Parameters
+    ----------
+    trace : Trace
+        Of power iterations or Procedure 2 (any input that concentrates at the peak).
+    last : int
+        How many of the last iterations give the standard error of the frequency. The iterations depend on
+        each other, so it is a rough one.
+
+    Returns
+    -------
+    WorstCase
+        Frequency and directions.
+    """
+    inputs = [trace.records[part][0] for part in trace.iterations]
+    record = inputs[-1]
+    omega = dominant_frequency(record.u)
+    near = np.array([dominant_frequency(r.u) for r in inputs[-last:]])
+    spread = float(near.std(ddof=1)) if len(near) > 2 else float("inf")
+    return WorstCase(
+        omega,
+        spread,
+        frozen(_direction(_transform(record.u, omega)), complex),
+        frozen(_direction(_transform(record.y, omega)), complex),
+        record.dt,
+    )
+
+
+def _transform(x: NDArray[np.float64], omega: float) -> NDArray[np.complex128]:
+    return np.asarray(np.exp(-1j * omega * np.arange(len(x))) @ x, complex)
+
+
+def _direction(v: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    largest = v[np.argmax(np.abs(v))]
+    turned = v * (np.conj(largest) / abs(largest)) if abs(largest) > 0 else v
+    return np.asarray(turned / max(float(np.linalg.norm(v)), 1e-300) + 0.0, complex)

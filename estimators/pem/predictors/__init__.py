@@ -1,0 +1,1 @@
+"""Predictors of the model structures and their sensitivities, compiled where a compiler is there."""

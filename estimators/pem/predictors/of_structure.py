@@ -1,0 +1,221 @@
+"""What the fit needs of a structure: its kernel, the samples that feed it, its scales, and whether it is stable."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.pem.predictors.filtering import filter_kernel
+from estimators.pem.predictors.kalman import kalman_recursion, state_space_kalman_recursion
+from estimators.pem.predictors.kernel import Kernel, compiler, kernel_of
+from estimators.pem.predictors.recursion import polynomial_recursion, weighted
+from estimators.pem.predictors.statespace import state_space_recursion
+from estimators.pem.search.starts import is_stable, reflected
+from oed.models.model import Polynomial, StateSpace
+
+__all__ = [
+    "Structure",
+    "kernel_for",
+    "parameter_scale",
+    "predictor_is_stable",
+    "projected",
+    "samples",
+    "walls",
+]
+
+Structure = Polynomial | StateSpace
+EDGE = 1e-7
+"""How far inside the unit circle the roots of a predictor stay."""
+
+
+@lru_cache(maxsize=128)
+def _cached_kernel(structure: tuple, levels: bool, initial: bool, variant: str, tool: str | None) -> Kernel:
+    kind, *rest = structure
+    if kind == "ss":
+        build_ss = state_space_kalman_recursion if variant == "missing" else state_space_recursion
+        recursion = build_ss(StateSpace(*rest), levels, initial)
+    else:
+        na, nb, nc, nd, nf, nk = map(np.array, rest)
+        made = Polynomial(na, nb, nc, nd, nf, nk, kind)
+        if tool is None and variant != "missing":
+            return filter_kernel(made, levels, initial, variant == "weighted")
+        build = kalman_recursion if variant == "missing" else polynomial_recursion
+        recursion = build(made, levels, initial)
+    return kernel_of(weighted(recursion) if variant == "weighted" else recursion)
+
+
+def kernel_for(structure: Structure, levels: bool, initial: bool, variant: str = "") -> Kernel:
+    """The kernel of a structure; made once per process.
+
+    Parameters
+    ----------
+    structure : Polynomial or StateSpace
+        The structure; without unknown initial states its delays do not matter.
+    levels, initial : bool
+        Whether output levels and initial states are unknown.
+    variant : {"", "weighted", "missing"}
+        With a weight per sample, or with a Kalman filter that bridges missing outputs.
+
+    Returns
+    -------
+    Kernel
+        Ready to run.
+    """
+    if isinstance(structure, StateSpace):
+        key = ("ss", structure.blocks, structure.n_inputs, structure.feedthrough, structure.noise)
+        return _cached_kernel(key, levels, initial, variant, compiler())
+    frozen = lambda a: tuple(map(tuple, a.tolist())) if a.ndim == 2 else tuple(a.tolist())
+    nk = structure.nk if initial and variant != "missing" else np.ones_like(structure.nk)
+    orders = [*(getattr(structure, x) for x in ("na", "nb", "nc", "nd", "nf")), nk]
+    return _cached_kernel((structure.kind, *map(frozen, orders)), levels, initial, variant, compiler())
+
+
+def predictor_is_stable(structure: Structure, z: NDArray) -> bool:
+    """Whether the predictor forgets: every C and F stable, or A - K C.
+
+    Parameters
+    ----------
+    structure : Polynomial or StateSpace
+        The structure.
+    z : ndarray
+        (n,) parameters, scaled or not.
+
+    Returns
+    -------
+    bool
+        True if so.
+    """
+    if isinstance(structure, StateSpace):
+        m = structure.matrices(z)
+        closed = m["A"] - m["K"] @ m["C"]
+        return bool(np.isfinite(closed).all()) and float(np.abs(np.linalg.eigvals(closed)).max()) < 1
+    return all(
+        part.stop == part.start or is_stable(np.concatenate([[1.0], z[part]]))
+        for place in structure.places()
+        for part in (*place["c"], *place["f"])
+    )
+
+
+def projected(structure: Structure, z: NDArray, mirror: bool = True) -> NDArray:
+    """Parameters with the unstable roots of C and F mirrored into the unit circle; of state space, as they are.
+
+    Parameters
+    ----------
+    structure : Polynomial or StateSpace
+        The structure.
+    z : ndarray
+        Parameters, with whatever follows them.
+    mirror : bool
+        False leaves such roots on the circle.
+
+    Returns
+    -------
+    ndarray
+        The same where the predictor is stable.
+    """
+    if isinstance(structure, StateSpace) or predictor_is_stable(structure, z):
+        return z
+    z = np.array(z)
+    for place in structure.places():
+        for part in (*place["c"], *place["f"]):
+            if part.stop > part.start and not is_stable(np.concatenate([[1.0], z[part]])):
+                z[part] = reflected(z[part], 1 - EDGE, mirror)
+    return z
+
+
+def walls(structure: Structure, z: NDArray) -> NDArray[np.float64]:
+    """Where roots of C and F lie on the edge of stability, the gradient of their modulus.
+
+    With p(r) = 0 the root moves by dr = -r^(n-k) dz_k / p'(r), its modulus by Re(conj(r) dr) / |r|.
+
+    Parameters
+    ----------
+    structure : Polynomial or StateSpace
+        The structure.
+    z : ndarray
+        (n,) parameters, with whatever follows them.
+
+    Returns
+    -------
+    ndarray
+        (m, n) outward normals, one for each root, or pair of them, that lies there; none for state space.
+    """
+    found: list[NDArray] = []
+    if isinstance(structure, StateSpace):
+        return np.zeros((0, len(z)))
+    for place in structure.places():
+        for part in (*place["c"], *place["f"]):
+            degree, factor = part.stop - part.start, 1 / (1 - 20 * EDGE)
+            tail = z[part].tolist()
+            if is_stable([1.0, *(c * factor ** (k + 1) for k, c in enumerate(tail))]):
+                continue
+            whole = np.array([1.0, *tail])
+            slope = np.polyder(whole)
+            for root in np.roots(whole):
+                if abs(root) < 1 - 20 * EDGE or root.imag < 0:
+                    continue
+                speed = np.polyval(slope, root)
+                if abs(speed) < 1e-8:
+                    continue  # a double root splits as a square root: its modulus has no gradient
+                moved = -(root ** np.arange(degree - 1, -1, -1)) / speed
+                normal = np.zeros(len(z))
+                normal[part] = np.real(np.conj(root) * moved) / abs(root)
+                if np.isfinite(normal).all():
+                    found.append(normal)
+    return np.array(found).reshape(len(found), len(z))
+
+
+def parameter_scale(structure: Structure, su: NDArray, sy: NDArray) -> NDArray[np.float64]:
+    """Factors from the parameters of scaled channels to those of the user's units.
+
+    Parameters
+    ----------
+    structure : Polynomial or StateSpace
+        The structure.
+    su, sy : ndarray
+        (nu,), (ny,) what the channels were divided by.
+
+    Returns
+    -------
+    ndarray
+        (n,).
+    """
+    if isinstance(structure, StateSpace):
+        sx = np.repeat(sy, structure.blocks)
+        sides = {"A": (sx, sx), "B": (sx, su), "K": (sx, sy), "D": (sy, su)}
+        return np.array([sides[x][0][i] / sides[x][1][j] for x, i, j in structure.entries()])
+    scale = np.ones(structure.n)
+    for i, place in enumerate(structure.places()):
+        for j, part in enumerate(place["b"]):
+            scale[part] = sy[i] / su[j]
+    return scale
+
+
+def samples(structure: Structure, u: NDArray, y: NDArray) -> NDArray[np.float64]:
+    """The rows that a kernel reads: inputs delayed entry by entry, outputs, pulse.
+
+    Parameters
+    ----------
+    structure : Polynomial or StateSpace
+        With its delays.
+    u, y : ndarray
+        (N, nu), (N, ny) deviations.
+
+    Returns
+    -------
+    ndarray
+        (N, nd), C-contiguous.
+    """
+    pulse = np.zeros(len(u))
+    pulse[0] = 1.0
+    if isinstance(structure, StateSpace):
+        return np.ascontiguousarray(np.column_stack([u, y, pulse]))
+    columns = []
+    for i in range(structure.n_outputs):
+        for j in range(structure.n_inputs):
+            if structure.nb[i, j]:
+                nk = min(int(structure.nk[i, j]), len(u))
+                columns.append(np.concatenate([np.zeros(nk), u[: len(u) - nk, j]]))
+    return np.ascontiguousarray(np.column_stack([*columns, y, pulse]))

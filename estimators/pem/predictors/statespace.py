@@ -1,0 +1,216 @@
+"""One sample of the predictor of a state-space model, and where the search for its parameters begins."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.pem.predictors.recursion import Recursion
+from estimators.pem.subspace.hankel import lagged
+from oed.errors import InputError
+from oed.models.model import Polynomial, StateSpace
+
+__all__ = [
+    "differentiated",
+    "state_space_of_armax",
+    "state_space_recursion",
+    "subspace_candidates",
+    "subspace_start",
+]
+
+
+def differentiated(
+    state: Any, sample: Any, parameters: Any, next_state: Any, residual: Any, start: Any = None
+) -> Recursion:
+    """A predictor with its sensitivities, propagated forwards: S+ = f_x S + f_p, J = h_x S + h_p.
+
+    Parameters
+    ----------
+    state, sample, parameters : casadi.SX
+        Symbols x, d, p.
+    next_state, residual : casadi.SX
+        f(x, d, p) and h(x, d, p).
+    start : casadi.SX, optional
+        x at the first sample, an expression in p; the last entry of the sample is then 1 at the first sample.
+
+    Returns
+    -------
+    Recursion
+        With the state (x, S) that begins at zero.
+    """
+    import casadi as ca
+
+    nx, n = state.numel(), parameters.numel()
+    S = ca.SX.sym("S", nx, n)
+    x, at, slope = state, state, S
+    if start is not None:
+        pulse = sample[-1]
+        at = state + pulse * start
+        slope = S + pulse * ca.jacobian(start, parameters)
+    f_x, f_p = ca.jacobian(next_state, x), ca.jacobian(next_state, parameters)
+    h_x, h_p = ca.jacobian(residual, x), ca.jacobian(residual, parameters)
+    function = ca.Function("parts", [x, sample, parameters], [next_state, residual, f_x, f_p, h_x, h_p])
+    after, e, f_x, f_p, h_x, h_p = function(at, sample, parameters)
+    return Recursion(
+        state=ca.vertcat(x, ca.vec(S)),
+        sample=sample,
+        parameters=parameters,
+        next_state=ca.vertcat(after, ca.vec(ca.densify(f_x @ slope + f_p))),
+        residual=e,
+        jacobian=h_x @ slope + h_p,
+    )
+
+
+def state_space_recursion(structure: StateSpace, levels: bool, initial: bool) -> Recursion:
+    """The predictor x+ = A x + B u + K e, e = y - C x - D u, of an innovations model.
+
+    Parameters
+    ----------
+    structure : StateSpace
+        The structure.
+    levels : bool
+        Whether each output has an unknown level.
+    initial : bool
+        Whether the initial state is unknown.
+
+    Returns
+    -------
+    Recursion
+        The step; the sample holds the inputs, the outputs and the pulse.
+    """
+    import casadi as ca
+
+    n, nu, ny = structure.order, structure.n_inputs, structure.n_outputs
+    theta, level = ca.SX.sym("theta", structure.n), ca.SX.sym("level", ny if levels else 0)
+    x0 = ca.SX.sym("x0", n if initial else 0)
+    fixed = structure.matrices(np.zeros(structure.n))
+    m = {letter: ca.SX(value) for letter, value in fixed.items()}
+    for k, (letter, i, j) in enumerate(structure.entries()):
+        m[letter][i, j] = theta[k]
+    m = {letter: ca.sparsify(value) for letter, value in m.items()}
+    x, sample = ca.SX.sym("x", n), ca.SX.sym("sample", nu + ny + 1)
+    u, y = sample[:nu], sample[nu : nu + ny]
+    e = y - m["C"] @ x - m["D"] @ u - (level if levels else 0)
+    after = m["A"] @ x + m["B"] @ u + m["K"] @ e
+    parameters = ca.vertcat(theta, level, x0)
+    start = x0 if initial else None
+    return differentiated(x, sample, parameters, ca.densify(after), ca.densify(e), start)
+
+
+def subspace_start(
+    structure: StateSpace, signals: list[tuple[NDArray, NDArray]], past: int, future: int
+) -> NDArray[np.float64]:
+    """Parameters by a subspace method: the predictor's Markov parameters by least squares, their Hankel matrix
+    factored, the states regressed (Chiuso 2007, Automatica 43, 1034: PBSID).
+
+    Parameters
+    ----------
+    structure : StateSpace
+        The structure.
+    signals : list of tuple
+        (y (N, ny), u (N, nu)) of each record.
+    past, future : int
+        Rows of the Hankel matrix that look back and forward.
+
+    Returns
+    -------
+    ndarray
+        (n,) parameters.
+    """
+    ny, nu, n = structure.n_outputs, structure.n_inputs, structure.order
+    back, now_y, now_u = [], [], []
+    for y, u in signals:
+        joint = np.column_stack([u, y])
+        back.append(lagged(joint, past, 0, len(y) - past))
+        now_y.append(y[past:])
+        now_u.append(u[past:])
+    Z, Y, U = (np.concatenate(x) for x in (back, now_y, now_u))
+    direct = U if structure.feedthrough else U[:, :0]
+    regressor = np.column_stack([Z, direct])
+    markov = np.linalg.lstsq(regressor, Y, rcond=1e-10)[0].T  # [Phi_1 ... Phi_p, D]
+    width, future = nu + ny, min(future, past)
+    D = markov[:, past * width :] if structure.feedthrough else np.zeros((ny, nu))
+    rows = [
+        np.hstack([markov[:, k * width : past * width], np.zeros((ny, k * width))]) for k in range(future)
+    ]
+    _, singular, right = np.linalg.svd(np.vstack(rows) @ Z.T, full_matrices=False)
+    X = (np.sqrt(singular[:n, None]) * right[:n]).T
+    C = np.linalg.lstsq(X, Y - U @ D.T, rcond=None)[0].T
+    E = Y - U @ D.T - X @ C.T
+    edges = np.cumsum([len(y) for y in now_y])
+    keep = np.setdiff1d(np.arange(len(X)), edges - 1)
+    left = np.column_stack([X, U, E])[keep]
+    ABK = np.linalg.lstsq(left, X[keep + 1], rcond=None)[0].T
+    A, B, K = ABK[:, :n], ABK[:, n : n + nu], ABK[:, n + nu :]
+    K = _stabilised(A, C, K) if structure.noise else np.zeros((n, ny))
+    return structure.theta_of(A, B, C, D, K)
+
+
+def subspace_candidates(structure: StateSpace, problem: Any) -> list[NDArray[np.float64]]:
+    """Starts by the subspace method with several horizons.
+
+    Parameters
+    ----------
+    structure : StateSpace
+        The structure.
+    problem : Problem
+        Its scaled records.
+
+    Returns
+    -------
+    list of ndarray
+        (n + levels,) scaled parameters each.
+    """
+    nu, ny = structure.n_inputs, structure.n_outputs
+    signals = [(d[:, nu : nu + ny], d[:, :nu]) for d in problem.records()]
+    shortest, total = min(len(y) for y, _ in signals), problem.n_samples
+    most = max(2, min(shortest // 3, total // (4 * (nu + ny))))
+    found = []
+    for past in sorted({min(most, p) for p in (structure.order + 2, 10, 20, 30)}):
+        try:
+            theta = subspace_start(structure, signals, past, max(past // 2, -(-structure.order // ny) + 1))
+        except (InputError, np.linalg.LinAlgError):
+            continue
+        found.append(np.concatenate([theta, np.zeros(problem.n_parameters - structure.n)]))
+    return found
+
+
+def state_space_of_armax(structure: StateSpace, armax: Polynomial, theta: NDArray) -> NDArray[np.float64]:
+    """Parameters of the state-space model that is an ARMAX model of one output.
+
+    Parameters
+    ----------
+    structure : StateSpace
+        One output, n states.
+    armax : Polynomial
+        A, C of degree n, every B with n coefficients from q^-1, or n + 1 from q^0.
+    theta : ndarray
+        Its parameters.
+
+    Returns
+    -------
+    ndarray
+        (structure.n,).
+    """
+    row, n = armax.coefficients(theta)[0], structure.order
+    a, c = row["a"][0], row["c"][0]
+    A = np.zeros((n, n))
+    A[:, 0] = -a[1:]
+    A[range(n - 1), range(1, n)] = 1.0
+    C = np.zeros((1, n))
+    C[0, 0] = 1.0
+    b = np.column_stack([np.pad(x, (0, n + 1 - len(x))) for x in row["b"]])
+    D = b[:1]
+    B = b[1:] - a[1:, None] * D
+    return structure.theta_of(A, B, C, D, (c[1:] - a[1:])[:, None])
+
+
+def _stabilised(A: NDArray, C: NDArray, K: NDArray) -> NDArray:
+    """K shrunk until A - K C is stable; the stationary Kalman gain of a stable A is at the end of the way."""
+    for _ in range(30):
+        if np.abs(np.linalg.eigvals(A - K @ C)).max() < 0.999:
+            break
+        K = 0.8 * K
+    return K

@@ -1,0 +1,1 @@
+"""Impulse responses under a kernel, its hyperparameters by marginal likelihood."""

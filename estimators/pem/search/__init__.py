@@ -1,0 +1,1 @@
+"""The search for the global optimum of a prediction-error criterion."""

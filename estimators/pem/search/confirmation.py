@@ -1,0 +1,141 @@
+"""Whether an optimum of an output-error model needs no rival: nothing is left in its residual, and every mode is told.
+
+1. The residual is white and does not depend on the input: regressed on its own past and on past inputs, N times the
+   relative fall of its variance is chi-squared (Ljung 1999, section 16.6). So no other model fits better by more than
+   that statistic can hide.
+2. B and F have no root in common at any parameters that fit nearly as well: the smallest singular value of their
+   Sylvester matrix is zero where they have one, and is many of its standard errors here. So the map from parameters to responses is one to one there.
+
+A rival would have to fit as well with another response (1) or another pair of B and F for the same response (2).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.pem.search.levenberg_marquardt import Optimum
+from estimators.pem.search.problem import Problem
+from estimators.pem.search.starts import lagged_gram, low_order_fits
+
+__all__ = ["LAGS", "confirmed", "first_start"]
+
+LAGS = 20
+"""Of the residual and of each input."""
+SPREAD = 4.0
+"""Standard deviations above its mean that the statistic may be."""
+RADIUS = 20.0
+"""Standard errors from a common root of B and F. Its square is more than the statistic can hide from 8 on; that is to first
+order, and with 10 an optimum was seen whose likelihood a rival's exceeded by a factor of 3."""
+
+
+def _channels(problem: Problem) -> list[NDArray[np.float64]]:
+    width = problem.data.shape[1] - 2
+    return [d[:, [width, *range(width)]] for d in problem.records()]
+
+
+def first_start(problem: Problem) -> NDArray[np.float64] | None:
+    """The start by null-space fitting of one long ARX model.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one output.
+
+    Returns
+    -------
+    ndarray or None
+        (n + levels,) scaled parameters; None where the structure is none of output error, or there are few samples
+        for the long model.
+    """
+    form = problem.structure
+    if form.na[0] or form.nc[0] or form.nd[0] or not form.nf.any() or problem.variant:
+        return None
+    if problem.lower is not None or problem.prior_precision is not None:
+        return None
+    present = [j for j in range(form.n_inputs) if form.nb[0, j]]
+    if problem.n_samples < 10 * LAGS * (1 + len(present)) or min(problem.lengths) < 3 * LAGS:
+        return None
+    if max(form.nb.max(), form.nf.max()) >= LAGS:
+        return None
+    gram = lagged_gram(_channels(problem), LAGS + 1)
+    bs, fs = low_order_fits(
+        gram, LAGS, [int(form.nb[0, j]) for j in present], [int(form.nf[0, j]) for j in present]
+    )
+    z, place = np.zeros(problem.n_parameters), form.places()[0]
+    for j, b, f in zip(present, bs, fs, strict=True):
+        z[place["b"][j]], z[place["f"][j]] = b, f
+    return z
+
+
+def confirmed(problem: Problem, optimum: Optimum) -> bool:
+    """Whether an optimum needs no rival.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one output, output error.
+    optimum : Optimum
+        Where one search ended.
+
+    Returns
+    -------
+    bool
+        True if the residual holds nothing and every mode is told.
+    """
+    point = optimum.point
+    if not optimum.status.ok:
+        return False
+    try:
+        spread = np.linalg.inv(point.hessian) * (point.loss / problem.n_samples)
+    except np.linalg.LinAlgError:
+        return False
+    return _told(problem, point.z, spread) and _nothing_left(problem, optimum)
+
+
+def _told(problem: Problem, z: NDArray, spread: NDArray) -> bool:
+    form, place = problem.structure, problem.structure.places()[0]
+    for j in range(form.n_inputs):
+        nb, nf = int(form.nb[0, j]), int(form.nf[0, j])
+        if not nb:
+            continue
+        at = np.r_[place["b"][j], place["f"][j]]
+        b, f = z[place["b"][j]], np.concatenate([[1.0], z[place["f"][j]]])
+        if not b.any():
+            return False
+        b = b / np.linalg.norm(b)
+        order = nf + nb - 1
+        sylvester = np.zeros((order, order))
+        for k in range(nb - 1):
+            sylvester[k, k : k + nf + 1] = f
+        for k in range(nf):
+            sylvester[nb - 1 + k, k : k + nb] = b
+        left, singular, right = np.linalg.svd(sylvester)
+        # Its change with a coefficient, to first order: that of u' S v for the smallest singular value's vectors.
+        u, v = left[:, -1], right[-1]
+        by_b = np.array([u[nb - 1 :] @ v[i : i + nf] for i in range(nb)]) / np.linalg.norm(z[place["b"][j]])
+        by_f = [u[: nb - 1] @ v[i : i + nb - 1] for i in range(1, nf + 1)]
+        slope = np.concatenate([by_b, by_f])
+        if not singular[-1] > RADIUS * np.sqrt(slope @ spread[np.ix_(at, at)] @ slope):
+            return False
+    return True
+
+
+def _nothing_left(problem: Problem, optimum: Optimum) -> bool:
+    e = problem.residuals(optimum.point)
+    channels = [
+        np.column_stack([r / problem.output_scale, c[:, 1:]])
+        for r, c in zip(e, _channels(problem), strict=True)
+    ]
+    gram = lagged_gram(channels, LAGS + 1)
+    width = len(gram)
+    flat = gram.reshape(width * (LAGS + 1), -1)
+    index = np.r_[1 : LAGS + 1, LAGS + 1 : width * (LAGS + 1)]
+    normal, right = flat[np.ix_(index, index)], flat[index, 0]
+    size = np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
+    try:
+        step = np.linalg.solve(normal / np.outer(size, size), right / size)
+    except np.linalg.LinAlgError:
+        return False
+    explained = problem.n_samples * float(step @ (right / size)) / float(gram[0, 0, 0, 0])
+    return bool(explained < len(index) + SPREAD * np.sqrt(2 * len(index)))

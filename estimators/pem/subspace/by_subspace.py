@@ -1,0 +1,235 @@
+"""State-space models by subspace methods: linear algebra, no search, no starting values.
+
+The future outputs, once the part due to the future inputs is taken off, lie in the range of the extended observability
+matrix [C; CA; CA^2; ...]. The past inputs and outputs are the instruments that tell this range from noise. A and C come
+from the range (shift invariance); B, D, the levels and the initial states then are linear in the simulated output, and
+minimise its error (Van Overschee, De Moor 1996, Subspace Identification for Linear Systems, chapter 4; Verhaegen
+1994, Automatica 30, 61: PO-MOESP; Larimore 1990: CVA).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from estimators.pem.fit import Fit
+from estimators.pem.predictors.of_structure import Structure
+from estimators.pem.results import result
+from estimators.pem.search.levenberg_marquardt import Optimum, Point
+from estimators.pem.search.problem import Problem, prepare
+from estimators.pem.subspace.errors import covariance, influence, linear_entries
+from estimators.pem.subspace.hankel import autoregressive_order, factored
+from estimators.pem.subspace.observability import Range, Subspace, range_of
+from oed.data import Record
+from oed.errors import InputError, Status
+from oed.models.model import StateSpace
+
+__all__ = ["by_subspace", "check_subspace"]
+
+METHODS = ("moesp", "n4sid", "cva")
+MOST_TRIED = 41
+
+
+def check_subspace(form: Structure, method: str, horizon: int | None, given: dict[str, bool]) -> StateSpace:
+    """Refuse what does not go with a subspace method.
+
+    Parameters
+    ----------
+    form : Polynomial or StateSpace
+        The structure.
+    method : str
+        As in `identify`.
+    horizon : int, optional
+        As in `identify`.
+    given : dict of str to bool
+        Options of the prediction-error method, and whether they were asked for.
+
+    Returns
+    -------
+    StateSpace
+        The structure without K.
+
+    Raises
+    ------
+    InputError
+        If the method is unknown, the structure is no state-space model, or an option belongs to the other method.
+    """
+    if method == "pem":
+        raise InputError(
+            f"a horizon of {horizon} is for a subspace method; choose one of {', '.join(METHODS)}."
+        )
+    if method not in METHODS:
+        raise InputError(f"method is {method!r}; choose pem, {', '.join(METHODS)}.")
+    if not isinstance(form, StateSpace):
+        raise InputError(
+            f'{method} gives state-space models; take the structure "ss" instead of {form.kind}.'
+        )
+    if horizon is not None and not (isinstance(horizon, int | np.integer) and horizon > 0):
+        raise InputError(
+            f"the horizon is {horizon!r}; give a whole number of block rows, above {form.order // form.n_outputs}."
+        )
+    wrong = [name for name, asked in given.items() if asked]
+    if wrong:
+        raise InputError(
+            f'{", ".join(wrong)} cannot go with {method}, which is linear algebra on complete records; take method="pem".'
+        )
+    return StateSpace(form.blocks, form.n_inputs, form.feedthrough, noise=False)
+
+
+def by_subspace(
+    form: StateSpace, records: list[Record], method: str, horizon: int | None, *,
+    offset: bool, centred: bool, initial: str,
+) -> Fit:  # fmt: skip
+    """Subspace estimate of a state-space model without a noise model.
+
+    Parameters
+    ----------
+    form : StateSpace
+        The structure, without K.
+    records : list of Record
+        The data, complete.
+    method : {"moesp", "n4sid", "cva"}
+        The weighting.
+    horizon : int, optional
+        Block rows. By default those, from twice the order of the autoregression that Akaike's criterion takes (Bauer
+        2005, Automatica 41, 359) to three times as many, with which the simulation error on the data is least.
+    offset : bool
+        Whether output levels are estimated.
+    centred : bool
+        Whether the records hold deviations from levels, known or not.
+    initial : str
+        How the initial states are treated.
+
+    Returns
+    -------
+    Fit
+        In the user's units, with `subspace`; its parameters minimise no loss.
+
+    Raises
+    ------
+    InputError
+        If there are too few samples, the data show fewer states than were asked for, or no horizon gives a stable
+        model.
+    """
+    problem = prepare(form, records, offset=offset, initial=initial != "zero")
+    nu, ny = form.n_inputs, form.n_outputs
+    signals = [(d[:, :nu], d[:, nu : nu + ny]) for d in problem.records()]
+    candidates = [horizon] if horizon is not None else _horizons(form, signals, centred)
+    _check(form, signals, candidates)
+    tried = {}
+    if len(candidates) > 1:
+        tried = _errors_by_horizon(form, problem, signals, method, candidates, centred)
+    ranking = sorted(tried, key=lambda i: tried[i]) or candidates
+    found, point = _first_model(form, problem, signals, method, ranking, centred)
+    best = found.factor.horizon
+    if ny > 1:
+        problem = problem.replace(
+            weight=np.linalg.inv(point.extra[1] + 1e-12 * np.trace(point.extra[1]) * np.eye(ny))
+        )
+        point = _completed(form, problem, found)
+    step = np.linalg.lstsq(point.hessian, point.gradient, rcond=1e-12)[0]
+    decrement = float(point.gradient @ step) / max(point.loss, 1e-300)
+    terms = influence(form, problem, point, found, signals)
+    size = problem.output_scale
+    residuals = [e / size for e in problem.residuals(point)]
+    spread = covariance(problem, residuals, terms, best)
+    fit = result(problem, Optimum(point, Status.OK, 0, decrement), records, offset, initial, spread=spread)
+    in_units = [kappa * problem.scale / size[:, None] for kappa in terms]
+    tried = tried or {best: _relative_error(point)}
+    return replace(fit, subspace=Subspace(method, best, found.singular_values, tried, in_units))
+
+
+def _errors_by_horizon(
+    form: StateSpace, problem: Problem, signals: list, method: str, candidates: list[int], centred: bool
+) -> dict[int, float]:
+    """Simulation error for each horizon that gives a model, all from one factor, at the samples that the longest has."""
+    longest, tried, reason = factored(signals, candidates[-1], centred), {}, None
+    for i in candidates:
+        try:
+            found = range_of(longest.shorter(i), form.order, method)
+            tried[i] = _relative_error(_completed(form, problem, found))
+        except InputError as error:
+            reason = error
+    if not tried:
+        raise InputError(
+            f"none of the horizons from {candidates[0]} to {candidates[-1]} gives a model; {reason}"
+        )
+    return tried
+
+
+def _first_model(
+    form: StateSpace, problem: Problem, signals: list, method: str, ranking: list[int], centred: bool
+) -> tuple[Range, Point]:
+    """The first horizon that gives a stable model with all the samples that it has."""
+    for i in ranking:
+        try:
+            found = range_of(factored(signals, i, centred), form.order, method)
+            return found, _completed(form, problem, found)
+        except InputError:
+            if i == ranking[-1]:
+                raise
+    raise InputError("no horizon to try; this should not happen.")
+
+
+def _relative_error(point: Point) -> float:
+    """Root mean square of the simulation error in scaled units."""
+    moment = point.extra[1]
+    return float(np.sqrt(np.trace(moment) / len(moment)))
+
+
+def _check(form: StateSpace, signals: list, candidates: list[int]) -> None:
+    """Refuse horizons that the order or the records do not allow."""
+    least = -(-form.order // form.n_outputs) + 1
+    most = _longest(form, signals)
+    for i in (candidates[0], candidates[-1]):
+        if not least <= i <= most:
+            raise InputError(
+                f"the horizon is {i} block rows; order {form.order} with {form.n_outputs} output(s) needs {least} or "
+                f"more, and these records allow {most} at most (2 (nu + ny) rows of either half, twice as many samples): "
+                + ("give longer records or lower the order." if most < least else "choose one between.")
+            )
+
+
+def _longest(form: StateSpace, signals: list) -> int:
+    """The most block rows with twice as many columns in the Hankel matrices as rows."""
+    channels, most = form.n_inputs + form.n_outputs, 0
+    for i in range(1, max(len(u) for u, _ in signals) // 2 + 1):
+        if sum(max(len(u) - 2 * i + 1, 0) for u, _ in signals) < 4 * i * channels:
+            break
+        most = i
+    return most
+
+
+def _horizons(form: StateSpace, signals: list, centred: bool) -> list[int]:
+    """Horizons worth trying: from twice the autoregression's order on."""
+    most = _longest(form, signals)
+    total = sum(len(u) for u, _ in signals)
+    orders = max(1, min(round(10 * np.log10(max(total, 10))), most))
+    back = autoregressive_order(signals, orders, centred)
+    low = max(min(2 * back, most), -(-form.order // form.n_outputs) + 2)
+    high = max(min(3 * low, most), low)
+    return np.unique(np.linspace(low, high, MOST_TRIED).round().astype(int)).tolist()
+
+
+def _completed(form: StateSpace, problem: Problem, found: Range) -> Point:
+    """B, D, levels and initial states by least squares on the simulation error; the residual is linear in them."""
+    n, nu, ny = form.order, form.n_inputs, form.n_outputs
+    free = linear_entries(form, problem.n_parameters)
+    z = np.zeros(problem.n_parameters)
+    z[: form.n] = form.theta_of(found.A, np.zeros((n, nu)), found.C, np.zeros((ny, nu)), np.zeros((n, ny)))
+    point = problem.evaluate(z)
+    for _ in range(2):  # once more, for what the normal equations lose
+        if point is None:
+            pole = np.abs(np.linalg.eigvals(found.A)).max()
+            raise InputError(
+                f"with {found.factor.horizon} block rows the model is unstable (a pole of size {pole:.6g}); choose another "
+                'horizon or order, or take method="pem".'
+            )
+        at = np.flatnonzero(free)
+        z = point.z.copy()
+        z[free] -= np.linalg.lstsq(point.hessian[at[:, None], at], point.gradient[free], rcond=1e-14)[0]
+        point = problem.evaluate(z)
+    if point is None:
+        raise InputError("the simulation error is not finite; check the units of the records.")
+    return point

@@ -1,0 +1,138 @@
+"""The range of the extended observability matrix by its singular values, and A and C from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.pem.subspace.hankel import Factor
+from oed.errors import InputError
+
+__all__ = ["Range", "Subspace", "range_of"]
+
+
+@dataclass(frozen=True, eq=False)
+class Range:
+    """Range of the extended observability matrix, as estimated.
+
+    Attributes
+    ----------
+    A, C : ndarray
+        (n, n), (ny, n) in some coordinates.
+    basis : ndarray
+        (i ny, n) its columns.
+    singular_values : ndarray
+        (i ny,) all of them; n should stand out.
+    factor : Factor
+        The data.
+    weight, unweight : ndarray
+        (i ny, i ny) what the future outputs were multiplied by before the decomposition, and its inverse.
+    instruments : ndarray
+        (i (nu + ny), n): the past, free of the future inputs, times this is the state, each over its singular value
+        squared.
+    """
+
+    A: NDArray[np.float64]
+    C: NDArray[np.float64]
+    basis: NDArray[np.float64]
+    singular_values: NDArray[np.float64]
+    factor: Factor
+    weight: NDArray[np.float64]
+    unweight: NDArray[np.float64]
+    instruments: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Subspace:
+    """How a subspace method came to its model.
+
+    Attributes
+    ----------
+    method : str
+        moesp, n4sid or cva.
+    horizon : int
+        Block rows that look back, and as many that look forward.
+    singular_values : ndarray
+        (horizon ny,) from which the order is read: as many as the model has states should stand out.
+    tried : dict of int to float
+        Root mean square of the simulation error on the data, over the outputs' sizes, for each horizon that gave a
+        stable model.
+    influence : list of ndarray
+        (N, ny, n + levels) of each record: what noise in each output at each sample adds to the estimate.
+    """
+
+    method: str
+    horizon: int
+    singular_values: NDArray[np.float64]
+    tried: dict[int, float]
+    influence: list[NDArray[np.float64]]
+
+    def to_dict(self) -> dict:
+        """Plain numbers.
+
+        Returns
+        -------
+        dict
+            Ready for JSON.
+        """
+        return {
+            "method": self.method,
+            "horizon": self.horizon,
+            "singular_values": self.singular_values.tolist(),
+            "tried": {str(horizon): error for horizon, error in self.tried.items()},
+        }
+
+    def __repr__(self) -> str:
+        many, shown = len(self.tried), ", ".join(f"{s:.3g}" for s in self.singular_values[:8])
+        tried = f" (the best of {many} from {min(self.tried)} to {max(self.tried)})" if many > 1 else ""
+        return f"by {self.method} with {self.horizon} block rows{tried}; singular values {shown} ..."
+
+
+def range_of(factor: Factor, order: int, method: str) -> Range:
+    """Range of the observability matrix, and A and C from it.
+
+    Parameters
+    ----------
+    factor : Factor
+        The data.
+    order : int
+        Number of states n.
+    method : {"moesp", "n4sid", "cva"}
+        The weighting: moesp takes the past free of the future inputs as it is, cva divides the future outputs by the
+        root of their covariance, n4sid takes the past with its part along the future inputs.
+
+    Returns
+    -------
+    Range
+        InputError if the data show fewer states than n.
+    """
+    _, L21, L22, _, L32, L33 = factor.blocks()
+    rows, ny = len(L32), factor.n_outputs
+    weight = unweight = np.eye(rows)
+    inverse = np.linalg.pinv(L22, rcond=1e-11)
+    if method == "cva":
+        values, vectors = np.linalg.eigh(L32 @ L32.T + L33 @ L33.T)
+        kept = values > 1e-14 * values[-1]
+        root = np.sqrt(np.where(kept, values, 1.0))
+        weight = (vectors * np.where(kept, 1 / root, 0.0)) @ vectors.T
+        unweight = (vectors * np.where(kept, root, 0.0)) @ vectors.T
+    along = L32 @ inverse @ np.hstack([L21, L22]) if method == "n4sid" else weight @ L32
+    left, singular, right = np.linalg.svd(along, full_matrices=False)
+    if singular[order - 1] <= 1e-11 * singular[0]:
+        shown = int(np.sum(singular > 1e-11 * singular[0]))
+        raise InputError(
+            f"the data show {shown} states, of {order} asked for: singular value {order} of the future given the past is "
+            f"{singular[order - 1] / max(singular[0], 1e-300):.1e} of the first; lower the order, or excite more."
+        )
+    left, right, size = left[:, :order], right[:order], singular[:order]
+    basis = unweight @ left
+    A = np.linalg.lstsq(basis[:-ny], basis[ny:], rcond=None)[0].astype(float)
+    # the state is q = left' weight Theta S S|u^-1 (past given the future inputs); moesp and cva have S = S|u
+    if method == "n4sid":
+        past = inverse.T @ (right.T * size)[L21.shape[1] :]
+        past = past + inverse.T @ inverse @ L21 @ (right.T * size)[: L21.shape[1]]
+    else:
+        past = inverse.T @ (right.T * size)
+    return Range(A, basis[:ny], basis, singular, factor, weight, unweight, past / size**2)

@@ -1,0 +1,1 @@
+"""Residual tests: what a model has left in its residuals, and their algebra."""

@@ -1,0 +1,350 @@
+"""Residual tests: what a model has left in its residuals, lag by lag and together.
+
+Under the hypothesis that nothing is missing, e = M e0 with the true noise e0 and M = I - J (J'J)^-1 J' the
+projection that the fit of the parameters makes (J the sensitivities). A correlation z = X'e with columns X is
+then normal with covariance (M X)' Sigma (M X): that is what is used, with Sigma the noise's own covariance
+(coloured noise included) estimated by an autoregression of the residuals. Without J the projection is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimators.residual.algebra import Parts, delayed, inverse, spread_of, taken_up
+from oed.data import Record, frozen
+from oed.errors import InputError
+from oed.files.objects import as_records
+
+__all__ = ["ResidualTest", "feedback", "input_correlation", "residual_tests", "whiteness"]
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTest:
+    """Correlations at several lags, each with its p-value, and all together.
+
+    Attributes
+    ----------
+    name : str
+        What was correlated with what.
+    lags : ndarray of int
+        (L,) in samples; positive where the residual comes later.
+    correlation : ndarray
+        (L,) correlation coefficients.
+    deviation : ndarray
+        (L,) their standard deviations if nothing is missing.
+    p_values : ndarray
+        (L,) two-sided, each lag by itself.
+    statistic : float
+        z' Cov^+ z over all lags; chi-squared with `freedom` degrees of freedom if nothing is missing.
+    freedom : int
+        Rank of Cov.
+    p_value : float
+        Of the statistic.
+    """
+
+    name: str
+    lags: NDArray[np.int64]
+    correlation: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    p_values: NDArray[np.float64]
+    statistic: float
+    freedom: int
+    p_value: float
+
+    def significant(self, level: float = 0.01) -> NDArray[np.int64]:
+        """Lags at which the correlation is significant after Holm's correction for the number of lags.
+
+        Parameters
+        ----------
+        level : float
+            Probability of naming any lag where nothing is missing.
+
+        Returns
+        -------
+        ndarray of int
+            Lags, ascending.
+        """
+        order = np.argsort(self.p_values)
+        limits = level / np.arange(len(order), 0, -1)
+        failed = np.flatnonzero(self.p_values[order] > limits)
+        return np.sort(self.lags[order[: failed[0] if failed.size else len(order)]])
+
+    def to_dict(self) -> dict:
+        """Plain numbers.
+
+        Returns
+        -------
+        dict
+            All attributes.
+        """
+        arrays = {x: getattr(self, x).tolist() for x in ("lags", "correlation", "deviation", "p_values")}
+        rest = {x: getattr(self, x) for x in ("name", "statistic", "freedom", "p_value")}
+        return rest | arrays
+
+    def __repr__(self) -> str:
+        lags = self.significant()
+        where = f"; significant at lags {', '.join(map(str, lags))}" if lags.size else ""
+        return f"{self.name}: chi2({self.freedom}) = {self.statistic:.4g}, p = {self.p_value:.3g}{where}"
+
+
+def whiteness(
+    residuals: NDArray | Parts,
+    *,
+    lags: int = 25,
+    jacobian: NDArray | Parts | None = None,
+    covariance: NDArray | None = None,
+) -> ResidualTest:
+    """Whether a residual is white: its autocorrelations r_1 ... r_L.
+
+    Cov(r) = (I - Gamma' (J'J)^-1 Gamma / sigma^2) / N with Gamma_l = sum_t J_t e(t - l), since fitted parameters
+    have already removed some of the correlation (McLeod 1978, JRSS B 40, 296); without a jacobian, I / N.
+
+    Parameters
+    ----------
+    residuals : ndarray or sequence of ndarray
+        (N,) residuals of one output, or one array per record.
+    lags : int
+        Number of lags.
+    jacobian : ndarray or sequence of ndarray, optional
+        (N, n) sensitivities of the residual to everything that was fitted.
+    covariance : ndarray, optional
+        (n, n) covariance of what was fitted, where that is not sigma^2 (J'J)^-1: several outputs together.
+
+    Returns
+    -------
+    ResidualTest
+        Lags 1 to L.
+    """
+    parts = _parts(residuals)
+    lags = _limited(lags, parts)
+    total, power = sum(map(len, parts)), sum(float(e @ e) for e in parts)
+    if power <= 0:
+        return _test("whiteness", np.arange(1, lags + 1), np.zeros(lags), np.eye(lags))
+    r = np.array([sum(float(e[k:] @ e[: len(e) - k]) for e in parts) for k in range(1, lags + 1)]) / power
+    spread = np.diag([sum(max(len(e) - k, 1) for e in parts) for k in range(1, lags + 1)]) / total**2
+    if jacobian is not None:
+        stacked = np.concatenate(_parts(jacobian, 2))
+        past = np.concatenate([delayed(e[:, None], range(1, lags + 1)) for e in parts])
+        gamma = stacked.T @ past
+        if covariance is None:
+            covariance = inverse(stacked.T @ stacked) * power / total
+        spread = spread - gamma.T @ covariance @ gamma / power**2
+    return _test("whiteness", np.arange(1, lags + 1), r, spread)
+
+
+def input_correlation(
+    residuals: NDArray | Parts,
+    inputs: NDArray | Parts,
+    *,
+    lags: Iterable[int] | int = 25,
+    jacobian: NDArray | Parts | None = None,
+    name: str = "input",
+    fresh_covariance: NDArray | None = None,
+) -> ResidualTest:
+    """Whether a residual depends on an input: z_l = sum_t e(t) u(t - l), valid for coloured noise.
+
+    Parameters
+    ----------
+    residuals : ndarray or sequence of ndarray
+        (N,) residuals of one output, or one array per record.
+    inputs : ndarray or sequence of ndarray
+        (N,) one input.
+    lags : iterable of int, or int
+        Lags in samples, positive where the residual comes later; a number L means 0 ... L.
+    jacobian : ndarray or sequence of ndarray, optional
+        (N, n) sensitivities of the residual to everything that was fitted.
+    name : str
+        What the test is called.
+    fresh_covariance : ndarray, optional
+        (n, n) covariance of the parameters, where the record was not used to fit them: their error then
+        adds to the spread instead of having taken from it.
+
+    Returns
+    -------
+    ResidualTest
+        One row per lag.
+    """
+    parts, u = _parts(residuals), _parts(inputs)
+    sensitivity = None if jacobian is None else [j[:, None] for j in _parts(jacobian, 2)]
+    return _input_test(
+        name, [e[:, None] for e in parts], 0, u, lags, sensitivity, np.eye(1), fresh_covariance
+    )
+
+
+def _input_test(
+    name: str, parts: Parts, i: int, u: Parts, lags: Iterable[int] | int, sensitivity: Parts | None,
+    weight: NDArray, fresh_covariance: NDArray | None, posterior: NDArray | None = None,
+    influence: Parts | None = None,
+) -> ResidualTest:  # fmt: skip
+    """The residual of output i against an input, after a fit of all outputs together weighted by W.
+
+    e_i = e0_i - J_i P sum J' W e0 with P = (sum J' W J)^-1, so that z = sum_k Y_k' e0_k with
+    Y_k = (k = i) X - (J W)_k P (J_i' X): as many columns as lags for every output k. Of a posterior with covariance P
+    the residual has taken up X' J P J' X, the prior's share left in it. Where the first parameters are no minimum of this
+    sum but moved by sum_t kappa_t e0(t), the influence, the others alone are fitted, and Y_k gains kappa_k (sum_m J_m' Y_m).
+    """
+    if [len(x) for x in parts] != [len(x) for x in u]:
+        raise InputError(
+            f"the residuals have {[len(x) for x in parts]} samples and the inputs {[len(x) for x in u]}; "
+            "they must be equal, record by record."
+        )
+    chosen = (
+        np.arange(_limited(lags, parts) + 1) if isinstance(lags, int) else np.array(list(lags), dtype=int)
+    )
+    average = sum(x.sum() for x in u) / sum(map(len, u))
+    columns = [delayed(x[:, None] - average, chosen) for x in u]
+    power = sum(float(e[:, i] @ e[:, i]) for e in parts)
+    z = np.sum([x.T @ e[:, i] for x, e in zip(columns, parts, strict=True)], axis=0)
+    extra: NDArray | float = 0.0
+    per_output = [[x if k == i else np.zeros_like(x) for x in columns] for k in range(parts[0].shape[1])]
+    known = fresh_covariance if fresh_covariance is not None else posterior
+    if sensitivity is not None and known is not None:
+        cross = np.sum([j[:, i].T @ x for j, x in zip(sensitivity, columns, strict=True)], axis=0)
+        extra = cross.T @ known @ cross * (-1 if fresh_covariance is None else 1)
+    elif sensitivity is not None:
+        per_output = taken_up(per_output, sensitivity, weight, influence)
+    covariance = spread_of(parts, per_output) + extra
+    size = np.sqrt(power * sum(float(((x - average) ** 2).sum()) for x in u)) or 1.0
+    return _test(name, chosen, z / size, covariance / size**2)
+
+
+def feedback(residuals: NDArray | Parts, inputs: NDArray | Parts, *, lags: int = 10) -> ResidualTest:
+    """Whether the input depends on past noise: correlation of the residual with inputs that come after it.
+
+    Parameters
+    ----------
+    residuals : ndarray or sequence of ndarray
+        (N,) residuals of one output, or one array per record.
+    inputs : ndarray or sequence of ndarray
+        (N,) one input.
+    lags : int
+        How many samples ahead.
+
+    Returns
+    -------
+    ResidualTest
+        Lags -L to -1. A small p-value says that there is feedback in the data.
+    """
+    limit = _limited(lags, _parts(residuals))
+    return input_correlation(residuals, inputs, lags=range(-limit, 0), name="feedback")
+
+
+def residual_tests(
+    fit: Any, records: Record | Sequence[Record], *, lags: int = 25, fresh: bool = False
+) -> dict[str, ResidualTest]:
+    """All residual tests of a fitted model: whiteness, correlation with inputs past and future.
+
+    Parameters
+    ----------
+    fit : Fit
+        Anything with `linearised(record) -> (e (N, ny), J (N, ny, n))`.
+    records : Record or sequence of Record
+        The data that were fitted, or fresh data.
+    lags : int
+        Number of lags.
+    fresh : bool
+        Whether these data were not used in the fit.
+
+    Returns
+    -------
+    dict of str to ResidualTest
+        "whiteness", "input" and "feedback"; with several channels one per output or pair, such as
+        "whiteness_2" and "input_21" (output 2, input 1).
+    """
+    given = as_records(records)
+    linear = [fit.linearised(r) for r in given]
+    shared = len(fit.covariance)
+    levels = int(bool(np.any(fit.output_level_errors))) * given[0].n_outputs
+    common = shared + levels
+    own = linear[0][1].shape[2] - common
+    wide = []
+    for r, (_, j) in enumerate(linear):
+        states = np.zeros((*j.shape[:2], own * len(given)))
+        states[:, :, r * own : (r + 1) * own] = j[:, :, common:]
+        wide.append(np.concatenate([j[:, :, :common], states], axis=2))
+    tests: dict[str, ResidualTest] = {}
+    ny, nu = given[0].n_outputs, given[0].n_inputs
+    residuals = [e for e, _ in linear]
+    weight = np.linalg.inv(fit.noise_covariance)
+    stacked = np.concatenate(wide)
+    spread = inverse(np.einsum("tam,ab,tbn->mn", stacked, weight, stacked))
+    posterior = not fresh and getattr(fit, "regularisation", None) is not None
+    influence = None
+    if not fresh and getattr(fit, "subspace", None) is not None:
+        influence = fit.subspace.influence
+        if [len(x) for x in influence] != [len(e) for e in residuals]:
+            raise InputError(
+                f"records of {[len(e) for e in residuals]} samples, and {[len(x) for x in influence]} were fitted; give "
+                "those that were fitted, or fresh=True."
+            )
+    if fresh or posterior:
+        spread = np.zeros_like(spread)
+        spread[:shared, :shared] = fit.covariance
+    if posterior and levels:
+        spread[shared:common, shared:common] = np.diag(fit.output_level_errors**2)
+    for i in range(ny):
+        e = [x[:, i] for x in residuals]
+        row = f"_{i + 1}" if ny > 1 else ""
+        fitted = None if fresh else [j[:, i] for j in wide]
+        tests[f"whiteness{row}"] = whiteness(e, lags=lags, jacobian=fitted, covariance=spread)
+        for k in range(nu):
+            u = [r.u[:, k] for r in given]
+            entry = f"_{i + 1}{k + 1}" if ny * nu > 1 else ""
+            tests[f"input{entry}"] = _input_test(
+                f"input{entry}", residuals, i, u, lags, wide, weight, spread if fresh else None,
+                spread if posterior else None, influence,
+            )  # fmt: skip
+            tests[f"feedback{entry}"] = feedback(e, u, lags=min(lags, 10))
+    return tests
+
+
+def _test(name: str, lags: NDArray, r: NDArray, covariance: NDArray) -> ResidualTest:
+    from scipy.special import chdtrc, erfc
+
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    # A lag whose correlation the fit has set to zero tells nothing: its spread is none.
+    told = size > 1e-6 * size.max(initial=0.0)
+    z = np.where(told, r / np.where(told, size, 1.0), 0.0)
+    unit = covariance / np.outer(np.where(told, size, 1.0), np.where(told, size, 1.0))
+    values, vectors = np.linalg.eigh(unit[np.ix_(told, told)])
+    keep = values > 1e-3
+    turned = vectors[:, keep].T @ z[told]
+    statistic, freedom = float(np.sum(turned**2 / values[keep])), int(keep.sum())
+    return ResidualTest(
+        name,
+        frozen(lags, int),
+        frozen(r),
+        frozen(size),
+        frozen(np.where(told, erfc(np.abs(z) / np.sqrt(2)), 1.0)),
+        statistic,
+        freedom,
+        float(chdtrc(freedom, statistic)) if freedom else 1.0,
+    )
+
+
+def _limited(lags: int, parts: Parts) -> int:
+    most = min(map(len, parts)) // 4
+    if lags < 1 or most < 1:
+        raise InputError(
+            f"{lags} lags of records of at least {min(map(len, parts))} samples; ask for 1 or more, and give "
+            "4 samples or more per record."
+        )
+    return min(lags, most)
+
+
+def _parts(signals: ArrayLike | Parts, axes: int = 1) -> list[NDArray[np.float64]]:
+    """A list of arrays, (N,) or (N, n), from one or several."""
+    given = list(signals) if isinstance(signals, list | tuple) else [signals]  # type: ignore[list-item]
+    arrays = [np.asarray(x, dtype=float) for x in given]
+    arrays = [x[:, 0] if axes == 1 and x.ndim == 2 and x.shape[1] == 1 else x for x in arrays]
+    if not arrays or any(x.ndim != axes or not len(x) for x in arrays):
+        raise InputError(
+            f"residuals and inputs are tested one channel at a time, as {'(N,)' if axes == 1 else '(N, n)'} arrays; "
+            f"shapes given: {[x.shape for x in arrays]}."
+        )
+    return arrays

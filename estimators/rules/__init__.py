@@ -1,0 +1,1 @@
+"""Rules that choose the next input from what was measured, and the loop that runs them."""

@@ -1,0 +1,104 @@
+"""[M] Procedure 2: power iterations for any number of inputs and outputs, 1 + pq experiments each."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from estimators.rules.limits import Limits, scaled
+from estimators.rules.power import first_input
+from estimators.rules.trace import Step
+from oed.errors import check_names
+
+__all__ = ["SCALINGS", "procedure_2"]
+
+SCALINGS = ("none", "each", "common")
+
+
+def procedure_2(
+    samples: int,
+    n_inputs: int,
+    n_outputs: int,
+    rng: np.random.Generator,
+    *,
+    limits: Limits | None = None,
+    scaling: str = "none",
+    start: ArrayLike | None = None,
+) -> Generator[Step, NDArray[np.float64], None]:
+    """Power iterations for G' G by experiments on G alone.
+
+        x = T G u,   z = sum_ij I_ij G (I_ij x),   w = T z = G' G u,   next u = w / mu
+
+    I_ij puts output j in place of input i: every experiment of the sum has one input that is not zero, and
+    one output of it is used. With one channel this is the two-experiment scheme of [S] Remark 4.
+
+    Parameters
+    ----------
+    samples : int
+        Length N of every experiment.
+    n_inputs, n_outputs : int
+        Number of channels q and p.
+    rng : numpy.random.Generator
+        For the start.
+    limits : Limits, optional
+        Limits on the inputs; default total power 1.
+    scaling : {"none", "each", "common"}
+        Second-stage inputs as they are (the limits then hold for the first stage only); each scaled to the
+        limits by itself; or all by one factor, for which they meet the power and energy limits together and
+        every other limit one by one. The output is scaled back ([M] (13)).
+    start : array_like, optional
+        (N, nu) first input; default white noise.
+
+    Yields
+    ------
+    Step
+        The next input, "forward" or "transpose i j" (input i, output j, from 1).
+
+    Notes
+    -----
+    [M] Procedure 2 and Sec. III-C. An output that is exactly zero makes no experiment void: its input is
+    applied as zero, so that there are always 1 + pq.
+    """
+    check_names([scaling], SCALINGS, "scaling")
+    limits = limits or Limits()
+    u = first_input(samples, n_inputs, rng, limits, start)
+    while True:
+        y = yield Step(u, "forward")
+        x = y[::-1]
+        common = _common_factor(x, n_inputs, limits) if scaling == "common" else 1.0
+        z = np.zeros((samples, n_inputs))
+        for i in range(n_inputs):
+            for j in range(n_outputs):
+                second = _fed(x, i, j, n_inputs)
+                factor = common
+                if scaling == "each" and second.any():
+                    factor = _factor(second, limits)
+                answer = yield Step(factor * second, f"transpose {i + 1} {j + 1}")
+                z[:, i] += answer[:, j] / factor
+        u = scaled(z[::-1], limits)
+
+
+def _fed(x: NDArray[np.float64], i: int, j: int, n_inputs: int) -> NDArray[np.float64]:
+    """I_ij x: output j in place of input i."""
+    second = np.zeros((len(x), n_inputs))
+    second[:, i] = x[:, j]
+    return second
+
+
+def _factor(x: NDArray[np.float64], limits: Limits) -> float:
+    """By what `scaled` multiplies."""
+    return float(np.linalg.norm(scaled(x, limits)) / np.linalg.norm(x))
+
+
+def _common_factor(x: NDArray[np.float64], n_inputs: int, limits: Limits) -> float:
+    seconds = [_fed(x, i, j, n_inputs) for i in range(n_inputs) for j in range(x.shape[1])]
+    factors = [_factor(second, limits) for second in seconds if second.any()]
+    energy = float(np.sum(np.square(x)))
+    if energy > 0:
+        if limits.power is not None:
+            factors.append(float(np.sqrt(limits.power * len(x) / energy)))
+        if limits.energy is not None:
+            factors.append(float(np.sqrt(limits.energy / energy)))
+    return min(factors, default=1.0)

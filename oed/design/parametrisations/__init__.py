@@ -1,0 +1,1 @@
+"""Other parametrisations of the spectrum than free lines: autocorrelations, shapes, masks, amplitudes."""

@@ -1,0 +1,234 @@
+"""Criteria by name: D, A, E, and the variance of scalars of the model (peak gain, gain, damping, a pole, ...).
+
+D, A, E, modified-E         of all parameters; modified-E is the condition number of the information
+Ds:b1,b2                    D of the named parameters, the others being nuisance
+hinf                        peak gain
+static-gain, gain:0.5       largest singular value of G at 0, or at a frequency in rad/sample
+pole:1, damping:1           modulus of, and damping ratio of, the pole with the smallest damping (1), the next (2)
+I, G, I:0.1:1.0             variance of the frequency response over a band: its mean, its maximum
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.criteria import (
+    Criterion,
+    a_criterion,
+    c_criterion,
+    condition_criterion,
+    d_criterion,
+    e_criterion,
+    g_criterion,
+)
+from oed.design.problem.information_map import InformationMap
+from oed.errors import InputError, check_names
+from oed.plants.norms import gain_gradient, peak
+from oed.plants.plant import Plant
+
+__all__ = ["NAMES", "criterion_of", "response_combinations", "scalar_criterion"]
+
+NAMES = ("D", "A", "E", "modified-E", "Ds", "hinf", "static-gain", "gain", "pole", "damping", "I", "G")
+
+
+def criterion_of(criterion: str | Criterion, model: Any, information: InformationMap) -> Criterion:
+    """The criterion of a name, for a model.
+
+    Parameters
+    ----------
+    criterion : str or Criterion
+        One of `NAMES`, with its arguments after colons, or a criterion, which is checked to fit.
+    model : object
+        The plant or model.
+    information : InformationMap
+        Its map.
+
+    Returns
+    -------
+    Criterion
+        The criterion.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown or the criterion has another number of parameters.
+    """
+    if isinstance(criterion, Criterion):
+        if criterion.n != information.n:
+            raise InputError(
+                f"the criterion has {criterion.n} parameters and the model {information.n}; they must agree."
+            )
+        return criterion
+    name, *arguments = str(criterion).split(":")
+    check_names([name], NAMES, "criterion")
+    n = information.n
+    if name in ("D", "A", "E", "modified-E"):
+        makers = {"D": d_criterion, "A": a_criterion, "E": e_criterion, "modified-E": condition_criterion}
+        return makers[name](n)
+    if name == "Ds":
+        chosen = [part for part in ":".join(arguments).split(",") if part]
+        check_names(chosen, information.names, "parameter")
+        if not chosen:
+            raise InputError("the criterion Ds needs the parameters that matter, such as Ds:b1,b2.")
+        return d_criterion(n, np.array([information.names.index(part) for part in chosen]), name=criterion)
+    numbers = [_number(argument, criterion) for argument in arguments]
+    if name == "hinf":
+        return c_criterion(_peak_gradient(_plant(model, name)), name="hinf")
+    if name in ("static-gain", "gain"):
+        omega = 0.0 if name == "static-gain" else _one(numbers, criterion, "a frequency, such as gain:0.5")
+        if not 0 <= omega <= np.pi:
+            raise InputError(
+                f"the criterion {criterion} asks for {omega:g} rad/sample; it must lie in [0, pi]."
+            )
+        return c_criterion(_gain_gradient(model, omega), name=criterion)
+    if name in ("I", "G"):
+        low, high = numbers if len(numbers) == 2 else (0.0, np.pi)
+        combinations = response_combinations(model, low, high)
+        if name == "G":
+            return g_criterion(combinations, name=criterion)
+        rows = np.concatenate(list(combinations), axis=1) / np.sqrt(len(combinations))
+        return a_criterion(n, rows @ rows.T, name=criterion)
+    which = int(_one(numbers, criterion, f"the pole's number, such as {name}:1")) if numbers else 1
+    return c_criterion(_pole_gradient(_plant(model, name), which, name), name=criterion)
+
+
+def scalar_criterion(
+    model: Plant, function: Callable[[Plant], float], *, name: str = "c", step: float = 1e-6
+) -> Criterion:
+    """The variance of any differentiable scalar of a plant, by central differences.
+
+    Parameters
+    ----------
+    model : Plant
+        The plant.
+    function : callable
+        Plant -> float.
+    name : str
+        What it is called in tables.
+    step : float
+        Relative step of the differences.
+
+    Returns
+    -------
+    Criterion
+        c-optimality with c the gradient.
+    """
+    theta = model.theta
+    c = np.zeros(len(theta))
+    for i, h in enumerate(step * np.maximum(np.abs(theta), 1e-2 * np.abs(theta).max())):
+        shift = h * np.eye(len(theta))[i]
+        ahead, behind = function(model.with_theta(theta + shift)), function(model.with_theta(theta - shift))
+        c[i] = (ahead - behind) / (2 * h)
+    return c_criterion(c, name=name)
+
+
+def response_combinations(model: Any, low: float, high: float, points: int = 60) -> NDArray[np.float64]:
+    """V_k such that trace(V_k' M^-1 V_k) is the variance of the frequency response at line k.
+
+    Parameters
+    ----------
+    model : object
+        With `response`.
+    low, high : float
+        Band in rad/sample.
+    points : int
+        Number of lines.
+
+    Returns
+    -------
+    ndarray
+        (points, n, 2 ny nu).
+    """
+    if not 0 <= low < high <= np.pi + 1e-12:
+        raise InputError(f"the band is {low:g} to {high:g} rad/sample; it needs 0 <= low < high <= pi.")
+    dG = model.response(np.linspace(low, high, points))[1]
+    flat = dG.reshape(points, dG.shape[1], -1)
+    return np.concatenate([flat.real, flat.imag], axis=2)
+
+
+def _number(text: str, criterion: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"the criterion {criterion} has the argument {text!r}; it must be a number."
+        ) from None
+
+
+def _one(numbers: list[float], criterion: str, what: str) -> float:
+    if len(numbers) != 1:
+        raise InputError(f"the criterion {criterion} needs {what}.")
+    return numbers[0]
+
+
+def _plant(model: Any, name: str) -> Plant:
+    if not isinstance(model, Plant):
+        raise InputError(f"the criterion {name} needs a Plant; convert the model with its to_plant().")
+    return model
+
+
+def _peak_gradient(plant: Plant) -> NDArray[np.float64]:
+    found = peak(plant)
+    if not found.unique:
+        raise InputError(
+            f"the peak gain is attained at {len(found.frequencies)} frequencies, so it has no derivative; "
+            "design for the gain at one of them."
+        )
+    return gain_gradient(plant, found)
+
+
+def _gain_gradient(model: Any, omega: float) -> NDArray[np.float64]:
+    G, dG = model.response(np.array([omega]))
+    u, s, vh = np.linalg.svd(G[0])
+    if s[0] == 0:
+        raise InputError(
+            f"the gain at {omega:g} rad/sample is 0, where it has no derivative; choose another."
+        )
+    return np.einsum("p,npq,q->n", u[:, 0].conj(), dG[0], vh[0].conj()).real
+
+
+def _pole_gradient(plant: Plant, which: int, name: str) -> NDArray[np.float64]:
+    """Gradient of a pole's modulus or damping ratio, by implicit differentiation of A(z) = 0."""
+    poles = []
+    for i, row in enumerate(plant.den):
+        for j, A in enumerate(row):
+            for p in np.roots(A):
+                if p.imag >= 0 and abs(p) > 0:
+                    poles.append((_damping(p), i, j, complex(p)))
+    poles.sort(key=lambda entry: entry[0])
+    if not 1 <= which <= len(poles):
+        raise InputError(f"the criterion {name}:{which} asks for pole {which}; the plant has {len(poles)}.")
+    _, i, j, p = poles[which - 1]
+    A = plant.den[i][j]
+    order = len(A) - 1
+    slope = np.polyval(np.polyder(A), p)
+    if abs(slope) < 1e-9:
+        raise InputError(f"the pole {p:.6g} is multiple, so it has no derivative; choose another.")
+    tail = "" if plant.n_outputs * plant.n_inputs == 1 else f"_{i + 1}{j + 1}"
+    c = np.zeros(len(plant.free))
+    for k, parameter in enumerate(plant.free):
+        if parameter.startswith("a") and parameter.endswith(tail):
+            power = int(parameter[1:].split("_")[0])
+            if parameter == f"a{power}{tail}":
+                dp = -(p ** (order - power)) / slope
+                c[k] = (p.conjugate() * dp).real / abs(p) if name == "pole" else _damping_slope(p, dp)
+    if not np.any(c):
+        raise InputError(
+            f"the pole {p:.6g} does not depend on the unknown parameters; nothing is to be learnt."
+        )
+    return c
+
+
+def _damping(p: complex) -> float:
+    s = np.log(p)
+    return float(-s.real / abs(s))
+
+
+def _damping_slope(p: complex, dp: complex) -> float:
+    s, ds = np.log(p), dp / p
+    modulus = abs(s)
+    return float(-ds.real / modulus + s.real * (s.conjugate() * ds).real / modulus**3)

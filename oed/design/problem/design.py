@@ -1,0 +1,161 @@
+"""What a design is: the spectrum, its loss, and the certificate that bounds every other spectrum's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.criteria import Criterion
+from oed.data import Spectrum
+from oed.design.problem.certificate import Certificate
+from oed.design.problem.information_map import InformationMap
+from oed.errors import Status
+
+__all__ = ["Design"]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """An optimal input spectrum with its certificate.
+
+    Attributes
+    ----------
+    spectrum : Spectrum
+        One-sided lines.
+    criterion : Criterion
+        What it is optimal for.
+    loss : float
+        Loss per sample at the stated power and noise.
+    bound : float
+        No admissible spectrum has a smaller loss.
+    certificate : Certificate
+        The evidence for the bound.
+    status : Status
+        OK where the gap is within the tolerance that was asked for.
+    information : ndarray
+        (n, n) Fisher information per sample.
+    map : InformationMap
+        The model, reduced to what designs need.
+    power_used : dict
+        Budget name -> used power.
+    limits : dict
+        Budget name -> limit.
+    solver : str
+        How the weights were found.
+    rounds : int
+        Rounds of column generation.
+    """
+
+    spectrum: Spectrum
+    criterion: Criterion
+    loss: float
+    bound: float
+    certificate: Certificate
+    status: Status
+    information: NDArray[np.float64]
+    map: InformationMap
+    power_used: dict[str, float]
+    limits: dict[str, float]
+    solver: str
+    rounds: int
+
+    def __post_init__(self) -> None:
+        # Loss and bound are computed apart; where rounding puts the loss below the bound, the loss bounds as well.
+        if 0 < self.bound - self.loss <= 1e-6 * abs(self.loss):
+            object.__setattr__(self, "bound", self.loss)
+
+    @property
+    def gap(self) -> float:
+        """Relative distance (loss - bound) / bound."""
+        return (self.loss - self.bound) / self.bound
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.map.names
+
+    def efficiency(self, spectrum: Spectrum) -> float:
+        """Certified bound over the loss of another spectrum: at most 1 for an admissible one.
+
+        Parameters
+        ----------
+        spectrum : Spectrum
+            Any spectrum with as many channels.
+
+        Returns
+        -------
+        float
+            Efficiency; 0 where the spectrum does not determine what is asked.
+        """
+        return self.bound / self.criterion.loss(self.map.of_spectrum(spectrum))
+
+    @property
+    def efficiency_white(self) -> float:
+        """Efficiency of white noise, equal on all channels, at the largest power within the limits."""
+        return self.bound / self.criterion.loss(self._white_information())
+
+    def _white_information(self) -> NDArray[np.float64]:
+        from oed.design.problem.white import white_information
+
+        return white_information(self.map, self.limits, self.power_used, self.spectrum.total_power)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers under the keys of the command line.
+
+        Returns
+        -------
+        dict
+            criterion, loss, bound, gap, support, efficiency_white, status and more.
+        """
+        real = self.spectrum.n_inputs == 1
+        entries = lambda P: (
+            float(P[0, 0].real) if real else [[[z.real, z.imag] for z in row] for row in P.tolist()]
+        )
+        return {
+            "criterion": self.criterion.name,
+            "loss": self.loss,
+            "bound": self.bound,
+            "gap": self.gap,
+            "support": [
+                {"frequency": float(w), "power": entries(P)}
+                for w, P in zip(self.spectrum.omega, self.spectrum.power, strict=True)
+            ],
+            "efficiency_white": self.efficiency_white,
+            "status": self.status.name,
+            "input_power": self.spectrum.total_power,
+            "power_used": dict(self.power_used),
+            "limits": dict(self.limits),
+            "largest_price": self.certificate.largest_price,
+            "price_beside_grid": self.certificate.elsewhere,
+            "solver": self.solver,
+            "rounds": self.rounds,
+            "parameters": list(self.names),
+            "information": self.information.tolist(),
+        }
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.criterion.name}-optimal input: loss {self.loss:.12g}, at least {self.bound:.12g} "
+            f"for every admissible spectrum (gap {self.gap:.1e})",
+            f"white noise of the same power reaches {100 * self.efficiency_white:.4g} % of the optimum",
+        ]
+        share = np.einsum("kii->k", self.spectrum.power).real
+        for w, P in zip(self.spectrum.omega, share, strict=True):
+            lines.append(f"  {w:.9f} rad/sample   power {P:.9g}")
+        if self.certificate.elsewhere > 1 + 1e-6:
+            lines.append(
+                f"the grid misses something: a line at {self.certificate.elsewhere_frequency:.6g} rad/sample is worth "
+                f"{self.certificate.elsewhere:.4g} times its cost, so the bound holds on the grid only: "
+                "give points there, or leave refine on"
+            )
+        lines.append(f"{self.status.name}: {self.status.value}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return (
+            f"Design({self.criterion.name}: loss {self.loss:.9g}, gap {self.gap:.1e}, {len(self.spectrum)} lines, "
+            f"{self.status.name})"
+        )

@@ -1,0 +1,101 @@
+"""Frequency grids that follow the poles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oed.design.problem.information_map import InformationMap
+from oed.errors import InputError
+
+__all__ = ["bands_of", "frequency_grid"]
+
+_OFFSETS = np.concatenate([[0.0], *(side * np.geomspace(0.03, 30, 24) for side in (-1, 1))])
+
+
+def bands_of(
+    band: Sequence[float] | Sequence[Sequence[float]] | None,
+) -> tuple[tuple[float, float], ...]:
+    """Bands in increasing order, checked.
+
+    Parameters
+    ----------
+    band : (low, high) or sequence of them, or None
+        rad/sample; None is [0, pi].
+
+    Returns
+    -------
+    tuple of (float, float)
+        Disjoint, increasing.
+
+    Raises
+    ------
+    InputError
+        If a band is empty, leaves [0, pi] or overlaps another.
+    """
+    if band is None:
+        return ((0.0, float(np.pi)),)
+    array = np.asarray(band, dtype=float)
+    rows = np.atleast_2d(array)
+    if rows.shape[1:] != (2,) or not np.isfinite(rows).all():
+        raise InputError(f"the band is {band!r}; give (low, high) in rad/sample, or several such pairs.")
+    rows = rows[np.argsort(rows[:, 0])]
+    if (rows[:, 0] > rows[:, 1]).any() or rows.min() < 0 or rows.max() > np.pi + 1e-12:
+        raise InputError(f"the band {rows.tolist()} must have 0 <= low <= high <= pi (rad/sample).")
+    if (rows[1:, 0] <= rows[:-1, 1]).any():
+        raise InputError(f"the bands {rows.tolist()} overlap; give disjoint ones.")
+    return tuple((float(low), float(high)) for low, high in rows)
+
+
+def frequency_grid(
+    information: InformationMap, bands: tuple[tuple[float, float], ...], points: int | ArrayLike
+) -> NDArray[np.float64]:
+    """Grid in the bands: uniform, and fine near the resonances; or the frequencies that were given.
+
+    Parameters
+    ----------
+    information : InformationMap
+        With its resonances.
+    bands : tuple of (float, float)
+        Where lines are allowed.
+    points : int or array_like
+        Number of uniform points on [0, pi], or the frequencies themselves.
+
+    Returns
+    -------
+    ndarray
+        (K,) increasing.
+
+    Raises
+    ------
+    InputError
+        If there are too few points or none lies in a band.
+    """
+    if np.ndim(points):
+        omega = np.unique(np.asarray(points, dtype=float))
+        if not np.isfinite(omega).all() or omega[0] < 0 or omega[-1] > np.pi + 1e-12:
+            raise InputError("the grid must hold finite frequencies in [0, pi] rad/sample.")
+        inside = [omega[(omega >= low) & (omega <= high)] for low, high in bands]
+    else:
+        count = int(points)  # type: ignore[arg-type]
+        if count < 8:
+            raise InputError(f"the grid has {count} points; at least 8 are needed, 400 are usual.")
+        whole = np.concatenate(
+            [np.linspace(0, np.pi, count), *(w + width * _OFFSETS for w, width in information.resonances)]
+        )
+        inside = []
+        for low, high in bands:
+            own = (
+                np.linspace(low, high, max(3, int(np.ceil(count * (high - low) / np.pi))))
+                if high > low
+                else [low]
+            )
+            inside.append(np.concatenate([own, whole[(whole >= low) & (whole <= high)]]))
+    omega = np.unique(np.concatenate(inside))
+    if not len(omega):
+        raise InputError(
+            f"no frequency of the grid lies in the bands {bands}; widen them or give more points."
+        )
+    return omega

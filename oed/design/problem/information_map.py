@@ -1,0 +1,259 @@
+"""What every design reduces to: information that is linear in the input spectrum.
+
+    M(Phi) = M_0 + sum_k Re [ D(w_k) P_k D(w_k)^* ],   D(w) = Phi_v(w)^-1/2 dG(w), (n, r, nu)
+
+M_0 holds what does not depend on the input: prior information, and what the noise itself tells in closed loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oed.data import Spectrum, frozen
+from oed.errors import InputError
+from oed.information import power_root, whitened_gradient
+from oed.models.model import Model
+from oed.plants.plant import Plant
+
+__all__ = ["InformationMap", "information_map", "resonances_of"]
+
+Responses = Callable[[NDArray[np.float64]], NDArray[np.complex128]]
+
+
+@dataclass(frozen=True, eq=False)
+class InformationMap:
+    """Information per sample as a function of the spectrum of what may be chosen.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The n parameters.
+    n_inputs : int
+        Number of chosen signals nu.
+    factor : callable
+        omega (K,) -> D (K, n, r, nu), complex.
+    gain : callable
+        omega (K,) -> G (K, ny, nu): from the chosen signals to the outputs, for limits on the outputs.
+    constant : ndarray
+        (n, n) information that is there whatever the input.
+    resonances : ndarray
+        (R, 2) frequencies and half widths in rad/sample near which the grid is made fine.
+    input_gain : callable, optional
+        omega (K,) -> (K, nu, nu): from the chosen signals to the plant's inputs (in closed loop); by
+        default the identity.
+    """
+
+    names: tuple[str, ...]
+    n_inputs: int
+    factor: Responses
+    gain: Responses
+    constant: NDArray[np.float64]
+    resonances: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    input_gain: Responses | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        constant = np.array(self.constant, dtype=float)
+        if constant.shape != (n, n) or not np.isfinite(constant).all():
+            raise InputError(
+                f"the constant information has the shape {constant.shape}; it must be finite and {n} x {n}."
+            )
+        scale = np.abs(constant).max(initial=0.0)
+        if not np.allclose(constant, constant.T, rtol=1e-9, atol=1e-12 * scale):
+            raise InputError("the prior information is not symmetric; an information matrix must be.")
+        if np.linalg.eigvalsh(constant)[0] < -1e-9 * scale:
+            raise InputError(
+                "the prior information has a negative eigenvalue; it must be positive semidefinite."
+            )
+        object.__setattr__(self, "constant", frozen((constant + constant.T) / 2))
+
+    @property
+    def n(self) -> int:
+        """Number of parameters."""
+        return len(self.names)
+
+    def of_spectrum(self, spectrum: Spectrum) -> NDArray[np.float64]:
+        """Information per sample of a spectrum, the constant part included.
+
+        Parameters
+        ----------
+        spectrum : Spectrum
+            One-sided lines.
+
+        Returns
+        -------
+        ndarray
+            (n, n).
+        """
+        if spectrum.n_inputs != self.n_inputs:
+            raise InputError(
+                f"the spectrum has {spectrum.n_inputs} channels and the plant {self.n_inputs} inputs; they must agree."
+            )
+        if not len(spectrum):
+            return self.constant
+        parts = np.einsum("knpq,kqr->nkpr", self.factor(spectrum.omega), power_root(spectrum))
+        flat = parts.reshape(self.n, -1)
+        return self.constant + flat.real @ flat.real.T + flat.imag @ flat.imag.T
+
+    def with_prior(self, information: ArrayLike) -> InformationMap:
+        """The same map with information from experiments already done.
+
+        Parameters
+        ----------
+        information : array_like
+            (n, n), per sample of the experiment that is designed (N_old / N_new times the old one's).
+
+        Returns
+        -------
+        InformationMap
+            With the sum as constant part.
+        """
+        prior = np.asarray(information, dtype=float)
+        if prior.shape != (self.n, self.n):
+            raise InputError(
+                f"the prior information has the shape {prior.shape}; the model has {self.n} parameters."
+            )
+        return replace(self, constant=self.constant + prior)
+
+
+def resonances_of(dens: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Frequencies and half widths of the poles of some denominators.
+
+    Parameters
+    ----------
+    dens : sequence of ndarray
+        Coefficients of powers of z^-1.
+
+    Returns
+    -------
+    ndarray
+        (R, 2): |angle| and distance from the unit circle of every distinct pole.
+    """
+    roots = [np.roots(den) for den in dens if len(den) > 1]
+    poles = np.concatenate([*roots, np.zeros(0, complex)])
+    poles = poles[(poles.imag >= 0) & (np.abs(poles) > 1e-3)]
+    widths = np.maximum(np.abs(1 - np.abs(poles)), 1e-12)
+    rows = np.column_stack([np.abs(np.angle(poles)), widths]).reshape(-1, 2)
+    return np.asarray(np.unique(np.round(rows, 13), axis=0), dtype=np.float64)
+
+
+def information_map(
+    model: Any,
+    *,
+    noise_covariance: ArrayLike | None = None,
+    noise_response: Callable[[NDArray], NDArray] | None = None,
+) -> InformationMap:
+    """Reduce a plant or model to its information map.
+
+    Parameters
+    ----------
+    model : Plant, Model, InformationMap or object
+        Any object with `response(omega) -> (G, dG)` will do.
+    noise_covariance : array_like, optional
+        (ny, ny) or a number, for a model that has only `response`; default 1.
+    noise_response : callable, optional
+        omega -> H (K,), for a model that has only `response`; default 1.
+
+    Returns
+    -------
+    InformationMap
+        The map; parameters of the noise model add their information to the constant part.
+    """
+    if isinstance(model, InformationMap):
+        return model
+    if isinstance(model, Plant):
+        dens = [den for row in model.den for den in row] + [model.noise_num]
+        return InformationMap(
+            model.free,
+            model.n_inputs,
+            lambda omega: whitened_gradient(model, omega),
+            lambda omega: model.response(omega)[0],
+            np.zeros((len(model.free),) * 2),
+            resonances_of(dens),
+        )
+    if isinstance(model, Model):
+        return _of_model(model)
+    try:
+        G, dG = model.response(np.array([0.1, 0.2]))
+    except AttributeError:
+        raise InputError(
+            f"a design needs a plant, a model or an object with response(omega) -> (G, dG), not {type(model).__name__}."
+        ) from None
+    ny, nu = np.shape(G)[1:]
+    W = _whitening(np.asarray(1.0 if noise_covariance is None else noise_covariance), ny)
+
+    def factor(omega: NDArray) -> NDArray:
+        D = np.einsum("pr,knrq->knpq", W, model.response(omega)[1])
+        return D if noise_response is None else D / noise_response(omega)[:, None, None, None]
+
+    n = np.shape(dG)[1]
+    names = tuple(f"theta{i + 1}" for i in range(n))
+    return InformationMap(names, nu, factor, lambda omega: model.response(omega)[0], np.zeros((n, n)))
+
+
+def _whitening(covariance: NDArray, ny: int) -> NDArray[np.float64]:
+    covariance = covariance * np.eye(ny) if covariance.ndim == 0 else covariance
+    try:
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        raise InputError(
+            "the noise covariance is not positive definite, so the information is infinite; give every output a "
+            "positive noise variance."
+        ) from None
+
+
+def _of_model(model: Model) -> InformationMap:
+    """A polynomial model: H may have parameters of its own or share those of A."""
+    W = _whitening(model.noise_covariance, model.structure.n_outputs)
+
+    def factor(omega: NDArray) -> NDArray:
+        H, _ = model.noise_response(omega)
+        return np.einsum("kpr,knrq->knpq", W @ np.linalg.inv(H), model.response(omega)[1])
+
+    rows = model.structure.coefficients(model.theta)
+    dens = [p for row in rows for x in "acf" for p in row[x]]
+    return InformationMap(
+        model.names,
+        model.structure.n_inputs,
+        factor,
+        lambda omega: model.response(omega)[0],
+        noise_information(model, W),
+        resonances_of(dens),
+    )
+
+
+def noise_information(model: Model, W: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Information that the noise carries about the parameters of H: (1/2pi) int tr of dH_i H^-1 terms.
+
+    Parameters
+    ----------
+    model : Model
+        With `noise_response`.
+    W : ndarray
+        (ny, ny) with W' W = Lambda^-1.
+
+    Returns
+    -------
+    ndarray
+        (n, n). The mean over a uniform grid that doubles until it no longer changes (exact for rational H
+        up to rounding: the trapezoidal rule converges geometrically on the circle).
+    """
+    L = np.linalg.inv(W)
+    previous = None
+    for points in 2 ** np.arange(8, 19):
+        omega = (np.arange(points) + 0.5) * np.pi / points
+        H, dH = model.noise_response(omega)
+        psi = np.einsum("kpr,knrs,sq->knpq", W @ np.linalg.inv(H), dH, L)
+        flat = np.moveaxis(psi, 1, 0).reshape(psi.shape[1], -1)
+        value = (flat.real @ flat.real.T + flat.imag @ flat.imag.T) / points
+        if previous is not None and np.abs(value - previous).max() <= 1e-13 * np.abs(value).max(
+            initial=1e-300
+        ):
+            return value
+        previous = value
+    return value

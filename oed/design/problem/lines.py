@@ -1,0 +1,434 @@
+"""The design problem as columns: one line of unit power at one frequency in one direction is one column.
+
+Its information is F F' with F (n, m) real, and it uses the share q_j of budget j, so that a spectrum is a
+vector of weights w >= 0 with Q w <= 1 and M(w) = M_0 + sum_k w_k F_k F_k'. A direction X of the certificate
+prices every frequency: S(w) = sum over D(w)^* X X' D(w), (nu, nu), against the budgets' Q_nu(w) = sum_j nu_j Q_j(w).
+Parameters are scaled so that white noise carries the unit information matrix; what is computed in these
+coordinates keeps its accuracy at dampings of 1e-3 and time constants over six decades.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.criteria import Criterion
+from oed.design.problem.information_map import InformationMap
+from oed.design.problem.white import white_root
+
+__all__ = ["Budget", "Columns", "Problem", "Prices", "local_maxima"]
+
+
+@dataclass(frozen=True, eq=False)
+class Budget:
+    """A limit on a power that is linear in the spectrum: sum_k tr(form(w_k) P_k) <= limit.
+
+    Attributes
+    ----------
+    name : str
+        What is limited, as in messages.
+    form : callable
+        omega (K,) -> (K, nu, nu) Hermitian, positive semidefinite.
+    limit : float
+        Positive.
+    """
+
+    name: str
+    form: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
+    limit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Lines of unit power: frequencies, directions, information factors and what they use of the budgets.
+
+    Attributes
+    ----------
+    omega : ndarray
+        (m,) rad/sample.
+    direction : ndarray
+        (m, nu) complex, unit length.
+    F : ndarray
+        (m, n, 2 r) real.
+    q : ndarray
+        (m, J) share of each budget per unit of power.
+    """
+
+    omega: NDArray[np.float64]
+    direction: NDArray[np.complex128]
+    F: NDArray[np.float64]
+    q: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.omega)
+
+    def __add__(self, other: Columns) -> Columns:
+        pair = lambda name: np.concatenate([getattr(self, name), getattr(other, name)])
+        return Columns(pair("omega"), pair("direction"), pair("F"), pair("q"))
+
+    def take(self, keep: NDArray) -> Columns:
+        """Some of the columns.
+
+        Parameters
+        ----------
+        keep : ndarray
+            Indices or a mask.
+
+        Returns
+        -------
+        Columns
+            Those.
+        """
+        return Columns(self.omega[keep], self.direction[keep], self.F[keep], self.q[keep])
+
+    def information(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sum of the columns' information.
+
+        Parameters
+        ----------
+        w : ndarray
+            (m,) weights.
+
+        Returns
+        -------
+        ndarray
+            (n, n).
+        """
+        flat = np.moveaxis(self.F * np.sqrt(w)[:, None, None], 0, 1).reshape(self.F.shape[1], -1)
+        return flat @ flat.T
+
+    def prices(self, X: NDArray[np.float64], nu: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Price of every column against its cost.
+
+        Parameters
+        ----------
+        X : ndarray
+            (n, s) certificate direction.
+        nu : ndarray
+            (J,) multipliers of the budgets.
+
+        Returns
+        -------
+        ndarray
+            (m,).
+        """
+        worth = np.sum(np.einsum("mnr,ns->mrs", self.F, X) ** 2, axis=(1, 2))
+        return worth / np.maximum(self.q @ nu, 1e-300)
+
+
+@dataclass(frozen=True, eq=False)
+class Prices:
+    """What each grid line is worth to a certificate direction, relative to its cost.
+
+    Attributes
+    ----------
+    ratio : ndarray
+        (K,) largest eigenvalue of S against Q_nu: at most 1 at the optimum.
+    direction : ndarray
+        (K, nu) input direction in which it is attained, unit length.
+    """
+
+    ratio: NDArray[np.float64]
+    direction: NDArray[np.complex128]
+
+
+class Problem:
+    """A design problem in scaled coordinates, with its grid.
+
+    Parameters
+    ----------
+    information : InformationMap
+        What the spectrum tells.
+    criterion : Criterion
+        What is wanted.
+    budgets : tuple of Budget
+        What it may cost; at least one.
+    omega : ndarray
+        (K,) frequencies of the grid, increasing.
+    bands : tuple of (float, float)
+        Where lines are allowed; the grid lies in them.
+    """
+
+    def __init__(
+        self,
+        information: InformationMap,
+        criterion: Criterion,
+        budgets: tuple[Budget, ...],
+        omega: NDArray[np.float64],
+        bands: tuple[tuple[float, float], ...] = ((0.0, np.pi),),
+    ) -> None:
+        self.map, self.budgets, self.omega, self.bands = information, budgets, omega, bands
+        self.band = np.searchsorted([low for low, _ in bands], omega, side="right")
+        self.original = criterion
+        D = information.factor(omega)
+        self.R = white_root(information, D)
+        self.criterion, self.scale = criterion.transformed(self.R)
+        inverse = np.linalg.inv(self.R)
+        self.constant = inverse.T @ information.constant @ inverse
+        self.grid = self._scaled(D)
+        self.forms = self._forms(omega)
+
+    def _scaled(self, D: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """D (K, n, r, nu) in scaled coordinates, real and imaginary parts apart: (n, 2, K, r, nu)."""
+        from scipy.linalg import solve_triangular
+
+        flat = np.moveaxis(D, 1, 0)
+        both = np.stack([flat.real, flat.imag], axis=1)
+        return solve_triangular(self.R, both.reshape(len(both), -1), trans=1).reshape(both.shape)
+
+    def _forms(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+        return np.stack([b.form(omega) / b.limit for b in self.budgets], axis=1)
+
+    def extended(self, omega: NDArray[np.float64]) -> Problem:
+        """The same problem on a grid with more frequencies.
+
+        Parameters
+        ----------
+        omega : ndarray
+            Frequencies in the bands.
+
+        Returns
+        -------
+        Problem
+            Shares the scaling.
+        """
+        new = np.setdiff1d(omega, self.omega)
+        both = np.concatenate([self.omega, new])
+        order = np.argsort(both)
+        other = copy(self)
+        other.omega = both[order]
+        other.band = np.searchsorted([low for low, _ in self.bands], other.omega, side="right")
+        other.grid = np.concatenate([self.grid, self._scaled(self.map.factor(new))], axis=2)[:, :, order]
+        other.forms = np.concatenate([self.forms, self._forms(new)])[order]
+        return other
+
+    def loss(self, columns: Columns, w: NDArray[np.float64]) -> float:
+        """Scaled loss of the weights of some columns.
+
+        Parameters
+        ----------
+        columns : Columns
+            The lines.
+        w : ndarray
+            (m,) weights.
+
+        Returns
+        -------
+        float
+            The loss, from a factor of the information. Where it may be singular, in the model's own
+            parameters: scaling them would turn the rounding of R into information that is not there.
+        """
+        if self.criterion.columns.shape[1] < self.map.n:
+            D = np.einsum(
+                "knrq,kq->nkr", self.map.factor(columns.omega), columns.direction * np.sqrt(w)[:, None]
+            )
+            flat = np.concatenate([D.real, D.imag], axis=2).reshape(self.map.n, -1)
+            if np.any(self.map.constant):
+                values, vectors = np.linalg.eigh(self.map.constant)
+                flat = np.concatenate([flat, vectors * np.sqrt(np.clip(values, 0, None))], axis=1)
+            return self.original.loss_of_factor(flat) / self.scale
+        flat = np.moveaxis(columns.F * np.sqrt(w)[:, None, None], 0, 1).reshape(self.map.n, -1)
+        if np.any(self.constant):
+            values, vectors = np.linalg.eigh(self.constant)
+            flat = np.concatenate([flat, vectors * np.sqrt(np.clip(values, 0, None))], axis=1)
+        return self.criterion.loss_of_factor(flat)
+
+    def scaled_factor(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """D in scaled coordinates.
+
+        Parameters
+        ----------
+        omega : ndarray
+            (K,) rad/sample.
+
+        Returns
+        -------
+        ndarray
+            (K, n, r, nu).
+        """
+        flat = self._scaled(self.map.factor(omega))
+        return np.moveaxis(flat[:, 0] + 1j * flat[:, 1], 0, 1)
+
+    def forms_at(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """The budgets' forms over their limits.
+
+        Parameters
+        ----------
+        omega : ndarray
+            (K,) rad/sample.
+
+        Returns
+        -------
+        ndarray
+            (K, J, nu, nu).
+        """
+        return self._forms(omega)
+
+    def length_scale(self, omega: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance in frequency over which the plant changes: to the nearest resonance, at most 0.3.
+
+        Parameters
+        ----------
+        omega : ndarray
+            (K,) rad/sample.
+
+        Returns
+        -------
+        ndarray
+            (K,) rad/sample.
+        """
+        centres, widths = self.map.resonances[:, 0], self.map.resonances[:, 1]
+        distance = np.hypot(omega[:, None] - centres, widths)
+        return np.minimum(distance.min(axis=1, initial=np.inf), 3.0 / (self.map.n + 10))
+
+    def columns(self, omega: NDArray[np.float64], direction: NDArray[np.complex128]) -> Columns:
+        """Columns at given frequencies and directions.
+
+        Parameters
+        ----------
+        omega : ndarray
+            (m,) rad/sample.
+        direction : ndarray
+            (m, nu), unit length.
+
+        Returns
+        -------
+        Columns
+            The columns.
+        """
+        D = self.map.factor(omega)
+        G = np.moveaxis(np.einsum("knrq,kq->knr", D, direction), 1, 0)
+        from scipy.linalg import solve_triangular
+
+        both = np.stack([G.real, G.imag], axis=-1)
+        F = solve_triangular(self.R, both.reshape(len(both), -1), trans=1).reshape(both.shape)
+        F = np.moveaxis(F, 0, 1).reshape(len(omega), len(both), -1)
+        q = np.einsum("kq,kjqr,kr->kj", direction.conj(), self._forms(omega), direction).real
+        return Columns(omega, direction, F, q)
+
+    def prices(self, X: NDArray[np.float64], nu: NDArray[np.float64]) -> Prices:
+        """Prices on the grid.
+
+        Parameters
+        ----------
+        X : ndarray
+            (n, s) certificate direction, scaled coordinates.
+        nu : ndarray
+            (J,) multipliers of the budgets.
+
+        Returns
+        -------
+        Prices
+            One per grid line.
+        """
+        return _price(self.grid, self.forms, X, nu)
+
+    def prices_at(
+        self, omega: NDArray[np.float64], X: NDArray[np.float64], nu: NDArray[np.float64]
+    ) -> Prices:
+        """Prices at any frequencies.
+
+        Parameters
+        ----------
+        omega : ndarray
+            (K,) rad/sample.
+        X : ndarray
+            (n, s) certificate direction, scaled coordinates.
+        nu : ndarray
+            (J,) multipliers of the budgets.
+
+        Returns
+        -------
+        Prices
+            One per frequency.
+        """
+        return _price(self._scaled(self.map.factor(omega)), self._forms(omega), X, nu)
+
+    def refined_maxima(
+        self,
+        prices: Prices,
+        X: NDArray[np.float64],
+        nu: NDArray[np.float64],
+        above: float,
+        divisions: int = 13,
+    ) -> tuple[NDArray[np.float64], Prices]:
+        """The local maxima of the price between grid lines, where the grid's own reach a level.
+
+        Parameters
+        ----------
+        prices : Prices
+            On the grid.
+        X, nu : ndarray
+            Certificate direction and multipliers.
+        above : float
+            Local maxima on the grid below this ratio are left out.
+        divisions : int
+            How often the interval between grid lines is cut to a quarter.
+
+        Returns
+        -------
+        omega : ndarray
+            Frequencies of the maxima.
+        prices : Prices
+            There.
+        """
+        at = local_maxima(prices.ratio)
+        at = at[prices.ratio[at] >= above]
+        left, right = np.maximum(at - 1, 0), np.minimum(at + 1, len(self.omega) - 1)
+        # A neighbour in another band is no bracket: lines are allowed in the bands only.
+        low = self.omega[np.where(self.band[left] == self.band[at], left, at)]
+        high = self.omega[np.where(self.band[right] == self.band[at], right, at)]
+        steps = np.linspace(0, 1, 9)
+        for _ in range(divisions):
+            trial = low[:, None] + (high - low)[:, None] * steps
+            ratio = self.prices_at(trial.ravel(), X, nu).ratio.reshape(trial.shape)
+            best = np.argmax(ratio, axis=1)
+            rows = np.arange(len(best))
+            low, high = trial[rows, np.maximum(best - 1, 0)], trial[rows, np.minimum(best + 1, 8)]
+        omega = trial[rows, best] if len(at) else np.zeros(0)
+        return omega, self.prices_at(omega, X, nu)
+
+
+def _price(
+    flat: NDArray[np.float64], forms: NDArray[np.complex128], X: NDArray[np.float64], nu: NDArray[np.float64]
+) -> Prices:
+    n, _, K, r, q = flat.shape
+    E = X.T @ flat.reshape(n, -1)
+    if q == 1:
+        E *= E
+        worth = E.reshape(-1, K, r).sum(axis=0).sum(axis=1)
+        cost = (forms[:, :, 0, 0].real * nu).sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(worth > 0, worth / cost, 0.0)
+        return Prices(ratio, np.ones((K, 1), dtype=complex))
+    E = E.reshape(X.shape[1], *flat.shape[1:])
+    cost = np.einsum("j,kjqr->kqr", nu, forms)
+    C = np.moveaxis(E[:, 0] + 1j * E[:, 1], 1, 0).reshape(K, -1, q)
+    S = C.conj().swapaxes(1, 2) @ C
+    values, vectors = np.linalg.eigh(cost)
+    floor = 1e-14 * np.maximum(values[:, -1:], 1e-300)
+    inverse_root = vectors / np.sqrt(np.maximum(values, floor))[:, None, :]
+    worth, turned = np.linalg.eigh(inverse_root.conj().swapaxes(1, 2) @ S @ inverse_root)
+    direction = np.einsum("kqr,kr->kq", inverse_root, turned[:, :, -1])
+    return Prices(worth[:, -1], direction / np.linalg.norm(direction, axis=1, keepdims=True))
+
+
+def local_maxima(values: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Indices of the local maxima of values over a sorted grid, the ends included.
+
+    Parameters
+    ----------
+    values : ndarray
+        (K,).
+
+    Returns
+    -------
+    ndarray
+        Indices; of a plateau the first.
+    """
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    return np.flatnonzero((padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:]))

@@ -1,0 +1,134 @@
+"""The least input power that reaches a demanded accuracy, and the ellipsoid form of application-oriented design."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from oed.criteria import Criterion, e_criterion
+from oed.design.problem.design import Design
+from oed.design.problem.information_map import information_map
+from oed.errors import InfeasibleDesign, InputError
+
+__all__ = ["application_criterion", "least_power_design"]
+
+
+def application_criterion(required: ArrayLike, *, name: str = "application") -> Criterion:
+    """The criterion whose loss is at most 1 exactly where M >= required (as matrices).
+
+    Parameters
+    ----------
+    required : array_like
+        (n, n) information that the application needs: kappa(alpha, n) gamma / 2 times the Hessian of its cost,
+        over the number of samples, so that the confidence ellipsoid lies within the performance set.
+    name : str
+        What it is called in tables.
+
+    Returns
+    -------
+    Criterion
+        Of kind E with V V' = required.
+
+    Notes
+    -----
+    Source: H. Hjalmarsson, "System identification of complex and structured systems", European Journal of
+    Control 15 (2009) 275-310; MOOSE2 calls it an application constraint.
+    """
+    R = np.asarray(required, dtype=float)
+    if R.ndim != 2 or R.shape[0] != R.shape[1] or not np.allclose(R, R.T):
+        raise InputError(
+            f"the required information has the shape {R.shape}; it must be symmetric and square."
+        )
+    values, vectors = np.linalg.eigh(R)
+    if values[0] < -1e-10 * abs(values[-1]) or values[-1] <= 0:
+        raise InputError(
+            f"the required information has the eigenvalues {values[0]:g} to {values[-1]:g}; it must be positive "
+            "semidefinite and not zero."
+        )
+    keep = values > 1e-12 * values[-1]
+    return e_criterion(len(R), vectors[:, keep] * np.sqrt(values[keep]), name=name)
+
+
+def least_power_design(
+    model: Any,
+    criterion: str | Criterion,
+    demand: float,
+    *,
+    max_power: float = np.inf,
+    prior: ArrayLike | None = None,
+    **options: Any,
+) -> Design:
+    """The design of least input power whose loss is at most the demand.
+
+    Parameters
+    ----------
+    model : Plant, Model or InformationMap
+        What is to be identified.
+    criterion : str or Criterion
+        Any; with `application_criterion(R)` and the demand 1 it is M >= R.
+    demand : float
+        Largest loss per sample that is accepted.
+    max_power : float
+        Input power that is there.
+    prior : array_like, optional
+        (n, n) information of experiments already done, per sample.
+    **options : object
+        As for `solve_design`, except powers: band, points, tolerance, ...
+
+    Returns
+    -------
+    Design
+        With the least `spectrum.total_power`. Without prior the loss is inversely proportional to the power, so
+        one design is enough and its gap is the power's; with a prior the power is found by bisection.
+
+    Raises
+    ------
+    InfeasibleDesign
+        If what is known already meets the demand, so that no input is needed, or if the demand needs more than
+        `max_power`.
+    """
+    from oed.design.solve import solve_design
+
+    if not (np.isfinite(demand) and demand > 0):
+        raise InputError(f"the demanded loss is {demand}; it must be positive and finite.")
+    if np.isfinite(max_power):
+        most = solve_design(model, criterion, input_power=max_power, prior=prior, **options)
+        if most.bound > demand:
+            raise InfeasibleDesign(
+                f"the demand clashes with the input power: with a power of {max_power:g} every input has a loss of at "
+                f"least {most.bound:.6g}, and {demand:g} is demanded; allow more power, or demand less."
+            )
+    base = information_map(model)
+    if prior is None and not np.any(base.constant):
+        unit = solve_design(model, criterion, input_power=1.0, **options)
+        return solve_design(model, criterion, input_power=unit.loss / demand, **options)
+    known = base if prior is None else base.with_prior(prior)
+    design = solve_design(model, criterion, input_power=1.0, prior=prior, **options)
+    if design.criterion.loss(known.constant) <= demand:
+        raise InfeasibleDesign(
+            f"what is known already has the loss {design.criterion.loss(known.constant):g}, within the demand "
+            f"{demand:g}: no input is needed; demand more."
+        )
+    low = high = 1.0
+    while design.loss > demand:
+        low, high = high, 4 * high
+        design = solve_design(model, criterion, input_power=high, prior=prior, **options)
+    while (
+        low == 1.0 and solve_design(model, criterion, input_power=low, prior=prior, **options).loss <= demand
+    ):
+        low, high = low / 4, low
+        if solve_design(model, criterion, input_power=low, prior=prior, **options).loss > demand:
+            break
+        low = 1.0 if high < 1e-12 else low
+    for _ in range(60):
+        middle = float(np.sqrt(low * high))
+        trial = solve_design(model, criterion, input_power=middle, prior=prior, **options)
+        if trial.loss <= demand:
+            high, design = middle, trial
+        else:
+            low = middle
+        if high / low < 1 + 1e-9:
+            break
+    return design

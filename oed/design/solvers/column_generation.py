@@ -1,0 +1,350 @@
+"""Column generation: optimal weights on a few lines, prices over all frequencies, new lines where the price is high.
+
+The loop that every discrete design runs through, whatever its criterion. It ends when the certificate's bound,
+which counts frequencies between the grid lines too, meets the loss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.design.problem.lines import Columns, Prices, Problem, local_maxima
+from oed.design.solvers.weights_clarabel import largest_eigenvalue
+from oed.design.solvers.weights_da import Weights, interior_point
+from oed.design.solvers.weights_e import eigenvalue_weights
+from oed.design.solvers.weights_gw import minimax_weights
+from oed.errors import InputError, SolverFailure, Status
+
+__all__ = [
+    "Exchange",
+    "Master",
+    "evaluated_bound",
+    "exchange",
+    "lower_bound",
+    "seed_columns",
+    "solve_weights",
+]
+
+RIDGE = 1e-5
+KEEP = 0.5
+MANY = 200
+PATIENCE = 6
+MOST_NEW = 40
+CONIC = 40_000
+Master = Callable[[Problem, Columns, NDArray[np.float64] | None, float], Weights]
+
+
+@dataclass(frozen=True, eq=False)
+class Exchange:
+    """Outcome of the loop, in the scaled coordinates of the problem.
+
+    Attributes
+    ----------
+    columns : Columns
+        The lines.
+    w : ndarray
+        (m,) their weights, within the budgets.
+    loss : float
+        Scaled loss of these weights.
+    X, nu : ndarray
+        The certificate of the best bound, with the prices divided out: no price exceeds 1.
+    bound : float
+        Scaled bound.
+    price : float
+        Largest price in the last round before it was divided out.
+    frequency : float
+        Where that was.
+    rounds : int
+        Number of rounds.
+    status : Status
+        CONVERGED, or why not.
+    problem : Problem
+        The problem on the grid as it has grown.
+    """
+
+    columns: Columns
+    w: NDArray[np.float64]
+    loss: float
+    X: NDArray[np.float64]
+    nu: NDArray[np.float64]
+    bound: float
+    price: float
+    frequency: float
+    rounds: int
+    status: Status
+    problem: Problem
+
+    @property
+    def gap(self) -> float:
+        """(loss - bound) / bound."""
+        return (self.loss - self.bound) / self.bound
+
+
+def solve_weights(
+    problem: Problem,
+    columns: Columns,
+    start: NDArray[np.float64] | None,
+    accuracy: float = 1e-13,
+    ridge: float = RIDGE,
+) -> Weights:
+    """Optimal weights of some columns, by the method that suits the criterion.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    columns : Columns
+        Candidate lines.
+    start : ndarray, optional
+        (m,) weights to start from.
+    accuracy : float
+        Relative accuracy of the loss.
+    ridge : float
+        Where the optimal information may be singular, this much of the information of white noise is added
+        for the weights: the bound, which leaves it out, is then off by its square only.
+
+    Returns
+    -------
+    Weights
+        Weights and multipliers.
+    """
+    criterion, constant = problem.criterion, problem.constant
+    if criterion.kind == "E":
+        return _eigenvalue(problem, columns, start, max(accuracy, 1e-12))
+    if criterion.kind in ("G", "W"):
+        return minimax_weights(columns, criterion, constant, start=start, tolerance=max(accuracy, 1e-11))
+    if criterion.columns.shape[1] < criterion.n:
+        constant = constant + ridge * np.eye(criterion.n)
+    return interior_point(columns, criterion, constant, start=start, tolerance=accuracy)
+
+
+def _eigenvalue(
+    problem: Problem, columns: Columns, start: NDArray[np.float64] | None, accuracy: float
+) -> Weights:
+    """E by our interior-point method; where that stalls on few columns, by Clarabel if its gap is smaller."""
+    criterion, constant = problem.criterion, problem.constant
+    own = eigenvalue_weights(columns, criterion, constant, start=start, tolerance=accuracy)
+    if own.status.ok or len(columns) * criterion.n**2 > CONIC:
+        return own
+    try:
+        other = largest_eigenvalue(columns, criterion, constant)
+    except SolverFailure:
+        return own
+    return min((own, other), key=lambda weights: _gap_within(problem, columns, weights))
+
+
+def _gap_within(problem: Problem, columns: Columns, weights: Weights) -> float:
+    """Relative gap if there were no other columns than these."""
+    used = float((columns.q.T @ weights.w).max())
+    bound = lower_bound(problem, weights.X, weights.nu, float(columns.prices(weights.X, weights.nu).max()))
+    if not (used > 0 and bound > 0):
+        return np.inf
+    return problem.loss(columns, weights.w / used) / bound - 1
+
+
+def exchange(
+    problem: Problem,
+    *,
+    master: Master | None = None,
+    columns: Columns | None = None,
+    refine: bool = True,
+    tolerance: float = 1e-9,
+    max_rounds: int = 40,
+    accuracy: float = 1e-4,
+) -> Exchange:
+    """Run the loop.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem with its grid.
+    master : callable, optional
+        Solver of the weights of given columns; by default by the criterion.
+    columns : Columns, optional
+        Lines to begin with.
+    refine : bool
+        Whether lines may lie between those of the grid; the grid then grows where lines are added.
+    tolerance : float
+        Relative gap at which to stop.
+    max_rounds : int
+        Limit of rounds.
+    accuracy : float
+        Of the weights in the first round; smaller where the columns come from an earlier loop.
+
+    Returns
+    -------
+    Exchange
+        The best weights and the best certificate seen.
+    """
+    master = master or solve_weights
+    columns = seed_columns(problem) if columns is None else columns
+    criterion, start = problem.criterion, None
+    best_loss, best_bound, reference, stalled = np.inf, 0.0, np.inf, 0
+    kept, proof, final = None, None, None
+    status, rounds = Status.MAX_ITERATIONS, 0
+    # A singular optimum leaves X free in many directions: what holds it there must not be dropped.
+    free = criterion.kind in ("E", "G", "W") or criterion.columns.shape[1] < criterion.n
+    keep_above = KEEP if free else 0.99
+    # Multipliers well inside their set move little from round to round; at a vertex of it they jump.
+    centred = 0.1 if free else 1e-3
+    while rounds < max(max_rounds, 1):
+        rounds += 1
+        weights = master(problem, columns, start, accuracy)
+        used = float((columns.q.T @ weights.w).max())
+        w = weights.w / used if used > 0 else weights.w
+        loss = problem.loss(columns, w)
+        prices = problem.prices(weights.X, weights.nu)
+        omega, peaks = _maxima(problem, prices, weights, refine)
+        bound = lower_bound(problem, weights.X, weights.nu, float(peaks.ratio.max()))
+        if loss <= best_loss or kept is None:
+            best_loss, kept = loss, (columns, w)
+        if bound > best_bound or proof is None:
+            best_bound, proof = bound, (weights.X, weights.nu)
+        gap = (best_loss - best_bound) / best_bound
+        stalled = 0 if gap < 0.8 * reference else stalled + 1
+        reference = gap if stalled == 0 else reference
+        if gap <= tolerance or stalled >= PATIENCE:
+            # Bounds of early rounds may have missed a maximum that the grid did not show then.
+            final = evaluated_bound(problem, *proof, refine=refine)
+            best_bound = final[0]
+            gap = (best_loss - best_bound) / best_bound
+            if gap <= tolerance or stalled >= PATIENCE:
+                status = Status.CONVERGED if gap <= tolerance else Status.INACCURATE
+                break
+            proof, final = None if bound < best_bound else proof, None
+        accuracy = min(accuracy, max(centred * gap, 1e-2 * tolerance, 1e-13))
+        own = columns.prices(weights.X, weights.nu)
+        stay = (w > 1e-7 * w.max()) | (own > (keep_above if len(w) < MANY else 0.9))
+        new = peaks.ratio > max(1 + 0.02 * tolerance, _level_of(peaks.ratio, MOST_NEW))
+        if refine and new.any():
+            problem = problem.extended(_around(problem, omega[new]))
+        columns, start = _with_new(problem, columns.take(stay), w[stay], omega[new], peaks.direction[new])
+    if kept is None or proof is None:  # not reached: the first round sets both
+        raise InputError("the design was given no columns to begin with.")
+    best_bound, price, frequency = final or evaluated_bound(problem, *proof, refine=refine)
+    return Exchange(
+        *kept, best_loss, proof[0], proof[1] * price, best_bound, price, frequency, rounds, status, problem
+    )
+
+
+def _level_of(values: NDArray[np.float64], count: int) -> float:
+    """What only the largest few of some values exceed."""
+    return float(np.sort(values)[-count - 1]) if len(values) > count else -np.inf
+
+
+def lower_bound(problem: Problem, X: NDArray[np.float64], nu: NDArray[np.float64], price: float) -> float:
+    """Bound on the scaled loss from a certificate and its largest price.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    X, nu : ndarray
+        The certificate.
+    price : float
+        Largest price over all frequencies.
+
+    Returns
+    -------
+    float
+        The bound.
+    """
+    fixed = float(np.sum(X * (problem.constant @ X)))
+    return problem.criterion.numerator(X) / (fixed + price * float(nu.sum()))
+
+
+def evaluated_bound(
+    problem: Problem, X: NDArray[np.float64], nu: NDArray[np.float64], *, refine: bool = True
+) -> tuple[float, float, float]:
+    """Bound of a certificate from the beginning: its largest price over the grid and between the lines.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    X, nu : ndarray
+        The certificate.
+    refine : bool
+        Whether lines may lie between those of the grid.
+
+    Returns
+    -------
+    bound : float
+        On the scaled loss.
+    price : float
+        Largest price.
+    frequency : float
+        Where it lies.
+    """
+    prices = problem.prices(X, nu)
+    top = int(np.argmax(prices.ratio))
+    price, frequency = float(prices.ratio[top]), float(problem.omega[top])
+    if refine:
+        omega, peaks = problem.refined_maxima(prices, X, nu, 0.98 * price)
+        best = int(np.argmax(peaks.ratio))
+        if peaks.ratio[best] > price:
+            price, frequency = float(peaks.ratio[best]), float(omega[best])
+    return lower_bound(problem, X, nu, price), price, frequency
+
+
+def _around(problem: Problem, omega: NDArray[np.float64]) -> NDArray[np.float64]:
+    """New lines and points between them and the grid's, so that a second maximum beside one is seen."""
+    at = np.clip(np.searchsorted(problem.omega, omega), 1, len(problem.omega) - 1)
+    low, high = problem.omega[at - 1], problem.omega[at]
+    points = np.concatenate([omega, *((1 - f) * omega + f * end for f in (0.1, 0.5) for end in (low, high))])
+    inside = np.zeros(len(points), dtype=bool)
+    for a, b in problem.bands:
+        inside |= (points >= a) & (points <= b)
+    return points[inside]
+
+
+def _maxima(
+    problem: Problem, prices: Prices, weights: Weights, refine: bool
+) -> tuple[NDArray[np.float64], Prices]:
+    """The candidates of this round: local maxima of the price, between grid lines if wanted."""
+    level = 1.0 - 0.3 * max(0.0, min(1.0, float(prices.ratio.max()) - 1 + 0.1))
+    if refine:
+        # To 1e-4 of the grid's distance: the price is off by its square; what decides is evaluated anew at the end.
+        omega, peaks = problem.refined_maxima(prices, weights.X, weights.nu, level, divisions=7)
+        if len(omega) and peaks.ratio.max() >= prices.ratio.max() * (1 - 1e-12):
+            return omega, peaks
+    at = local_maxima(prices.ratio)
+    at = at[prices.ratio[at] >= min(level, prices.ratio.max())]
+    # The neighbours too: the next round's maximum is likely one of them.
+    at = np.unique(np.clip(np.concatenate([at - 1, at, at + 1]), 0, len(problem.omega) - 1))
+    return problem.omega[at], Prices(prices.ratio[at], prices.direction[at])
+
+
+def _with_new(
+    problem: Problem, columns: Columns, w: NDArray, omega: NDArray, direction: NDArray
+) -> tuple[Columns, NDArray[np.float64]]:
+    if not len(omega):
+        return columns, w
+    new = problem.columns(omega, direction)
+    return columns + new, np.concatenate([w, np.full(len(new), 0.1 * w.sum() / (len(w) + len(new)))])
+
+
+def seed_columns(problem: Problem) -> Columns:
+    """Lines to begin with: quantiles of the information of white noise, every channel by itself.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+
+    Returns
+    -------
+    Columns
+        About 2 n + 10 frequencies.
+    """
+    n, _, K, _, q = problem.grid.shape
+    leverage = np.einsum("ncKrq->K", problem.grid**2)
+    total = np.cumsum(leverage)
+    wanted = (np.arange(2 * n + 10) + 0.5) / (2 * n + 10) * total[-1]
+    at = np.unique(np.clip(np.searchsorted(total, wanted), 0, K - 1))
+    omega = np.repeat(problem.omega[at], q)
+    return problem.columns(omega, np.tile(np.eye(q, dtype=complex), (len(at), 1)))

@@ -1,0 +1,320 @@
+"""Modified E: the least condition number of the information matrix, with its certificate.
+
+    minimise lambda_max(M) / lambda_min(M) over the spectra of a given power
+
+With M homogenised by tau it is one semidefinite programme: maximise t subject to t I <= M(w, tau) <= I. For any
+positive semidefinite Z_1 and Z_2 and every admissible M
+
+    lambda_max(M) / lambda_min(M) >= (tr Z_2 M / tr Z_2) / (tr Z_1 M / tr Z_1),
+
+so that k is a lower bound as soon as tr[(Z_2 / tr Z_2 - k Z_1 / tr Z_1) M] >= 0 for every admissible M: with
+S_i(w) = D(w)^* Z_i D(w), traces 1 and the power P,
+
+    tr[(Z_2 - k Z_1) M_0] + P min(0, least eigenvalue over all w of S_2(w) - k S_1(w)) >= 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.criteria import Criterion
+from oed.data import Spectrum
+from oed.design.problem.certificate import Certificate
+from oed.design.problem.design import Design
+from oed.design.problem.information_map import InformationMap
+from oed.design.problem.lines import local_maxima
+from oed.design.solvers.weights_clarabel import linear_matrix_programme, smat, svec
+from oed.errors import NotIdentifiable, Status
+
+__all__ = ["condition_design"]
+
+Bands = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """Lines of unit power: D v, in the units of the criterion, real and imaginary parts side by side."""
+
+    omega: NDArray[np.float64]
+    direction: NDArray[np.complex128]
+    F: NDArray[np.float64]
+
+    def __add__(self, other: _Lines) -> _Lines:
+        pair = lambda name: np.concatenate([getattr(self, name), getattr(other, name)])
+        return _Lines(pair("omega"), pair("direction"), pair("F"))
+
+
+class _Setting:
+    """The problem in the criterion's units, with a grid that grows."""
+
+    def __init__(self, information: InformationMap, criterion: Criterion, power: float) -> None:
+        self.map, self.power = information, power
+        self.turn = np.linalg.inv(criterion.V)
+        self.constant = self.turn @ information.constant @ self.turn.T
+
+    def factor(self, omega: NDArray) -> NDArray[np.complex128]:
+        return np.einsum("ij,kjrq->kirq", self.turn, self.map.factor(omega))
+
+    def lines(self, omega: NDArray, direction: NDArray) -> _Lines:
+        G = np.einsum("knrq,kq->knr", self.factor(omega), direction)
+        return _Lines(omega, direction, np.concatenate([G.real, G.imag], axis=2))
+
+    def forms(self, omega: NDArray, Z: NDArray) -> NDArray[np.complex128]:
+        D = self.factor(omega)
+        return np.einsum("knrq,nm,kmrs->kqs", D.conj(), Z, D, optimize=True)
+
+    def excess(self, omega: NDArray, Z_low: NDArray, Z_high: NDArray, k: float) -> tuple[NDArray, NDArray]:
+        """Largest eigenvalue of k S_1 - S_2 and its direction."""
+        S = k * self.forms(omega, Z_low) - self.forms(omega, Z_high)
+        values, vectors = np.linalg.eigh((S + S.conj().swapaxes(1, 2)) / 2)
+        return values[:, -1], vectors[:, :, -1]
+
+    def surplus(self, Z_low: NDArray, Z_high: NDArray, k: float) -> float:
+        return float(np.sum((Z_high - k * Z_low) * self.constant))
+
+
+def condition_design(
+    information: InformationMap,
+    criterion: Criterion,
+    *,
+    input_power: float,
+    omega: NDArray[np.float64],
+    bands: Bands,
+    refine: bool = True,
+    tolerance: float = 1e-7,
+    max_rounds: int = 12,
+) -> Design:
+    """The spectrum with the least condition number; `solve_design` calls it for the criterion modified-E.
+
+    Parameters
+    ----------
+    information : InformationMap
+        The model.
+    criterion : Criterion
+        Of kind K.
+    input_power : float
+        Of the spectrum; without prior information the condition number does not depend on it.
+    omega : ndarray
+        (K,) first grid.
+    bands : tuple of (float, float)
+        Where lines are allowed.
+    refine : bool
+        Whether lines may lie between those of the grid.
+    tolerance : float
+        Relative gap to reach.
+    max_rounds : int
+        Limit of rounds of column generation.
+
+    Returns
+    -------
+    Design
+        Its loss is the condition number.
+
+    Raises
+    ------
+    NotIdentifiable
+        If every spectrum leaves the information singular.
+    """
+    setting = _Setting(information, criterion, input_power)
+    q = information.n_inputs
+    lines = setting.lines(np.repeat(omega, q), np.tile(np.eye(q, dtype=complex), (len(omega), 1)))
+    best_loss, best_bound, kept, proof, rounds = np.inf, 0.0, None, None, 0
+    while rounds < max_rounds:
+        rounds += 1
+        w, Z_low, Z_high = _weights(lines, setting)
+        M = setting.constant + (lines.F * w[:, None, None]).swapaxes(0, 1).reshape(information.n, -1) @ (
+            lines.F.swapaxes(0, 1).reshape(information.n, -1).T
+        )
+        values = np.linalg.eigvalsh(M)
+        loss = float(values[-1] / values[0]) if values[0] > 0 else np.inf
+        if loss < best_loss:
+            best_loss, kept = loss, (lines, w)
+        bound, omega = _bound(setting, omega, bands, Z_low, Z_high, loss, refine)
+        if bound > best_bound:
+            best_bound, proof = bound, (Z_low, Z_high)
+        if best_loss - best_bound <= tolerance * best_bound or not np.isfinite(loss):
+            break
+        high, direction = setting.excess(omega, Z_low, Z_high, loss)
+        # The own lines are at 0 already; what lies above can come in.
+        at = local_maxima(high)
+        at = at[high[at] > 1e-9 * np.abs(high).max()]
+        stay = w > 1e-9 * w.max()
+        if not len(at):
+            break
+        old = _Lines(lines.omega[stay], lines.direction[stay], lines.F[stay])
+        lines = old + setting.lines(omega[at], direction[at])
+    if kept is None or proof is None:
+        raise NotIdentifiable(
+            "every spectrum leaves the information singular in double precision; give the parameters units in which "
+            "they are of like size, fix some of them, or add prior information."
+        )
+    kept = _sparse(setting, *kept)
+    return _as_design(setting, criterion, *kept, *proof, best_loss, best_bound, omega, rounds, tolerance)
+
+
+def _weights(lines: _Lines, setting: _Setting) -> tuple[NDArray, NDArray, NDArray]:
+    """Weights within the power, and multipliers of trace 1."""
+    m, n, _ = lines.F.shape
+    atoms = lines.F @ lines.F.swapaxes(1, 2)
+    # One unit for the information of all lines, so that the cone programme sees numbers near 1.
+    unit = float(np.trace(atoms.mean(axis=0))) / n
+    prior = bool(np.any(setting.constant))
+    parts = [svec(atoms / unit).T]
+    if prior:
+        parts.append(svec(setting.constant[None] / unit).T)
+    S = np.concatenate(parts, axis=1)
+    eye = svec(np.eye(n)[None])[0]
+    # Variables w, [tau], t;  M - t I >= 0,  I - M >= 0,  w >= 0,  [tau P - sum w >= 0].
+    low = np.concatenate([-S, eye[:, None]], axis=1)
+    high = np.concatenate([S, np.zeros((len(S), 1))], axis=1)
+    count = S.shape[1]
+    positive = np.concatenate([-np.eye(count), np.zeros((count, 1))], axis=1)
+    if prior:
+        positive = np.vstack([positive, np.concatenate([np.ones(m), [-setting.power, 0.0]])])
+    blocks = [low, high, positive]
+    offsets = [np.zeros(len(S)), eye, np.zeros(len(positive))]
+    objective = np.zeros(count + 1)
+    objective[-1] = -1.0
+    _, x, z, _ = linear_matrix_programme(objective, blocks, offsets, [n, n], 1e-11)
+    size = len(S)
+    Z_low, Z_high = smat(z[:size], n), smat(z[size : 2 * size], n)
+    w = np.maximum(x[:m], 0.0)
+    tau = float(x[m]) if prior else float(w.sum()) / setting.power
+    w = w / max(tau, float(w.sum()) / setting.power, 1e-300)
+    return w, _unit_trace(Z_low), _unit_trace(Z_high)
+
+
+def _sparse(setting: _Setting, lines: _Lines, w: NDArray) -> tuple[_Lines, NDArray[np.float64]]:
+    """The same information by few lines (Caratheodory): a vertex of the weights with this M and power.
+
+    The optimum is not unique in its lines, and an interior-point method returns their average: hundreds.
+    """
+    from scipy.optimize import linprog, nnls
+
+    used = w > 1e-9 * w.max()
+    lines = _Lines(lines.omega[used], lines.direction[used], lines.F[used])
+    w = w[used]
+    # Scaled so that every line has unit information: what is solved for are shares of it.
+    atoms = svec(lines.F @ lines.F.swapaxes(1, 2)).T
+    size = np.linalg.norm(atoms, axis=0)
+    rows = np.vstack([atoms / size, 1 / size / np.mean(1 / size)])
+    target = rows @ (w * size)
+    rows, target = rows / np.abs(target).max(), target / np.abs(target).max()
+    found = linprog(np.ones(len(w)), A_eq=rows, b_eq=target, bounds=(0, None), method="highs-ds")
+    if found.x is None:
+        return lines, w
+    few = found.x > 1e-9 * found.x.max()
+    exact, residual = nnls(rows[:, few], target)
+    if residual > 1e-10 or np.count_nonzero(few) >= len(w):
+        return lines, w
+    stay = np.flatnonzero(few)[exact > 0]
+    power = exact[exact > 0] / size[stay]
+    return _Lines(lines.omega[stay], lines.direction[stay], lines.F[stay]), power * (w.sum() / power.sum())
+
+
+def _unit_trace(Z: NDArray[np.float64]) -> NDArray[np.float64]:
+    values, vectors = np.linalg.eigh((Z + Z.T) / 2)
+    values = np.clip(values, 0, None)
+    return (vectors * (values / max(values.sum(), 1e-300))) @ vectors.T
+
+
+def _bound(
+    setting: _Setting,
+    omega: NDArray,
+    bands: Bands,
+    Z_low: NDArray,
+    Z_high: NDArray,
+    loss: float,
+    refine: bool,
+) -> tuple[float, NDArray[np.float64]]:
+    """Largest certified k, and the grid with the maxima that decided it."""
+    if not np.isfinite(loss):
+        return 0.0, omega
+    if refine:
+        # Between the lines: the maxima of the excess at the loss itself are where the bound is decided.
+        high = setting.excess(omega, Z_low, Z_high, loss)[0]
+        at = local_maxima(high)
+        left, right = omega[np.maximum(at - 1, 0)], omega[np.minimum(at + 1, len(omega) - 1)]
+        for _ in range(12):
+            trial = left[:, None] + (right - left)[:, None] * np.linspace(0, 1, 9)
+            value = setting.excess(trial.ravel(), Z_low, Z_high, loss)[0].reshape(trial.shape)
+            top, rows = np.argmax(value, axis=1), np.arange(len(at))
+            left, right = trial[rows, np.maximum(top - 1, 0)], trial[rows, np.minimum(top + 1, 8)]
+        found = trial[rows, top]
+        inside = np.zeros(len(found), dtype=bool)
+        for a, b in bands:
+            inside |= (found >= a) & (found <= b)
+        omega = np.union1d(omega, found[inside])
+    low_forms, high_forms = setting.forms(omega, Z_low), setting.forms(omega, Z_high)
+
+    def holds(k: float) -> bool:
+        worst = float(np.linalg.eigvalsh(high_forms - k * low_forms)[:, 0].min())
+        return setting.surplus(Z_low, Z_high, k) + setting.power * min(0.0, worst) >= 0
+
+    small, large = 0.0, loss
+    if holds(large):
+        return large, omega
+    for _ in range(60):
+        middle = (small + large) / 2
+        small, large = (middle, large) if holds(middle) else (small, middle)
+    return small, omega
+
+
+def _as_design(
+    setting: _Setting,
+    criterion: Criterion,
+    lines: _Lines,
+    w: NDArray,
+    Z_low: NDArray,
+    Z_high: NDArray,
+    loss: float,
+    bound: float,
+    omega: NDArray,
+    rounds: int,
+    tolerance: float,
+) -> Design:
+    keep = w > 1e-9 * w.max()
+    frequencies, where = np.unique(lines.omega[keep], return_inverse=True)
+    v = lines.direction[keep]
+    power = np.zeros((len(frequencies), v.shape[1], v.shape[1]), dtype=complex)
+    np.add.at(power, where, w[keep][:, None, None] * np.einsum("mq,mr->mqr", v, v.conj()))
+    spectrum = Spectrum(frequencies, power)
+    information = setting.map.of_spectrum(spectrum)
+    loss = criterion.loss(information)
+    scale = bound * float(np.sum(Z_low * (setting.turn @ information @ setting.turn.T)))
+    offset = setting.surplus(Z_low, Z_high, bound)
+
+    def price(frequency: NDArray) -> NDArray[np.float64]:
+        excess = setting.excess(frequency, Z_low, Z_high, bound)[0]
+        return 1 + (setting.power * excess - offset) / scale
+
+    prices = price(omega)
+    top = int(np.argmax(prices))
+    values, vectors = np.linalg.eigh(Z_low)
+    total = spectrum.total_power
+    return Design(
+        spectrum=spectrum,
+        criterion=criterion,
+        loss=loss,
+        bound=bound,
+        certificate=Certificate(
+            X=np.asarray(setting.turn.T @ vectors * np.sqrt(np.clip(values, 0, None)), dtype=np.float64),
+            multipliers={"input power": 0.0},
+            numerator=1.0,
+            value=1 / bound,
+            bound=bound,
+            largest_price=float(prices[top]),
+            frequency=float(omega[top]),
+            price=price,
+        ),
+        status=Status.OK if loss - bound <= tolerance * bound else Status.INACCURATE,
+        information=information,
+        map=setting.map,
+        power_used={"input power": total},
+        limits={"input power": setting.power},
+        solver="clarabel",
+        rounds=rounds,
+    )

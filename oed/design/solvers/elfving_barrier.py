@@ -1,0 +1,226 @@
+"""A and c designs of several inputs by a barrier method on Elfving's dual: all directions of a frequency at once.
+
+    maximise 2 tr(V'X) - tr(X' M_0 X) - sum_j nu_j   over X (n, s) and nu >= 0
+    subject to Q_nu(w) - S_X(w) positive semidefinite at every frequency,  S_X = D^* X X' D.
+
+-log det(Q_nu - S_X) is self-concordant in (X, nu) (a Schur complement of what is linear in them), so Newton's method
+follows the path of mu; there P_k = mu (Q_nu - S_X)^-1 is an admissible spectrum with (M_0 + M(P)) X = V, exact where the
+optimal information is singular. One rank-one line at a time would have to find these directions one by one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.design.problem.lines import Columns, Problem
+from oed.design.solvers.column_generation import Exchange, evaluated_bound, lower_bound
+from oed.errors import SolverFailure, Status
+
+__all__ = ["applies", "direction_exchange"]
+
+LARGEST = 150
+PATIENCE = 4
+
+
+def applies(problem: Problem) -> bool:
+    """Whether this method is the one for a problem.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+
+    Returns
+    -------
+    bool
+        True for A and c of a part of the parameters, several inputs, and budgets that limit every direction.
+    """
+    criterion = problem.criterion
+    if problem.map.n_inputs == 1 or criterion.kind != "A":
+        return False
+    n, s = criterion.columns.shape
+    if s == n or n * s > LARGEST:
+        return False
+    return bool(np.linalg.eigvalsh(problem.forms.sum(axis=1))[:, 0].min() > 1e-9)
+
+
+class _Dual:
+    """The dual on some frequencies."""
+
+    def __init__(self, problem: Problem, omega: NDArray[np.float64]) -> None:
+        self.V, self.constant = problem.criterion.columns, problem.constant
+        self.omega = omega
+        self.D, self.Q = problem.scaled_factor(omega), problem.forms_at(omega)
+        # (K, n, r, q) -> rows of one frequency: D_i as r x q.
+        self.n, self.s, self.J = *self.V.shape, self.Q.shape[1]
+        self.size = self.Q.shape[-1] * len(omega) + self.J
+
+    def slack(self, X: NDArray, nu: NDArray) -> tuple[NDArray, NDArray]:
+        """Q_nu - S_X (K, q, q) and E = X'D (K, s, r, q)."""
+        E = np.einsum("ns,knrq->ksrq", X, self.D, optimize=True)
+        flat = E.reshape(len(E), -1, E.shape[-1])
+        return np.einsum("j,kjqp->kqp", nu, self.Q) - flat.conj().swapaxes(1, 2) @ flat, E
+
+    def barrier(self, X: NDArray, nu: NDArray, mu: float) -> float:
+        """The barrier function; infinite outside."""
+        if nu.min() <= 0:
+            return np.inf
+        try:
+            L = np.linalg.cholesky(self.slack(X, nu)[0])
+        except np.linalg.LinAlgError:
+            return np.inf
+        logdet = 2 * float(np.log(np.einsum("kqq->kq", L).real).sum()) + float(np.log(nu).sum())
+        gain = 2 * np.sum(self.V * X) - np.sum(X * (self.constant @ X)) - nu.sum()
+        return -float(gain) / mu - logdet
+
+    def newton(self, X: NDArray, nu: NDArray, mu: float) -> tuple[NDArray, NDArray, float]:
+        """Newton's step in X and nu, and the square of its length."""
+        H, E = self.slack(X, nu)
+        root = np.linalg.inv(np.linalg.cholesky(H))  # T = root^* root
+        half = self.D @ root.conj().swapaxes(1, 2)[:, None]  # D_i T^1/2, (K, n, r, q)
+        Eh = E @ root.conj().swapaxes(1, 2)[:, None]
+        # T^1/2 (D_i^* E_s + E_s^* D_i) T^1/2, (K, n, s, q, q); and minus the forms for nu.
+        cross = np.einsum("knrq,ksrp->knsqp", half.conj(), Eh, optimize=True)
+        cross = cross + cross.conj().swapaxes(-1, -2)
+        K, q = len(H), H.shape[-1]
+        forms = root[:, None] @ self.Q @ root.conj().swapaxes(1, 2)[:, None]
+        A = np.concatenate([cross.reshape(K, -1, q, q), -forms], axis=1)
+        flat = np.moveaxis(A, 1, 0).reshape(A.shape[1], -1)
+        hessian = flat.real @ flat.real.T + flat.imag @ flat.imag.T
+        own = np.moveaxis(half, 1, 0).reshape(self.n, -1)
+        own = 2 * (own.real @ own.real.T + own.imag @ own.imag.T) + 2 * self.constant / mu
+        m = self.n * self.s
+        hessian[:m, :m] += np.kron(own, np.eye(self.s))
+        hessian[m:, m:] += np.diag(1 / nu**2)
+        gradient = np.einsum("kiqq->i", A).real
+        gradient[:m] -= 2 * (self.V - self.constant @ X).ravel() / mu
+        gradient[m:] += 1 / mu - 1 / nu
+        scale = 1 / np.sqrt(np.diag(hessian))
+        step = -scale * np.linalg.solve(hessian * np.outer(scale, scale), scale * gradient)
+        return step[:m].reshape(self.n, self.s), step[m:], float(-gradient @ step)
+
+    def follow(self, X: NDArray, nu: NDArray, mu: float, final: float) -> tuple[NDArray, NDArray, float, int]:
+        """From a strictly feasible point along the path to the last mu."""
+        steps = 0
+        while True:
+            for _ in range(40):
+                steps += 1
+                dX, dnu, length = self.newton(X, nu, mu)
+                if not np.isfinite(length) or length < 1e-12:
+                    break
+                now, factor = self.barrier(X, nu, mu), 1.0
+                if length > 0.05:
+                    while factor > 1e-10 and not (
+                        self.barrier(X + factor * dX, nu + factor * dnu, mu) <= now - 0.1 * factor * length
+                    ):
+                        factor *= 0.6
+                elif not np.isfinite(self.barrier(X + dX, nu + dnu, mu)):
+                    break
+                if factor <= 1e-10:
+                    break
+                X, nu = X + factor * dX, nu + factor * dnu
+                if length < 1e-3:
+                    break
+            if mu <= final:
+                return X, nu, mu, steps
+            mu = max(mu / 20, final)
+
+    def powers(self, X: NDArray, nu: NDArray, mu: float) -> NDArray[np.complex128]:
+        """The spectrum that belongs to a point of the path, (K, q, q)."""
+        return np.asarray(mu * np.linalg.inv(self.slack(X, nu)[0]), dtype=np.complex128)
+
+
+def direction_exchange(problem: Problem, *, refine: bool, tolerance: float, max_rounds: int = 25) -> Exchange:
+    """Frequencies are added where the price is high; their directions come by themselves.
+
+    Parameters
+    ----------
+    problem : Problem
+        For which `applies` is true.
+    refine : bool
+        Whether lines may lie between those of the grid.
+    tolerance : float
+        Relative gap at which to stop.
+    max_rounds : int
+        Limit of rounds.
+
+    Returns
+    -------
+    Exchange
+        The best weights and the best certificate seen.
+    """
+    grid, n = problem.omega, problem.map.n
+    white = np.cumsum(np.einsum("ncKrq->K", problem.grid**2))
+    count = 2 * n + 10
+    at = np.searchsorted(white, (np.arange(count) + 0.5) / count * white[-1])
+    chosen = np.unique(np.concatenate([at, np.linspace(0, len(grid) - 1, 40).astype(int)]))
+    omega = grid[np.clip(chosen, 0, len(grid) - 1)]
+    dual = _Dual(problem, omega)
+    X, nu, mu = np.zeros((n, dual.s)), np.full(dual.J, 1.0 / dual.J), 1.0
+    best: Exchange | None = None
+    accuracy, stalled, status = 1e-2, 0, Status.MAX_ITERATIONS
+    for rounds in range(1, max_rounds + 1):
+        X, nu, mu, _ = dual.follow(X, nu, mu, accuracy * float(nu.sum()) / dual.size)
+        columns, w = _lines(problem, dual, X, nu, mu)
+        loss = problem.loss(columns, w)
+        prices = problem.prices(X, nu)
+        if refine:
+            where, peaks = problem.refined_maxima(prices, X, nu, 0.9, divisions=7)
+            ratio = peaks.ratio
+        else:
+            where, ratio = grid, prices.ratio
+        price = max(float(ratio.max(initial=0.0)), float(prices.ratio.max()))
+        bound = lower_bound(problem, X, nu, price)
+        here = Exchange(columns, w, loss, X, nu * price, bound, price, float("nan"), rounds, status, problem)
+        before = np.inf if best is None else best.gap
+        if best is None or loss <= best.loss:
+            proof = here if best is None or bound >= best.bound else best
+            best = replace(here, X=proof.X, nu=proof.nu, bound=proof.bound, price=proof.price)
+        elif bound > best.bound:
+            best = replace(best, X=X, nu=nu * price, bound=bound, price=price)
+        gap = best.gap
+        stalled = 0 if gap < 0.8 * before else stalled + 1
+        if gap <= tolerance or stalled >= PATIENCE:
+            status = Status.CONVERGED if gap <= tolerance else Status.INACCURATE
+            break
+        accuracy = max(min(accuracy, 0.1 * gap), 0.05 * tolerance)
+        new = where[ratio > 1 + 0.1 * tolerance]
+        new = new[np.argsort(-ratio[ratio > 1 + 0.1 * tolerance])][:40]
+        own = problem.prices_at(dual.omega, X, nu).ratio
+        if refine and len(new):
+            problem = problem.extended(new)
+        dual = _Dual(problem, np.union1d(dual.omega[own > 0.5], new))
+        # Strictly feasible for the new frequencies too.
+        X = X * np.sqrt(0.9 / max(price, 1.0))
+        mu = 10 * mu
+    if best is None:  # not reached: the first round sets it
+        raise SolverFailure("no round was run; allow at least one.")
+    bound, price, frequency = evaluated_bound(problem, best.X, best.nu, refine=refine)
+    return replace(
+        best,
+        bound=bound,
+        nu=best.nu * price,
+        price=best.price * price,
+        frequency=frequency,
+        rounds=rounds,
+        status=status,
+        problem=problem,
+    )
+
+
+def _lines(
+    problem: Problem, dual: _Dual, X: NDArray, nu: NDArray, mu: float
+) -> tuple[Columns, NDArray[np.float64]]:
+    """The spectrum of a point of the path, as lines of one direction each, within the budgets."""
+    P = dual.powers(X, nu, mu)
+    edge = (dual.omega < 1e-12) | (dual.omega > np.pi - 1e-12)
+    P = np.where(edge[:, None, None], P.real, P)
+    values, vectors = np.linalg.eigh(P)
+    keep = values > 1e-13 * values.max()
+    k, j = np.nonzero(keep)
+    columns = problem.columns(dual.omega[k], vectors[k, :, j])
+    w = values[k, j]
+    return columns, w / (columns.q.T @ w).max()

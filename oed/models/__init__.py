@@ -1,0 +1,1 @@
+"""Parametric models: a structure with its parameters, and their responses and derivatives."""

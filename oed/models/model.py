@@ -1,0 +1,312 @@
+"""Parametric models: a structure (the polynomial family, state space) with its parameters.
+
+What information and design ask of any model is `response(omega) -> (G, dG)`.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oed.data import frozen
+from oed.errors import InputError
+from oed.models.polynomials import Orders, Polynomial, polynomial
+from oed.models.statespaces import StateSpace, state_space
+
+__all__ = [
+    "Model",
+    "Polynomial",
+    "StateSpace",
+    "armax",
+    "arx",
+    "bj",
+    "fir",
+    "model_from_json",
+    "oe",
+    "polynomial",
+    "state_space",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A structure with its parameters: G, H and the noise covariance.
+
+    Attributes
+    ----------
+    structure : Polynomial or StateSpace
+        The structure.
+    theta : ndarray
+        (n,) parameters.
+    noise_covariance : ndarray
+        (ny, ny) covariance of the white noise e.
+    dt : float
+        Sampling time in seconds.
+    """
+
+    structure: Polynomial | StateSpace
+    theta: NDArray[np.float64]
+    noise_covariance: NDArray[np.float64] = field(default_factory=lambda: np.array(1.0))
+    dt: float = 1.0
+
+    def __post_init__(self) -> None:
+        theta, ny = frozen(np.atleast_1d(self.theta)), self.structure.n_outputs
+        if theta.shape != (self.structure.n,):
+            raise InputError(
+                f"theta has the shape {theta.shape}; {self.structure!r} has {self.structure.n} parameters."
+            )
+        covariance = np.array(self.noise_covariance, dtype=float)
+        if covariance.ndim == 0:
+            covariance = covariance * np.eye(ny)
+        if covariance.shape != (ny, ny):
+            raise InputError(
+                f"the noise covariance has the shape {covariance.shape}; it must be ({ny}, {ny})."
+            )
+        object.__setattr__(self, "theta", theta)
+        object.__setattr__(self, "noise_covariance", frozen(covariance))
+        object.__setattr__(self, "dt", float(self.dt))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.structure.names
+
+    def response(self, omega: ArrayLike) -> tuple[NDArray, NDArray]:
+        """Frequency response G (K, ny, nu) and its derivatives dG (K, n, ny, nu).
+
+        Parameters
+        ----------
+        omega : array_like
+            (K,) rad/sample.
+
+        Returns
+        -------
+        G, dG : ndarray
+            Complex.
+        """
+        return self.structure.response(self.theta, omega)
+
+    def noise_response(self, omega: ArrayLike) -> tuple[NDArray, NDArray]:
+        """Frequency response H (K, ny, ny) of the noise model and its derivatives dH (K, n, ny, ny).
+
+        Parameters
+        ----------
+        omega : array_like
+            (K,) rad/sample.
+
+        Returns
+        -------
+        H, dH : ndarray
+            Complex.
+        """
+        return self.structure.noise_response(self.theta, omega)
+
+    def simulate(self, u: NDArray) -> NDArray[np.float64]:
+        """Noise-free output from rest.
+
+        Parameters
+        ----------
+        u : ndarray
+            (N, nu) input.
+
+        Returns
+        -------
+        ndarray
+            (N, ny).
+        """
+        return self.structure.simulate(self.theta, u)
+
+    def to_control(self) -> Any:
+        """G as a python-control object.
+
+        Returns
+        -------
+        control.TransferFunction or control.StateSpace
+            Of a polynomial model, or of a state-space model.
+        """
+        import control
+
+        if isinstance(self.structure, StateSpace):
+            m = self.structure.matrices(self.theta)
+            return control.StateSpace(m["A"], m["B"], m["C"], m["D"], self.dt)
+        num, den = [], []
+        for i, row in enumerate(self.structure.coefficients(self.theta)):
+            num.append([])
+            den.append([])
+            for j in range(self.structure.n_inputs):
+                b = row["b"][j] if self.structure.nb[i, j] else np.zeros(1)
+                a = np.convolve(row["a"][0], row["f"][j])
+                length = max(len(a), len(b))
+                num[i].append(np.pad(b, (0, length - len(b))))
+                den[i].append(np.pad(a, (0, length - len(a))))
+        return control.TransferFunction(num, den, self.dt)
+
+    def poles(self) -> list[NDArray[np.complex128]]:
+        """Poles of G, entry by entry.
+
+        Returns
+        -------
+        list of ndarray
+            One array per entry, row by row.
+        """
+        return self.structure.poles(self.theta)
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole of G lies inside the unit circle."""
+        return all(np.abs(p).max(initial=0.0) < 1 for p in self.poles())
+
+    def to_dict(self) -> dict:
+        """Plain numbers, from which `model_from_json` makes the same model bit for bit.
+
+        Returns
+        -------
+        dict
+            With structure, names, theta, noise_covariance and dt.
+        """
+        return {
+            "structure": self.structure.to_dict(),
+            "names": list(self.names),
+            "theta": self.theta.tolist(),
+            "noise_covariance": self.noise_covariance.tolist(),
+            "dt": self.dt,
+        }
+
+    def to_json(self) -> str:
+        """The model as JSON text; reading it back gives the same bits.
+
+        Returns
+        -------
+        str
+            JSON.
+        """
+        return json.dumps(self.to_dict())
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{k} = {v:.5g}" for k, v in zip(self.names, self.theta, strict=True))
+        return f"{self.structure!r}: {values}"
+
+
+def model_from_json(text: str | dict) -> Model:
+    """The model that `Model.to_json` wrote.
+
+    Parameters
+    ----------
+    text : str or dict
+        JSON text, or what `Model.to_dict` returned.
+
+    Returns
+    -------
+    Model
+        The same, bit for bit.
+
+    Raises
+    ------
+    InputError
+        If a field is missing or is not what the structure needs.
+    """
+    try:
+        given = json.loads(text) if isinstance(text, str) else text
+        orders = dict(given["structure"])
+        if orders["kind"] == "ss":
+            del orders["kind"]
+            structure: Polynomial | StateSpace = StateSpace(**orders)
+        else:
+            structure = Polynomial(**orders)
+        return Model(structure, given["theta"], given["noise_covariance"], given["dt"])
+    except (KeyError, TypeError, json.JSONDecodeError) as error:
+        raise InputError(f"this is not a saved model ({error}); give what Model.to_json wrote.") from None
+
+
+def fir(nb: Orders, delay: Orders = 1) -> Polynomial:
+    """Finite impulse response: y = B u + e.
+
+    Parameters
+    ----------
+    nb : int
+        Number of coefficients.
+    delay : int
+        Delay of the first, in samples.
+
+    Returns
+    -------
+    Polynomial
+        The structure of one input and one output.
+    """
+    return polynomial("fir", [nb], delay)
+
+
+def arx(na: int, nb: int, delay: int = 1) -> Polynomial:
+    """A y = B u + e.
+
+    Parameters
+    ----------
+    na, nb : int
+        Degree of A, number of coefficients of B.
+    delay : int
+        Delay of the first coefficient of B, in samples.
+
+    Returns
+    -------
+    Polynomial
+        The structure of one input and one output.
+    """
+    return polynomial("arx", [na, nb], delay)
+
+
+def armax(na: int, nb: int, nc: int, delay: int = 1) -> Polynomial:
+    """A y = B u + C e.
+
+    Parameters
+    ----------
+    na, nb, nc : int
+        Degree of A, number of coefficients of B, degree of C.
+    delay : int
+        Delay of the first coefficient of B, in samples.
+
+    Returns
+    -------
+    Polynomial
+        The structure of one input and one output.
+    """
+    return polynomial("armax", [na, nb, nc], delay)
+
+
+def oe(nb: int, nf: int, delay: int = 1) -> Polynomial:
+    """Output error: y = (B / F) u + e.
+
+    Parameters
+    ----------
+    nb, nf : int
+        Number of coefficients of B, degree of F.
+    delay : int
+        Delay of the first coefficient of B, in samples.
+
+    Returns
+    -------
+    Polynomial
+        The structure of one input and one output.
+    """
+    return polynomial("oe", [nb, nf], delay)
+
+
+def bj(nb: int, nc: int, nd: int, nf: int, delay: int = 1) -> Polynomial:
+    """Box-Jenkins: y = (B / F) u + (C / D) e.
+
+    Parameters
+    ----------
+    nb, nc, nd, nf : int
+        Number of coefficients of B, degrees of C, D and F.
+    delay : int
+        Delay of the first coefficient of B, in samples.
+
+    Returns
+    -------
+    Polynomial
+        The structure of one input and one output.
+    """
+    return polynomial("bj", [nb, nc, nd, nf], delay)

@@ -1,0 +1,1 @@
+"""Plants: rational transfer matrices with their noise, their norms, names, files and realisations."""

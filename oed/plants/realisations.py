@@ -1,0 +1,186 @@
+"""State-space realisations of plants, and plants from state-space or python-control systems."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oed.errors import InputError
+from oed.plants.plant import Plant
+
+__all__ = ["from_control", "from_state_space", "state_space"]
+
+StateSpace = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+
+def state_space(plant: Plant) -> StateSpace:
+    """State-space realisation of a plant's G: one companion block per entry.
+
+    x_(t+1) = A x_t + B u_t,  y_t = C x_t + D u_t. Entries with a common denominator are realised apart, so
+    the realisation of a plant with several entries is in general not minimal (the response is exact).
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+
+    Returns
+    -------
+    tuple of ndarray
+        A (n, n), B (n, nu), C (ny, n), D (ny, nu).
+    """
+    blocks = []
+    for i, row in enumerate(plant.num):
+        for j, num in enumerate(row):
+            order = max(len(num), len(plant.den[i][j])) - 1
+            b = np.concatenate([num, np.zeros(order + 1 - len(num))])
+            a = np.concatenate([plant.den[i][j], np.zeros(order + 1 - len(plant.den[i][j]))])
+            blocks.append((i, j, order, b, a))
+    n = sum(block[2] for block in blocks)
+    A, B = np.zeros((n, n)), np.zeros((n, plant.n_inputs))
+    C, D = np.zeros((plant.n_outputs, n)), np.zeros((plant.n_outputs, plant.n_inputs))
+    at = 0
+    for i, j, order, b, a in blocks:
+        D[i, j] = b[0]
+        if order:
+            rows = slice(at, at + order)
+            A[at, rows] = -a[1:]
+            A[at + 1 : at + order, at : at + order - 1] = np.eye(order - 1)
+            B[at, j] = 1
+            C[i, rows] = b[1:] - b[0] * a[1:]
+            at += order
+    return A, B, C, D
+
+
+def from_state_space(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, **attributes: Any) -> Plant:
+    """Plant in transfer-function form of a discrete-time state-space system, entry by entry, minimal.
+
+    Parameters
+    ----------
+    A, B, C, D : array_like
+        (n, n), (n, nu), (ny, n), (ny, nu).
+    **attributes : object
+        Other attributes of the plant (`dt`, `noise_covariance`, `name`, ...).
+
+    Returns
+    -------
+    Plant
+        Each entry with its own minimal numerator and denominator.
+    """
+    try:
+        A, B, C, D = (np.atleast_2d(np.array(m, dtype=float)) for m in (A, B, C, D))
+    except (TypeError, ValueError):
+        raise InputError(
+            "A, B, C and D must be matrices of real numbers, each row of equal length."
+        ) from None
+    n, nu, ny = len(A), B.shape[1], len(C)
+    if A.shape != (n, n) or B.shape != (n, nu) or C.shape != (ny, n) or D.shape != (ny, nu):
+        raise InputError(
+            f"A is {A.shape}, B {B.shape}, C {C.shape}, D {D.shape}; they must be (n, n), (n, nu), (ny, n), (ny, nu)."
+        )
+    if not all(np.isfinite(m).all() for m in (A, B, C, D)):
+        raise InputError("A, B, C or D has entries that are not finite; give finite numbers.")
+    num, den = [], []
+    for i in range(ny):
+        entries = [_minimal_entry(A, B[:, j], C[i], D[i, j]) for j in range(nu)]
+        num.append([entry[0] for entry in entries])
+        den.append([entry[1] for entry in entries])
+    return Plant(num, den, **attributes)
+
+
+def _minimal_entry(A: NDArray, b: NDArray, c: NDArray, d: float) -> tuple[NDArray, NDArray]:
+    """Numerator and denominator in z^-1 of one entry, with cancelling poles and zeros removed."""
+    poles = np.linalg.eigvals(A)
+    g = [d]
+    x = b
+    for _ in range(2 * len(A)):
+        g.append(float(c @ x))
+        x = A @ x
+    # Poles that this entry does not see are dropped by the rank of its Hankel matrix; those kept are the
+    # ones whose modes carry weight.
+    n = len(A)
+    hankel = np.array([[g[1 + r + s] for s in range(n)] for r in range(n)])
+    singular = np.linalg.svd(hankel, compute_uv=False)
+    order = int((singular > 1e-10 * max(singular[0], 1e-300)).sum()) if n else 0
+    if order < n:
+        poles = _poles_seen(A, b, c, order)
+    a = np.real(np.poly(poles)) if order else np.ones(1)
+    num = np.convolve(a, g)[: order + 1]
+    num[np.abs(num) < 1e-13 * max(np.abs(num).max(), 1e-300)] = 0.0
+    return num, a
+
+
+def _poles_seen(A: NDArray, b: NDArray, c: NDArray, order: int) -> NDArray:
+    """Poles of the balanced truncation to the minimal order (exact, since what is cut is zero)."""
+    from scipy.linalg import solve_discrete_lyapunov, svd
+
+    def root(gramian: NDArray) -> NDArray:
+        values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
+        return vectors * np.sqrt(np.clip(values, 0, None))
+
+    if np.abs(np.linalg.eigvals(A)).max(initial=0) >= 1:
+        return np.linalg.eigvals(A)  # unstable: kept whole, so that the check of the plant can say so
+    R = root(solve_discrete_lyapunov(A, np.outer(b, b)))
+    L = root(solve_discrete_lyapunov(A.T, np.outer(c, c)))
+    U, s, V = svd(L.T @ R)
+    U, V, scale = U[:, :order], V[:order].T, 1 / np.sqrt(s[:order])
+    return np.linalg.eigvals((scale[:, None] * U.T) @ L.T @ A @ R @ (V * scale))
+
+
+def from_control(system: Any, *, dt: float | None = None, hold: str | None = None, **noise: Any) -> Plant:
+    """Plant of a python-control StateSpace or TransferFunction; see `Plant.from_control`.
+
+    Parameters
+    ----------
+    system : control.StateSpace or control.TransferFunction
+        The system.
+    dt : float, optional
+        Sampling time in seconds, for a continuous-time system.
+    hold : str, optional
+        Hold, for a continuous-time system: "zoh", "foh", "bilinear", ... (`control.sample_system`).
+    **noise : object
+        Other attributes of the plant.
+
+    Returns
+    -------
+    Plant
+        The plant.
+    """
+    import control
+
+    if not isinstance(system, control.StateSpace | control.TransferFunction):
+        raise InputError(
+            f"a {type(system).__name__} is not a control.StateSpace or control.TransferFunction; convert it first."
+        )
+    if system.isctime(strict=True) or (system.dt is None and dt is not None):
+        if dt is None or hold is None:
+            raise InputError(
+                'the system is in continuous time; say how it is sampled, for example dt=0.01, hold="zoh".'
+            )
+        system = control.sample_system(system, dt, method=hold)
+    elif dt is not None:
+        raise InputError(
+            f"the system is already sampled (dt = {system.dt}); leave dt = {dt} out, or resample it."
+        )
+    step = 1.0 if system.dt in (True, None) else float(system.dt)
+    if isinstance(system, control.StateSpace):
+        return from_state_space(system.A, system.B, system.C, system.D, dt=step, **noise)
+    num, den = [], []
+    for Bs, As in zip(system.num_list, system.den_list, strict=True):
+        num.append([])
+        den.append([])
+        for B, A in zip(Bs, As, strict=True):
+            B, A = np.trim_zeros(np.array(B), "f"), np.trim_zeros(np.array(A), "f")
+            if len(B) > len(A):
+                raise InputError(
+                    f"an entry has numerator degree {len(B) - 1} over denominator degree {len(A) - 1}, which is "
+                    "improper (it knows the future); the numerator's degree must not exceed the denominator's."
+                )
+            # Powers of z written out as zeros at the end are delay, not parameters whose value happens to be 0.
+            num[-1].append(np.trim_zeros(np.concatenate([np.zeros(len(A) - len(B)), B]), "b"))
+            den[-1].append(np.trim_zeros(A, "b"))
+            if not num[-1][-1].size:
+                num[-1][-1] = np.zeros(1)
+    return Plant(num, den, dt=step, **noise)
