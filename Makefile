@@ -61,7 +61,7 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@mkdir -p $(MPLCONFIGDIR) $(NUMBA_CACHE_DIR) $(PYRIGHT_PYTHON_CACHE_DIR)
-	$(BIN)/python -m estimators.compiled
+	$(BIN)/python -m estimators.montecarlo.compiled
 	@touch $@
 
 compare: $(STAMP)

@@ -16,7 +16,7 @@ from estimators import identify
 from oed import simulated, solve_design
 from oed.data import Record
 from oed.information import information_of_records
-from oed.signals.realise import realise
+from oed.signals.synthesis import realise
 
 N = 500
 

@@ -30,7 +30,7 @@ from oed import solve_design
 from oed.data import Record
 from oed.information import information_of_records
 from oed.plants.json import plant_to_json
-from oed.signals.realise import realise
+from oed.signals.synthesis import realise
 
 LEVEL, RANGE, DT, N = (
     40.0,

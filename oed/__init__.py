@@ -5,8 +5,9 @@ The names below are imported when they are first used, so that `import oed` is q
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from oed.lazily import exporting
 
 if TYPE_CHECKING:
     from oed.data import Record, Spectrum
@@ -21,32 +22,7 @@ if TYPE_CHECKING:
     from oed.plants.plant import Plant
     from oed.theory import limit_spectrum
 
-
-__version__ = "0.1.0"
-
-_HOME = {
-    "Experiment": "oed.experiments",
-    "ExperimentError": "oed.errors",
-    "InputError": "oed.errors",
-    "OedError": "oed.errors",
-    "Plant": "oed.plants.plant",
-    "Record": "oed.data",
-    "Spectrum": "oed.data",
-    "Status": "oed.errors",
-    "information_of_records": "oed.information",
-    "information_of_signal": "oed.information",
-    "information_of_spectrum": "oed.information",
-    "limit_spectrum": "oed.theory",
-    "named_plant": "oed.plants.named",
-    "peak": "oed.plants.norms",
-    "plant_from_json": "oed.plants.json",
-    "plant_to_json": "oed.plants.json",
-    "read_record": "oed.files",
-    "replayed": "oed.experiments",
-    "simulated": "oed.experiments",
-    "solve_design": "oed.design",
-    "write_record": "oed.files",
-}
+__version__ = "0.2.0"
 
 __all__ = [
     "Experiment",
@@ -72,12 +48,29 @@ __all__ = [
     "write_record",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(import_module(_HOME[name]), name)
-    raise AttributeError(f"module 'oed' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *_HOME]
+__getattr__, __dir__ = exporting(
+    __name__,
+    {
+        "Experiment": "oed.experiments",
+        "ExperimentError": "oed.errors",
+        "InputError": "oed.errors",
+        "OedError": "oed.errors",
+        "Plant": "oed.plants.plant",
+        "Record": "oed.data",
+        "Spectrum": "oed.data",
+        "Status": "oed.errors",
+        "information_of_records": "oed.information",
+        "information_of_signal": "oed.information",
+        "information_of_spectrum": "oed.information",
+        "limit_spectrum": "oed.theory",
+        "named_plant": "oed.plants.named",
+        "peak": "oed.plants.norms",
+        "plant_from_json": "oed.plants.json",
+        "plant_to_json": "oed.plants.json",
+        "read_record": "oed.files",
+        "replayed": "oed.experiments",
+        "simulated": "oed.experiments",
+        "solve_design": "oed.design",
+        "write_record": "oed.files",
+    },
+)

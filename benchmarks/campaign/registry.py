@@ -73,7 +73,7 @@ def _oracle(criterion: str) -> Callable[[Plant], Method]:
         spectrum = solve_design(plant, criterion).spectrum
 
         def rule(samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator) -> Any:
-            from oed.signals.realise import realise
+            from oed.signals.synthesis import realise
 
             while True:
                 yield realise(spectrum, samples, rng=rng)

@@ -17,7 +17,7 @@ from estimators.diagnosis.record.crossvalidation import BLOCKS, blocked_simulati
 from estimators.diagnosis.record.measurement import held_samples
 from estimators.diagnosis.record.overlap import copied_rows
 from estimators.diagnosis.report import Diagnosis, ErrorFigure
-from estimators.diagnosis.verdict import verdict
+from estimators.diagnosis.verdicts import verdict
 from oed.data import Record
 from oed.errors import InputError
 

@@ -32,24 +32,23 @@ Beside it: `pem.uncertainty` (sandwich, profile_interval, bode_band, step_band, 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from oed.lazily import exporting
 
 if TYPE_CHECKING:
     from estimators.pem.estimation import identify
     from estimators.pem.fit import Fit
 
-__all__ = ["Fit", "identify"]
+__all__ = [
+    "Fit",
+    "identify",
+]
 
-_HOME = {"Fit": "estimators.pem.fit", "identify": "estimators.pem.estimation"}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        from importlib import import_module
-
-        return getattr(import_module(_HOME[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = exporting(
+    __name__,
+    {
+        "Fit": "estimators.pem.fit",
+        "identify": "estimators.pem.estimation",
+    },
+)

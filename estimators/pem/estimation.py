@@ -16,7 +16,6 @@ from estimators.pem.predictors.of_structure import Structure
 from estimators.pem.predictors.statespace import state_space_of_armax, subspace_candidates
 from estimators.pem.regularised.marginal_likelihood import check_regularisation, regularised
 from estimators.pem.results import result
-from estimators.pem.search.best_optimum import best_optimum
 from estimators.pem.search.extras import (
     Settings,
     bridged,
@@ -27,10 +26,11 @@ from estimators.pem.search.extras import (
     with_prior,
     without_outliers,
 )
+from estimators.pem.search.global_search import best_optimum
 from estimators.pem.search.levenberg_marquardt import Optimum
 from estimators.pem.search.problem import Problem, prepare
 from estimators.pem.search.starts import reflected
-from estimators.pem.subspace.by_subspace import by_subspace, check_subspace
+from estimators.pem.subspace.subspace_fit import by_subspace, check_subspace
 from oed.data import Record
 from oed.errors import InputError, Status
 from oed.files.objects import as_records

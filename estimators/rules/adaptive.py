@@ -225,7 +225,7 @@ def _redesigning(
     hedge: tuple[int, float] | None = None,
 ) -> Rule:
     def rule(samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator) -> Steps:
-        from oed.signals.realise import realise
+        from oed.signals.synthesis import realise
 
         records: list[Record] = []
         spectrum: Spectrum | None = None

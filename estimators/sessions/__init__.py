@@ -11,24 +11,15 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from oed.lazily import exporting
 
 if TYPE_CHECKING:
     from estimators.sessions.missing import what_is_missing
     from estimators.sessions.session import FlaggedMeasurement, Session
     from estimators.sessions.settings import Settings
     from estimators.sessions.stored import StoredSession, open_session, start_session
-
-_HOME = {
-    "FlaggedMeasurement": "estimators.sessions.session",
-    "Session": "estimators.sessions.session",
-    "Settings": "estimators.sessions.settings",
-    "StoredSession": "estimators.sessions.stored",
-    "open_session": "estimators.sessions.stored",
-    "start_session": "estimators.sessions.stored",
-    "what_is_missing": "estimators.sessions.missing",
-}
 
 __all__ = [
     "FlaggedMeasurement",
@@ -40,12 +31,15 @@ __all__ = [
     "what_is_missing",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(import_module(_HOME[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = exporting(
+    __name__,
+    {
+        "FlaggedMeasurement": "estimators.sessions.session",
+        "Session": "estimators.sessions.session",
+        "Settings": "estimators.sessions.settings",
+        "StoredSession": "estimators.sessions.stored",
+        "open_session": "estimators.sessions.stored",
+        "start_session": "estimators.sessions.stored",
+        "what_is_missing": "estimators.sessions.missing",
+    },
+)

@@ -25,15 +25,16 @@ parametrisations, by CVXPY), `basis_design` and `autoregressive_design` (spectra
 `model` is a Plant, a Model, an InformationMap (what all designs reduce to), or anything with
 `response(omega) -> (G (K, ny, nu), dG (K, n, ny, nu))` through `information_map(model, noise_covariance=..)`.
 `criterion` is "D", "A", "E", "hinf", "static-gain", ... or a Criterion of `oed.criteria`.
-Signals from spectra are in `oed.signals.realise`: multisine, realise, filtered_noise, binary.
+Signals from spectra are in `oed.signals.synthesis`: multisine, realise, filtered_noise, binary.
 
 CVXPY and Clarabel are imported only in this package, and only when a design needs them.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from oed.lazily import exporting
 
 if TYPE_CHECKING:
     from oed.design.parametrisations.amplitude import amplitude_design
@@ -42,35 +43,13 @@ if TYPE_CHECKING:
     from oed.design.parametrisations.shaped import autoregressive_design, band_basis, basis_design
     from oed.design.problem.certificate import Certificate
     from oed.design.problem.design import Design
-    from oed.design.problem.information_map import InformationMap, information_map
+    from oed.design.problem.information_maps import InformationMap, information_map
     from oed.design.questions.closed_loop import closed_loop_map
     from oed.design.questions.least_power import application_criterion, least_power_design
     from oed.design.questions.quantile import QuantileDesign, quantile_design
     from oed.design.questions.robust import robust_design
     from oed.design.solve import solve_design
     from oed.design.solvers.compiled_once import RepeatedDesign
-
-_HOME = {
-    "amplitude_design": "amplitude",
-    "application_criterion": "least_power",
-    "autocorrelation_design": "autocorrelation",
-    "autoregressive_design": "shaped",
-    "band_basis": "shaped",
-    "basis_design": "shaped",
-    "Certificate": "certificate",
-    "closed_loop_map": "closed_loop",
-    "Design": "result",
-    "InformationMap": "maps",
-    "information_map": "maps",
-    "least_power_design": "least_power",
-    "masked_design": "masked",
-    "moment_design": "autocorrelation",
-    "QuantileDesign": "quantile",
-    "quantile_design": "quantile",
-    "RepeatedDesign": "repeated",
-    "robust_design": "robust",
-    "solve_design": "solve",
-}
 
 __all__ = [
     "Certificate",
@@ -94,12 +73,27 @@ __all__ = [
     "solve_design",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(import_module(f"oed.design.{_HOME[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = exporting(
+    __name__,
+    {
+        "amplitude_design": "oed.design.parametrisations.amplitude",
+        "application_criterion": "oed.design.questions.least_power",
+        "autocorrelation_design": "oed.design.parametrisations.autocorrelation",
+        "autoregressive_design": "oed.design.parametrisations.shaped",
+        "band_basis": "oed.design.parametrisations.shaped",
+        "basis_design": "oed.design.parametrisations.shaped",
+        "Certificate": "oed.design.problem.certificate",
+        "closed_loop_map": "oed.design.questions.closed_loop",
+        "Design": "oed.design.problem.design",
+        "InformationMap": "oed.design.problem.information_maps",
+        "information_map": "oed.design.problem.information_maps",
+        "least_power_design": "oed.design.questions.least_power",
+        "masked_design": "oed.design.parametrisations.masked",
+        "moment_design": "oed.design.parametrisations.autocorrelation",
+        "QuantileDesign": "oed.design.questions.quantile",
+        "quantile_design": "oed.design.questions.quantile",
+        "RepeatedDesign": "oed.design.solvers.compiled_once",
+        "robust_design": "oed.design.questions.robust",
+        "solve_design": "oed.design.solve",
+    },
+)

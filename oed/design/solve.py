@@ -16,13 +16,13 @@ from oed.design.problem.certificate import Certificate
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
 from oed.design.problem.grid import bands_of, frequency_grid
-from oed.design.problem.information_map import information_map
+from oed.design.problem.information_maps import information_map
 from oed.design.problem.lines import Columns, Problem
 from oed.design.solvers import elfving_barrier as directions
 from oed.design.solvers.column_generation import Exchange, evaluated_bound, exchange, seed_columns
 from oed.design.solvers.condition_number import condition_design
+from oed.design.solvers.gain_scaling import peak_sinusoid
 from oed.design.solvers.merging_lines import better, collapsed
-from oed.design.solvers.peak_sinusoid import peak_sinusoid
 from oed.errors import InputError, Status
 
 __all__ = ["certified", "solve_design"]

@@ -1,1 +1,41 @@
 """Signals: from spectra to samples, the sinusoids of a spectrum, and noise that is a pure function of its place."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from oed.lazily import exporting
+
+if TYPE_CHECKING:
+    from oed.signals.synthesis import (
+        binary,
+        crest_factor,
+        filtered_noise,
+        multisine,
+        periodogram,
+        prbs,
+        realise,
+    )
+
+__all__ = [
+    "binary",
+    "crest_factor",
+    "filtered_noise",
+    "multisine",
+    "periodogram",
+    "prbs",
+    "realise",
+]
+
+__getattr__, __dir__ = exporting(
+    __name__,
+    {
+        "binary": "oed.signals.synthesis",
+        "crest_factor": "oed.signals.synthesis",
+        "filtered_noise": "oed.signals.synthesis",
+        "multisine": "oed.signals.synthesis",
+        "periodogram": "oed.signals.synthesis",
+        "prbs": "oed.signals.synthesis",
+        "realise": "oed.signals.synthesis",
+    },
+)

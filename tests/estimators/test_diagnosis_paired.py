@@ -16,7 +16,7 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.paired import as_good, paired_difference
 from estimators.diagnosis.report import ErrorFigure
 from estimators.diagnosis.search.candidates import augmented
-from estimators.diagnosis.verdict import _assumed
+from estimators.diagnosis.verdicts import _assumed
 from oed.data import Record
 
 

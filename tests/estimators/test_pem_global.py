@@ -9,8 +9,8 @@ from scipy.signal import lfilter
 from estimators.pem import identify
 from estimators.pem.checks import structure_for
 from estimators.pem.predictors.of_structure import EDGE, walls
+from estimators.pem.search.moving_modes import solved
 from estimators.pem.search.problem import prepare
-from estimators.pem.search.relocations import solved
 from oed.data import Record
 from oed.errors import OedError, Status
 from oed.models.model import bj

@@ -78,7 +78,7 @@ def test_scaling_of_power_and_noise(designs):
 @pytest.mark.parametrize("name", OPTIMA)
 def test_three_powers_agree(designs, name, rng):
     """Optimiser, sum of lines, and variance of the realised signal."""
-    from oed.signals.realise import multisine, realise
+    from oed.signals.synthesis import multisine, realise
 
     design = designs[name]
     assert design.power_used["input power"] == pytest.approx(1.0, rel=1e-12)

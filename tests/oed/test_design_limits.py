@@ -26,7 +26,7 @@ from oed.design.problem.criteria_by_name import criterion_of
 from oed.errors import InfeasibleDesign, InputError, Status
 from oed.plants.named import named_plant
 from oed.plants.plant import Plant
-from oed.signals.realise import realise
+from oed.signals.synthesis import realise
 
 
 @pytest.fixture(scope="module")

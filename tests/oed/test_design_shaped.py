@@ -19,7 +19,7 @@ from oed.design.parametrisations.shaped import step_down, step_up
 from oed.errors import InputError, NotIdentifiable
 from oed.plants.named import named_plant
 from oed.plants.plant import Plant
-from oed.signals.realise import realise
+from oed.signals.synthesis import realise
 
 GRID = np.concatenate([[0.01, 0.4, 0.7], np.linspace(0.85, 1.15, 7), [1.4, 2.0, 3.1]])
 

@@ -9,7 +9,7 @@ from oed.data import Spectrum
 from oed.design import solve_design
 from oed.errors import InputError
 from oed.plants.named import named_plant
-from oed.signals.realise import (
+from oed.signals.synthesis import (
     binary,
     crest_factor,
     filtered_noise,

@@ -17,7 +17,7 @@ from oed.criteria import Criterion
 from oed.design.problem.design import Design
 from oed.design.solve import solve_design
 from oed.errors import InputError
-from oed.signals.realise import Realised, binary, crest_factor, multisine
+from oed.signals.synthesis import Realised, binary, crest_factor, multisine
 
 __all__ = ["amplitude_design", "slew_limited"]
 

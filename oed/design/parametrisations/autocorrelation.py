@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.criteria_by_name import criterion_of
-from oed.design.problem.information_map import InformationMap, information_map
+from oed.design.problem.information_maps import InformationMap, information_map
 from oed.errors import InputError, SolverFailure
 from oed.plants.plant import Plant
 

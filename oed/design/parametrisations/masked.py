@@ -23,7 +23,7 @@ from oed.design.problem.budgets import power_budgets
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
-from oed.design.problem.information_map import information_map
+from oed.design.problem.information_maps import information_map
 from oed.design.problem.lines import Columns, Problem
 from oed.design.solvers.column_generation import solve_weights
 from oed.errors import InfeasibleDesign, InputError, Status

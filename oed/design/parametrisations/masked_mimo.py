@@ -22,7 +22,7 @@ from oed.design.parametrisations.autocorrelation import conic
 from oed.design.problem.budgets import power_budgets
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.design import Design
-from oed.design.problem.information_map import InformationMap
+from oed.design.problem.information_maps import InformationMap
 from oed.design.problem.lines import Problem
 from oed.design.solvers.whole_grid import solve_cvxpy
 from oed.errors import InfeasibleDesign, InputError, Status

@@ -23,7 +23,7 @@ from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.budgets import power_budgets
 from oed.design.problem.criteria_by_name import criterion_of
-from oed.design.problem.information_map import InformationMap, information_map
+from oed.design.problem.information_maps import InformationMap, information_map
 from oed.design.problem.lines import Columns, Problem
 from oed.design.solvers.column_generation import lower_bound, solve_weights
 from oed.errors import InputError

@@ -25,7 +25,7 @@ from oed.criteria import (
     e_criterion,
     g_criterion,
 )
-from oed.design.problem.information_map import InformationMap
+from oed.design.problem.information_maps import InformationMap
 from oed.errors import InputError, check_names
 from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.certificate import Certificate
-from oed.design.problem.information_map import InformationMap
+from oed.design.problem.information_maps import InformationMap
 from oed.errors import Status
 
 __all__ = ["Design"]

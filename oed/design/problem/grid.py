@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.design.problem.information_map import InformationMap
+from oed.design.problem.information_maps import InformationMap
 from oed.errors import InputError
 
 __all__ = ["bands_of", "frequency_grid"]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.criteria import Criterion
-from oed.design.problem.information_map import InformationMap
+from oed.design.problem.information_maps import InformationMap
 from oed.design.problem.white import white_root
 
 __all__ = ["Budget", "Columns", "Problem", "Prices", "local_maxima"]

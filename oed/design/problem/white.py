@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.design.problem.information_map import InformationMap
+from oed.design.problem.information_maps import InformationMap
 from oed.errors import InfeasibleDesign, NotIdentifiable
 from oed.information import null_directions
 

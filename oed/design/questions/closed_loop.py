@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.design.problem.information_map import InformationMap, information_map
+from oed.design.problem.information_maps import InformationMap, information_map
 from oed.errors import InputError
 from oed.models.model import Model
 from oed.plants.plant import Plant

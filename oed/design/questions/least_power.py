@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from oed.criteria import Criterion, e_criterion
 from oed.design.problem.design import Design
-from oed.design.problem.information_map import information_map
+from oed.design.problem.information_maps import information_map
 from oed.errors import InfeasibleDesign, InputError
 
 __all__ = ["application_criterion", "least_power_design"]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from oed.criteria import Criterion
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
-from oed.design.problem.information_map import information_map
+from oed.design.problem.information_maps import information_map
 from oed.design.questions.robust import robust_design
 from oed.errors import InputError, Status
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from oed.criteria import Criterion
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
-from oed.design.problem.information_map import InformationMap, information_map
+from oed.design.problem.information_maps import InformationMap, information_map
 from oed.errors import InputError
 
 __all__ = ["robust_design", "stacked_map"]

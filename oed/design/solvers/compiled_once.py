@@ -15,7 +15,7 @@ from oed.criteria import Criterion
 from oed.design.problem.budgets import power_budgets
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
-from oed.design.problem.information_map import information_map
+from oed.design.problem.information_maps import information_map
 from oed.design.problem.lines import Problem
 from oed.design.solve import certified
 from oed.design.solvers.column_generation import Exchange, evaluated_bound

@@ -24,7 +24,7 @@ from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.design import Design
-from oed.design.problem.information_map import InformationMap
+from oed.design.problem.information_maps import InformationMap
 from oed.design.problem.lines import local_maxima
 from oed.design.solvers.weights_clarabel import linear_matrix_programme, smat, svec
 from oed.errors import NotIdentifiable, Status

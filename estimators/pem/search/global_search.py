@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from estimators.pem.search.confirmation import LAGS, confirmed, first_start
 from estimators.pem.search.extras import Settings
 from estimators.pem.search.levenberg_marquardt import Optimum, Point
+from estimators.pem.search.moving_modes import drawn, integrating, relocations
 from estimators.pem.search.problem import Problem
-from estimators.pem.search.relocations import drawn, integrating, relocations
 from estimators.pem.search.starts import (
     arma_start,
     armax_start,
