@@ -36,7 +36,7 @@ os._exit(0)  # or this process aborts as described above
 """
 SHORT = """
 import sys
-from benchmarks.tables import from_parquet
+from benchmarks.tables.formats import from_parquet
 from_parquet(sys.argv[1])  # the last act: what the abort needs
 """
 PROCESSES = 500
@@ -81,7 +81,7 @@ def test_one_file_opens_and_writes_parquet():
 
 @pytest.mark.validate
 def test_short_processes_end_well(tmp_path, record_figure):
-    from benchmarks.tables import to_parquet
+    from benchmarks.tables.formats import to_parquet
 
     path = to_parquet([{"a": k, "b": "x"} for k in range(1000)], tmp_path / "t.parquet")
     ended = [
