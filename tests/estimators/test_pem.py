@@ -7,9 +7,9 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.pem import identify
+from estimators.pem.predictors import recursion as recursions
 from estimators.pem.predictors.filtering import filter_kernel
 from estimators.pem.predictors.kernel import kernel_of
-from estimators.pem.predictors import recursion as recursions
 from estimators.pem.predictors.recursion import polynomial_recursion
 from oed.data import Record
 from oed.errors import InputError, NotIdentifiable, Status

@@ -11,10 +11,10 @@ from scipy.signal import lfilter
 from benchmarks.campaign.plants import hair_dryer_record
 from estimators.pem import identify
 from estimators.pem.choice import held_out_error, select_orders
+from estimators.pem.subspace import hankel
 from estimators.pem.subspace.errors import range_sensitivity
 from estimators.pem.subspace.hankel import autoregressive_order, factored, windows
 from estimators.pem.subspace.observability import range_of
-from estimators.pem.subspace import hankel
 from estimators.pem.uncertainty import profile_interval, sandwich
 from estimators.residual.tests import residual_tests
 from oed.data import Record
