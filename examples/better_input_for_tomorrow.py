@@ -24,7 +24,7 @@ N = 500
 def main() -> dict[str, float]:
     record = hair_dryer_record()
     today = record[:N]
-    fit = identify(today, "oe", (2, 2), delay=3, offset=True)
+    fit = identify(today, "oe", (2, 2), delay=3, offset=True, initial="zero")
     print(f"today: gain {fit.hinf_norm[0]:.4f} +- {fit.hinf_norm[1]:.4f}\n")
 
     plant = fit.to_plant()
@@ -40,7 +40,7 @@ def main() -> dict[str, float]:
     print("tomorrow's input      promised error of the gain   error after the experiment")
     for name, u in (("the same again", used), ("the designed one", planned)):
         new = Record(u, rig(u), dt=record.dt)
-        joint = identify([_centred(today), new], "oe", (2, 2), delay=3)
+        joint = identify([_centred(today), new], "oe", (2, 2), delay=3, offset=False)
         promise = _promised(plant, known + information_of_records(plant, [u]))
         print(f"{name:20s}  {promise:26.5f}   {joint.hinf_norm[1]:26.5f}")
         key = name.split()[-1]

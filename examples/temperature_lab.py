@@ -122,7 +122,7 @@ def main(figure: str | None = None) -> dict[str, Any]:
     rng = np.random.default_rng(1)
     first = experiment(levels(rng, 20.0), seed=1)
     unseen = experiment(levels(rng, RANGE), seed=2)
-    textbook = identify(first, "oe", TEXTBOOK, delay=1)
+    textbook = identify(first, "oe", TEXTBOOK, delay=1, offset=False)
     before = worst_error(textbook, 100)
     print(f"1. the textbook model is wrong by {before.value:.3f} degC/% at worst (95 % interval "
           f"{before.interval[0]:.3f} to {before.interval[1]:.3f}), at {before.frequency / DT:.4f} rad/s\n")  # fmt: skip
@@ -130,7 +130,7 @@ def main(figure: str | None = None) -> dict[str, Any]:
     found = diagnose(first, unseen, Setting(structure="diagonal", orders=(1, 1), separate=True))
     print(f"2. {found}\n")
 
-    coupled = identify(first, "oe", COUPLED, delay=1)
+    coupled = identify(first, "oe", COUPLED, delay=1, offset=False)
     plant = coupled.to_plant()
     known = information_of_records(plant, [first.u])
     power = float(np.mean(np.sum(first.u**2, axis=1)))
@@ -151,7 +151,7 @@ def main(figure: str | None = None) -> dict[str, Any]:
         ("  and the same kind of input again", again, 3),
         ("  and the designed input", planned, 4),
     ):
-        fits[name] = identify([first, experiment(u, seed)], "oe", COUPLED, delay=1)
+        fits[name] = identify([first, experiment(u, seed)], "oe", COUPLED, delay=1, offset=False)
         rows.append((name, error(fits[name], unseen), _uncertainty(plant, [first.u, u])))
     print(f"{'4. model':40s} error on unseen data   uncertainty (geometric mean, relative)")
     for name, value, spread in rows:

@@ -155,5 +155,5 @@ def _hair_dryer() -> Plant:
     """The output-error model OE(2,2) with delay 3 of the first half of the record, with its noise variance."""
     from estimators.pem import identify
 
-    fit = identify(hair_dryer_record()[:500], "oe", (2, 2), delay=3, offset=True)
+    fit = identify(hair_dryer_record()[:500], "oe", (2, 2), delay=3, offset=True, initial="zero")
     return fit.to_plant().replace(name=HAIR_DRYER)

@@ -198,7 +198,7 @@ def prediction_error(trace: Trace, plant: Plant) -> Estimate:
     nb, nf, nk = model_orders(plant)
     try:
         search = "quick" if trace.usage.samples >= ENOUGH else "auto"
-        fit = identify(list(trace.records), "oe", (nb, nf), delay=nk, search=search)
+        fit = identify(list(trace.records), "oe", (nb, nf), delay=nk, search=search, offset=False)
         value, error, *_ = fit.hinf_norm
     except OedError as failure:
         return Estimate(float("nan"), status=Status.FAILED, message=str(failure))
@@ -229,7 +229,9 @@ def prediction_error_selected(trace: Trace, plant: Plant) -> Estimate:
             float("nan"), status=Status.FAILED, message="order selection is for one input and one output"
         )
     try:
-        choice = select_orders(list(trace.records), "oe", [(n, n) for n in (1, 2, 3, 4)], delays=range(4))
+        choice = select_orders(
+            list(trace.records), "oe", [(n, n) for n in (1, 2, 3, 4)], delays=range(4), offset=False
+        )
         value, error, *_ = choice.fit.hinf_norm
     except OedError as failure:
         return Estimate(float("nan"), status=Status.FAILED, message=str(failure))

@@ -122,10 +122,9 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     out = _new_folder(args.out) if args.out else None
     orders = args.orders or DEFAULTS[args.structure]
     offset = "mean" if args.remove_means else not args.no_offset
-    initial = args.initial or ("zero" if args.no_offset else "estimate")
     options = {
         "offset": offset,
-        "initial": initial,
+        "initial": args.initial,
         "diagonal": args.diagonal,
         "missing": args.missing,
         "robust": args.robust,
@@ -179,7 +178,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     if args.folds is not None:
         from estimators.pem.choice import held_out_error
 
-        how = {"folds": args.folds, "window": 0 if initial == "zero" else args.skip}
+        how = {"folds": args.folds, "window": 0 if fit.initial == "zero" else args.skip}
         error, spread = held_out_error(records, args.structure, orders, delay, **how, **options)
         payload["held_out"] = {"simulation_rmse": error, "standard_error": spread}
         lines.append(f"on what was left out in turn: simulation error {error:.6g} +- {spread:.2g}")

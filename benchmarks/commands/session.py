@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from math import isfinite, pi
 from typing import Any
 
 HELP = "experiments on a rig by files: start, next, record, status, estimate"
@@ -176,21 +177,28 @@ def _start(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 def _payload(session: Any) -> dict[str, Any]:
     """The keys of every step."""
-    from math import pi
-
     estimate = session.estimate()
     return session.status() | {
         "estimate": estimate.value,
         "standard_error": estimate.standard_error,
         "interval": list(estimate.interval),
-        "frequency": estimate.frequency,
-        "frequency_hz": estimate.frequency / (2 * pi * session.settings.dt),
+        **_frequency(estimate, 2 * pi * session.settings.dt),
         "direction": [[float(d.real), float(d.imag)] for d in estimate.direction],
         "estimator": estimate.estimator,
         "estimate_status": estimate.status.name,
         "estimate_message": estimate.message,
         "gains": list(estimate.gains),
         "noise_floor": list(estimate.noise_floor),
+    }
+
+
+def _frequency(estimate: Any, per_hertz: float) -> dict[str, Any]:
+    """Null where the records do not say where the peak is, so that nobody takes the place looked at for it."""
+    known = isfinite(estimate.frequency_error)
+    return {
+        "frequency": estimate.frequency if known else None,
+        "frequency_error": estimate.frequency_error if known else None,
+        "frequency_hz": estimate.frequency / per_hertz if known else None,
     }
 
 

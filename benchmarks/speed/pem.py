@@ -90,7 +90,7 @@ def against_scipy(order: int, samples: int, repeats: int = 15) -> dict:
 
     record, start, _ = _case(order, samples)
     u, y = record.u[:, 0], record.y[:, 0]
-    ours = lambda: identify(record, "oe", (order, order), start=start)
+    ours = lambda: identify(record, "oe", (order, order), start=start, offset=False)
     residual = lambda x: y - np.asarray(lfilter(np.r_[0.0, x[:order]], np.r_[1.0, x[order:]], u))
     theirs = lambda: least_squares(residual, start)
     fit = ours()
@@ -127,7 +127,7 @@ def against_casadi(order: int, samples: int) -> dict:
     from estimators.pem.plain import plain_output_error
 
     record, start, _ = _case(order, samples)
-    ours = lambda: identify(record, "oe", (order, order), start=start)
+    ours = lambda: identify(record, "oe", (order, order), start=start, offset=False)
     fit = ours()
     seconds, _ = _times(ours, 5)
     solve = plain_output_error(record, order)
@@ -154,7 +154,7 @@ def against_sippy(samples: int = 10_000) -> dict:
     from estimators.pem import identify
 
     record, _, _ = _case(2, samples)
-    ours = lambda: identify(record, "oe", (2, 2))
+    ours = lambda: identify(record, "oe", (2, 2), offset=False)
     fit = ours()
     seconds, _ = _times(ours, 5)
     size = f"order 2, N = {samples}"
@@ -187,7 +187,7 @@ def _fits(seeds: list[int], samples: int) -> float:
         rng = np.random.default_rng([0, seed])
         u = rng.normal(size=samples)
         clean = np.asarray(lfilter([0, 0.2155, 0.2012], [1, -0.9854, 0.8187], u))
-        total += identify(Record(u, clean + rng.normal(size=samples))).loss
+        total += identify(Record(u, clean + rng.normal(size=samples)), offset=False).loss
     return total
 
 

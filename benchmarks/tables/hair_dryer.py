@@ -80,11 +80,11 @@ def hair_dryer_story(record: Record | None = None) -> HairDryerStory:
 
     record = record or hair_dryer_record()
     train, test = record[:SPLIT], record[SPLIT:]
-    found = estimate_delay(train, "oe", (2, 2), offset=True)
+    found = estimate_delay(train, "oe", (2, 2), offset=True, initial="zero")
     rows, tests, simulated = [], {}, {}
     for name, delay in (("before", 1), ("after", found.delay)):
-        fit = identify(train, "oe", (2, 2), delay=delay, offset=True)
-        noise_model = identify(train, "bj", (2, 0, 2, 2), delay=delay, offset=True)
+        fit = identify(train, "oe", (2, 2), delay=delay, offset=True, initial="zero")
+        noise_model = identify(train, "bj", (2, 0, 2, 2), delay=delay, offset=True, initial="zero")
         tests[name] = input_correlation(fit.residuals[0][:, 0], train.u[:, 0], lags=LAGS)
         # The record runs through: the second half starts in the state that the first half leaves.
         simulated[name] = fit.simulate(record.u)[SPLIT:]

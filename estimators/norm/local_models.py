@@ -75,12 +75,19 @@ class PeakEstimate:
         half = float(norm.ppf((1 + level) / 2)) * self.standard_error
         return self.value - half, self.value + half
 
+    @property
+    def located(self) -> bool:
+        """Whether `frequency` can be taken as the peak's, within its error: no other peak competes."""
+        return self.status.ok and bool(np.isfinite(self.frequency_error))
+
     def __repr__(self) -> str:
         tail = "" if self.status.ok else f" ({self.status.value})"
-        return (
-            f"peak gain {self.value:.6g} +- {self.standard_error:.2g} at "
-            f"{self.frequency:.6g} +- {self.frequency_error:.2g} rad/sample{tail}"
+        where = (
+            f"at {self.frequency:.6g} +- {self.frequency_error:.2g}"
+            if self.located
+            else f"near {self.frequency:.3g}"
         )
+        return f"peak gain {self.value:.6g} +- {self.standard_error:.2g} {where} rad/sample{tail}"
 
 
 def _centre(trace: Trace, spectra: Spectra) -> int:
@@ -144,7 +151,7 @@ def local_peak(
         found = [row[:2] for row in fits]
         if abs(at) <= 0.5 or not np.isfinite(best.value):
             break
-        moved = int(np.clip(place + round(at * half), 0, N // 2))
+        moved = round(_folded((place + at * half) * 2 * np.pi / N) * N / (2 * np.pi))
         if moved == place:
             break
         place = moved
@@ -252,7 +259,7 @@ def _peak_of_model(
     estimate = PeakEstimate(
         value,
         error,
-        min(max((band.centre + band.half * x) * per_line, 0.0), np.pi),
+        _folded((band.centre + band.half * x) * per_line),
         where_error,
         bend / (band.half * per_line) ** 2,
         noise,
@@ -260,6 +267,11 @@ def _peak_of_model(
         np.array([(band.centre + band.half * band.x) * per_line, squares[3:]]),
     )
     return estimate, x
+
+
+def _folded(omega: float) -> float:
+    """The frequency in [0, pi] of a real system's equal peaks at omega and -omega: a band may reach over 0 or pi."""
+    return float(abs((omega + np.pi) % (2 * np.pi) - np.pi))
 
 
 def _failed() -> PeakEstimate:

@@ -124,11 +124,13 @@ def _width_left_open(best: PeakEstimate, trace: Trace, spectra: Spectra | None) 
     """
     centre = round(best.frequency * len(trace.records[0]) / (2 * np.pi))
     narrow = local_peak(trace, lines=NARROW, centre=centre, spectra=spectra)
-    allowed = max(narrow.standard_error**2 - best.standard_error**2, 0.0)
-    excess = (narrow.value - best.value) ** 2 - allowed
-    if not excess > 0:  # also where the narrow band has no number
-        return best
-    return replace(best, standard_error=float(np.hypot(best.standard_error, np.sqrt(excess))))
+    wider = {}
+    for value, error in (("value", "standard_error"), ("frequency", "frequency_error")):
+        mine, theirs = getattr(best, error), getattr(narrow, error)
+        excess = (getattr(narrow, value) - getattr(best, value)) ** 2 - max(theirs**2 - mine**2, 0.0)
+        if excess > 0:  # not where the narrow band has no number
+            wider[error] = float(np.hypot(mine, np.sqrt(excess)))
+    return replace(best, **wider)
 
 
 def _lowest(p: PeakEstimate) -> float:

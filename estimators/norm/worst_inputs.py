@@ -1,4 +1,4 @@
-"""Where the gain peaks, read from the iterations' last inputs: frequency and directions."""
+"""Where the iterations' last input is strongest: the worst case that they have found, frequency and directions."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ __all__ = ["WorstCase", "dominant_frequency", "worst_case"]
 
 @dataclass(frozen=True, eq=False)
 class WorstCase:
-    """Estimate of the frequency and the directions of the largest gain.
+    """The strongest line of the last input, and the directions there.
+
+    The peak's frequency with a standard error is that of `estimators.peak_estimates.corrected`: the inputs of one
+    run depend on each other, so that their spread says nothing about their common distance from the peak.
 
     Attributes
     ----------
     frequency : float
         In rad/sample.
-    frequency_error : float
-        Its standard error, from the spread over the last iterations; infinite with fewer than three.
     input_direction : ndarray
         (nu,) complex, unit norm, its largest component real and positive.
     output_direction : ndarray
@@ -32,7 +33,6 @@ class WorstCase:
     """
 
     frequency: float
-    frequency_error: float
     input_direction: NDArray[np.complex128]
     output_direction: NDArray[np.complex128]
     dt: float = 1.0
@@ -44,8 +44,8 @@ class WorstCase:
 
     def __repr__(self) -> str:
         return (
-            f"worst case at {self.frequency:.6g} +- {self.frequency_error:.2g} rad/sample "
-            f"({self.frequency_hz:.6g} Hz), input direction {np.round(self.input_direction, 4).tolist()}"
+            f"last input strongest at {self.frequency:.6g} rad/sample ({self.frequency_hz:.6g} Hz), "
+            f"input direction {np.round(self.input_direction, 4).tolist()}"
         )
 
 
@@ -79,30 +79,23 @@ def dominant_frequency(u: NDArray[np.float64]) -> float:
     return omega if -result.fun < power[k] else float(result.x)
 
 
-def worst_case(trace: Trace, last: int = 10) -> WorstCase:
-    """Worst-case frequency and directions from the last iterations.
+def worst_case(trace: Trace) -> WorstCase:
+    """Strongest line of the last iteration's input and directions there.
 
     Parameters
     ----------
     trace : Trace
         Of power iterations or Procedure 2 (any input that concentrates at the peak).
-    last : int
-        How many of the last iterations give the standard error of the frequency. The iterations depend on
-        each other, so it is a rough one.
 
     Returns
     -------
     WorstCase
         Frequency and directions.
     """
-    inputs = [trace.records[part][0] for part in trace.iterations]
-    record = inputs[-1]
+    record = trace.records[trace.iterations[-1]][0]
     omega = dominant_frequency(record.u)
-    near = np.array([dominant_frequency(r.u) for r in inputs[-last:]])
-    spread = float(near.std(ddof=1)) if len(near) > 2 else float("inf")
     return WorstCase(
         omega,
-        spread,
         frozen(_direction(_transform(record.u, omega)), complex),
         frozen(_direction(_transform(record.y, omega)), complex),
         record.dt,

@@ -1,20 +1,22 @@
 """Prediction-error identification: every parameter with its standard error.
 
     from estimators.pem import identify
-    fit = identify(record, "oe", (2, 2), delay=3, offset=True)
+    fit = identify(record, "oe", (2, 2), delay=3)
     fit                                    # prints the parameters with their standard errors
     fit.hinf_norm                          # (value, standard error, frequency)
 
-`identify(records, structure="oe", orders=(2, 2), delay=1, *, diagonal=False, offset=False,
-initial="zero", start=None, ...) -> Fit`
+`identify(records, structure="oe", orders=(2, 2), delay=1, *, diagonal=False, offset=True,
+initial=None, start=None, ...) -> Fit`
 
 - `records`: one `oed.data.Record` or a list of them (several experiments, one model); a pandas DataFrame, an
   xarray Dataset or a control TimeResponseData will do as well.
 - `structure`, `orders`: fir nb; arx na nb; armax na nb nc; oe nb nf; bj nb nc nd nf; ss n. Each order is a
   number, or for MIMO one per entry (ny, nu); `diagonal=True` lets input i drive output i alone and takes
   one order per channel. `delay` is nk (number or (ny, nu)), 1 by default.
-- `offset`: the model holds for deviations from levels: the input's is its mean, the output's is estimated.
-- `initial`: "zero" (at rest before the first sample), "estimate", "backcast"; per experiment.
+- `offset`: the model holds for deviations from levels: the input's is its mean, the output's is estimated. False for
+  signals that are deviations already, such as simulated ones.
+- `initial`: "zero" (at rest before the first sample), "estimate", "backcast"; per experiment. By default estimated,
+  and zero with `offset=False`.
 - `start`: parameters to start from; otherwise several starts are tried and the best optimum is kept
   (`search`: auto, quick, thorough).
 - `fixed`, `bounds`, `prior`: by parameter name. `constraints`: CasADi expressions of the parameters. `robust`: "huber" or "student". `prefilter`: (num, den).

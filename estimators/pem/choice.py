@@ -327,7 +327,10 @@ def _left_out(records: Any, structure: str, orders: Any, nk: int, folds: int, op
     given = as_records(records, missing=bool(options.get("missing")))
     loss, count = 0.0, 0
     for rest, left in _blocks(given, folds):
-        opening = "zero" if options.get("initial", "zero") == "zero" and len(given) > 1 else "estimate"
+        at_rest = (
+            options.get("initial") or ("estimate" if options.get("offset", True) else "zero")
+        ) == "zero"
+        opening = "zero" if at_rest and len(given) > 1 else "estimate"
         settings: dict[str, Any] = {**options, "initial": opening}
         fit = identify(rest, structure, orders, nk, **settings)
         e = fit.residuals_of(left, initial=opening)

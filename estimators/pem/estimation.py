@@ -48,8 +48,8 @@ def identify(
     delay: Any = 1,
     *,
     diagonal: bool = False,
-    offset: bool | str = False,
-    initial: str = "zero",
+    offset: bool | str = True,
+    initial: str | None = None,
     start: ArrayLike | None = None,
     search: str = "auto",
     fixed: Mapping[str, float] | None = None,
@@ -86,10 +86,12 @@ def identify(
         Whether input i drives output i alone.
     offset : bool or "mean"
         Whether signals are deviations from unknown levels: the inputs' means, and output levels that are
-        estimated (True) or also taken as the means ("mean").
-    initial : {"zero", "estimate", "backcast"}
+        estimated (True, as for measured data) or also taken as the means ("mean"). With False the signals are
+        deviations already, as in a simulated experiment from rest.
+    initial : {"zero", "estimate", "backcast"}, optional
         At rest before the first sample; or initial states estimated for every record, counted as parameters
-        (estimate) or not (backcast: the best ones at every theta, held while the parameters move).
+        (estimate) or not (backcast: the best ones at every theta, held while the parameters move). By default
+        estimated, and without an offset zero.
     start : array_like, optional
         (n,) parameters to start from; by default several starts are made from the data.
     search : {"auto", "quick", "thorough"}
@@ -143,6 +145,7 @@ def identify(
     """
     experiments = as_records(records, missing=missing)
     form = structure_for(structure, orders, delay, diagonal, experiments)
+    initial = initial or ("estimate" if offset else "zero")
     if initial not in _INITIAL:
         raise InputError(f"initial is {initial!r}; choose one of {', '.join(_INITIAL)}.")
     if offset not in (True, False, "mean"):

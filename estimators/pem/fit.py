@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from estimators.pem.peaks import frequency_error, peak_gain
 from estimators.pem.predictors.of_structure import samples
 from estimators.pem.regularised.regularisation import Regularisation
 from estimators.pem.search.problem import prepare
@@ -16,7 +17,6 @@ from oed.data import Record, as_signal
 from oed.errors import InputError, Status
 from oed.files.objects import as_records
 from oed.models.model import Model, Polynomial, StateSpace
-from oed.plants.norms import largest_gain, refined_maximum
 
 __all__ = ["Fit", "fit_percent", "noise_free", "peak_gain"]
 
@@ -44,48 +44,6 @@ def fit_percent(y: NDArray, y_hat: NDArray) -> float:
         if size > 0:
             values.append(100 * (1 - np.sqrt(float(error @ error) / size)))
     return float(np.mean(values)) if values else float("nan")
-
-
-def peak_gain(model: Any, points: int = 512) -> tuple[float, float, NDArray[np.float64]]:
-    """Largest gain over frequencies, where it is, and its gradient by the envelope theorem.
-
-    Parameters
-    ----------
-    model : object
-        Anything with `response(omega) -> (G, dG)`.
-    points : int
-        Of the grid on [0, pi] that is refined at its largest value.
-
-    Returns
-    -------
-    gamma : float
-        max over omega of the largest singular value of G.
-    omega : float
-        Where, in rad/sample.
-    gradient : ndarray
-        (n,) d gamma / d theta = Re(u* dG v) with the singular vectors u, v at the peak.
-    """
-    poles = np.concatenate([np.zeros(0), *model.poles()])
-    turns = np.abs(np.angle(poles[np.abs(poles) > 0.5]))
-    near = [
-        turns + s * (1 - np.minimum(np.abs(poles[np.abs(poles) > 0.5]), 1))
-        for s in (-2, -1, -0.5, 0, 0.5, 1, 2)
-    ]
-    grid = np.unique(np.clip(np.concatenate([np.linspace(0, np.pi, points), *near]), 0, np.pi))
-
-    gain = lambda w: largest_gain(model.response(w)[0])
-    values = gain(grid)
-    k = int(np.argmax(values))
-    left, right = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
-    omega = refined_maximum(gain, left, right)
-    step = (right - left) / 100
-    omega = refined_maximum(gain, max(omega - step, left), min(omega + step, right))
-    for end in (0.0, np.pi):
-        omega = end if abs(omega - end) < 1e-6 else omega  # by symmetry the slope vanishes there
-    g, dg = model.response([omega])
-    left_vectors, singular, right_vectors = np.linalg.svd(g[0])
-    gradient = np.real(np.einsum("i,kij,j->k", left_vectors[:, 0].conj(), dg[0], right_vectors[0].conj()))
-    return float(singular[0]), omega, gradient
 
 
 def noise_free(model: Model) -> tuple[Polynomial | StateSpace, NDArray[np.float64]]:
@@ -228,6 +186,11 @@ class Fit:
             return float("nan"), float("nan"), float("nan")
         gamma, omega, slope = peak_gain(self.model)
         return gamma, float(np.sqrt(max(slope @ self.covariance @ slope, 0.0))), omega
+
+    @property
+    def hinf_frequency_error(self) -> float:
+        """Standard error of the frequency of `hinf_norm`; infinite where the data do not say where the peak is."""
+        return frequency_error(self.model, self.covariance) if self.model.stable else float("nan")
 
     def simulate(self, u: ArrayLike) -> NDArray[np.float64]:
         """Noise-free output for an input, from rest at the levels.
@@ -422,6 +385,7 @@ class Fit:
             "bic": self.bic,
             "hinf_norm": [gamma, error],
             "hinf_frequency": omega,
+            "hinf_frequency_error": self.hinf_frequency_error,
             "n_samples": self.n_samples,
             "initial": self.initial,
             "status": self.status.name,
@@ -439,7 +403,7 @@ class Fit:
         ]
         rows += [
             f"  noise variance {self.noise_variance:.6g}, loss {self.loss:.6g}, fit {self.fit_percent:.2f} %",
-            f"  peak gain {gamma:.6g} +- {error:.2g} at {omega:.5g} rad/sample",
+            f"  peak gain {gamma:.6g} +- {error:.2g} at {omega:.5g} +- {self.hinf_frequency_error:.2g} rad/sample",
             *(f"  {how!r}" for how in (self.regularisation, self.subspace) if how),
             *(f"  note: {note}" for note in self.notes),
         ]

@@ -47,7 +47,9 @@ class _Refits:
         from estimators.pem import identify
 
         known = self._last if len(records) > SEARCHED else None
-        fit = identify(records, "oe", self._orders, delay=self._delay, search="quick", start=known)
+        fit = identify(
+            records, "oe", self._orders, delay=self._delay, search="quick", start=known, offset=False
+        )
         self._last = fit.theta
         return fit.to_plant()
 

@@ -146,12 +146,13 @@ def best_arm(trace: Trace) -> PeakEstimate:
     wins = posterior.wins(np.random.default_rng(0))
     k = int(np.argmax(np.where(wins > 0, np.abs(posterior.mean), 0)))
     step = 2 * np.pi / N
+    sure = bool(wins[k] >= 0.95)
     return PeakEstimate(
         float(np.abs(posterior.mean[k])),
         float(np.sqrt(posterior.variance[k] / 2)),
         (k + 1) * step,
-        step / np.sqrt(12),
+        step / np.sqrt(12) if sure else float("inf"),  # uniform over the line, where the line is sure
         float("nan"),
         posterior.noise,
-        Status.CONVERGED if wins[k] >= 0.95 else Status.OK,
+        Status.CONVERGED if sure else Status.OK,
     )

@@ -30,6 +30,9 @@ class SessionEstimate:
         95 % interval.
     frequency : float
         Where the gain peaks, in rad/sample.
+    frequency_error : float
+        Its standard error; infinite where the records do not say where the peak is: `frequency` is then only the
+        place that was looked at.
     direction : ndarray
         (nu,) complex: the worst-case input direction there.
     estimator : str
@@ -49,6 +52,7 @@ class SessionEstimate:
     standard_error: float
     interval: tuple[float, float]
     frequency: float
+    frequency_error: float
     direction: NDArray[np.complex128]
     estimator: str
     status: Status
@@ -60,9 +64,15 @@ class SessionEstimate:
         if not np.isfinite(self.value):
             return self.message or self.status.value
         tail = "" if self.status.ok else f" ({self.message or self.status.value})"
+        known = np.isfinite(self.frequency_error)
+        where = (
+            f"at {self.frequency:.6g} +- {self.frequency_error:.2g} rad/sample"
+            if known
+            else "at no sure frequency"
+        )
         return (
-            f"peak gain {self.value:.6g}, 95 % interval {self.interval[0]:.6g} to {self.interval[1]:.6g}, at "
-            f"{self.frequency:.6g} rad/sample, by {self.estimator}{tail}"
+            f"peak gain {self.value:.6g}, 95 % interval {self.interval[0]:.6g} to {self.interval[1]:.6g}, {where}, "
+            f"by {self.estimator}{tail}"
         )
 
 
@@ -90,7 +100,7 @@ def estimate_of(
     nan = float("nan")
     if not len(records):
         return SessionEstimate(
-            nan, nan, (nan, nan), nan, np.zeros(settings.n_inputs, complex), "none", Status.SINGULAR,
+            nan, nan, (nan, nan), nan, nan, np.zeros(settings.n_inputs, complex), "none", Status.SINGULAR,
             message="there is no estimate yet: nothing is recorded.",
         )  # fmt: skip
     found, name, why = _peak(settings, records)
@@ -104,8 +114,9 @@ def estimate_of(
     noise = np.full(settings.n_outputs, found.noise_variance) if floor is None else floor
     low, high = found.interval() if np.isfinite(found.standard_error) else (0.0, float("inf"))
     return SessionEstimate(
-        found.value, found.standard_error, (max(low, 0.0), high), found.frequency, direction, name, found.status,
-        gains, tuple(float(np.sqrt(v)) if v >= 0 else nan for v in noise), why,
+        found.value, found.standard_error, (max(low, 0.0), high), found.frequency,
+        found.frequency_error if found.located else float("inf"), direction, name, found.status, gains,
+        tuple(float(np.sqrt(v)) if v >= 0 else nan for v in noise), why,
     )  # fmt: skip
 
 
@@ -173,12 +184,12 @@ def _gains_by_line(records: Trace) -> NDArray[np.float64]:
 def _by_model(settings: Settings, records: Trace) -> PeakEstimate:
     from estimators.pem import identify
 
-    fit = identify(list(records.records), "oe", settings.entry_orders, delay=settings.delay)
+    fit = identify(list(records.records), "oe", settings.entry_orders, delay=settings.delay, offset=False)
     value, error, frequency = fit.hinf_norm
-    nan = float("nan")
     return PeakEstimate(
-        float(value), float(error), float(frequency), nan, nan, float(fit.noise_variance), fit.status
-    )
+        float(value), float(error), float(frequency), fit.hinf_frequency_error, float("nan"),
+        float(fit.noise_variance), fit.status,
+    )  # fmt: skip
 
 
 def _gains(own: Trace) -> tuple[float, ...]:

@@ -150,7 +150,7 @@ def test_a_sinusoid_at_the_peak_tells_the_gain_there_and_not_where_the_peak_is(v
             iterations=20,
             rng=np.random.default_rng([78, replicate]),
         )
-        fit = identify(list(trace.records), "oe", (2, 2), delay=1)
+        fit = identify(list(trace.records), "oe", (2, 2), delay=1, offset=False)
         there.append(abs(fit.to_plant().response([top.frequency])[0][0, 0, 0]))
         largest.append(fit.hinf_norm[0])
     errors = (np.array([there, largest]) - top.value) * np.sqrt(20000 / variance)

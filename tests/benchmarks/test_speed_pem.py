@@ -34,7 +34,7 @@ def test_memory_is_bounded() -> None:
 def test_plain_casadi_finds_the_same_optimum_and_takes_constraints() -> None:
     record, start, _ = _case(2, 400)
     theta, loss = plain_output_error(record, 2)(start)
-    ours = identify(record, "oe", (2, 2), start=start)
+    ours = identify(record, "oe", (2, 2), start=start, offset=False)
     assert np.allclose(ours.theta, theta, atol=1e-5)
     assert ours.loss == pytest.approx(loss, rel=1e-9)
     held, worse = plain_output_error(record, 2, constraints=lambda p: [(p[0] + p[1], 0.0, 0.0)])(start)

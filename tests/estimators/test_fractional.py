@@ -37,7 +37,7 @@ def test_delay_is_found_with_its_error() -> None:
         signal, t = multisine(rng), np.arange(600.0)
         y = lfilter([0, 0, 0.5], [1, -0.8], signal(t - 0.4)) + 0.2 * rng.normal(size=600)
         found = estimate_fractional_delay(
-            Record(signal(t), y), "oe", (1, 1), 2, initial="estimate", search="quick"
+            Record(signal(t), y), "oe", (1, 1), 2, initial="estimate", search="quick", offset=False
         )
         away.append((found.delay - 2.4) / found.standard_error)
     assert 0.29 < np.mean(np.square(away)) < 2.3

@@ -61,7 +61,7 @@ def test_sensitivities_are_the_derivatives_of_the_residual(structure, initial, r
 def test_output_error_is_that_of_an_independent_implementation(rng) -> None:
     """scipy's least squares on lfilter; the optimum agrees to a millionth of a standard error, rounded up."""
     data = records(rng, count=3, length=500)
-    ours = identify(data, "oe", (2, 2))
+    ours = identify(data, "oe", (2, 2), offset=False)
     theirs = oracle.output_error([(r.u[:, 0], r.y[:, 0]) for r in data], THETA, 2, 1)
     assert np.all(np.abs(ours.theta - theirs["theta"]) < 1e-4 * ours.standard_errors)
     assert np.allclose(ours.covariance, theirs["covariance"], rtol=1e-4)
@@ -71,7 +71,7 @@ def test_output_error_is_that_of_an_independent_implementation(rng) -> None:
 
 def test_offset_is_estimated(rng) -> None:
     data = records(rng, offset=5.0)
-    ours = identify(data, "oe", (2, 2), offset=True)
+    ours = identify(data, "oe", (2, 2), offset=True, initial="zero")
     theirs = oracle.output_error(
         [(r.u[:, 0] - r.u.mean(), r.y[:, 0]) for r in data], np.r_[THETA, 5.0], 2, 1, offset=True
     )
@@ -84,13 +84,13 @@ def test_arx_with_free_initial_state_is_least_squares(rng) -> None:
     """An unknown state takes the first max(na, nb + nk - 1) residuals out of the sum."""
     u = rng.normal(size=300)
     y = lfilter([0, 0, 1.0, 0.5], [1, -1.2, 0.5], u) + lfilter([1.0], [1, -1.2, 0.5], rng.normal(size=300))
-    ours = identify(Record(u[20:], y[20:]), "arx", (2, 2), 2, initial="estimate")
+    ours = identify(Record(u[20:], y[20:]), "arx", (2, 2), 2, initial="estimate", offset=False)
     assert ours.theta == pytest.approx(oracle.arx(u[20:], y[20:], 2, 2, 2), rel=1e-8)
 
 
 def test_fir_is_least_squares(rng) -> None:
     data = records(rng)[0]
-    ours = identify(data, "fir", 12, 0)
+    ours = identify(data, "fir", 12, 0, offset=False)
     assert ours.theta == pytest.approx(oracle.fir(data.u[:, 0], data.y[:, 0], 12), abs=1e-10)
 
 
@@ -99,10 +99,10 @@ def test_narrow_band_inputs_end_at_the_global_optimum(seed) -> None:
     """Power iterations at noise variance 9: no other start does better, the true one included."""
     rng = np.random.default_rng(seed)
     data = power_records(rng, 6, 400, 3.0)
-    best = identify(data)
+    best = identify(data, offset=False)
     pole = [rng.uniform(0.5, 0.99) * np.exp(1j * rng.uniform(0, np.pi)) for _ in range(4)]
     starts = [THETA] + [np.array([*(0.3 * rng.normal(size=2)), -2 * p.real, abs(p) ** 2]) for p in pole]
-    assert min(identify(data, start=s).loss for s in starts) >= best.loss * (1 - 1e-9)
+    assert min(identify(data, start=s, offset=False).loss for s in starts) >= best.loss * (1 - 1e-9)
 
 
 def test_peak_gain_has_the_error_of_monte_carlo() -> None:
@@ -111,7 +111,7 @@ def test_peak_gain_has_the_error_of_monte_carlo() -> None:
     u = rng.normal(size=1000)
     clean, values, errors = lfilter(B, A, u), [], []
     for _ in range(400):
-        fit = identify(Record(u, clean + rng.normal(size=1000)), start=THETA)
+        fit = identify(Record(u, clean + rng.normal(size=1000)), start=THETA, offset=False)
         value, error, _ = fit.hinf_norm
         values.append(value)
         errors.append(error)
@@ -123,7 +123,7 @@ def test_peak_gain_has_the_error_of_monte_carlo() -> None:
 def test_units_do_not_matter(rng) -> None:
     data = records(rng)[0]
     mixed = Record(data.u * 1e6, data.y * 1e-6)
-    one, other = identify(data), identify(mixed)
+    one, other = identify(data, offset=False), identify(mixed, offset=False)
     assert other.theta * [1e12, 1e12, 1, 1] == pytest.approx(one.theta, rel=1e-6)
 
 
@@ -131,9 +131,9 @@ def test_diagonal_model_is_its_channels_where_the_noise_is_independent(rng) -> N
     u = rng.normal(size=(800, 2))
     y = np.column_stack([lfilter(B, A, u[:, 0]), lfilter([0, 0.5], [1, -0.7], u[:, 1])])
     both = Record(u, y + 0.3 * rng.normal(size=(800, 2)))
-    fit = identify(both, "oe", ([2, 1], [2, 1]), diagonal=True)
+    fit = identify(both, "oe", ([2, 1], [2, 1]), diagonal=True, offset=False)
     assert fit.names == ("b1_11", "b2_11", "f1_11", "f2_11", "b1_22", "f1_22")
-    first = identify(Record(both.u[:, 0], both.y[:, 0]), "oe", (2, 2))
+    first = identify(Record(both.u[:, 0], both.y[:, 0]), "oe", (2, 2), offset=False)
     assert np.all(np.abs(fit.theta[:4] - first.theta) < 0.5 * first.standard_errors)
     assert fit.status is Status.CONVERGED
 
@@ -144,7 +144,10 @@ def test_full_two_by_two(rng) -> None:
     y = np.column_stack([sum(lfilter(*entry[i][j], u[:, j]) for j in range(2)) for i in range(2)])
     root = np.array([[0.3, 0.0], [0.24, 0.1]])
     fit = identify(
-        Record(u, y + rng.normal(size=(1500, 2)) @ root.T), "oe", ([[2, 1], [1, 2]], [[2, 1], [1, 2]])
+        Record(u, y + rng.normal(size=(1500, 2)) @ root.T),
+        "oe",
+        ([[2, 1], [1, 2]], [[2, 1], [1, 2]]),
+        offset=False,
     )
     true = np.concatenate([entry[i][j][k][1:] for i in range(2) for k in range(2) for j in range(2)])
     assert np.all(np.abs(fit.theta - true) < 4.5 * fit.standard_errors)
@@ -204,7 +207,7 @@ def test_fit_without_a_compiler_is_the_same(rng, monkeypatch) -> None:
 
 
 def test_model_survives_json_bit_for_bit(rng) -> None:
-    model = identify(records(rng)[0]).model
+    model = identify(records(rng)[0], offset=False).model
     again = model_from_json(model.to_json())
     assert again.theta.tobytes() == model.theta.tobytes()
     assert again.noise_covariance.tobytes() == model.noise_covariance.tobytes()
@@ -212,7 +215,7 @@ def test_model_survives_json_bit_for_bit(rng) -> None:
 
 
 def test_plant_of_a_fit_has_its_response(rng) -> None:
-    fit = identify(records(rng)[0])
+    fit = identify(records(rng)[0], offset=False)
     omega = np.linspace(0, np.pi, 7)
     plant = fit.to_plant()
     assert np.allclose(plant.response(omega)[0], fit.model.response(omega)[0], rtol=1e-12)
@@ -223,25 +226,25 @@ def test_unexcited_directions_are_named(rng) -> None:
     t = np.arange(400)
     u = np.sin(0.7 * t)
     with pytest.raises(NotIdentifiable, match="b1|b2|b3"):
-        identify(Record(u, u * 0.5 + rng.normal(size=400)), "fir", 5, 1, initial="estimate")
+        identify(Record(u, u * 0.5 + rng.normal(size=400)), "fir", 5, 1, initial="estimate", offset=False)
     with pytest.raises(NotIdentifiable, match="u of order 2, and this structure has use for order 5"):
-        identify(Record(u, u * 0.5 + rng.normal(size=400)), "fir", 5, 1, initial="estimate")
+        identify(Record(u, u * 0.5 + rng.normal(size=400)), "fir", 5, 1, initial="estimate", offset=False)
 
 
 def test_tables_and_time_responses_are_data(rng) -> None:
     """A DataFrame, a Dataset and a TimeResponseData give what the record gives, alone and several together."""
     (record,) = records(rng, length=300)
-    theta = identify(record).theta
+    theta = identify(record, offset=False).theta
     for given in (to_pandas(record), to_xarray(record), to_control(record)):
-        fit = identify(given)
+        fit = identify(given, offset=False)
         assert fit.theta.tobytes() == theta.tobytes()
-        assert fit.predict(given).tobytes() == identify(record).predict(record).tobytes()
+        assert fit.predict(given).tobytes() == identify(record, offset=False).predict(record).tobytes()
         assert fit.simulate_record(given, window=9).shape == (300, 1)
-    both = identify([record, to_pandas(record)]).theta
-    assert both == pytest.approx(identify([record, record]).theta, abs=1e-12)
+    both = identify([record, to_pandas(record)], offset=False).theta
+    assert both == pytest.approx(identify([record, record], offset=False).theta, abs=1e-12)
     for wrong in (5, "data.csv", [], [record, record.u]):
         with pytest.raises(InputError, match="give a Record, a pandas DataFrame"):
-            identify(wrong)
+            identify(wrong, offset=False)
 
 
 @pytest.mark.parametrize(
@@ -270,4 +273,4 @@ def test_bad_requests_are_told(change, words, rng) -> None:
 )
 def test_bad_records_are_told(u, y, words) -> None:
     with pytest.raises(InputError, match=words):
-        identify(Record(u, y), "oe", (2, 2), offset=True)
+        identify(Record(u, y), "oe", (2, 2), offset=True, initial="zero")

@@ -35,7 +35,10 @@ def test_confirmed_is_what_a_thorough_search_finds() -> None:
     data = record(1)
     problem, optimum = ended(oe(2, 2), data)
     assert confirmed(problem, optimum)
-    quick, thorough = identify(data, "oe", (2, 2)), identify(data, "oe", (2, 2), search="thorough")
+    quick, thorough = (
+        identify(data, "oe", (2, 2), offset=False),
+        identify(data, "oe", (2, 2), search="thorough", offset=False),
+    )
     assert quick.loss == pytest.approx(thorough.loss, rel=1e-12)
     assert quick.theta == pytest.approx(thorough.theta, abs=1e-7)
 

@@ -35,7 +35,7 @@ def test_covariance_of_the_estimates(name):
     for replicate in range(REPLICATES):
         rng = np.random.default_rng([7, replicate])
         trace = method(simulated(plant, seed=7, replicate=replicate), samples=500, iterations=2, rng=rng)
-        fit = identify(list(trace.records), "oe", (2, 2), delay=1)
+        fit = identify(list(trace.records), "oe", (2, 2), delay=1, offset=False)
         information = information_of_records(plant, [r.u for r in trace.records])
         order = [fit.names.index(p) for p in ("b1", "b2", "f1", "f2")]
         z.append(np.linalg.cholesky(information).T @ (fit.theta[order] - plant.theta))

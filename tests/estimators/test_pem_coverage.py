@@ -70,7 +70,7 @@ def test_coverage(kind, record_figure) -> None:
     filters, orders, theta = CASES[kind]
 
     def one(rng):
-        fit = identify(simulated(rng, filters), kind, orders, search="quick")
+        fit = identify(simulated(rng, filters), kind, orders, search="quick", offset=False)
         return fit.theta - theta, fit.standard_errors
 
     check(kind, one, record_figure)
@@ -85,7 +85,7 @@ def test_coverage_of_state_space(record_figure) -> None:
     true = state_space(2).theta_of(A, b[:, None], np.array([[1.0, 0.0]]), np.zeros((1, 1)), (c - a)[:, None])
 
     def one(rng):
-        fit = identify(simulated(rng, filters), "ss", [2], search="quick")
+        fit = identify(simulated(rng, filters), "ss", [2], search="quick", offset=False)
         return fit.theta - true, fit.standard_errors
 
     check("ss", one, record_figure)
@@ -100,7 +100,7 @@ def test_coverage_of_subspace_methods(method, record_figure) -> None:
     true = np.array([-f[1], -f[0], b[0], b[1] - f[0] * b[0]])  # the state holds the next two outputs
 
     def one(rng):
-        fit = identify(simulated(rng, filters), "ss", [2], method=method, horizon=15)
+        fit = identify(simulated(rng, filters), "ss", [2], method=method, horizon=15, offset=False)
         return fit.theta - true, fit.standard_errors
 
     check(f"ss by {method}", one, record_figure)
@@ -114,7 +114,7 @@ def test_coverage_of_several_channels(outputs, record_figure) -> None:
     truth = np.concatenate([row.T.ravel() for row in rows])
 
     def one(rng):
-        fit = identify(several(rng, rows), "oe", (1, 1), search="quick")
+        fit = identify(several(rng, rows), "oe", (1, 1), search="quick", offset=False)
         return fit.theta - truth, fit.standard_errors
 
     check(f"oe, {outputs} x 2", one, record_figure)
@@ -135,7 +135,7 @@ def test_coverage_of_state_space_of_two_outputs(record_figure) -> None:
         for t in range(SAMPLES):
             y[t] += x
             x = A @ x + drive[t]
-        fit = identify(Record(u, y), "ss", [2], search="quick")
+        fit = identify(Record(u, y), "ss", [2], search="quick", offset=False)
         return fit.theta - true, fit.standard_errors
 
     check("ss, 2 x 2", one, record_figure)
@@ -185,7 +185,9 @@ def test_coverage_with_an_estimated_delay(record_figure) -> None:
     b = [0.0, 0.0, 0.0, *b]
 
     def one(rng):
-        found = estimate_delay(simulated(rng, (b, f, c, d)), "bj", orders, delays=range(2, 7), search="quick")
+        found = estimate_delay(
+            simulated(rng, (b, f, c, d)), "bj", orders, delays=range(2, 7), search="quick", offset=False
+        )
         return found.fit.theta - theta, found.fit.standard_errors
 
     check("bj with an estimated delay", one, record_figure)
@@ -202,7 +204,7 @@ def test_coverage_of_a_fractional_delay(record_figure) -> None:
         signal = lambda s: np.cos(np.outer(s, lines) + phases).sum(axis=1) / np.sqrt(len(lines) / 2)
         y = lfilter([0, 0, 0.5], [1, -0.8], signal(t - 0.4)) + 0.3 * rng.normal(size=SAMPLES)
         found = estimate_fractional_delay(
-            Record(signal(t), y), "oe", (1, 1), 2, initial="estimate", search="quick"
+            Record(signal(t), y), "oe", (1, 1), 2, initial="estimate", search="quick", offset=False
         )
         return np.r_[found.delay, found.fit.theta] - truth, np.r_[
             found.standard_error, found.fit.standard_errors
@@ -223,7 +225,7 @@ def test_sandwich_covers_where_the_plain_covariance_does_not(record_figure) -> N
             u = rng.normal(size=SAMPLES)
             noise = lfilter([1.0], [1.0, -0.95], deviation * rng.normal(size=SAMPLES))
             data = Record(u, lfilter(B, F, u) + noise)
-            fit = identify(data, "oe", (2, 2), search="quick")
+            fit = identify(data, "oe", (2, 2), search="quick", offset=False)
             errors = np.r_[fit.standard_errors, sandwich(fit, data).standard_errors]
             return np.tile(fit.theta - CASES["oe"][2], 2), errors
 
@@ -245,7 +247,9 @@ def test_coverage_of_the_peak_gain(record_figure) -> None:
     gamma = np.abs(np.polyval(B[::-1], z) / np.polyval(F[::-1], z)).max()
 
     def one(rng):
-        value, error, _ = identify(simulated(rng, filters), "oe", orders, search="quick").hinf_norm
+        value, error, _ = identify(
+            simulated(rng, filters), "oe", orders, search="quick", offset=False
+        ).hinf_norm
         return np.array([value - gamma]), np.array([error])
 
     check("peak gain of oe", one, record_figure)

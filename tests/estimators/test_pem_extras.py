@@ -25,24 +25,24 @@ def record(rng, length=600, deviation=0.5, offset=0.0):
 
 def test_known_parameters_are_held(rng) -> None:
     data = record(rng)
-    held = identify(data, fixed={"f1": -0.9854, "f2": 0.8187})
+    held = identify(data, fixed={"f1": -0.9854, "f2": 0.8187}, offset=False)
     assert held.theta[2:].tolist() == [-0.9854, 0.8187]
     assert held.standard_errors[2:].tolist() == [0, 0]
     x = lfilter([1.0], A, data.u[:, 0])
     rows = np.column_stack([np.r_[0, x[:-1]], np.r_[0, 0, x[:-2]]])
     assert held.theta[:2] == pytest.approx(np.linalg.lstsq(rows, data.y[:, 0], rcond=None)[0], rel=1e-9)
-    free = identify(data)
+    free = identify(data, offset=False)
     assert np.all(held.standard_errors[:2] < free.standard_errors[:2])
 
 
 def test_bounds_hold_and_are_told(rng) -> None:
     data = record(rng)
-    fit = identify(data, bounds={"b1": (0.3, 0.4)})
+    fit = identify(data, bounds={"b1": (0.3, 0.4)}, offset=False)
     assert fit.theta[0] == pytest.approx(0.3)
     assert any("b1 is at its bound" in note for note in fit.notes)
-    idle = identify(data, bounds={"b1": (-5, 5)})
-    assert idle.theta == pytest.approx(identify(data).theta, rel=1e-7)
-    grid = [identify(data, fixed={"b1": 0.3}).loss]
+    idle = identify(data, bounds={"b1": (-5, 5)}, offset=False)
+    assert idle.theta == pytest.approx(identify(data, offset=False).theta, rel=1e-7)
+    grid = [identify(data, fixed={"b1": 0.3}, offset=False).loss]
     assert fit.loss == pytest.approx(grid[0], rel=1e-9)
 
 
@@ -50,12 +50,12 @@ def test_prior_pulls_as_the_posterior_mode(rng) -> None:
     """fir is linear: the posterior mode is ridge regression in closed form, at the noise variance of the fit."""
     data = record(rng, 80)
     prior = {f"b{k}": (0.0, 0.05) for k in range(1, 9)}
-    fit = identify(data, "fir", 8, prior=prior)
+    fit = identify(data, "fir", 8, prior=prior, offset=False)
     rows = np.column_stack([np.r_[np.zeros(k), data.u[:-k, 0]] for k in range(1, 9)])
     variance = fit.loss
     ridge = np.linalg.solve(rows.T @ rows + variance / 0.05**2 * np.eye(8), rows.T @ data.y[:, 0])
     assert fit.theta == pytest.approx(ridge, rel=1e-6)
-    assert np.linalg.norm(fit.theta) < np.linalg.norm(identify(data, "fir", 8).theta)
+    assert np.linalg.norm(fit.theta) < np.linalg.norm(identify(data, "fir", 8, offset=False).theta)
 
 
 @pytest.mark.parametrize("robust", ["huber", "student"])
@@ -64,26 +64,28 @@ def test_robust_losses_withstand_outliers(rng, robust) -> None:
     y = np.array(data.y)
     y[rng.choice(600, 30, replace=False)] += 40 * rng.choice([-1, 1], size=(30, 1))
     dirty = data.replace(y=y)
-    plain, ours = identify(dirty), identify(dirty, robust=robust)
+    plain, ours = identify(dirty, offset=False), identify(dirty, robust=robust, offset=False)
     # The robust estimate stays within 4.5 of its own errors, and these are those of clean data times at most 1.5.
     assert np.all(np.abs(ours.theta - THETA) < 4.5 * ours.standard_errors)
-    assert np.all(ours.standard_errors < 1.5 * identify(data).standard_errors)
+    assert np.all(ours.standard_errors < 1.5 * identify(data, offset=False).standard_errors)
     assert np.linalg.norm(ours.theta - THETA) < 0.5 * np.linalg.norm(plain.theta - THETA)
 
 
 def test_huber_covariance_in_monte_carlo() -> None:
     """150 replicates of Gaussian noise: the ratio of spread to claimed error is 1 within 4 of its errors (5.8 %)."""
     rng = np.random.default_rng(3)
-    fits = [identify(record(rng, 400), start=THETA, robust="huber") for _ in range(150)]
+    fits = [identify(record(rng, 400), start=THETA, robust="huber", offset=False) for _ in range(150)]
     ratio = np.std([f.theta for f in fits], axis=0) / np.mean([f.standard_errors for f in fits], axis=0)
     assert np.all(np.abs(ratio - 1) < 0.23)
 
 
 def test_prefilter_is_least_squares_on_filtered_data(rng) -> None:
     data = record(rng)
-    fit = identify(data, prefilter=([1.0], [1.0, -0.5]))
+    fit = identify(data, prefilter=([1.0], [1.0, -0.5]), offset=False)
     through = lambda x: lfilter([1.0], [1.0, -0.5], x, axis=0)
-    assert fit.theta == pytest.approx(identify(Record(through(data.u), through(data.y))).theta, rel=1e-9)
+    assert fit.theta == pytest.approx(
+        identify(Record(through(data.u), through(data.y)), offset=False).theta, rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("structure", [oe(2, 2), armax(2, 2, 1), bj(2, 1, 2, 1)])
@@ -123,20 +125,25 @@ def test_gaps_are_bridged(rng) -> None:
     assert np.all(np.abs(fit.theta - true) < 4.5 * fit.standard_errors)
     assert abs(fit.output_level[0] - 3) < 4.5 * fit.output_level_errors[0]
     assert np.isnan(fit.residuals[0]).sum() == np.isnan(y).sum()
-    complete = identify(Record(u, np.where(np.isnan(y), 3.0, y)), "bj", (2, 0, 1, 2), offset=True)
+    complete = identify(
+        Record(u, np.where(np.isnan(y), 3.0, y)), "bj", (2, 0, 1, 2), offset=True, initial="zero"
+    )
     assert np.linalg.norm(complete.theta - true) > np.linalg.norm(fit.theta - true)  # filling in is worse
 
 
 def test_nothing_missing_is_the_plain_fit(rng) -> None:
     data = record(rng)
-    assert identify(data, missing=True).theta.tolist() == identify(data).theta.tolist()
+    assert (
+        identify(data, missing=True, offset=False).theta.tolist()
+        == identify(data, offset=False).theta.tolist()
+    )
 
 
 def test_means_are_those_of_the_samples_that_are_there(rng):
     u = rng.standard_normal(300)
     y = lfilter([0.0, 1.0], [1.0, -0.5], u) + 3.0 + 0.1 * rng.standard_normal(300)
     y[50:60] = np.nan
-    fit = identify(Record(u, y), "oe", (1, 1), offset="mean", missing=True)
+    fit = identify(Record(u, y), "oe", (1, 1), offset="mean", missing=True, initial="zero")
     assert fit.output_level == pytest.approx(np.nanmean(y))
     np.testing.assert_allclose(fit.theta, [1.0, -0.5], atol=0.05)
 
@@ -162,7 +169,7 @@ def test_missing_inputs_are_refused(rng) -> None:
     u = np.array(data.u)
     u[3] = np.nan
     with pytest.raises(InputError, match="missing input"):
-        identify(data.replace(u=u), missing=True)
+        identify(data.replace(u=u), missing=True, offset=False)
 
 
 @pytest.mark.parametrize("initial", ["zero", "estimate"])
@@ -181,18 +188,20 @@ def test_state_space_with_gaps_is_armax_with_gaps(initial, rng) -> None:
     assert ss.loss == pytest.approx(armax_fit.loss, rel=1e-8)
     assert np.allclose(ss.model.response(omega)[0], armax_fit.model.response(omega)[0], rtol=1e-5)
     with pytest.raises(InputError, match="take the robust loss off"):
-        identify(Record(u, y), "ss", [2], missing=True, robust="huber")
+        identify(Record(u, y), "ss", [2], missing=True, robust="huber", offset=False)
 
 
 def test_constraints_of_the_user_hold(rng) -> None:
     """A static gain of at most 0.48, by IPOPT; scipy's SLSQP on lfilter ends at the same place. The covariance has
     nothing across the constraint, and a constraint that does not bind changes nothing."""
     data = record(rng, 400)
-    free = identify(data)
+    free = identify(data, offset=False)
     u, y = data.u[:, 0], data.y[:, 0]
     gain = lambda b1, b2, f1, f2: (b1 + b2) / (1 + f1 + f2)
     most = 0.95 * gain(*free.theta)
-    fit = identify(data, constraints=lambda p: p["b1"] + p["b2"] - most * (1 + p["f1"] + p["f2"]))
+    fit = identify(
+        data, constraints=lambda p: p["b1"] + p["b2"] - most * (1 + p["f1"] + p["f2"]), offset=False
+    )
     theirs = minimize(
         lambda x: np.mean((y - lfilter(np.r_[0, x[:2]], np.r_[1, x[2:]], u)) ** 2), free.theta,
         constraints=[{"type": "ineq", "fun": lambda x: most - gain(*x)}], method="SLSQP", options={"ftol": 1e-15},
@@ -203,7 +212,7 @@ def test_constraints_of_the_user_hold(rng) -> None:
     normal = np.array([1.0, 1.0, -most, -most])
     assert abs(normal @ fit.covariance @ normal) < 1e-9 * (normal @ free.covariance @ normal)
     assert any("active constraints: 1" in note for note in fit.notes)
-    loose = identify(data, constraints=lambda p: [p["b1"] - 5, -5 - p["b1"]])
+    loose = identify(data, constraints=lambda p: [p["b1"] - 5, -5 - p["b1"]], offset=False)
     assert loose.theta.tolist() == free.theta.tolist()
 
 
@@ -217,4 +226,4 @@ def test_constraints_of_the_user_hold(rng) -> None:
 )
 def test_constraints_that_cannot_be_used_are_told(constraints, words, rng) -> None:
     with pytest.raises(InputError, match=words):
-        identify(record(rng, 200), constraints=constraints)
+        identify(record(rng, 200), constraints=constraints, offset=False)

@@ -16,7 +16,7 @@ def test_figures(rng, tmp_path) -> None:
     u = rng.normal(size=(300, 2))
     y = np.column_stack([lfilter([0, 0.2, 0.2], [1, -1, 0.8], u[:, 0]), lfilter([0, 1], [1, -0.5], u[:, 1])])
     record = Record(u, y + 0.1 * rng.normal(size=(300, 2)), dt=0.1, output_units=("m", "V"))
-    fit = identify(record, "oe", ([2, 1], [2, 1]), diagonal=True)
+    fit = identify(record, "oe", ([2, 1], [2, 1]), diagonal=True, offset=False)
     compared = plots.plot_compare({"diagonal": fit}, record, window=10)
     assert "diagonal" in compared.axes[0].get_legend().get_texts()[1].get_text()
     assert compared.axes[1].get_ylabel() == "y2 [V]"
@@ -48,4 +48,4 @@ def test_figure_of_a_subspace_method(rng, tmp_path) -> None:
         figure.savefig(tmp_path / f"{panels}.png", dpi=50)
         assert (tmp_path / f"{panels}.png").stat().st_size > 2000
     with pytest.raises(InputError, match="has no singular values"):
-        plots.plot_order(identify(record, "oe", (2, 2)))
+        plots.plot_order(identify(record, "oe", (2, 2), offset=False))

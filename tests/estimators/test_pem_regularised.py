@@ -143,7 +143,9 @@ def test_record_is_continued_as_the_dense_formula_foretells() -> None:
 def test_innovations_are_those_of_the_dense_covariance() -> None:
     """e = what the past does not foretell; its sensitivities are differences of it."""
     record = measured(9)
-    fit = identify(record, "fir", (TAPS,), regularisation="tc", disturbance="ar1", offset=True)
+    fit = identify(
+        record, "fir", (TAPS,), regularisation="tc", disturbance="ar1", offset=True, initial="zero"
+    )
     how = fit.regularisation
     V = np.eye(len(record)) + slow(how.phi[0], how.q[0], len(record))
     L = np.linalg.cholesky(V)
@@ -170,7 +172,7 @@ def test_several_channels_and_records_are_the_dense_posterior() -> None:
         u = rng.normal(size=(size, 2))
         y = np.column_stack([lfilter([0, 0.5], [1, -0.6], u[:, 0]), lfilter([0, 0, 0.8], [1, -0.4], u[:, 1])])
         records.append(Record(u, y + 0.1 * rng.normal(size=y.shape)))
-    fit = identify(records, "fir", [[[8, 8], [8, 6]]], [[1, 1], [1, 2]], regularisation="tc")
+    fit = identify(records, "fir", [[[8, 8], [8, 6]]], [[1, 1], [1, 2]], regularisation="tc", offset=False)
     how = fit.regularisation
     for i, nk in enumerate(((1, 1), (1, 2))):
         taps = (8, 8 if i == 0 else 6)
@@ -211,15 +213,17 @@ def test_more_taps_than_samples_and_no_input_that_excites_them() -> None:
     """Plain least squares refuses; the kernel decides what the data do not."""
     record = measured(13, 40)
     with pytest.raises(InputError):
-        identify(record, "fir", (60,))
-    fit = identify(record, "fir", (60,), regularisation="tc", offset="mean")
+        identify(record, "fir", (60,), offset=False)
+    fit = identify(record, "fir", (60,), regularisation="tc", offset="mean", initial="zero")
     truth = lfilter([0.5, 0.3], [1, -0.7], np.eye(60)[0])
     assert np.linalg.norm(fit.theta - truth) < 0.5 * np.linalg.norm(truth)
     assert np.all(fit.standard_errors > 0)
 
 
 def test_saved_and_read_back() -> None:
-    fit = identify(measured(14), "fir", (TAPS,), regularisation="ss", disturbance="walk", offset=True)
+    fit = identify(
+        measured(14), "fir", (TAPS,), regularisation="ss", disturbance="walk", offset=True, initial="zero"
+    )
     model = model_from_json(fit.model.to_json())
     assert np.array_equal(model.theta, fit.theta)
     assert fit.names[-2:] == ("c1", "d1")
@@ -260,7 +264,7 @@ def test_held_out_error_prefers_what_simulates_better() -> None:
     assert 0.3 < error < 0.75 * poor
     assert 0 < spread < 0.5 * error
     with pytest.raises(InputError, match="folds"):
-        held_out_error(record, "oe", (2, 1), folds=1)
+        held_out_error(record, "oe", (2, 1), folds=1, offset=False)
 
 
 def test_factor_of_a_long_kernel_is_finite() -> None:

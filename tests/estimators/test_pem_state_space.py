@@ -54,7 +54,7 @@ def test_one_output_is_armax(rng, initial, delay) -> None:
 
 def test_several_outputs(rng) -> None:
     record, truth = mimo(rng, 700)
-    fit = identify(record, "ss", [4])
+    fit = identify(record, "ss", [4], offset=False)
     structure = fit.model.structure
     theta = structure.theta_of(*truth)
     away = fit.theta - theta
@@ -104,7 +104,7 @@ def test_several_outputs_with_missing_samples(rng) -> None:
     y[rng.random(100) < 0.1, 1] = np.nan
     y[60:66] = np.nan
     record = Record(u, y)
-    fit = identify(record, "ss", [2], missing=True)
+    fit = identify(record, "ss", [2], missing=True, offset=False)
     structure, values = fit.model.structure, int(np.isfinite(y).sum())
     assert fit.status is Status.CONVERGED
     noise = fit.noise_covariance
@@ -145,7 +145,10 @@ def test_hardly_any_missing_sample_hardly_matters(rng) -> None:
     record, _ = mimo(rng, 700)
     y = np.array(record.y)
     y[[100, 350], [0, 1]] = np.nan
-    ours, whole = identify(record.replace(y=y), "ss", [4], missing=True), identify(record, "ss", [4])
+    ours, whole = (
+        identify(record.replace(y=y), "ss", [4], missing=True, offset=False),
+        identify(record, "ss", [4], offset=False),
+    )
     assert np.all(np.abs(ours.theta - whole.theta) < 0.4 * whole.standard_errors)
     assert np.allclose(ours.standard_errors, whole.standard_errors, rtol=0.03)
     assert np.allclose(ours.noise_covariance, whole.noise_covariance, rtol=0.02)
@@ -162,7 +165,7 @@ def test_derivatives_of_the_responses(rng) -> None:
 
 
 def test_json_and_control(rng) -> None:
-    fit = identify(siso(rng), "ss", [2], offset=True)
+    fit = identify(siso(rng), "ss", [2], offset=True, initial="zero")
     again = model_from_json(fit.model.to_json())
     assert again.theta.tobytes() == fit.model.theta.tobytes()
     system, omega = fit.model.to_control(), np.array([0.3, 1.0])
@@ -174,10 +177,10 @@ def test_json_and_control(rng) -> None:
 def test_bad_orders_are_told(rng) -> None:
     record, _ = mimo(rng, 100)
     with pytest.raises(InputError, match="at least one state per output"):
-        identify(record, "ss", [1])
+        identify(record, "ss", [1], offset=False)
     with pytest.raises(InputError, match="takes 0 or 1"):
-        identify(record, "ss", [2], 3)
+        identify(record, "ss", [2], 3, offset=False)
     with pytest.raises(InputError, match="ss takes n"):
-        identify(record, "ss", [2, 2])
+        identify(record, "ss", [2, 2], offset=False)
     with pytest.raises(InputError, match="not an observable basis"):
         state_space(2, n_outputs=2).theta_of(*(np.zeros((2, 2)) for _ in range(5)))

@@ -35,7 +35,7 @@ def filtered(b, f, x) -> np.ndarray:
 
 def subspace(*given, **how):
     """A fit, and how it came about."""
-    fit = identify(*given, **how)
+    fit = identify(*given, **{"offset": False, "initial": "zero"} | how)
     assert fit.subspace is not None
     return fit, fit.subspace
 
@@ -81,7 +81,7 @@ def test_exact_without_noise(rng, method, offset) -> None:
 @pytest.mark.parametrize("delay", [0, 1])
 def test_plain_twin(rng, delay) -> None:
     record = siso(rng)
-    fit = identify(record, "ss", (2,), delay, initial="estimate", method="moesp", horizon=11)
+    fit = identify(record, "ss", (2,), delay, initial="estimate", method="moesp", horizon=11, offset=False)
     *matrices, simulated = po_moesp(record.u[:, 0], record.y[:, 0], 11, 2, delay == 0)
     twin = fit.model.structure.theta_of(*matrices, np.zeros((2, 1)))
     assert np.allclose(fit.theta, twin, rtol=1e-8, atol=1e-10)
@@ -92,8 +92,8 @@ def test_plain_twin(rng, delay) -> None:
 def test_near_the_optimum(rng, method) -> None:
     """In white noise the estimate is within the errors of the output-error optimum, and nearly as precise."""
     record = siso(rng)
-    fit = identify(record, "ss", (2,), initial="estimate", method=method)
-    best = identify(record, StateSpace((2,), noise=False), initial="estimate")
+    fit = identify(record, "ss", (2,), initial="estimate", method=method, offset=False)
+    best = identify(record, StateSpace((2,), noise=False), initial="estimate", offset=False)
     assert np.all(np.abs(fit.theta - best.theta) < 2 * best.standard_errors)
     assert fit.standard_errors == pytest.approx(best.standard_errors, rel=0.3)
     assert best.loss <= fit.loss < 1.01 * best.loss
@@ -141,7 +141,8 @@ def test_standard_errors(rng) -> None:
     """200 records of 1000 samples: the spread of the estimates is what each says of itself (`make validate` looks at
     the coverage in 2000)."""
     found = [
-        identify(siso(rng), "ss", (2,), initial="estimate", method="moesp", horizon=8) for _ in range(200)
+        identify(siso(rng), "ss", (2,), initial="estimate", method="moesp", horizon=8, offset=False)
+        for _ in range(200)
     ]
     away = np.array([f.theta - TRUTH for f in found])
     said = np.mean([f.standard_errors for f in found], axis=0)
@@ -160,7 +161,7 @@ def test_residual_tests_know_the_method(rng, offset) -> None:
         p_values.append(residual_tests(fit, record)["input"].p_value)
     assert np.mean(np.array(p_values) < 0.05) <= 0.12
     assert 0.08 <= np.mean(np.array(p_values) < 0.2) <= 0.32
-    small = identify(record, "ss", (1,), initial="estimate", method="moesp", horizon=8)
+    small = identify(record, "ss", (1,), initial="estimate", method="moesp", horizon=8, offset=False)
     assert residual_tests(small, record)["input"].p_value < 1e-10
     with pytest.raises(InputError, match="records of .500. samples, and .600. were fitted"):
         residual_tests(fit, record[:500])
@@ -177,7 +178,7 @@ def test_standard_errors_of_several_outputs(rng) -> None:
             first = filtered([0, 1.0], [1, -0.7], u[:, 0])
             second = filtered([0, 30.0], [1, 0.5], u[:, 1])
             records.append(Record(u, np.column_stack([first + second / 30, second]) + e))
-        return identify(records, "ss", (2,), method="cva", horizon=6)
+        return identify(records, "ss", (2,), method="cva", horizon=6, offset=False)
 
     found = [one() for _ in range(120)]
     spread = np.std([f.theta for f in found], axis=0)
@@ -232,14 +233,14 @@ def test_autoregressive_order(rng) -> None:
 def test_goes_with_the_rest(rng) -> None:
     """Saved and read back, printed, put into JSON, judged on what was left out, orders compared."""
     record = siso(rng, 600)
-    fit = identify(record, "ss", (2,), initial="estimate", method="cva", horizon=8)
+    fit = identify(record, "ss", (2,), initial="estimate", method="cva", horizon=8, offset=False)
     assert np.array_equal(model_from_json(fit.model.to_json()).theta, fit.theta)
     plain = json.loads(json.dumps(fit.to_dict()))
     assert plain["subspace"]["method"] == "cva"
     assert plain["subspace"]["horizon"] == 8
     assert len(plain["subspace"]["singular_values"]) == 8
     assert "by cva with 8 block rows; singular values" in repr(fit)
-    how = {"method": "moesp", "horizon": 8, "initial": "estimate"}
+    how = {"method": "moesp", "horizon": 8, "offset": False, "initial": "estimate"}
     error, spread = held_out_error(record, "ss", (2,), folds=3, window=10, **how)
     assert abs(error - 0.5) < 4 * spread
     assert select_orders(record, "ss", [(1,), (2,), (4,)], **how).orders == (2,)
@@ -247,7 +248,7 @@ def test_goes_with_the_rest(rng) -> None:
 
 def test_a_minimum_is_not_pretended(rng) -> None:
     record = siso(rng, 300)
-    fit = identify(record, "ss", (2,), method="moesp", horizon=6)
+    fit = identify(record, "ss", (2,), method="moesp", horizon=6, offset=False)
     for ask in (lambda: sandwich(fit, record), lambda: profile_interval(fit, record, "A21")):
         with pytest.raises(InputError, match="minimises no loss"):
             ask()
@@ -273,14 +274,16 @@ def test_refusals(rng, structure, options, message) -> None:
 
 def test_too_short_too_many_states_unstable(rng) -> None:
     with pytest.raises(InputError, match="give longer records or lower the order"):
-        identify(siso(rng, 30), "ss", (6,), method="moesp")
+        identify(siso(rng, 30), "ss", (6,), method="moesp", offset=False)
     with pytest.raises(InputError, match="the data show 2 states, of 3 asked for"):
-        identify(siso(rng, 300, noise=0.0, transient=0), "ss", (3,), method="moesp", horizon=10)
+        identify(siso(rng, 300, noise=0.0, transient=0), "ss", (3,), method="moesp", horizon=10, offset=False)
     u = rng.normal(size=300)
     with pytest.raises(InputError, match="unstable .a pole of size 1.02.*; choose another horizon"):
-        identify(Record(u, filtered([0, 1.0], [1, -1.02], u)), "ss", (1,), method="moesp", horizon=10)
+        identify(
+            Record(u, filtered([0, 1.0], [1, -1.02], u)), "ss", (1,), method="moesp", horizon=10, offset=False
+        )
     record = siso(rng, 300)
     y = record.y.copy()
     y[50] = np.nan
     with pytest.raises(InputError, match="missing cannot go with moesp"):
-        identify(record.replace(y=y), "ss", (2,), method="moesp", missing=True)
+        identify(record.replace(y=y), "ss", (2,), method="moesp", missing=True, offset=False)

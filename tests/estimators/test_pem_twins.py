@@ -59,12 +59,12 @@ def test_closed_form_least_squares(kind) -> None:
         X = lagged(u, range(1, n + 1))
         X = X if kind == "fir" else np.column_stack([-lagged(y, range(1, n + 1)), X])
         theta, rest, *_ = np.linalg.lstsq(X, y, rcond=None)
-        fit = identify(record, kind, orders)
+        fit = identify(record, kind, orders, offset=False)
         assert np.abs(fit.theta - theta).max() < 1e-8 * np.abs(theta).max(), k
         covariance = np.linalg.inv(X.T @ X) * rest[0] / (SAMPLES - len(theta))
         assert np.allclose(fit.covariance, covariance, rtol=1e-6, atol=1e-9 * np.abs(covariance).max()), k
     record, _, _ = case("fir", 3)
-    assert identify(record, "fir", (4,)).theta == pytest.approx(
+    assert identify(record, "fir", (4,), offset=False).theta == pytest.approx(
         oracle.fir(record.u[:, 0], record.y[:, 0], 5)[1:], abs=0.1
     )
 
@@ -91,7 +91,7 @@ def test_scipy_ends_at_the_same_optimum(kind, record_figure) -> None:
     same, lower, higher, outside = 0, 0, 0, 0
     for k in range(CASES):
         record, orders, truth = case(kind, k)
-        ours = identify(record, kind, orders)
+        ours = identify(record, kind, orders, offset=False)
         with np.errstate(all="ignore"):
             theirs = least_squares(residual(kind, orders, record), truth, xtol=1e-14, ftol=1e-14, gtol=1e-14)
         gap = 2 * theirs.cost / SAMPLES / ours.loss - 1
@@ -128,7 +128,7 @@ def test_statsmodels_ends_at_the_same_optimum(record_figure) -> None:
     for k in range(CASES):
         record, (na, nb, nc), truth = case("armax", k)
         u, y = record.u[:, 0], record.y[:, 0]
-        ours = identify(record, "armax", (na, nb, nc))
+        ours = identify(record, "armax", (na, nb, nc), offset=False)
         X = np.column_stack([-lagged(y, range(1, na + 1)), lagged(u, range(1, nb + 1))])
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -26,7 +26,7 @@ def test_sandwich_in_coloured_noise() -> None:
     theta, plain, ours = [], [], []
     for _ in range(200):
         data = record(rng, colour=(-0.9,))
-        fit = identify(data, start=THETA)
+        fit = identify(data, start=THETA, offset=False)
         theta.append(fit.theta)
         plain.append(fit.standard_errors)
         ours.append(sandwich(fit, data).standard_errors)
@@ -38,14 +38,14 @@ def test_sandwich_in_coloured_noise() -> None:
 
 def test_sandwich_of_a_right_model_is_the_plain_covariance(rng) -> None:
     data = record(rng, 4000)
-    fit = identify(data)
+    fit = identify(data, offset=False)
     assert np.allclose(sandwich(fit, data, lags=0).standard_errors, fit.standard_errors, rtol=0.15)
 
 
 def test_profile_interval_of_a_linear_model_is_exact(rng) -> None:
     """fir: N log(1 + d^2 / (S V)) = chi2 has a closed form."""
     data = record(rng, 300)
-    fit = identify(data, "fir", 5, offset=True)
+    fit = identify(data, "fir", 5, offset=True, initial="zero")
     low, high = profile_interval(fit, data, "b2")
     k = fit.names.index("b2")
     v = fit.covariance[k, k] * len(fit.residuals[0]) * fit.loss / fit.noise_variance
@@ -55,7 +55,7 @@ def test_profile_interval_of_a_linear_model_is_exact(rng) -> None:
 
 def test_profile_interval_of_output_error(rng) -> None:
     data = record(rng)
-    fit = identify(data)
+    fit = identify(data, offset=False)
     low, high = profile_interval(fit, data, "f2")
     assert low < fit.theta[3] < high
     assert high - low == pytest.approx(2 * 1.96 * fit.standard_errors[3], rel=0.1)
@@ -72,7 +72,7 @@ def test_bands_cover_in_monte_carlo() -> None:
     step = lfilter(B, A, np.ones(30))
     hits, steps, poles = [], [], []
     for _ in range(200):
-        fit = identify(record(rng), start=THETA)
+        fit = identify(record(rng), start=THETA, offset=False)
         gain, phase = bode_band(fit, omega)
         low, high = gain.interval()
         hits.append((low[:, 0, 0] <= np.abs(true)) & (np.abs(true) <= high[:, 0, 0]))

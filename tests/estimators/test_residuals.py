@@ -25,7 +25,7 @@ def fitted(seed, colour=(), order="oe", orders=(2, 2), length=500):
     u = lfilter([1], [1, -0.8], rng.normal(size=length))
     e = lfilter([1], [1, *colour], rng.normal(size=length))
     record = Record(u, lfilter(B, A, u) + e)
-    return identify(record, order, orders, start=[0.2155, 0.2012, -0.9854, 0.8187]), record
+    return identify(record, order, orders, start=[0.2155, 0.2012, -0.9854, 0.8187], offset=False), record
 
 
 def test_level_of_the_input_test_in_coloured_noise() -> None:
@@ -69,10 +69,10 @@ def test_power_against_a_missing_delay_and_coloured_noise() -> None:
         u = rng.normal(size=600)
         y = lfilter([0, *B], A, u) + 0.2 * lfilter([1], [1, -0.6], rng.normal(size=600))
         record = Record(u, y)
-        tests = residual_tests(identify(record, "oe", (2, 2), 1), record)
+        tests = residual_tests(identify(record, "oe", (2, 2), 1, offset=False), record)
         assert tests["whiteness"].p_value < 1e-3
         assert tests["input"].p_value < 1e-3
-        good = residual_tests(identify(record, "oe", (2, 2), 2), record)
+        good = residual_tests(identify(record, "oe", (2, 2), 2, offset=False), record)
         assert good["input"].p_value > 1e-4
         assert good["whiteness"].p_value < 1e-3
 

@@ -107,9 +107,9 @@ def record(rng, n: int) -> Record:
 @pytest.mark.parametrize("output_unit", UNITS)
 def test_fit_in_other_units(input_unit, output_unit, rng) -> None:
     parts = [record(rng, 300), record(rng, 200)]
-    base = identify(parts, "oe", (2, 2), 1)
+    base = identify(parts, "oe", (2, 2), 1, offset=False)
     other = [Record(input_unit * r.u, output_unit * r.y) for r in parts]
-    found = identify(other, "oe", (2, 2), 1)
+    found = identify(other, "oe", (2, 2), 1, offset=False)
     gain = output_unit / input_unit
     slope = np.array([gain, gain, 1.0, 1.0])
     spread = slope * base.standard_errors
@@ -125,14 +125,14 @@ def test_fit_in_other_units(input_unit, output_unit, rng) -> None:
 def test_fit_with_other_labels_and_signs(kind, orders, rng) -> None:
     """Order of the records, sign of input and output, an offset that is asked for."""
     parts = [record(rng, 250), record(rng, 250)]
-    base = identify(parts, kind, orders, 1)
+    base = identify(parts, kind, orders, 1, offset=False)
     for other in (parts[::-1], [Record(-r.u, -r.y) for r in parts]):
-        found = identify(other, kind, orders, 1)
+        found = identify(other, kind, orders, 1, offset=False)
         assert np.abs((found.theta - base.theta) / base.standard_errors).max() < 1e-5
         assert found.loss == pytest.approx(base.loss, rel=1e-9)
-    level = identify(parts, kind, orders, 1, offset=True)
+    level = identify(parts, kind, orders, 1, offset=True, initial="zero")
     moved = [Record(r.u + 40.0, r.y - 7.0) for r in parts]
-    found = identify(moved, kind, orders, 1, offset=True)
+    found = identify(moved, kind, orders, 1, offset=True, initial="zero")
     assert np.abs((found.theta - level.theta) / level.standard_errors).max() < 1e-5
     assert found.output_level == pytest.approx(level.output_level - 7.0, abs=1e-6)
 
@@ -142,8 +142,8 @@ def test_fit_of_exchanged_outputs(rng) -> None:
     first = named_plant("reference").simulate(u)
     second = named_plant("peak-at-zero").simulate(u)
     y = np.hstack([first, second]) + rng.standard_normal((300, 2)) @ np.array([[0.3, 0.2], [0.0, 0.2]])
-    base = identify(Record(u, y), "oe", ([[2], [1]], [[2], [1]]), 1)
-    found = identify(Record(u, y[:, ::-1]), "oe", ([[1], [2]], [[1], [2]]), 1)
+    base = identify(Record(u, y), "oe", ([[2], [1]], [[2], [1]]), 1, offset=False)
+    found = identify(Record(u, y[:, ::-1]), "oe", ([[1], [2]], [[1], [2]]), 1, offset=False)
     at = [4, 5, 0, 1, 2, 3]
     assert np.abs((found.theta - base.theta[at]) / base.standard_errors[at]).max() < 1e-4
     assert found.loss == pytest.approx(base.loss, rel=1e-9)

@@ -27,7 +27,7 @@ def test_output_error(lengths, noise, rng) -> None:
     """Both stop where the gradient is rounding: differences of 1e-5 give the oracle's Jacobian 1e-9 and its optimum about the same."""
     data = records(rng, lengths, noise)
     oracle = pem.output_error(data, TRUTH, 2, 1)
-    fit = identify([Record(u, y) for u, y in data], "oe", (2, 2), 1)
+    fit = identify([Record(u, y) for u, y in data], "oe", (2, 2), 1, offset=False)
     assert fit.status.ok
     assert fit.names == ("b1", "b2", "f1", "f2")
     spread = np.sqrt(np.diag(oracle["covariance"]))
@@ -44,7 +44,7 @@ def test_output_error_with_offset(rng) -> None:
     (u, y), (v, z) = records(rng, (300, 200), 0.2, level=3.0)
     mean = np.concatenate([u, v]).mean()
     oracle = pem.output_error([(u - mean, y), (v - mean, z)], np.r_[TRUTH, 3.0], 2, 1, offset=True)
-    fit = identify([Record(u, y), Record(v, z)], "oe", (2, 2), 1, offset=True)
+    fit = identify([Record(u, y), Record(v, z)], "oe", (2, 2), 1, offset=True, initial="zero")
     spread = np.sqrt(np.diag(oracle["covariance"]))
     assert np.abs((fit.theta - oracle["theta"][:4]) / spread[:4]).max() < 1e-5
     assert fit.output_level[0] == pytest.approx(oracle["theta"][4], abs=1e-5 * spread[4])
@@ -58,7 +58,7 @@ def test_output_error_with_offset(rng) -> None:
 def test_peak_gain_with_its_error(rng) -> None:
     data = records(rng, (500,), 0.1)
     oracle = pem.output_error(data, TRUTH, 2, 1)
-    value, error, frequency = identify(Record(*data[0]), "oe", (2, 2), 1).hinf_norm
+    value, error, frequency = identify(Record(*data[0]), "oe", (2, 2), 1, offset=False).hinf_norm
 
     def gamma(theta):
         return lti.peak_gain(([[[0.0, *theta[:2]]]], [[[1.0, *theta[2:]]]]))[0]
@@ -73,7 +73,7 @@ def test_peak_gain_with_its_error(rng) -> None:
 
 def test_fir_is_linear_least_squares(rng) -> None:
     (u, y), *_ = records(rng, (300,), 0.3)
-    fit = identify(Record(u, y), "fir", 12, 0)
+    fit = identify(Record(u, y), "fir", 12, 0, offset=False)
     assert fit.theta == pytest.approx(pem.fir(u, y, 12), abs=1e-10)
 
 
@@ -82,7 +82,7 @@ def test_arx_is_linear_least_squares(rng) -> None:
     (u, y), *_ = records(rng, (300,), 0.3)
     padded_u, padded_y = np.r_[np.zeros(5), u], np.r_[np.zeros(5), y]
     oracle = pem.arx(padded_u, padded_y, 2, 2, 1, first=5)
-    fit = identify(Record(u, y), "arx", (2, 2), 1)
+    fit = identify(Record(u, y), "arx", (2, 2), 1, offset=False)
     named = dict(zip(fit.names, fit.theta, strict=True))
     assert [named[k] for k in ("a1", "a2", "b1", "b2")] == pytest.approx(oracle, abs=1e-9)
 
@@ -98,7 +98,7 @@ def test_several_channels_with_equal_noise_are_separate_fits(rng) -> None:
     other_second = lti.difference_equation([0.0, 0.4], [1.0, -0.6], v)
     y = np.column_stack([first + 0.3 * rng.standard_normal(300), second])
     z = np.column_stack([other_first, other_second + 0.2 * rng.standard_normal(300)])
-    fit = identify([Record(u, y), Record(v, z)], "oe", ([[2], [1]], [[2], [1]]), 1)
+    fit = identify([Record(u, y), Record(v, z)], "oe", ([[2], [1]], [[2], [1]]), 1, offset=False)
     top = pem.output_error([(u, y[:, 0]), (v, z[:, 0])], TRUTH, 2, 1)
     low = pem.output_error([(u, y[:, 1]), (v, z[:, 1])], np.array([0.4, -0.6]), 1, 1)
     oracle, spread = (
@@ -132,7 +132,7 @@ def test_box_jenkins(rng) -> None:
         data.append((u, y + 0.4 * coloured(rng, n, [1.0, 0.5], [1.0, -0.7])))
     start = np.r_[TRUTH[:2], 0.5, -0.7, TRUTH[2:]]
     oracle = pem.least_squares(lambda x: pem.box_jenkins(x, data, 2, 1, 1, 2, 1), start)
-    fit = identify([Record(u, y) for u, y in data], "bj", (2, 1, 1, 2), 1)
+    fit = identify([Record(u, y) for u, y in data], "bj", (2, 1, 1, 2), 1, offset=False)
     compare(fit, oracle, ("b1", "b2", "c1", "d1", "f1", "f2"))
 
 
@@ -144,7 +144,7 @@ def test_armax(rng) -> None:
         data.append((u, y + coloured(rng, n, [0.3, 0.15], [1.0, *TRUTH[2:]])))
     start = np.r_[TRUTH[2:], TRUTH[:2], 0.5]
     oracle = pem.least_squares(lambda x: pem.armax(x, data, 2, 2, 1, 1), start)
-    fit = identify([Record(u, y) for u, y in data], "armax", (2, 2, 1), 1)
+    fit = identify([Record(u, y) for u, y in data], "armax", (2, 2, 1), 1, offset=False)
     compare(fit, oracle, ("a1", "a2", "b1", "b2", "c1"))
 
 
@@ -157,11 +157,15 @@ def test_estimated_initial_states(rng) -> None:
         lambda x: pem.free_response_errors(x, data, 2, 2, 1), np.r_[TRUTH, np.zeros(4)]
     )
     records_ = [Record(a, b) for a, b in data]
-    compare(identify(records_, "oe", (2, 2), 1, initial="estimate"), oracle, ("b1", "b2", "f1", "f2"))
+    compare(
+        identify(records_, "oe", (2, 2), 1, initial="estimate", offset=False),
+        oracle,
+        ("b1", "b2", "f1", "f2"),
+    )
     spread = np.sqrt(np.diag(oracle["covariance"])[:4])
-    backcast = identify(records_, "oe", (2, 2), 1, initial="backcast")
+    backcast = identify(records_, "oe", (2, 2), 1, initial="backcast", offset=False)
     assert np.abs((backcast.theta - oracle["theta"][:4]) / spread).max() < 1e-3
-    at_rest = identify(records_, "oe", (2, 2), 1, initial="zero")
+    at_rest = identify(records_, "oe", (2, 2), 1, initial="zero", offset=False)
     assert np.abs((at_rest.theta - oracle["theta"][:4]) / spread).max() > 0.1
 
 
@@ -183,7 +187,7 @@ def test_two_outputs_with_correlated_noise(rng) -> None:
         )
 
     oracle = pem.several_outputs(rows, np.r_[TRUTH, 0.4, -0.6])
-    fit = identify(Record(u, y), "oe", ([[2], [1]], [[2], [1]]), 1)
+    fit = identify(Record(u, y), "oe", ([[2], [1]], [[2], [1]]), 1, offset=False)
     spread = np.sqrt(np.diag(np.linalg.inv(oracle["gram"])))
     assert np.abs((fit.theta - oracle["theta"]) / spread).max() < 1e-3  # the weight settles to 1e-5 of itself
     assert fit.loss == pytest.approx(np.linalg.det(oracle["moment"]), rel=1e-7)
