@@ -17,7 +17,7 @@ __all__ = ["WorstCase", "dominant_frequency", "worst_case"]
 class WorstCase:
     """The strongest line of the last input, and the directions there.
 
-    The peak's frequency with a standard error is that of `estimators.peak_estimates.corrected`: the inputs of one
+    The peak's frequency with a standard error is that of `estimators.norm.peak_estimates.corrected`: the inputs of one
     run depend on each other, so that their spread says nothing about their common distance from the peak.
 
     Attributes

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimators.pem.peaks import frequency_error, peak_gain
+from estimators.norm.model_peak import frequency_error, peak_gain
 from estimators.pem.predictors.of_structure import samples
 from estimators.pem.regularised.regularisation import Regularisation
 from estimators.pem.search.problem import prepare

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from estimators.iterations import iterate
-from estimators.peak_estimates import corrected
+from estimators.norm.peak_estimates import corrected
+from estimators.norm.worst_inputs import worst_case
 from estimators.pem import identify
+from estimators.rules.by_name import iterate
 from estimators.sessions import Session, Settings
-from estimators.worst_inputs import worst_case
 from oed.data import Record
 from oed.experiments import simulated
-from oed.named import named_plant
-from oed.norms import peak
-from oed.plants import Plant
+from oed.plants.named import named_plant
+from oed.plants.norms import peak
+from oed.plants.plant import Plant
 
 Row = dict[str, tuple[float, float, float]]
 """What is printed, its standard error, and the truth."""
@@ -115,7 +115,7 @@ def test_coverage_of_few_runs(name: str) -> None:
 
 def test_negative_control_the_spread_of_the_inputs_of_one_run_is_no_error() -> None:
     """What was printed once: the last ten inputs of a run depend on each other, and their spread covers a fifth."""
-    from estimators.worst_inputs import dominant_frequency
+    from estimators.norm.worst_inputs import dominant_frequency
 
     true, held = peak(REFERENCE).frequency, 0
     for seed in range(40):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.norms import largest_gain, refined_maximum
+from oed.plants.norms import largest_gain, refined_maximum
 
 __all__ = ["frequency_error", "peak_gain"]
 
