@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.blocks import Blocks, blocks_of
-from estimators.diagnosis.baseline.choice import Candidate, Trial, simplest, tried
+from estimators.diagnosis.baseline.choice import Trial, simplest
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
-from estimators.diagnosis.baseline.regression import Arx, Lagged, lagged
+from estimators.diagnosis.baseline.regression import Arx
+from estimators.diagnosis.baseline.search import Search
 from oed.data import Record
 from oed.errors import InputError
 
@@ -125,7 +126,7 @@ class Baseline:
     @property
     def structure(self) -> str:
         """Structure and orders of every output's model."""
-        return "; ".join(f"{m.kind}({m.orders})" for m in self.outputs)
+        return "; ".join(f"{m.kind}: {m.orders}" for m in self.outputs)
 
     @property
     def why(self) -> tuple[str, ...]:
@@ -192,12 +193,7 @@ def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options)
     inputs = (i,) if options.diagonal else tuple(range(records[0].n_inputs))
     own = [r.replace(u=r.u[:, list(inputs)], input_names=(), input_units=()) for r in records]
     prior = _prior(own, i, blocks, options)
-    regressors = lagged(own, i, blocks, Arx(10, 29, (0,) * len(inputs), True), prior.rest)
-    trials = [
-        t
-        for form in _grid(regressors, len(inputs), options)
-        if (t := tried(_candidate(regressors, form, blocks), own, i, blocks, prior)) is not None
-    ]
+    trials = Search(own, i, blocks, prior, not options.deviations).trials()
     chosen = simplest(trials)
     c = chosen.candidate
     form: Arx = c.form  # type: ignore[assignment]
@@ -215,18 +211,3 @@ def _prior(records: Sequence[Record], i: int, blocks: Blocks, options: Options) 
     d = np.nan_to_num(y - mean)
     covariance = np.array([d[: len(d) - k] @ d[k:] for k in range(64)]) / len(d)
     return Prior(mean, covariance, 1e-4 * covariance[0], rest=bool(options.deviations))
-
-
-def _candidate(regressors: Lagged, form: Arx, blocks: Blocks) -> Candidate:
-    models = [regressors.fit(form, b) for b in [*range(len(blocks.blocks)), -1]]
-    return Candidate("ARX", f"na {form.na}, nb {form.nb}, nk {max(form.delay)}", form.size, models, form)
-
-
-def _grid(regressors: Lagged, nu: int, options: Options) -> list[Arx]:
-    out = []
-    for nk in (0, 1, 2, 3, 5, 8):
-        for na in (0, 1, 2, 3, 4, 5, 6, 8, 10):
-            for nb in sorted({max(1, na - 1), max(1, na), na + 1, 20}):
-                form = Arx(na, nb, (nk,) * nu, not options.deviations)
-                out += [form] if regressors.holds(form) else []
-    return out

@@ -1,0 +1,114 @@
+"""Which linear models are tried for one output, and in which order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.baseline.blocks import Blocks
+from estimators.diagnosis.baseline.choice import Candidate, Trial, tried
+from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from estimators.diagnosis.baseline.output_error import OutputError, realised
+from estimators.diagnosis.baseline.regression import Arx, Lagged, lagged
+from oed.data import Record
+
+__all__ = ["Search"]
+
+Array = NDArray[np.float64]
+
+ORDERS = (0, 1, 2, 3, 4, 5, 6, 8, 10)
+"""Orders of ARX; ten lags are what every answer is compared with."""
+LONG = 20
+"""Coefficients of a long numerator: enough for what few poles leave, few enough for a record of some hundred samples."""
+DELAYS = (0, 1, 2, 3, 5, 8)
+"""Delays tried on every record, beside those that its impulse response shows."""
+REFINED = (1, 2, 3, 4, 5, 6, 8)
+"""Orders refined to the least simulation error."""
+REALISED = 30
+"""Lags of the impulse response that a reduction to few poles keeps: three times the largest order."""
+STEPS = (10, 4)
+"""Gauss-Newton steps on all data from afar, and without one block from the optimum on all data."""
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """One output of some records, with all that comparing its models needs."""
+
+    records: Sequence[Record]
+    output: int
+    blocks: Blocks
+    prior: Prior
+    offset: bool
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return self.records[0].n_inputs
+
+    def trials(self) -> list[Trial]:
+        """All stable candidates on unused blocks."""
+        first = self.arx(DELAYS)
+        refined = self.refined(first)
+        return first + refined
+
+    def arx(self, delays: Sequence[int]) -> list[Trial]:
+        """ARX over orders, numerators and delays."""
+        widest = Arx(max(ORDERS), max(delays) + LONG + 1, (0,) * self.inputs, True)
+        regressors = lagged(self.records, self.output, self.blocks, widest, self.prior.rest)
+        forms = [
+            Arx(na, nb, (nk,) * self.inputs, self.offset)
+            for nk in delays
+            for na in ORDERS
+            for nb in sorted({max(1, na - 1), max(1, na), na + 1, LONG})
+        ]
+        found = [self._tried(self._arx(regressors, form)) for form in forms]
+        return [t for t in found if t is not None]
+
+    def _arx(self, regressors: Lagged, form: Arx) -> Candidate:
+        models = [regressors.fit(form, b) for b in [*range(len(self.blocks.blocks)), -1]]
+        return Candidate("ARX" if form.na else "FIR", _words(form), form.size, models, form)
+
+    def _tried(self, candidate: Candidate | None) -> Trial | None:
+        return (
+            None
+            if candidate is None
+            else tried(candidate, self.records, self.output, self.blocks, self.prior)
+        )
+
+    def refined(self, known: Sequence[Trial]) -> list[Trial]:
+        """Output-error models of every order, started from reductions of the best models known and from ARX."""
+        best = sorted(known, key=lambda t: t.rmse)
+        if not best:
+            return []
+        delays = list(dict.fromkeys(t.candidate.form.delay for t in best[:10]))[:2]
+        out = []
+        rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
+        for n in REFINED:
+            fits = []
+            for delay in delays:
+                form = Arx(n, n if min(delay) else n + 1, delay, self.offset)
+                starts = [realised(best[0].candidate.models[-1], form, REALISED)]
+                starts += [t.candidate.models[-1] for t in best if t.candidate.form.na == n][:1]
+                problem = OutputError(self.records, self.output, form, self.prior, np.ones(1))
+                fits += [
+                    (*problem.fit(s, rows, STEPS[0]), problem)
+                    for s in starts
+                    if s is not None and s.radius < 1.0
+                ]
+            if fits:
+                model, _, problem = min(fits, key=lambda f: f[1])
+                out.append(self._tried(self._oe(problem, model, "OE")))
+        return [t for t in out if t is not None]
+
+    def _oe(self, problem: OutputError, model: LinearModel, kind: str) -> Candidate:
+        models = [problem.fit(model, self.blocks.training(b), STEPS[1])[0] for b in self.blocks.blocks]
+        return Candidate(kind, _words(problem.form), problem.form.size, [*models, model], problem.form)
+
+
+def _words(form: Arx) -> str:
+    delays = sorted(set(form.delay))
+    delay = str(delays[0]) if len(delays) == 1 else "/".join(map(str, form.delay))
+    return f"{form.na} poles, {form.nb} coefficients of the input, delay {delay}"
