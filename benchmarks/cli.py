@@ -127,12 +127,14 @@ def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     try:
         if not args.json:
-            print(args.run(args)[1])
-            return 0
-        with _standard_output_reserved() as out:
-            payload = {"schema_version": SCHEMA_VERSION, **args.run(args)[0]}
-            out.write(json.dumps(plain(payload), allow_nan=False) + "\n")
-        return 0
+            _, text, *status = args.run(args)  # a status only where a command has one of its own
+            print(text)
+        else:
+            with _standard_output_reserved() as out:
+                content, _, *status = args.run(args)
+                payload = {"schema_version": SCHEMA_VERSION, **content}
+                out.write(json.dumps(plain(payload), allow_nan=False) + "\n")
+        return status[0] if status else 0
     except BAD_INPUT as error:
         print(f"oed {args.command}: {' '.join(str(error).split())}", file=sys.stderr)
         return 2

@@ -13,13 +13,16 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.campaign.run import check_contents
 from benchmarks.campaign.running import TIME_LIMIT, Settings, fill_store, stored_runs
 from benchmarks.campaign.settings import Limit, default_limits
-from benchmarks.campaign.store import versions, write_atomically
+from benchmarks.campaign.store import versions
 from benchmarks.campaign.users_own import Own
 from benchmarks.tables.formats import to_text
 from benchmarks.tables.tabulation import tabulate
 from oed.errors import CampaignError, InputError
+from oed.files.lock import locked
+from oed.files.writing import write_whole
 
 __all__ = ["COLUMNS", "Comparison", "compare"]
 
@@ -227,11 +230,13 @@ def compare(
         **options,
     )
     workers = jobs or os.cpu_count() or 1
-    tables = tabulate(stored_runs(store, settings, replicates, **options), settings, workers)
     from benchmarks.page.compare_report import write_comparison
 
     try:
-        sentences, page = write_comparison(folder, settings, replicates, tables, workers)
+        with locked(folder / "lock", f"the campaign {folder}"):
+            tables = tabulate(stored_runs(store, settings, replicates, **options), settings, workers)
+            check_contents(settings, *settings.plants)
+            sentences, page = write_comparison(folder, settings, replicates, tables, workers)
     except OSError as error:
         raise CampaignError(
             f"cannot write the tables and figures in {folder} ({error.strerror or error}); all runs are kept: make room and "
@@ -358,7 +363,7 @@ def save_summary(folder: Path, sentences: Sequence[str], headline: str) -> None:
     headline : str
         Markdown table.
     """
-    write_atomically(folder / "summary.md", "\n\n".join([headline, *sentences]) + "\n")
+    write_whole(folder / "summary.md", "\n\n".join([headline, *sentences]) + "\n")
 
 
 def is_number(value: Any) -> bool:

@@ -6,11 +6,11 @@ import argparse
 import shutil
 from pathlib import Path
 
-from benchmarks.campaign.store import write_atomically
 from benchmarks.tables.answer import ANSWER
 from benchmarks.tables.formats import from_parquet, to_markdown
 from benchmarks.tables.head_to_head import head_to_head_sentence
 from oed.errors import InputError
+from oed.files.writing import write_whole
 
 __all__ = ["with_headline", "write_readme"]
 
@@ -86,7 +86,7 @@ def write_readme(results: Path, readme: Path) -> None:
         "![Where the iterations are optimal design: share of the certified optimum against noise](docs/answer-where.svg)",
         "![What their estimators waste: rho against noise](docs/answer-advice.svg)",
     ]
-    write_atomically(readme, with_headline(readme.read_text(encoding="utf-8"), "\n".join(lines)))
+    write_whole(readme, with_headline(readme.read_text(encoding="utf-8"), "\n".join(lines)))
     folder = readme.parent / "docs"
     folder.mkdir(exist_ok=True)
     for name, target in PICTURES.items():

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmarks.campaign.settings import Limit
-from benchmarks.campaign.store import Store, versions
+from benchmarks.campaign.store import CONTENTS, KEPT, UNITED, Store, versions
 from oed.errors import CampaignError, InputError
+from oed.files.writing import write_whole
 
 __all__ = ["merge_stores"]
-
-UNITED = ("plants", "noise_variances", "methods")
 
 
 def merge_stores(folders: Sequence[Path], out: Path) -> dict[str, Any]:
@@ -52,7 +50,7 @@ def merge_stores(folders: Sequence[Path], out: Path) -> dict[str, Any]:
         different = [
             name
             for name in base["settings"]
-            if name not in UNITED and other["settings"].get(name) != base["settings"][name]
+            if name not in (*UNITED, "contents") and other["settings"].get(name) != base["settings"][name]
         ]
         if different:
             raise CampaignError(
@@ -60,6 +58,15 @@ def merge_stores(folders: Sequence[Path], out: Path) -> dict[str, Any]:
                 "may differ. Nothing was written."
             )
     settings = dict(base["settings"])
+    files: dict[str, str] = {}
+    for folder, other in zip(folders, found, strict=True):
+        for name, digest in other["settings"].get("contents", ()):
+            if files.setdefault(name, digest) != digest:
+                raise CampaignError(
+                    f"the plant file {name} of {folder} had another content than that of the folders before it. "
+                    "Nothing was written."
+                )
+    settings["contents"] = [[name, files[name]] for name in files]
     for name in UNITED:
         settings[name] = list(dict.fromkeys(v for other in found for v in other["settings"][name]))
     if settings.get("sources"):
@@ -73,16 +80,15 @@ def merge_stores(folders: Sequence[Path], out: Path) -> dict[str, Any]:
             replicates = max(replicates, int(path.stem.rpartition("-")[2]))
             if store.path(path.stem).exists() or path.resolve() == store.path(path.stem).resolve():
                 continue
-            temporary = store.parts / f".{path.name}.merging"
             try:
-                shutil.copyfile(path, temporary)
-                temporary.replace(store.path(path.stem))
+                content = path.read_bytes()
             except OSError as error:
-                temporary.unlink(missing_ok=True)
                 raise CampaignError(
-                    f"cannot copy {path} ({error.strerror}); what was copied is kept."
+                    f"cannot read {path} ({error.strerror}); what was copied is kept."
                 ) from None
-    settings.pop("sources", None)
+            write_whole(store.path(path.stem), content, kept=KEPT, error=CampaignError)
+    for name in CONTENTS:
+        settings.pop(name, None)
     limits = tuple(Limit(**entry) for entry in settings.pop("limits", []))
     return settings | {"limits": limits, "replicates": replicates, "out": str(out)}
 

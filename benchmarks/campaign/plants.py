@@ -6,6 +6,7 @@ import argparse
 import re
 from collections.abc import Sequence
 from functools import lru_cache
+from hashlib import blake2b
 from importlib.resources import files
 from pathlib import Path
 
@@ -15,7 +16,14 @@ from oed.data import Record
 from oed.errors import InputError, check_names
 from oed.plants.plant import Plant
 
-__all__ = ["add_plant_arguments", "check_plants", "hair_dryer_record", "load_plant", "plant_names"]
+__all__ = [
+    "add_plant_arguments",
+    "check_plants",
+    "content_of",
+    "hair_dryer_record",
+    "load_plant",
+    "plant_names",
+]
 
 HAIR_DRYER = "hair-dryer"
 RANDOM_FIR = re.compile(r"random-fir-(\d{1,6})")
@@ -61,6 +69,16 @@ def check_plants(specs: Sequence[str]) -> None:
     """
     named = [spec for spec in specs if not is_file(spec) and not RANDOM_FIR.fullmatch(spec)]
     check_names(named, (*plant_names(), "random-fir-1"), "plant")
+
+
+def content_of(spec: str) -> str:
+    """Digest of a plant's file; "" for a plant by name, which the digest of our source binds."""
+    if not is_file(spec):
+        return ""
+    try:
+        return blake2b(Path(spec).read_bytes(), digest_size=8).hexdigest()
+    except OSError as error:
+        raise InputError(f"cannot read the plant file {spec}: {error.strerror}.") from None
 
 
 def add_plant_arguments(parser: argparse.ArgumentParser) -> None:

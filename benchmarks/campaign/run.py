@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.campaign.deadline import TimeLimit, within
-from benchmarks.campaign.plants import load_plant
+from benchmarks.campaign.plants import content_of, load_plant
 from benchmarks.campaign.registry import ESTIMATORS, Estimate, compatible, fits, method_for
 from benchmarks.campaign.settings import Settings
-from oed.errors import Status
+from oed.errors import CampaignError, Status
 from oed.experiments import simulated
 from oed.information import information_of_each
 from oed.signals.noise import noise_key
@@ -27,6 +27,7 @@ from oed.signals.noise import noise_key
 __all__ = [
     "CHUNK",
     "Part",
+    "check_contents",
     "checkpoints",
     "parts",
     "profile_marks",
@@ -208,8 +209,8 @@ def seed_for(*names: object) -> np.random.Generator:
 
 
 @lru_cache(maxsize=64)
-def _prepared(plant: str, noise_variance: float, method: str) -> tuple[Any, Callable[..., Any]]:
-    """Plant and method, built once per process."""
+def _prepared(plant: str, noise_variance: float, method: str, content: str) -> tuple[Any, Callable[..., Any]]:
+    """Plant and method, built once per process and content of the plant's file."""
     loaded = load_plant(plant, noise_variance)
     return loaded, method_for(method, loaded)
 
@@ -242,6 +243,7 @@ def run_part(
     """
     import scipy.signal  # noqa: F401 - before the clock starts: loading it is no part of a run
 
+    check_contents(settings, part.plant)
     own = own or {}
     rows: list[Row] = []
     sums: dict[int, Row] = {}
@@ -271,7 +273,19 @@ def run_part(
                 estimator = own.get(name) or ESTIMATORS[name]
                 rows.append(_estimated(head, name, estimator, trace.first(k), plant, time_limit))
                 rows[-1]["final"] = k == len(trace)
+    check_contents(settings, part.plant)
     return rows + [sums[k] | {"information": sums[k]["information"].tolist()} for k in sorted(sums)]
+
+
+def check_contents(settings: Settings, *plants: str) -> None:
+    """Raise where a plant's file is no longer what the settings were made with."""
+    known = dict(settings.contents)
+    for plant in plants:
+        if content_of(plant) != known.get(plant, ""):
+            raise CampaignError(
+                f"the plant file {plant} was changed while the campaign ran; what was finished is kept: restore it, or "
+                "give another --out."
+            )
 
 
 class _Noise:
@@ -301,7 +315,7 @@ def _run(
         plant = load_plant(part.plant, part.noise_variance)
         method = own[part.method](plant)
     else:
-        plant, method = _prepared(*part.combination)
+        plant, method = _prepared(*part.combination, content_of(part.plant))
     experiment = simulated(
         plant,
         seed=settings.seed,

@@ -12,8 +12,9 @@ from typing import Any
 from benchmarks.campaign.part import Runs, runs_of
 from benchmarks.campaign.run import CHUNK, Part, checkpoints, parts, run_part, seed_for
 from benchmarks.campaign.settings import Settings
-from benchmarks.campaign.store import Store
+from benchmarks.campaign.store import Store, difference, versions
 from oed.errors import CampaignError, InputError
+from oed.files.lock import locked
 
 __all__ = [
     "CHUNK",
@@ -30,6 +31,7 @@ TIME_LIMIT = 300.0
 """Seconds for one run of a method, and for one estimate."""
 
 Own = Mapping[str, Callable[..., Any]]
+Result = tuple[Part, list[dict[str, Any]], dict[str, str]]
 
 
 def run_campaign(
@@ -130,15 +132,22 @@ def fill_store(
             "everything out."
         )
     store = Store(folder, asdict(settings))
-    missing = [part for part in todo if not store.holds(part.key)]
-    report = progress or (lambda done, total: None)
-    report(len(todo) - len(missing), len(todo))
-    options = {"time_limit": time_limit, "own": dict(own or {})}
-    for count, (part, result) in enumerate(
-        _results(settings, missing, jobs, scheduler, options), len(todo) - len(missing) + 1
-    ):
-        store.write(part.key, result)
-        report(count, len(todo))
+    with locked(folder / "lock", f"the campaign {folder}"):
+        store.tidy()
+        missing = [part for part in todo if not store.holds(part.key, time_limit)]
+        report = progress or (lambda done, total: None)
+        report(len(todo) - len(missing), len(todo))
+        options = {"time_limit": time_limit, "own": dict(own or {})}
+        for count, (part, result, made) in enumerate(
+            _results(settings, missing, jobs, scheduler, options), len(todo) - len(missing) + 1
+        ):
+            if made != versions():
+                raise CampaignError(
+                    f"a worker runs other versions or other source than this process ({difference(made, versions())}); "
+                    "what it made is not kept: install the same on every worker and run again."
+                )
+            store.write(part.key, result, time_limit)
+            report(count, len(todo))
     return store
 
 
@@ -178,7 +187,7 @@ def stored_runs(
         for part in mine:
             table = store.read(part.key)
             if table is None:
-                store.write(part.key, run_part(settings, part, time_limit=time_limit, own=own))
+                store.write(part.key, run_part(settings, part, time_limit=time_limit, own=own), time_limit)
                 table = store.read(part.key)
             if table is None:
                 raise CampaignError(f"{store.path(part.key)} cannot be read back; check the disk.")
@@ -192,12 +201,12 @@ def _results(
     jobs: int | None,
     scheduler: str | None,
     options: dict[str, Any],
-) -> Iterator[tuple[Part, list[dict[str, Any]]]]:
-    """Parts with their rows, as they are finished; the same code whoever does the work."""
+) -> Iterator[Result]:
+    """Parts with their rows and the versions that made them, as they are finished, whoever does the work."""
     jobs = min(jobs or os.cpu_count() or 1, max(len(missing), 1))
     if scheduler is None and jobs <= 1:
         for part in missing:
-            yield part, run_part(settings, part, **options)
+            yield _with_part(settings, part, options)
         return
     from joblib import Parallel, delayed, parallel_config
 
@@ -233,5 +242,5 @@ def _connected(scheduler: str | None) -> Iterator[None]:
         yield
 
 
-def _with_part(settings: Settings, part: Part, options: dict[str, Any]) -> tuple[Part, list[dict[str, Any]]]:
-    return part, run_part(settings, part, **options)
+def _with_part(settings: Settings, part: Part, options: dict[str, Any]) -> Result:
+    return part, run_part(settings, part, **options), versions()

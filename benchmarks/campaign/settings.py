@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.campaign.plants import check_plants
+from benchmarks.campaign.plants import check_plants, content_of
 from benchmarks.campaign.registry import ESTIMATORS, METHODS
 from oed.errors import InputError, check_names
 
@@ -61,6 +61,8 @@ class Settings:
         What has fewer replicates than the rest.
     sources : tuple of tuple of str
         Name and digest of the source of one's own methods and estimators.
+    contents : tuple of tuple of str
+        Name and digest of every plant file, as it is when the settings are made, whatever is given.
     """
 
     plants: tuple[str, ...] = ("reference", "hair-dryer", "random-fir-1", "three-by-two")
@@ -81,6 +83,7 @@ class Settings:
     profile_replicates: int = 3
     limits: tuple[Limit, ...] = ()
     sources: tuple[tuple[str, str], ...] = field(default=(), repr=False)
+    contents: tuple[tuple[str, str], ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         own = {name for name, _ in self.sources}
@@ -99,6 +102,8 @@ class Settings:
             values = getattr(self, name)
             if not values or len(set(values)) != len(values):
                 raise InputError(f"{name} is {values}; give at least one, and each once.")
+        contents = tuple((plant, digest) for plant in self.plants if (digest := content_of(plant)))
+        object.__setattr__(self, "contents", contents)
         for limit in self.limits:
             for kind in ("plant", "method", "estimator"):
                 wanted = getattr(limit, kind)
@@ -204,7 +209,7 @@ def campaign_from_toml(file: str | Path) -> dict[str, Any]:
         raise InputError(f"the campaign file {path} cannot be read ({error.strerror}).") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"the campaign file {path} is not TOML ({error}); mend that line.") from None
-    known = {f.name for f in fields(Settings)} - {"limits", "sources"} | set(PLAIN) | {"limit"}
+    known = {f.name for f in fields(Settings)} - {"limits", "sources", "contents"} | set(PLAIN) | {"limit"}
     check_names(list(content), tuple(sorted(known)), f"key of {path.name}")
     found: dict[str, Any] = {}
     for key, value in content.items():

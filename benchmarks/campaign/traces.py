@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import os
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oed.errors import InputError
+from oed.files.writing import write_whole
 
 if TYPE_CHECKING:
     from estimators.rules.trace import Trace
@@ -39,27 +40,20 @@ def write_trace(trace: Trace, path: str) -> None:
         raise InputError(f"{path} exists; nothing is overwritten: give another name or remove it.")
     if not target.parent.is_dir():
         raise InputError(f"the folder {target.parent} does not exist; make it first.")
-    temporary = target.with_name(f".{target.name}.part")
-    try:
-        with temporary.open("wb") as file:
-            if target.suffix == ".npz":
-                np.savez_compressed(
-                    file,
-                    u=np.stack([r.u for r in trace.records]),
-                    y=np.stack([r.y for r in trace.records]),
-                    kinds=np.array(trace.kinds),
-                    dt=trace.records[0].dt,
-                )
-            else:
-                first = trace.records[0]
-                header = ",".join(["experiment", "t", *first.input_names, *first.output_names])
-                rows = np.vstack(
-                    [
-                        np.column_stack([np.full(len(r), k + 1.0), r.t, r.u, r.y])
-                        for k, r in enumerate(trace.records)
-                    ]
-                )
-                np.savetxt(file, rows, delimiter=",", header=header, comments="", fmt="%.17g")
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    file = io.BytesIO()
+    if target.suffix == ".npz":
+        np.savez_compressed(
+            file,
+            u=np.stack([r.u for r in trace.records]),
+            y=np.stack([r.y for r in trace.records]),
+            kinds=np.array(trace.kinds),
+            dt=trace.records[0].dt,
+        )
+    else:
+        first = trace.records[0]
+        header = ",".join(["experiment", "t", *first.input_names, *first.output_names])
+        rows = [
+            np.column_stack([np.full(len(r), k + 1.0), r.t, r.u, r.y]) for k, r in enumerate(trace.records)
+        ]
+        np.savetxt(file, np.vstack(rows), delimiter=",", header=header, comments="", fmt="%.17g")
+    write_whole(target, file.getvalue())

@@ -187,8 +187,9 @@ def _writer(out: str | None, samples: int | None):
     if out is None:
         return None
     import json
-    import os
     from pathlib import Path
+
+    from oed.files.writing import write_whole
 
     path = Path(out)
     if path.exists():
@@ -206,8 +207,6 @@ def _writer(out: str | None, samples: int | None):
         else:
             names = ["u"] if u.shape[1] == 1 else [f"u{j + 1}" for j in range(u.shape[1])]
             text = "\n".join([",".join(names), *(",".join(map(repr, row)) for row in u.tolist())])
-        temporary = path.with_name(path.name + ".part")
-        temporary.write_text(text + "\n", encoding="utf-8")
-        os.replace(temporary, path)
+        write_whole(path, text + "\n")
 
     return write

@@ -6,13 +6,17 @@ import argparse
 import json
 import os
 import sys
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
 from oed.errors import InputError
+from oed.files.lock import locked
+from oed.files.writing import append_line, write_whole
 
 HELP = "diagnose every case of a folder (train.csv, test.csv, meta.json in each); resumes"
 EXAMPLE = "oed diagnose-folder cases/public/P --out results.jsonl --jobs 2"
+FILES = ("train.csv", "test.csv", "meta.json")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -34,39 +38,74 @@ def _one(folder: str) -> tuple[dict[str, Any] | None, str]:
     test = path / "test.csv"
     meta = path / "meta.json"
     try:
+        content = _content(path)
         result, notes = diagnose_files(
             path / "train.csv", test if test.exists() else None, meta=meta if meta.exists() else None
         )
+        if content != _content(path):
+            return None, "its files were changed while it was diagnosed"
     except Exception as error:  # one damaged case must not end the folder: it is counted and named
         return None, f"{type(error).__name__}: {error}"
-    return {"case": path.name} | result.to_dict() | {"notes": notes}, ""
+    return {"case": path.name} | result.to_dict() | {
+        "notes": notes,
+        "content": content,
+        "version": _version(),
+    }, ""
 
 
-def _done(out: Path) -> set[str]:
+def _content(folder: Path) -> str:
+    """Digest of the files that a diagnosis is made from."""
+    found = blake2b(digest_size=8)
+    for name in FILES:
+        file = folder / name
+        found.update(name.encode() + (file.read_bytes() if file.exists() else b"") + b"\0")
+    return found.hexdigest()
+
+
+def _version() -> str:
+    from benchmarks.campaign.store import versions
+
+    return blake2b(repr(sorted(versions().items())).encode(), digest_size=8).hexdigest()
+
+
+def _done(out: Path, cases: list[Path]) -> set[str]:
+    """Cases whose line was made from the same files by the same version.
+
+    Lines about other content are set aside in a file of their own; the line that a killed run was writing is dropped.
+    """
     if not out.exists():
         return set()
-    cases = set()
-    lines = out.read_text(encoding="utf-8").splitlines()
-    whole = []
-    for line in lines:
+    wanted = {path.name: (_content(path), _version()) for path in cases}
+    done: set[str] = set()
+    text = out.read_text(encoding="utf-8", errors="replace")
+    kept, aside = [], []
+    for line in text.splitlines():
         try:
-            cases.add(json.loads(line)["case"])
-            whole.append(line)
-        except (json.JSONDecodeError, KeyError, TypeError):
-            continue  # the line that a killed run was writing
-    if len(whole) < len(lines) or (lines and not out.read_text(encoding="utf-8").endswith("\n")):
-        part = out.with_name(out.name + ".part")
-        part.write_text("".join(line + "\n" for line in whole), encoding="utf-8")
-        os.replace(part, out)
-    return cases
+            found = json.loads(line)
+            case, made = found["case"], (found.get("content"), found.get("version"))
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            continue
+        good = case not in done and wanted.get(case, made) == made
+        (kept if good else aside).append(line)
+        if good:
+            done.add(case)
+    if aside:
+        before = out.with_name(out.name + ".before")
+        print(
+            f"{len(aside)} lines of {out} were made from other files or by another version: they are kept in "
+            f"{before.name}, and their cases are diagnosed again.",
+            file=sys.stderr,
+        )
+        for line in aside:
+            append_line(before, line)
+    content = "".join(line + "\n" for line in kept)
+    if content != text:
+        write_whole(out, content)
+    return done
 
 
-def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    """Diagnose the cases that the results file does not hold yet."""
-    from joblib import Parallel, delayed
-
-    from benchmarks.cli import plain
-
+def run(args: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
+    """Diagnose the cases that the results file does not hold yet; exit status 1 where one failed."""
     folder, out = Path(args.folder), Path(args.out)
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder; give the folder that holds the case folders.")
@@ -79,22 +118,33 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         raise InputError(f"--jobs is {args.jobs}; it must be at least 1.")
     if not out.parent.is_dir():
         raise InputError(f"the folder of {out} does not exist; make it first.")
-    done = _done(out)
-    todo = [str(p) for p in cases if p.name not in done]
-    failed: dict[str, str] = {}
-    count = len(cases) - len(todo)
-    with out.open("a", encoding="utf-8") as file:
-        results: Any = Parallel(n_jobs=args.jobs, return_as="generator")(delayed(_one)(p) for p in todo)
-        for path, (line, error) in zip(todo, results, strict=True):
-            count += 1
-            if line is None:
-                failed[Path(path).name] = error
-            else:
-                file.write(json.dumps(plain(line), allow_nan=False) + "\n")
-                file.flush()
-            if not args.quiet:
-                what = error if line is None else line["effect"]
-                print(f"{count}/{len(cases)} {Path(path).name}: {what}", file=sys.stderr, flush=True)
+    if out.is_dir():
+        raise InputError(f"--out {out} is a folder; give the name of a file.")
+    with locked(out.with_name(f".{out.name}.lock"), f"the results {out}"):
+        failed = _diagnosed(cases, out, args.jobs, args.quiet)
     payload = {"cases": len(cases), "failed": failed, "out": str(out)}
     text = f"{len(cases)} cases, {len(failed)} failed, results in {out}"
-    return payload, "\n".join([text, *(f"{k}: {v}" for k, v in failed.items())])
+    return payload, "\n".join([text, *(f"{k}: {v}" for k, v in failed.items())]), int(bool(failed))
+
+
+def _diagnosed(cases: list[Path], out: Path, jobs: int, quiet: bool) -> dict[str, str]:
+    """Append a line for every case that is not done; what failed, by name."""
+    from joblib import Parallel, delayed
+
+    from benchmarks.cli import plain
+
+    done = _done(out, cases)
+    todo = [str(p) for p in cases if p.name not in done]
+    failed: dict[str, str] = {}
+    results: Any = Parallel(n_jobs=jobs, return_as="generator")(delayed(_one)(p) for p in todo)
+    for count, (path, (line, error)) in enumerate(
+        zip(todo, results, strict=True), len(cases) - len(todo) + 1
+    ):
+        if line is None:
+            failed[Path(path).name] = error
+        else:
+            append_line(out, json.dumps(plain(line), allow_nan=False))
+        if not quiet:
+            what = error if line is None else line["effect"]
+            print(f"{count}/{len(cases)} {Path(path).name}: {what}", file=sys.stderr, flush=True)
+    return failed

@@ -238,9 +238,9 @@ def _new_folder(name: str):
 
 
 def _write(folder, fit, records) -> str:
-    import os
-
     import numpy as np
+
+    from oed.files.writing import write_whole
 
     folder.mkdir(parents=True, exist_ok=True)
     head = "record,t," + ",".join(f"e_{name}" for name in records[0].output_names)
@@ -250,7 +250,5 @@ def _write(folder, fit, records) -> str:
     ]
     table = "\n".join(",".join(repr(float(x)) for x in row) for row in np.concatenate(rows))
     for name, text in (("model.json", fit.model.to_json()), ("residuals.csv", f"{head}\n{table}")):
-        partial = folder / f".{name}.partial"
-        partial.write_text(text + "\n", encoding="utf-8")
-        os.replace(partial, folder / name)
+        write_whole(folder / name, text + "\n")
     return str(folder)

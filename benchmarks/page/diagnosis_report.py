@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.campaign.store import write_atomically
 from benchmarks.page.report import save_figure, save_report, save_table
+from oed.files.writing import write_whole
 
 if TYPE_CHECKING:
     from estimators.diagnosis.report import Diagnosis
@@ -125,6 +125,6 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: dict[str, Any]
         sections.append({"title": "What to measure next", "text": [
             f"To tell {first.replace('_', ' ')} from {second.replace('_', ' ')}, within the amplitude of the training "
             f"record: {experiment}. The input is the column u of next_input.csv."]})  # fmt: skip
-        write_atomically(folder / "next_input.csv", "u\n" + "".join(f"{v:.9g}\n" for v in experiment.u))
+        write_whole(folder / "next_input.csv", "u\n" + "".join(f"{v:.9g}\n" for v in experiment.u))
     content = {"title": "What the linear model lacks", "lead": lead, "sections": sections, "made": made or {}}
     return save_report(folder, content)

@@ -17,9 +17,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from benchmarks.campaign.store import write_atomically
 from benchmarks.tables.formats import format_value, from_parquet, to_csv, to_latex, to_markdown, to_parquet
 from oed.errors import CampaignError, InputError
+from oed.files.writing import write_figure, write_whole
 
 __all__ = ["save_figure", "save_report", "save_table", "write_report"]
 
@@ -125,10 +125,8 @@ def save_table(
     where.mkdir(parents=True, exist_ok=True)
     to_parquet(rows, where / f"{name}.parquet", metadata, overwrite=True)
     to_csv(rows, where / f"{name}.csv", overwrite=True)
-    write_atomically(where / f"{name}.md", to_markdown(rows, columns) + "\n")
-    write_atomically(
-        where / f"{name}.tex", to_latex(rows, columns, caption=caption, label=f"tab:{name}") + "\n"
-    )
+    write_whole(where / f"{name}.md", to_markdown(rows, columns) + "\n")
+    write_whole(where / f"{name}.tex", to_latex(rows, columns, caption=caption, label=f"tab:{name}") + "\n")
     return {"file": f"tables/{name}.parquet", "caption": caption, "columns": columns}
 
 
@@ -156,12 +154,12 @@ def save_figure(folder: Path, name: str, figure: Any, caption: str) -> dict[str,
     where = folder / "figures"
     where.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "none", "font.family": "sans-serif"}):
-        figure.savefig(where / f"{name}.svg", metadata={"Date": None})
+        write_figure(where / f"{name}.svg", figure, metadata={"Date": None})
         engine = figure.get_layout_engine()
         figure.set_layout_engine(
             "none"
         )  # everything has its place by now, and finding it takes half the time
-        figure.savefig(where / f"{name}.pdf", metadata={"CreationDate": None})
+        write_figure(where / f"{name}.pdf", figure, metadata={"CreationDate": None})
         figure.set_layout_engine(engine)
     return {"file": f"figures/{name}.svg", "caption": caption}
 
@@ -181,7 +179,7 @@ def save_report(folder: Path, content: dict[str, Any]) -> Path:
     Path
         The page.
     """
-    write_atomically(folder / "report.json", json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+    write_whole(folder / "report.json", json.dumps(content, indent=1, ensure_ascii=False) + "\n")
     return write_report(folder)
 
 
@@ -214,7 +212,7 @@ def write_report(folder: Path) -> Path:
     except (ValueError, KeyError, TypeError) as error:
         raise CampaignError(f"{file} is damaged ({error}); run the comparison again, it resumes.") from None
     path = folder / "report.html"
-    write_atomically(path, page)
+    write_whole(path, page)
     return path
 
 

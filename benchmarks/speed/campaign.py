@@ -42,7 +42,6 @@ def synthetic_store(folder: Path, runs: int) -> tuple[Any, int]:
     from benchmarks.campaign.run import checkpoints, parts
     from benchmarks.campaign.settings import Settings
     from benchmarks.campaign.store import Store
-    from oed.files.parquet import table_bytes
 
     settings = Settings(
         plants=("reference",),
@@ -83,7 +82,7 @@ def synthetic_store(folder: Path, runs: int) -> tuple[Any, int]:
                 np.full(m, np.nan), False, n, carried,
             )
         )  # fmt: skip
-        store.path(part.key).write_bytes(table_bytes(pa.concat_tables(tables)))
+        store.write(part.key, pa.concat_tables(tables))
     return settings, runs // 2
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.campaign.part import Estimates, Runs
-from benchmarks.campaign.plants import load_plant
+from benchmarks.campaign.plants import content_of, load_plant
 from benchmarks.campaign.processes import spread
 from benchmarks.tables.predictions import CRITERIA, optimal_loss
 from oed.errors import Status
@@ -109,8 +109,8 @@ class Target:
 
 
 @lru_cache(maxsize=128)
-def _optimum(spec_and_criterion: tuple[str, str]) -> float:
-    spec, criterion = spec_and_criterion
+def _optimum(asked: tuple[str, str, str]) -> float:
+    spec, _, criterion = asked  # the content is there for the cache
     return optimal_loss(load_plant(spec), criterion)
 
 
@@ -134,8 +134,8 @@ def targets(keys: Iterable[tuple[str, float]], jobs: int = 1) -> dict[tuple[str,
     """
     keys = list(dict.fromkeys(keys))
     specs = list(dict.fromkeys(spec for spec, _ in keys))
-    asked = [(spec, criterion) for spec in specs for criterion in CRITERIA]
-    found = dict(zip(asked, spread(_optimum, asked, jobs), strict=True))
+    asked = [(spec, content_of(spec), criterion) for spec in specs for criterion in CRITERIA]
+    found = dict(zip([(spec, k) for spec, _, k in asked], spread(_optimum, asked, jobs), strict=True))
     at_unit_noise = {spec: Losses(**{k: found[spec, k] for k in CRITERIA}) for spec in specs}
     return {(spec, variance): Target(spec, variance, at_unit_noise[spec]) for spec, variance in keys}
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from oed.files.writing import write_figure
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -266,8 +268,5 @@ def save_figures(result: Diagnosis, folder: str | os.PathLike[str]) -> list[Path
     for name, figure in figures.items():
         for kind in ("png", "pdf"):
             target = Path(folder) / f"{name}.{kind}"
-            part = target.with_suffix(f".part.{kind}")
-            figure.savefig(part, dpi=130)
-            os.replace(part, target)
-            files.append(target)
+            files.append(write_figure(target, figure, dpi=130))
     return files

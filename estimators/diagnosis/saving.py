@@ -10,6 +10,7 @@ import numpy as np
 
 from estimators.diagnosis.report import Diagnosis
 from oed.errors import InputError
+from oed.files.writing import write_whole
 
 __all__ = ["save"]
 
@@ -41,11 +42,6 @@ def save(result: Diagnosis, folder: str | os.PathLike[str]) -> Path:
         )
     path.mkdir(parents=True, exist_ok=True)
 
-    def write(name: str, text: str) -> None:
-        part = path / (name + ".part")
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path / name)
-
     data = {k: v for k, v in result.to_dict().items() if k not in ("yhat_before", "yhat_after")}
 
     def clean(value: object) -> object:
@@ -57,13 +53,13 @@ def save(result: Diagnosis, folder: str | os.PathLike[str]) -> Path:
             return {k: clean(v) for k, v in value.items()}
         return [clean(v) for v in value] if isinstance(value, list | tuple) else value
 
-    write("diagnosis.json", json.dumps(clean(data), indent=1, allow_nan=False) + "\n")
+    write_whole(path / "diagnosis.json", json.dumps(clean(data), indent=1, allow_nan=False) + "\n")
     ny = result.yhat_before.shape[1]
     names = [f"{when}{i + 1}" for when in ("before", "after") for i in range(ny)]
     rows = np.concatenate((result.yhat_before, result.yhat_after), axis=1)
     lines = [",".join(names)] + [",".join(f"{v:.10g}" for v in row) for row in rows]
-    write("simulated.csv", "\n".join(lines) + "\n")
-    write("summary.txt", str(result) + "\n")
+    write_whole(path / "simulated.csv", "\n".join(lines) + "\n")
+    write_whole(path / "summary.txt", str(result) + "\n")
 
     from estimators.diagnosis.plots import save_figures
 

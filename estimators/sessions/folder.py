@@ -13,20 +13,19 @@ came between a file and its line.
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import hashlib
 import os
 import re
 from datetime import UTC, datetime
 from pathlib import Path
 
-from oed.errors import CampaignError, InputError
+from oed.errors import CampaignError
+from oed.files.writing import append_line, tidy
 
-__all__ = ["Folder", "write_whole"]
+__all__ = ["KEPT", "Folder"]
 
 NAME = re.compile(r"(input|output|flagged)-(\d{4,})(?:-(\d+))?\.csv")
-MESSAGES = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
+KEPT = "The session is unharmed; make room and repeat."
 README = """A session of experiments on a rig. To go on, in this folder's parent:
 
   oed session next DIR                 writes the next input-NNNN.csv (time in seconds, one column per input)
@@ -37,59 +36,6 @@ README = """A session of experiments on a rig. To go on, in this folder's parent
 
 Every file here is written once and never changed. Every command can be repeated.
 """
-
-
-def write_whole(path: Path, content: bytes) -> Path:
-    """Write a file so that it is there as a whole or not at all, also after a power cut.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    content : bytes
-        What it will hold.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        If the system refuses; nothing is left behind.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-        _sync_folder(path.parent)
-    except OSError as error:
-        raise _refused(path, error) from None
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-    return path
-
-
-def _sync_folder(folder: Path) -> None:
-    if (
-        os.name != "posix"
-    ):  # elsewhere a folder cannot be opened, and the rename is in the file system's journal
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _refused(path: Path, error: OSError) -> InputError:
-    reason = MESSAGES.get(error.errno or 0, error.strerror or str(error))
-    return InputError(f"{path} cannot be written: {reason}. The session is unharmed; make room and repeat.")
 
 
 class Folder:
@@ -158,9 +104,7 @@ class Folder:
 
     def tidy(self) -> None:
         """Remove what a killed process left half written, and add the journal lines it could not add."""
-        for entry in os.listdir(self.path):
-            if entry.startswith(".") and entry.endswith(".tmp"):
-                (self.path / entry).unlink(missing_ok=True)
+        tidy(self.path)
         known = self.fingerprints()
         for kind in ("input", "output", "flagged"):
             for (step, _), file in self.find(kind).items():
@@ -183,19 +127,11 @@ class Folder:
         """
         stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         about = f"{file.name} {fingerprint(file.read_bytes())}" if file is not None else "- -"
-        line = " ".join([stamp, f"{step:04d}", event, about, *words.split()]) + "\n"
-        journal = self.path / "journal.txt"
-        try:
-            with journal.open("ab+") as stream:
-                if stream.tell():
-                    stream.seek(-1, os.SEEK_END)
-                    if stream.read(1) != b"\n":  # the last line was cut off by a kill
-                        line = "\n" + line
-                stream.write(line.encode())
-                stream.flush()
-                os.fsync(stream.fileno())
-        except OSError as error:
-            raise _refused(journal, error) from None
+        append_line(
+            self.path / "journal.txt",
+            " ".join([stamp, f"{step:04d}", event, about, *words.split()]),
+            kept=KEPT,
+        )
 
     def fingerprints(self) -> dict[str, str]:
         """What the journal says of each file.

@@ -14,13 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimators.sessions.checking import read_output
 from estimators.sessions.estimates import SessionEstimate
-from estimators.sessions.folder import README, Folder, write_whole
-from estimators.sessions.lock import locked
+from estimators.sessions.folder import KEPT, README, Folder
 from estimators.sessions.session import FlaggedMeasurement, Session
 from estimators.sessions.settings import Settings, settings_from_json, settings_to_json
 from oed.errors import CampaignError, InputError
+from oed.files.lock import locked
 from oed.files.tables import column_name
 from oed.files.text import csv_table
+from oed.files.writing import write_whole
 
 __all__ = ["StoredSession", "open_session", "start_session"]
 
@@ -57,7 +58,7 @@ def start_session(path: str | os.PathLike[str], settings: Settings) -> StoredSes
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"the folder {folder} cannot be made: {error.strerror or error}.") from None
-    with locked(folder):
+    with locked(folder / "lock", f"the session {folder}"):
         file = folder / "session.json"
         if file.exists():
             _check_same(file, text)
@@ -69,8 +70,8 @@ def start_session(path: str | os.PathLike[str], settings: Settings) -> StoredSes
                 f"the folder {folder} is not empty ({', '.join(foreign[:3])}...) and holds no session; "
                 "start in a folder of its own."
             )
-        write_whole(folder / "README.txt", README.encode())
-        write_whole(file, text.encode())
+        write_whole(folder / "README.txt", README.encode(), kept=KEPT)
+        write_whole(file, text.encode(), kept=KEPT)
     return StoredSession(folder)
 
 
@@ -222,7 +223,7 @@ class StoredSession:
         CampaignError
             If another process is at it, or the folder is damaged.
         """
-        with locked(self.path):
+        with locked(self.path / "lock", f"the session {self.path}"):
             self.folder.tidy()
             self.refresh()
             step = self.session.step
@@ -240,7 +241,7 @@ class StoredSession:
             asked = self.session.asked()
             version = 1 + sum(at == step for at, _ in self.folder.find("input"))
             content = self._content(asked.whole, self.settings.inputs, self.settings.input_units)
-            file = write_whole(self.folder.input_path(step, version), content)
+            file = write_whole(self.folder.input_path(step, version), content, kept=KEPT)
             words = f"{asked.kind}" + (f", times {asked.factor:.6g}: {asked.limit}" if asked.limit else "")
             self.folder.note(step, "input", file, words)
             return file
@@ -269,7 +270,7 @@ class StoredSession:
         FlaggedMeasurement
             If it is unfit for use: it is kept as a flagged file, and the step waits for another measurement.
         """
-        with locked(self.path):
+        with locked(self.path / "lock", f"the session {self.path}"):
             self.folder.tidy()
             self.refresh()
             done, step = len(self.session.rig_records), self.session.step
@@ -297,9 +298,11 @@ class StoredSession:
             flagged = [file for (at, _), file in self.folder.find("flagged").items() if at == step]
             if not any(file.read_bytes() == content() for file in flagged):
                 name = f"flagged-{step:04d}-{len(flagged) + 1}.csv"
-                self.folder.note(step, "flagged", write_whole(self.path / name, content()), str(fault))
+                self.folder.note(
+                    step, "flagged", write_whole(self.path / name, content(), kept=KEPT), str(fault)
+                )
             raise
-        file = write_whole(self.folder.output_path(step), content())
+        file = write_whole(self.folder.output_path(step), content(), kept=KEPT)
         self.folder.note(step, "output", file)
         self.session.use(asked, values)
         return file
@@ -335,7 +338,7 @@ class StoredSession:
             Whether to use it although it looks saturated or held.
         """
         before = self.session.step
-        with locked(self.path):
+        with locked(self.path / "lock", f"the session {self.path}"):
             self.folder.tidy()
             self.refresh()
             step = self.session.step

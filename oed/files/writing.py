@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import gzip
+import io
+import itertools
 import os
 from pathlib import Path
+from typing import Any
 
 from oed.data import Record
-from oed.errors import InputError
+from oed.errors import InputError, OedError
 from oed.files.arrays import npz_bytes
 from oed.files.mat import mat_bytes
 from oed.files.parquet import parquet_bytes
 from oed.files.text import csv_bytes
 
-__all__ = ["write_bytes", "write_record"]
+__all__ = ["append_line", "tidy", "write_bytes", "write_figure", "write_record", "write_whole"]
 
 WRITERS = {".csv": csv_bytes, ".mat": mat_bytes, ".npz": npz_bytes, ".parquet": parquet_bytes}
+
+MESSAGES = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
+KEPT = "What was there before is kept: make room or choose another place."
+_COUNT = itertools.count()
 
 
 def write_record(record: Record, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -106,12 +115,74 @@ def write_bytes(path: str | os.PathLike[str], content: bytes, *, overwrite: bool
     """
     path = Path(path)
     check_writable(path, overwrite)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    return write_whole(path, content)
+
+
+def write_whole(
+    path: Path, content: bytes | str, *, kept: str = KEPT, error: type[OedError] = InputError
+) -> Path:
+    """The one atomic writer: a reader sees the old file or the whole new one, also after a power cut.
+
+    What cannot be written is raised as `error`, whose message ends with `kept`: what is safe, and the remedy. The
+    temporary name is short, whatever the file's own, and ends in .tmp: `tidy` removes what a kill left of it.
+    """
+    temporary = path.with_name(f".{os.getpid()}-{next(_COUNT)}.tmp")
     try:
-        temporary.write_bytes(content)
+        with temporary.open("wb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"the file {str(path)!r} cannot be written: {error.strerror or error}.") from None
+        _sync_folder(path.parent)
+    except OSError as reason:
+        raise _refused(path, reason, kept, error) from None
     finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
     return path
+
+
+def write_figure(path: Path, figure: Any, **options: Any) -> Path:
+    """Save a matplotlib figure whole or not at all, in the format of the file's suffix."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format=path.suffix[1:], **options)
+    return write_whole(path, stream.getvalue())
+
+
+def append_line(path: Path, line: str, *, kept: str = KEPT, error: type[OedError] = InputError) -> None:
+    """Add a line to a file and wait until it is on the disk; a last line that a kill cut off is ended first."""
+    try:
+        with path.open("ab+") as stream:
+            if stream.tell():
+                stream.seek(-1, os.SEEK_END)
+                if stream.read(1) != b"\n":
+                    line = "\n" + line
+            stream.write(line.encode() + b"\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+    except OSError as reason:
+        raise _refused(path, reason, kept, error) from None
+
+
+def tidy(folder: Path) -> None:
+    """Remove what killed processes left half written; only who holds the folder's lock may."""
+    for file in folder.glob(".*.tmp"):
+        with contextlib.suppress(OSError):
+            file.unlink(missing_ok=True)
+
+
+def _sync_folder(folder: Path) -> None:
+    if (
+        os.name != "posix"
+    ):  # elsewhere a folder cannot be opened, and the rename is in the file system's journal
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _refused(path: Path, reason: OSError, kept: str, error: type[OedError]) -> OedError:
+    words = MESSAGES.get(reason.errno or 0, reason.strerror or str(reason))
+    return error(f"cannot write {path}: {words}. {kept}")

@@ -224,7 +224,7 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays(tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (600, before[1]))
     try:
         with pytest.raises(
-            CampaignError, match=r"cannot write .*what was finished before is kept: make room"
+            CampaignError, match=r"cannot write .*What was finished before is kept: make room"
         ):
             run_campaign(SMALL, 3 * CHUNK, tmp_path, jobs=1)
     finally:

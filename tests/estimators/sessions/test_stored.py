@@ -249,8 +249,8 @@ def test_a_full_disk_loses_nothing(waiting, monkeypatch):
 HOLD = """
 import sys, time
 from pathlib import Path
-from estimators.sessions.lock import locked
-with locked(Path(sys.argv[1])):
+from oed.files.lock import locked
+with locked(Path(sys.argv[1]) / "lock", "the session"):
     print("held", flush=True)
     time.sleep(60)
 """

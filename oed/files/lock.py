@@ -1,4 +1,4 @@
-"""One process at a time in a session's folder: a lock that the system releases when its process dies."""
+"""One process at a time in a folder: a lock that the system releases when its process dies."""
 
 from __future__ import annotations
 
@@ -15,34 +15,16 @@ __all__ = ["locked"]
 
 
 @contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold the session's lock.
+def locked(path: Path, what: str) -> Iterator[None]:
+    """Hold the lock on `what` (words for the message) while the block runs; refuse where another process holds it.
 
-    The lock is the operating system's, on the file `lock`, and not the file's existence: when a process is killed
-    the system lets go, so that nothing stale is left to be removed.
-
-    Parameters
-    ----------
-    folder : Path
-        The session's folder.
-
-    Yields
-    ------
-    None
-        While the lock is held.
-
-    Raises
-    ------
-    CampaignError
-        If another process holds it.
-    InputError
-        If the folder cannot be written to.
+    The lock is the operating system's, on the file at `path`, and not the file's existence: when a process is
+    killed the system lets go, so that nothing stale is left to be removed.
     """
-    path = folder / "lock"
     try:
         file = path.open("a+b")
     except OSError as error:
-        raise InputError(f"the session {folder} cannot be written to: {error.strerror or error}.") from None
+        raise InputError(f"{what} cannot be written to: {error.strerror or error}.") from None
     with file:
         try:
             _take(file)
@@ -51,7 +33,7 @@ def locked(folder: Path) -> Iterator[None]:
             holder = file.read(100).decode(errors="replace").strip()
             by = f" (process {holder})" if holder else ""
             raise CampaignError(
-                f"another process{by} is working in the session {folder}; wait until it has finished, and try again. "
+                f"another process{by} is working in {what}; wait until it has finished, and try again. "
                 "Nothing was changed."
             ) from None
         # who holds it is a courtesy for the message above: a full disk must not stand in the way
