@@ -101,3 +101,7 @@ lock:
 
 clean:
 	rm -rf results build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+
+docs: $(STAMP)
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
+	@echo "open build/docs/index.html"

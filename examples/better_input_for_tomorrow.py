@@ -1,4 +1,8 @@
-"""Today's record is there, the rig is free again tomorrow: which input is worth applying?
+"""
+A better input for tomorrow
+===========================
+
+Today's record is there, the rig is free again tomorrow: which input is worth applying?
 
 The record is the hair dryer of the textbooks. A model is fitted to half of it; the design takes what that half has
 told as known, and asks what 500 further samples of the same power can add. It is compared with the kind of input that

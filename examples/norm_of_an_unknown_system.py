@@ -1,4 +1,8 @@
-"""The H-infinity norm of a system that nobody has modelled, from experiments on it alone.
+"""
+The norm of an unknown system
+=============================
+
+The H-infinity norm of a system that nobody has modelled, from experiments on it alone.
 
 A session hands out inputs and takes measured outputs. Here the system is a Python function; on a rig it would be
 the function that plays `u` through the amplifier and returns what the sensor saw.

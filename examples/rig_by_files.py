@@ -1,4 +1,8 @@
-"""A rig that is driven by LabVIEW, a Speedgoat or an Arduino: it reads a file and writes a file.
+"""
+A rig by files
+==============
+
+A rig that is driven by LabVIEW, a Speedgoat or an Arduino: it reads a file and writes a file.
 
 Everything goes through the command line and through files, as it would beside a machine; only the machine is played by
 the function `machine`. Half-way it hands back a file that was cut off, which is refused, and measures again.

@@ -1,4 +1,8 @@
-"""A rig that nobody here wrote: the Temperature Control Lab, two heaters and two sensors (pip install "oed[rig]").
+"""
+The Temperature Control Lab
+===========================
+
+A rig that nobody here wrote: the Temperature Control Lab, two heaters and two sensors (pip install "oed[rig]").
 
     python examples/temperature_lab.py [FIGURE.png]
 

@@ -1,4 +1,8 @@
-"""A model is there, a rig is there, and they differ: by how much at worst, where, and why?
+"""
+What is my model missing?
+=========================
+
+A model is there, a rig is there, and they differ: by how much at worst, where, and why?
 
 The iterations run on model minus rig: every input goes to the rig, its simulated output is subtracted, and the pq
 directed experiments take the place of the transposed system. What comes out is the norm of the model error with an

@@ -1,0 +1,109 @@
+"""Sphinx settings of the documentation: `make docs` builds it into build/docs, warnings are errors."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+from docutils import nodes  # noqa: E402
+
+import oed  # noqa: E402
+
+project = "oed"
+author = "The OED authors"
+copyright = "the OED authors"
+release = version = oed.__version__
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "numpydoc",
+    "myst_nb",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = [
+    "_build",
+    "**/README.md",
+    "sg_execution_times.rst",
+    "gallery/*.ipynb",
+    "gallery/*.py",
+    "gallery/*.json",
+]
+html_theme = "furo"  # maintained, light, dark mode
+html_title = "oed"
+html_math_renderer = "mathml"
+html_static_path = ["_static"]
+html_show_sphinx = False
+
+myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(HERE.parent / "build" / "docs-cache")
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+autosummary_generate = True
+numpydoc_show_class_members = False
+autodoc_typehints = "none"
+suppress_warnings = ["mystnb.unknown_mime_type", "config.cache"]
+
+sphinx_gallery_conf = {
+    "examples_dirs": str(HERE.parent / "examples"),
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"/plot_",  # the other examples are stories for a rig or a terminal: shown, not run
+    "ignore_pattern": r"__init__",
+    "download_all_examples": False,
+    "show_signature": False,
+    "min_reported_time": 3600,
+}
+
+PACKAGES = (
+    "oed", "oed.design", "oed.theory", "oed.signals", "oed.files",
+    "estimators", "estimators.pem", "estimators.residual", "estimators.diagnosis", "estimators.sessions",
+)  # fmt: skip
+
+
+def write_reference(_app) -> None:
+    """One page per package, one entry per exported name: the reference is what the packages export, no more, no less."""
+    folder = HERE / "reference"
+    folder.mkdir(exist_ok=True)
+    pages = []
+    for name in PACKAGES:
+        package = importlib.import_module(name)
+        exported = [each for each in getattr(package, "__all__", ()) if not each.startswith("_")]
+        if not exported:
+            continue
+        first = (package.__doc__ or "").strip().splitlines()[0]
+        rows = "\n".join(f"   {name}.{each}" for each in exported)
+        text = f"{name}\n{'=' * len(name)}\n\n{first}\n\n.. autosummary::\n   :toctree: generated\n   :nosignatures:\n\n{rows}\n"
+        page = folder / f"{name}.rst"
+        if not page.exists() or page.read_text(encoding="utf-8") != text:
+            page.write_text(text, encoding="utf-8")
+        pages.append(name)
+    index = "Reference\n=========\n\nEvery name that a package exports.\n\n.. toctree::\n   :maxdepth: 1\n\n"
+    (folder / "index.rst").write_text(index + "".join(f"   {page}\n" for page in pages), encoding="utf-8")
+
+
+def _inline(self, node) -> None:
+    from latex2mathml.converter import convert
+
+    self.body.append(convert(node.astext()))
+    raise nodes.SkipNode
+
+
+def _display(self, node) -> None:
+    from latex2mathml.converter import convert
+
+    self.body.append(f'<div class="math-display">{convert(node.astext(), display="block")}</div>')
+    raise nodes.SkipNode
+
+
+def setup(app) -> None:
+    """Write the reference before Sphinx reads it; formulas are MathML, which needs no script and no network."""
+    app.connect("builder-inited", write_reference, priority=0)
+    app.add_html_math_renderer("mathml", (_inline, None), (_display, None))
