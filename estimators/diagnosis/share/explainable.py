@@ -1,0 +1,206 @@
+"""How much of what the linear model leaves could be explained at all, from which variables, and of what nature."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.baseline import Baseline
+from estimators.diagnosis.share.regression import Folds, Regression, folds_of
+from estimators.diagnosis.share.signals import Columns, bank_of, columns_of
+from oed.data import Record
+
+__all__ = ["Evidence", "Share", "explainable_share"]
+
+Array = NDArray[np.float64]
+
+NORMAL = 1.96
+"""Two-sided 95 % of a normal deviate."""
+BATCHES = 20
+"""Stretches over which squares are averaged before their spread is taken: a standard error good to a sixth."""
+
+ALONE: Mapping[str, tuple[str, ...]] = {
+    "linear dynamics": ("linear",),
+    "static input nonlinearity": ("linear", "input"),
+    "static output nonlinearity": ("linear", "output"),
+    "sampling": ("linear", "sampling"),
+    "disturbance": ("linear", "disturbance"),
+    "time variation": ("linear", "time"),
+    "dynamic nonlinearity": ("linear", "dynamic", "output"),
+}
+"""Which columns a cause of each nature needs, the simplest nature first. The linear ones are in all: any cause bends the
+best linear model too."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What columns of one nature explain by themselves.
+
+    Attributes
+    ----------
+    nature : str
+        In the words of the catalogue.
+    share, low, high : float
+        Of the residual's variance on unused blocks, with a 95 % interval.
+    sentence : str
+        The same in words.
+    """
+
+    nature: str
+    share: float
+    low: float
+    high: float
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False)
+class Share:
+    """How much of one output's residual a fading-memory regression predicts on blocks that it did not see.
+
+    Attributes
+    ----------
+    share, low, high : float
+        Of the residual's variance, with a 95 % interval over blocks; below zero where the regression only harms.
+    by : dict of str to float
+        Variable -> what is lost of the share without it.
+    natures : tuple of Evidence
+        The most probable first.
+    noise_floor, noise_low, noise_high : float
+        Root mean square of what nothing here explains: an upper bound of the noise, with its interval.
+    unused : tuple of ndarray
+        Per record (N,): the regression's prediction of the residual with the sample's block unused; NaN where no
+        sample counts.
+    """
+
+    share: float
+    low: float
+    high: float
+    by: dict[str, float]
+    natures: tuple[Evidence, ...]
+    noise_floor: float
+    noise_low: float
+    noise_high: float
+    unused: tuple[Array, ...]
+
+    @property
+    def explainable(self) -> bool:
+        """Whether the interval leaves zero out: something other than noise is in the residual."""
+        return self.low > 0.0
+
+    @property
+    def nature(self) -> str:
+        """The nature that the evidence puts first; noise where nothing is explainable."""
+        return self.natures[0].nature if self.explainable and self.natures else "noise"
+
+
+def _means(squares: Array, owner: NDArray[np.int64]) -> Array:
+    """Mean of the squares over each batch that has samples."""
+    count = np.bincount(owner)
+    return np.bincount(owner, squares)[count > 0] / count[count > 0]
+
+
+def _interval(target: Array, left: Array, owner: NDArray[np.int64]) -> tuple[float, float, float]:
+    """1 - left^2 / target^2 with a 95 % interval; the batches' differences are taken for independent."""
+    base = float(np.mean(target**2))
+    share = 1.0 - float(np.mean(left**2)) / base
+    parts = _means(target**2 - left**2 - share * target**2, owner) / base
+    error = NORMAL * float(parts.std(ddof=1) / np.sqrt(len(parts)))
+    return share, share - error, share + error
+
+
+def _batch_owner(counts: Sequence[NDArray[np.bool_]]) -> NDArray[np.int64]:
+    total = sum(len(c) for c in counts)
+    owner, begin = [], 0
+    for c in counts:
+        parts = max(2, round(BATCHES * len(c) / total))
+        owner.append((begin + np.arange(len(c)) * parts // len(c))[c])
+        begin += parts
+    return np.concatenate(owner)
+
+
+def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0) -> Share:
+    """The explainable share of one output's residual, by variable and by nature.
+
+    Parameters
+    ----------
+    base : Baseline
+        The linear model and its blocks.
+    records : sequence of Record
+        The training records that it was fitted to.
+    output : int
+        Which output.
+
+    Returns
+    -------
+    Share
+        Shares of the variance of measured minus simulated output, all on blocks that the regression did not see.
+    """
+    records = list(records)
+    counts = [c[:, output] for c in base.blocks.counting(records)]
+    residual = [r.y[:, output] - y[:, output] for r, y in zip(records, base.y_model, strict=True)]
+    folds = folds_of(base.blocks)
+    tables = _columns(base, records, output)
+    regression = Regression.of([t.values for t in tables], residual, counts, folds)
+    owner = _batch_owner(counts)
+    kinds, variables = np.array(tables[0].kinds), np.array(tables[0].variables)
+    alone = {nature: regression.unused(np.flatnonzero(np.isin(kinds, own))) for nature, own in ALONE.items()}
+    everything = np.arange(len(kinds))
+    fits = [regression.unused(everything), *alone.values()]
+    best = min(fits, key=lambda f: float(np.mean((regression.target - f) ** 2)))
+    share, low, high = _interval(regression.target, regression.target - best, owner)
+    left = _means((regression.target - best) ** 2, owner)
+    floor, error = float(left.mean()), NORMAL * float(left.std(ddof=1) / np.sqrt(len(left)))
+    by = {
+        str(v): share
+        - _interval(
+            regression.target, regression.target - regression.unused(everything[variables != v]), owner
+        )[0]
+        for v in dict.fromkeys(variables)
+    }
+    noise = tuple(float(np.sqrt(max(x, 0.0))) for x in (floor, floor - error, floor + error))
+    natures = _ranked(regression.target, alone, owner) if low > 0 else ()
+    return Share(share, low, high, by, natures, *noise, _spread(best, counts, folds))
+
+
+def _columns(base: Baseline, records: list[Record], output: int) -> list[Columns]:
+    bank = bank_of(base, records, output)
+    start = records[0].t0
+    return [
+        columns_of(bank, r, y, output, (r.t0 - start) / r.dt)
+        for r, y in zip(records, base.y_model, strict=True)
+    ]
+
+
+def _spread(values: Array, counts: Sequence[NDArray[np.bool_]], folds: Folds) -> tuple[Array, ...]:
+    out, begin = [], 0
+    for c, n in zip(counts, folds.lengths, strict=True):
+        whole = np.full(n, np.nan)
+        whole[c] = values[begin : begin + int(c.sum())]
+        begin += int(c.sum())
+        out.append(whole)
+    return tuple(out)
+
+
+def _ranked(target: Array, alone: Mapping[str, Array], owner: NDArray[np.int64]) -> tuple[Evidence, ...]:
+    """Natures in the order of their claim: the simplest that is within a standard error of the best comes first."""
+    rows = {n: _interval(target, target - f, owner) for n, f in alone.items()}
+    best = max(rows, key=lambda n: rows[n][0])
+
+    def behind(nature: str) -> bool:
+        gap = _means((target - alone[nature]) ** 2 - (target - alone[best]) ** 2, owner)
+        return float(gap.mean()) > float(gap.std(ddof=1) / np.sqrt(len(gap)))
+
+    order = [n for n in ALONE if not behind(n)] + sorted(
+        (n for n in ALONE if behind(n)), key=lambda n: -rows[n][0]
+    )
+    return tuple(Evidence(n, *rows[n], _sentence(n, *rows[n])) for n in order)
+
+
+def _sentence(nature: str, share: float, low: float, high: float) -> str:
+    return (
+        f"{nature.capitalize()} alone predicts {max(share, 0.0):.0%} ({low:.0%} to {high:.0%}) of the residual's variance "
+        "on blocks that were not used."
+    )
