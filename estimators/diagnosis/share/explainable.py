@@ -160,9 +160,9 @@ def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0
         )[0]
         for v in dict.fromkeys(variables)
     }
-    noise = tuple(float(np.sqrt(max(x, 0.0))) for x in (floor, floor - error, floor + error))
+    noise, least, most = (float(np.sqrt(max(x, 0.0))) for x in (floor, floor - error, floor + error))
     natures = _ranked(regression.target, alone, owner) if low > 0 else ()
-    return Share(share, low, high, by, natures, *noise, _spread(best, counts, folds))
+    return Share(share, low, high, by, natures, noise, least, most, _spread(best, counts, folds))
 
 
 def _columns(base: Baseline, records: list[Record], output: int) -> list[Columns]:

@@ -45,16 +45,18 @@ class Bank:
     length: int  # samples of the longest record: the unit of time
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Table:
+    """Columns while they are gathered."""
+
     names: list[str] = field(default_factory=list)
     kinds: list[str] = field(default_factory=list)
     columns: list[Array] = field(default_factory=list)
 
     def add(self, variable: str, kind: str, *columns: Array) -> None:
-        self.names += [variable] * len(columns)
-        self.kinds += [kind] * len(columns)
-        self.columns += columns
+        self.names.extend([variable] * len(columns))
+        self.kinds.extend([kind] * len(columns))
+        self.columns.extend(columns)
 
 
 @dataclass(frozen=True, eq=False)
