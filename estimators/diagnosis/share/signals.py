@@ -45,7 +45,7 @@ class Bank:
     length: int  # samples of the longest record: the unit of time
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Table:
     """Columns while they are gathered."""
 
