@@ -6,6 +6,7 @@
 #   make lint      ruff, pyright, import-linter
 #   make validate  the tests that are too long for `make test`; writes validation.json
 #   make campaign, make speed, make report    the large campaign, the speed benchmarks, the HTML report again
+#   make docs      the documentation site in build/docs, warnings as errors
 #   make readme    the README's headline table and picture again, from the comparison
 #   make lock      requirements.lock again from pyproject.toml (asks the package index)
 #
@@ -46,7 +47,7 @@ PYTHON_IS = $(or $(shell $(PYTHON) -V 2>/dev/null),nothing that runs here)
 
 .DEFAULT_GOAL := help
 
-.PHONY: help readme setup compare test lint validate campaign speed report lock clean
+.PHONY: help readme setup compare test lint validate campaign speed report docs lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p;/^$$/q' $(firstword $(MAKEFILE_LIST))
