@@ -22,6 +22,7 @@ so that one number, the largest trace(X' M X) over all admissible spectra, bound
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +30,9 @@ from numpy.typing import ArrayLike, NDArray
 from oed.covariances import covariance_of, covariance_of_factor, diagonal_blocks, solved
 from oed.data import frozen
 from oed.errors import InputError
+
+if TYPE_CHECKING:
+    from oed.design.problem.families import Family
 
 __all__ = [
     "Criterion",
@@ -54,11 +58,14 @@ class Criterion:
         (n, s), or (K, n, s) for G and W.
     name : str
         What it is called in tables.
+    family : Family, optional
+        G: V is a sample of it, which bounds the loss from below; the loss is the maximum over all of it.
     """
 
     kind: str
     V: NDArray[np.float64]
     name: str = ""
+    family: Family | None = None
 
     def __post_init__(self) -> None:
         V = np.array(self.V, dtype=float)
@@ -97,6 +104,8 @@ class Criterion:
             The loss. Where M is singular it is finite if the combinations lie in the range of M (to 1e-6
             of their length after scaling the parameters to equal information).
         """
+        if self.family is not None:
+            return self.family.worst(np.asarray(information, dtype=float))
         covariance = covariance_of(np.asarray(information, dtype=float), self.columns)
         return self._of_covariance(covariance) if covariance is not None else np.inf
 
@@ -113,6 +122,8 @@ class Criterion:
         float
             The loss.
         """
+        if self.family is not None:
+            return self.family.worst(factor @ factor.T)
         covariance = covariance_of_factor(factor, self.columns)
         return self._of_covariance(covariance) if covariance is not None else np.inf
 
@@ -213,7 +224,7 @@ class Criterion:
         Returns
         -------
         criterion : Criterion
-            For the information R^-T M R^-1.
+            For the information R^-T M R^-1; of a family the sample only.
         factor : float
             loss = factor * transformed loss.
         """
@@ -279,11 +290,16 @@ def a_criterion(n: int, weight: ArrayLike | None = None, *, name: str = "") -> C
     W = np.asarray(weight, dtype=float)
     if W.shape != (n, n) or not np.allclose(W, W.T, rtol=1e-10, atol=1e-12 * np.abs(W).max()):
         raise InputError(f"the weight W has the shape {W.shape}; it must be a symmetric {n} x {n} matrix.")
-    values, vectors = np.linalg.eigh(W)
+    # In units of its own diagonal, so that small entries keep their digits beside large ones.
+    scale = np.sqrt(np.abs(np.diag(W)))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(W / np.outer(scale, scale))
     if values[0] < -1e-10 * abs(values[-1]):
-        raise InputError(f"the weight W has the eigenvalue {values[0]:g}; it must be positive semidefinite.")
+        raise InputError(
+            f"the weight W has the eigenvalue {np.linalg.eigvalsh(W)[0]:g}; it must be positive semidefinite."
+        )
     keep = values > 1e-14 * values[-1]
-    return Criterion("A", vectors[:, keep] * np.sqrt(values[keep]), name or "L")
+    return Criterion("A", scale[:, None] * vectors[:, keep] * np.sqrt(values[keep]), name or "L")
 
 
 def c_criterion(c: ArrayLike, *, name: str = "") -> Criterion:

@@ -98,7 +98,7 @@ def solve_design(
     if not 1e-14 < tolerance < 1:
         raise InputError(f"the tolerance is {tolerance}; a relative gap lies between 1e-14 and 1.")
     information = information_map(model)
-    wanted = criterion_of(criterion, model, information)
+    wanted = criterion_of(criterion, model, information, over_a_band=solver == "newton")
     if prior is not None:
         information = information.with_prior(prior)
     budgets = power_budgets(information, input_power, output_power, channel_power, rate_power)
@@ -108,6 +108,11 @@ def solve_design(
         # Given frequencies may miss a resonance, or part of the band: the certificate must not.
         omega = np.union1d(omega, frequency_grid(information, bands, 400))
     problem = Problem(information, wanted, budgets, omega, bands)
+    if wanted.family is not None:
+        from oed.design.solvers.worst_response import worst_response_design
+
+        design = worst_response_design(problem, wanted.family, refine=refine, tolerance=tolerance)
+        return design if refine else _beside_the_grid(design, frequency_grid(information, bands, 400))
     if wanted.kind == "K":
         if any(limit is not None for limit in (output_power, channel_power, rate_power)):
             raise InputError("modified-E knows a limit on the input power only; leave out the others.")

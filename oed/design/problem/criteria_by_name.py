@@ -11,6 +11,7 @@ I, G, I:0.1:1.0             variance of the frequency response over a band: its 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,17 +26,22 @@ from oed.criteria import (
     e_criterion,
     g_criterion,
 )
+from oed.design.problem.families import Family
+from oed.design.problem.grid import frequency_grid
 from oed.design.problem.information_maps import InformationMap
 from oed.errors import InputError, check_names
 from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant
+from oed.theory.quadrature import graded_edges, integral
 
-__all__ = ["NAMES", "criterion_of", "response_combinations", "scalar_criterion"]
+__all__ = ["NAMES", "criterion_of", "scalar_criterion"]
 
 NAMES = ("D", "A", "E", "modified-E", "Ds", "hinf", "static-gain", "gain", "pole", "damping", "I", "G")
 
 
-def criterion_of(criterion: str | Criterion, model: Any, information: InformationMap) -> Criterion:
+def criterion_of(
+    criterion: str | Criterion, model: Any, information: InformationMap, *, over_a_band: bool = False
+) -> Criterion:
     """The criterion of a name, for a model.
 
     Parameters
@@ -46,6 +52,8 @@ def criterion_of(criterion: str | Criterion, model: Any, information: Informatio
         The plant or model.
     information : InformationMap
         Its map.
+    over_a_band : bool
+        Whether the caller maximises G between the lines of its sample; others must not be given it.
 
     Returns
     -------
@@ -57,6 +65,11 @@ def criterion_of(criterion: str | Criterion, model: Any, information: Informatio
     InputError
         If the name is unknown or the criterion has another number of parameters.
     """
+    if not over_a_band and (str(criterion).split(":")[0] == "G" or getattr(criterion, "family", None)):
+        raise InputError(
+            "the criterion G over a band is available in solve_design with its own solver only; give a "
+            "g_criterion of the combinations that matter, or I, the mean over the band."
+        )
     if isinstance(criterion, Criterion):
         if criterion.n != information.n:
             raise InputError(
@@ -87,11 +100,11 @@ def criterion_of(criterion: str | Criterion, model: Any, information: Informatio
         return c_criterion(_gain_gradient(model, omega), name=criterion)
     if name in ("I", "G"):
         low, high = numbers if len(numbers) == 2 else (0.0, np.pi)
-        combinations = response_combinations(model, low, high)
+        if not 0 <= low < high <= np.pi + 1e-12:
+            raise InputError(f"the band is {low:g} to {high:g} rad/sample; it needs 0 <= low < high <= pi.")
         if name == "G":
-            return g_criterion(combinations, name=criterion)
-        rows = np.concatenate(list(combinations), axis=1) / np.sqrt(len(combinations))
-        return a_criterion(n, rows @ rows.T, name=criterion)
+            return _worst_response(model, information, (low, high), criterion)
+        return a_criterion(n, _mean_response(model, information, (low, high)), name=criterion)
     which = int(_one(numbers, criterion, f"the pole's number, such as {name}:1")) if numbers else 1
     return c_criterion(_pole_gradient(_plant(model, name), which, name), name=criterion)
 
@@ -126,28 +139,34 @@ def scalar_criterion(
     return c_criterion(c, name=name)
 
 
-def response_combinations(model: Any, low: float, high: float, points: int = 60) -> NDArray[np.float64]:
-    """V_k such that trace(V_k' M^-1 V_k) is the variance of the frequency response at line k.
-
-    Parameters
-    ----------
-    model : object
-        With `response`.
-    low, high : float
-        Band in rad/sample.
-    points : int
-        Number of lines.
-
-    Returns
-    -------
-    ndarray
-        (points, n, 2 ny nu).
-    """
-    if not 0 <= low < high <= np.pi + 1e-12:
-        raise InputError(f"the band is {low:g} to {high:g} rad/sample; it needs 0 <= low < high <= pi.")
-    dG = model.response(np.linspace(low, high, points))[1]
-    flat = dG.reshape(points, dG.shape[1], -1)
+def _responses(model: Any, omega: NDArray[np.float64]) -> NDArray[np.float64]:
+    """V (K, n, 2 ny nu) such that trace(V' M^-1 V) is the variance of the frequency response at a frequency."""
+    dG = model.response(omega)[1]
+    flat = dG.reshape(*dG.shape[:2], -1)
     return np.concatenate([flat.real, flat.imag], axis=2)
+
+
+def _mean_response(model: Any, information: InformationMap, band: tuple[float, float]) -> NDArray[np.float64]:
+    """W with trace(W M^-1) the mean variance of the frequency response over the band, to 1e-12."""
+
+    def squares(omega: NDArray) -> NDArray[np.float64]:
+        V = _responses(model, omega)
+        return V @ V.swapaxes(1, 2)
+
+    return integral(squares, graded_edges(*band, information.resonances)) / (band[1] - band[0])
+
+
+def _worst_response(
+    model: Any, information: InformationMap, band: tuple[float, float], name: str
+) -> Criterion:
+    """G over the band; its sample to begin with is spread over it as the information of white noise is."""
+    grid = frequency_grid(information, (band,), 400)
+    family = Family(lambda omega: _responses(model, omega), grid)
+    V = family.at(grid)
+    leverage = np.cumsum(np.sum(V**2 / np.maximum(np.mean(V**2, axis=(0, 2)), 1e-300)[:, None], axis=(1, 2)))
+    count = 2 * information.n + 10
+    at = np.searchsorted(leverage, (np.arange(count) + 0.5) / count * leverage[-1])
+    return replace(g_criterion(V[np.unique(np.minimum(at, len(grid) - 1))], name=name), family=family)
 
 
 def _number(text: str, criterion: str) -> float:

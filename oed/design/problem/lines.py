@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.criteria import Criterion
+from oed.design.problem.families import local_maxima, maxima_between
 from oed.design.problem.information_maps import InformationMap
 from oed.design.problem.white import white_root
 
-__all__ = ["Budget", "Columns", "Problem", "Prices", "local_maxima"]
+__all__ = ["Budget", "Columns", "Problem", "Prices"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +172,13 @@ class Problem:
         self.constant = inverse.T @ information.constant @ inverse
         self.grid = self._scaled(D)
         self.forms = self._forms(omega)
+
+    def for_criterion(self, criterion: Criterion) -> Problem:
+        """The same problem on the same grid with another criterion."""
+        other = copy(self)
+        other.original = criterion
+        other.criterion, other.scale = criterion.transformed(self.R)
+        return other
 
     def _scaled(self, D: NDArray[np.complex128]) -> NDArray[np.float64]:
         """D (K, n, r, nu) in scaled coordinates, real and imaginary parts apart: (n, 2, K, r, nu)."""
@@ -382,14 +390,7 @@ class Problem:
         # A neighbour in another band is no bracket: lines are allowed in the bands only.
         low = self.omega[np.where(self.band[left] == self.band[at], left, at)]
         high = self.omega[np.where(self.band[right] == self.band[at], right, at)]
-        steps = np.linspace(0, 1, 9)
-        for _ in range(divisions):
-            trial = low[:, None] + (high - low)[:, None] * steps
-            ratio = self.prices_at(trial.ravel(), X, nu).ratio.reshape(trial.shape)
-            best = np.argmax(ratio, axis=1)
-            rows = np.arange(len(best))
-            low, high = trial[rows, np.maximum(best - 1, 0)], trial[rows, np.minimum(best + 1, 8)]
-        omega = trial[rows, best] if len(at) else np.zeros(0)
+        omega = maxima_between(lambda w: self.prices_at(w, X, nu).ratio, low, high, divisions)
         return omega, self.prices_at(omega, X, nu)
 
 
@@ -415,20 +416,3 @@ def _price(
     worth, turned = np.linalg.eigh(inverse_root.conj().swapaxes(1, 2) @ S @ inverse_root)
     direction = np.einsum("kqr,kr->kq", inverse_root, turned[:, :, -1])
     return Prices(worth[:, -1], direction / np.linalg.norm(direction, axis=1, keepdims=True))
-
-
-def local_maxima(values: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Indices of the local maxima of values over a sorted grid, the ends included.
-
-    Parameters
-    ----------
-    values : ndarray
-        (K,).
-
-    Returns
-    -------
-    ndarray
-        Indices; of a plateau the first.
-    """
-    padded = np.concatenate([[-np.inf], values, [-np.inf]])
-    return np.flatnonzero((padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:]))

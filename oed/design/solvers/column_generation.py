@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.design.problem.lines import Columns, Prices, Problem, local_maxima
+from oed.design.problem.families import local_maxima
+from oed.design.problem.lines import Columns, Prices, Problem
 from oed.design.solvers.weights_clarabel import largest_eigenvalue
 from oed.design.solvers.weights_da import Weights, interior_point
 from oed.design.solvers.weights_e import eigenvalue_weights
@@ -188,7 +189,7 @@ def exchange(
     status, rounds = Status.MAX_ITERATIONS, 0
     # A singular optimum leaves X free in many directions: what holds it there must not be dropped.
     free = criterion.kind in ("E", "G", "W") or criterion.columns.shape[1] < criterion.n
-    keep_above = KEEP if free else 0.99
+    keep_above = KEEP if free and criterion.kind != "G" else 0.99
     # Multipliers well inside their set move little from round to round; at a vertex of it they jump.
     centred = 0.1 if free else 1e-3
     while rounds < max(max_rounds, 1):

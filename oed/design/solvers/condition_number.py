@@ -24,8 +24,8 @@ from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.design import Design
+from oed.design.problem.families import local_maxima, maxima_between
 from oed.design.problem.information_maps import InformationMap
-from oed.design.problem.lines import local_maxima
 from oed.design.solvers.weights_clarabel import linear_matrix_programme, smat, svec
 from oed.errors import NotIdentifiable, Status
 
@@ -238,12 +238,7 @@ def _bound(
         high = setting.excess(omega, Z_low, Z_high, loss)[0]
         at = local_maxima(high)
         left, right = omega[np.maximum(at - 1, 0)], omega[np.minimum(at + 1, len(omega) - 1)]
-        for _ in range(12):
-            trial = left[:, None] + (right - left)[:, None] * np.linspace(0, 1, 9)
-            value = setting.excess(trial.ravel(), Z_low, Z_high, loss)[0].reshape(trial.shape)
-            top, rows = np.argmax(value, axis=1), np.arange(len(at))
-            left, right = trial[rows, np.maximum(top - 1, 0)], trial[rows, np.minimum(top + 1, 8)]
-        found = trial[rows, top]
+        found = maxima_between(lambda w: setting.excess(w, Z_low, Z_high, loss)[0], left, right)
         inside = np.zeros(len(found), dtype=bool)
         for a, b in bands:
             inside |= (found >= a) & (found <= b)
