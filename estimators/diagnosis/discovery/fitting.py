@@ -1,0 +1,170 @@
+"""Fits of a form by simulation error: Levenberg-Marquardt with exact sensitivities, states of every record with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.discovery.form import Assembly, Form, Injection
+from estimators.diagnosis.discovery.recursion_kernels import run, run_sensitivities
+
+__all__ = ["Fitted", "Piece", "fit", "run_piece", "start_state"]
+
+Array = NDArray[Any]
+MOST = 1e4  # in standard deviations of the output: a state that gets there has exploded
+DAMPING, LOWEST, HIGHEST = 1e-2, 1e-9, 1e8  # of the Levenberg-Marquardt steps
+REST_TRUST = 1e-2  # weight of the resting state in the fit of a start, in units of the error's variance
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One record as discovery sees it, centred and scaled: d (N, 1 + 2 nu) drive, y (N, ny), weight (N, ny) 0 or 1."""
+
+    d: Array
+    y: Array
+    weight: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A fitted form: theta, the start states per record, squared error, residuals and Jacobian (both weighted)."""
+
+    form: Form
+    theta: Array
+    starts: tuple[Array, ...]
+    sse: float
+    count: int
+    outputs: tuple[Array, ...]
+
+    @property
+    def free(self) -> int:
+        """Number of parameters without the start states."""
+        return len(self.theta)
+
+    @property
+    def mse(self) -> float:
+        return self.sse / max(self.count, 1)
+
+
+def start_state(asm: Assembly, filled: tuple, chain_state: Array, d0: Array) -> tuple[Array, Array]:
+    """Whole state of a chain state (output before as now, slow states settled) and its derivative (n, chain states)."""
+    nx, ny = asm.chain_states, len(asm.form.orders)
+    n = asm.shapes[0][0]
+    x, dx = np.zeros(n), np.zeros((n, nx))
+    x[:nx] = chain_state
+    dx[:nx] = np.eye(nx)
+    for i in range(ny):
+        x[nx + i] = chain_state[asm.first[i]]
+        dx[nx + i, asm.first[i]] = 1.0
+    if asm.slow_rows:
+        mats, _, constants = filled
+        for t, row in asm.slow_rows.items():
+            s = mats[3] @ x + mats[4] @ d0
+            x[row] = _term_value(asm, t, s, constants)
+    return x, dx
+
+
+def _term_value(asm: Assembly, t: int, s: Array, constants: Array) -> float:
+    from estimators.diagnosis.discovery.recursion_kernels import factor
+
+    heads, kinds, signals = asm.table
+    value = 1.0
+    for f in range(heads[t], heads[t + 1]):
+        value *= factor(kinds[f], s[signals[f]], constants[2 * f], constants[2 * f + 1])[0]
+    return value
+
+
+def run_piece(asm: Assembly, theta: Array, state: Array, d: Array) -> tuple[Array, Array, Array, bool]:
+    """Outputs, signals, states and whether they stayed finite, from a chain state."""
+    filled = asm.fill(theta)
+    x, _ = start_state(asm, filled, state, d[0])
+    return run(*filled[0], *asm.table, asm.places, filled[2], x, d, MOST)
+
+
+def _sensitivities(asm: Assembly, theta: Array, state: Array, d: Array) -> tuple[Array, Array, bool]:
+    filled = asm.fill(theta)
+    x, dx = start_state(asm, filled, state, d[0])
+    start = np.zeros((len(x), len(theta) + dx.shape[1]))
+    start[:, len(theta) :] = dx
+    return run_sensitivities(
+        *filled[0], *asm.table, asm.places, filled[2], x, start, d, asm.entries, filled[1], asm.slots, MOST
+    )
+
+
+def normal_equations(
+    asm: Assembly, theta: Array, states: Sequence[Array], pieces: Sequence[Piece]
+) -> tuple[Array, Array, float] | None:
+    """J'J, J'e and e'e over all records (parameters, then the start of each), None where the run explodes."""
+    p, nx = len(theta), asm.chain_states
+    size = p + nx * len(pieces)
+    H, g, sse = np.zeros((size, size)), np.zeros(size), 0.0
+    for r, (piece, state) in enumerate(zip(pieces, states)):
+        y, dy, fine = _sensitivities(asm, theta, state, piece.d)
+        if not fine:
+            return None
+        e = ((piece.y - y) * piece.weight).ravel()
+        J = (dy * piece.weight[:, :, None]).reshape(len(e), -1)
+        where = np.concatenate([np.arange(p), p + nx * r + np.arange(nx)])
+        H[np.ix_(where, where)] += J.T @ J
+        g[where] += J.T @ e
+        sse += float(e @ e)
+    return (H, g, sse) if np.isfinite(sse) and np.isfinite(H).all() else None
+
+
+def fit(
+    form: Form,
+    theta: Array,
+    states: Sequence[Array],
+    pieces: Sequence[Piece],
+    *,
+    iterations: int = 20,
+    injection: Injection | None = None,
+    tolerance: float = 1e-4,
+    held: Array | None = None,
+) -> Fitted | None:
+    """Least simulation error from theta and start states on; None where already the start explodes.
+
+    `held` marks parameters that stay. With an injection, measured outputs steer the states.
+    """
+    asm = Assembly(form, injection)
+    if injection is not None:
+        pieces = [Piece(np.hstack([q.d, q.y]), q.y, q.weight) for q in pieces]
+    p, nx = len(theta), asm.chain_states
+    point = np.concatenate([theta, *states]) if len(states) else theta.copy()
+    split = lambda v: (v[:p], [v[p + nx * r : p + nx * (r + 1)] for r in range(len(pieces))])
+    move = np.ones(len(point), bool)
+    if held is not None:
+        move[:p] = ~held
+    here = normal_equations(asm, *split(point), pieces)
+    if here is None:
+        return None
+    damping = DAMPING
+    for _ in range(iterations):
+        H, g, sse = here
+        H, g = H[np.ix_(move, move)], g[move]
+        scale = np.sqrt(np.maximum(np.diag(H), 1e-12 * np.diag(H).max(initial=1e-300)))
+        Hs, gs = H / np.outer(scale, scale), g / scale
+        better = None
+        while damping < HIGHEST:
+            step = np.linalg.lstsq(Hs + damping * np.eye(len(Hs)), gs, rcond=None)[0] / scale
+            trial = point.copy()
+            trial[move] += step
+            there = normal_equations(asm, *split(trial), pieces)
+            if there is not None and there[2] < sse:
+                better = there
+                break
+            damping *= 6.0
+        if better is None:
+            break
+        damping = max(damping / 8.0, LOWEST)
+        point, here = trial, better
+        if sse - better[2] < tolerance * sse:
+            break
+    theta, states = split(point)
+    outputs = tuple(run_piece(asm, theta, s, q.d)[0] for s, q in zip(states, pieces))
+    count = int(sum(q.weight.sum() for q in pieces))
+    return Fitted(form, theta, tuple(states), here[2], count, outputs)
