@@ -13,7 +13,7 @@ import numpy as np
 
 from estimators.effects.recursion_kernels import compiled
 
-__all__ = ["factor", "run", "run_sensitivities"]
+__all__ = ["factor", "factor_values", "run", "run_sensitivities", "terms"]
 
 
 @compiled
@@ -207,3 +207,12 @@ def run_sensitivities(
             if not abs(x[i]) < most:
                 return y, dy, False
     return y, dy, True
+
+
+@compiled
+def factor_values(kind, s, p, q):  # pragma: no cover - compiled
+    """`factor` at every sample of s (N,)."""
+    out = np.empty_like(s)
+    for k in range(s.shape[0]):
+        out[k] = factor(kind, s[k], p, q)[0]
+    return out

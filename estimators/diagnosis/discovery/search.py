@@ -1,0 +1,103 @@
+"""Greedy search: from linear fits of several orders, the candidates with the best score are fitted, the best kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit
+from estimators.diagnosis.discovery.form import FREE, Form
+from estimators.diagnosis.discovery.screening import Screened, screen, terms_of
+from estimators.diagnosis.discovery.starts import Scales, linear_fit
+
+__all__ = ["Budget", "criterion", "grown", "search"]
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much is tried: the work is proportional to orders x width x terms.
+
+    `width` candidates are fitted per model and level, `beam` models go on, up to `terms` terms; `rounds` of each fit.
+    """
+
+    orders: tuple[int, ...] = (1, 2, 3, 4)
+    width: int = 8
+    beam: int = 3
+    terms: int = 4
+    rounds: int = 12
+
+
+def criterion(f: Fitted) -> float:
+    """Bayes's criterion with the errors taken for white: for ranking, not for claims."""
+    return f.count * math.log(max(f.mse, 1e-300)) + f.free * math.log(f.count)
+
+
+def _ranked(fitted: Fitted, pieces: Sequence[Piece], zeros: dict[str, float], width: int) -> list[Screened]:
+    """The best `width` candidates by either way of taking the arguments; of one function and slot only the best shape."""
+    found = screen(fitted, pieces, zeros, False) + screen(fitted, pieces, zeros, True)
+    n = fitted.count
+
+    def merit(s: Screened) -> float:
+        left = max(1 - s.gain / fitted.sse, 1e-6)
+        taps = len(s.coefficients) + sum(sum(f.free) for t in s.candidate.terms for f in t.factors)
+        return n * math.log(left) + (taps + len(s.candidate.terms) - 1) * math.log(n)
+
+    out, seen = [], set()
+    for s in sorted(found, key=merit):
+        key = (s.candidate.key, s.slot, s.chain, s.along == FREE)
+        if key in seen:
+            continue
+        seen.add(key)
+        out.append(s)
+        if len(out) == width:
+            break
+    return out
+
+
+def grown(fitted: Fitted, s: Screened, pieces: Sequence[Piece], rounds: int) -> Fitted | None:
+    """The model with a candidate added, fitted by simulation error; smaller first steps where the full one explodes."""
+    terms, theta = terms_of(s, fitted)
+    form = fitted.form.with_terms(*fitted.form.terms, *terms)
+    taps = form.taps(terms[-1])
+    for share in (1.0, 0.3, 0.0):
+        start = theta.copy()
+        first = len(start) - form.size(terms[-1])
+        start[first : first + taps] *= share
+        f = fit(form, np.concatenate([fitted.theta, start]), fitted.starts, pieces, iterations=rounds)
+        if f is not None and f.sse < fitted.sse * (1 + 1e-9):
+            return f
+    return None
+
+
+def search(
+    pieces: Sequence[Piece], scales: Scales, outputs: Sequence[Array], zeros: dict[str, float], budget: Budget,
+    feedthrough: bool,
+) -> list[Fitted]:  # fmt: skip
+    """All models fitted on the way, the best by the criterion first; linear ones among them."""
+    ny = pieces[0].y.shape[1]
+    fits = [linear_fit((n,) * ny, pieces, scales, outputs, feedthrough=feedthrough) for n in budget.orders]
+    beam = [f for f in fits if f is not None]
+    every = list(beam)
+    for _ in range(budget.terms):
+        new = []
+        for f in beam:
+            for s in _ranked(f, pieces, zeros, budget.width):
+                g = grown(f, s, pieces, budget.rounds)
+                if g is not None:
+                    new.append(g)
+        if not new:
+            break
+        every += new
+        new.sort(key=criterion)
+        best = criterion(beam[0]) if _ else math.inf
+        beam = new[: budget.beam]
+        if criterion(beam[0]) > best:
+            break
+    return sorted(every, key=criterion)
