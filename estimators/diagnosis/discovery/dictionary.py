@@ -21,9 +21,24 @@ Array = NDArray[Any]
 class Kind:
     """Numbers of the factors in `recursion_kernels.factor`."""
 
-    LINEAR, SQUARE, CUBE, ABS, SIGN, TANH, HINGE, SIGNED_SQUARE, SIN, COS, EXP, ROOT, LOG, INVERSE, SIGNED_ROOT, BELL = (
-        range(16)
-    )
+    (
+        LINEAR,
+        SQUARE,
+        CUBE,
+        ABS,
+        SIGN,
+        TANH,
+        HINGE,
+        SIGNED_SQUARE,
+        SIN,
+        COS,
+        EXP,
+        ROOT,
+        LOG,
+        INVERSE,
+        SIGNED_ROOT,
+        BELL,
+    ) = range(16)
 
 
 SHARP = 0.03  # width of a softened sign, in standard deviations of its signal
@@ -68,7 +83,9 @@ def _functions(name: str, x: Array, zero: float, rest: float) -> list[Factor]:
         out += [Factor(Kind.SIGNED_SQUARE, name, c), Factor(Kind.SIGNED_ROOT, name, c)]
         out += [Factor(Kind.CUBE, name, c)] if abs(c - mid) > 0.1 * spread else []
         out += [Factor(Kind.BELL, name, c, w * spread, (False, True)) for w in (0.15, 0.5, 1.0)]
-    out += [Factor(Kind.TANH, name, c, w * spread, (False, True)) for c in {mid, *centres} for w in (0.4, 1.2)]
+    out += [
+        Factor(Kind.TANH, name, c, w * spread, (False, True)) for c in {mid, *centres} for w in (0.4, 1.2)
+    ]
     out += [Factor(Kind.HINGE, name, float(np.quantile(x, a)), 1.0, (True, False)) for a in QUANTILES]
     out += [Factor(Kind.EXP, name, mid, s * w * spread, (False, True)) for s in (-1, 1) for w in (0.7, 2.0)]
     floor = min(zero, low - BELOW * span) if zero < low + 0.02 * span else low - BELOW * span
@@ -77,7 +94,10 @@ def _functions(name: str, x: Array, zero: float, rest: float) -> list[Factor]:
         out += [Factor(k, name, zero - 1e-6, 1.0) for k in (Kind.ROOT, Kind.LOG, Kind.INVERSE)]
     if name[0] == "y":
         for k in (Kind.SIN, Kind.COS):
-            out += [Factor(k, name, zero if low < zero < high else mid, w / spread, (False, True)) for w in PERIODS]
+            out += [
+                Factor(k, name, zero if low < zero < high else mid, w / spread, (False, True))
+                for w in PERIODS
+            ]
     return out
 
 
@@ -99,7 +119,9 @@ def candidates(
         for b in range(a + 1, len(names)):
             out.append(Candidate((Term((centred(names[a]), centred(names[b]))),)))
     magnitude = lambda name: Factor(Kind.ABS, name, zeros.get(name, 0.0))
-    sign = lambda name: Factor(Kind.SIGN, name, zeros.get(name, 0.0), SHARP * max(float(signals[name].std()), 1e-9))
+    sign = lambda name: Factor(
+        Kind.SIGN, name, zeros.get(name, 0.0), SHARP * max(float(signals[name].std()), 1e-9)
+    )
     square = lambda name: Factor(Kind.SQUARE, name, float(signals[name].mean()))
     for a in names:
         for b in names:
@@ -107,7 +129,7 @@ def candidates(
                 out += [Candidate((Term((f(a), centred(b))),)) for f in (magnitude, square)]
                 out += [Candidate((Term((sign(a), centred(b))),))] if a[0] in "vu" else []
                 out += [Candidate((Term((sign(a), square(b))),))] if a[0] == "v" and a[1:] != b[1:] else []
-    for i, name in enumerate(y):
+    for _i, name in enumerate(y):
         low, zero = float(signals[name].min()), zeros.get(name, 0.0)
         if zero < low:
             root = Factor(Kind.ROOT, name, zero)
@@ -127,7 +149,10 @@ def _slow(names, signals, zeros, samples, y, u, v) -> list[Candidate]:
         for d in drivers:
             first = Term((d,), "slow", rate=rate)
             state = Factor(Kind.LINEAR, "s", float(values(first, signals).mean()))
-            out += [Candidate((first, Term((state, Factor(Kind.LINEAR, b, float(signals[b].mean())))))) for b in [*u, *y]]
+            out += [
+                Candidate((first, Term((state, Factor(Kind.LINEAR, b, float(signals[b].mean()))))))
+                for b in [*u, *y]
+            ]
             if d.kind != Kind.LINEAR:
                 out.append(Candidate((first, Term((state,)))))
     return out

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.discovery.form import Assembly, Form, Injection
-from estimators.diagnosis.discovery.recursion_kernels import run, run_sensitivities
+from estimators.diagnosis.discovery.form import Assembly, Filled, Form, Injection, Run
 
-__all__ = ["Fitted", "Piece", "fit", "run_piece", "start_state"]
+__all__ = ["Fitted", "Piece", "fit", "run_piece", "sensitivities", "start_state"]
 
 Array = NDArray[Any]
-MOST = 1e4  # in standard deviations of the output: a state that gets there has exploded
 DAMPING, LOWEST, HIGHEST = 1e-2, 1e-9, 1e8  # of the Levenberg-Marquardt steps
 REST_TRUST = 1e-2  # weight of the resting state in the fit of a start, in units of the error's variance
 
@@ -50,7 +48,7 @@ class Fitted:
         return self.sse / max(self.count, 1)
 
 
-def start_state(asm: Assembly, filled: tuple, chain_state: Array, d0: Array) -> tuple[Array, Array]:
+def start_state(asm: Assembly, filled: Filled, chain_state: Array, d0: Array) -> tuple[Array, Array]:
     """Whole state of a chain state (output before as now, slow states settled) and its derivative (n, chain states)."""
     nx, ny = asm.chain_states, len(asm.form.orders)
     n = asm.shapes[0][0]
@@ -60,39 +58,24 @@ def start_state(asm: Assembly, filled: tuple, chain_state: Array, d0: Array) -> 
     for i in range(ny):
         x[nx + i] = chain_state[asm.first[i]]
         dx[nx + i, asm.first[i]] = 1.0
-    if asm.slow_rows:
-        mats, _, constants = filled
-        for t, row in asm.slow_rows.items():
-            s = mats[3] @ x + mats[4] @ d0
-            x[row] = _term_value(asm, t, s, constants)
+    for t, row in asm.slow_rows.items():  # a slow state reads none but those before it
+        x[row] = filled.terms(x, d0)[t]
     return x, dx
 
 
-def _term_value(asm: Assembly, t: int, s: Array, constants: Array) -> float:
-    from estimators.diagnosis.discovery.recursion_kernels import factor
-
-    heads, kinds, signals = asm.table
-    value = 1.0
-    for f in range(heads[t], heads[t + 1]):
-        value *= factor(kinds[f], s[signals[f]], constants[2 * f], constants[2 * f + 1])[0]
-    return value
-
-
-def run_piece(asm: Assembly, theta: Array, state: Array, d: Array) -> tuple[Array, Array, Array, bool]:
-    """Outputs, signals, states and whether they stayed finite, from a chain state."""
+def run_piece(asm: Assembly, theta: Array, state: Array, d: Array) -> Run:
+    """From a chain state."""
     filled = asm.fill(theta)
-    x, _ = start_state(asm, filled, state, d[0])
-    return run(*filled[0], *asm.table, asm.places, filled[2], x, d, MOST)
+    return filled.run(start_state(asm, filled, state, d[0])[0], d)
 
 
-def _sensitivities(asm: Assembly, theta: Array, state: Array, d: Array) -> tuple[Array, Array, bool]:
+def sensitivities(asm: Assembly, theta: Array, state: Array, d: Array) -> Run:
+    """`run_piece` with the derivatives (N, ny, P + chain states) of the outputs."""
     filled = asm.fill(theta)
     x, dx = start_state(asm, filled, state, d[0])
     start = np.zeros((len(x), len(theta) + dx.shape[1]))
     start[:, len(theta) :] = dx
-    return run_sensitivities(
-        *filled[0], *asm.table, asm.places, filled[2], x, start, d, asm.entries, filled[1], asm.slots, MOST
-    )
+    return filled.sensitivities(x, start, d)
 
 
 def normal_equations(
@@ -103,11 +86,11 @@ def normal_equations(
     size = p + nx * len(pieces)
     H, g, sse = np.zeros((size, size)), np.zeros(size), 0.0
     for r, (piece, state) in enumerate(zip(pieces, states)):
-        y, dy, fine = _sensitivities(asm, theta, state, piece.d)
-        if not fine:
+        got = sensitivities(asm, theta, state, piece.d)
+        if not got.fine:
             return None
-        e = ((piece.y - y) * piece.weight).ravel()
-        J = (dy * piece.weight[:, :, None]).reshape(len(e), -1)
+        e = ((piece.y - got.y) * piece.weight).ravel()
+        J = (got.dy * piece.weight[:, :, None]).reshape(len(e), -1)
         where = np.concatenate([np.arange(p), p + nx * r + np.arange(nx)])
         H[np.ix_(where, where)] += J.T @ J
         g[where] += J.T @ e
@@ -125,10 +108,12 @@ def fit(
     injection: Injection | None = None,
     tolerance: float = 1e-4,
     held: Array | None = None,
+    anchor: float = 0.0,
 ) -> Fitted | None:
     """Least simulation error from theta and start states on; None where already the start explodes.
 
-    `held` marks parameters that stay. With an injection, measured outputs steer the states.
+    `held` marks parameters that stay; `anchor` is the weight that holds the start states where they were. With an
+    injection, measured outputs steer the states.
     """
     asm = Assembly(form, injection)
     if injection is not None:
@@ -139,7 +124,18 @@ def fit(
     move = np.ones(len(point), bool)
     if held is not None:
         move[:p] = ~held
-    here = normal_equations(asm, *split(point), pieces)
+    first = point.copy()
+
+    def equations(at: Array) -> tuple[Array, Array, float] | None:
+        found = normal_equations(asm, *split(at), pieces)
+        if found is None or not anchor:
+            return found
+        H, g, sse = found
+        off = np.where(np.arange(len(at)) >= p, first - at, 0.0)
+        H[range(p, len(at)), range(p, len(at))] += anchor
+        return H, g + anchor * off, sse + anchor * float(off @ off)
+
+    here = equations(point)
     if here is None:
         return None
     damping = DAMPING
@@ -153,7 +149,7 @@ def fit(
             step = np.linalg.lstsq(Hs + damping * np.eye(len(Hs)), gs, rcond=None)[0] / scale
             trial = point.copy()
             trial[move] += step
-            there = normal_equations(asm, *split(trial), pieces)
+            there = equations(trial)
             if there is not None and there[2] < sse:
                 better = there
                 break
@@ -165,6 +161,6 @@ def fit(
         if sse - better[2] < tolerance * sse:
             break
     theta, states = split(point)
-    outputs = tuple(run_piece(asm, theta, s, q.d)[0] for s, q in zip(states, pieces))
+    outputs = tuple(run_piece(asm, theta, s, q.d).y for s, q in zip(states, pieces))
     count = int(sum(q.weight.sum() for q in pieces))
     return Fitted(form, theta, tuple(states), here[2], count, outputs)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Assembly", "Factor", "Form", "Injection", "Term"]
+from estimators.diagnosis.discovery.recursion_kernels import evaluate, recursion
+
+__all__ = ["Assembly", "Factor", "Filled", "Form", "Injection", "Run", "Term"]
 
 Array = NDArray[Any]
+MOST = 1e4  # in standard deviations of the output: a state that gets there has exploded
+NOTHING = np.zeros((0, 4), np.int64), np.zeros(0), np.zeros((0, 3), np.int64)  # moves
 FREE, LAST = -1, -2  # how a force enters: with taps of its own, or in the highest derivative alone
 
 
@@ -108,10 +112,16 @@ class Assembly:
         self.first = np.concatenate([[0], np.cumsum(form.orders)])
         self.chain_states = nx = int(self.first[-1])
         slow = [i for i, t in enumerate(form.terms) if t.slot == "slow"]
-        self.signals = [f"y{i}" for i in range(ny)] + [f"v{i}" for i in range(ny)] + [f"u{j}" for j in range(nu)]
-        self.signals += [f"du{j}" for j in range(nu)] + [f"s{m}" for m in range(len(slow))] + ["z"] * form.inner
+        self.signals = (
+            [f"y{i}" for i in range(ny)] + [f"v{i}" for i in range(ny)] + [f"u{j}" for j in range(nu)]
+        )
+        self.signals += (
+            [f"du{j}" for j in range(nu)] + [f"s{m}" for m in range(len(slow))] + ["z"] * form.inner
+        )
         n, ns, nt = nx + ny + len(slow), len(self.signals), len(form.terms)
-        nd = 1 + 2 * nu + (ny if injection is not None else 0)  # constant, inputs, their changes, measured outputs
+        nd = (
+            1 + 2 * nu + (ny if injection is not None else 0)
+        )  # constant, inputs, their changes, measured outputs
         self.shapes = [(n, n), (n, nd), (n, nt), (ns, n), (ns, nd), (ny, n), (ny, nd), (ny, nt)]
         self.base = [np.zeros(s) for s in self.shapes]
         self._linear: list[tuple[int, int, int, int, float]] = []  # parameter, matrix, row, column, factor
@@ -157,7 +167,9 @@ class Assembly:
                 A[f : f + n, f] -= gains
                 B[f : f + n, 1 + 2 * nu + i] += gains
                 if feed is not None:
-                    self._linear += [(int(feed[j]), 1, f + m, 1 + j, -gains[m]) for j in range(nu) for m in range(n)]
+                    self._linear += [
+                        (int(feed[j]), 1, f + m, 1 + j, -gains[m]) for j in range(nu) for m in range(n)
+                    ]
         if self.form.inner:
             z = len(self.signals) - 1
             self._linear += [(at + m, 3, z, m, 1.0) for m in range(self.form.orders[0])]
@@ -171,7 +183,7 @@ class Assembly:
             S[i, f] = 1.0
             S[ny + i, f], S[ny + i, nx + i] = 1 / step, -1 / step
             feed = self.feeds[i]
-            for j in range(nu) if feed is not None else ():
+            for j in range(nu if feed is not None else 0):
                 self._linear += [(int(feed[j]), 4, i, 1 + j, 1.0), (int(feed[j]), 4, ny + i, 1 + j, 1 / step)]
         for j in range(nu):
             T[2 * ny + j, 1 + j] = 1.0
@@ -199,7 +211,6 @@ class Assembly:
                 self.base[0][row, row] = 1.0
                 self._linear += [(at, 0, row, row, -term.rate), (at, 2, row, t, term.rate)]
         self.table = tuple(np.array(x, dtype=np.int64) for x in (heads, kinds, signals))
-        self.places = 2 * np.arange(len(kinds), dtype=np.int64)
         self.slots = np.array(slots, dtype=np.int64).reshape(-1, 3)
 
     def _coefficients(self, t: int, term: Term, at: int) -> None:
@@ -212,7 +223,9 @@ class Assembly:
         elif term.slot == "force" and term.along == LAST:
             self._linear.append((at, 2, f + n - 1, t, pace))
         elif term.slot == "force":
-            self._products += [(at, int(b), 2, f + m, t, pace) for m, b in enumerate(self.betas[i][term.along])]
+            self._products += [
+                (at, int(b), 2, f + m, t, pace) for m, b in enumerate(self.betas[i][term.along])
+            ]
             feed = self.feeds[i]
             if feed is not None:
                 self._products.append((at, int(feed[term.along]), 7, i, t, 1.0))
@@ -222,7 +235,11 @@ class Assembly:
         self.sizes = np.array([a * b for a, b in self.shapes])
         start = np.concatenate([[0], np.cumsum(self.sizes)])
         flat = lambda m, i, j: int(start[m]) + i * self.shapes[m][1] + j
-        self._l = (np.array([e[0] for e in lin]), np.array([flat(*e[1:4]) for e in lin]), np.array([e[4] for e in lin]))
+        self._l = (
+            np.array([e[0] for e in lin]),
+            np.array([flat(*e[1:4]) for e in lin]),
+            np.array([e[4] for e in lin]),
+        )
         self._p1 = np.array([e[0] for e in pro], dtype=int)
         self._p2 = np.array([e[1] for e in pro], dtype=int)
         self._pflat = np.array([flat(*e[2:5]) for e in pro], dtype=int)
@@ -231,15 +248,52 @@ class Assembly:
         self.entries = np.array(rows, dtype=np.int64).reshape(-1, 4)
         self._flat = np.concatenate([b.ravel() for b in self.base])
 
-    def fill(self, theta: Array) -> tuple[list[Array], Array, Array]:
-        """Matrices A to G, the derivatives of their elements in the order of `entries`, the factors' constants."""
+    def fill(self, theta: Array) -> Filled:
+        """The matrices and constants at theta, and the derivatives of their elements."""
         flat = self._flat.copy()
         np.add.at(flat, self._l[1], self._l[2] * theta[self._l[0]])
         a, b = theta[self._p1], theta[self._p2]
         np.add.at(flat, self._pflat, self._pc * a * b)
         parts = np.split(flat, np.cumsum(self.sizes)[:-1])
-        matrices = [p.reshape(s) for p, s in zip(parts, self.shapes)]
+        matrices = tuple(p.reshape(s) for p, s in zip(parts, self.shapes))
         constants = np.array([*self._constants, 0.0, 1.0])
         for p, f, which in self.slots:
             constants[2 * f + which] = theta[p]
-        return matrices, np.concatenate([self._l[2], self._pc * b, self._pc * a]), constants
+        values = np.concatenate([self._l[2], self._pc * b, self._pc * a])
+        return Filled(matrices, (*self.table, constants), (self.entries, values, self.slots))
+
+
+class Filled(NamedTuple):
+    """What `recursion_kernels.recursion` takes: matrices A to G, the table of the terms, what the parameters move."""
+
+    mats: tuple[Array, ...]
+    table: tuple[Array, ...]
+    moving: tuple[Array, Array, Array]
+
+    def run(self, x0: Array, d: Array) -> Run:
+        """From a whole state."""
+        return self.moved(x0, np.zeros((len(x0), 0)), d, *NOTHING)
+
+    def sensitivities(self, x0: Array, dx0: Array, d: Array) -> Run:
+        """With the derivatives by all parameters, of which dx0 holds those of the start."""
+        return self.moved(x0, dx0, d, *self.moving)
+
+    def moved(self, x0: Array, dx0: Array, d: Array, entries: Array, values: Array, slots: Array) -> Run:
+        """With the derivatives by what is said to move."""
+        return Run(*recursion(self.mats, self.table, x0, dx0, d, (entries, values, slots), MOST))
+
+    def terms(self, x: Array, d0: Array) -> Array:
+        """Values of the terms at a whole state."""
+        w, ws = np.zeros(len(self.table[0]) - 1), np.zeros(len(self.table[1]))
+        evaluate(self.mats[3] @ x + self.mats[4] @ d0, self.table, w, ws, np.zeros((len(ws), 2)))
+        return w
+
+
+class Run(NamedTuple):
+    """Outputs (N, ny), derivatives (N, ny, P), signals (N, ns), states (N, n), whether they stayed finite."""
+
+    y: Array
+    dy: Array
+    signals: Array
+    states: Array
+    fine: bool

@@ -13,7 +13,7 @@ import numpy as np
 
 from estimators.effects.recursion_kernels import compiled
 
-__all__ = ["factor", "factor_values", "run", "run_sensitivities", "terms"]
+__all__ = ["evaluate", "factor", "factor_values", "recursion"]
 
 
 @compiled
@@ -73,140 +73,140 @@ def factor(kind, s, p, q):  # pragma: no cover - compiled
 
 
 @compiled
-def terms(s, heads, kinds, signals, places, q, w, ws, wq):  # pragma: no cover - compiled
+def evaluate(s, table, w, ws, wq):  # pragma: no cover - compiled
     """Values w of all terms at the signals s, derivatives ws by each factor's signal and wq by its two constants."""
+    heads, kinds, signals, q = table
     for t in range(heads.shape[0] - 1):
-        first = heads[t]
-        last = heads[t + 1]
-        total = 1.0
-        for f in range(first, last):
-            v, g, gp, gq = factor(kinds[f], s[signals[f]], q[places[f]], q[places[f] + 1])
-            ws[f] = g
-            wq[f, 0] = gp
-            wq[f, 1] = gq
-            for other in range(first, last):
-                if other != f:
-                    o = factor(kinds[other], s[signals[other]], q[places[other]], q[places[other] + 1])[0]
-                    ws[f] *= o
-                    wq[f, 0] *= o
-                    wq[f, 1] *= o
-            total *= v
-        w[t] = total
+        w[t] = 1.0
+        for f in range(heads[t], heads[t + 1]):
+            v, ws[f], wq[f, 0], wq[f, 1] = factor(kinds[f], s[signals[f]], q[2 * f], q[2 * f + 1])
+            for other in range(heads[t], f):
+                ws[other] *= v
+                wq[other, 0] *= v
+                wq[other, 1] *= v
+            ws[f] *= w[t]
+            wq[f, 0] *= w[t]
+            wq[f, 1] *= w[t]
+            w[t] *= v
 
 
 @compiled
-def run(A, B, E, S, T, C, D, G, heads, kinds, signals, places, q, x0, d, most):  # pragma: no cover - compiled
-    """Outputs (N, ny), signals (N, ns), states (N, n) and whether the states stayed below `most`."""
-    count, n, ny, ns, nt, nf = d.shape[0], A.shape[0], C.shape[0], S.shape[0], heads.shape[0] - 1, kinds.shape[0]
-    y, out, states = np.zeros((count, ny)), np.zeros((count, ns)), np.zeros((count, n))
-    x, w, ws, wq = x0.copy(), np.zeros(nt), np.zeros(nf), np.zeros((nf, 2))
-    for k in range(count):
-        states[k] = x
-        out[k] = S @ x + T @ d[k]
-        terms(out[k], heads, kinds, signals, places, q, w, ws, wq)
-        y[k] = C @ x + D @ d[k] + G @ w
-        x = A @ x + B @ d[k] + E @ w
-        for i in range(n):
-            if not abs(x[i]) < most:
-                return y, out, states, False
-    return y, out, states, True
+def recursion(mats, table, x0, dx0, d, moving, most):  # pragma: no cover - compiled
+    """Outputs (N, ny), their derivatives (N, ny, P), signals (N, ns), states (N, n), whether these stayed below `most`.
 
-
-@compiled
-def run_sensitivities(
-    A, B, E, S, T, C, D, G, heads, kinds, signals, places, q, x0, dx0, d, entries, values, slots, most
-):  # pragma: no cover - compiled
-    """`run` with the derivatives (N, ny, P) of the outputs.
-
-    dx0 is (n, P). entries holds rows (parameter, matrix, row, column), matrix 0 to 7 for A, B, E, S, T, C, D, G, with
-    values the derivative of that element; slots holds rows (parameter, factor, which of its two constants).
+    mats holds A to G, table the heads of the terms and the kinds, signals and constants (2 each) of the factors, dx0 is
+    (n, P). moving holds what the parameters move: entries, rows (parameter, matrix, row, column), matrix 0 to 7 for A, B,
+    E, S, T, C, D, G; values, the derivative of each such element; slots, rows (parameter, factor, which constant).
     """
-    count, n, ny, ns, nt, nf = d.shape[0], A.shape[0], C.shape[0], S.shape[0], heads.shape[0] - 1, kinds.shape[0]
-    many = dx0.shape[1]
-    y, dy = np.zeros((count, ny)), np.zeros((count, ny, many))
-    x, dx, new = x0.copy(), dx0.copy(), np.zeros((n, many))
-    w, ws, wq, s = np.zeros(nt), np.zeros(nf), np.zeros((nf, 2)), np.zeros(ns)
+    A, B, E, S, T, C, D, G = mats
+    heads, kinds, signals, _ = table
+    entries, values, slots = moving
+    count, n, ny, ns, nt, nf = (
+        d.shape[0],
+        A.shape[0],
+        C.shape[0],
+        S.shape[0],
+        heads.shape[0] - 1,
+        kinds.shape[0],
+    )
+    nd, many = d.shape[1], dx0.shape[1]
+    y, dy, kept, states = (
+        np.zeros((count, ny)),
+        np.zeros((count, ny, many)),
+        np.zeros((count, ns)),
+        np.zeros((count, n)),
+    )
+    x, ahead, dx, new = x0.copy(), np.zeros(n), dx0.copy(), np.zeros((n, many))
+    w, ws, wq = np.zeros(nt), np.zeros(nf), np.zeros((nf, 2))
     owner = np.zeros(nf, np.int64)
     for t in range(nt):
         for f in range(heads[t], heads[t + 1]):
             owner[f] = t
     AE, CE = np.zeros((n, n)), np.zeros((ny, n))
     for k in range(count):
-        for i in range(ns):
-            s[i] = 0.0
-            for j in range(n):
+        s = kept[k]
+        for j in range(n):
+            states[k, j] = x[j]
+            for i in range(ns):
                 s[i] += S[i, j] * x[j]
-            for j in range(d.shape[1]):
+        for j in range(nd):
+            for i in range(ns):
                 s[i] += T[i, j] * d[k, j]
-        terms(s, heads, kinds, signals, places, q, w, ws, wq)
-        AE[:] = A
-        CE[:] = C
-        for f in range(nf):
-            t = owner[f]
+        evaluate(s, table, w, ws, wq)
+        if many > 0:
+            AE[:] = A
+            CE[:] = C
+            for f in range(nf):
+                t = owner[f]
+                for j in range(n):
+                    g = ws[f] * S[signals[f], j]
+                    if g != 0.0:
+                        for i in range(n):
+                            AE[i, j] += E[i, t] * g
+                        for i in range(ny):
+                            CE[i, j] += G[i, t] * g
+            new[:] = 0.0
             for j in range(n):
-                g = ws[f] * S[signals[f], j]
-                if g != 0.0:
-                    for i in range(n):
-                        AE[i, j] += E[i, t] * g
-                    for i in range(ny):
-                        CE[i, j] += G[i, t] * g
-        new[:] = 0.0
+                for i in range(n):
+                    a = AE[i, j]
+                    if a != 0.0:
+                        for p in range(many):
+                            new[i, p] += a * dx[j, p]
+                for i in range(ny):
+                    a = CE[i, j]
+                    if a != 0.0:
+                        for p in range(many):
+                            dy[k, i, p] += a * dx[j, p]
+            for e in range(entries.shape[0]):
+                p, m, i, j, v = entries[e, 0], entries[e, 1], entries[e, 2], entries[e, 3], values[e]
+                if m == 0:
+                    new[i, p] += v * x[j]
+                elif m == 1:
+                    new[i, p] += v * d[k, j]
+                elif m == 2:
+                    new[i, p] += v * w[j]
+                elif m == 5:
+                    dy[k, i, p] += v * x[j]
+                elif m == 6:
+                    dy[k, i, p] += v * d[k, j]
+                elif m == 7:
+                    dy[k, i, p] += v * w[j]
+                else:
+                    ds = v * x[j] if m == 3 else v * d[k, j]
+                    for f in range(nf):
+                        if signals[f] == i:
+                            for r in range(n):
+                                new[r, p] += E[r, owner[f]] * ws[f] * ds
+                            for r in range(ny):
+                                dy[k, r, p] += G[r, owner[f]] * ws[f] * ds
+            for e in range(slots.shape[0]):
+                p, f = slots[e, 0], slots[e, 1]
+                g = wq[f, slots[e, 2]]
+                for r in range(n):
+                    new[r, p] += E[r, owner[f]] * g
+                for r in range(ny):
+                    dy[k, r, p] += G[r, owner[f]] * g
+            dx, new = new, dx
         for i in range(n):
+            ahead[i] = 0.0
             for j in range(n):
-                a = AE[i, j]
-                if a != 0.0:
-                    for p in range(many):
-                        new[i, p] += a * dx[j, p]
+                ahead[i] += A[i, j] * x[j]
+            for j in range(nd):
+                ahead[i] += B[i, j] * d[k, j]
+            for t in range(nt):
+                ahead[i] += E[i, t] * w[t]
         for i in range(ny):
-            for j in range(n):
-                a = CE[i, j]
-                if a != 0.0:
-                    for p in range(many):
-                        dy[k, i, p] += a * dx[j, p]
-        for e in range(entries.shape[0]):
-            p, m, i, j, v = entries[e, 0], entries[e, 1], entries[e, 2], entries[e, 3], values[e]
-            if m == 0:
-                new[i, p] += v * x[j]
-            elif m == 1:
-                new[i, p] += v * d[k, j]
-            elif m == 2:
-                new[i, p] += v * w[j]
-            elif m == 5:
-                dy[k, i, p] += v * x[j]
-            elif m == 6:
-                dy[k, i, p] += v * d[k, j]
-            elif m == 7:
-                dy[k, i, p] += v * w[j]
-            else:
-                ds = v * x[j] if m == 3 else v * d[k, j]
-                for f in range(nf):
-                    if signals[f] == i:
-                        g = ws[f] * ds
-                        for r in range(n):
-                            new[r, p] += E[r, owner[f]] * g
-                        for r in range(ny):
-                            dy[k, r, p] += G[r, owner[f]] * g
-        for e in range(slots.shape[0]):
-            p, f = slots[e, 0], slots[e, 1]
-            g = wq[f, slots[e, 2]]
-            for r in range(n):
-                new[r, p] += E[r, owner[f]] * g
-            for r in range(ny):
-                dy[k, r, p] += G[r, owner[f]] * g
-        for i in range(ny):
-            y[k, i] = 0.0
             for j in range(n):
                 y[k, i] += C[i, j] * x[j]
-            for j in range(d.shape[1]):
+            for j in range(nd):
                 y[k, i] += D[i, j] * d[k, j]
             for t in range(nt):
                 y[k, i] += G[i, t] * w[t]
-        x = A @ x + B @ d[k] + E @ w
-        dx, new = new, dx
         for i in range(n):
+            x[i] = ahead[i]
             if not abs(x[i]) < most:
-                return y, dy, False
-    return y, dy, True
+                return y, dy, kept, states, False
+    return y, dy, kept, states, True
 
 
 @compiled

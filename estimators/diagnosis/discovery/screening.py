@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from estimators.diagnosis.discovery.dictionary import Candidate, candidates, values
-from estimators.diagnosis.discovery.fitting import MOST, Fitted, Piece, start_state
+from estimators.diagnosis.discovery.fitting import Fitted, Piece, run_piece, start_state
 from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Term
-from estimators.diagnosis.discovery.recursion_kernels import run, run_sensitivities
 
 __all__ = ["Screened", "screen"]
 
@@ -49,11 +48,14 @@ def _measured(asm: Assembly, own: dict[str, Array], piece: Piece, y: Array) -> d
     return out
 
 
-def _columns(asm: Assembly, fitted: Fitted, piece: Piece, state: Array, w: Array) -> tuple[Array, Array, Array]:
+def _columns(
+    asm: Assembly, fitted: Fitted, piece: Piece, state: Array, w: Array
+) -> tuple[Array, Array, Array]:
     """Residual (N ny,), Jacobian of the model itself and, per chain and tap then output, that of exogenous w (N, m)."""
     form, p, nx, m = fitted.form, len(fitted.theta), asm.chain_states, w.shape[1]
-    mats, entry_values, constants = asm.fill(fitted.theta)
-    wide = [np.hstack([x, np.zeros((len(x), m))]) if i in (1, 4, 6) else x for i, x in enumerate(mats)]
+    filled = asm.fill(fitted.theta)
+    mats = filled.mats
+    wide = tuple(np.hstack([x, np.zeros((len(x), m))]) if i in (1, 4, 6) else x for i, x in enumerate(mats))
     nd, ny = mats[1].shape[1], len(form.orders)
     rows, extra = [], []
     number = p + nx
@@ -66,27 +68,32 @@ def _columns(asm: Assembly, fitted: Fitted, piece: Piece, state: Array, w: Array
         rows += [(number + c, 6, i, nd + c) for c in range(m)]
         extra += [1.0] * m
         number += m
-    x, dx = start_state(asm, (mats, entry_values, constants), state, piece.d[0])
+    x, dx = start_state(asm, filled, state, piece.d[0])
     begin = np.zeros((len(x), number))
     begin[:, p : p + nx] = dx
-    entries = np.vstack([asm.entries, np.array(rows, dtype=np.int64)])
-    y, dy, _ = run_sensitivities(
-        *wide, *asm.table, asm.places, constants, x, begin, np.hstack([piece.d, w]),
-        entries, np.concatenate([entry_values, extra]), asm.slots, MOST,
-    )  # fmt: skip
+    entries = np.vstack([filled.moving[0], np.array(rows, dtype=np.int64)])
+    got = filled._replace(mats=wide).moved(
+        x,
+        begin,
+        np.hstack([piece.d, w]),
+        entries,
+        np.concatenate([filled.moving[1], extra]),
+        filled.moving[2],
+    )
+    y, dy = got.y, got.dy
     J = (dy * piece.weight[:, :, None]).reshape(-1, number)
     return ((piece.y - y) * piece.weight).ravel(), J[:, : p + nx], J[:, p + nx :]
 
 
-def screen(fitted: Fitted, pieces: Sequence[Piece], zeros: dict[str, float], measured: bool) -> list[Screened]:
+def screen(
+    fitted: Fitted, pieces: Sequence[Piece], zeros: dict[str, float], measured: bool
+) -> list[Screened]:
     """Every candidate in every slot with its gain; its arguments simulated, or measured where that is asked."""
     form = fitted.form
     asm = Assembly(form)
     own = []
     for piece, state in zip(pieces, fitted.starts):
-        filled = asm.fill(fitted.theta)
-        x, _ = start_state(asm, filled, state, piece.d[0])
-        y, signals, _, _ = run(*filled[0], *asm.table, asm.places, filled[2], x, piece.d, MOST)
+        y, _, signals, _, _ = run_piece(asm, fitted.theta, state, piece.d)
         named = _signals(asm, signals)
         own.append(_measured(asm, named, piece, y) if measured else named)
     joined = {k: np.concatenate([o[k] for o in own]) for k in own[0]}
@@ -150,7 +157,9 @@ def _gains(form, fitted, listed, residual, X, size, has) -> list[Screened]:
             o = first[-1] + i
             if squares[o, c] > 0:
                 k = g[o, c] / squares[o, c]
-                out.append(Screened(candidate, "output", i, FREE, np.array([k / size[c]]), float(k * g[o, c])))
+                out.append(
+                    Screened(candidate, "output", i, FREE, np.array([k / size[c]]), float(k * g[o, c]))
+                )
     return out
 
 

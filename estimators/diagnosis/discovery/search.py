@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit
-from estimators.diagnosis.discovery.form import FREE, Form
+from estimators.diagnosis.discovery.form import FREE
 from estimators.diagnosis.discovery.screening import Screened, screen, terms_of
 from estimators.diagnosis.discovery.starts import Scales, linear_fit
 
-__all__ = ["Budget", "criterion", "grown", "search"]
+__all__ = ["Budget", "criterion", "grown", "greedy_search"]
 
 Array = NDArray[Any]
 
@@ -76,7 +76,7 @@ def grown(fitted: Fitted, s: Screened, pieces: Sequence[Piece], rounds: int) -> 
     return None
 
 
-def search(
+def greedy_search(
     pieces: Sequence[Piece], scales: Scales, outputs: Sequence[Array], zeros: dict[str, float], budget: Budget,
     feedthrough: bool,
 ) -> list[Fitted]:  # fmt: skip

@@ -45,7 +45,14 @@ def scales_of(records: Sequence[Record], smooth: Sequence[Array], delay: Array) 
     change = np.sqrt(np.mean(np.vstack([np.diff(s, axis=0) for s in smooth]) ** 2, axis=0)) / sy
     paces = np.clip(2 * change, SLOWEST, FASTEST)
     return Scales(
-        u.mean(axis=0), su, y.mean(axis=0), sy, tuple(paces), tuple(np.maximum(change, 1e-6)), delay, records[0].dt
+        u.mean(axis=0),
+        su,
+        y.mean(axis=0),
+        sy,
+        tuple(paces),
+        tuple(np.maximum(change, 1e-6)),
+        delay,
+        records[0].dt,
     )
 
 
@@ -77,7 +84,7 @@ def _regressors(n: int, pace: float, u: Array, y: Array, roots: Array) -> tuple[
     powers = [np.array([1.0])]
     for _ in range(n):
         powers.append(np.convolve(powers[-1], [1.0, -1.0]) / pace)
-    shaped = lambda m, x: lfilter(np.r_[np.zeros(n - m), powers[m]] * pace**n, poly, x)
+    shaped = lambda m, x: np.asarray(lfilter(np.r_[np.zeros(n - m), powers[m]] * pace**n, poly, x))
     columns = [-shaped(n - 1 - m, y) for m in range(n)]
     columns += [shaped(n - 1 - m, x) for x in u.T for m in range(n)]
     return np.array([*columns, shaped(0, np.ones(len(y)))]).T, shaped(n, y)
@@ -86,12 +93,12 @@ def _regressors(n: int, pace: float, u: Array, y: Array, roots: Array) -> tuple[
 def chain_start(n: int, pace: float, pieces: Sequence[Piece], i: int, outputs: Sequence[Array]) -> Array:
     """alpha, beta, const of chain i from outputs (N, ny), least squares of filtered signals, filter renewed."""
     roots = np.full(n, max(1 - pace, 0.1))
-    best = None
+    theta = np.zeros(0)
     for _ in range(ROUNDS):
         rows, targets = [], []
         for piece, y in zip(pieces, outputs):
             nu = (piece.d.shape[1] - 1) // 2
-            u, level = piece.d[:, 1 : 1 + nu], y[: 1, i]
+            u, level = piece.d[:, 1 : 1 + nu], y[:1, i]
             X, t = _regressors(n, pace, u - u[:1], y[:, i] - level, roots)
             # about the first sample the filters start at rest; the constants come back with the level
             X[:, -1] = 1.0
@@ -101,12 +108,11 @@ def chain_start(n: int, pace: float, pieces: Sequence[Piece], i: int, outputs: S
         size = np.sqrt(np.mean(X**2, axis=0)) + 1e-12
         theta = np.linalg.lstsq(X / size, t, rcond=1e-9)[0] / size
         new = chain_roots(theta[:n], pace)
-        best = theta
         radius = np.abs(new)
         roots = np.where(radius > 0.999, new / np.maximum(radius, 1e-9) * 0.98, new)
     piece, y = pieces[0], outputs[0]
     nu = (piece.d.shape[1] - 1) // 2
-    alpha, beta = best[:n].copy(), best[n:-1]
+    alpha, beta = theta[:n].copy(), theta[n:-1]
     stable = roots if np.any(np.abs(chain_roots(alpha, pace)) > 1) else None
     if stable is not None:
         alpha = np.real(np.poly((stable - 1) / pace))[1:]

@@ -1,0 +1,207 @@
+"""Discovery: terms that the linear model lacks, without a catalogue, vouched for by blocks that were not used."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.baseline import Baseline
+from estimators.diagnosis.discovery.fitting import Fitted, Piece, run_piece
+from estimators.diagnosis.discovery.form import Assembly
+from estimators.diagnosis.discovery.model import DiscoveredModel, FoundTerm
+from estimators.diagnosis.discovery.search import Budget, greedy_search
+from estimators.diagnosis.discovery.starts import pieces_of, scales_of
+from estimators.diagnosis.discovery.uncertainty import covariance
+from estimators.diagnosis.discovery.validation import unused
+from oed.data import Record
+
+__all__ = ["BUDGETS", "Discovery", "discover"]
+
+Array = NDArray[Any]
+BUDGETS = {
+    "quick": Budget(orders=(1, 2, 3), width=4, beam=1, terms=3, rounds=8),
+    "normal": Budget(),
+    "thorough": Budget(width=14, beam=4, terms=6, rounds=25),
+}
+ADMITTED = 1.0  # standard errors by which unused blocks must get better than with the best linear model: the usual rule
+LEAST = 0.02  # share of the error below which what was found is as good as nothing, among so many candidates
+BATCHES = 4  # parts of every block: the units of the standard error of a difference
+
+
+@dataclass(frozen=True, eq=False)
+class Discovery:
+    """What was found, or that nothing was.
+
+    Attributes
+    ----------
+    model : DiscoveredModel or None
+        None where no model with terms is better on unused blocks than the linear one by more than the error.
+    terms : tuple of FoundTerm
+        The strongest first.
+    equation, nature : str
+        In the user's units; of the strongest term.
+    unused : tuple of ndarray
+        Per record (N, ny): every block predicted by the same form fitted to the others.
+    rmse_unused : ndarray
+        (ny,) on the samples that count.
+    gain : float
+        By how many standard errors the blocks got better than the baseline's.
+    considered : tuple of (str, float)
+        The models that were compared and their errors on unused blocks over the baseline's, simplest first.
+    """
+
+    model: DiscoveredModel | None
+    terms: tuple[FoundTerm, ...] = ()
+    equation: str = ""
+    nature: str = "none"
+    unused: tuple[Array, ...] = ()
+    rmse_unused: Array = field(default_factory=lambda: np.zeros(0))
+    gain: float = 0.0
+    considered: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a model with terms."""
+        return self.model is not None
+
+
+def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget = "normal") -> Discovery:
+    """Terms that the linear model lacks, as an equation; nothing where unused blocks do not vouch for it.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Training records.
+    baseline : Baseline
+        The best linear model of the same records; its blocks are used.
+    budget : str or Budget
+        "quick", "normal" or "thorough": bounds the work.
+
+    Returns
+    -------
+    Discovery
+        With its model, equation, nature and predictions of unused blocks.
+    """
+    budget = BUDGETS[budget] if isinstance(budget, str) else budget
+    delays = (
+        np.max([m.delays for m in baseline.outputs], axis=0)
+        if _same_inputs(baseline, records[0])
+        else np.zeros(records[0].n_inputs, int)
+    )
+    scales = scales_of(records, baseline.y_model, np.maximum(delays - 1, 0).astype(int))
+    pieces = pieces_of(records, [np.ones(r.y.shape, bool) for r in records], scales)
+    smooth = [(y - scales.y) / scales.sy for y in baseline.y_model]
+    zeros = {f"y{i}": float(-scales.y[i] / scales.sy[i]) for i in range(records[0].n_outputs)}
+    zeros |= {f"u{j}": float(-scales.u[j] / scales.su[j]) for j in range(records[0].n_inputs)}
+    found = greedy_search(pieces, scales, smooth, zeros, budget, bool(np.min(delays) == 0))
+    squares = _Squares(records, baseline, scales)
+    return _chosen(found, records, baseline, pieces, squares, scales)
+
+
+def _same_inputs(baseline: Baseline, record: Record) -> bool:
+    return all(len(m.delays) == record.n_inputs for m in baseline.outputs)
+
+
+class _Squares:
+    """Squared errors on unused blocks by batch, all outputs in units of their spread."""
+
+    def __init__(self, records, baseline, scales):
+        self.records, self.baseline, self.scales = records, baseline, scales
+        self.counting = baseline.blocks.counting(records)
+        self.batches = baseline.blocks.batches(BATCHES)
+
+    def of(self, predictions: Sequence[Array]) -> Array:
+        out = []
+        for b in self.batches:
+            r = self.records[b.record]
+            e = ((r.y - predictions[b.record]) / self.scales.sy)[b.rows]
+            use = self.counting[b.record][b.rows]
+            out.append(float(np.mean(e[use] ** 2)) if use.any() else 0.0)
+        return np.array(out)
+
+    def rmse(self, predictions: Sequence[Array]) -> Array:
+        ny = self.records[0].n_outputs
+        total, count = np.zeros(ny), np.zeros(ny)
+        for r, y, use in zip(self.records, predictions, self.counting):
+            total += np.where(use, (r.y - y) ** 2, 0.0).sum(axis=0)
+            count += use.sum(axis=0)
+        return np.sqrt(total / np.maximum(count, 1))
+
+
+def _chosen(
+    found: list[Fitted], records, baseline, pieces: Sequence[Piece], squares: _Squares, scales
+) -> Discovery:
+    """The simplest model within one standard error of the best on unused blocks, if it beats the baseline."""
+    base = squares.of(baseline.unused)
+    tried: list[tuple[Fitted, list[Array], Array]] = []
+    for f in _front(found):
+        predicted = unused(f, pieces, baseline.blocks, 0)
+        if predicted is None:
+            continue
+        predicted = [y * scales.sy + scales.y for y in predicted]
+        s = squares.of(predicted)
+        if np.all(np.isfinite(s)):
+            tried.append((f, predicted, s))
+    if not tried:
+        return Discovery(None)
+    considered = tuple((_short(f), float(np.sqrt(s.mean() / base.mean()))) for f, _, s in tried)
+    reference = min([base, *(s for f, _, s in tried if not f.form.terms)], key=np.mean)
+    best = min(tried, key=lambda t: t[2].mean())
+    near = [t for t in tried if _errors(t[2], best[2]) < 1.0]
+    f, predicted, s = min(near, key=lambda t: t[0].free)
+    gain = _errors(reference, s)
+    if not f.form.terms or gain < ADMITTED or s.mean() > (1 - LEAST) ** 2 * reference.mean():
+        return Discovery(None, considered=considered, gain=gain)
+    model = _model(f, records, pieces, scales)
+    terms = model.found()
+    return Discovery(
+        model,
+        tuple(terms),
+        model.equation(),
+        terms[0].nature,
+        tuple(predicted),
+        squares.rmse(predicted),
+        gain,
+        considered,
+    )
+
+
+def _errors(a: Array, b: Array) -> float:
+    """By how many standard errors the batches b are better than a."""
+    d = a - b
+    return float(d.mean() / max(d.std(ddof=1) / np.sqrt(len(d)), 1e-300))
+
+
+def _front(found: list[Fitted], each: int = 2) -> list[Fitted]:
+    """The best few models of every number of terms."""
+    out, seen = [], {}
+    for f in found:
+        k = sum(t.slot != "slow" for t in f.form.terms)
+        if k == 0 or seen.get(k, 0) < each:
+            seen[k] = seen.get(k, 0) + 1
+            out.append(f)
+    return sorted(out, key=lambda f: f.free)
+
+
+def _short(f: Fitted) -> str:
+    return (
+        " + ".join("*".join(q.signal for q in t.factors) for t in f.form.terms)
+        or f"linear, order {f.form.orders}"
+    )
+
+
+def _model(f: Fitted, records, pieces, scales) -> DiscoveredModel:
+    names = {
+        f"y{i}": (n, x) for i, (n, x) in enumerate(zip(records[0].output_names, records[0].output_units))
+    }
+    names |= {f"u{j}": (n, x) for j, (n, x) in enumerate(zip(records[0].input_names, records[0].input_units))}
+    asm = Assembly(f.form)
+    signals = np.vstack([run_piece(asm, f.theta, s, p.d).signals for s, p in zip(f.starts, pieces)])
+    ranges = {
+        n: tuple(np.quantile(signals[:, i], [0.005, 0.995]).tolist()) for i, n in enumerate(asm.signals)
+    }
+    return DiscoveredModel(f.form, f.theta, scales, covariance(f, pieces), f.mse, names, ranges)

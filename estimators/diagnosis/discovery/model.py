@@ -1,0 +1,266 @@
+"""A discovered model in the user's units: it simulates, says its equation with errors, and is written and read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.discovery.dictionary import values
+from estimators.diagnosis.discovery.fitting import Piece
+from estimators.diagnosis.discovery.form import LAST, Assembly, Factor, Form, Term
+from estimators.diagnosis.discovery.starts import Scales, drive
+from estimators.diagnosis.discovery.uncertainty import error_of
+from estimators.diagnosis.discovery.validation import first_level, rest, simulated, trust, window_start
+from estimators.diagnosis.discovery.wording import (
+    DEGREE,
+    Axis,
+    meaning,
+    nature,
+    same_as,
+    signal_axes,
+    term_text,
+)
+from oed.data import Record
+
+__all__ = ["Curve", "DiscoveredModel", "FoundTerm"]
+
+Array = NDArray[Any]
+GRID = 41  # points of a curve
+EDGE = 0.005  # quantile of the training signal where a curve ends
+BAND = 1.96
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A term along its first signal: grid and values (GRID,) in the user's units, half width of the 95 % band."""
+
+    signal: str
+    unit: str
+    grid: Array
+    value: Array
+    band: Array
+    value_unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class FoundTerm:
+    """One term: its text with coefficient, nature, meaning, the catalogue's name, parameters (value, error, unit)."""
+
+    text: str
+    slot: str
+    output: int
+    nature: str
+    meaning: str
+    same_as: str
+    parameters: dict[str, tuple[float, float, str]]
+    curve: Curve
+
+
+@dataclass(frozen=True, eq=False)
+class DiscoveredModel:
+    """A fitted form with the scales of its signals, covariance of theta, scaled error variance, names and units."""
+
+    form: Form
+    theta: Array
+    scales: Scales
+    covariance: Array
+    mse: float
+    names: Mapping[str, tuple[str, str]]
+    ranges: Mapping[str, tuple[float, float]]
+
+    @cached_property
+    def assembly(self) -> Assembly:
+        return Assembly(self.form)
+
+    def simulate(self, record: Record, window: int) -> Array:
+        """(N, ny) free run; the first `window` samples set the state. NaN where it explodes."""
+        y = (record.y - self.scales.y) / self.scales.sy
+        fine = np.isfinite(y)
+        piece = Piece(drive(record.u, self.scales), np.where(fine, y, 0.0), fine.astype(float))
+        x = rest(self.assembly, self.theta, first_level(piece, window), piece.d[0])
+        x = window_start(self.assembly, self.theta, x, piece, window, trust(piece, self.mse))
+        return simulated(self.assembly, self.theta, x, piece.d)[0] * self.scales.sy + self.scales.y
+
+    def resolved(self, theta: Array | None = None) -> list[tuple[Term, Array]]:
+        """Every term with its fitted constants, and its coefficients."""
+        theta = self.theta if theta is None else theta
+        out = []
+        for term, block in zip(self.form.terms, self.form.blocks):
+            own, taps = theta[block], self.form.taps(term)
+            at, factors = taps, []
+            for f in term.factors:
+                p, q = f.p, f.q
+                if f.free[0]:
+                    p, at = float(own[at]), at + 1
+                if f.free[1]:
+                    q, at = float(own[at]), at + 1
+                factors.append(replace(f, p=p, q=q))
+            rate = term.rate * float(own[at]) if term.slot == "slow" else term.rate
+            out.append((replace(term, factors=tuple(factors), rate=rate), own[:taps]))
+        return out
+
+    def _driver(self, chain: int) -> int:
+        """The input in whose units the forces on a chain are given: the one that moves it most."""
+        betas = self.theta[self.assembly.betas[chain]]
+        return int(np.argmax(np.abs(betas[:, -1])))
+
+    def amplitude(self, number: int, theta: Array) -> float:
+        """Coefficient of a term in the user's units: of its input for a force, of the output for a map."""
+        term, taps = self.resolved(theta)[number]
+        axes = self.axes
+        size = float(np.prod([axes[f.signal].scale ** -DEGREE[f.kind] for f in term.factors]))
+        if term.slot == "output":
+            return float(taps[0]) * size * float(self.scales.sy[term.chain])
+        if term.along >= 0:
+            return float(taps[0]) * size * float(self.scales.su[term.along])
+        j = self._driver(term.chain)
+        b = theta[self.assembly.betas[term.chain][j]]
+        if term.along == LAST or abs(b[-1]) > 1e-2 * np.linalg.norm(b):
+            share = float(taps[-1] / b[-1])
+        else:
+            share = float(taps @ b / (b @ b))
+        return share * size * float(self.scales.su[j])
+
+    @cached_property
+    def axes(self) -> dict[str, Axis]:
+        terms = [t for t, _ in self.resolved()]
+        return signal_axes(terms, self.scales, self.names)
+
+    def _unit(self, term: Term) -> str:
+        if term.slot == "output":
+            return self.names[f"y{term.chain}"][1]
+        return self.names[f"u{term.along if term.along >= 0 else self._driver(term.chain)}"][1]
+
+    def found(self) -> list[FoundTerm]:
+        """The terms that act (slow states stand inside them), with errors, in the user's units."""
+        out = []
+        for number, (term, _) in enumerate(self.resolved()):
+            if term.slot == "slow":
+                continue
+            k = self.amplitude(number, self.theta)
+            error = float(
+                error_of(lambda th, n=number: np.array([self.amplitude(n, th)]), self.theta, self.covariance)[
+                    0
+                ]
+            )
+            unit = self._unit(term)
+            text = f"{k:.3g} +- {error:.2g} * {term_text(term, self.axes)}"
+            out.append(
+                FoundTerm(
+                    text,
+                    term.slot,
+                    term.chain,
+                    nature(term),
+                    meaning(term),
+                    same_as(term, k),
+                    self._parameters(number, term, k, error, unit),
+                    self._curve(number, term, unit),
+                )
+            )
+        return out
+
+    def _parameters(self, number: int, term: Term, k: float, error: float, unit: str):
+        out = {"coefficient": (k, error, unit)}
+        at = self.form.blocks[number].start + self.form.taps(term)
+        for f in term.factors:
+            axis = self.axes[f.signal]
+            for name, free, value, shift in (
+                ("at", f.free[0], f.p, axis.centre),
+                ("width", f.free[1], f.q, 0.0),
+            ):
+                if free:
+                    spread = float(np.sqrt(max(self.covariance[at, at], 0.0)))
+                    out[f"{name} of {axis.label}"] = (
+                        shift + axis.scale * value,
+                        axis.scale * spread,
+                        axis.unit,
+                    )
+                    at += 1
+        return out
+
+    def _curve(self, number: int, term: Term, unit: str) -> Curve:
+        first = term.factors[0].signal
+        low, high = self.ranges[first]
+        grid = np.linspace(low, high, GRID)
+        axes = self.axes
+
+        def value(theta: Array) -> Array:
+            one = self.resolved(theta)[number][0]
+            others = {f.signal: np.full(GRID, axes[f.signal].scale and 1.0) for f in one.factors}
+            raw = values(one, others | {first: grid})
+            size = float(np.prod([axes[f.signal].scale ** DEGREE[f.kind] for f in one.factors]))
+            return self.amplitude(number, theta) * size * raw
+
+        axis = axes[first]
+        return Curve(
+            axis.label, axis.unit, axis.centre + axis.scale * grid, value(self.theta),
+            BAND * error_of(value, self.theta, self.covariance), unit,
+        )  # fmt: skip
+
+    def equation(self) -> str:
+        """One line per output and slot."""
+        lines = []
+        found = self.found()
+        for i in range(len(self.form.orders)):
+            label, unit = self.names[f"y{i}"]
+            forces = [f.text for f in found if f.slot == "force" and f.output == i]
+            maps = [f.text for f in found if f.slot == "output" and f.output == i]
+            if forces:
+                u, per = self.names[f"u{self._driver(i)}"]
+                lines.append(f"force on {label} (in {per or 'units'} of {u}) = " + " + ".join(forces))
+            if maps:
+                lines.append(f"{label} read (in {unit or 'its units'}) = {label} + " + " + ".join(maps))
+        return "; ".join(lines)
+
+    def to_json(self) -> str:
+        """Everything that `from_json` needs."""
+        s = self.scales
+        return json.dumps(
+            {
+                "form": asdict(self.form),
+                "theta": self.theta.tolist(),
+                "covariance": self.covariance.tolist(),
+                "mse": self.mse,
+                "scales": {k: np.asarray(v).tolist() for k, v in vars(s).items()},
+                "names": dict(self.names),
+                "ranges": dict(self.ranges),
+            }
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> DiscoveredModel:
+        """The model that `to_json` wrote."""
+        d = json.loads(text)
+        f = d["form"]
+        terms = tuple(
+            Term(tuple(Factor(**(q | {"free": tuple(q["free"])})) for q in t["factors"]), **{k: v for k, v in t.items() if k != "factors"})
+            for t in f["terms"]
+        )  # fmt: skip
+        form = Form(
+            tuple(f["orders"]),
+            f["inputs"],
+            tuple(f["paces"]),
+            tuple(f["steps"]),
+            terms,
+            f["feedthrough"],
+            f["inner"],
+        )
+        s = d["scales"]
+        arrays = {k: np.array(s[k]) for k in ("u", "su", "y", "sy", "delay")}
+        scales = Scales(**arrays, paces=tuple(s["paces"]), steps=tuple(s["steps"]), dt=s["dt"])
+        pairs = lambda key: {k: tuple(v) for k, v in d[key].items()}
+        return cls(
+            form,
+            np.array(d["theta"]),
+            scales,
+            np.array(d["covariance"]),
+            d["mse"],
+            pairs("names"),
+            pairs("ranges"),
+        )

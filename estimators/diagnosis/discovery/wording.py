@@ -1,0 +1,184 @@
+"""Terms in the user's words and units: equation, nature, the catalogue's name where it says the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.discovery.dictionary import Kind
+from estimators.diagnosis.discovery.form import Factor, Term
+
+__all__ = ["Axis", "factor_text", "meaning", "nature", "same_as", "signal_axes", "term_text"]
+
+Array = NDArray[Any]
+# power of a signal's scale in a factor's value
+DEGREE = {
+    Kind.LINEAR: 1.0, Kind.SQUARE: 2.0, Kind.CUBE: 3.0, Kind.ABS: 1.0, Kind.SIGN: 0.0, Kind.TANH: 1.0, Kind.HINGE: 1.0,
+    Kind.SIGNED_SQUARE: 2.0, Kind.SIN: 0.0, Kind.COS: 0.0, Kind.EXP: 0.0, Kind.ROOT: 0.5, Kind.LOG: 0.0,
+    Kind.INVERSE: -1.0, Kind.SIGNED_ROOT: 0.5, Kind.BELL: 0.0,
+}  # fmt: skip
+TEXT = {
+    Kind.LINEAR: "{d}", Kind.SQUARE: "{b}^2", Kind.CUBE: "{b}^3", Kind.ABS: "|{s}|", Kind.SIGN: "sign({s})",
+    Kind.TANH: "{q} tanh({b}/{q})", Kind.HINGE: "max(0, {s})", Kind.SIGNED_SQUARE: "{b} |{s}|", Kind.SIN: "sin({k} {b})",
+    Kind.COS: "cos({k} {b})", Kind.EXP: "exp({b}/{q})", Kind.ROOT: "sqrt({s})", Kind.LOG: "log({s})",
+    Kind.INVERSE: "1/{b}", Kind.SIGNED_ROOT: "sign({s}) sqrt|{s}|", Kind.BELL: "exp(-({b}/{q})^2)",
+}  # fmt: skip
+NEAR_ZERO = 1e-3  # of a signal's scale: an offset below it is none
+
+
+@dataclass(frozen=True)
+class Axis:
+    """How a scaled signal reads for the user: label, centre and scale of its values, unit."""
+
+    label: str
+    centre: float
+    scale: float
+    unit: str
+
+
+def signal_axes(terms: Sequence[Term], scales, names: Mapping[str, tuple[str, str]]) -> dict[str, Axis]:
+    """Axis of every signal; `names` gives label and unit of y0, u0, ...."""
+    axes: dict[str, Axis] = {}
+    per = lambda unit: f"{unit}/s" if unit else "1/s"
+    for i in range(len(scales.y)):
+        label, unit = names[f"y{i}"]
+        axes[f"y{i}"] = Axis(label, float(scales.y[i]), float(scales.sy[i]), unit)
+        axes[f"v{i}"] = Axis(
+            f"rate({label})", 0.0, float(scales.sy[i] * scales.steps[i] / scales.dt), per(unit)
+        )
+    for j in range(len(scales.u)):
+        label, unit = names[f"u{j}"]
+        axes[f"u{j}"] = Axis(label, float(scales.u[j]), float(scales.su[j]), unit)
+        axes[f"du{j}"] = Axis(f"rate({label})", 0.0, float(scales.su[j] / scales.dt), per(unit))
+    number = 0
+    for t in terms:
+        if t.slot == "slow":
+            scale = float(np.prod([axes[f.signal].scale ** DEGREE[f.kind] for f in t.factors]))
+            inner = " ".join(factor_text(f, axes[f.signal]) for f in t.factors)
+            axes[f"s{number}"] = Axis(f"slow[{inner}; {_number(scales.dt / t.rate)} s]", 0.0, scale, "")
+            number += 1
+    return axes
+
+
+def _number(x: float) -> str:
+    return f"{x:.3g}"
+
+
+def factor_text(f: Factor, axis: Axis) -> str:
+    """One factor with its constants in the user's units."""
+    p, q = axis.centre + axis.scale * f.p, axis.scale * f.q
+    bare = abs(p) < NEAR_ZERO * axis.scale
+    shifted = axis.label if bare else f"{axis.label} {'-' if p > 0 else '+'} {_number(abs(p))}"
+    bracketed = shifted if bare else f"({shifted})"
+    return TEXT[f.kind].format(d=bracketed, b=bracketed, s=shifted, q=_number(q), k=_number(f.q / axis.scale))
+
+
+def term_text(term: Term, axes: Mapping[str, Axis]) -> str:
+    """A product of factors."""
+    return " * ".join(factor_text(f, axes[f.signal]) for f in term.factors)
+
+
+def _letters(term: Term, drivers: Mapping[str, str]) -> set[str]:
+    return {drivers.get(f.signal, f.signal[: 2 if f.signal.startswith("du") else 1]) for f in term.factors}
+
+
+def nature(term: Term) -> str:
+    """Where a term of one kind of signal sits; memory or feedback makes it dynamic."""
+    letters = _letters(term, {})
+    if "t" in letters:
+        return "time variation"
+    if letters == {"u"}:
+        return "static input nonlinearity"
+    if term.slot == "output" and letters == {"y"}:
+        return "static output nonlinearity"
+    return "dynamic nonlinearity"
+
+
+def same_as(term: Term, coefficient: float) -> str:
+    """The catalogue's name for a term that says the same, or nothing."""
+    if len(term.factors) == 2:
+        pair = {f.signal[0] for f in term.factors}
+        plain = all(f.kind == Kind.LINEAR for f in term.factors)
+        return "bilinear" if plain and pair == {"u", "y"} else ""
+    f = term.factors[0]
+    side = f.signal[0] if not f.signal.startswith("du") else "d"
+    table = {
+        ("force", "v", Kind.SIGN): "coulomb_friction",
+        ("force", "v", Kind.SIGNED_SQUARE): "nonlinear_drag",
+        ("force", "y", Kind.CUBE): "duffing",
+        ("force", "u", Kind.TANH): "input_saturation",
+        ("force", "u", Kind.SQUARE): "hammerstein",
+        ("force", "u", Kind.CUBE): "hammerstein",
+        ("force", "u", Kind.EXP): "hammerstein",
+        ("output", "y", Kind.TANH): "output_nonlinearity",
+    }
+    found = table.get((term.slot, side, f.kind), "")
+    if not found and term.slot == "output" and side == "y":
+        found = "output_nonlinearity"
+    if not found and term.slot == "force" and side == "u":
+        found = "hammerstein"
+    return found
+
+
+def _single(term: Term, f: Factor) -> str:
+    side = "d" if f.signal.startswith("du") else f.signal[0]
+    if side == "u":
+        return "static curve of the input (actuator nonlinearity, input nonlinearity)"
+    if side == "d":
+        return "what acts depends on how fast the input moves"
+    if side == "s":
+        return "a slow hidden state acts"
+    if term.slot == "output":
+        return (
+            {
+                Kind.ABS: "magnitude sensor (rectified output)",
+                Kind.SIN: "periodic sensor curve",
+                Kind.COS: "periodic sensor curve",
+            }.get(f.kind, "static curve of the output (sensor nonlinearity, output nonlinearity)")
+            if side == "y"
+            else ("the reading depends on how fast the output moves")
+        )
+    if side == "y":
+        return {
+            Kind.SIN: "force periodic in the position (gravity, pendulum, eccentric, cogging)",
+            Kind.COS: "force periodic in the position (gravity, pendulum, eccentric, cogging)",
+            Kind.ROOT: "square root of the level (outflow)",
+        }.get(
+            f.kind,
+            "output-dependent restoring force (nonlinear stiffness, or nonlinear loss that depends on the level)",
+        )
+    return {
+        Kind.SIGN: "dry friction",
+        Kind.TANH: "friction that saturates with speed",
+        Kind.BELL: "friction that falls with speed (Stribeck)",
+        Kind.SIGNED_SQUARE: "drag (nonlinear damping)",
+        Kind.CUBE: "nonlinear damping",
+        Kind.SIGNED_ROOT: "nonlinear damping (square root of the speed)",
+    }.get(f.kind, "direction-dependent damping (asymmetric rise and fall)")
+
+
+def meaning(term: Term) -> str:
+    """What a term is in physical words."""
+    if len(term.factors) == 1:
+        return _single(term, term.factors[0])
+    sides = ["d" if f.signal.startswith("du") else f.signal[0] for f in term.factors]
+    chains = {f.signal[1:] for f in term.factors if f.signal[0] in "yv"}
+    if "t" in sides:
+        return "time variation of a coefficient"
+    if "s" in sides:
+        return "a slow hidden state changes a coefficient"
+    if len(chains) > 1:
+        return "nonlinear coupling of the axes (product of their motions: centrifugal, Coriolis)"
+    pair = "".join(sorted(sides))
+    return {
+        "uy": "output-dependent gain (input times output; state-dependent gain or time constant)",
+        "uv": "the input acts differently with speed and direction (product of input and rate)",
+        "vy": "output-dependent damping or time constant (level-dependent)",
+        "uu": "product of the inputs",
+        "yy": "output-dependent restoring force (nonlinear stiffness)",
+        "vv": "nonlinear damping",
+    }.get(pair, "product of two signals")

@@ -1,0 +1,138 @@
+"""Discovery: the recursion against its plain twin, its sensitivities, what is found and what must not be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.diagnosis.baseline import best_linear
+from estimators.diagnosis.discovery import DiscoveredModel, discover, recursion_kernels
+from estimators.diagnosis.discovery.dictionary import Kind
+from estimators.diagnosis.discovery.form import FREE, Assembly, Factor, Form, Term
+from oed.data import Record
+
+KINDS = range(16)
+
+
+def plain_factor(kind, s, p, q):
+    """The factors as one would write them down."""
+    d = s - p
+    return {
+        0: d, 1: d**2, 2: d**3, 3: abs(d), 4: np.tanh(d / q), 5: q * np.tanh(d / q), 6: max(d, 0.0), 7: d * abs(d),
+        8: np.sin(q * d), 9: np.cos(q * d), 10: np.exp(d / q), 11: np.sqrt(max(d, 1e-6)), 12: np.log(max(d, 1e-6)),
+        13: 1 / max(d, 1e-2), 14: d / np.sqrt(abs(d) + 1e-3), 15: np.exp(-((d / q) ** 2)),
+    }[kind]  # fmt: skip
+
+
+def rich_form() -> Form:
+    terms = (
+        Term((Factor(Kind.SQUARE, "u0", 0.1),), "slow", rate=0.1),
+        Term(
+            (Factor(Kind.LINEAR, "s0", 0.2), Factor(Kind.TANH, "y1", 0.1, 0.7, (True, True))),
+            chain=0,
+            along=FREE,
+        ),
+        Term((Factor(Kind.SIGN, "v0", 0.0, 0.4),), chain=0, along=0),
+        Term((Factor(Kind.CUBE, "y0", 0.0),), "output", 1),
+        Term((Factor(Kind.SIN, "z", 0.0, 1.3, (False, True)),), chain=1, along=-2),
+    )
+    return Form((2, 1), 1, (0.3, 0.2), (0.15, 0.1), terms, True, True)
+
+
+def rich_theta(form: Form) -> np.ndarray:
+    return 0.3 + 0.2 * np.random.default_rng(3).random(form.parameters)
+
+
+def plain_run(form, theta, x, d):
+    """The recursion, sample by sample, in plain Python."""
+    asm = Assembly(form)
+    (A, B, E, S, T, C, D, G), (heads, kinds, signals, constants), _ = asm.fill(theta)
+    out = []
+    for row in d:
+        s = S @ x + T @ row
+        w = []
+        for t in range(len(heads) - 1):
+            fs = range(heads[t], heads[t + 1])
+            w.append(
+                np.prod(
+                    [
+                        plain_factor(kinds[f], s[signals[f]], constants[2 * f], constants[2 * f + 1])
+                        for f in fs
+                    ]
+                )
+            )
+        out.append(C @ x + D @ row + G @ w)
+        x = A @ x + B @ row + E @ w
+    return np.array(out)
+
+
+def drive_of(n: int, form: Form) -> np.ndarray:
+    u = np.random.default_rng(1).standard_normal((n, form.inputs))
+    return np.hstack([np.ones((n, 1)), u, np.diff(u, axis=0, prepend=u[:1])])
+
+
+def test_recursion_is_its_plain_twin_and_its_sensitivities_are_exact() -> None:
+    form = rich_form()
+    asm, theta, d = Assembly(form), rich_theta(form), drive_of(60, form)
+    x = np.zeros(asm.shapes[0][0])
+
+    def run(th):
+        return asm.fill(th).run(x, d).y
+
+    assert np.allclose(run(theta), plain_run(form, theta, x, d), rtol=1e-11, atol=1e-12)
+    got = asm.fill(theta).sensitivities(x, np.zeros((len(x), len(theta))), d)
+    dy = got.dy
+    assert got.fine
+    assert np.allclose(got.y, run(theta), rtol=1e-12)
+    for p in range(len(theta)):
+        step = 1e-6 * np.eye(len(theta))[p]
+        slope = (run(theta + step) - run(theta - step)) / 2e-6
+        assert np.allclose(dy[:, :, p], slope, rtol=1e-5, atol=1e-7), p
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_factors_and_their_derivatives(kind) -> None:
+    for s, p, q in ((0.8, 0.1, 0.7), (2.0, -0.3, 1.4)):
+        v, ds, dp, dq = recursion_kernels.factor(kind, s, p, q)
+        assert v == pytest.approx(plain_factor(kind, s, p, q), rel=1e-12)
+        h = 1e-6
+        f = lambda a, b, c: plain_factor(kind, a, b, c)
+        assert ds == pytest.approx((f(s + h, p, q) - f(s - h, p, q)) / 2 / h, abs=1e-7)
+        assert dp == pytest.approx((f(s, p + h, q) - f(s, p - h, q)) / 2 / h, abs=1e-7)
+        assert dq == pytest.approx((f(s, p, q + h) - f(s, p, q - h)) / 2 / h, abs=1e-7)
+
+
+def rig(force, n=900, noise=0.02, seed=0, colour=0.0) -> Record:
+    """A mass on a spring, exact enough: 20 Euler-Cromer steps a sample; force(x, v) acts against it."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-2, 2, n // 9), 9)[:, None]
+    x = v = 0.0
+    y = np.zeros(n)
+    for k in range(n):
+        y[k] = x
+        for _ in range(20):
+            v += 0.005 * (4 * u[k, 0] - 4 * x - 1.2 * v - force(x, v))
+            x += 0.005 * v
+    e = lfilter([1], [1, -colour], rng.standard_normal(n))
+    return Record(u, y + noise * y.std() * e / e.std(), 0.1, input_units=("N",), output_units=("mm",))
+
+
+def test_a_hardening_spring_is_found_in_the_users_units() -> None:
+    record = rig(lambda x, v: 1.6 * x**3)
+    base = best_linear([record])
+    found = discover([record], base, "quick")
+    assert found.found
+    assert found.nature == "dynamic nonlinearity"
+    assert float(found.rmse_unused[0]) < 0.4 * float(base.rmse_unused[0])
+    other = rig(lambda x, v: 1.6 * x**3, seed=9)
+    error = float(np.sqrt(np.mean((found.model.simulate(other, 20) - other.y) ** 2)))
+    assert error < 0.5 * float(np.sqrt(np.mean((base.simulate(other) - other.y) ** 2)))
+    again = DiscoveredModel.from_json(found.model.to_json())
+    assert np.array_equal(again.simulate(other, 20), found.model.simulate(other, 20))
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_a_linear_rig_yields_nothing(colour) -> None:
+    record = rig(lambda x, v: 0.0, noise=0.1, seed=4, colour=colour)
+    assert not discover([record], best_linear([record]), "quick").found
