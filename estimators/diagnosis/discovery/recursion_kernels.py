@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimators.effects.recursion_kernels import compiled
+from estimators.diagnosis.effects.recursion_kernels import compiled
 
 __all__ = ["evaluate", "factor", "factor_values", "recursion"]
 
