@@ -25,6 +25,11 @@ def frozen(values: ArrayLike, dtype: type = float) -> NDArray:
     return array
 
 
+def entry_name(i: int, j: int, n_outputs: int, n_inputs: int) -> str:
+    """Name of the entry of output i and input j (from 0): "12", and from 10 channels on "1_12", which "112" is too."""
+    return f"{i + 1}{'_' * (max(n_outputs, n_inputs) > 9)}{j + 1}"
+
+
 def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray[np.float64]:
     """Read-only copy of a signal as (N, channels), checked to be finite.
 

@@ -395,7 +395,7 @@ def _hair_dryer_section(folder: Path, save: Any) -> dict[str, Any]:
                     "delay": "nk",
                     "simulation_rmse": "simulation error (V)",
                     "one_step_rmse": "one-step error (V)",
-                    "fit_percent": "fit (%)",
+                    "fit_percent": "fit of the simulation (%)",
                     "smallest_p_value": "p, input-residual lags 1-10",
                 },
                 "Errors on the second half of the record, which no model has seen.",

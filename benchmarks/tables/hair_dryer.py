@@ -76,6 +76,7 @@ def hair_dryer_story(record: Record | None = None) -> HairDryerStory:
     """
     from estimators.pem import identify
     from estimators.pem.choice import estimate_delay
+    from estimators.pem.fit import fit_percent
     from estimators.residual.tests import input_correlation
 
     record = record or hair_dryer_record()
@@ -85,7 +86,7 @@ def hair_dryer_story(record: Record | None = None) -> HairDryerStory:
     for name, delay in (("before", 1), ("after", found.delay)):
         fit = identify(train, "oe", (2, 2), delay=delay, offset=True, initial="zero")
         noise_model = identify(train, "bj", (2, 0, 2, 2), delay=delay, offset=True, initial="zero")
-        tests[name] = input_correlation(fit.residuals[0][:, 0], train.u[:, 0], lags=LAGS)
+        tests[name] = input_correlation(fit, train, lags=LAGS)
         # The record runs through: the second half starts in the state that the first half leaves.
         simulated[name] = fit.simulate(record.u)[SPLIT:]
         one_step = noise_model.predict(record)[SPLIT:]
@@ -97,10 +98,7 @@ def hair_dryer_story(record: Record | None = None) -> HairDryerStory:
                 "simulation_rmse_se": _block_error(test.y - simulated[name]),
                 "one_step_rmse": _rms(test.y - one_step),
                 "one_step_rmse_se": _block_error(test.y - one_step),
-                "fit_percent": float(
-                    100
-                    * (1 - np.linalg.norm(test.y - simulated[name]) / np.linalg.norm(test.y - test.y.mean()))
-                ),
+                "fit_percent": fit_percent(test.y, simulated[name]),
                 "smallest_p_value": tests[name].p_value,
             }
         )

@@ -24,7 +24,7 @@ initial=None, start=None, ...) -> Fit`
   fir, with `disturbance` "ar1" or "walk". `method`, of ss: "moesp", "n4sid" or "cva", subspace methods, with `horizon`.
 
 `Fit` (frozen): `model` (`oed.models.model.Model`), `theta`, `names`, `covariance`, `standard_errors`,
-`noise_variance`, `noise_covariance`, `loss`, `fit_percent`, `aic`, `bic`, `status`, `residuals` (list of
+`noise_variance`, `noise_covariance`, `loss`, `fit_percent` (one step ahead), `simulation_fit_percent`, `aic`, `bic`, `status`, `residuals` (list of
 (N, ny)), `iterations`, `hinf_norm`, `subspace`, `input_level`, `output_level`; verbs `simulate(u)`, `predict(record)`,
 `simulate_record(record, window=n)`, `residuals_of(record)`, `linearised(record)`, `to_plant()`, `to_dict()`.
 

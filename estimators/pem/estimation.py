@@ -158,11 +158,11 @@ def identify(
         raise InputError("missing samples are bridged with the squared loss; take the robust loss off.")
     if prefilter is not None:
         experiments = [filtered_record(r, *prefilter) for r in experiments]
-    means = offset == "mean"
+    means, fitted = offset == "mean", tuple(experiments)
     if means:
         experiments, levels = _about_means(experiments)
-    restored: Callable[[Fit], Fit] = lambda fit: (
-        replace(fit, input_level=levels[0], output_level=levels[1]) if means else fit
+    restored: Callable[[Fit], Fit] = lambda fit: replace(
+        fit, records=fitted, **({"input_level": levels[0], "output_level": levels[1]} if means else {})
     )
     offset = bool(offset) and not means
     missing = missing and not all(r.complete for r in experiments)

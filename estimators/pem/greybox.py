@@ -124,7 +124,7 @@ class GreyBoxFit:
             f"  {name:>10} = {value:12.6g} +- {error:.2g}"
             for name, value, error in zip(self.names, self.theta, self.standard_errors, strict=True)
         ]
-        return "\n".join([*rows, f"  fit {self.fit_percent:.2f} %"])
+        return "\n".join([*rows, f"  fit {self.fit_percent:.2f} % simulated"])
 
 
 def _step(model: GreyBox, dt: float, x: Any, u: Any, p: Any) -> Any:

@@ -3,7 +3,8 @@
 Under the hypothesis that nothing is missing, e = M e0 with the true noise e0 and M = I - J (J'J)^-1 J' the
 projection that the fit of the parameters makes (J the sensitivities). A correlation z = X'e with columns X is
 then normal with covariance (M X)' Sigma (M X): that is what is used, with Sigma the noise's own covariance
-(coloured noise included) estimated by an autoregression of the residuals. Without J the projection is left out.
+(coloured noise included) estimated by an autoregression of the residuals. Without the projection the test of a fit's
+residuals is wrong both ways: in AR(0.9) noise it rejects 12 % at a level of 5 %, in white noise .5 %.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.residual.algebra import Parts, delayed, inverse, spread_of, taken_up
-from oed.data import Record, frozen
+from oed.data import Record, entry_name, frozen
 from oed.errors import InputError
 from oed.files.objects import as_records
 
@@ -93,145 +94,71 @@ class ResidualTest:
 
 
 def whiteness(
-    residuals: NDArray | Parts,
-    *,
-    lags: int = 25,
-    jacobian: NDArray | Parts | None = None,
-    covariance: NDArray | None = None,
+    fit: Any, records: Record | Sequence[Record], *, lags: int = 25, output: int = 0, fresh: bool = False
 ) -> ResidualTest:
-    """Whether a residual is white: its autocorrelations r_1 ... r_L.
-
-    Cov(r) = (I - Gamma' (J'J)^-1 Gamma / sigma^2) / N with Gamma_l = sum_t J_t e(t - l), since fitted parameters
-    have already removed some of the correlation (McLeod 1978, JRSS B 40, 296); without a jacobian, I / N.
+    """Whether the residual of one output (from 0) is white: its autocorrelations r_1 ... r_L.
 
     Parameters
     ----------
-    residuals : ndarray or sequence of ndarray
-        (N,) residuals of one output, or one array per record.
+    fit, records, fresh
+        As in `residual_tests`.
     lags : int
         Number of lags.
-    jacobian : ndarray or sequence of ndarray, optional
-        (N, n) sensitivities of the residual to everything that was fitted.
-    covariance : ndarray, optional
-        (n, n) covariance of what was fitted, where that is not sigma^2 (J'J)^-1: several outputs together.
+    output : int
+        Which output, from 0.
 
     Returns
     -------
     ResidualTest
         Lags 1 to L.
     """
-    parts = _parts(residuals)
-    lags = _limited(lags, parts)
-    total, power = sum(map(len, parts)), sum(float(e @ e) for e in parts)
-    if power <= 0:
-        return _test("whiteness", np.arange(1, lags + 1), np.zeros(lags), np.eye(lags))
-    r = np.array([sum(float(e[k:] @ e[: len(e) - k]) for e in parts) for k in range(1, lags + 1)]) / power
-    spread = np.diag([sum(max(len(e) - k, 1) for e in parts) for k in range(1, lags + 1)]) / total**2
-    if jacobian is not None:
-        stacked = np.concatenate(_parts(jacobian, 2))
-        past = np.concatenate([delayed(e[:, None], range(1, lags + 1)) for e in parts])
-        gamma = stacked.T @ past
-        if covariance is None:
-            covariance = inverse(stacked.T @ stacked) * power / total
-        spread = spread - gamma.T @ covariance @ gamma / power**2
-    return _test("whiteness", np.arange(1, lags + 1), r, spread)
+    return _linear(fit, records, fresh).whiteness(output, lags)
 
 
 def input_correlation(
-    residuals: NDArray | Parts,
-    inputs: NDArray | Parts,
-    *,
-    lags: Iterable[int] | int = 25,
-    jacobian: NDArray | Parts | None = None,
-    name: str = "input",
-    fresh_covariance: NDArray | None = None,
-) -> ResidualTest:
-    """Whether a residual depends on an input: z_l = sum_t e(t) u(t - l), valid for coloured noise.
+    fit: Any, records: Record | Sequence[Record], *, lags: Iterable[int] | int = 25, output: int = 0, input: int = 0,
+    fresh: bool = False,
+) -> ResidualTest:  # fmt: skip
+    """Whether the residual of one output depends on one input: z_l = sum_t e(t) u(t - l), valid for coloured noise.
 
     Parameters
     ----------
-    residuals : ndarray or sequence of ndarray
-        (N,) residuals of one output, or one array per record.
-    inputs : ndarray or sequence of ndarray
-        (N,) one input.
+    fit, records, fresh
+        As in `residual_tests`. What the fit has taken from the residual is accounted for.
     lags : iterable of int, or int
         Lags in samples, positive where the residual comes later; a number L means 0 ... L.
-    jacobian : ndarray or sequence of ndarray, optional
-        (N, n) sensitivities of the residual to everything that was fitted.
-    name : str
-        What the test is called.
-    fresh_covariance : ndarray, optional
-        (n, n) covariance of the parameters, where the record was not used to fit them: their error then
-        adds to the spread instead of having taken from it.
+    output, input : int
+        Which, from 0.
 
     Returns
     -------
     ResidualTest
         One row per lag.
     """
-    parts, u = _parts(residuals), _parts(inputs)
-    sensitivity = None if jacobian is None else [j[:, None] for j in _parts(jacobian, 2)]
-    return _input_test(
-        name, [e[:, None] for e in parts], 0, u, lags, sensitivity, np.eye(1), fresh_covariance
-    )
+    return _linear(fit, records, fresh).against_input("input", output, input, lags)
 
 
-def _input_test(
-    name: str, parts: Parts, i: int, u: Parts, lags: Iterable[int] | int, sensitivity: Parts | None,
-    weight: NDArray, fresh_covariance: NDArray | None, posterior: NDArray | None = None,
-    influence: Parts | None = None,
+def feedback(
+    fit: Any, records: Record | Sequence[Record], *, lags: int = 10, output: int = 0, input: int = 0,
+    fresh: bool = False,
 ) -> ResidualTest:  # fmt: skip
-    """The residual of output i against an input, after a fit of all outputs together weighted by W.
-
-    e_i = e0_i - J_i P sum J' W e0 with P = (sum J' W J)^-1, so that z = sum_k Y_k' e0_k with
-    Y_k = (k = i) X - (J W)_k P (J_i' X): as many columns as lags for every output k. Of a posterior with covariance P
-    the residual has taken up X' J P J' X, the prior's share left in it. Where the first parameters are no minimum of this
-    sum but moved by sum_t kappa_t e0(t), the influence, the others alone are fitted, and Y_k gains kappa_k (sum_m J_m' Y_m).
-    """
-    if [len(x) for x in parts] != [len(x) for x in u]:
-        raise InputError(
-            f"the residuals have {[len(x) for x in parts]} samples and the inputs {[len(x) for x in u]}; "
-            "they must be equal, record by record."
-        )
-    chosen = (
-        np.arange(_limited(lags, parts) + 1) if isinstance(lags, int) else np.array(list(lags), dtype=int)
-    )
-    average = sum(x.sum() for x in u) / sum(map(len, u))
-    columns = [delayed(x[:, None] - average, chosen) for x in u]
-    power = sum(float(e[:, i] @ e[:, i]) for e in parts)
-    z = np.sum([x.T @ e[:, i] for x, e in zip(columns, parts, strict=True)], axis=0)
-    extra: NDArray | float = 0.0
-    per_output = [[x if k == i else np.zeros_like(x) for x in columns] for k in range(parts[0].shape[1])]
-    known = fresh_covariance if fresh_covariance is not None else posterior
-    if sensitivity is not None and known is not None:
-        cross = np.sum([j[:, i].T @ x for j, x in zip(sensitivity, columns, strict=True)], axis=0)
-        extra = cross.T @ known @ cross * (-1 if fresh_covariance is None else 1)
-    elif sensitivity is not None:
-        per_output = taken_up(per_output, sensitivity, weight, influence)
-    covariance = spread_of(parts, per_output) + extra
-    size = np.sqrt(power * sum(float(((x - average) ** 2).sum()) for x in u)) or 1.0
-    return _test(name, chosen, z / size, covariance / size**2)
-
-
-def feedback(residuals: NDArray | Parts, inputs: NDArray | Parts, *, lags: int = 10) -> ResidualTest:
     """Whether the input depends on past noise: correlation of the residual with inputs that come after it.
 
     Parameters
     ----------
-    residuals : ndarray or sequence of ndarray
-        (N,) residuals of one output, or one array per record.
-    inputs : ndarray or sequence of ndarray
-        (N,) one input.
+    fit, records, fresh
+        As in `residual_tests`.
     lags : int
         How many samples ahead.
+    output, input : int
+        Which, from 0.
 
     Returns
     -------
     ResidualTest
         Lags -L to -1. A small p-value says that there is feedback in the data.
     """
-    limit = _limited(lags, _parts(residuals))
-    return input_correlation(residuals, inputs, lags=range(-limit, 0), name="feedback")
+    return _linear(fit, records, fresh).feedback("feedback", output, input, lags)
 
 
 def residual_tests(
@@ -254,8 +181,88 @@ def residual_tests(
     -------
     dict of str to ResidualTest
         "whiteness", "input" and "feedback"; with several channels one per output or pair, such as
-        "whiteness_2" and "input_21" (output 2, input 1).
+        "whiteness_2" and "input_21" (output 2, input 1; from 10 channels on "input_2_11").
     """
+    of = _linear(fit, records, fresh)
+    ny, nu = of.records[0].n_outputs, of.records[0].n_inputs
+    tests: dict[str, ResidualTest] = {}
+    for i in range(ny):
+        row = f"_{i + 1}" if ny > 1 else ""
+        tests[f"whiteness{row}"] = of.whiteness(i, lags)
+        for k in range(nu):
+            entry = f"_{entry_name(i, k, ny, nu)}" if ny * nu > 1 else ""
+            tests[f"input{entry}"] = of.against_input(f"input{entry}", i, k, lags)
+            tests[f"feedback{entry}"] = of.feedback("feedback", i, k, min(lags, 10))
+    return tests
+
+
+def autocorrelation(
+    residuals: NDArray | Parts, *, lags: int = 25, jacobian: Parts | None = None, covariance: NDArray | None = None
+) -> ResidualTest:  # fmt: skip
+    """Whiteness of (N,) signals whose (N, n) sensitivities to all that was fitted are given; None: nothing was fitted.
+
+    Cov(r) = (I - Gamma' P Gamma / sigma^2) / N with Gamma_l = sum_t J_t e(t - l) and P the (n, n) covariance of what was
+    fitted, by default sigma^2 (J'J)^-1: fitted parameters have removed some of the correlation (McLeod 1978, JRSS B 40, 296).
+    """
+    parts = _parts(residuals)
+    lags = _limited(lags, parts)
+    total, power = sum(map(len, parts)), sum(float(e @ e) for e in parts)
+    if power <= 0:
+        return _test("whiteness", np.arange(1, lags + 1), np.zeros(lags), np.eye(lags))
+    r = np.array([sum(float(e[k:] @ e[: len(e) - k]) for e in parts) for k in range(1, lags + 1)]) / power
+    spread = np.diag([sum(max(len(e) - k, 1) for e in parts) for k in range(1, lags + 1)]) / total**2
+    if jacobian is not None:
+        stacked = np.concatenate(_parts(jacobian, 2))
+        past = np.concatenate([delayed(e[:, None], range(1, lags + 1)) for e in parts])
+        gamma = stacked.T @ past
+        if covariance is None:
+            covariance = inverse(stacked.T @ stacked) * power / total
+        spread = spread - gamma.T @ covariance @ gamma / power**2
+    return _test("whiteness", np.arange(1, lags + 1), r, spread)
+
+
+def cross_correlation(
+    residuals: NDArray | Parts, inputs: NDArray | Parts, *, lags: Iterable[int] | int = 25
+) -> ResidualTest:
+    """Correlation of (N,) noise that no fit has touched with (N,) inputs; of a fit's residuals: `input_correlation`."""
+    parts = [e[:, None] for e in _parts(residuals)]
+    return _against(_Linear((), parts, None, np.eye(1)), "input", 0, _parts(inputs), lags)
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """Residuals with what the fit has made of them.
+
+    residuals[r] is (N, ny), sensitivity[r] (N, ny, n) to everything that was fitted (None: nothing was), weight (ny, ny) of
+    the least squares, spread (n, n) the covariance of what was fitted. known: 1 where that covariance adds to the residuals'
+    (fresh data), -1 where a posterior's has been taken from it, 0 where the fit is least squares, whose projection is exact.
+    influence[r] (N, ny, m) is what noise adds to the first m parameters where these are no least squares estimate.
+    """
+
+    records: Sequence[Record]
+    residuals: Parts
+    sensitivity: Parts | None
+    weight: NDArray
+    spread: NDArray | None = None
+    known: int = 0
+    influence: Parts | None = None
+
+    def whiteness(self, i: int, lags: int) -> ResidualTest:
+        jacobian = (
+            None if self.known == 1 or self.sensitivity is None else [j[:, i] for j in self.sensitivity]
+        )
+        return autocorrelation(
+            [e[:, i] for e in self.residuals], lags=lags, jacobian=jacobian, covariance=self.spread
+        )
+
+    def against_input(self, name: str, i: int, k: int, lags: Iterable[int] | int) -> ResidualTest:
+        return _against(self, name, i, [r.u[:, k] for r in self.records], lags)
+
+    def feedback(self, name: str, i: int, k: int, lags: int) -> ResidualTest:
+        return self.against_input(name, i, k, range(-_limited(lags, self.residuals), 0))
+
+
+def _linear(fit: Any, records: Record | Sequence[Record], fresh: bool) -> _Linear:
     given = as_records(records)
     linear = [fit.linearised(r) for r in given]
     shared = len(fit.covariance)
@@ -267,8 +274,6 @@ def residual_tests(
         states = np.zeros((*j.shape[:2], own * len(given)))
         states[:, :, r * own : (r + 1) * own] = j[:, :, common:]
         wide.append(np.concatenate([j[:, :, :common], states], axis=2))
-    tests: dict[str, ResidualTest] = {}
-    ny, nu = given[0].n_outputs, given[0].n_inputs
     residuals = [e for e, _ in linear]
     weight = np.linalg.inv(fit.noise_covariance)
     stacked = np.concatenate(wide)
@@ -287,20 +292,40 @@ def residual_tests(
         spread[:shared, :shared] = fit.covariance
     if posterior and levels:
         spread[shared:common, shared:common] = np.diag(fit.output_level_errors**2)
-    for i in range(ny):
-        e = [x[:, i] for x in residuals]
-        row = f"_{i + 1}" if ny > 1 else ""
-        fitted = None if fresh else [j[:, i] for j in wide]
-        tests[f"whiteness{row}"] = whiteness(e, lags=lags, jacobian=fitted, covariance=spread)
-        for k in range(nu):
-            u = [r.u[:, k] for r in given]
-            entry = f"_{i + 1}{k + 1}" if ny * nu > 1 else ""
-            tests[f"input{entry}"] = _input_test(
-                f"input{entry}", residuals, i, u, lags, wide, weight, spread if fresh else None,
-                spread if posterior else None, influence,
-            )  # fmt: skip
-            tests[f"feedback{entry}"] = feedback(e, u, lags=min(lags, 10))
-    return tests
+    return _Linear(given, residuals, wide, weight, spread, int(fresh) - int(posterior), influence)
+
+
+def _against(of: _Linear, name: str, i: int, u: Parts, lags: Iterable[int] | int) -> ResidualTest:
+    """The residual of output i against an input, after a fit of all outputs together weighted by W.
+
+    e_i = e0_i - J_i P sum J' W e0 with P = (sum J' W J)^-1, so that z = sum_k Y_k' e0_k with
+    Y_k = (k = i) X - (J W)_k P (J_i' X): as many columns as lags for every output k. Of a posterior with covariance P
+    the residual has taken up X' J P J' X, the prior's share left in it. Where the first parameters are no minimum of this
+    sum but moved by sum_t kappa_t e0(t), the influence, the others alone are fitted, and Y_k gains kappa_k (sum_m J_m' Y_m).
+    """
+    parts = of.residuals
+    if [len(x) for x in parts] != [len(x) for x in u]:
+        raise InputError(
+            f"the residuals have {[len(x) for x in parts]} samples and the inputs {[len(x) for x in u]}; "
+            "they must be equal, record by record."
+        )
+    chosen = (
+        np.arange(_limited(lags, parts) + 1) if isinstance(lags, int) else np.array(list(lags), dtype=int)
+    )
+    average = sum(x.sum() for x in u) / sum(map(len, u))
+    columns = [delayed(x[:, None] - average, chosen) for x in u]
+    power = sum(float(e[:, i] @ e[:, i]) for e in parts)
+    z = np.sum([x.T @ e[:, i] for x, e in zip(columns, parts, strict=True)], axis=0)
+    extra: NDArray | float = 0.0
+    per_output = [[x if k == i else np.zeros_like(x) for x in columns] for k in range(parts[0].shape[1])]
+    if of.sensitivity is not None and of.known:
+        cross = np.sum([j[:, i].T @ x for j, x in zip(of.sensitivity, columns, strict=True)], axis=0)
+        extra = of.known * (cross.T @ of.spread @ cross)
+    elif of.sensitivity is not None:
+        per_output = taken_up(per_output, of.sensitivity, of.weight, of.influence)
+    covariance = spread_of(parts, per_output) + extra
+    size = np.sqrt(power * sum(float(((x - average) ** 2).sum()) for x in u)) or 1.0
+    return _test(name, chosen, z / size, covariance / size**2)
 
 
 def _test(name: str, lags: NDArray, r: NDArray, covariance: NDArray) -> ResidualTest:

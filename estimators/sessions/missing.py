@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.rules.trace import Trace
+from oed.data import entry_name
 from oed.errors import InputError
 from oed.plants.plant import Plant
 
@@ -166,7 +167,9 @@ def _fitted(name: str, data: list[_Data], model: Plant, frequency: float) -> Cau
         words = "a direct path is missing"
     coefficients = _solve(data[0], regressors)
     found = {
-        f"{name}_{i + 1}{j + 1}": float(c) for i, row in enumerate(coefficients) for j, c in enumerate(row)
+        f"{name}_{entry_name(i, j, *coefficients.shape[:2])}": float(c)
+        for i, row in enumerate(coefficients)
+        for j, c in enumerate(row)
     }
     listed = ", ".join(f"{key} {value:.3g}" for key, value in found.items())
     return _judged(name, f"{words}: {listed}", data, regressors, coefficients.size, found)

@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.data import frozen
+from oed.data import entry_name, frozen
 from oed.errors import InputError
 
 __all__ = ["Orders", "Polynomial", "polynomial"]
@@ -87,7 +87,7 @@ class Polynomial:
         names = []
         for i in range(ny):
             row = "" if ny == 1 else f"_{i + 1}"
-            entry = ["" if ny * nu == 1 else f"_{i + 1}{j + 1}" for j in range(nu)]
+            entry = ["" if ny * nu == 1 else f"_{entry_name(i, j, ny, nu)}" for j in range(nu)]
             names += [f"a{k + 1}{row}" for k in range(self.na[i])]
             names += [f"b{self.nk[i, j] + k}{entry[j]}" for j in range(nu) for k in range(self.nb[i, j])]
             names += [f"c{k + 1}{row}" for k in range(self.nc[i])]

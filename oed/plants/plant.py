@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.data import frozen
+from oed.data import entry_name, frozen
 from oed.errors import InputError
 
 __all__ = ["Plant"]
@@ -169,7 +169,7 @@ class Plant:
         rows = []
         for i in range(self.n_outputs):
             for j in range(self.n_inputs):
-                tail = f"_{i + 1}{j + 1}" if several else ""
+                tail = f"_{entry_name(i, j, self.n_outputs, self.n_inputs)}" if several else ""
                 B, A = self.num[i][j], self.den[i][j]
                 first = np.flatnonzero(B)
                 if not first.size:

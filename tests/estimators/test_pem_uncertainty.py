@@ -7,9 +7,19 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.pem import identify
-from estimators.pem.uncertainty import bode_band, pole_covariances, profile_interval, sandwich, step_band
+from estimators.pem.uncertainty import (
+    bode_band,
+    default_lags,
+    long_run,
+    pole_covariances,
+    profile_interval,
+    sandwich,
+    step_band,
+)
 from oed.data import Record
 from oed.errors import InputError
+from oed.models.polynomials import polynomial
+from oed.plants.plant import Plant
 
 B, A = [0.0, 0.2155, 0.2012], [1.0, -0.9854, 0.8187]
 THETA = np.array([0.2155, 0.2012, -0.9854, 0.8187])
@@ -85,3 +95,28 @@ def test_bands_cover_in_monte_carlo() -> None:
         assert phase.standard_error[2, 0, 0] > 0
     for share in (np.mean(hits, axis=0), np.mean(steps, axis=0), np.mean(poles)):
         assert np.all((share > 0.88) & (share <= 0.995))
+
+
+def test_how_far_a_long_run_covariance_looks() -> None:
+    """Newey and West (1994) print 4 (N / 100)^(2/9); a series e(t) + e(t - 3), which an autoregression of order 1 cannot
+    whiten, has the long-run variance 4, of which Bartlett's weights at 7 lags keep 2 + 2 (1 - 3/8) = 3.25.
+    """
+    assert [default_lags(n) for n in (100, 1000, 3200, 100_000, 10_000_000)] == [4, 7, 9, 19, 52]
+    rng = np.random.default_rng(8)
+    e = rng.normal(size=(200, 1003))
+    series = [(row[3:] + row[:-3])[:, None] for row in e]
+    mean = lambda lags: np.mean([long_run([x], lags)[0, 0] / 1000 for x in series])
+    # 200 runs: the mean is known to 0.02 of itself.
+    assert mean(default_lags(1000)) == pytest.approx(3.25, rel=0.06)
+    assert mean(default_lags(1000) // 3) < 2.2  # the negative control: a third of it sees no lag 3
+
+
+def test_parameters_of_more_than_nine_channels_have_names_of_their_own() -> None:
+    """Output 1, input 11 and output 11, input 1 were both b1_111."""
+    several = polynomial("oe", [1, 1], 1, n_inputs=11, n_outputs=11)
+    assert len(set(several.names)) == len(several.names) == 242
+    assert {"b1_1_11", "b1_11_1"} <= set(several.names)
+    assert polynomial("oe", [1, 1], 1, n_inputs=2, n_outputs=9).names[0] == "b1_11"
+    plant = Plant([[[0, 1.0 + i + j] for j in range(11)] for i in range(11)], [[[1.0, -0.5]] * 11] * 11)
+    assert len(set(plant.all_names)) == len(plant.all_names) == 242
+    assert "b1_11_1" in plant.all_names

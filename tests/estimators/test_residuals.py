@@ -9,7 +9,14 @@ from scipy.stats import binom
 
 from estimators.pem import identify
 from estimators.residual.algebra import noise_filter
-from estimators.residual.tests import feedback, input_correlation, residual_tests, whiteness
+from estimators.residual.tests import (
+    autocorrelation,
+    cross_correlation,
+    feedback,
+    input_correlation,
+    residual_tests,
+    whiteness,
+)
 from oed.data import Record
 from oed.errors import InputError
 from tests.oracles import residuals as oracle
@@ -30,19 +37,23 @@ def fitted(seed, colour=(), order="oe", orders=(2, 2), length=500):
 
 def test_level_of_the_input_test_in_coloured_noise() -> None:
     """p < 0.05 in 5 % of the runs although the noise is coloured and the input too; false alarms: 0.001."""
-    p, alone = [], []
+    p, alone, unfitted, ahead = [], [], [], []
     for seed in range(RUNS):
         fit, record = fitted(seed, colour=(-0.9,))
-        e, jacobian = fit.linearised(record)
-        p.append(input_correlation(e, record.u, lags=20, jacobian=jacobian[:, 0]).p_value)
-        white = e[:, 0]
+        p.append(input_correlation(fit, record, lags=20).p_value)
+        ahead.append(feedback(fit, record).p_value)
+        white = fit.residuals[0][:, 0]
+        unfitted.append(cross_correlation(white, record.u, lags=20).p_value)
         alone.append(
             np.abs(oracle.cross_correlations(white, record.u[:, 0], range(21))).max()
             > 3.1 / np.sqrt(len(white))
         )
     assert LOW <= np.sum(np.array(p) < LEVEL) <= HIGH
-    # The negative control: the textbook bound for white residuals (3.1 sigma for 21 lags) fails here.
+    assert np.sum(np.array(ahead) < LEVEL) <= HIGH
+    # The negative controls: the textbook bound for white residuals (3.1 sigma for 21 lags) fails here, and so does the
+    # test for noise that no fit has touched.
     assert np.sum(alone) > HIGH
+    assert np.sum(np.array(unfitted) < LEVEL) > HIGH
 
 
 def test_level_of_the_whiteness_test() -> None:
@@ -83,16 +94,21 @@ def test_feedback_is_seen_and_not_invented(rng) -> None:
     for t in range(1, 1000):
         y[t] = 0.5 * y[t - 1] + 0.4 * u[t - 1] + e[0, t]
         u[t] = -0.4 * y[t] + e[1, t]
-    assert feedback(e[0], lfilter([1], [1, -0.5], e[1])).p_value > 1e-3
-    assert feedback(e[0], np.r_[0, u[:-1]]).p_value < 1e-6
+    ahead = range(-10, 0)
+    assert cross_correlation(e[0], lfilter([1], [1, -0.5], e[1]), lags=ahead).p_value > 1e-3
+    assert cross_correlation(e[0], np.r_[0, u[:-1]], lags=ahead).p_value < 1e-6
+    closed = Record(np.r_[0, u[:-1]], y)
+    assert feedback(identify(closed, "arx", (1, 1), 0), closed).p_value < 1e-6
 
 
-def test_without_jacobian_it_is_the_permutation_test(rng) -> None:
+def test_of_noise_untouched_by_a_fit_it_is_the_permutation_test(rng) -> None:
     """White noise: the chi-squared p-value is that of 2000 permutations within their error (0.011 at p = 0.5)."""
     e, u = rng.normal(size=400), rng.normal(size=400)
     theirs = oracle.independence_p_value(e, u - u.mean(), range(11), rng)
-    assert input_correlation(e, u, lags=10).p_value == pytest.approx(theirs, abs=0.05)
-    assert whiteness(e, lags=10).p_value == pytest.approx(oracle.whiteness_p_value(e, 10, rng), abs=0.05)
+    assert cross_correlation(e, u, lags=10).p_value == pytest.approx(theirs, abs=0.05)
+    assert autocorrelation(e, lags=10).p_value == pytest.approx(
+        oracle.whiteness_p_value(e, 10, rng), abs=0.05
+    )
 
 
 def test_noise_filter_finds_an_autoregression(rng) -> None:
@@ -116,13 +132,15 @@ def test_several_records_and_channels(rng) -> None:
     }
     assert tests["input_11"].p_value < 1e-6  # F of degree 1 cannot resonate
     assert tests["input_22"].p_value > 1e-4
+    assert tests["input_22"].p_value == input_correlation(fit, records, output=1, input=1).p_value
+    assert tests["whiteness_2"].p_value == whiteness(fit, records, output=1).p_value
     assert tests["input_11"].significant().size > 0
 
 
 def test_bad_input_is_told(rng) -> None:
     with pytest.raises(InputError, match="equal, record by record"):
-        input_correlation(rng.normal(size=50), rng.normal(size=49))
+        cross_correlation(rng.normal(size=50), rng.normal(size=49))
     with pytest.raises(InputError, match="one channel at a time"):
-        whiteness(rng.normal(size=(50, 2)))
+        autocorrelation(rng.normal(size=(50, 2)))
     with pytest.raises(InputError, match="lags"):
-        whiteness(rng.normal(size=3))
+        autocorrelation(rng.normal(size=3))

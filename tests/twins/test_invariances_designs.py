@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimators.pem import identify
-from estimators.residual.tests import input_correlation, whiteness
+from estimators.residual.tests import autocorrelation, cross_correlation
 from oed.criteria import a_criterion
 from oed.data import Record
 from oed.design import solve_design
@@ -155,14 +155,16 @@ def test_residual_tests_in_other_units(unit, rng) -> None:
     e, u = rng.standard_normal((2, 300))
     e = e + 0.1 * np.r_[0.0, u[:-1]]
     for one, two in (
-        (whiteness(e), whiteness(unit * e)),
-        (input_correlation(e, u), input_correlation(unit * e, u)),
-        (input_correlation(e, u), input_correlation(e, unit * u)),
-        (input_correlation(e, u), input_correlation(e, u + 100.0)),
+        (autocorrelation(e), autocorrelation(unit * e)),
+        (cross_correlation(e, u), cross_correlation(unit * e, u)),
+        (cross_correlation(e, u), cross_correlation(e, unit * u)),
+        (cross_correlation(e, u), cross_correlation(e, u + 100.0)),
     ):
         assert two.p_value == pytest.approx(one.p_value, rel=1e-6)
         assert np.abs(two.correlation) == pytest.approx(np.abs(one.correlation), rel=1e-8, abs=1e-9)
     parts = [e[:120], e[120:]], [u[:120], u[120:]]
-    assert whiteness(parts[0][::-1]).p_value == pytest.approx(whiteness(parts[0]).p_value, rel=1e-9)
-    turned = input_correlation(parts[0][::-1], parts[1][::-1])
-    assert turned.p_value == pytest.approx(input_correlation(*parts).p_value, rel=1e-9)
+    assert autocorrelation(parts[0][::-1]).p_value == pytest.approx(
+        autocorrelation(parts[0]).p_value, rel=1e-9
+    )
+    turned = cross_correlation(parts[0][::-1], parts[1][::-1])
+    assert turned.p_value == pytest.approx(cross_correlation(*parts).p_value, rel=1e-9)

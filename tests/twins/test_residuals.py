@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.residual.tests import input_correlation, whiteness
+from estimators.residual.tests import autocorrelation, cross_correlation
 from tests.oracles import lti, residuals
 
 
@@ -18,8 +18,10 @@ def test_whiteness(case, rng) -> None:
     if case == 3:
         e = lti.difference_equation([1.0], [1.0, -0.5], e)
     oracle = residuals.whiteness_p_value(e, 10, rng, permutations=999)
-    assert whiteness(e, lags=10).p_value == pytest.approx(oracle, abs=0.08)
-    assert whiteness(e, lags=10).correlation == pytest.approx(residuals.autocorrelations(e, 10), abs=1e-12)
+    assert autocorrelation(e, lags=10).p_value == pytest.approx(oracle, abs=0.08)
+    assert autocorrelation(e, lags=10).correlation == pytest.approx(
+        residuals.autocorrelations(e, 10), abs=1e-12
+    )
     assert (oracle < 0.01) == (case == 3)
 
 
@@ -31,7 +33,7 @@ def test_input_correlation(case, rng) -> None:
     if case == 3:
         e = e + 0.3 * np.r_[0.0, u[:-1]]
     oracle = residuals.independence_p_value(e, u, range(8), rng, permutations=999)
-    found = input_correlation(e, u, lags=7)
+    found = cross_correlation(e, u, lags=7)
     assert found.p_value == pytest.approx(oracle, abs=0.08)
     assert found.correlation == pytest.approx(residuals.cross_correlations(e, u, range(8)), abs=1e-12)
     assert (oracle < 0.01) == (case == 3)

@@ -26,6 +26,7 @@ from oed.criteria import (
     e_criterion,
     g_criterion,
 )
+from oed.data import entry_name
 from oed.design.problem.families import Family
 from oed.design.problem.grid import frequency_grid
 from oed.design.problem.information_maps import InformationMap
@@ -227,7 +228,11 @@ def _pole_gradient(plant: Plant, which: int, name: str) -> NDArray[np.float64]:
     slope = np.polyval(np.polyder(A), p)
     if abs(slope) < 1e-9:
         raise InputError(f"the pole {p:.6g} is multiple, so it has no derivative; choose another.")
-    tail = "" if plant.n_outputs * plant.n_inputs == 1 else f"_{i + 1}{j + 1}"
+    tail = (
+        ""
+        if plant.n_outputs * plant.n_inputs == 1
+        else f"_{entry_name(i, j, plant.n_outputs, plant.n_inputs)}"
+    )
     c = np.zeros(len(plant.free))
     for k, parameter in enumerate(plant.free):
         if parameter.startswith("a") and parameter.endswith(tail):
