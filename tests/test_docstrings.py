@@ -3,12 +3,14 @@ sentence; every example in a docstring runs."""
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import doctest
 import enum
 import importlib
 import inspect
 import os
+import re
 import sys
 import types
 from pathlib import Path
@@ -209,3 +211,37 @@ class _Wrong:
     """
 
     x: float
+
+
+def _written_signatures() -> list[tuple[str, str, str, str]]:
+    """(package, verb, parameter, default) of every `verb(..., parameter=default, ...) -> X` in a package's docstring."""
+    found = []
+    for package in (
+        name for name in module_names() if (ROOT / name.replace(".", "/") / "__init__.py").exists()
+    ):
+        module = importlib.import_module(package)
+        for verb, arguments in re.findall(
+            r"(\w+)\(([^()]*(?:\([^()]*\)[^()]*)*)\) -> ", module.__doc__ or ""
+        ):
+            found += [(package, verb, *pair) for pair in re.findall(r"(\w+)=(\([^)]*\)|[^,\s]+)", arguments)]
+    return found
+
+
+def test_defaults_in_package_docstrings_are_the_defaults() -> None:
+    """solve_design's tolerance was written as 1e-9 and is 1e-7; a verb that is not there fails too."""
+    written = _written_signatures()
+    assert {verb for _, verb, _, _ in written} >= {"solve_design", "identify"}
+    for package, verb, parameter, default in written:
+        known = inspect.signature(getattr(importlib.import_module(package), verb)).parameters
+        assert known[parameter].default == ast.literal_eval(default), (package, verb, parameter)
+
+
+def test_sizes_in_identify_docstring_are_those_of_the_search() -> None:
+    from estimators.pem import identify
+    from estimators.pem.search.global_search import FEW, MANY, SOME
+
+    text = " ".join(str(identify.__doc__).split())
+    assert (
+        f"on up to {FEW} samples always) and up to {int(1.5 * MANY)} samples, and on up to {SOME} samples"
+        in text
+    )

@@ -96,7 +96,7 @@ def identify(
         (n,) parameters to start from; by default several starts are made from the data.
     search : {"auto", "quick", "thorough"}
         How hard the global optimum is looked for: quick tries the starts got by linear algebra; auto also moves
-        modes to other frequencies, where there are more than two (on up to 400 samples always) and up to 20000
+        modes to other frequencies, where there are more than two (on up to 400 samples always) and up to 30000
         samples, and on up to 3000 samples draws random starts; thorough always does, with four times as many.
     fixed : mapping of str to float, optional
         Known parameters by name: {"f1": -0.9}.

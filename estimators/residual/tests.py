@@ -100,12 +100,16 @@ def whiteness(
 
     Parameters
     ----------
-    fit, records, fresh
+    fit : Fit
         As in `residual_tests`.
+    records : Record or sequence of Record
+        The data that were fitted, or fresh data.
     lags : int
         Number of lags.
     output : int
         Which output, from 0.
+    fresh : bool
+        Whether these data were not used in the fit.
 
     Returns
     -------
@@ -123,12 +127,16 @@ def input_correlation(
 
     Parameters
     ----------
-    fit, records, fresh
-        As in `residual_tests`. What the fit has taken from the residual is accounted for.
+    fit : Fit
+        As in `residual_tests`; what it has taken from the residual is accounted for.
+    records : Record or sequence of Record
+        The data that were fitted, or fresh data.
     lags : iterable of int, or int
         Lags in samples, positive where the residual comes later; a number L means 0 ... L.
     output, input : int
         Which, from 0.
+    fresh : bool
+        Whether these data were not used in the fit.
 
     Returns
     -------
@@ -146,12 +154,16 @@ def feedback(
 
     Parameters
     ----------
-    fit, records, fresh
+    fit : Fit
         As in `residual_tests`.
+    records : Record or sequence of Record
+        The data that were fitted, or fresh data.
     lags : int
         How many samples ahead.
     output, input : int
         Which, from 0.
+    fresh : bool
+        Whether these data were not used in the fit.
 
     Returns
     -------

@@ -2,8 +2,8 @@
 
 The public verb and what it returns:
 
-    solve_design(model, criterion="D", *, input_power=1.0, output_power=None, channel_power=None,
-                 band=None, points=400, prior=None, solver="newton", refine=True, tolerance=1e-9) -> Design
+    solve_design(model, criterion="D", *, input_power=None, output_power=None, channel_power=None,
+                 band=None, points=400, prior=None, solver="newton", refine=True, tolerance=1e-7) -> Design
 
     Design.spectrum         Spectrum: the optimal lines (one-sided; powers sum to the input power)
     Design.loss             D: det(I^-1)^(1/n), A: trace I^-1, E: largest eigenvalue of I^-1, c: c'I^-1 c;

@@ -139,7 +139,7 @@ def at_reversals(wild: NDArray[np.bool_], simulated: Array) -> bool:
 def wild_samples(residual: Array, keep: NDArray[np.bool_], limit: float = 5.0) -> NDArray[np.bool_]:
     """Isolated samples whose residual stands out from its neighbours' by more than Gaussian noise could.
 
-    The statistic is the residual minus the median of its four neighbours, in robust standard deviations of
+    The statistic is the residual minus the median of its six neighbours, in robust standard deviations of
     that difference; it must also stand out from the residual's own spread. With limit 5 about one record of
     a thousand with 1000 Gaussian samples shows one.
 
