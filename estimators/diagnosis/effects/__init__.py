@@ -1,1 +1,51 @@
-"""The catalogue of effects that a linear model can lack, each as data plus its term."""
+"""The catalogue of effects that a linear model can lack, one file for each place where they act.
+
+These files import the rooms of the model and the search inside functions only, as those import the effects.
+"""
+
+from __future__ import annotations
+
+from estimators.diagnosis.effects.added import ADDED
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Sizes, Slot
+from estimators.diagnosis.effects.input import INPUT
+from estimators.diagnosis.effects.noise import NOISE
+from estimators.diagnosis.effects.output import OUTPUT
+from estimators.diagnosis.effects.path import PATH
+from estimators.diagnosis.effects.plant import PLANT
+from oed.errors import InputError
+
+__all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]
+
+CATALOGUE: tuple[Effect, ...] = (*INPUT, *PLANT, *PATH, *OUTPUT, *ADDED, *NOISE)
+"""Every effect that the diagnosis knows; hand in more with `diagnose(..., effects=[*CATALOGUE, mine])`."""
+
+
+def named(key: str, among: tuple[Effect, ...] = CATALOGUE) -> Effect:
+    """The effect of a key, for example "saturation".
+
+    Parameters
+    ----------
+    key : str
+        Name of the variant.
+    among : tuple of Effect
+        Where to look; the catalogue without it.
+
+    Returns
+    -------
+    Effect
+        The effect.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+
+    Examples
+    --------
+    >>> named("saturation").cause
+    'input_saturation'
+    """
+    for effect in among:
+        if effect.key == key:
+            return effect
+    raise InputError(f"there is no effect {key!r}; there are {', '.join(sorted(e.key for e in among))}.")

@@ -1,35 +1,73 @@
-"""Compiled twin of a plant with nonlinear feedback: smooth forces, dry friction, hysteresis.
+"""Compiled recursion of a plant with nonlinear feedback: forces, dry friction, hysteresis, stops.
 
-CasADi defines the same step in `estimators.diagnosis.effects.terms`; a test holds the two to 1e-9.
+CasADi defines the same step in `terms`; a test holds the two to 1e-9.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
 import numpy as np
+from numba import cfunc, types
 
 from estimators.diagnosis.effects.recursion_kernels import compiled
 
-__all__ = ["bouc_wen", "dry_friction", "held_response", "hysteresis_step", "load", "simulate_feedback"]
+__all__ = [
+    "MOST_FORCES", "Elements", "Held", "bouc_wen", "dry_friction", "held_response", "hysteresis_step", "no_force",
+    "pointer", "simulate_feedback",
+]  # fmt: skip
+
+MOST_FORCES = 2
+"""Forces of a model at the same time; a compiled recursion takes each as an argument."""
+_FORCE = types.float64(*[types.float64] * 5, types.float64[::1])
+
+
+class Elements(NamedTuple):
+    """What acts inside a plant and is no function of its present state alone; every field 0 where it is not there.
+
+    Dry friction of level (1 +- tilt) (coulomb + static exp(-(v / speed)^2)), a spring on the hysteretic part of a
+    Bouc-Wen element that saturates at `width`, and a stop that holds the first state within +-stop.
+    
+    """
+
+    coulomb: float = 0.0
+    static: float = 0.0
+    speed: float = 1.0
+    tilt: float = 0.0
+    spring: float = 0.0
+    width: float = 0.0
+    stop: float = 0.0
+
+
+class Held(NamedTuple):
+    """A linear plant over one integration step: transition, response to input and force, rows that read position and velocity."""
+
+    phi: Any
+    gamma_u: Any
+    gamma_w: Any
+    position: Any
+    velocity: Any
+
+
+@lru_cache(maxsize=256)
+def pointer(force: Callable[..., Any]) -> Any:
+    """A force as the compiled recursion takes it, compiled at its first use and kept on disk where its file allows."""
+    try:
+        return cfunc(_FORCE, cache=True, error_model="numpy")(force)
+    except RuntimeError:  # written in a console: there is no file beside which to keep it
+        return cfunc(_FORCE, error_model="numpy")(force)
+
+
+def no_force(p, v, u, q, s, c):  # pragma: no cover - compiled
+    """Fills the place of a force that is not there."""
+    return 0.0
 
 
 @compiled
 def hysteresis_step(z, move, width):  # pragma: no cover - compiled
-    """Hysteretic part of a Bouc-Wen element after a monotone move of its ends.
-
-    Parameters
-    ----------
-    z : float
-        Before.
-    move : float
-        Change of the displacement.
-    width : float
-        Where the hysteretic part saturates.
-
-    Returns
-    -------
-    float
-        After.
-    """
+    """Hysteretic part of a Bouc-Wen element after a monotone move of its ends."""
     side = 1.0 if move >= 0 else -1.0
     left = abs(move)
     if side * z < 0.0:
@@ -47,18 +85,6 @@ def bouc_wen(signal, width):  # pragma: no cover - compiled
 
     The signal moves monotonically from sample to sample. Towards zero z follows it one to one, away from zero
     it bends towards +-width exponentially.
-
-    Parameters
-    ----------
-    signal : ndarray
-        (N,) the signal.
-    width : float
-        Where the hysteretic part saturates.
-
-    Returns
-    -------
-    ndarray
-        (N,).
     """
     out = np.empty_like(signal)
     z = 0.0
@@ -72,22 +98,7 @@ def bouc_wen(signal, width):  # pragma: no cover - compiled
 
 @compiled
 def held_response(a, columns, h):  # pragma: no cover - compiled
-    """exp(A h) and the integral over h of exp(A s) ds times the columns, by a scaled Taylor series.
-
-    Parameters
-    ----------
-    a : ndarray
-        (n, n) the matrix A.
-    columns : ndarray
-        (n, m) what is integrated.
-    h : float
-        Length of the interval.
-
-    Returns
-    -------
-    tuple of ndarray
-        The transition and the integral.
-    """
+    """exp(A h) and the integral over h of exp(A s) ds times the columns, by a scaled Taylor series."""
     n = a.shape[0]
     m = n + columns.shape[1]
     big = np.zeros((m, m))
@@ -129,56 +140,13 @@ def held_response(a, columns, h):  # pragma: no cover - compiled
 
 
 @compiled
-def load(c, p, v, u, q, z):  # pragma: no cover - compiled
-    """Force of the smooth effects inside a plant, see `simulate_feedback`.
-
-    Parameters
-    ----------
-    c : ndarray
-        (19,) coefficients.
-    p, v : float
-        Position and velocity.
-    u, q : float
-        Input, and the last state, which drives the others where the input has a lag of its own.
-    z : float
-        Hysteretic displacement.
-
-    Returns
-    -------
-    float
-        Force.
-    """
-    w = (c[0] + c[1] * p) * p * p + c[2] * abs(p) * p + c[3] * abs(v) * v - (c[4] * u + c[17] * q) * p
-    if c[9] != 0.0:
-        w += c[9] * p**5
-    if c[10] != 0.0 and p > c[11]:
-        w += c[10] * (p - c[11])
-    if c[12] != 0.0 and p < c[13]:
-        w += c[12] * (p - c[13])
-    return w + c[14] * p * p * v + c[15] * z
-
-
-@compiled
-def dry_friction(v, ahead, gain, coulomb, static, speed, tilt):  # pragma: no cover - compiled
+def dry_friction(v, ahead, gain, elements):  # pragma: no cover - compiled
     """Mean dry friction over a step in which the velocity moves on a straight line, to second order in the step.
 
     The force keeps its side until the velocity is zero. From there on it holds what pushes less than the friction at rest,
     and else it is on the other side for the rest of the step.
-
-    Parameters
-    ----------
-    v, ahead : float
-        Velocity at the start of the step, and at its end were there no friction.
-    gain : float
-        What a unit of force takes from the velocity over the step.
-    coulomb, static, speed, tilt : float
-        The level is (1 +- tilt) (coulomb + static exp(-(v / speed)^2)), + where the velocity is positive.
-
-    Returns
-    -------
-    float
-        Force.
     """
+    coulomb, static, speed, tilt = elements.coulomb, elements.static, elements.speed, elements.tilt
     side = 1.0 if v > 0.0 else -1.0
     here, there = side * (1.0 + side * tilt), -side * (1.0 - side * tilt)
     force = here * (coulomb + static * np.exp(-((v / speed) ** 2)))
@@ -199,91 +167,53 @@ def dry_friction(v, ahead, gain, coulomb, static, speed, tilt):  # pragma: no co
 
 
 @compiled
-def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps):  # pragma: no cover
-    """States of x' = A x + B u - E w(x, u), sampled, with `steps` exponential Heun steps per sample.
+def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no cover - compiled
+    """States (N, n) of x' = A x + B u - E w, with `steps` exponential Heun steps per sample.
 
-    w = k2 p^2 + k3 p^3 + k5 p^5 + k |p| p + drag |v| v + damping p^2 v - (beta u + product q) p
-    + upper max(p - high, 0) + lower min(p - low, 0) + spring z + friction, with p = position x, v = velocity x, q the last state and z the hysteretic
-    displacement of a Bouc-Wen element; c = (k2, k3, k, drag, beta, coulomb, static, stribeck_speed, asymmetry, k5,
-    upper, high, lower, low, damping, spring, width, product,
-    stop). Dry friction is that of `dry_friction`. A stop holds a position (the first state, its velocity the second)
-    within +-stop and takes the velocity; 0 for none.
-
-    Parameters
-    ----------
-    u : ndarray
-        (N,) input.
-    phi : ndarray
-        (n, n) transition over one step.
-    gamma_u : ndarray
-        (n,) effect of the held input over one step.
-    gamma_w : ndarray
-        (n,) effect of the nonlinear term over one step.
-    position : ndarray
-        (n,) row that reads the position off the state.
-    velocity : ndarray
-        (n,) row that reads the velocity off the state.
-    c : ndarray
-        (19,) coefficients of the nonlinear term w.
-    x0 : ndarray
-        Initial state.
-    steps : int
-        Integration steps per sample.
-
-    Returns
-    -------
-    ndarray
-        (N, n) states.
+    w = f(p, v, u, q, s, c[0]) + g(..., c[1]) + spring z + dry friction, with p and v the position and velocity that
+    `held` reads off x, q the last state, z the hysteretic displacement. drive (N, 3): the input, and the signal that
+    modulates each force. c has a row per force, none where there is none. A stop takes the velocity (second state).
+    
     """
-    n = u.shape[0]
+    n = drive.shape[0]
+    phi, gamma_u, gamma_w, position, velocity = held
     m = phi.shape[0]
     out = np.empty((n, m))
     x = x0.copy()
     free = np.empty(m)
-    coulomb, static, speed, tilt = c[5], c[6], c[7], c[8]
-    dry = coulomb != 0.0 or static != 0.0
-    bending = c[15] != 0.0
-    width = c[16]
-    stop = c[18]
+    dry = elements.coulomb != 0.0 or elements.static != 0.0
+    bending = elements.spring != 0.0
+    forces = c.shape[0]
     z = 0.0
     z1 = 0.0
     gv = 0.0
     for i in range(m):
         gv += velocity[i] * gamma_w[i]
-    if not np.any(c):  # linear: most fits of the screening
-        for k in range(n):
-            big = 0.0
-            for i in range(m):
-                out[k, i] = x[i]
-            for _ in range(steps):
-                for i in range(m):
-                    total = gamma_u[i] * u[k]
-                    for j in range(m):
-                        total += phi[i, j] * x[j]
-                    free[i] = total
-                for i in range(m):
-                    x[i] = free[i]
-            for i in range(m):
-                big += abs(x[i])
-            if not big < 1e60:
-                out[k:] = np.inf
-                return out
-        return out
+    idle = forces == 0 and not dry and not bending and elements.stop == 0.0  # linear: most fits of the screening
     for k in range(n):
+        u = drive[k, 0]
         for i in range(m):
             out[k, i] = x[i]
         for _ in range(steps):
+            for i in range(m):
+                total = gamma_u[i] * u
+                for j in range(m):
+                    total += phi[i, j] * x[j]
+                free[i] = total
+            if idle:
+                for i in range(m):
+                    x[i] = free[i]
+                continue
             p = 0.0
             v = 0.0
             for i in range(m):
                 p += position[i] * x[i]
                 v += velocity[i] * x[i]
-            w = load(c, p, v, u[k], x[m - 1], z)
-            for i in range(m):
-                total = gamma_u[i] * u[k]
-                for j in range(m):
-                    total += phi[i, j] * x[j]
-                free[i] = total
+            w = elements.spring * z
+            if forces > 0:
+                w += f(p, v, u, x[m - 1], drive[k, 1], c[0])
+            if forces > 1:
+                w += g(p, v, u, x[m - 1], drive[k, 2], c[1])
             p1 = 0.0
             v1 = 0.0
             e = 0.0
@@ -292,26 +222,31 @@ def simulate_feedback(u, phi, gamma_u, gamma_w, position, velocity, c, x0, steps
                 p1 += position[i] * e
                 v1 += velocity[i] * e
             if bending:
-                z1 = hysteresis_step(z, p1 - p, width)
-            w = 0.5 * (w + load(c, p1, v1, u[k], e, z1))  # e: the last state
-            if dry:
+                z1 = hysteresis_step(z, p1 - p, elements.width)
+            ahead = elements.spring * z1
+            if forces > 0:
+                ahead += f(p1, v1, u, e, drive[k, 1], c[0])  # e: the last state
+            if forces > 1:
+                ahead += g(p1, v1, u, e, drive[k, 2], c[1])
+            w = 0.5 * (w + ahead)
+            if dry and gv != 0.0:
                 v1 = 0.0
                 for i in range(m):
                     v1 += velocity[i] * (free[i] - gamma_w[i] * w)
-                force = dry_friction(v, v1, gv, coulomb, static, speed, tilt) if gv != 0.0 else 0.0
-                w += force
-            big = 0.0
+                w += dry_friction(v, v1, gv, elements)
             p1 = 0.0
             for i in range(m):
                 x[i] = free[i] - gamma_w[i] * w
-                big += abs(x[i])
                 p1 += position[i] * x[i]
             if bending:
-                z = hysteresis_step(z, p1 - p, width)
-            if stop > 0.0 and abs(x[0]) > stop:
-                x[0] = stop if x[0] > 0.0 else -stop
+                z = hysteresis_step(z, p1 - p, elements.width)
+            if elements.stop > 0.0 and abs(x[0]) > elements.stop:
+                x[0] = elements.stop if x[0] > 0.0 else -elements.stop
                 x[1] = min(x[1], 0.0) if x[0] > 0.0 else max(x[1], 0.0)
-            if not big < 1e60:
-                out[k:] = np.inf
-                return out
+        big = 0.0
+        for i in range(m):
+            big += abs(x[i])
+        if not big < 1e60:
+            out[k:] = np.inf
+            return out
     return out

@@ -1,6 +1,6 @@
 """Compiled twins of the recursive effects: play, rate limit, broken lines, tanks.
 
-CasADi defines the same steps in `estimators.diagnosis.effects.terms`; a test holds the two to 1e-9.
+CasADi defines the same steps in `terms`; a test holds the two to 1e-9.
 """
 
 from __future__ import annotations
@@ -20,18 +20,7 @@ __all__ = [
 
 
 def compiled(function):
-    """Compile with a cache on disk, or without one where no folder for it can be written.
-
-    Parameters
-    ----------
-    function : callable
-        Of arrays and numbers.
-
-    Returns
-    -------
-    callable
-        The same, compiled at its first call.
-    """
+    """Compile with a cache on disk, or without one where no folder for it can be written."""
     try:
         return njit(cache=True)(function)
     except RuntimeError:
@@ -40,20 +29,7 @@ def compiled(function):
 
 @compiled
 def play(signal, half_width):  # pragma: no cover - compiled
-    """Output of a play (backlash) operator that starts at the middle of its gap.
-
-    Parameters
-    ----------
-    signal : ndarray
-        (N,) the signal.
-    half_width : float
-        Half the gap.
-
-    Returns
-    -------
-    ndarray
-        (N,).
-    """
+    """Output of a play (backlash) operator that starts at the middle of its gap."""
     out = np.empty_like(signal)
     m = 0.0
     for k in range(signal.shape[0]):
@@ -68,20 +44,7 @@ def play(signal, half_width):  # pragma: no cover - compiled
 
 @compiled
 def rate_limited_mean(signal, rate):  # pragma: no cover - compiled
-    """Mean over each sample interval of an actuator that follows a held command at a limited rate.
-
-    Parameters
-    ----------
-    signal : ndarray
-        (N,) the signal.
-    rate : float
-        Largest change per sample.
-
-    Returns
-    -------
-    ndarray
-        (N,).
-    """
+    """Mean over each sample interval of an actuator that follows a held command at a limited rate."""
     out = np.empty_like(signal)
     v = 0.0
     for k in range(signal.shape[0]):
@@ -100,20 +63,7 @@ def rate_limited_mean(signal, rate):  # pragma: no cover - compiled
 
 @compiled
 def rate_limited(signal, rate):  # pragma: no cover - compiled
-    """Command that changes by at most `rate` from one sample to the next, and is held between them.
-
-    Parameters
-    ----------
-    signal : ndarray
-        (N,) the signal.
-    rate : float
-        Largest change per sample.
-
-    Returns
-    -------
-    ndarray
-        (N,).
-    """
+    """Command that changes by at most `rate` from one sample to the next, and is held between them."""
     out = np.empty_like(signal)
     v = 0.0
     for k in range(signal.shape[0]):
@@ -124,24 +74,7 @@ def rate_limited(signal, rate):  # pragma: no cover - compiled
 
 @compiled
 def rational(u, b, f, delay):  # pragma: no cover - compiled
-    """Sum of B_j/F u_j with B_j = b[j, 0] z^-(1+delay) + ...; infinite once it overflows.
-
-    Parameters
-    ----------
-    u : ndarray
-        (N, nu) inputs.
-    b : ndarray
-        (nu, nb) numerator coefficients.
-    f : ndarray
-        (nf,) denominator coefficients after the leading 1.
-    delay : int
-        Samples of delay beyond the first.
-
-    Returns
-    -------
-    ndarray
-        (N,).
-    """
+    """Sum of B_j/F u_j with B_j = b[j, 0] z^-(1+delay) + ...; infinite once it overflows."""
     n = u.shape[0]
     channels = b.shape[0]
     taps = b.shape[1]
@@ -166,20 +99,7 @@ def rational(u, b, f, delay):  # pragma: no cover - compiled
 
 @compiled
 def hinges(x, c):  # pragma: no cover - compiled
-    """x + sum c[2i] max(x - c[2i + 1], 0): a broken line of slope 1 at the far left.
-
-    Parameters
-    ----------
-    x : ndarray
-        (N,) the signal.
-    c : ndarray
-        Slopes and corners in turn.
-
-    Returns
-    -------
-    ndarray
-        (N,).
-    """
+    """x + sum c[2i] max(x - c[2i + 1], 0): a broken line of slope 1 at the far left."""
     out = np.empty_like(x)
     for k in range(x.shape[0]):
         total = x[k]
@@ -196,22 +116,6 @@ def tank_levels(u, p, x0, steps):  # pragma: no cover - compiled
 
     x1' = a u + b - k1 sqrt(x1) - spill, x2' = k2 sqrt(x1) - k3 sqrt(x2) + share spill, with
     p = (a, b, k1, k2, k3, brim, share); `spill` is whatever would raise the first tank above its brim.
-
-    Parameters
-    ----------
-    u : ndarray
-        (N, nu) inputs.
-    p : ndarray
-        Parameters.
-    x0 : ndarray
-        Initial state.
-    steps : int
-        Integration steps per sample.
-
-    Returns
-    -------
-    ndarray
-        (N, 2) levels.
     """
     n = u.shape[0]
     out = np.empty((n, 2))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.effects.effect import Clock, Slot
 from estimators.diagnosis.model.layouts import LAYOUTS
 from estimators.diagnosis.model.simulation import acted, plant_states
 from estimators.diagnosis.model.structure import Structure
@@ -17,7 +17,6 @@ from estimators.diagnosis.model.structure import Structure
 __all__ = ["exact_columns"]
 
 Array = NDArray[Any]
-WITH_MEMORY = {"lag", "backlash_output", "backlash_sampled"}  # effects at the output that are no static curve
 
 
 def exact_columns(s: Structure, p: Array, u: Array, clock: Clock) -> Iterator[tuple[int, Array]]:
@@ -46,10 +45,10 @@ def exact_columns(s: Structure, p: Array, u: Array, clock: Clock) -> Iterator[tu
     -----
     The finite differences of the fit are the twin that the tests compare with.
     """
-    curved = [q for q in s.parts if q.effect.slot == "output"]
-    if s.layout == "tanks" or any(q.key in WITH_MEMORY for q in curved):
+    curved = [q for q in s.parts if q.effect.slot is Slot.OUTPUT]
+    if s.layout == "tanks" or any(q.effect.memory for q in curved):
         return
-    if curved and any(q.effect.slot == "path" for q in s.parts):  # the curve acts on the paths' sum
+    if curved and any(q.effect.slot is Slot.PATH for q in s.parts):  # the curve acts on the paths' sum
         return
     U = acted(s, p, u, clock)
     if U is None:
@@ -70,7 +69,7 @@ def exact_columns(s: Structure, p: Array, u: Array, clock: Clock) -> Iterator[tu
     b = p[s.order : s.plant_size].reshape(len(s.inputs), s.taps)
     linear = rational(np.ascontiguousarray(U), np.ascontiguousarray(b), f, s.delay)
     for part, sl in zip(s.parts, s.slices(), strict=True):
-        if part.effect.slot == "start":  # the free response has the same poles
+        if part.effect.slot is Slot.START:  # the free response has the same poles
             impulse = np.zeros(n)
             impulse[: s.order] = p[sl]
             linear = linear + lfilter([1.0], np.concatenate(([1.0], f)), impulse)
@@ -97,10 +96,9 @@ def _slope(s: Structure, p: Array, x: Array, clock: Clock) -> Array | None:
     step = 1e-6 * (float(np.std(x)) + 1e-300)
     total = None
     for part, sl in zip(s.parts, s.slices(), strict=True):
-        apply = part.effect.apply
-        if part.effect.slot == "output" and apply is not None:
-            y = apply(x, p[sl], clock)
-            slope = (apply(x + step, p[sl], clock) - y) / step
+        if part.effect.slot is Slot.OUTPUT:
+            y = part.apply(x, p[sl], clock)
+            slope = (part.apply(x + step, p[sl], clock) - y) / step
             total = slope if total is None else total * slope
             x = y
     return total

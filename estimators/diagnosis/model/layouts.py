@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.effects.effect import Clock
 
-__all__ = ["CHANGES", "COEFFICIENTS", "LAYOUTS", "allowed", "changed_states", "layout_matrices", "states"]
+__all__ = ["LAYOUTS", "NOTHING", "Inside", "changed_states", "layout_matrices", "states"]
 
 Array = NDArray[Any]
 
@@ -27,44 +29,38 @@ LAYOUTS: dict[str, tuple[int, int]] = {
     "tanks": (2, 10),
 }
 STEPS = 5
-COEFFICIENTS = 19  # of the nonlinear term inside a plant, see `simulate_feedback`
-MOVING = (
-    "oscillator",
-    "driven",
-    "sensed",
-    "modes",
-    "integrator",
-)  # layouts whose velocity is not their position
 
 
-DRIVEN = ("cascade", "driven")  # layouts whose last state follows the input and drives the others
+@dataclass(frozen=True, eq=False)
+class Inside:
+    """What acts inside a plant: forces, each with its parameters and (N,) modulating signal or None, and elements with memory.
 
-CHANGES: dict[str, dict[str, tuple[float, ...]]] = {
-    # how the logarithms of the rates move per unit of the change
-    "timescale_change": {
-        "first": (1,), "oscillator": (2, 1), "cascade": (1, 1), "driven": (2, 1, 0), "sensed": (2, 1, 0),
-        "modes": (2, 1, 0, 0),
-    },
-    "damping_change": {"oscillator": (0, 1), "driven": (0, 1, 0), "sensed": (0, 1, 0), "modes": (0, 1, 0, 0)},
-    "pole_change": {"cascade": (1, 0), "driven": (0, 0, 1), "sensed": (0, 0, 1)},
-}  # fmt: skip
+    `elements` are fields of `plant_kernels.Elements`.
+    """
+
+    forces: tuple[tuple[Callable[..., Any], Array, Array | None], ...] = ()
+    elements: Mapping[str, float] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.forces or self.elements)
+
+    @property
+    def mark(self) -> tuple[Any, ...]:
+        """Tells two of them apart, for keeping states."""
+        signals = tuple(None if s is None else s.tobytes() for _, _, s in self.forces)
+        return tuple((f, c.tobytes()) for f, c, _ in self.forces), signals, tuple(self.elements.items())
+
+    def between(self, start: int, stop: int | None) -> Inside:
+        """The same on a stretch of the record."""
+        cut = tuple((f, c, None if s is None else s[start:stop]) for f, c, s in self.forces)
+        return replace(self, forces=cut)
+
+
+NOTHING = Inside()
 
 
 def layout_matrices(layout: str, r: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """A, B, E, position row, velocity row of a layout with rates r = log of positive rates.
-
-    Parameters
-    ----------
-    layout : str
-        Layout of the linear part.
-    r : ndarray
-        Logarithms of its rates.
-
-    Returns
-    -------
-    tuple of ndarray
-        A (n, n), B (n,), E (n,), and the rows that read position and velocity.
-    """
+    """A (n, n), B (n,), E (n,), position row and velocity row of a layout with rates r = log of positive rates."""
     rate = np.exp(np.clip(r, -30, 5))
     if layout == "first":
         a = rate[0]
@@ -108,110 +104,61 @@ def layout_matrices(layout: str, r: Array) -> tuple[Array, Array, Array, Array, 
 
 
 def states(
-    layout: str, rates: Array, u: Array, c: Array, x0: Array | None = None, steps: int = STEPS
+    layout: str, rates: Array, u: Array, inside: Inside = NOTHING, x0: Array | None = None, steps: int = STEPS
 ) -> Array:
-    """States (N, order) of a layout driven by u with the feedback coefficients c.
+    """States (N, order) of a layout with logarithms of rates, driven by u (N,), at rest without x0."""
+    from estimators.diagnosis.effects.plant_kernels import (
+        MOST_FORCES,
+        Elements,
+        no_force,
+        pointer,
+        simulate_feedback,
+    )
 
-    Parameters
-    ----------
-    layout : str
-        Layout of the linear part.
-    rates : ndarray
-        Logarithms of its rates.
-    u : ndarray
-        (N,) input.
-    c : ndarray
-        (COEFFICIENTS,) feedback coefficients.
-    x0 : ndarray, optional
-        Initial state; at rest without it.
-    steps : int
-        Integration steps per sample.
-
-    Returns
-    -------
-    ndarray
-        (N, order).
-    """
-    from estimators.diagnosis.effects.plant_kernels import simulate_feedback
-
-    steps = steps if c.any() else 1
-    phi, gamma_u, gamma_w, position, velocity = _held(layout, tuple(rates), steps)
-    x0 = np.zeros(len(phi)) if x0 is None else x0
-    return simulate_feedback(np.ascontiguousarray(u), phi, gamma_u, gamma_w, position, velocity, c, x0, steps)
+    held = _held(layout, tuple(rates), steps if inside else 1)
+    x0 = np.zeros(len(held.phi)) if x0 is None else x0
+    drive = np.zeros((len(u), 1 + MOST_FORCES))
+    drive[:, 0] = u
+    c = np.zeros((len(inside.forces), max((len(q) for _, q, _ in inside.forces), default=0)))
+    for i, (_, q, s) in enumerate(inside.forces):
+        c[i, : len(q)] = q
+        if s is not None:
+            drive[:, 1 + i] = s
+    forces = [pointer(f) for f, _, _ in inside.forces]
+    forces += [pointer(no_force)] * (MOST_FORCES - len(forces))
+    return simulate_feedback(
+        drive, held, Elements(**inside.elements), x0, steps if inside else 1, c, *forces
+    )
 
 
 @lru_cache(maxsize=64)
-def _held(layout: str, rates: tuple[float, ...], steps: int) -> tuple[Array, ...]:
+def _held(layout: str, rates: tuple[float, ...], steps: int) -> Any:
     """Transition and held responses over one step; kept, since most derivatives are by other parameters."""
-    from estimators.diagnosis.effects.plant_kernels import held_response
+    from estimators.diagnosis.effects.plant_kernels import Held, held_response
 
     A, B, E, position, velocity = layout_matrices(layout, np.array(rates))
     phi, gamma = held_response(A, np.stack((B, E), axis=1), 1.0 / steps)
-    return phi, gamma[:, 0].copy(), gamma[:, 1].copy(), position, velocity
-
-
-def allowed(key: str, layout: str) -> bool:
-    """Whether an effect can sit in a layout: changes need a rate that they change, moving parts a velocity.
-
-    Parameters
-    ----------
-    key : str
-        Key of the effect in the catalogue.
-    layout : str
-        Layout of the linear part.
-
-    Returns
-    -------
-    bool
-        False where it makes no sense.
-    """
-    if key in ("position_damping", "hysteretic_spring", "end_stop"):
-        return layout in MOVING
-    if key == "bilinear_driven":
-        return layout in DRIVEN
-    return key not in CHANGES or layout in CHANGES[key]
+    return Held(phi, gamma[:, 0].copy(), gamma[:, 1].copy(), position, velocity)
 
 
 def changed_states(
-    layout: str, rates: Array, u: Array, c: Array, key: str, q: Array, clock: Clock, x0: Array
-) -> Array:
+    layout: str, rates: Array, u: Array, inside: Inside, change: tuple[float, ...], q: Array, clock: Clock, x0: Array
+) -> Array:  # fmt: skip
     """States of a layout whose rates change at one time; the time is no integer, so two switches are blended.
 
-    Parameters
-    ----------
-    layout : str
-        Layout of the linear part.
-    rates : ndarray
-        Logarithms of the rates before the change.
-    u : ndarray
-        (N,) input.
-    c : ndarray
-        (COEFFICIENTS,) feedback coefficients.
-    key : str
-        Which rates change.
-    q : ndarray
-        Size of the change and its time in samples.
-    clock : Clock
-        Time of the record's samples.
-    x0 : ndarray
-        Initial state.
-
-    Returns
-    -------
-    ndarray
-        (N, order).
+    `change`: how the logarithms of the rates move per unit of q[0]; q[1] is the time in samples.
     """
-    after = rates + np.array(CHANGES[key][layout]) * np.clip(q[0], -3.0, 3.0)
+    shifted = rates + np.array(change) * np.clip(q[0], -3.0, 3.0)
     at = q[1] - clock.k[0]
     if at <= 0:
-        return states(layout, after, u, c, x0)
+        return states(layout, shifted, u, inside, x0)
     if at >= len(u) - 1:
-        return states(layout, rates, u, c, x0)
+        return states(layout, rates, u, inside, x0)
     whole = int(np.floor(at))
-    early = states(layout, rates, u[: whole + 2], c, x0)
+    early = states(layout, rates, u[: whole + 2], inside.between(0, whole + 2), x0)
     runs = []
     for t in (whole, whole + 1):
-        later = states(layout, after, u[t:], c, early[t].copy())
+        later = states(layout, shifted, u[t:], inside.between(t, None), early[t].copy())
         runs.append(np.concatenate((early[:t], later)))
     with np.errstate(invalid="ignore"):  # states that diverge are infinite, and 0 times that is no number
         return (1.0 - (at - whole)) * runs[0] + (at - whole) * runs[1]

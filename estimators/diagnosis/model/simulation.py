@@ -16,51 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.catalogue import Clock
-from estimators.diagnosis.model.layouts import CHANGES, COEFFICIENTS, LAYOUTS, changed_states, states
-from estimators.diagnosis.model.structure import Structure
+from estimators.diagnosis.effects.effect import Clock, Slot
+from estimators.diagnosis.model.layouts import LAYOUTS, Inside, changed_states, states
+from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 
-__all__ = ["acted", "free_responses", "plant_states", "sandwiched", "simulate", "stable_polynomial"]
+__all__ = ["acted", "free_responses", "plant_states", "simulate"]
 
 Array = NDArray[Any]
 
-FINE = (
-    8  # values per sample that a play at the output follows: leaves 0.1 % of the output at 0.6 rad per sample
-)
-
-_PLANT_SLOTS = {
-    "stiffness_cubic": (1,), "stiffness": (0, 1), "drag": (3,), "bilinear": (4,), "coulomb": (5,),
-    "coulomb_asymmetric": (5, 8), "stribeck": (5, 6, 7), "stiffness_square": (2,), "stiffness_quintic": (1, 9),
-    "stiffness_upper": (10, 11), "stiffness_lower": (12, 13), "stiffness_gap": (10, 11), "position_damping": (14,),
-    "hysteretic_spring": (15, 16), "bilinear_driven": (17,), "end_stop": (18,),
-}  # fmt: skip
-
-
-def stable_polynomial(f: Array, limit: float = 0.99999) -> bool:
-    """Whether 1 + f1 z^-1 + ... has all its roots inside the circle of radius `limit`.
-
-    Parameters
-    ----------
-    f : ndarray
-        (nf,) denominator coefficients after the leading 1.
-    limit : float
-        Radius.
-
-    Returns
-    -------
-    bool
-        Whether it is stable.
-    """
-    a = [1.0, *f.tolist()]  # few numbers: plain floats are quicker than arrays
-    if not all(map(math.isfinite, a)):
-        return False
-    for m in range(len(f), 0, -1):  # Schur-Cohn step-down
-        k = a[m]
-        if abs(k) >= limit:
-            return False
-        a = [(a[i] - k * a[m - i]) / (1.0 - k * k) for i in range(m)]
-    return True
-
+MOST_FORCES = 2  # as many as `plant_kernels` takes; a test holds the two together
+FINE = 8
+"""Values per sample that a play at the output follows: leaves 0.1 % of the output at 0.6 rad per sample."""
 
 # states of the last models: derivatives by the output map or by effects at the output move none of them
 _recent: deque[tuple[tuple[Any, ...], Array]] = deque(maxlen=8)
@@ -113,66 +79,43 @@ def plant_states(
         (N, s.order); None where they overflow.
     """
     n_rates = LAYOUTS[s.layout][1]
-    c = np.zeros(COEFFICIENTS)
-    c[7] = 1.0
-    active = False
-    for part, sl in zip(s.parts, s.slices(), strict=True):
-        for where, value in zip(_PLANT_SLOTS.get(part.key, ()), p[sl], strict=False):
-            c[where] = abs(value) if where in (3, 5, 7, 16, 18) else value
-            active = True
-        if part.key == "stiffness_gap":
-            c[11:14] = abs(c[11]), c[10], -abs(c[11])
-        if part.key == "hysteretic_spring":
-            c[16] = max(c[16], 1e-9)
-            c[15] /= c[16]
-    c[7] = max(c[7], 1e-9)
-    c[8] = min(max(float(c[8]), -1.0), 1.0)
-    if not active:
-        c[7] = 0.0
+    parts = [(part, p[sl]) for part, sl in zip(s.parts, s.slices(), strict=True)]
+    inside = _inside(parts, U, clock)
+    if inside is None:
+        return None
     u = U[:, 0] if s.delay == 0 else np.concatenate((np.zeros(s.delay), U[: -s.delay, 0]))
-    change = [(part.key, p[sl]) for part, sl in zip(s.parts, s.slices(), strict=True) if part.key in CHANGES]
+    change = [(part.effect.change[s.layout], q) for part, q in parts if part.effect.change is not None]
     x0 = np.zeros(s.order) if start is None else np.array(start, dtype=float)
     if not rest:
-        for part, sl in zip(s.parts, s.slices(), strict=True):
-            x0 = p[sl].copy() if part.key == "initial" else x0
-    moved = b"" if not change else change[0][0].encode() + change[0][1].tobytes() + clock.k[:1].tobytes()
-    key = (s.layout, p[:n_rates].tobytes(), c.tobytes(), x0.tobytes(), moved, u.tobytes())
+        for part, q in parts:
+            x0 = q.copy() if part.effect.slot is Slot.START else x0
+    moved = () if not change else (change[0][0], change[0][1].tobytes(), float(clock.k[0]))
+    key = (s.layout, p[:n_rates].tobytes(), inside.mark, x0.tobytes(), moved, u.tobytes())
     X = next((kept for known, kept in tuple(_recent) if known == key), None)
     if X is None:
         if change:
-            X = changed_states(s.layout, p[:n_rates], u, c, *change[0], clock, x0)
+            X = changed_states(s.layout, p[:n_rates], u, inside, *change[0], clock, x0)
         else:
-            X = states(s.layout, p[:n_rates], u, c, x0)
+            X = states(s.layout, p[:n_rates], u, inside, x0)
         _recent.append((key, X))
     if not math.isfinite(X[-1, 0]):
         return None
     return X
 
 
-def sandwiched(u: Array, p: Array, order: int) -> Array:
-    """First block (unit first tap, denominator then numerator) and broken line of a Wiener-Hammerstein model.
-
-    Parameters
-    ----------
-    u : ndarray
-        (N,) input.
-    p : ndarray
-        Denominator, numerator, then slopes and corners.
-    order : int
-        Order of the first block.
-
-    Returns
-    -------
-    ndarray
-        (N,) what enters the second block.
-    """
-    from estimators.diagnosis.effects.recursion_kernels import hinges
-
-    x = lfilter(np.concatenate(([1.0], p[order : 2 * order])), np.concatenate(([1.0], p[:order])), u)
-    return hinges(x, p[2 * order :])
+def _inside(parts: list[tuple[Part, Array]], U: Array, clock: Clock) -> Inside | None:
+    """What the parts of a model make act inside its plant; None where it is more than the recursion takes."""
+    forces, elements = [], {}
+    for part, q in parts:
+        if part.effect.force is not None:
+            signal = part.effect.signal
+            forces.append((part.effect.force, q, None if signal is None else signal(U, part.channel, q, clock)))
+        if part.effect.inside is not None:
+            elements |= part.effect.inside(q)
+    return Inside(tuple(forces), elements) if len(forces) <= MOST_FORCES else None
 
 
-def _inside(at: float, n: int) -> bool:
+def _within(at: float, n: int) -> bool:
     """Whether a change lies well within the record: at its very ends it would be another effect."""
     return 0.02 * n < at < 0.98 * n
 
@@ -201,20 +144,13 @@ def acted(s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False)
     n = len(u)
     U = u[:, list(s.inputs)]  # a copy
     for part, sl in zip(s.parts, s.slices(), strict=True):
-        e = part.effect
-        if e.per_sample and part.key != "tones" and not rest and not _inside(p[sl][-1], n):
+        if part.effect.timed and not rest and not _within(p[sl][-1], n):
             return None
-        if e.slot == "input" and e.apply is not None:
+        if part.effect.slot is Slot.INPUT:
             j = s.inputs.index(part.channel)
-            if part.key == "delay" and (p[sl][0] < 0 or p[sl][0] > n / 4):
+            U[:, j] = part.apply(U[:, j], p[sl], clock)
+            if not math.isfinite(U[-1, j]):
                 return None
-            U[:, j] = e.apply(U[:, j], p[sl], clock)
-        elif part.key == "sandwich":
-            order = part.size % 100
-            if not stable_polynomial(p[sl][:order]):
-                return None
-            j = s.inputs.index(part.channel)
-            U[:, j] = sandwiched(U[:, j], p[sl], order)
     return U
 
 
@@ -245,7 +181,7 @@ def simulate(
     """
     n = len(u)
     settle = 0
-    if rest and any(part.key == "step_input" for part in s.parts):
+    if rest and any(part.effect.settles for part in s.parts):
         settle = 2000
         u = np.concatenate((np.zeros((settle, u.shape[1])), u))
         clock = Clock(np.concatenate((np.full(settle, clock.k[0]), clock.k)), clock.length)
@@ -257,30 +193,30 @@ def simulate(
     if y is None:
         return np.full(n, np.inf)
     for part, sl in zip(s.parts, slices, strict=True):
-        if part.effect.slot == "path":
+        if part.effect.slot is Slot.PATH:
             half = part.count(s.order) // 2
             b, f = p[sl][:half], p[sl][half:]
             if not stable_polynomial(f):
                 return np.full(n, np.inf)
             lead = np.zeros(1 + s.delay)
             y = y + lfilter(np.concatenate((lead, b)), np.concatenate(([1.0], f)), u[:, part.channel])
-        elif part.effect.slot == "start" and not rest and s.layout == "tf":
+        elif part.effect.slot is Slot.START and not rest and s.layout == "tf":
             impulse = np.zeros(len(y))
             impulse[: s.order] = p[sl]
             y = y + lfilter([1.0], np.concatenate(([1.0], p[: s.order])), impulse)
     first = True  # of the effects at the output
-    for slot in ("output", "added"):
+    for slot in (Slot.OUTPUT, Slot.ADDED):
         for part, sl in zip(s.parts, slices, strict=True):
-            if part.effect.slot == slot and part.effect.apply is not None:
-                played = _played(s, p, U, p[sl]) if first and part.key == "backlash_output" else None
-                y = part.effect.apply(y, p[sl], clock) if played is None else played
+            if part.effect.slot is slot:
+                played = _played(s, p, U, p[sl]) if first and part.effect.between else None
+                y = part.apply(y, p[sl], clock) if played is None else played
                 first = False
     return y[settle:]
 
 
 def _played(s: Structure, p: Array, U: Array, width: Array) -> Array | None:
     """Output of the linear part through a play that follows it between the samples; None where it is not known there."""
-    if s.layout != "tf" or any(part.effect.slot in ("path", "start") for part in s.parts):
+    if s.layout != "tf" or any(part.effect.slot in (Slot.PATH, Slot.START) for part in s.parts):
         return None
     from estimators.diagnosis.effects.recursion_kernels import play
     from estimators.diagnosis.model.intersample import between_samples
@@ -316,7 +252,7 @@ def free_responses(s: Structure, p: Array, n: int) -> Array:
     rest = np.zeros(n)
     return np.stack(
         [
-            states(s.layout, p[:head], rest, np.zeros(COEFFICIENTS), x0) @ p[head : head + s.order]
+            states(s.layout, p[:head], rest, x0=x0) @ p[head : head + s.order]
             for x0 in np.eye(s.order)
         ],
         axis=1,

@@ -2,89 +2,79 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.catalogue import CATALOGUE, Effect
+from estimators.diagnosis.effects.effect import Clock, Effect, numbered
 from estimators.diagnosis.model.layouts import LAYOUTS
 
-__all__ = ["Part", "Structure"]
+__all__ = ["Part", "Structure", "stable_polynomial"]
+
+Array = NDArray[Any]
+
+
+def stable_polynomial(f: Array, limit: float = 0.99999) -> bool:
+    """Whether 1 + f1 z^-1 + ... (f without its leading 1) has all its roots inside the circle of radius `limit`."""
+    a = [1.0, *f.tolist()]  # few numbers: plain floats are quicker than arrays
+    if not all(map(math.isfinite, a)):
+        return False
+    for m in range(len(f), 0, -1):  # Schur-Cohn step-down
+        k = a[m]
+        if abs(k) >= limit:
+            return False
+        a = [(a[i] - k * a[m - i]) / (1.0 - k * k) for i in range(m)]
+    return True
 
 
 @dataclass(frozen=True)
 class Part:
-    """One effect in a structure: its key in the catalogue, the input it concerns, how many terms it has.
+    """One effect in a structure: the input that it concerns, how many terms it has, and the poles of a linear block before it."""
 
-    Attributes
-    ----------
-    key : str
-        Key of the effect in the catalogue.
-    channel : int
-        The input it concerns, from 0.
-    size : int
-        How many terms it has.
-    """
-
-    key: str
+    effect: Effect
     channel: int = 0
     size: int = 1
+    first: int = 0
 
     @property
-    def effect(self) -> Effect:
-        """The catalogue's entry."""
-        return CATALOGUE[self.key]
+    def key(self) -> str:
+        """The effect's key."""
+        return self.effect.key
 
     def parameters(self, order: int) -> list[tuple[str, str]]:
-        """Names and units of the parameters, given the order of the linear part.
-
-        Parameters
-        ----------
-        order : int
-            Order of the linear part.
-
-        Returns
-        -------
-        list of tuple of str
-            In the order in which they stand in the vector.
-        """
-        known = self.effect
-        signal = "y" if known.slot == "output" else "u"
-        numbered = lambda names, count: [(f"{n}{i + 1}", u) for i in range(count) for n, u in names]
-        corners = [("slope", "1"), ("corner", signal)]
-        if (
-            self.key == "sandwich"
-        ):  # size = order of the first block + 100 times the corners of the nonlinearity
-            first = self.size % 100
-            blocks = numbered([("f", "1")], first) + numbered([("b", "1")], first)
-            return blocks + numbered(corners, self.size // 100)
-        if self.key in ("input_lines", "output_lines"):
-            return numbered(corners, self.size)
-        if self.key in ("cross", "mode"):
-            return numbered([("b", "y/u")], self.size) + numbered([("f", "1")], self.size)
-        if self.key == "initial":
-            return numbered([("x", "y")], order)
-        if self.key == "tones" and self.size > 1:
-            return numbered(list(zip(known.parameters, known.units, strict=True)), self.size)
-        return list(zip(known.parameters, known.units, strict=True))
+        """Names and units in the order of the parameter vector, given the order of the linear part."""
+        block = numbered({"f": "1"}, self.first) + numbered({"b": "1"}, self.first)
+        shape = self.effect.shape
+        return block + (list(self.effect.parameters.items()) if shape is None else shape(self.size, order))
 
     def count(self, order: int) -> int:
-        """Number of parameters, given the order of the linear part.
-
-        Parameters
-        ----------
-        order : int
-            Order of the linear part.
-
-        Returns
-        -------
-        int
-            Number of parameters.
-        """
+        """Number of parameters, given the order of the linear part."""
         return len(self.parameters(order))
+
+    def apply(self, x: Array, p: Array, clock: Clock) -> Array:
+        """The signal after this part: through its linear block (denominator, then numerator after a first tap of 1), then the effect.
+
+        Infinite where the block is unstable or the parameters are not admissible.
+        """
+        if self.effect.apply is None:
+            return x
+        return self.effect.apply(self.blocked(x, p), p[2 * self.first :], clock)
+
+    def blocked(self, x: Array, p: Array) -> Array:
+        """The signal after the linear block, where the effect acts."""
+        if not self.first:
+            return x
+        f, b = p[: self.first], p[self.first : 2 * self.first]
+        if not stable_polynomial(f):
+            return np.full(len(x), np.inf)
+        return np.asarray(lfilter(np.concatenate(([1.0], b)), np.concatenate(([1.0], f)), x))
 
 
 @dataclass(frozen=True)

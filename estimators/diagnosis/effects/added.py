@@ -1,0 +1,126 @@
+"""Signals that are added to the output: constants, trends, steps, sinusoids."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
+from estimators.diagnosis.effects.input import after
+
+__all__ = ["ADDED", "OFFSET"]
+
+Array = NDArray[Any]
+TONE = {"frequency": "rad/sample", "cosine": "y", "sine": "y"}
+
+
+def _tones(y: Array, p: Array, clock: Clock) -> Array:
+    total = np.zeros(len(clock.k))
+    for w, a, b in p.reshape(-1, 3):
+        total += a * np.cos(w * clock.k) + b * np.sin(w * clock.k)
+    return y + total
+
+
+def _highest_peaks(channel: Any, base: Any, count: int) -> tuple[Array, Array] | None:
+    """Sinusoids at the highest peaks of the residual's periodogram, taken out one after another: parameters and sizes."""
+    n, k = len(channel), channel.clock.k
+    if n < 20:
+        return None
+    r = np.where(channel.keep, base.residual, 0.0)
+    pad = 8 * n
+    omega = 2 * np.pi * np.arange(pad // 2 + 1) / pad
+    lines: list[float] = []
+    columns: list[Array] = []
+    theta, rest = np.zeros(0), r - r.mean()
+    gain = np.abs(np.fft.rfft(np.concatenate(([1.0], base.noise)), pad)) ** 2
+    for _ in range(count):
+        power = np.abs(np.fft.rfft(rest * np.hanning(n) if lines else rest, pad)) ** 2 * gain
+        power[omega < 2 * np.pi * 1.2 / n] = 0.0
+        for w in lines:
+            power[np.abs(omega - w) < 2 * np.pi * 1.0 / n] = 0.0
+        w = float(omega[int(np.argmax(power))])
+        lines.append(w)
+        columns += [np.cos(w * k), np.sin(w * k)]
+        X = np.stack(columns, axis=1)
+        theta = np.linalg.lstsq(X, r, rcond=None)[0]
+        rest = r - X @ theta
+    p = np.concatenate([[w, theta[2 * i], theta[2 * i + 1]] for i, w in enumerate(lines)])
+    size = float(np.std(r)) + 1e-300
+    return p, np.tile([1.0 / n, size, size], count)
+
+
+def _ringing(channel: Any, base: Any) -> Iterator[Any]:
+    """A sinusoid in place of poles that ring through the whole record: a linear model may have taken it for a mode."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.structure import Part
+
+    s = base.structure
+    if s.layout != "tf" or s.effects or s.order < 3:
+        return
+    poles = np.roots(np.concatenate(([1.0], base.p[: s.order])))
+    ringing = [z for z in poles if z.imag > 0 and abs(z) > 1.0 - 3.0 / len(channel)]
+    if not ringing:
+        return
+    w, k = float(np.angle(max(ringing, key=abs))), channel.clock.k
+    X = np.stack([np.cos(w * k), np.sin(w * k)], axis=1)
+    c = np.linalg.lstsq(X[channel.keep], channel.y[channel.keep], rcond=None)[0]
+    linear = fit_linear(replace(channel, y=channel.y - X @ c), s)
+    size = float(np.std(channel.y)) + 1e-300
+    p = np.concatenate((linear.p, [w], c))
+    scales = np.concatenate((linear.scales, [1.0 / len(channel), size, size]))
+    yield fit(channel, s.adding(Part(TONES)), p, scales, noise=base.noise, iterations=25)
+
+
+def _tone_fits(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.structure import Part
+
+    before = np.inf
+    for count in (1, 2, 3):
+        found = _highest_peaks(channel, base, count)
+        if found is not None:
+            p, scales = np.concatenate((base.p, found[0])), np.concatenate((base.scales, found[1]))
+            f = fit(
+                channel,
+                base.structure.adding(Part(TONES, 0, count)),
+                p,
+                scales,
+                noise=base.noise,
+                iterations=15,
+            )
+            yield f
+            if f.criterion > before:
+                break
+            before = f.criterion
+    yield from _ringing(channel, base)
+
+
+def _added(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
+    return Effect(key=key, cause=cause, nature=Nature.ADDED, slot=Slot.ADDED, sentence=sentence, **fields)
+
+
+OFFSET = _added(
+    "offset", "output_offset", "a constant is added", parameters={"offset": "y"}, amplitude=0,
+    apply=lambda y, p, c: y + p[0], starts=lambda s: ([[0.05 * s.sy]], [s.sy]),
+)  # fmt: skip
+
+TONES = _added(
+    "tones", "periodic_disturbance", "a sinusoid is added", parameters=TONE, per_sample=True, apply=_tones,
+    shape=lambda size, order: numbered(TONE, size) if size > 1 else list(TONE.items()), search=_tone_fits,
+)  # fmt: skip
+
+ADDED = (
+    OFFSET,
+    _added("drift", "output_drift", "a trend is added", parameters={"offset": "y", "slope": "y/record"},
+           apply=lambda y, p, c: y + p[0] + p[1] * c.turn,
+           starts=lambda s: ([[a * s.sy, b * s.sy] for a in (-0.1, 0.1) for b in (-0.2, 0.2)], [s.sy, s.sy])),
+    _added("step_output", "step_disturbance", "a step is added to the output", parameters={"size": "y", "time": "sample"},
+           trials=0.03, per_sample=True, amplitude=0, family="steps", apply=lambda y, p, c: y + p[0] * after(c, p[1]),
+           starts=lambda s: ([[0.05 * s.sy, t] for t in s.times()], [s.sy, 1.0])),
+    TONES,
+)  # fmt: skip

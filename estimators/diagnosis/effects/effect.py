@@ -1,0 +1,283 @@
+"""What an effect is: one frozen object that holds all that the diagnosis knows of it.
+
+Adding an effect is one such object in the file of its slot, or in a script: `diagnose(..., effects=[*CATALOGUE, mine])`.
+Maps and forces are written in NumPy functions that act element by element, so that the same text is compiled for
+the recursions, drawn as a curve, and evaluated with CasADi symbols for the export of a model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.errors import InputError
+
+__all__ = ["Clock", "Effect", "Grid", "Nature", "Sizes", "Slot", "numbered"]
+
+Array = NDArray[Any]
+Grid = tuple[list[list[float]], list[float]]
+"""Parameter vectors to start from, and the typical size of each parameter."""
+
+
+class Nature(StrEnum):
+    """The kind of a cause, which can be known where the cause itself is in doubt."""
+
+    INPUT_STATIC = "static input nonlinearity"
+    OUTPUT_STATIC = "static output nonlinearity"
+    DYNAMIC = "dynamic nonlinearity"
+    LINEAR = "linear dynamics"
+    TIME = "time variation"
+    ADDED = "disturbance"
+    NOISE = "noise"
+    SAMPLING = "sampling"
+
+
+class Slot(StrEnum):
+    """Where in a model an effect acts."""
+
+    INPUT = "input"  # on what enters the linear part
+    PLANT = "plant"  # inside the plant's recursion
+    PATH = "path"  # beside the plant, from an input to the output
+    FORM = "form"  # it changes the linear part itself: its order, its delay, its layout
+    OUTPUT = "output"  # on what leaves the linear part
+    ADDED = "added"  # a signal of its own on top of the output
+    START = "start"  # the state at the first sample
+    NOISE = "noise"  # seen in the residual, not simulated
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """The common clock of two experiments: (N,) sample numbers k since the first training sample, whose record is `length` long."""
+
+    k: Array
+    length: int
+
+    @property
+    def turn(self) -> Array:
+        """Time in training records, (N,)."""
+        return self.k / self.length
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """Signals of the model that an effect is added to, from which its starts take their sizes.
+
+    Inside a plant `position` and `velocity` are those of its linear part, in units of the input.
+    """
+
+    u: Array
+    y: Array
+    clock: Clock
+    position: Array = field(default_factory=lambda: np.zeros(1))
+    velocity: Array = field(default_factory=lambda: np.zeros(1))
+
+    @cached_property
+    def su(self) -> float:
+        """Standard deviation of the input."""
+        return float(np.std(self.u)) + 1e-300
+
+    @cached_property
+    def sy(self) -> float:
+        """Standard deviation of the simulated output."""
+        return float(np.std(self.y)) + 1e-300
+
+    @cached_property
+    def sx(self) -> float:
+        """Standard deviation of the position, not quite zero."""
+        return float(np.std(self.position)) + 1e-12 * self.su
+
+    @cached_property
+    def sv(self) -> float:
+        """Standard deviation of the velocity, not quite zero."""
+        return float(np.std(self.velocity)) + 1e-12 * self.su
+
+    def times(self, count: int = 40) -> Array:
+        """Times spread over the record, in samples of the clock, its ends left out."""
+        return self.clock.k[0] + np.linspace(0.03, 0.97, count) * len(self.u)
+
+
+def numbered(names: Mapping[str, str], count: int) -> list[tuple[str, str]]:
+    """Names and units of parameters that come several times over."""
+    return [(f"{name}{i + 1}", unit) for i in range(count) for name, unit in names.items()]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Effect:
+    """One effect that a linear model can lack.
+
+    Attributes
+    ----------
+    key : str
+        Name of the variant, unique among the effects of a diagnosis.
+    cause : str
+        The cause, a word of the vocabulary of `oed diagnose`; variants of one cause share it.
+    nature : Nature
+        The kind of cause.
+    slot : Slot
+        Where it acts.
+    sentence : str
+        What it does, for the report.
+    parameters : mapping of str to str
+        Unit of each parameter by its name: u, y, 1, sample, and products of these.
+    trials : float
+        Its price: about how many independent shapes a search over its shape parameters tries; the significance of its
+        likelihood ratio is corrected by it. Times the record's length where `per_sample`.
+    per_sample : bool
+        Whether `trials` is a fraction of the number of samples, as for a time or a frequency.
+    apply : callable, optional
+        (signal, parameters, clock) -> signal, at the input, at the output, or added to it; infinite where the parameters are
+        not admissible.
+    force : callable, optional
+        (p, v, u, q, s, c) -> force inside the plant, in input units and subtracted from the input: position, velocity, input,
+        the plant's last state, a modulating signal, parameters. NumPy functions of numbers, as it is compiled.
+    inside : callable, optional
+        parameters -> fields of `plant_kernels.Elements`: dry friction, hysteresis and stops, which a force cannot express.
+    signal : callable, optional
+        (inputs (N, nu), channel, parameters, clock) -> (N,) the modulating signal s of `force`.
+    change : mapping, optional
+        By layout, how the logarithms of its rates move per unit of the first parameter, at the time of the second.
+    layouts : frozenset of str, optional
+        Layouts of the plant that allow it; all where it is not given.
+    starts : callable, optional
+        Sizes -> Grid to be scanned by score.
+    amplitude : int, optional
+        The parameter in which the output is nearly linear: its size is read off the score.
+    more : callable, optional
+        (channel, fit, input) -> a further start, or None.
+    search : callable, optional
+        (channel, fit, inputs not in the model) -> fits, where starts are no grid of shapes.
+    block : bool
+        Found only as a block structure, once simple effects leave a coloured residual.
+    shape : callable, optional
+        (size, order) -> names and units, where the number of parameters depends on the part's size or the model's order.
+    refines : tuple of str
+        Simpler effects that it resembles: it is tried only where one of them did well, in that layout.
+    extends : str
+        A simpler effect whose parameters come first in its own: also started from where that ended.
+    family : str
+        Siblings share it: they are put up against one another with all other effects in the model.
+    curve : callable, optional
+        (x, parameters) -> the characteristic that is drawn; a static map's and a force's are known without.
+    against : {"", "position", "velocity"}
+        What the curve of a plant's effect is drawn over; empty where it has none.
+    memory : bool
+        Whether an effect at the output is more than a static curve.
+    between : bool
+        Whether at the output it follows the signal between the samples.
+    settles : bool
+        Whether it began before a later experiment, and has settled there.
+    reversing : bool
+        Whether it acts where a motion turns: misfits there are no outliers.
+    two_sided : bool
+        Whether the record must reach +-limit for both sides to be known.
+
+    Raises
+    ------
+    InputError
+        If it lacks what its slot needs.
+    """
+
+    key: str
+    cause: str
+    nature: Nature
+    slot: Slot
+    sentence: str
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    trials: float = 1.0
+    per_sample: bool = False
+    apply: Callable[[Any, Array, Clock], Any] | None = None
+    force: Callable[..., Any] | None = None
+    inside: Callable[[Array], dict[str, float]] | None = None
+    signal: Callable[[Array, int, Array, Clock], Array] | None = None
+    change: Mapping[str, tuple[float, ...]] | None = None
+    layouts: frozenset[str] | None = None
+    starts: Callable[[Sizes], Grid] | None = None
+    amplitude: int | None = None
+    more: Callable[[Any, Any, int], Any] | None = None
+    search: Callable[[Any, Any, tuple[int, ...]], Iterator[Any]] | None = None
+    block: bool = False
+    shape: Callable[[int, int], list[tuple[str, str]]] | None = None
+    refines: tuple[str, ...] = ()
+    extends: str = ""
+    family: str = ""
+    curve: Callable[[Array, Array], Array] | None = None
+    against: str = ""
+    memory: bool = False
+    between: bool = False
+    settles: bool = False
+    reversing: bool = False
+    two_sided: bool = False
+
+    def __post_init__(self) -> None:
+        lacks = [words for missing, words in _needs(self) if missing]
+        if lacks:
+            raise InputError(
+                f"the effect {self.key!r} in slot {str(self.slot)!r} lacks {' and '.join(lacks)}: give it."
+            )
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each parameter."""
+        return tuple(self.parameters.values())
+
+    @property
+    def timed(self) -> bool:
+        """Whether its last parameter is the time at which something changes."""
+        return self.per_sample and self.units[-1:] == ("sample",)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether it is part of the simulated output, and so tried on every record."""
+        return self.slot is not Slot.NOISE
+
+    def tries(self, n: int) -> float:
+        """Independent shapes that the search tries on a record of n samples, at least 1."""
+        return max(1.0, self.trials * (n if self.per_sample else 1.0))
+
+    def fits(self, layout: str) -> bool:
+        """Whether it can sit in a layout: changes need a rate that they change, moving parts a velocity."""
+        if self.layouts is not None:
+            return layout in self.layouts
+        return self.change is None or layout in self.change
+
+    def drawn(self, x: Array, q: Array) -> Array | None:
+        """Its characteristic at x with parameters q, None where it is no curve."""
+        if self.curve is not None:
+            return self.curve(x, q)
+        if self.force is not None and self.against:
+            still = np.zeros_like(x)
+            at = (x, still) if self.against == "position" else (still, x)
+            value = self.force(*at, still, still, still, q)
+            return x + value if self.against == "position" else value
+        static = self.nature in (Nature.INPUT_STATIC, Nature.OUTPUT_STATIC)
+        return self.apply(x, q, Clock(np.zeros_like(x), 1)) if static and self.apply is not None else None
+
+
+def _needs(e: Effect) -> list[tuple[bool, str]]:
+    """(whether it is missing, in words) for everything that the slot of an effect needs."""
+    on_signal = e.slot in (Slot.INPUT, Slot.OUTPUT, Slot.ADDED)
+    found = e.starts is not None or e.search is not None or e.block
+    acts = e.force is not None or e.inside is not None or e.change is not None
+    return [
+        (not e.key or not e.cause or not e.sentence, "a key, a cause and a sentence"),
+        (on_signal and e.apply is None, "apply, what it makes of its signal"),
+        (e.slot is Slot.PLANT and not acts, "a force, elements inside the plant, or a change of its rates"),
+        (e.simulated and not found, "starts, a search of its own, or to be a block"),
+        (
+            e.starts is not None and not e.parameters and e.shape is None,
+            "the names and units of its parameters",
+        ),
+        (
+            e.amplitude is not None and e.amplitude >= len(e.parameters),
+            "a parameter that is its linear amplitude",
+        ),
+        (e.slot is Slot.PATH and e.shape is None, "shape, its parameters by its size"),
+        (e.trials <= 0, "a positive price"),
+        (e.signal is not None and e.force is None, "the force that its signal modulates"),
+    ]

@@ -1,0 +1,244 @@
+"""Effects at the input: what happens to it before it reaches the linear part of a plant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, numbered
+
+__all__ = ["INPUT", "after", "broken_line", "dead_zone", "quantiles"]
+
+Array = NDArray[Any]
+
+
+def quantiles(x: Array, *levels: float) -> list[list[float]]:
+    """One shape per quantile of a signal."""
+    return [[float(v)] for v in np.quantile(x, levels)]
+
+
+def after(clock: Clock, time: float) -> Array:
+    """0 before a time in samples, 1 after, linear over the sample that it falls into."""
+    return np.clip(clock.k - time, 0.0, 1.0)
+
+
+def dead_zone(x: Any, low: float, high: float) -> Any:
+    """Zero between low <= 0 and high >= 0, the excess outside."""
+    return np.maximum(x - high, 0.0) + np.minimum(x - low, 0.0)
+
+
+def broken_line(x: Array, p: Array) -> Array:
+    """Slopes and corners in turn: a broken line through the origin, of slope 1 at the far left."""
+    from estimators.diagnosis.effects.recursion_kernels import hinges
+
+    c = np.ascontiguousarray(p)
+    return hinges(np.ascontiguousarray(x), c) - hinges(np.zeros(1), c)[0]
+
+
+def _hinges(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.recursion_kernels import hinges
+
+    return hinges(np.ascontiguousarray(x), np.ascontiguousarray(p))
+
+
+def _rate_limited(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.recursion_kernels import rate_limited_mean
+
+    return rate_limited_mean(np.ascontiguousarray(x), abs(p[0]))
+
+
+def _rate_limited_samples(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.recursion_kernels import rate_limited
+
+    return rate_limited(np.ascontiguousarray(x), abs(p[0]))
+
+
+def _play(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.recursion_kernels import play
+
+    return play(np.ascontiguousarray(x), abs(p[0]))
+
+
+def _hysteretic(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.plant_kernels import bouc_wen
+
+    share = float(np.clip(p[0], -2.0, 1.0))
+    return (1.0 - share) * x + share * bouc_wen(np.ascontiguousarray(x), abs(p[1]))
+
+
+def _late(x: Array, p: Array, clock: Clock) -> Array:
+    """Delay linear between samples; from no delay to a quarter of the record."""
+    if not 0.0 <= p[0] <= len(x) / 4:
+        return np.full(len(x), np.inf)
+    whole = int(np.floor(p[0]))
+    part = p[0] - whole
+    shifted = np.concatenate((np.zeros(whole), x[: len(x) - whole])) if whole > 0 else x
+    return (1.0 - part) * shifted + part * np.concatenate(([0.0], shifted[:-1]))
+
+
+def _rates(s: Sizes) -> Grid:
+    jump = np.abs(np.diff(s.u))
+    jump = jump[jump > 1e-9 * s.su]
+    wide = float(np.ptp(s.u))
+    moving = quantiles(jump, 0.9, 0.7, 0.4) if len(jump) else []
+    return moving + [[wide / m] for m in (1.3, 2, 3, 5, 8, 12, 20)], [s.su]
+
+
+def _widths(s: Sizes) -> Grid:
+    return [[f * s.su] for f in (0.08, 0.16, 0.3, 0.5, 0.8)], [s.su]
+
+
+def _corners(count: int, order: int) -> list[tuple[str, str]]:
+    return numbered({"slope": "1", "corner": "u"}, count)
+
+
+def _delays(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Whole delays of the linear model one after another, then fractions beside the best."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import fitted, scored
+
+    s, part = base.structure, Part(DELAY, base.structure.inputs[0])
+    if len(s.effects):
+        yield from fitted(channel, base, scored(channel, base, part, 3), 20)
+        return
+    if s.layout != "tf":
+        return
+    best, worse = base, 0
+    for d in (1, 2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 25):
+        if d > len(channel) // 10:
+            break
+        f = fit_linear(channel, replace(s, delay=d), noise=base.noise, extra=[best.p[: s.order]])
+        best, worse = (f, 0) if f.deviance < best.deviance else (best, worse + 1)
+        if worse >= 4:
+            break
+    source = best if best.structure.delay else base
+    for start in {max(best.structure.delay + x, 0.05) for x in (-0.5, 0.02, 0.5)}:
+        p, scales = np.append(source.p, start), np.append(source.scales, 1.0)
+        yield fit(channel, replace(s, delay=0).adding(part), p, scales, noise=base.noise, iterations=20)
+
+
+def _changed_gain(channel: Any, base: Any, j: int) -> Any:
+    """A gain that changes, from linear fits with one numerator before and one after: the poles of one linear model
+    for the whole record may be far off, and with them the time at which its score is best."""
+    from estimators.diagnosis.model.linear import fit_linear, prefiltered_error
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import Start
+
+    s = base.structure
+    if s.layout != "tf" or s.effects or len(s.inputs) != 1:
+        return None
+    k, n = channel.clock.k, len(channel)
+    y = channel.y - np.mean(channel.y[channel.keep]) if s.parts else channel.y
+
+    def inputs(time: float) -> Array:
+        return np.stack([channel.u[:, j], channel.u[:, j] * (k >= time)], axis=1)
+
+    den = np.concatenate(([1.0], base.p[: s.order]))
+    rows = channel.keep.copy()
+    rows[: s.order + s.delay] = False
+
+    def squares(time: float) -> float:
+        return prefiltered_error(y, inputs(time), den, s, rows)
+
+    time = float(min(k[0] + np.linspace(0.06, 0.94, 23) * n, key=squares))
+    time = float(min(time + np.linspace(-0.035, 0.035, 15) * n, key=squares))
+    two = replace(channel, u=inputs(time))
+    f = fit_linear(two, replace(s, inputs=(0, 1)), extra=[base.p[: s.order]])
+    b = f.p[s.order : s.order + 2 * s.taps].reshape(2, s.taps)
+    change = float(b[0] @ b[1]) / (float(b[0] @ b[0]) + 1e-300)
+    p = np.concatenate((f.p[: s.order], b[0], f.p[s.order + 2 * s.taps :], [change, time]))
+    return Start(s.adding(Part(GAIN_CHANGE, j)), p, np.concatenate((base.scales, [1.0, 1.0])), 0.0)
+
+
+def _static(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
+    return Effect(
+        key=key, cause=cause, nature=Nature.INPUT_STATIC, slot=Slot.INPUT, sentence=sentence, **fields
+    )
+
+
+def _moving(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
+    return Effect(key=key, cause=cause, nature=Nature.DYNAMIC, slot=Slot.INPUT, sentence=sentence, **fields)
+
+
+DELAY = Effect(
+    key="delay", cause="transport_delay", nature=Nature.LINEAR, slot=Slot.INPUT,
+    sentence="the input acts later than modelled", parameters={"delay": "sample"}, trials=8, apply=_late, search=_delays,
+    starts=lambda s: ([[v] for v in (0.3, 0.7, 1.0, 1.5, 2.0, 3.0, 4.0, 5.5, 8.0)], [1.0]),
+)  # fmt: skip
+
+GAIN_CHANGE = Effect(
+    key="gain_change", cause="parameter_change", nature=Nature.TIME, slot=Slot.INPUT, sentence="the gain changes abruptly",
+    parameters={"change": "1", "time": "sample"}, trials=0.03, per_sample=True, amplitude=0, family="changes",
+    apply=lambda x, p, c: x * (1.0 + p[0] * after(c, p[1])),
+    starts=lambda s: ([[0.05, t] for t in s.times()], [1.0, 1.0]), more=_changed_gain,
+)  # fmt: skip
+
+SANDWICH = Effect(
+    key="sandwich", cause="output_nonlinearity", nature=Nature.OUTPUT_STATIC, slot=Slot.INPUT, trials=30, block=True,
+    sentence="a static nonlinearity stands between two linear blocks (Wiener-Hammerstein)",
+    apply=_hinges, shape=_corners,
+)  # fmt: skip
+
+LINES = _static(
+    "input_lines", "hammerstein", "the input acts through a broken line, a static curve of no simpler form",
+    trials=30, block=True, apply=lambda x, p, c: broken_line(x, p), shape=_corners,
+)  # fmt: skip
+
+INPUT = (
+    _static("saturation", "input_saturation", "the input is limited to +-limit", parameters={"limit": "u"}, trials=6,
+            two_sided=True, apply=lambda x, p, c: np.clip(x, -abs(p[0]), abs(p[0])),
+            starts=lambda s: (quantiles(np.abs(s.u), 0.97, 0.9, 0.8, 0.65, 0.5) + [[1.5 * s.su], [s.su]], [s.su])),
+    _static("saturation_asymmetric", "input_saturation", "the input is limited to [low, high]",
+            parameters={"low": "u", "high": "u"}, trials=15, apply=lambda x, p, c: np.clip(x, min(p), max(p)),
+            starts=lambda s: ([a + b for a in quantiles(s.u, 0.03, 0.12, 0.25)
+                               for b in quantiles(s.u, 0.97, 0.88, 0.75)], [s.su, s.su])),
+    _static("saturation_upper", "input_saturation", "the input is limited from above", parameters={"high": "u"}, trials=6,
+            apply=lambda x, p, c: np.minimum(x, p[0]),
+            starts=lambda s: (quantiles(s.u, 0.98, 0.93, 0.85, 0.75, 0.6), [s.su])),
+    _static("saturation_lower", "input_saturation", "the input is limited from below", parameters={"low": "u"}, trials=6,
+            apply=lambda x, p, c: np.maximum(x, p[0]),
+            starts=lambda s: (quantiles(s.u, 0.02, 0.07, 0.15, 0.25, 0.4), [s.su])),
+    _static("dead_zone", "input_deadzone", "small inputs do nothing", parameters={"half_width": "u"}, trials=6,
+            apply=lambda x, p, c: dead_zone(x, -abs(p[0]), abs(p[0])),
+            starts=lambda s: ([[f * s.su] for f in (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)], [s.su])),
+    _static("dead_zone_asymmetric", "input_deadzone", "inputs between low and high do nothing",
+            parameters={"low": "u", "high": "u"}, trials=15,
+            apply=lambda x, p, c: dead_zone(x, -abs(p[0]), abs(p[1])),
+            starts=lambda s: ([[a * s.su, b * s.su] for a in (0.1, 0.3, 0.6) for b in (0.1, 0.3, 0.6)], [s.su, s.su])),
+    _static("input_quadratic", "hammerstein", "the input acts through u + c2 u^2", parameters={"c2": "1/u"}, amplitude=0,
+            apply=lambda x, p, c: x * (1.0 + p[0] * x), starts=lambda s: ([[0.03 / s.su]], [1 / s.su])),
+    _static("input_cubic", "hammerstein", "the input acts through u + c3 u^3", parameters={"c3": "1/u^2"}, amplitude=0,
+            apply=lambda x, p, c: x * (1.0 + p[0] * x**2), starts=lambda s: ([[0.02 / s.su**2]], [1 / s.su**2])),
+    _static("input_polynomial", "hammerstein", "the input acts through u + c2 u^2 + c3 u^3",
+            parameters={"c2": "1/u", "c3": "1/u^2"}, apply=lambda x, p, c: x * (1.0 + x * (p[0] + p[1] * x)),
+            starts=lambda s: ([[a / s.su, b / s.su**2] for a in (-0.1, 0.1) for b in (-0.03, 0.03)],
+                              [1 / s.su, 1 / s.su**2])),
+    LINES,
+    _moving("rate_limit", "rate_limiter", "the actuator cannot move faster than the rate", trials=6, reversing=True,
+            parameters={"rate": "u/sample"}, family="rates", apply=_rate_limited, starts=_rates),
+    _moving("rate_limit_sampled", "rate_limiter", "the command cannot change faster than the rate from one sample to the next",
+            parameters={"rate": "u/sample"}, trials=6, reversing=True, family="rates", apply=_rate_limited_samples,
+            starts=_rates),
+    _moving("backlash_input", "backlash", "play in the actuator", parameters={"half_width": "u"}, trials=6, reversing=True,
+            apply=_play, starts=_widths),
+    _moving("hysteresis", "backlash",
+            "the input acts with hysteresis (Bouc-Wen): a share of it bends off and returns on another way",
+            parameters={"share": "1", "width": "u"}, trials=10, reversing=True, apply=_hysteretic,
+            starts=lambda s: ([[a, w * s.su] for a in (0.3, 0.7) for w in (0.15, 0.4, 1.0)], [1.0, s.su])),
+    SANDWICH,
+    Effect(key="gain_drift", cause="gain_drift", nature=Nature.TIME, slot=Slot.INPUT, amplitude=0,
+           sentence="the gain changes slowly: (1 + slope t)", parameters={"slope": "1/record"},
+           apply=lambda x, p, c: (1.0 + p[0] * c.turn) * x, starts=lambda s: ([[0.05]], [1.0])),
+    GAIN_CHANGE,
+    Effect(key="step_input", cause="step_disturbance", nature=Nature.ADDED, slot=Slot.INPUT, amplitude=0, family="steps",
+           sentence="a step disturbance enters at the plant input", parameters={"size": "u", "time": "sample"},
+           trials=0.03, per_sample=True, settles=True, apply=lambda x, p, c: x + p[0] * after(c, p[1]),
+           starts=lambda s: ([[0.05 * s.su, t] for t in s.times()], [s.su, 1.0])),
+    DELAY,
+)  # fmt: skip

@@ -1,0 +1,111 @@
+"""Effects at the output: what a sensor makes of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, numbered
+from estimators.diagnosis.effects.input import broken_line, dead_zone, quantiles
+
+__all__ = ["OUTPUT"]
+
+Array = NDArray[Any]
+
+
+def _lag(x: Array, p: Array, clock: Clock) -> Array:
+    from scipy.signal import lfilter
+
+    pole = np.clip(p[0], -0.999, 0.9999)
+    return np.asarray(lfilter([1.0 - pole], [1.0, -pole], x))
+
+
+def _upsampled(x: Array, by: int) -> Array:
+    """Cubic (Catmull-Rom) values between samples: a sensor with play sees the extremes between them."""
+    before = np.concatenate((x[:1], x[:-1]))
+    ahead = np.concatenate((x[1:], x[-1:]))
+    later = np.concatenate((ahead[1:], x[-1:]))
+    m0, m1 = (ahead - before) / 2, (later - x) / 2
+    rows = [
+        (2 * r**3 - 3 * r**2 + 1) * x
+        + (r**3 - 2 * r**2 + r) * m0
+        + (3 * r**2 - 2 * r**3) * ahead
+        + (r**3 - r**2) * m1
+        for r in np.arange(by) / by
+    ]
+    return np.stack(rows, axis=1).ravel()
+
+
+def _play(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.recursion_kernels import play
+
+    return play(np.ascontiguousarray(x), abs(p[0]))
+
+
+def _play_fine(x: Array, p: Array, clock: Clock) -> Array:
+    return _play(_upsampled(x, 4), p, clock)[::4]
+
+
+def _widths(s: Sizes) -> Grid:
+    return [[f * s.sy] for f in (0.08, 0.16, 0.3, 0.5, 0.8)], [s.sy]
+
+
+def _sharp(function: Any) -> Any:
+    """f(c x)/c, the identity for small c."""
+    return lambda x, p, clock: x if abs(p[0]) < 1e-9 else function(p[0] * x) / p[0]
+
+
+def _sharpness(s: Sizes) -> Grid:
+    return [[f / s.sy] for f in (0.25, 0.5, 1.0, 1.8)], [1 / s.sy]
+
+
+def _sensor(key: str, sentence: str, parameters: dict[str, str], trials: float, **fields: Any) -> Effect:
+    return Effect(
+        key=key, cause="output_nonlinearity", nature=Nature.OUTPUT_STATIC, slot=Slot.OUTPUT, sentence=sentence,
+        parameters=parameters, trials=trials, **fields,
+    )  # fmt: skip
+
+
+def _backlash(key: str, sentence: str, **fields: Any) -> Effect:
+    return Effect(
+        key=key, cause="backlash", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, sentence=sentence, trials=6, memory=True,
+        parameters={"half_width": "y"}, family="backlash", reversing=True, starts=_widths, **fields,
+    )  # fmt: skip
+
+
+OUTPUT = (
+    Effect(key="lag", cause="sensor_lag", nature=Nature.LINEAR, slot=Slot.OUTPUT, sentence="one more first-order lag",
+           parameters={"pole": "1"}, trials=3, apply=_lag, memory=True,
+           starts=lambda s: ([[v] for v in (0.2, 0.4, 0.6, 0.75, 0.85, 0.92)], [1.0])),
+    _sensor("output_quadratic", "the sensor reads y + c2 y^2", {"c2": "1/y"}, 1, amplitude=0,
+            apply=lambda x, p, c: x * (1.0 + p[0] * x), starts=lambda s: ([[0.03 / s.sy]], [1 / s.sy])),
+    _sensor("output_cubic", "the sensor reads y + c3 y^3", {"c3": "1/y^2"}, 1, amplitude=0,
+            apply=lambda x, p, c: x * (1.0 + p[0] * x**2), starts=lambda s: ([[0.02 / s.sy**2]], [1 / s.sy**2])),
+    _sensor("output_polynomial", "the sensor reads y + c2 y^2 + c3 y^3", {"c2": "1/y", "c3": "1/y^2"}, 1,
+            apply=lambda x, p, c: x * (1.0 + x * (p[0] + p[1] * x)),
+            starts=lambda s: ([[a / s.sy, b / s.sy**2] for a in (-0.1, 0.1) for b in (-0.03, 0.03)],
+                              [1 / s.sy, 1 / s.sy**2])),
+    _sensor("output_lines", "the sensor's curve is a broken line, of no simpler form", {}, 30, block=True,
+            apply=lambda x, p, c: broken_line(x, p),
+            shape=lambda size, order: numbered({"slope": "1", "corner": "y"}, size)),
+    _sensor("output_arctan", "the sensor reads atan(c y)/c", {"c": "1/y"}, 2, apply=_sharp(np.arctan), starts=_sharpness),
+    _sensor("output_tanh", "the sensor reads tanh(c y)/c", {"c": "1/y"}, 2, apply=_sharp(np.tanh), starts=_sharpness),
+    _sensor("output_clip", "the sensor saturates at +-limit", {"limit": "y"}, 6, two_sided=True,
+            apply=lambda x, p, c: np.clip(x, -abs(p[0]), abs(p[0])),
+            starts=lambda s: (quantiles(np.abs(s.y), 0.97, 0.9, 0.8, 0.65), [s.sy])),
+    _sensor("output_clip_upper", "the sensor saturates above", {"high": "y"}, 6,
+            apply=lambda x, p, c: np.minimum(x, p[0]),
+            starts=lambda s: (quantiles(s.y, 0.98, 0.93, 0.85, 0.75, 0.6), [s.sy])),
+    _sensor("output_clip_lower", "the sensor saturates below", {"low": "y"}, 6,
+            apply=lambda x, p, c: np.maximum(x, p[0]),
+            starts=lambda s: (quantiles(s.y, 0.02, 0.07, 0.15, 0.25, 0.4), [s.sy])),
+    _sensor("output_dead_zone", "the sensor does not see small outputs", {"half_width": "y"}, 6,
+            apply=lambda x, p, c: dead_zone(x, -abs(p[0]), abs(p[0])),
+            starts=lambda s: ([[f * s.sy] for f in (0.1, 0.25, 0.5, 0.8)], [s.sy])),
+    _sensor("output_absolute", "the sensor has another gain for each sign", {"c": "1"}, 1, amplitude=0,
+            apply=lambda x, p, c: x + p[0] * np.abs(x), starts=lambda s: ([[0.05]], [1.0])),
+    _backlash("backlash_output", "play at the output", apply=_play_fine, between=True),
+    _backlash("backlash_sampled", "play at the output that moves with the samples, not between them", apply=_play),
+)  # fmt: skip

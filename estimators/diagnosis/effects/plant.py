@@ -1,0 +1,172 @@
+"""Effects inside a plant: forces of its position, velocity and input, elements with memory, rates that change."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from estimators.diagnosis.effects.effect import Effect, Grid, Nature, Sizes, Slot
+
+__all__ = ["PLANT"]
+
+MOVING = frozenset({"oscillator", "driven", "sensed", "modes", "integrator"})  # velocity is not position
+DRIVEN = frozenset({"cascade", "driven"})  # the last state follows the input and drives the others
+SPRINGS = ("stiffness_cubic", "stiffness")
+
+
+def _grid(*shapes: list[float], sizes: list[float]) -> Grid:
+    """Shapes in units of their sizes."""
+    return [[a * b for a, b in zip(shape, sizes, strict=True)] for shape in shapes], sizes
+
+
+def _stiff(s: Sizes, power: int) -> float:
+    return s.su / s.sx**power
+
+
+def _cubic(p, v, u, q, s, c):
+    return c[0] * p**3
+
+
+def _stiffness(p, v, u, q, s, c):
+    return (c[0] + c[1] * p) * p**2
+
+
+def _square(p, v, u, q, s, c):
+    return c[0] * np.abs(p) * p
+
+
+def _quintic(p, v, u, q, s, c):
+    return c[0] * p**3 + c[1] * p**5
+
+
+def _gap(p, v, u, q, s, c):
+    return c[0] * (np.maximum(p - np.abs(c[1]), 0.0) + np.minimum(p + np.abs(c[1]), 0.0))
+
+
+def _upper(p, v, u, q, s, c):
+    return c[0] * np.maximum(p - c[1], 0.0)
+
+
+def _lower(p, v, u, q, s, c):
+    return c[0] * np.minimum(p - c[1], 0.0)
+
+
+def _drag(p, v, u, q, s, c):
+    return np.abs(c[0]) * np.abs(v) * v
+
+
+def _position_damping(p, v, u, q, s, c):
+    return c[0] * p**2 * v
+
+
+def _bilinear(p, v, u, q, s, c):
+    return -c[0] * u * p
+
+
+def _bilinear_driven(p, v, u, q, s, c):
+    return -c[0] * q * p
+
+
+def _corner(side: float, *levels: float, slopes: tuple[float, ...] = (0.3, 2.0, -0.3)) -> Any:
+    """Slopes beyond corners at levels of the position; stops are stiff."""
+    return lambda s: _grid(*([k, side * g] for k in slopes for g in levels), sizes=[s.su / s.sx, s.sx])
+
+
+def _stop_levels(s: Sizes) -> Grid:
+    top = float(np.max(np.abs(s.position)))
+    return [[f * top] for f in (0.9, 0.75, 0.6, 0.45)], [s.sx]
+
+
+def _hysteretic(c: Any) -> dict[str, float]:
+    width = max(abs(float(c[1])), 1e-9)
+    return {"spring": float(c[0]) / width, "width": width}
+
+
+def _dry(x: Any, c: Any, tilt: float = 0.0, excess: Any = 0.0) -> Any:
+    return (np.abs(c[0]) + excess) * np.sign(x) * (1 + tilt * np.sign(x))
+
+
+def _inside(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
+    return Effect(
+        key=key, cause=cause, nature=Nature.DYNAMIC, slot=Slot.PLANT, sentence=sentence, **fields
+    )
+
+
+def _spring(key: str, sentence: str, **fields: Any) -> Effect:
+    return _inside(key, "duffing", sentence, against="position", **fields)
+
+
+def _changed(key: str, sentence: str, name: str, change: dict[str, tuple[float, ...]]) -> Effect:
+    return Effect(
+        key=key, cause="parameter_change", nature=Nature.TIME, slot=Slot.PLANT, sentence=sentence, change=change,
+        parameters={name: "1", "time": "sample"}, trials=0.03, per_sample=True, amplitude=0, family="changes",
+        starts=lambda s: ([[0.1, t] for t in s.times(20)], [1.0, 1.0]),
+    )  # fmt: skip
+
+
+def _bilinear_starts(s: Sizes) -> Grid:
+    return _grid([0.05], [0.2], [-0.05], [-0.2], sizes=[1 / s.sx])
+
+
+PLANT = (
+    _spring("stiffness_cubic", "a restoring force k3 x^3", parameters={"k3": "1/u^2"}, trials=2, family="springs",
+            force=_cubic, starts=lambda s: _grid([0.01], [0.05], [-0.02], sizes=[_stiff(s, 3)])),
+    _spring("stiffness", "a restoring force k2 x^2 + k3 x^3", parameters={"k2": "1/u", "k3": "1/u^2"}, trials=2,
+            family="springs", force=_stiffness,
+            starts=lambda s: _grid(*([a, b] for a in (-0.05, 0.05) for b in (-0.01, 0.03)),
+                                   sizes=[_stiff(s, 2), _stiff(s, 3)])),
+    _inside("coulomb", "coulomb_friction", "dry friction of constant level", parameters={"level": "u"}, trials=6,
+            reversing=True, against="velocity", inside=lambda c: {"coulomb": abs(c[0])}, curve=_dry,
+            starts=lambda s: _grid([0.03], [0.1], [0.2], [0.4], sizes=[s.su])),
+    _inside("stribeck", "stribeck_friction", "dry friction that is larger at low speed", trials=15, reversing=True,
+            parameters={"level": "u", "excess": "u", "speed": "u/sample"}, extends="coulomb", against="velocity",
+            inside=lambda c: {"coulomb": abs(c[0]), "static": c[1], "speed": max(abs(c[2]), 1e-9)},
+            curve=lambda x, c: _dry(x, c, excess=abs(c[1]) * np.exp(-((x / max(abs(c[2]), 1e-300)) ** 2))),
+            starts=lambda s: _grid(*([f, 0.6 * f, h] for f in (0.1, 0.25) for h in (0.2, 0.6)), sizes=[s.su, s.su, s.sv])),
+    _inside("coulomb_asymmetric", "coulomb_friction", "dry friction, another level for each direction", trials=10,
+            parameters={"level": "u", "asymmetry": "1"}, reversing=True, extends="coulomb", against="velocity",
+            inside=lambda c: {"coulomb": abs(c[0]), "tilt": min(max(float(c[1]), -1.0), 1.0)},
+            curve=lambda x, c: _dry(x, c, tilt=c[1]),
+            starts=lambda s: _grid(*([f, g] for f in (0.1, 0.3) for g in (-0.3, 0.3)), sizes=[s.su, 1.0])),
+    _inside("drag", "nonlinear_drag", "quadratic drag c |v| v", parameters={"drag": "u/(u/sample)^2"}, trials=2,
+            force=_drag, against="velocity",
+            starts=lambda s: _grid([0.02], [0.1], [0.3], sizes=[s.su / s.sv**2])),
+    _inside("bilinear", "bilinear", "the input multiplies the state", parameters={"beta": "1/u"}, trials=2,
+            family="bilinear", force=_bilinear, starts=_bilinear_starts),
+    _inside("bilinear_driven", "bilinear", "the input, after a lag of its own, multiplies the state", trials=2,
+            parameters={"beta": "1/u"}, family="bilinear", layouts=DRIVEN, force=_bilinear_driven, starts=_bilinear_starts),
+    _spring("stiffness_square", "a restoring force k |x| x", parameters={"k": "1/u"}, trials=4, refines=SPRINGS,
+            force=_square, starts=lambda s: _grid([0.05], [0.3], [-0.1], sizes=[_stiff(s, 2)])),
+    _spring("stiffness_quintic", "a restoring force k3 x^3 + k5 x^5", parameters={"k3": "1/u^2", "k5": "1/u^4"}, trials=4,
+            refines=SPRINGS, force=_quintic,
+            starts=lambda s: _grid(*([a, b] for a in (0.0, 0.03) for b in (-0.003, 0.01)),
+                                   sizes=[_stiff(s, 3), _stiff(s, 5)])),
+    _spring("stiffness_gap", "a second spring beyond a gap on either side", parameters={"slope": "1", "gap": "u"}, trials=15,
+            refines=SPRINGS, family="springs", force=_gap,
+            starts=_corner(1.0, 0.3, 0.8, 1.5, slopes=(0.3, 2.0, 10.0, -0.3))),
+    _spring("stiffness_upper", "another stiffness above a corner: a one-sided spring or an end stop", trials=15,
+            parameters={"slope": "1", "corner": "u"}, refines=SPRINGS, family="springs", force=_upper,
+            starts=_corner(1.0, 0.0, 0.7, 1.5)),
+    _spring("stiffness_lower", "another stiffness below a corner: a one-sided spring or an end stop", trials=15,
+            parameters={"slope": "1", "corner": "u"}, refines=SPRINGS, family="springs", force=_lower,
+            starts=_corner(-1.0, 0.0, 0.7, 1.5)),
+    _inside("end_stop", "duffing", "a stop on either side holds the position, without rebound", parameters={"limit": "u"},
+            trials=10, refines=SPRINGS, family="springs", layouts=MOVING, inside=lambda c: {"stop": abs(c[0])},
+            starts=_stop_levels),
+    _inside("position_damping", "nonlinear_drag", "a damping d x^2 v that depends on the position", trials=6,
+            parameters={"d": "sample/u^2"}, refines=("drag", "stiffness_cubic"), layouts=MOVING, force=_position_damping,
+            starts=lambda s: _grid([0.05], [0.3], [-0.05], sizes=[s.su / (s.sx**2 * s.sv)])),
+    _inside("hysteretic_spring", "backlash",
+            "a hysteretic restoring force inside the plant (Bouc-Wen), which saturates at the level", trials=15,
+            parameters={"level": "u", "width": "u"}, reversing=True, refines=("coulomb", "drag"), layouts=MOVING,
+            inside=_hysteretic,
+            starts=lambda s: _grid(*([f, w] for f in (0.15, 0.5) for w in (0.2, 0.7, 2.0)), sizes=[s.su, s.sx])),
+    _changed("timescale_change", "the natural frequency or time constants change abruptly", "log_speed",
+             {"first": (1,), "oscillator": (2, 1), "cascade": (1, 1), "driven": (2, 1, 0), "sensed": (2, 1, 0),
+              "modes": (2, 1, 0, 0)}),
+    _changed("damping_change", "the damping changes abruptly", "log_damping",
+             {"oscillator": (0, 1), "driven": (0, 1, 0), "sensed": (0, 1, 0), "modes": (0, 1, 0, 0)}),
+    _changed("pole_change", "one time constant changes abruptly", "log_speed",
+             {"cascade": (1, 0), "driven": (0, 0, 1), "sensed": (0, 0, 1)}),
+)  # fmt: skip
