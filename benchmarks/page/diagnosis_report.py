@@ -43,7 +43,7 @@ def _claims(result: Diagnosis) -> list[dict[str, Any]]:
     rows = []
     for i, out in enumerate(result.extra["outputs"]):
         for claim in out.attribution.claims[:12]:
-            rows.append({"output": i + 1, "cause": claim.label, "variant": claim.key, "gain": float(claim.gain),
+            rows.append({"output": i + 1, "cause": claim.cause, "variant": claim.key, "gain": float(claim.gain),
                          "p_value": float(claim.p_value)})  # fmt: skip
     return rows
 

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.catalogue import CATALOGUE, Clock
+from estimators.diagnosis.effects import CATALOGUE, Clock, Effect, Nature, Slot, named
+from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.input import LINES, SANDWICH
+from estimators.diagnosis.effects.path import INITIAL, OUTFLOW
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.model.forces import balanced_fit, effective_samples, follows_output, force_balance
 from estimators.diagnosis.model.linear import fit_linear
@@ -22,6 +25,7 @@ from estimators.diagnosis.record.measurement import (
     wild_samples,
 )
 from estimators.diagnosis.search.blocks import curved, grown, sandwich
+from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.selection import Attribution, attribute
 from oed.data import Record
 
@@ -33,7 +37,7 @@ SCREEN = 4096
 MIDDLE = 20000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Setting:
     """What the user knows and wants.
 
@@ -52,6 +56,8 @@ class Setting:
         False-alarm rate over all tests together.
     separate : bool
         Whether the two records are on separate clocks.
+    effects : tuple of Effect
+        What is looked for: the catalogue, and effects of one's own.
     """
 
     orders: tuple[int, ...] = ()
@@ -60,6 +66,7 @@ class Setting:
     skip: int = 0
     alpha: float = 0.01
     separate: bool = False
+    effects: tuple[Effect, ...] = CATALOGUE
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +128,7 @@ def _structure(setting: Setting, record: Record, i: int, order: int) -> tuple[St
         inputs = every
     s = Structure(order, inputs)
     if not setting.deviations:
-        s = s.adding(Part("offset")).adding(Part("initial"))
+        s = s.adding(Part(OFFSET)).adding(Part(INITIAL))
         s = replace(s, base=2)
     return s, tuple(j for j in every if j not in inputs)
 
@@ -260,7 +267,7 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
         return fit(channel, f.structure, p, f.scales, noise=None if white else f.noise, iterations=40)
 
     a = short.attribution
-    if any(part.key == "sandwich" for part in a.final.structure.parts):  # more data bear more corners
+    if any(part.effect is SANDWICH for part in a.final.structure.parts):  # more data bear more corners
         few = replace(channel, u=channel.u[:MIDDLE], y=channel.y[:MIDDLE], keep=keep[:MIDDLE],
                       clock=Clock(channel.clock.k[:MIDDLE], n))  # fmt: skip
         f = fit(few, a.final.structure, a.final.p, a.final.scales, iterations=40, colour=False)
@@ -295,6 +302,7 @@ def _examined(record: Record, i: int, setting: Setting) -> Examined:
     channel = Channel(record.u, y, clock, keep)
     order = setting.orders[i] if setting.orders else _order(channel, record, setting, i)
     s, others = _structure(setting, record, i, order)
+    menu = Menu(setting.effects, others)
     first = fit_linear(channel, s)
     naive = fit_linear(replace(channel, keep=~missing), s) if not np.array_equal(keep, ~missing) else first
     if step > 0.0:
@@ -311,7 +319,7 @@ def _examined(record: Record, i: int, setting: Setting) -> Examined:
     ):  # a transient from the start, not faults: asked again
         wild[:] = False
     if wild.any():
-        found = attribute(replace(channel, keep=keep & ~wild), s, others=others, alpha=setting.alpha)
+        found = attribute(replace(channel, keep=keep & ~wild), s, menu, alpha=setting.alpha)
         residual = y - simulate(found.final.structure, found.final.p, channel.u, clock)
         again = _enough(
             wild_samples(residual, keep) & wild_samples(innovations(residual, found.final.noise), keep), n
@@ -322,9 +330,9 @@ def _examined(record: Record, i: int, setting: Setting) -> Examined:
             found = _refitted(replace(channel, keep=keep & ~wild), found)
         else:
             wild = again
-            found = attribute(replace(channel, keep=keep & ~wild), s, others=others, alpha=setting.alpha)
+            found = attribute(replace(channel, keep=keep & ~wild), s, menu, alpha=setting.alpha)
     else:
-        found = attribute(channel, s, others=others, alpha=setting.alpha)
+        found = attribute(channel, s, menu, alpha=setting.alpha)
         if channel.step == 0.0 and found.chosen:
             residual = y - simulate(found.final.structure, found.final.p, channel.u, clock)
             wild = _enough(wild_samples(residual, keep), n)
@@ -368,41 +376,44 @@ def _structured(channel: Channel, a: Attribution, setting: Setting) -> Attributi
 
     if not len(a.final.noise):
         return a
-    natures = {q.effect.nature for q in a.final.structure.effects}
     order = a.base.structure.order
-    trials = [] if setting.deviations else [("outflow", tanks(channel, a.base))]
-    if (order <= 4 or not setting.deviations) and any("nonlinearity" in nature for nature in natures):
-        trials += [(key, curved(channel, f, key)) for key, f in _curves(a)]
+    trials = [] if setting.deviations else [(OUTFLOW, tanks(channel, a.base))]
+    nonlinear = (Nature.INPUT_STATIC, Nature.OUTPUT_STATIC, Nature.DYNAMIC)
+    if (order <= 4 or not setting.deviations) and any(
+        q.effect.nature in nonlinear for q in a.final.structure.effects
+    ):
+        trials += [(line, curved(channel, f, line)) for line, f in _curves(a)]
         wide = max(order + 2, min(2 * order, 6))
         # a suggested order counts the poles of both blocks; one chosen for an approximation has too few
         for size in (max(order, 2), wide) if setting.deviations else (wide,):
-            trials.append(("sandwich", sandwich(channel, a.base, size)))
+            trials.append((SANDWICH, sandwich(channel, a.base, size)))
             if (f := trials[-1][1]) is not None and not len(f.noise):
                 break  # nothing is left that more poles could explain
     found = [
-        (key, f)
-        for key, f in trials
+        (effect, f)
+        for effect, f in trials
         if f is not None and f.criterion < a.final.criterion - max(0.02 * f.n, 20.0)
     ]
     if not found:
         return a
-    key, f = min(found, key=lambda pair: pair[1].criterion)
+    first, f = min(found, key=lambda pair: pair[1].criterion)
     claims = [
-        Claim(k, CATALOGUE[k].label, a.coloured.criterion - g.criterion, significance(a.coloured, g), g)
-        for k, g in sorted(found, key=lambda pair: pair[1].criterion)
+        Claim(e, a.coloured.criterion - g.criterion, significance(a.coloured, g), g)
+        for e, g in sorted(found, key=lambda pair: pair[1].criterion)
     ]
+    key = first.key
     beside = {part.key for part in f.structure.effects} - {key}
     chosen = [key, *(k for k in a.chosen if k in beside)] + (["coloured"] if len(f.noise) else [])
     p_values = {key: claims[0].p_value} | {k: p for k, p in a.p_values.items() if k in beside}
     return replace(a, final=f, claims=[*claims, *a.claims], chosen=chosen, p_values=p_values)
 
 
-def _curves(a: Attribution) -> list[tuple[str, Fit]]:
+def _curves(a: Attribution) -> list[tuple[Effect, Fit]]:
     """Where a broken line is tried, and the model that it becomes part of: one with effects that stay beside it."""
-    slots = {q.effect.slot for q in a.final.structure.effects if q.effect.nature.startswith("static")}
+    slots = {q.effect.slot for q in a.final.structure.effects if q.effect.static}
     several = len(a.final.structure.effects) > 1
-    found = [("input_lines", a.final if several and "input" in slots else a.base)]
-    return found + ([("output_lines", a.final)] if "output" in slots else [])
+    found = [(LINES, a.final if several and Slot.INPUT in slots else a.base)]
+    return found + ([(named("output_lines"), a.final)] if Slot.OUTPUT in slots else [])
 
 
 def _enough(wild: NDArray[np.bool_], n: int) -> NDArray[np.bool_]:
@@ -410,13 +421,9 @@ def _enough(wild: NDArray[np.bool_], n: int) -> NDArray[np.bool_]:
     return wild if wild.sum() >= max(3, 0.001 * n) else np.zeros(n, dtype=bool)
 
 
-REVERSING = {k for k, e in CATALOGUE.items() if e.label in (
-    "backlash", "rate_limiter", "coulomb_friction", "stribeck_friction")}  # fmt: skip
-
-
 def _reversing(a: Attribution, wild: NDArray[np.bool_], simulated: Array) -> bool:
     """Whether the wild samples are the misfit of an effect that acts where the motion turns."""
-    return any(part.key in REVERSING for part in a.final.structure.effects) and at_reversals(wild, simulated)
+    return any(part.effect.reversing for part in a.final.structure.effects) and at_reversals(wild, simulated)
 
 
 def _wild(channel: Channel, s: Structure, first: Fit) -> NDArray[np.bool_]:

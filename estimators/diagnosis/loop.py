@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.effects.effect import Clock, Effect
 from estimators.diagnosis.examination import Examined, Setting, examine, thinned
 from estimators.diagnosis.model.fitting import Fit, innovations, levenberg_marquardt
 from estimators.diagnosis.model.simulation import free_responses, simulate
@@ -125,7 +126,13 @@ def _check(train: Record, test: Record | None) -> None:
                          "them would prove nothing: give data that were not used.")  # fmt: skip
 
 
-def diagnose(train: Record, test: Record | None = None, setting: Setting | None = None) -> Diagnosis:
+def diagnose(
+    train: Record,
+    test: Record | None = None,
+    setting: Setting | None = None,
+    *,
+    effects: Iterable[Effect] | None = None,
+) -> Diagnosis:
     """Find what a linear model of measured data lacks, add it, and measure the error before and after.
 
     Parameters
@@ -137,6 +144,8 @@ def diagnose(train: Record, test: Record | None = None, setting: Setting | None 
         block of the training record is simulated with parameters fitted to the other blocks.
     setting : Setting, optional
         What is known of the system.
+    effects : iterable of Effect, optional
+        What is looked for, `[*CATALOGUE, mine]` for one of your own; the catalogue without it.
 
     Returns
     -------
@@ -153,6 +162,7 @@ def diagnose(train: Record, test: Record | None = None, setting: Setting | None 
     The test record is never used to choose or to fit anything.
     """
     setting = Setting() if setting is None else setting
+    setting = setting if effects is None else replace(setting, effects=tuple(effects))
     _check(train, test)
     outputs = [examine(train, i, setting) for i in range(train.n_outputs)]
     if test is None:

@@ -86,63 +86,24 @@ def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
     return figure
 
 
-def _curve(part: Any, q: Any, x: Any) -> Any:
-    """Value of an effect's characteristic at x, with its parameters q; None where it is no curve."""
-    from estimators.diagnosis.effects.recursion_kernels import hinges
-
-    key, e = part.key, part.effect
-    if key == "sandwich":
-        return hinges(x, np.ascontiguousarray(q[2 * (part.size % 100) :]))
-    if key in ("input_lines", "output_lines"):
-        return e.apply(x, q, None)
-    if key == "stiffness_square":
-        return x + q[0] * np.abs(x) * x
-    if key == "stiffness_quintic":
-        return x + q[0] * x**3 + q[1] * x**5
-    if key in ("stiffness_gap", "stiffness_upper", "stiffness_lower"):
-        gap = abs(q[1]) if key == "stiffness_gap" else q[1]
-        above = np.maximum(x - gap, 0.0) if key != "stiffness_lower" else 0.0
-        below = np.minimum(x - gap, 0.0) if key == "stiffness_lower" else 0.0
-        below = np.minimum(x + gap, 0.0) if key == "stiffness_gap" else below
-        return x + q[0] * (above + below)
-    if key == "stiffness_cubic":
-        return x + q[0] * x**3
-    if key == "stiffness":
-        return x + q[0] * x**2 + q[1] * x**3
-    if key == "drag":
-        return abs(q[0]) * np.abs(x) * x
-    if key in ("coulomb", "coulomb_asymmetric", "stribeck"):
-        tilt = q[1] if key == "coulomb_asymmetric" else 0.0
-        bump = abs(q[1]) * np.exp(-((x / max(abs(q[2]), 1e-300)) ** 2)) if key == "stribeck" else 0.0
-        return (abs(q[0]) + bump) * np.sign(x) * (1 + tilt * np.sign(x))
-    if "nonlinearity" in e.nature and e.apply is not None and e.nature.startswith("static"):
-        return e.apply(x, q, None)
-    return None
-
-
 def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
     """Values that the effect's argument takes in the record, and its name."""
-    from estimators.diagnosis.model.layouts import COEFFICIENTS, LAYOUTS, layout_matrices, states
-    from estimators.diagnosis.model.simulation import sandwiched
+    from estimators.diagnosis.effects import Slot
+    from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices, states
 
-    u = channel.u[:, part.channel]
-    if part.key == "sandwich":
-        order = part.size % 100
-        sl = f.structure.slices()[f.structure.parts.index(part)]
-        return sandwiched(
-            u, np.concatenate((f.p[sl][: 2 * order], [0.0, 0.0])), order
-        ), "between the two blocks"
-    if part.effect.slot == "plant":
+    u, slot = channel.u[:, part.channel], part.effect.slot
+    if slot is Slot.PLANT:
         head = LAYOUTS[f.structure.layout][1]
         position, velocity = layout_matrices(f.structure.layout, f.p[:head])[3:]
-        fast = not part.key.startswith("stiffness")
-        X = states(f.structure.layout, f.p[:head], u, np.zeros(COEFFICIENTS))
+        fast = part.effect.against == "velocity"
+        X = states(f.structure.layout, f.p[:head], u)
         # the linear part alone swings wider where a spring stiffens: the middle 99 % are shown
         return X @ (
             velocity if fast else position
         ), "velocity" if fast else "position (in units of the input)"
-    if part.effect.slot == "input":
-        return u, "input"
+    if slot is Slot.INPUT:
+        sl = f.structure.slices()[f.structure.parts.index(part)]
+        return part.blocked(u, f.p[sl]), "between the two blocks" if part.first else "input"
     return channel.y - f.residual, "output before the sensor"
 
 
@@ -167,7 +128,7 @@ def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
     out, f = result.extra["outputs"][output], result.extra["finals"][output]
     channel = out.last if f is out.attribution.final else out.channel
     found = [(q, sl) for q, sl in zip(f.structure.parts, f.structure.slices(), strict=True)]
-    drawn = [(q, sl) for q, sl in found if _curve(q, f.p[sl], np.linspace(-1.0, 1.0, 3)) is not None]
+    drawn = [(q, sl) for q, sl in found if q.drawn(np.linspace(-1.0, 1.0, 3), f.p[sl]) is not None]
     if not drawn or not f.jacobian.size:
         return None
     J = f.jacobian
@@ -181,17 +142,17 @@ def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
         values = values[np.isfinite(values)]
         low, high = np.quantile(values, (0.005, 0.995))
         x = np.linspace(low, high, 121)
-        y = _curve(part, f.p[sl], x)
+        y = part.drawn(x, f.p[sl])
         slopes = np.zeros((len(x), sl.stop - sl.start))
         for i in range(sl.stop - sl.start):
             q = f.p[sl].copy()
             step = 1e-4 * f.scales[sl.start + i]
             q[i] += step
-            slopes[:, i] = (_curve(part, q, x) - y) / step
+            slopes[:, i] = (part.drawn(x, q) - y) / step
         band = 2 * np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", slopes, covariance[sl, sl], slopes), 0.0))
         axis.fill_between(x, y - band, y + band, color="C0", alpha=0.3, lw=0)
         axis.plot(x, y, color="C0", label="with its band, 2 s.e.")
-        if part.effect.slot != "plant" or part.key.startswith("stiffness"):
+        if part.effect.against != "velocity":
             axis.plot(x, x, color="0.5", lw=0.8, ls="--", label="linear")
         axis.set(xlabel=name, ylabel="acts as", title=part.effect.sentence)
         axis.title.set_fontsize(9)

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from estimators.diagnosis.effects.catalogue import CATALOGUE
+from estimators.diagnosis.effects import Effect, Nature, Slot
 from estimators.diagnosis.examination import Examined, Setting
 from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.record.leftover import Leftover, leftovers
 from estimators.diagnosis.record.paired import as_good
-from estimators.diagnosis.search.selection import labels_of
+from estimators.diagnosis.search.selection import causes_of
 
 __all__ = ["verdict"]
 
@@ -35,7 +35,7 @@ def _unexplained(out: Examined, rest: list[Leftover], alpha: float) -> Leftover 
         alpha / 10 if not a.chosen else 1e-6
     )  # significance under a noise model or a wrong effect is less sure
     for item in rest:
-        noisy = item.nature == CATALOGUE["coloured"].nature
+        noisy = item.nature == Nature.NOISE
         if item.p_value >= (1e-6 if noisy else limit):
             continue
         if noisy and all(a.p_values.get(key, 1.0) > alpha / 100 for key in found):
@@ -60,6 +60,7 @@ def verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
     dict
         The fields of a `Diagnosis` that name causes.
     """
+    known = {e.key: e for e in setting.effects}
     evidence: list[str] = []
     order: list[tuple[float, str]] = []
     p_value = 1.0
@@ -104,11 +105,9 @@ def verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
             weak = ""
             if key in a.refinements:  # below every cause
                 order[-1] = (min(weight, 10.0), key)
-                weak = (f"; it explains {100 * a.refinements[key]:.2g} % of what {CATALOGUE[a.chosen[0]].label} does, "
+                weak = (f"; it explains {100 * a.refinements[key]:.2g} % of what {known[a.chosen[0]].cause} does, "
                         "and may only refine the shape of that")  # fmt: skip
-            evidence.append(
-                f"{CATALOGUE[key].sentence}{tag}: corrected p = {p:.2g}{weak}{_assumed(out, key)}"
-            )
+            evidence.append(f"{known[key].sentence}{tag}: corrected p = {p:.2g}{weak}{_assumed(out, key)}")
         rest = leftovers(out.last, a.final, alpha=alpha / 10)
         remaining += [item.sentence + tag for item in rest[:3]]
         inadequate.append(any("nonlinearity" in item.nature and item.p_value < 1e-6 for item in rest))
@@ -125,21 +124,21 @@ def verdict(outputs: list[Examined], setting: Setting) -> dict[str, Any]:
                     order.append((50.0, item.key))
                     evidence.append(f"what is left{tag}: {item.sentence}")
         for key, others in a.rivals.items():
-            evidence.append(f"instead of {CATALOGUE[key].label}{tag} it may as well be {' or '.join(others)}")
+            evidence.append(f"instead of {known[key].cause}{tag} it may as well be {' or '.join(others)}")
         for c in a.claims:
-            pool[c.label] = pool.get(c.label, 0.0) + max(c.gain, 0.0)
+            pool[c.cause] = pool.get(c.cause, 0.0) + max(c.gain, 0.0)
         parameters.update(_parameters(a.final, f"y{i + 1}." if len(outputs) > 1 else ""))
     order.sort(key=lambda x: -x[0])
     keys = [k for _, k in order]
-    chosen = labels_of(keys)
+    chosen = causes_of(keys, setting.effects)
     detected = bool(chosen)
     rest = [
         label for label, gain in sorted(pool.items(), key=lambda x: -x[1]) if label not in chosen and gain > 0
     ]
     ranked = chosen + rest if detected else ["none"]
-    confusable = _confusable(outputs, inadequate, ranked[0])
-    refining = labels_of([key for out in outputs for key in out.attribution.refinements])
-    nature = "none" if not keys else natures[0] if keys[0] == UNKNOWN else CATALOGUE[keys[0]].nature
+    confusable = _confusable(outputs, inadequate, ranked[0], known)
+    refining = causes_of([key for out in outputs for key in out.attribution.refinements], setting.effects)
+    nature = "none" if not keys else natures[0] if keys[0] == UNKNOWN else known[keys[0]].nature.value
     return {
         "detected": detected, "effect": ranked[0], "variant": ", ".join(dict.fromkeys(keys)), "ranked": tuple(ranked),
         "nature": nature, "p_value": p_value, "evidence": tuple(evidence),
@@ -152,10 +151,10 @@ def _assumed(out: Examined, key: str) -> str:
     """What a symmetric limit takes for granted where the record reaches one side of it only."""
     f, channel = out.attribution.final, out.last
     at = next((i for i, part in enumerate(f.structure.parts) if part.key == key), None)
-    if at is None or key not in ("saturation", "output_clip"):
+    if at is None or not f.structure.parts[at].effect.two_sided:
         return ""
     limit = abs(float(f.p[f.structure.slices()[at]][0]))
-    if key == "saturation":
+    if f.structure.parts[at].effect.slot is Slot.INPUT:
         x = channel.u[:, f.structure.parts[at].channel]
     else:
         x = simulate(f.structure, f.p, channel.u, channel.clock)
@@ -175,7 +174,9 @@ def _absorbing(out: Examined) -> bool:
 NEAR = 0.7  # of the first cause's gain
 
 
-def _confusable(outputs: list[Examined], inadequate: list[bool], first: str) -> tuple[str, ...]:
+def _confusable(
+    outputs: list[Examined], inadequate: list[bool], first: str, known: dict[str, Effect]
+) -> tuple[str, ...]:
     """Causes that the record cannot tell from the first one: single effects as good, or as good beside others.
 
     Where the final residual still shows a nonlinearity, no model is right, and a difference between two wrong ones
@@ -185,18 +186,18 @@ def _confusable(outputs: list[Examined], inadequate: list[bool], first: str) -> 
     names: list[str] = []
     for out, wrong in zip(outputs, inadequate, strict=True):
         a = out.attribution
-        mine = next((c for c in a.claims if c.label == first), None)
+        mine = next((c for c in a.claims if c.cause == first), None)
         if mine is not None:
             alone = len(a.final.structure.effects) == 1
-            others = [c for c in a.claims if c.label != first and c.p_value < 0.01]
+            others = [c for c in a.claims if c.cause != first and c.p_value < 0.01]
             names += [
-                c.label
+                c.cause
                 for c in others
                 if (alone and as_good(mine.fit, c.fit, adequate=not wrong))
                 or (wrong and c.gain > NEAR * mine.gain)
             ]
         for key, others_near in a.rivals.items():
-            if CATALOGUE[key].label == first:
+            if known[key].cause == first:
                 names += others_near
     return tuple(dict.fromkeys(names))
 

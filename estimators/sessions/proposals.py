@@ -141,7 +141,7 @@ def propose(
 
     try:
         found = examine(joined(records), 0, Setting()).attribution
-        rivals = {c.label: c.fit for c in reversed(found.claims[:6])}
+        rivals = {c.cause: c.fit for c in reversed(found.claims[:6])}
         names = tuple(reversed(rivals))
         pair = [(name, rivals[name]) for name in names[:2]]
         if len(pair) < 2:

@@ -43,7 +43,7 @@ def write_case(
 
     `wide` draws plants, inputs, strengths, noise levels, record lengths and units from wider ranges.
     """
-    from estimators.diagnosis.effects.catalogue import Clock
+    from estimators.diagnosis.effects import Clock
     from estimators.diagnosis.model.fitting import Channel
     from estimators.diagnosis.model.linear import fit_linear
     from estimators.diagnosis.model.simulation import simulate

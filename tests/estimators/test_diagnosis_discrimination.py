@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.model.fitting import Channel
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Structure
 from estimators.diagnosis.next_experiment.decision import decision_samples, next_experiment
 from estimators.diagnosis.next_experiment.discrimination import discriminate, distance
-from estimators.diagnosis.search.candidates import augmented
+from estimators.diagnosis.search.candidates import Menu, augmented
 from oed.data import Record
 from oed.errors import InputError
 
@@ -26,7 +26,10 @@ def models(pair):
     y = lfilter([0.0, 0.1, 0.1], [1.0, -1.5, 0.7], np.clip(u, -0.75, 0.75)) + 0.05 * rng.standard_normal(n)
     channel = Channel(u[:, None], y, Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
     base = fit_linear(channel, Structure(2))
-    found = {f.structure.parts[-1].key: f for f in augmented(channel, base, only=set(pair))}
+    found = {
+        f.structure.parts[-1].key: f
+        for f in augmented(channel, base, Menu(tuple(named(key) for key in pair)))
+    }
     return channel, [found[key] for key in pair]
 
 

@@ -1,12 +1,14 @@
 """The NumPy maps and compiled recursions of the catalogue against their CasADi definitions."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, ss2tf
 
-from estimators.diagnosis.effects import terms
-from estimators.diagnosis.effects.catalogue import CATALOGUE, Clock
-from estimators.diagnosis.effects.plant_kernels import bouc_wen, held_response, simulate_feedback
+from estimators import diagnose
+from estimators.diagnosis.effects import CATALOGUE, Clock, Effect, Nature, Slot, named, plant_kernels, terms
+from estimators.diagnosis.effects.plant_kernels import Elements, Held, bouc_wen, held_response
 from estimators.diagnosis.effects.recursion_kernels import (
     hinges,
     play,
@@ -14,47 +16,63 @@ from estimators.diagnosis.effects.recursion_kernels import (
     rate_limited_mean,
     rational,
 )
+from estimators.diagnosis.loop import Setting
+from estimators.diagnosis.model import simulation
 from estimators.diagnosis.model.derivatives import exact_columns
 from estimators.diagnosis.model.fitting import Channel
 from estimators.diagnosis.model.intersample import between_samples
-from estimators.diagnosis.model.layouts import states
+from estimators.diagnosis.model.layouts import Inside, layout_matrices, states
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
-from estimators.diagnosis.search.candidates import augmented
+from estimators.diagnosis.search.candidates import Menu, augmented
+from oed.data import Record
+from oed.errors import InputError
 
-STATIC = [
-    k
-    for k, e in CATALOGUE.items()
-    if e.apply is not None and e.slot in ("input", "output", "added")
-    and k not in ("rate_limit", "rate_limit_sampled", "backlash_input", "backlash_output", "backlash_sampled", "hysteresis", "delay", "lag", "gain_drift", "gain_change",
-                  "step_input", "step_output", "drift", "tones", "input_lines", "output_lines")
-]  # fmt: skip
-TIMED = ["gain_drift", "gain_change", "step_input", "step_output", "drift", "tones"]
+CURVES = {
+    "saturation": lambda x, a, b: min(max(x, -a), a), "saturation_asymmetric": lambda x, a, b: max(min(x, a), b),
+    "saturation_upper": lambda x, a, b: min(x, a), "saturation_lower": lambda x, a, b: max(x, a),
+    "dead_zone": lambda x, a, b: x - a if x > a else x + a if x < -a else 0.0,
+    "dead_zone_asymmetric": lambda x, a, b: x - abs(b) if x > abs(b) else x + a if x < -a else 0.0,
+    "input_quadratic": lambda x, a, b: x + a * x**2, "input_cubic": lambda x, a, b: x + a * x**3,
+    "input_polynomial": lambda x, a, b: x + a * x**2 + b * x**3,
+    "output_quadratic": lambda x, a, b: x + a * x**2, "output_cubic": lambda x, a, b: x + a * x**3,
+    "output_polynomial": lambda x, a, b: x + a * x**2 + b * x**3,
+    "output_arctan": lambda x, a, b: math.atan(a * x) / a, "output_tanh": lambda x, a, b: math.tanh(a * x) / a,
+    "output_clip": lambda x, a, b: min(max(x, -a), a), "output_clip_upper": lambda x, a, b: min(x, a),
+    "output_clip_lower": lambda x, a, b: max(x, a), "output_absolute": lambda x, a, b: x + a * abs(x),
+    "output_dead_zone": lambda x, a, b: x - a if x > a else x + a if x < -a else 0.0,
+    "offset": lambda x, a, b: x + a,
+}  # fmt: skip
+TIMED = {
+    "gain_change": ([0.3, 70.4], lambda x, k, p: x * (1 + p[0] * min(max(k - p[1], 0), 1))),
+    "step_input": ([0.3, 70.4], lambda x, k, p: x + p[0] * min(max(k - p[1], 0), 1)),
+    "step_output": ([0.3, 70.4], lambda x, k, p: x + p[0] * min(max(k - p[1], 0), 1)),
+    "tones": ([0.2, 0.5, -0.4], lambda x, k, p: x + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k)),
+    "drift": ([0.1, 0.7], lambda x, k, p: x + p[0] + p[1] * k / 150),
+    "gain_drift": ([0.4], lambda x, k, p: x * (1 + p[0] * k / 150)),
+}
 
 
-@pytest.mark.parametrize("key", STATIC)
-def test_static_maps_agree_with_casadi(key):
-    rng = np.random.default_rng(1)
-    x = 2 * rng.standard_normal(200)
-    p = (
-        np.array([-0.7, 0.4])
-        if key == "saturation_asymmetric"
-        else np.array([0.3, 0.2])[: len(CATALOGUE[key].parameters)]
-    )
-    ours = CATALOGUE[key].apply(x, p, Clock(np.arange(200.0), 200))
-    theirs = np.array(terms.static_term(key)(x[None, :], p)).ravel()
-    np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+@pytest.mark.parametrize("key", CURVES)
+def test_a_static_map_is_its_formula_in_numbers_and_in_casadi_symbols(key):
+    x, e = 2 * np.random.default_rng(1).standard_normal(200), named(key)
+    p = np.array([0.4, -0.7] if key == "saturation_asymmetric" else [0.3, 0.2])[: len(e.parameters)]
+    expected = [CURVES[key](v, p[0], p[-1]) for v in x]
+    clock = Clock(np.arange(200.0), 200)
+    np.testing.assert_allclose(e.apply(x, p, clock), expected, rtol=1e-9, atol=1e-12)
+    term = terms.map_term(e.apply, p)
+    np.testing.assert_allclose(np.array(term(x[None, :])).ravel(), expected, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("key", TIMED)
-def test_timed_maps_agree_with_casadi(key):
+def test_a_map_that_depends_on_time_is_its_formula(key):
     x, k = np.random.default_rng(2).standard_normal(150), np.arange(150.0)
-    p = {"gain_change": [0.3, 70.4], "step_input": [0.3, 70.4], "step_output": [0.3, 70.4], "tones": [0.2, 0.5, -0.4],
-         "drift": [0.1, 0.7], "gain_drift": [0.4]}[key]  # fmt: skip
-    ours = CATALOGUE[key].apply(x, np.array(p), Clock(k, 150))
-    theirs = np.array(terms.timed_term(key)(x[None, :], k[None, :], 150.0, p)).ravel()
-    np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+    p, formula = TIMED[key]
+    expected = [formula(a, b, p) for a, b in zip(x, k)]
+    np.testing.assert_allclose(
+        named(key).apply(x, np.array(p), Clock(k, 150)), expected, rtol=1e-9, atol=1e-12
+    )
 
 
 def test_play_agrees_with_casadi():
@@ -84,10 +102,8 @@ def test_bouc_wen_agrees_with_casadi_and_with_its_differential_equation():
 def test_lag_delay_and_hinges_agree_with_casadi():
     x, clock = np.random.default_rng(9).standard_normal(150), Clock(np.arange(150.0), 150)
     lagged = np.array(terms.lag_step().mapaccum(150)(0.0, x[None, :], 0.83)).ravel()
-    np.testing.assert_allclose(
-        CATALOGUE["lag"].apply(x, np.array([0.83]), clock), lagged, rtol=1e-9, atol=1e-12
-    )
-    late = CATALOGUE["delay"].apply(x, np.array([2.37]), clock)
+    np.testing.assert_allclose(named("lag").apply(x, np.array([0.83]), clock), lagged, rtol=1e-9, atol=1e-12)
+    late = named("delay").apply(x, np.array([2.37]), clock)
     padded = np.concatenate((np.zeros(5), x))
     term = terms.delay_term(4)
     theirs = [float(term(padded[k : k + 6][::-1], 2.37)) for k in range(150)]
@@ -105,36 +121,59 @@ def test_rate_limit_agrees_with_casadi():
     np.testing.assert_allclose(rate_limited(u, 0.31), np.array(after).ravel(), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "c",
-    [
-        {0: 0.1, 1: 0.3, 2: 0.05, 3: 0.2, 4: 0.1, 7: 1.0},
-        {5: 0.3, 6: 0.2, 7: 0.15, 8: 0.2},
-        {1: 0.2, 3: 0.3, 5: 0.2, 7: 1.0},
-        {9: 0.1, 10: 0.7, 11: 0.3, 12: 0.4, 13: -0.2, 14: 0.5},
-        {15: 0.6, 16: 0.4},
-        {4: 0.1, 17: 0.2},
-        {1: 0.2, 18: 0.7},
-    ],
-)
-def test_feedback_recursion_agrees_with_casadi(c):
+INSIDE = {
+    "linear": [], "springs": [("stiffness", [0.1, 0.3])], "two": [("stiffness_square", [0.05]), ("drag", [0.2])],
+    "dry": [("stribeck", [0.3, 0.2, 0.15])], "tilted": [("coulomb_asymmetric", [0.3, 0.2]), ("drag", [0.3])],
+    "corners": [("stiffness_upper", [0.7, 0.3]), ("stiffness_lower", [0.4, -0.2])], "gap": [("stiffness_gap", [0.7, -0.3])],
+    "fifth": [("stiffness_quintic", [0.1, 0.1])], "damping": [("position_damping", [0.5])],
+    "hysteresis": [("hysteretic_spring", [0.24, 0.4])], "input": [("bilinear", [0.1]), ("bilinear_driven", [0.2])],
+    "stop": [("stiffness_cubic", [0.2]), ("end_stop", [0.7])],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("parts", INSIDE.values(), ids=INSIDE)
+def test_feedback_recursion_agrees_with_casadi(parts):
     rng = np.random.default_rng(5)
-    A = np.array([[0.0, 1.0], [-0.09, -0.06]])
-    columns = np.array([[0.0, 0.0], [0.09, 0.09]])
-    phi, gamma = held_response(A, columns, 0.2)
-    position, velocity, u = np.array([1.0, 0.0]), np.array([0.0, 1.0]), rng.standard_normal(120)
-    gu, gw, values = gamma[:, 0].copy(), gamma[:, 1].copy(), np.zeros(19)
-    values[[7, 16]] = 1.0  # divisors: a speed and a width
-    values[list(c)] = list(c.values())
-    c, z = values, 0.0
-    ours = simulate_feedback(u, phi, gu, gw, position, velocity, c, np.zeros(2), 5)
-    step, x, theirs = terms.feedback_step(2), np.zeros(2), []
+    rates, u = np.log([0.09, 0.06]), rng.standard_normal(120)
+    effects = [(named(key), np.array(q)) for key, q in parts]
+    forces = [(e.force, q) for e, q in effects if e.force is not None]
+    elements = {k: v for e, q in effects if e.inside is not None for k, v in e.inside(q).items()}
+    ours = states("oscillator", rates, u, Inside(tuple((f, q, None) for f, q in forces), elements), steps=5)
+    A, B, E, position, velocity = layout_matrices("oscillator", rates)
+    phi, gamma = held_response(A, np.stack((B, E), axis=1), 0.2)
+    held = Held(phi, gamma[:, 0], gamma[:, 1], position, velocity)
+    step = terms.feedback_step(2, held, Elements(**elements), forces)
+    x, z, theirs = np.zeros(2), 0.0, []
     for value in u:
         theirs.append(x)
         for _ in range(5):
-            x, z = step(x, value, phi, gu, gw, position, velocity, c, z)
+            x, z = step(x, value, z)
             x = np.array(x).ravel()
     np.testing.assert_allclose(ours, np.array(theirs), rtol=1e-9, atol=1e-9)
+    if parts:  # the control: it is not what the linear plant does
+        assert np.max(np.abs(ours - states("oscillator", rates, u))) > 1e-3
+
+
+def test_a_model_bears_as_many_forces_as_the_recursion_takes():
+    assert simulation.MOST_FORCES == plant_kernels.MOST_FORCES
+    s = Structure(2, layout="oscillator")
+    for key in ("stiffness_cubic", "drag", "bilinear"):
+        s = s.adding(Part(named(key)))
+    y = simulate(s, np.array([-2, -2, 1, 0, 0.1, 0.1, 0.1]), np.ones((9, 1)), Clock(np.arange(9.0), 9))
+    assert np.all(np.isinf(y))
+
+
+def test_a_force_with_a_signal_is_a_plant_whose_rate_follows_it():
+    """x' = a (u - x - s x) with s of time alone: exact between samples where s is held."""
+    a, u, s = 0.2, np.random.default_rng(3).standard_normal(80), np.linspace(-0.5, 1.5, 80)
+    force = lambda p, v, u, q, s, c: c[0] * s * p
+    ours = states("first", np.log([a]), u, Inside(((force, np.array([1.0]), s),)), steps=40)[:, 0]
+    x, exact = 0.0, []
+    for value, level in zip(u, s):
+        exact.append(x)
+        rate = a * (1 + level)
+        x = x * np.exp(-rate) + (1 - np.exp(-rate)) * a * value / rate
+    np.testing.assert_allclose(ours, exact, atol=2e-4)
 
 
 def test_held_response_is_the_matrix_exponential():
@@ -160,7 +199,7 @@ def test_rational_agrees_with_lfilter():
 def test_a_broken_line_agrees_with_casadi_and_keeps_the_origin(key):
     x, p = np.linspace(-2, 2, 41), np.array([0.5, -0.4, -1.2, 0.7])
     line = terms.hinges_term(2)
-    ours = CATALOGUE[key].apply(x, p, Clock(np.arange(41.0), 41))
+    ours = named(key).apply(x, p, Clock(np.arange(41.0), 41))
     theirs = np.array(line(x[None, :], p)).ravel() - float(line(0.0, p))
     np.testing.assert_allclose(ours, theirs, atol=1e-12)
     assert abs(ours[20]) < 1e-12  # a deviation of zero stays zero
@@ -206,7 +245,7 @@ def test_play_at_the_output_is_fitted_to_the_noise_between_and_on_the_samples(ke
     channel = Channel(u[:, None], y, Clock(np.arange(500.0), 500), np.ones(500, dtype=bool))
     base = fit_linear(channel, Structure(2))
     errors = {
-        k: np.sqrt(np.mean(next(iter(augmented(channel, base, only={k}))).residual ** 2))
+        k: np.sqrt(np.mean(next(iter(augmented(channel, base, Menu((named(k),))))).residual ** 2))
         for k in ("backlash_output", "backlash_sampled")
     }
     assert min(errors, key=errors.__getitem__) == key
@@ -218,12 +257,12 @@ def test_play_at_the_output_is_fitted_to_the_noise_between_and_on_the_samples(ke
     "structure, p",
     [
         (Structure(2, (0, 1), delay=1), [-1.2, 0.5, 0.3, 0.1, -0.2, 0.4]),
-        (Structure(2).adding(Part("saturation")).adding(Part("output_cubic")).adding(Part("output_quadratic")),
+        (Structure(2).adding(Part(named("saturation"))).adding(Part(named("output_cubic"))).adding(Part(named("output_quadratic"))),
          [-1.2, 0.5, 0.3, 0.1, 0.8, 0.01, 0.02]),
-        (Structure(2).adding(Part("offset")).adding(Part("initial")), [-1.2, 0.5, 0.3, 0.1, 0.8, 1.0, 0.5]),
-        (Structure(2).adding(Part("mode", 0, 2)), [-1.2, 0.5, 0.3, 0.1, 0.1, 0.1, -1.3, 0.6]),
-        (Structure(2).adding(Part("sandwich", 0, 101)), [-1.2, 0.5, 0.3, 0.1, -0.5, 0.2, 0.3, 0.4]),
-        (Structure(2, layout="oscillator", delay=1).adding(Part("stiffness_cubic")).adding(Part("output_arctan")),
+        (Structure(2).adding(Part(named("offset"))).adding(Part(named("initial"))), [-1.2, 0.5, 0.3, 0.1, 0.8, 1.0, 0.5]),
+        (Structure(2).adding(Part(named("mode"), 0, 2)), [-1.2, 0.5, 0.3, 0.1, 0.1, 0.1, -1.3, 0.6]),
+        (Structure(2).adding(Part(named("sandwich"), first=1)), [-1.2, 0.5, 0.3, 0.1, -0.5, 0.2, 0.3, 0.4]),
+        (Structure(2, layout="oscillator", delay=1).adding(Part(named("stiffness_cubic"))).adding(Part(named("output_arctan"))),
          [-2.0, -1.0, 1.0, 0.3, 0.1, 0.3]),
     ],
 )  # fmt: skip
@@ -241,7 +280,7 @@ def test_exact_derivatives_agree_with_differences(structure, p):
 
 
 def test_an_effect_with_memory_at_the_output_has_no_exact_derivatives():
-    s, u = Structure(1).adding(Part("lag")), np.ones((30, 1))
+    s, u = Structure(1).adding(Part(named("lag"))), np.ones((30, 1))
     assert not dict(exact_columns(s, np.array([-0.5, 0.3, 0.4]), u, Clock(np.arange(30.0), 30)))
 
 
@@ -273,21 +312,83 @@ def test_dry_friction_is_exact_to_second_order(tilt):
     exact = stick_slip(u, 0.16, level, tilt)
     assert np.sum(exact == 0.0) > 50  # it sticks
     assert np.sum(exact[1:] * exact[:-1] < 0) > 5  # and reverses
-    rates, c = np.log([0.16]), np.zeros(19)
-    c[[5, 7, 8, 16]] = level, 1.0, tilt, 1.0
-    errors = [np.abs(states("first", rates, u, c, steps=n)[:, 0] - exact).max() for n in (5, 20)]
+    rates, dry = np.log([0.16]), Inside(elements={"coulomb": level, "tilt": tilt})
+    errors = [np.abs(states("first", rates, u, dry, steps=n)[:, 0] - exact).max() for n in (5, 20)]
     assert errors[0] < 2e-3 * np.std(exact)
     assert errors[1] < errors[0] / 10
 
 
 def test_every_parameter_has_a_name_and_a_unit():
     names = lambda part, order=2: [name for name, _ in part.parameters(order)]
-    assert names(Part("output_lines", 0, 2)) == ["slope1", "corner1", "slope2", "corner2"]
-    assert [unit for _, unit in Part("output_lines", 0, 1).parameters(2)] == ["1", "y"]
-    assert names(Part("sandwich", 0, 101)) == ["f1", "b1", "slope1", "corner1"]
-    assert names(Part("cross", 1, 1)) == ["b1", "f1"]
-    assert names(Part("initial"), 3) == ["x1", "x2", "x3"]
-    assert names(Part("tones", 0, 2))[3:] == ["frequency2", "cosine2", "sine2"]
-    for key in CATALOGUE:
-        part = Part(key)
+    assert names(Part(named("output_lines"), 0, 2)) == ["slope1", "corner1", "slope2", "corner2"]
+    assert [unit for _, unit in Part(named("output_lines"), 0, 1).parameters(2)] == ["1", "y"]
+    assert names(Part(named("sandwich"), first=1)) == ["f1", "b1", "slope1", "corner1"]
+    assert names(Part(named("cross"), 1, 1)) == ["b1", "f1"]
+    assert names(Part(named("initial")), 3) == ["x1", "x2", "x3"]
+    assert names(Part(named("tones"), 0, 2))[3:] == ["frequency2", "cosine2", "sine2"]
+    for e in CATALOGUE:
+        part = Part(e)
         assert len(part.parameters(2)) == part.count(2) == Structure(2).adding(part).size - 4
+
+
+COMPLETE = {"key": "mine", "cause": "mine", "nature": Nature.DYNAMIC, "sentence": "it acts"}
+
+
+@pytest.mark.parametrize(
+    "fields, lack",
+    [
+        ({"slot": Slot.INPUT, "starts": len, "parameters": {"a": "u"}}, "apply"),
+        ({"slot": Slot.PLANT, "starts": len, "parameters": {"a": "u"}}, "a force"),
+        ({"slot": Slot.OUTPUT, "apply": len, "parameters": {"a": "u"}}, "starts"),
+        ({"slot": Slot.PLANT, "force": len, "starts": len}, "names and units"),
+        ({"slot": Slot.PATH, "search": len}, "shape"),
+        ({"slot": Slot.ADDED, "apply": len, "starts": len, "parameters": {"a": "y"}, "amplitude": 1}, "linear amplitude"),
+        ({"slot": Slot.NOISE, "trials": 0}, "price"),
+        ({"slot": Slot.NOISE, "key": ""}, "a key"),
+        ({"slot": Slot.NOISE, "signal": len}, "the force"),
+    ],
+)  # fmt: skip
+def test_an_effect_that_lacks_what_its_slot_needs_cannot_be_made(fields, lack):
+    with pytest.raises(InputError, match=lack):
+        Effect(**(COMPLETE | fields))
+
+
+def test_keys_are_unique_and_siblings_and_relatives_exist():
+    keys = [e.key for e in CATALOGUE]
+    assert len(set(keys)) == len(keys)
+    for e in CATALOGUE:
+        assert {*e.refines, *([e.extends] if e.extends else [])} <= set(keys)
+        assert not e.family or sum(other.family == e.family for other in CATALOGUE) > 1
+
+
+def _pendulum(u, level):
+    """x'' = 0.06 (u - x - level sin(2 x)) - 0.1 x', by small steps."""
+    x, v, y = 0.0, 0.0, []
+    for value in u:
+        y.append(x)
+        for _ in range(40):
+            v += (0.06 * (value - x - level * np.sin(2 * x)) - 0.1 * v) / 40
+            x += v / 40
+    return np.array(y)
+
+
+@pytest.mark.parametrize("level", [0.6, 0.0])
+def test_an_effect_of_ones_own_is_found_and_only_where_it_is(level):
+    mine = Effect(
+        key="ripple", cause="ripple", nature=Nature.DYNAMIC, slot=Slot.PLANT, sentence="a force a sin(2 x)",
+        parameters={"a": "u"}, force=lambda p, v, u, q, s, c: c[0] * np.sin(2.0 * p), against="position",
+        starts=lambda s: ([[f * s.su] for f in (0.1, 0.4, -0.1)], [s.su]),
+    )  # fmt: skip
+    rng = np.random.default_rng(4)
+    u = np.repeat(rng.uniform(-1.5, 1.5, 150), 8)
+    y = _pendulum(u, level) + 0.01 * rng.standard_normal(len(u))
+    result = diagnose(Record(u[:800], y[:800], 1.0), Record(u[800:], y[800:], 1.0, t0=900.0),
+                      Setting(orders=(2,)), effects=[*CATALOGUE, mine])  # fmt: skip
+    if level:
+        assert result.effect == "ripple"
+        value, error, unit = result.parameters["ripple.a"]
+        assert unit == "u"
+        assert abs(value - level) < 0.05
+        assert 0 < error < 0.05
+    else:
+        assert not result.detected

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.recursion_kernels import play
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.measurement import at_reversals
-from estimators.diagnosis.search.candidates import augmented
+from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.exchange import exchanged, whole_delay, without
 
 B, A = [0.0, 0.1, 0.08], [1.0, -1.5, 0.7]
@@ -22,7 +22,7 @@ def channel_of(u, y):
 
 
 def added(channel, base, key):
-    return next(iter(augmented(channel, base, only={key})))
+    return next(iter(augmented(channel, base, Menu((named(key),)))))
 
 
 def test_a_step_at_the_wrong_place_is_exchanged_and_an_idle_effect_taken_out():
@@ -34,16 +34,16 @@ def test_a_step_at_the_wrong_place_is_exchanged_and_an_idle_effect_taken_out():
     channel = channel_of(u, y + noise)
     model = added(channel, fit_linear(channel, Structure(2)), "backlash_sampled")
     model = added(channel, model, "step_input")
-    s = model.structure.adding(Part("output_cubic"))
+    s = model.structure.adding(Part(named("output_cubic")))
     idle = fit(channel, s, np.append(model.p, 1e-4), np.append(model.scales, 0.01))
-    best, came, rests = exchanged(channel, idle)
+    best, came, rests = exchanged(channel, idle, Menu())
     assert {part.key for part in best.structure.parts} == {"backlash_sampled", "step_output"}
     assert "step_output" in came
     assert set(rests) == {"backlash_sampled", "step_output"}
     assert all(np.std(rest.residual) > 1.2 * np.std(best.residual) for rest in rests.values())
     assert best.p[best.structure.slices()[-1]] == pytest.approx([0.5, 289.5], abs=1.5)
     assert np.std(best.residual) < 1.02 * np.std(noise)
-    again, _, _ = exchanged(channel, best)  # nothing is left to mend
+    again, _, _ = exchanged(channel, best, Menu())  # nothing is left to mend
     assert {part.key for part in again.structure.parts} == {part.key for part in best.structure.parts}
     assert again.criterion > best.criterion - 12
 
@@ -67,7 +67,7 @@ def test_a_whole_delay_is_preferred_where_it_fits_as_well():
         y = lfilter(B, A, (1 - part) * late[0] + part * late[1])
         channel = channel_of(u, y + 0.02 * rng.standard_normal(500))
         base = fit_linear(channel, Structure(2))
-        s = base.structure.adding(Part("delay"))
+        s = base.structure.adding(Part(named("delay")))
         p = np.concatenate((fit_linear(channel, Structure(2, delay=low)).p, [true - 0.4]))
         free = fit(channel, s, p, np.append(base.scales, 1.0))
         found = whole_delay(channel, free)

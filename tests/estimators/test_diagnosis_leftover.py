@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.forces import effective_samples, force_balance
@@ -15,7 +15,7 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.crossvalidation import blocked_simulation
 from estimators.diagnosis.record.leftover import leftovers
 from estimators.diagnosis.search.blocks import curved, sandwich
-from estimators.diagnosis.search.candidates import augmented
+from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.exchange import exchanged
 from oed.data import Record
 from oed.errors import InputError
@@ -165,7 +165,7 @@ def test_a_curve_of_no_simple_form_is_found_beside_a_trend(side):
     x = lfilter(B, A, bent(u) if side == "input" else u)
     y = (x if side == "input" else bent(x)) + 0.3 * np.arange(800) / 800 + 0.01 * rng.standard_normal(800)
     channel = channel_of(Record(u, y))
-    parts = (Part(f"{side}_polynomial"), Part("drift"))
+    parts = (Part(named(f"{side}_polynomial")), Part(named("drift")))
     simple = with_parts(channel, fit_linear(channel, Structure(2)), parts, [-0.1, 0.01, 0.01, 0.3])
     f = curved(channel, simple, f"{side}_lines")
     assert np.std(simple.residual) > 0.02
@@ -183,10 +183,10 @@ def test_one_more_order_is_found_beside_an_effect_at_the_input():
         v[k] = command = command + np.clip(u[k] - command, -0.3, 0.3)
     y = lfilter([0.3], [1.0, -0.7], lfilter(B, A, v)) + 0.01 * rng.standard_normal(800)
     channel = channel_of(Record(u, y))
-    low = with_parts(channel, fit_linear(channel, Structure(2)), [Part("rate_limit_sampled")], [0.4])
-    (f,) = augmented(channel, low, only={"order_one"})
+    low = with_parts(channel, fit_linear(channel, Structure(2)), [Part(named("rate_limit_sampled"))], [0.4])
+    (f,) = augmented(channel, low, Menu((named("order_one"),)))
     assert np.std(low.residual) > 0.02
     assert np.std(f.residual) < 0.0105
     assert f.p[f.structure.slices()[0]][0] == pytest.approx(0.3, rel=0.01)
-    kept, *_ = exchanged(channel, f)  # the order has no parameters of its own, and stays a cause
+    kept, *_ = exchanged(channel, f, Menu())  # the order has no parameters of its own, and stays a cause
     assert {part.key for part in kept.structure.effects} == {"rate_limit_sampled", "order_one"}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.examination import Setting
 from estimators.diagnosis.loop import _bootstrap, diagnose
 from estimators.diagnosis.model.fitting import Channel
@@ -15,7 +15,7 @@ from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.paired import as_good, paired_difference
 from estimators.diagnosis.report import ErrorFigure
-from estimators.diagnosis.search.candidates import augmented
+from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.verdicts import _assumed
 from oed.data import Record
 
@@ -27,7 +27,9 @@ def fits(seed: int, size: float):
     y = lfilter([0.0, 0.4], [1.0, -0.6], u + size * u**3) + 0.05 * rng.standard_normal(600)
     channel = Channel(u[:, None], y, Clock(np.arange(600.0), 600), np.ones(600, dtype=bool))
     linear = fit_linear(channel, Structure(1))
-    right, wrong = (next(iter(augmented(channel, linear, only={k}))) for k in ("input_cubic", "output_cubic"))
+    right, wrong = (
+        next(iter(augmented(channel, linear, Menu((named(k),))))) for k in ("input_cubic", "output_cubic")
+    )
     return linear, right, wrong
 
 
@@ -88,7 +90,7 @@ def test_a_limit_that_is_reached_on_one_side_only_is_said_to_be_assumed_on_the_o
     rng = np.random.default_rng(71)
     u = (np.clip(rng.standard_normal(300), -1.6, 1.6) + shift)[:, None]
     channel = Channel(u, np.zeros(300), Clock(np.arange(300.0), 300), np.ones(300, dtype=bool))
-    model = Structure(1).adding(Part("saturation"))
+    model = Structure(1).adding(Part(named("saturation")))
     f = SimpleNamespace(structure=model, p=np.array([-0.6, 0.4, 1.2]))
     out = SimpleNamespace(attribution=SimpleNamespace(final=f), last=channel)
     assert _assumed(out, "saturation").startswith(words)

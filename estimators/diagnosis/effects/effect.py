@@ -232,6 +232,11 @@ class Effect:
         return self.per_sample and self.units[-1:] == ("sample",)
 
     @property
+    def static(self) -> bool:
+        """Whether it is a curve of one signal."""
+        return self.nature in (Nature.INPUT_STATIC, Nature.OUTPUT_STATIC)
+
+    @property
     def simulated(self) -> bool:
         """Whether it is part of the simulated output, and so tried on every record."""
         return self.slot is not Slot.NOISE
@@ -255,8 +260,9 @@ class Effect:
             at = (x, still) if self.against == "position" else (still, x)
             value = self.force(*at, still, still, still, q)
             return x + value if self.against == "position" else value
-        static = self.nature in (Nature.INPUT_STATIC, Nature.OUTPUT_STATIC)
-        return self.apply(x, q, Clock(np.zeros_like(x), 1)) if static and self.apply is not None else None
+        return (
+            self.apply(x, q, Clock(np.zeros_like(x), 1)) if self.static and self.apply is not None else None
+        )
 
 
 def _needs(e: Effect) -> list[tuple[bool, str]]:

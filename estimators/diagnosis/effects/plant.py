@@ -88,9 +88,7 @@ def _dry(x: Any, c: Any, tilt: float = 0.0, excess: Any = 0.0) -> Any:
 
 
 def _inside(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
-    return Effect(
-        key=key, cause=cause, nature=Nature.DYNAMIC, slot=Slot.PLANT, sentence=sentence, **fields
-    )
+    return Effect(key=key, cause=cause, nature=Nature.DYNAMIC, slot=Slot.PLANT, sentence=sentence, **fields)
 
 
 def _spring(key: str, sentence: str, **fields: Any) -> Effect:

@@ -29,7 +29,7 @@ class Elements(NamedTuple):
 
     Dry friction of level (1 +- tilt) (coulomb + static exp(-(v / speed)^2)), a spring on the hysteretic part of a
     Bouc-Wen element that saturates at `width`, and a stop that holds the first state within +-stop.
-    
+
     """
 
     coulomb: float = 0.0
@@ -173,7 +173,7 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
     w = f(p, v, u, q, s, c[0]) + g(..., c[1]) + spring z + dry friction, with p and v the position and velocity that
     `held` reads off x, q the last state, z the hysteretic displacement. drive (N, 3): the input, and the signal that
     modulates each force. c has a row per force, none where there is none. A stop takes the velocity (second state).
-    
+
     """
     n = drive.shape[0]
     phi, gamma_u, gamma_w, position, velocity = held
@@ -189,7 +189,9 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
     gv = 0.0
     for i in range(m):
         gv += velocity[i] * gamma_w[i]
-    idle = forces == 0 and not dry and not bending and elements.stop == 0.0  # linear: most fits of the screening
+    idle = (
+        forces == 0 and not dry and not bending and elements.stop == 0.0
+    )  # linear: most fits of the screening
     for k in range(n):
         u = drive[k, 0]
         for i in range(m):

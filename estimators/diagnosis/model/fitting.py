@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.derivatives import exact_columns
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Structure

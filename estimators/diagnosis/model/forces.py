@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.signal import butter, sosfiltfilt
 
+from estimators.diagnosis.effects import named
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
@@ -123,7 +124,7 @@ def balanced_fit(channel: Channel, dt: float, balance: ForceBalance) -> Fit | No
         return None
     rate = f / m * dt
     gain = dt * dt / m / rate
-    s = Structure(2, (0,), layout="integrator").adding(Part("coulomb_asymmetric"))
+    s = Structure(2, (0,), layout="integrator").adding(Part(named("coulomb_asymmetric")))
     p = np.array([np.log(rate), gain, 0.0, c, np.clip(o / c, -0.9, 0.9)])
     scales = np.array([1.0, gain, gain, c, 1.0])
     few = fit(channel, s, p, scales, iterations=30, colour=False)

@@ -126,9 +126,7 @@ def states(
             drive[:, 1 + i] = s
     forces = [pointer(f) for f, _, _ in inside.forces]
     forces += [pointer(no_force)] * (MOST_FORCES - len(forces))
-    return simulate_feedback(
-        drive, held, Elements(**inside.elements), x0, steps if inside else 1, c, *forces
-    )
+    return simulate_feedback(drive, held, Elements(**inside.elements), x0, steps if inside else 1, c, *forces)
 
 
 @lru_cache(maxsize=64)

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.effect import Slot
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
-from estimators.diagnosis.model.layouts import COEFFICIENTS, LAYOUTS, states
-from estimators.diagnosis.model.simulation import free_responses, simulate, stable_polynomial
-from estimators.diagnosis.model.structure import Structure
+from estimators.diagnosis.model.layouts import LAYOUTS, states
+from estimators.diagnosis.model.simulation import free_responses, simulate
+from estimators.diagnosis.model.structure import Structure, stable_polynomial
 
 __all__ = ["fit_linear", "layout_starts", "numerators", "plant_scales", "prefiltered_error"]
 
@@ -190,7 +192,7 @@ def fit_linear(
         The best of the fits.
     """
     y, U = channel.y, channel.u[:, list(s.inputs)]
-    centred = y - np.mean(y[channel.keep]) if any(p.key == "offset" for p in s.parts) else y
+    centred = y - np.mean(y[channel.keep]) if any(p.effect is OFFSET for p in s.parts) else y
     fits = []
     for f in _starts(centred, U, s.order, s.taps, s.delay, channel.keep) + list(extra or []):
         f = _reflected(f)
@@ -199,7 +201,7 @@ def fit_linear(
         b = numerators(centred, U, f, s.taps, s.delay, channel.keep)
         p = np.concatenate((f, b, np.zeros(s.size - s.plant_size)))
         for part, sl in zip(s.parts, s.slices(), strict=True):
-            if part.key == "offset":
+            if part.effect is OFFSET:
                 p[sl] = np.mean(y[channel.keep])
         scales = np.concatenate((plant_scales(s, p), np.full(s.size - s.plant_size, np.std(y) + 1e-300)))
         fits.append(fit(channel, s, p, scales, noise=noise, iterations=4, colour=False))
@@ -283,11 +285,10 @@ def layout_starts(channel: Channel, base: Fit) -> list[tuple[Structure, Array, A
     free = simulate(replace(s, parts=()), base.p[: s.plant_size], channel.u, channel.clock)
     for layout, rates in options:
         r = np.log(np.maximum(rates, 1e-6))
-        c = np.zeros(COEFFICIENTS)
         u = channel.u[:, s.inputs[0]]
         if s.delay:
             u = np.concatenate((np.zeros(s.delay), u[: -s.delay]))
-        X = states(layout, r, u, c)
+        X = states(layout, r, u)
         if not np.all(np.isfinite(X)):
             continue
         target = channel.y - (linear - free)
@@ -298,7 +299,7 @@ def layout_starts(channel: Channel, base: Fit) -> list[tuple[Structure, Array, A
             (np.ones(len(r)), np.full(len(C), np.abs(C).max() + 1e-300), base.scales[s.plant_size :])
         )
         for part, sl in zip(new.parts, new.slices(), strict=True):
-            if part.key == "initial":  # the same free response, as a state of the layout
+            if part.effect.slot is Slot.START:  # the same free response, as a state of the layout
                 old = s.slices()[new.parts.index(part)]
                 wanted = free_responses(s, base.p, len(channel)) @ base.p[old]
                 p[sl] = np.linalg.lstsq(free_responses(new, p, len(channel)), wanted, rcond=None)[0]

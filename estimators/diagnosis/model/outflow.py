@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.effects import named
+from estimators.diagnosis.effects.path import OUTFLOW
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.structure import Part, Structure
 
@@ -39,10 +41,10 @@ def tanks(channel: Channel, base: Fit) -> Fit | None:
     poles = np.abs(np.roots(np.concatenate(([1.0], base.p[: base.structure.order]))))
     rate = float(np.clip(-np.log(np.clip(poles.max(), 0.2, 0.998)), 1e-3, 1.0)) * 2.0
     k = np.log(rate * np.sqrt(mean))
-    s = Structure(2, base.structure.inputs, layout="tanks").adding(Part("outflow"))
+    s = Structure(2, base.structure.inputs, layout="tanks").adding(Part(OUTFLOW))
     top = float(np.max(y))
     if np.sum(y == top) >= 3:  # the sensor's end stop
-        s = s.adding(Part("output_clip_upper"))
+        s = s.adding(Part(named("output_clip_upper")))
     scales = np.concatenate((np.ones(8), [mean, mean], np.ones(s.size - 10) * top))
     scales[5], scales[7] = mean, mean
     found: list[Fit] = []

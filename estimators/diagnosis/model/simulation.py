@@ -109,7 +109,9 @@ def _inside(parts: list[tuple[Part, Array]], U: Array, clock: Clock) -> Inside |
     for part, q in parts:
         if part.effect.force is not None:
             signal = part.effect.signal
-            forces.append((part.effect.force, q, None if signal is None else signal(U, part.channel, q, clock)))
+            forces.append(
+                (part.effect.force, q, None if signal is None else signal(U, part.channel, q, clock))
+            )
         if part.effect.inside is not None:
             elements |= part.effect.inside(q)
     return Inside(tuple(forces), elements) if len(forces) <= MOST_FORCES else None
@@ -251,9 +253,6 @@ def free_responses(s: Structure, p: Array, n: int) -> Array:
     head = LAYOUTS[s.layout][1]
     rest = np.zeros(n)
     return np.stack(
-        [
-            states(s.layout, p[:head], rest, x0=x0) @ p[head : head + s.order]
-            for x0 in np.eye(s.order)
-        ],
+        [states(s.layout, p[:head], rest, x0=x0) @ p[head : head + s.order] for x0 in np.eye(s.order)],
         axis=1,
     )

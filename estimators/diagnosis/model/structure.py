@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-
 from typing import Any
 
 import numpy as np
@@ -66,6 +65,10 @@ class Part:
         if self.effect.apply is None:
             return x
         return self.effect.apply(self.blocked(x, p), p[2 * self.first :], clock)
+
+    def drawn(self, x: Array, p: Array) -> Array | None:
+        """The effect's characteristic at x, None where it is no curve."""
+        return self.effect.drawn(x, p[2 * self.first :])
 
     def blocked(self, x: Array, p: Array) -> Array:
         """The signal after the linear block, where the effect acts."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.fitting import Fit, levenberg_marquardt
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.next_experiment.discrimination import Discrimination, discriminate
@@ -172,7 +172,7 @@ def next_experiment(
     if not result.confusable or train.n_inputs != 1:
         return None
     for out in result.extra["outputs"]:
-        fits = {claim.label: claim.fit for claim in reversed(out.attribution.claims)}
+        fits = {claim.cause: claim.fit for claim in reversed(out.attribution.claims)}
         if out.thin == 1 and result.effect in fits and result.confusable[0] in fits:
             limit = float(np.max(np.abs(train.u))) if amplitude is None else amplitude
             pair = (result.effect, result.confusable[0])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from estimators.diagnosis.effects.catalogue import Clock
+from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
 from oed.errors import InputError

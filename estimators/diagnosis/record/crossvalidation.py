@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.effects.effect import Slot
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.simulation import simulate
 
@@ -45,7 +46,7 @@ def blocked_simulation(channel: Channel, f: Fit, *, blocks: int = BLOCKS) -> Arr
     out = np.full(n, np.inf)
     scales = f.scales.copy()
     for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
-        if part.key == "initial":
+        if part.effect.slot is Slot.START:
             scales[sl] = 0.0
     for rows in np.array_split(np.arange(n), blocks):
         keep = channel.keep.copy()

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import chi2, f_oneway, kurtosis
 
-from estimators.diagnosis.effects.catalogue import NATURES
+from estimators.diagnosis.effects.effect import Nature
 from estimators.diagnosis.model.fitting import Channel, Fit, ar_model, innovations
-from estimators.diagnosis.model.layouts import COEFFICIENTS, LAYOUTS, states
+from estimators.diagnosis.model.layouts import LAYOUTS, states
 from estimators.diagnosis.model.simulation import simulate
 
 __all__ = ["Leftover", "leftovers"]
@@ -67,22 +67,20 @@ def _columns(channel: Channel, f: Fit, y: Array) -> list[tuple[str, str, list[Ar
         through = _through(f, j)
         curves = [through(c - np.mean(c)) for c in (u**2, u**3, u * np.abs(u), np.abs(u))]
         products = [u * _late(u, i) for i in range(1, 7)] + [u * _late(y0, i) for i in (0, 1, 2)] + [u * v]
-        groups.append(
-            (NATURES["linear"], f"past values of {name}", [_late(u, i) for i in range(1, LAGS + 1)])
-        )
-        groups.append((NATURES["input static"], f"powers of {name} that act through the plant", curves))
-        groups.append((NATURES["dynamic"], f"products of {name} with its own past and with the output",
+        groups.append((Nature.LINEAR, f"past values of {name}", [_late(u, i) for i in range(1, LAGS + 1)]))
+        groups.append((Nature.INPUT_STATIC, f"powers of {name} that act through the plant", curves))
+        groups.append((Nature.DYNAMIC, f"products of {name} with its own past and with the output",
                        [through(c - np.mean(c)) for c in products]))  # fmt: skip
-    groups.append((NATURES["output static"], "powers of the simulated output",
+    groups.append((Nature.OUTPUT_STATIC, "powers of the simulated output",
                    [y0**2, y0**3, np.abs(y0), y0 * np.abs(y0), y0**4]))  # fmt: skip
-    groups.append((NATURES["dynamic"], "the simulated output's direction, speed and past, beyond proportion",
+    groups.append((Nature.DYNAMIC, "the simulated output's direction, speed and past, beyond proportion",
                    [np.sign(v), v * np.abs(v), v * y0, v * y0**2, v**2, v**3,
                     *[y0 * _late(y0, i) for i in (1, 2, 3, 4, 6, 8)]]))  # fmt: skip
     waves = [w(m * turn) * x for m in range(1, 7) for w in (np.cos, np.sin) for x in (y0, v)]
     groups.append(
-        (NATURES["time"], "the simulated output in a way that changes with time", [t * y0, t * v, *waves])
+        (Nature.TIME, "the simulated output in a way that changes with time", [t * y0, t * v, *waves])
     )
-    groups.append((NATURES["added"], "time: a trend or a change of level",
+    groups.append((Nature.ADDED, "time: a trend or a change of level",
                    [np.ones(n), t, t**2, t**3, *[(t > a) * 1.0 for a in (-0.5, 0.0, 0.5)]]))  # fmt: skip
     return groups
 
@@ -98,8 +96,8 @@ def _through(f: Fit, j: int) -> Callable[[Array], Array]:
     if s.layout == "tanks":
         return lambda x: _late(x, 1)
     head = LAYOUTS[s.layout][1]
-    C, idle = f.p[head : head + s.order], np.zeros(COEFFICIENTS)
-    return lambda x: np.nan_to_num(states(s.layout, f.p[:head], np.ascontiguousarray(x), idle) @ C)
+    C = f.p[head : head + s.order]
+    return lambda x: np.nan_to_num(states(s.layout, f.p[:head], np.ascontiguousarray(x)) @ C)
 
 
 def _products(channel: Channel, f: Fit, y: Array) -> list[Array]:
@@ -219,7 +217,7 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
         p = min(1.0, tests * tries**count * float(chi2.sf(max(ratio, 0.0), max(count, 1))))
         if count and p < alpha:
             share = 1.0 - float(np.exp(-ratio / n))
-            out.append(Leftover(NATURES["dynamic"], f"the residual still depends on products of past inputs and outputs "
+            out.append(Leftover(Nature.DYNAMIC, f"the residual still depends on products of past inputs and outputs "
                                 f"({100 * share:.2g} % of its variance, p = {p:.2g})", p, ratio - price))  # fmt: skip
     for nature, words, columns in groups:
         X = np.stack([c / (float(np.sqrt(np.mean(c**2))) + 1e-300) for c in columns], axis=1)
@@ -243,13 +241,13 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
     if p < alpha:
         at = (1 + int(np.argmax(power))) / len(e0)
         words = f"the residual has a line at {at:.4g} cycles per sample (p = {p:.2g})"
-        out.append(Leftover(NATURES["added"], words, p, 2.0 * line - 3.0 * float(np.log(n))))
+        out.append(Leftover(Nature.ADDED, words, p, 2.0 * line - 3.0 * float(np.log(n))))
     kept = e0[keep]
     p = min(1.0, tests * float(f_oneway(*np.array_split(np.abs(kept), 8)).pvalue))
     if p < alpha:
-        out.append(Leftover(NATURES["noise"], f"the noise changes its size in time (p = {p:.2g})", p, 0.0))
+        out.append(Leftover(Nature.NOISE, f"the noise changes its size in time (p = {p:.2g})", p, 0.0))
     tails = float(kurtosis(kept)) * np.sqrt(n / 24.0)
     p = min(1.0, tests * 2.0 * float(chi2.sf(max(tails, 0.0) ** 2, 1)))
     if tails > 0 and p < alpha * 1e-2:  # the normal limit of a kurtosis is slow
-        out.append(Leftover(NATURES["noise"], f"the noise has heavy tails (p = {p:.2g})", p, 0.0, "outliers"))
+        out.append(Leftover(Nature.NOISE, f"the noise has heavy tails (p = {p:.2g})", p, 0.0, "outliers"))
     return sorted(out, key=lambda x: -x.gain)

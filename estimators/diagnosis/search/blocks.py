@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.catalogue import CATALOGUE, Clock
+from estimators.diagnosis.effects import Clock, Effect, Slot
+from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.input import SANDWICH
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear, numerators, plant_scales
-from estimators.diagnosis.model.simulation import sandwiched, simulate
+from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
 
 __all__ = ["curved", "grown", "sandwich"]
@@ -45,26 +47,9 @@ def _subsets(groups: list[Array], most: int) -> list[tuple[Array, Array]]:
 def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 12) -> Fit | None:
     """Wiener-Hammerstein model from the poles and zeros of a linear model of a higher order.
 
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    base : Fit
-        Linear fit; its offset and initial state are kept.
-    order : int
-        Order of the linear model whose poles are shared between the blocks.
-    corners : int
-        Most corners of the broken line.
-
-    Returns
-    -------
-    Fit or None
-        The best split, or None where none was admissible.
-
-    Notes
-    -----
-    Every split of the poles is fitted with one corner; the best are fitted to the end, and corners are added while Schwarz's criterion gains. The blocks' zeros are free, they start at the origin in
-    the first block and by least squares in the second.
+    `order` is that of the linear model whose poles are shared between the blocks. Every split of the poles is fitted with one corner; the best are fitted to the
+    end, and corners are added while Schwarz's criterion gains. The blocks' zeros are free, they start at the origin in the
+    first block and by least squares in the second.
     """
     s = base.structure
     if s.layout != "tf" or s.effects or len(s.inputs) != 1:
@@ -76,14 +61,14 @@ def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 12) -> F
     for first, second in _subsets(_groups(poles), order - 1):
         n1, n2 = len(first), len(second)
         f1, f2 = np.real(np.poly(first))[1:], np.real(np.poly(second))[1:]
-        x = sandwiched(channel.u[:, j], np.concatenate((f1, np.zeros(n1))), n1)
-        part = Part("sandwich", j, n1 + 100)
+        part = Part(SANDWICH, j, 1, first=n1)
+        x = part.blocked(channel.u[:, j], np.concatenate((f1, np.zeros(n1))))
         parts = tuple(replace(q) for q in s.parts)
         new = replace(s, order=n2, taps=n2 + 1, delay=0, parts=(*parts, part))
         b = numerators(channel.y - np.mean(channel.y), x[:, None], f2, n2 + 1, 0, channel.keep)
         nuisance = [np.zeros(q.count(n2)) for q in s.parts]
         for q, values in zip(s.parts, nuisance):
-            if q.key == "offset":
+            if q.effect is OFFSET:
                 values[:] = np.mean(channel.y[channel.keep])
         mine = []
         for level, slope in ((0.5, -0.3), (0.0, -0.3), (-0.5, 0.3)):
@@ -104,35 +89,16 @@ def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 12) -> F
     return fit(channel, best.structure, best.p, best.scales, iterations=40)
 
 
-def curved(channel: Channel, f: Fit, key: str, *, corners: int = 12) -> Fit | None:
-    """The model with a broken line for its static curve, corner by corner: for curves that no simple form fits.
+def curved(channel: Channel, f: Fit, effect: Effect, *, corners: int = 12) -> Fit | None:
+    """The model with a broken line (`effect`) for its static curve, corner by corner: for curves that no simple form fits.
 
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    f : Fit
-        The model: linear, or with a curve of a simple form that is left out, and other effects that stay.
-    key : {"input_lines", "output_lines"}
-        Where the curve is.
-    corners : int
-        Most corners.
-
-    Returns
-    -------
-    Fit or None
-        The model; None where no corner gains.
+    A curve of a simple form is left out of the model, other effects stay. None where no corner gains.
     """
-    s, slot = f.structure, CATALOGUE[key].slot
-    if len(s.inputs) != 1 or (slot == "input" and s.layout != "tf"):
+    s, slot = f.structure, effect.slot
+    if len(s.inputs) != 1 or (slot is Slot.INPUT and s.layout != "tf"):
         return None
-    stays, at = s.keeping(
-        [
-            q.effect.slot != slot or not q.effect.nature.startswith("static") or q.effect.apply is None
-            for q in s.parts
-        ]
-    )
-    bare = stays.adding(Part(key, s.inputs[0], 0))
+    stays, at = s.keeping([q.effect.slot is not slot or not q.effect.static or q.first > 0 for q in s.parts])
+    bare = stays.adding(Part(effect, s.inputs[0], 0))
     white = fit(channel, bare, f.p[at], f.scales[at], iterations=15, colour=False)
     best = grown(channel, white, corners)
     if not best.structure.parts[-1].size:
@@ -141,35 +107,17 @@ def curved(channel: Channel, f: Fit, key: str, *, corners: int = 12) -> Fit | No
 
 
 def grown(channel: Channel, f: Fit, corners: int) -> Fit:
-    """Corners added to a broken line while Schwarz's criterion gains.
-
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    f : Fit
-        The model; its last part is the broken line between the blocks.
-    corners : int
-        Most corners.
-
-    Returns
-    -------
-    Fit
-        The model with as many corners as pay.
-    """
+    """Corners added to the broken line that is the last part of a model, as many as pay by Schwarz's criterion."""
     best, poor = f, 0
-    unit = 100 if f.structure.parts[-1].key == "sandwich" else 1
-    while f.structure.parts[-1].size // unit < corners and poor < 2:
+    while f.structure.parts[-1].size < corners and poor < 2:
         more = _cornered(channel, f)
         if more is None:
             break
         f, poor = more, poor + 1
         if f.criterion < best.criterion:
             best, poor = f, 0
-        elif (
-            unit == 100
-        ):  # a jump needs two corners, and the first alone may not pay: only where that is cheap
-            break
+        elif f.structure.parts[-1].first:
+            break  # a jump needs two corners, and the first alone may not pay: tried only where that is cheap
     return best
 
 
@@ -178,7 +126,7 @@ def _scales(s, p: Array, channel: Channel) -> Array:
     out[: s.plant_size] = plant_scales(s, p)
     sy = float(np.std(channel.y)) + 1e-300
     for part, sl in zip(s.parts, s.slices(), strict=True):
-        if part.key != "sandwich":
+        if part.effect is not SANDWICH:
             out[sl] = sy
     return out
 
@@ -186,15 +134,13 @@ def _scales(s, p: Array, channel: Channel) -> Array:
 def _cornered(channel: Channel, f: Fit) -> Fit | None:
     """One more corner, at the place whose score against the residual is the highest."""
     s, part = f.structure, f.structure.parts[-1]
-    x, unit = channel.u[:, part.channel], 1
-    at_output = part.effect.slot == "output"
-    if part.key == "sandwich":
-        order, unit = part.size % 100, 100
-        x = sandwiched(x, np.concatenate((f.p[s.slices()[-1]][: 2 * order], [0.0, 0.0])), order)
-    elif at_output:
-        linear, at = s.keeping([q.effect.slot not in ("output", "added") for q in s.parts])
+    at_output = part.effect.slot is Slot.OUTPUT
+    if at_output:
+        linear, at = s.keeping([q.effect.slot not in (Slot.OUTPUT, Slot.ADDED) for q in s.parts])
         x = simulate(linear, f.p[at], channel.u, channel.clock)
-    new = replace(s, parts=(*s.parts[:-1], replace(part, size=part.size + unit)))
+    else:
+        x = part.blocked(channel.u[:, part.channel], f.p[s.slices()[-1]])
+    new = replace(s, parts=(*s.parts[:-1], replace(part, size=part.size + 1)))
     den = np.concatenate(([1.0], f.p[: s.order]))
     num = np.concatenate((np.zeros(1 + s.delay), f.p[s.order : s.order + s.taps]))
     follows = (lambda v: v) if at_output else (lambda v: lfilter(num, den, v))

@@ -8,70 +8,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.effects import Slot
+from estimators.diagnosis.effects.input import DELAY
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.model.simulation import simulate
-from estimators.diagnosis.search.candidates import augmented, refit
+from estimators.diagnosis.search.candidates import Menu, augmented, refit
 
-__all__ = ["SIBLINGS", "exchanged", "whole_delay", "without"]
+__all__ = ["exchanged", "whole_delay", "without"]
 
 Array = NDArray[Any]
 
-_GROUPS = (
-    ("step_input", "step_output"),
-    ("gain_change", "timescale_change", "damping_change", "pole_change"),
-    ("backlash_output", "backlash_sampled"),
-    ("rate_limit", "rate_limit_sampled"),
-    ("bilinear", "bilinear_driven"),
-    ("stiffness_cubic", "stiffness", "stiffness_gap", "stiffness_upper", "stiffness_lower", "end_stop"),
-)
-SIBLINGS = {key: set(group) for group in _GROUPS for key in group}
 WORTH = 2.0  # by which an exchange must lower Schwarz's criterion
 KEEP = 6.0  # by which an effect must lower it to stay, as it had to when it came
 
 
 def without(channel: Channel, f: Fit, position: int) -> Fit:
-    """A model fitted again without one of its parts, by least squares.
-
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    f : Fit
-        The model.
-    position : int
-        Which of its parts.
-
-    Returns
-    -------
-    Fit
-        The smaller model, its noise model chosen from its residual.
-    """
+    """A model fitted again without one of its parts, by least squares, its noise model chosen from its residual."""
     s, at = f.structure.keeping([i != position for i in range(len(f.structure.parts))])
     return fit(channel, s, f.p[at], f.scales[at], iterations=20)
 
 
-def exchanged(
-    channel: Channel, f: Fit, *, others: tuple[int, ...] = ()
-) -> tuple[Fit, dict[str, tuple[Fit, Fit]], dict[str, Fit]]:
+def exchanged(channel: Channel, f: Fit, menu: Menu) -> tuple[Fit, dict[str, tuple[Fit, Fit]], dict[str, Fit]]:
     """Each effect left out once and put up against its siblings, with all the others in the model.
 
     A sibling may have won the first round only because the effects found later were not yet there, and a change
-    time that was found then may be wrong.
-
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    f : Fit
-        The model that forward selection ended with.
-    others : tuple of int
-        Inputs that do not act on this output in the model.
-
-    Returns
-    -------
-    tuple
-        The best model by Schwarz's criterion, for each effect that came in, or found a better fit, the models without and
-        with it, and for each effect of the best model the model without it.
+    time that was found then may be wrong. Returns the best model by Schwarz's criterion; for each effect that came in, or
+    found a better fit, the models without and with it; and for each effect of the best model the model without it.
     """
     came: dict[str, tuple[Fit, Fit]] = {}
     rests: dict[str, Fit] = {}
@@ -79,15 +41,16 @@ def exchanged(
         return f, came, rests
     for part in f.structure.effects:
         position = next((i for i, q in enumerate(f.structure.parts) if q == part), None)
-        if position is None or len(f.structure.effects) < 2 or part.effect.slot == "order":
+        if position is None or len(f.structure.effects) < 2 or part.effect.slot is Slot.FORM:
             continue
         rest = without(channel, f, position)
         if not np.isfinite(rest.deviance):
             continue
         options = [refit(channel, rest)]
-        if part.key in SIBLINGS:
+        if part.effect.family:
+            siblings = tuple(e for e in menu.effects if e.family == part.effect.family)
             plain = fit(channel, rest.structure, rest.p, rest.scales, iterations=2, colour=False)
-            found = augmented(channel, plain, only=SIBLINGS[part.key], best=2, iterations=20, others=others)
+            found = augmented(channel, plain, replace(menu, effects=siblings), best=2, iterations=20)
             options += [refit(channel, g) for g in found]
         best = min(options, key=lambda g: g.criterion)
         if best.criterion < f.criterion + (KEEP if best is options[0] else -WORTH):
@@ -120,7 +83,11 @@ def whole_delay(channel: Channel, f: Fit) -> Fit:
         The model at the whole delay, the derivative by the delay in its Jacobian, or `f`.
     """
     at = next(
-        (sl.start for q, sl in zip(f.structure.parts, f.structure.slices(), strict=True) if q.key == "delay"),
+        (
+            sl.start
+            for q, sl in zip(f.structure.parts, f.structure.slices(), strict=True)
+            if q.effect is DELAY
+        ),
         None,
     )
     if at is None or channel.step > 0 or f.p[at] == np.floor(f.p[at]):

@@ -9,41 +9,39 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from estimators.diagnosis.effects.catalogue import CATALOGUE, effect
+from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, named
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Structure
 from estimators.diagnosis.record.paired import as_good
-from estimators.diagnosis.search.candidates import augmented, refit
+from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
 
 __all__ = ["Attribution", "Claim", "attribute", "feedback_test", "significance"]
 
 Array = NDArray[Any]
-FAMILY = sum(e.slot != "noise" for e in CATALOGUE.values())  # effects that one record is tested for
+EVERYTHING = Menu()
+FAMILY = EVERYTHING.family
 
 
 @dataclass(frozen=True, eq=False)
 class Claim:
-    """One effect as a candidate: how much better the model is with it, and how surely.
+    """One effect as a candidate: the gain of Schwarz's criterion over the model without it, and its corrected p-value."""
 
-    Attributes
-    ----------
-    key, label : str
-        Variant and cause.
-    gain : float
-        Gain of Schwarz's criterion over the model without it.
-    p_value : float
-        Of its likelihood ratio, corrected for the shapes tried and the number of effects.
-    fit : Fit
-        The model with it.
-    """
-
-    key: str
-    label: str
+    effect: Effect
     gain: float
     p_value: float
     fit: Fit
+
+    @property
+    def key(self) -> str:
+        """Its variant."""
+        return self.effect.key
+
+    @property
+    def cause(self) -> str:
+        """Its cause."""
+        return self.effect.cause
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,20 +86,7 @@ def _noise_criterion(f: Fit) -> float:
 
 
 def significance(null: Fit, f: Fit, family: int = FAMILY) -> float:
-    """Corrected p-value of a model against a smaller one.
-
-    Parameters
-    ----------
-    null, f : Fit
-        Without and with the effect.
-    family : int
-        Number of effects that were tried.
-
-    Returns
-    -------
-    float
-        Bonferroni bound over effects and shapes, at most 1.
-    """
+    """Corrected p-value of a model against a smaller one: Bonferroni over effects and shapes, at most 1."""
     ratio = _noise_criterion(null) - _noise_criterion(f)
     k = max(1, len(f.p) - len(null.p))
     new = f.structure.parts[len(null.structure.parts) :]
@@ -110,23 +95,9 @@ def significance(null: Fit, f: Fit, family: int = FAMILY) -> float:
 
 
 def feedback_test(u: Array, e: Array, lags: int = 5, memory: int = 12) -> float:
-    """p-value of 'the input does not follow the noise': past innovations help to predict the input.
+    """Likelihood-ratio p-value of 'the input u (N,) does not follow the noise': past innovations e (N,) help to predict it.
 
-    Parameters
-    ----------
-    u : ndarray
-        (N,) input.
-    e : ndarray
-        (N,) innovations.
-    lags : int
-        Innovations at lags 0 to lags.
-    memory : int
-        Past inputs that predict first.
-
-    Returns
-    -------
-    float
-        Likelihood-ratio p-value.
+    Innovations at lags 0 to `lags`, beside `memory` past inputs that predict first.
     """
     n = len(u)
     own = [np.concatenate((np.zeros(i), u[: n - i])) for i in range(1, memory + 1)] + [np.ones(n)]
@@ -181,30 +152,11 @@ def _per_key(fits: list[Fit], position: int) -> list[Fit]:
 
 
 def attribute(
-    channel: Channel, s: Structure, *, others: tuple[int, ...] = (), alpha: float = 0.01, most: int = 3,
-    feedback: bool = True,
+    channel: Channel, s: Structure, menu: Menu = EVERYTHING, *, alpha: float = 0.01, most: int = 3, feedback: bool = True
 ) -> Attribution:  # fmt: skip
-    """Find what a linear model of one output lacks.
+    """Find what a linear model of one output lacks: at most `most` effects of a menu, the noise model not counted.
 
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    s : Structure
-        The linear model.
-    others : tuple of int
-        Inputs that do not act on this output in the linear model.
-    alpha : float
-        False-alarm rate over all effects together.
-    most : int
-        Largest number of effects (the noise model not counted).
-    feedback : bool
-        Whether to test for feedback.
-
-    Returns
-    -------
-    Attribution
-        Claims, the chosen effects, and the fits.
+    alpha is the false-alarm rate over all effects together; `feedback` whether to test for it.
     """
     base = fit_linear(channel, s)
     coloured = base
@@ -215,19 +167,18 @@ def attribute(
         coloured = min((coloured, again), key=lambda f: f.criterion)
     white = _white(base)
     position = len(s.parts)
-    fits = list(augmented(channel, white, others=others))
+    fits = list(augmented(channel, white, menu))
     simulated = _explained(white, fits, position) if s.base else {}
     fits = _settled(channel, fits, 6)
     if len(coloured.noise) and (not fits or len(fits[0].noise)):
-        more = list(augmented(channel, coloured, others=others, best=1, iterations=15))
+        more = list(augmented(channel, coloured, menu, best=1, iterations=15))
         fits = _settled(channel, _per_key(fits + more, position), 4)
     fits = _per_key(fits, position)
     claims = [
         Claim(
-            f.structure.parts[position].key,
-            _label(f, position),
+            f.structure.parts[position].effect,
             coloured.criterion - f.criterion,
-            significance(coloured, f),
+            significance(coloured, f, menu.family),
             f,
         )
         for f in fits
@@ -242,8 +193,8 @@ def attribute(
     if good:
         final = good[0].fit
         p_values[good[0].key] = good[0].p_value
-        final = _more_effects(channel, final, good, coloured, others, alpha, most, p_values, rivals)
-        final, came, rests = exchanged(channel, final, others=others)
+        final = _more_effects(channel, final, good, menu, alpha, most, p_values, rivals)
+        final, came, rests = exchanged(channel, final, menu)
         p_values |= {key: significance(*pair) for key, pair in came.items()}
         final = whole_delay(channel, final)
         present = {part.key for part in final.structure.effects}
@@ -257,10 +208,8 @@ def attribute(
 
 
 WEAK = 0.01  # share of the first effect's variance: a tenth of its error
-SHAPING = (
-    "nonlinearity",
-    "linear dynamics",
-)  # natures of terms that can bend the curve or the poles of another
+SHAPING = (Nature.INPUT_STATIC, Nature.OUTPUT_STATIC, Nature.DYNAMIC, Nature.LINEAR)
+"""Natures of terms that can bend the curve or the poles of another."""
 
 
 def _refinements(final: Fit, rests: dict[str, Fit], chosen: list[str]) -> dict[str, float]:
@@ -270,11 +219,8 @@ def _refinements(final: Fit, rests: dict[str, Fit], chosen: list[str]) -> dict[s
     if not chosen or explained.get(chosen[0], 0.0) <= 0.0:
         return {}
     shares = {key: value / explained[chosen[0]] for key, value in explained.items() if key != chosen[0]}
-    return {
-        key: share
-        for key, share in shares.items()
-        if share < WEAK and any(word in CATALOGUE[key].nature for word in SHAPING)
-    }
+    natures = {part.key: part.effect.nature for part in final.structure.effects}
+    return {key: share for key, share in shares.items() if share < WEAK and natures.get(key) in SHAPING}
 
 
 def _explained(base: Fit, fits: list[Fit], position: int) -> dict[str, float]:
@@ -288,13 +234,8 @@ def _explained(base: Fit, fits: list[Fit], position: int) -> dict[str, float]:
     return out
 
 
-def _label(f: Fit, position: int) -> str:
-    part = f.structure.parts[position]
-    return part.effect.label
-
-
 def _more_effects(
-    channel: Channel, first: Fit, good: list[Claim], null: Fit, others: tuple[int, ...], alpha: float, most: int,
+    channel: Channel, first: Fit, good: list[Claim], menu: Menu, alpha: float, most: int,
     p_values: dict[str, float], rivals: dict[str, list[str]],
 ) -> Fit:  # fmt: skip
     """Second and further effects, from several of the best first ones."""
@@ -304,14 +245,14 @@ def _more_effects(
         tried: dict[int, list[Fit]] = {}
         bases = [final]
         if depth == 1:
-            labels = {good[0].label}
+            causes = {good[0].cause}
             for claim in good[1:]:
                 near = claim.gain > 0.15 * good[0].gain
-                if claim.label not in labels and len(labels) < 5 and near:
-                    labels.add(claim.label)
+                if claim.cause not in causes and len(causes) < 5 and near:
+                    causes.add(claim.cause)
                     bases.append(claim.fit)
         for start in bases:
-            found = _second(channel, start, others, start is final)
+            found = _second(channel, start, menu, start is final)
             limit = alpha * (1e-4 if len(found) and len(found[0].noise) else 1e-1)
             tried[id(start)] = found
             if found and significance(start, found[0]) < limit:
@@ -322,9 +263,9 @@ def _more_effects(
         if best.criterion > final.criterion - 6.0:
             break
         p_values[best.structure.parts[-1].key] = significance(start, best)
-        label = best.structure.parts[-1].effect.label
-        near = [g.structure.parts[-1].effect.label for g in tried[id(start)][1:] if as_good(best, g)]
-        others_near = [name for name in dict.fromkeys(near) if name != label]
+        cause = best.structure.parts[-1].effect.cause
+        near = [g.structure.parts[-1].effect.cause for g in tried[id(start)][1:] if as_good(best, g)]
+        others_near = [name for name in dict.fromkeys(near) if name != cause]
         if others_near:
             rivals[best.structure.parts[-1].key] = others_near
         for g, _ in options:  # other effects altogether
@@ -339,19 +280,19 @@ def _more_effects(
 
 def _exchangeable(best: Fit, other: Fit, rivals: dict[str, list[str]]) -> None:
     """Notes which causes of one model stand where another model, as good, has others."""
-    mine, theirs = ([part.effect.label for part in f.structure.effects] for f in (best, other))
+    mine, theirs = ([part.effect.cause for part in f.structure.effects] for f in (best, other))
     for part in best.structure.effects:
-        if part.effect.label not in theirs:
+        if part.effect.cause not in theirs:
             names = rivals.setdefault(part.key, [])
             names += [name for name in theirs if name not in (*mine, *names)]
 
 
-def _second(channel: Channel, f: Fit, others: tuple[int, ...], coloured: bool = True) -> list[Fit]:
+def _second(channel: Channel, f: Fit, menu: Menu, coloured: bool = True) -> list[Fit]:
     position = len(f.structure.parts)
-    fits = list(augmented(channel, _white(f), others=others, best=1, iterations=12, top=8))
+    fits = list(augmented(channel, _white(f), menu, best=1, iterations=12, top=8))
     fits = _settled(channel, _per_key(fits, position), 3)
     if coloured and len(f.noise) and (not fits or len(fits[0].noise)):
-        fits += list(augmented(channel, f, others=others, best=1, iterations=10, top=5))
+        fits += list(augmented(channel, f, menu, best=1, iterations=10, top=5))
         fits = _settled(channel, _per_key(fits, position), 2)
     if fits:
         top = fit(channel, fits[0].structure, fits[0].p, fits[0].scales, noise=fits[0].noise, iterations=40)
@@ -374,7 +315,7 @@ def _importance(final: Fit, claims: list[Claim], simulated: dict[str, float]) ->
     if len(final.noise):
         plain = _white(final)
         ratio = plain.deviance - final.deviance
-        p = FAMILY * effect("coloured").trials * chi2.sf(ratio, len(final.noise))
+        p = FAMILY * named("coloured").trials * chi2.sf(ratio, len(final.noise))
         if p < 0.01:
             costs["coloured"] = plain.criterion - final.criterion
     return sorted(costs, key=lambda k: (k == "coloured", -costs[k]))
@@ -401,11 +342,7 @@ def _feedback(channel: Channel, final: Fit, s: Structure, wanted: bool) -> float
     return min(1.0, min(feedback_test(channel.u[:, j], e) * len(s.inputs) for j in s.inputs))
 
 
-def labels_of(keys: list[str]) -> list[str]:
+def causes_of(keys: list[str], effects: tuple[Effect, ...] = CATALOGUE) -> list[str]:
     """Causes of a list of keys, each once."""
-    out: list[str] = []
-    for key in keys:
-        label = CATALOGUE[key].label if key in CATALOGUE else key
-        if label not in out:
-            out.append(label)
-    return out
+    known = {e.key: e.cause for e in effects}
+    return list(dict.fromkeys(known.get(key, key) for key in keys))

@@ -19,7 +19,10 @@ from estimators.diagnosis.model.structure import Part, Structure
 __all__ = ["Start", "fitted", "scored", "sizes_of"]
 
 Array = NDArray[Any]
-SHARES = (1.0, 0.4)  # of the amplitude that the score promises: the model bends more than the score, which is linear
+SHARES = (
+    1.0,
+    0.4,
+)  # of the amplitude that the score promises: the model bends more than the score, which is linear
 
 
 @dataclass(frozen=True, eq=False)
