@@ -167,7 +167,7 @@ def test_a_curve_of_no_simple_form_is_found_beside_a_trend(side):
     channel = channel_of(Record(u, y))
     parts = (Part(named(f"{side}_polynomial")), Part(named("drift")))
     simple = with_parts(channel, fit_linear(channel, Structure(2)), parts, [-0.1, 0.01, 0.01, 0.3])
-    f = curved(channel, simple, f"{side}_lines")
+    f = curved(channel, simple, named(f"{side}_lines"))
     assert np.std(simple.residual) > 0.02
     assert np.std(f.residual) < 0.0105
     assert [part.key for part in f.structure.parts] == ["drift", f"{side}_lines"]
