@@ -53,7 +53,15 @@ class Slot(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """The common clock of two experiments: (N,) sample numbers k since the first training sample, whose record is `length` long."""
+    """The common clock of two experiments, in samples since the first training sample.
+
+    Attributes
+    ----------
+    k : ndarray
+        (N,) sample numbers on the common clock.
+    length : int
+        Samples of the training record: ramps are per training record.
+    """
 
     k: Array
     length: int
@@ -68,7 +76,14 @@ class Clock:
 class Sizes:
     """Signals of the model that an effect is added to, from which its starts take their sizes.
 
-    Inside a plant `position` and `velocity` are those of its linear part, in units of the input.
+    Attributes
+    ----------
+    u, y : ndarray
+        (N,) the input that the effect concerns, and the simulated output.
+    clock : Clock
+        Time of the samples.
+    position, velocity : ndarray
+        (N,) of the linear part of a plant, in units of the input.
     """
 
     u: Array
@@ -98,7 +113,18 @@ class Sizes:
         return float(np.std(self.velocity)) + 1e-12 * self.su
 
     def times(self, count: int = 40) -> Array:
-        """Times spread over the record, in samples of the clock, its ends left out."""
+        """Times spread over the record, its ends left out.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+
+        Returns
+        -------
+        ndarray
+            (count,) in samples of the clock.
+        """
         return self.clock.k[0] + np.linspace(0.03, 0.97, count) * len(self.u)
 
 
@@ -242,17 +268,52 @@ class Effect:
         return self.slot is not Slot.NOISE
 
     def tries(self, n: int) -> float:
-        """Independent shapes that the search tries on a record of n samples, at least 1."""
+        """Independent shapes that the search tries on a record.
+
+        Parameters
+        ----------
+        n : int
+            Samples of the record.
+
+        Returns
+        -------
+        float
+            At least 1.
+        """
         return max(1.0, self.trials * (n if self.per_sample else 1.0))
 
     def fits(self, layout: str) -> bool:
-        """Whether it can sit in a layout: changes need a rate that they change, moving parts a velocity."""
+        """Whether it can sit in a layout: changes need a rate that they change, moving parts a velocity.
+
+        Parameters
+        ----------
+        layout : str
+            Layout of the plant.
+
+        Returns
+        -------
+        bool
+            False where it makes no sense.
+        """
         if self.layouts is not None:
             return layout in self.layouts
         return self.change is None or layout in self.change
 
     def drawn(self, x: Array, q: Array) -> Array | None:
-        """Its characteristic at x with parameters q, None where it is no curve."""
+        """Its characteristic.
+
+        Parameters
+        ----------
+        x : ndarray
+            (M,) where it is drawn.
+        q : ndarray
+            Its parameters.
+
+        Returns
+        -------
+        ndarray or None
+            (M,) values; None where it is no curve.
+        """
         if self.curve is not None:
             return self.curve(x, q)
         if self.force is not None and self.against:
