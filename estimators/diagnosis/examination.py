@@ -105,18 +105,7 @@ class Examined:
         return self.channel if self.final_channel is None else self.final_channel
 
     def thin_of(self, f: Fit) -> int:
-        """By how much the data of one of the fits were thinned.
-
-        Parameters
-        ----------
-        f : Fit
-            The final model or any other.
-
-        Returns
-        -------
-        int
-            The factor.
-        """
+        """By how much the data of one of the fits were thinned."""
         return self.final_thin if self.final_thin and f is self.attribution.final else self.thin
 
 
@@ -161,20 +150,7 @@ def _thinning(y: Array, n_most: int = LONG) -> int:
 
 
 def thinned(record: Record, by: int) -> Record:
-    """Every `by`-th sample, the input averaged over the interval that it acts in.
-
-    Parameters
-    ----------
-    record : Record
-        The record.
-    by : int
-        Factor, 1 for no change.
-
-    Returns
-    -------
-    Record
-        The shorter record.
-    """
+    """Every `by`-th sample, the input averaged over the interval that it acts in; `by` 1 for no change."""
     if by == 1:
         return record
     n = len(record) // by
