@@ -64,6 +64,7 @@ HOMES = {
     "joblib": ("benchmarks", lambda module: within(module, "benchmarks")),
     "dask": ("benchmarks", lambda module: within(module, "benchmarks")),
     "distributed": ("benchmarks", lambda module: within(module, "benchmarks")),
+    "jsonschema": ("oed.files", lambda module: within(module, "oed.files")),
     "slycot": ("the tests", lambda module: False),
     "pickle": ("no module", lambda module: False),
 } | {

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from benchmarks.campaign.plants import check_plants, content_of
 from benchmarks.campaign.registry import ESTIMATORS, METHODS
 from oed.errors import InputError, check_names
+from oed.files.documents import keyed, read_document
 
 __all__ = ["Limit", "Settings", "campaign_from_toml", "limit_from_text"]
 
@@ -179,8 +179,22 @@ def default_limits(
     )
 
 
-PLAIN = {"replicates": int, "time_limit": float, "out": str}
-LISTS = ("plants", "noise_variances", "methods", "estimators")
+WHOLE = {"type": "integer", "description": "a whole number"}
+TEXT = {"type": "string", "description": "a text"}
+TEXTS = {"type": "array", "items": TEXT, "description": "a list of texts"}
+NUMBER = {"type": "number", "description": "a number"}
+LIMIT = keyed({"replicates": WHOLE, "plant": TEXT, "method": TEXT, "estimator": TEXT}, ("replicates",))
+CAMPAIGN = keyed(
+    {
+        **dict.fromkeys(("plants", "methods", "estimators"), TEXTS),
+        "noise_variances": {"type": "array", "items": NUMBER, "description": "a list of numbers"},
+        **dict.fromkeys(("samples", "experiments", "seed", "profile_replicates", "replicates"), WHOLE),
+        "time_limit": NUMBER,
+        "out": TEXT,
+        "limit": {"type": "array", "items": LIMIT, "description": "a list of tables [[limit]]"},
+    }
+)
+"""What a campaign file may hold."""
 
 
 def campaign_from_toml(file: str | Path) -> dict[str, Any]:
@@ -202,26 +216,10 @@ def campaign_from_toml(file: str | Path) -> dict[str, Any]:
     InputError
         If the file cannot be read, has an unknown key, or a value of another kind.
     """
-    path = Path(file)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"the campaign file {path} cannot be read ({error.strerror}).") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"the campaign file {path} is not TOML ({error}); mend that line.") from None
-    known = {f.name for f in fields(Settings)} - {"limits", "sources", "contents"} | set(PLAIN) | {"limit"}
-    check_names(list(content), tuple(sorted(known)), f"key of {path.name}")
-    found: dict[str, Any] = {}
-    for key, value in content.items():
-        if key == "limit":
-            found["limits"] = tuple(_limit(path, entry) for entry in _list(path, key, value))
-        elif key in LISTS:
-            kind = (int, float) if key == "noise_variances" else (str,)
-            found[key] = tuple(_typed(path, key, entry, *kind) for entry in _list(path, key, value))
-        elif key == "time_limit":
-            found[key] = float(_typed(path, key, value, int, float))
-        else:
-            found[key] = _typed(path, key, value, PLAIN.get(key, int))
+    content = read_document(Path(file), CAMPAIGN, "the campaign file")
+    found = {key: tuple(value) if isinstance(value, list) else value for key, value in content.items()}
+    if "limit" in found:
+        found["limits"] = tuple(Limit(**entry) for entry in found.pop("limit"))
     return found
 
 
@@ -244,25 +242,3 @@ def limit_from_text(text: str) -> Limit:
     if not entry.get("replicates", "").isdigit():
         raise InputError(f"--limit {text}: give replicates=R with a whole number R of at least 0.")
     return Limit(**entry | {"replicates": int(entry["replicates"])})  # type: ignore[arg-type]
-
-
-def _typed(path: Path, key: str, value: Any, *kinds: type) -> Any:
-    if isinstance(value, bool) or not isinstance(value, kinds):
-        words = " or ".join({int: "a whole number", float: "a number", str: "a text"}[k] for k in kinds)
-        raise InputError(f"{path.name}: {key} is {value!r}; it must be {words}.")
-    return value
-
-
-def _list(path: Path, key: str, value: Any) -> list[Any]:
-    if not isinstance(value, list):
-        raise InputError(f"{path.name}: {key} is {value!r}; it must be a list.")
-    return value
-
-
-def _limit(path: Path, entry: Any) -> Limit:
-    if not isinstance(entry, dict) or "replicates" not in entry:
-        raise InputError(f"{path.name}: a [[limit]] needs replicates, and any of plant, method, estimator.")
-    check_names(list(entry), ("replicates", "plant", "method", "estimator"), f"key of a limit in {path.name}")
-    return Limit(
-        **{k: _typed(path, f"limit.{k}", v, int if k == "replicates" else str) for k, v in entry.items()}
-    )

@@ -12,16 +12,51 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 from typing import Any
 
+from benchmarks.page.drawings import safe_drawing
 from benchmarks.tables.formats import format_value, from_parquet, to_csv, to_latex, to_markdown, to_parquet
 from oed.errors import CampaignError, InputError
+from oed.files.documents import keyed, read_document
 from oed.files.writing import write_figure, write_whole
 
 __all__ = ["save_figure", "save_report", "save_table", "write_report"]
+
+TEXT = {"type": "string", "description": "a text"}
+TEXTS = {"type": "array", "items": TEXT, "description": "a list of texts"}
+WORDS = keyed({}, others=TEXT)
+SECTION = keyed(
+    {
+        "title": TEXT,
+        "text": TEXTS,
+        "tables": {
+            "type": "array",
+            "items": keyed({"file": TEXT, "caption": TEXT, "columns": WORDS}, ("file", "caption", "columns")),
+            "description": "a list of tables",
+        },
+        "figures": {
+            "type": "array",
+            "items": keyed({"file": TEXT, "caption": TEXT}, ("file", "caption")),
+            "description": "a list of figures",
+        },
+        "figures_first": {"type": "boolean", "description": "true or false"},
+    },
+    ("title",),
+)
+REPORT = keyed(
+    {
+        "title": TEXT,
+        "lead": TEXTS,
+        "sections": {"type": "array", "items": SECTION, "description": "a list of sections"},
+        "made": keyed({}, others={}),
+    },
+    ("title", "lead", "sections", "made"),
+)
+"""What report.json holds."""
 
 STYLE = """
 :root { --ink: #1c2328; --soft: #5b6770; --line: #d9dee2; --accent: #0b5fa5; --paper: #ffffff; }
@@ -202,7 +237,9 @@ def write_report(folder: Path) -> Path:
             f"there is no folder {folder}; give the --out folder of a comparison or a diagnosis."
         )
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = read_document(file, REPORT, "the report", error=CampaignError) if file.exists() else {}
+        if not content:
+            raise FileNotFoundError(2, "No such file", str(file))
         page = _page(folder, content)
     except FileNotFoundError as error:
         missing = Path(error.filename or file)
@@ -245,13 +282,23 @@ def _page(folder: Path, content: dict[str, Any]) -> str:
     return "\n".join(parts)
 
 
-def _download(data: bytes, kind: str, name: str, label: str) -> str:
-    encoded = base64.b64encode(data).decode()
-    return f'<a download="{escape(name)}" href="data:{kind};base64,{encoded}">{escape(label)}</a>'
+def _download(folder: Path, name: str, kind: str, label: str) -> str:
+    encoded = base64.b64encode(_inside(folder, name).read_bytes()).decode()
+    return f'<a download="{escape(Path(name).name)}" href="data:{kind};base64,{encoded}">{escape(label)}</a>'
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A file of the folder, wherever its links lead; the page never holds a file from elsewhere."""
+    path = folder / name
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise CampaignError(
+            f"report.json names the file {name}, which is not in {folder}; make the report again."
+        )
+    return path
 
 
 def _table(folder: Path, table: dict[str, Any], identity: str) -> list[str]:
-    path = folder / table["file"]
+    path = _inside(folder, table["file"])
     rows, _ = from_parquet(path)
     columns = table["columns"]
     numeric = {key: all(not isinstance(row.get(key), str) for row in rows) for key in columns}
@@ -267,7 +314,7 @@ def _table(folder: Path, table: dict[str, Any], identity: str) -> list[str]:
             )
         body.append(f"<tr>{''.join(cells)}</tr>")
     links = [
-        _download(path.with_suffix(suffix).read_bytes(), mime, path.with_suffix(suffix).name, label)
+        _download(folder, str(Path(table["file"]).with_suffix(suffix)), mime, label)
         for suffix, mime, label in (
             (".csv", "text/csv", "CSV"),
             (".tex", "text/plain", "LaTeX"),
@@ -285,10 +332,9 @@ def _table(folder: Path, table: dict[str, Any], identity: str) -> list[str]:
 
 
 def _figure(folder: Path, figure: dict[str, Any]) -> list[str]:
-    path = folder / figure["file"]
-    text = path.read_text(encoding="utf-8")
-    drawing = text[text.index("<svg") :]
-    prefix = path.stem.replace(".", "-")
+    path = _inside(folder, figure["file"])
+    drawing = safe_drawing(path.read_text(encoding="utf-8"), figure["file"])
+    prefix = re.sub(r"\W", "-", path.stem)
     # Identifiers must not clash between the drawings of one page.
     drawing = (
         drawing.replace('id="', f'id="{prefix}-')
@@ -299,10 +345,8 @@ def _figure(folder: Path, figure: dict[str, Any]) -> list[str]:
         f'<figure><div class="drawing">{drawing}</div>',
         f"<figcaption>{escape(figure['caption'])}</figcaption>",
         '<div class="tools"><span>save: '
-        + _download(path.read_bytes(), "image/svg+xml", path.name, "SVG")
+        + _download(folder, figure["file"], "image/svg+xml", "SVG")
         + " "
-        + _download(
-            path.with_suffix(".pdf").read_bytes(), "application/pdf", path.with_suffix(".pdf").name, "PDF"
-        )
+        + _download(folder, str(Path(figure["file"]).with_suffix(".pdf")), "application/pdf", "PDF")
         + "</span></div></figure>",
     ]

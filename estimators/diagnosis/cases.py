@@ -2,31 +2,38 @@
 
 from __future__ import annotations
 
-import json
 import os
-from pathlib import Path
 from typing import Any
 
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.report import Diagnosis
 from oed.data import Record
 from oed.errors import InputError
+from oed.files.documents import keyed, read_document
 
 __all__ = ["diagnose_files", "setting_of_meta"]
 
 
-def _read_meta(path: str | os.PathLike[str]) -> dict[str, Any]:
-    try:
-        meta = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be read ({error.strerror}); give the meta.json of the case."
-        ) from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not JSON ({error}); give the meta.json of the case.") from None
-    if not isinstance(meta, dict):
-        raise InputError(f"{path} holds a {type(meta).__name__}; a meta.json is one object.")
-    return meta
+ORDER = {"type": "integer", "minimum": 1, "maximum": 20}
+META = keyed(
+    {
+        "sampling_time": {
+            "type": "number",
+            "exclusiveMinimum": 0,
+            "description": "a positive number of seconds",
+        },
+        "suggested_order": {
+            "anyOf": [ORDER, {"type": "array", "items": ORDER, "minItems": 1}, {"type": "null"}],
+            "description": "a whole number from 1 to 20, or a list with one per output",
+        },
+        **{
+            name: {"type": "string", "description": "a text"}
+            for name in ("structure", "signals", "time_unit", "input_hold", "note")
+        },
+    },
+    others={},
+)
+"""What a meta.json may say; keys that are not known here are the user's own notes."""
 
 
 def setting_of_meta(meta: dict[str, Any], n_outputs: int) -> Setting:
@@ -111,7 +118,7 @@ def diagnose_files(
     from oed.files import read_record
 
     notes: list[str] = []
-    known = _read_meta(meta) if meta is not None else {}
+    known = read_document(meta, META, "the description") if meta is not None else {}
     if inputs is None and isinstance(known.get("inputs"), list):
         inputs = ",".join(known["inputs"])
     if outputs is None and isinstance(known.get("outputs"), list):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from oed.errors import CampaignError, InputError, check_names
+from oed.files.documents import checked, keyed, parsed_json
 
 __all__ = ["METHOD_NAMES", "SCHEMA", "Settings", "settings_from_json", "settings_to_json"]
 
@@ -209,6 +210,38 @@ def _per_channel(value: Any, channels: tuple[str, ...], name: str) -> tuple[floa
     return given
 
 
+def _or_null(kind: dict[str, Any]) -> dict[str, Any]:
+    return {"anyOf": [kind, {"type": "null"}], "description": f"{kind['description']}, or null"}
+
+
+def _list_of(kind: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": kind, "description": f"a list, each entry {kind['description']}"}
+
+
+WHOLE = {"type": "integer", "description": "a whole number"}
+NUMBER = {"type": "number", "description": "a number"}
+TEXT = {"type": "string", "description": "a text"}
+SESSION = keyed(
+    {
+        **dict.fromkeys(("method", "criterion", "scaling"), TEXT),
+        **dict.fromkeys(
+            ("samples", "experiments", "lead", "ramp", "rest", "periods", "warm_up", "delay", "seed"), WHOLE
+        ),
+        **dict.fromkeys(("dt", "reference_tolerance"), NUMBER),
+        **dict.fromkeys(("inputs", "outputs", "input_units", "output_units"), _list_of(TEXT)),
+        "power": _or_null(NUMBER),
+        **dict.fromkeys(("amplitude", "rate", "energy", "abort"), _or_null(_list_of(NUMBER))),
+        "level": _list_of(NUMBER),
+        "orders": _list_of(WHOLE),
+        "centre": {"type": "boolean", "description": "true or false"},
+        "sensor_range": _or_null(_list_of(_list_of(NUMBER))),
+        "model": _or_null({"type": "object", "description": "a plant"}),
+    },
+    ("method", "samples"),
+)
+"""What session.json holds beside its version."""
+
+
 def settings_to_json(settings: Settings) -> str:
     """The text of `session.json`.
 
@@ -245,12 +278,7 @@ def settings_from_json(text: str, where: str) -> Settings:
     CampaignError
         If it is damaged, or of another version.
     """
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise CampaignError(
-            f"{where} is not JSON (line {error.lineno}: {error.msg}); it is damaged: restore it."
-        ) from None
+    content = parsed_json(text, where, error=CampaignError)
     if not isinstance(content, Mapping) or "oed_session" not in content:
         raise CampaignError(f"{where} does not describe a session; choose another folder.")
     content = dict(content)
@@ -260,12 +288,7 @@ def settings_from_json(text: str, where: str) -> Settings:
             f"{where} was written by another version (sessions of version {schema!r}, this is {SCHEMA}); "
             "go on with that version."
         )
-    unknown = sorted(set(content) - {field.name for field in fields(Settings)})
-    if unknown or not {"method", "samples"} <= set(content):
-        raise CampaignError(
-            f"{where} has the unknown keys {unknown} or lacks method and samples; go on with the version "
-            "that wrote it."
-        )
+    checked(content, SESSION, where, error=CampaignError)
     try:
         return Settings(**{k: _tupled(v) if k != "model" else v for k, v in content.items()})
     except (InputError, TypeError, ValueError) as error:

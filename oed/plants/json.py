@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,9 +9,50 @@ from typing import Any
 import numpy as np
 
 from oed.errors import InputError
+from oed.files.documents import checked, keyed, read_document
 from oed.plants.plant import Plant
 
 __all__ = ["plant_from_json", "plant_to_json"]
+
+LONGEST_NUM, LONGEST_DEN = 20_000, 2_000
+"""Coefficients: poles are eigenvalues of a matrix of that size, zeros are not computed."""
+NUMBER = {"type": "number", "description": "a number"}
+
+
+def _polynomials(longest: int) -> dict[str, Any]:
+    flat = {"type": "array", "items": NUMBER, "minItems": 1, "maxItems": longest}
+    row = {"type": "array", "items": flat, "minItems": 1}
+    return {
+        "anyOf": [flat, {"type": "array", "items": row, "minItems": 1}],
+        "description": f"a list of at most {longest} coefficients of powers of z^-1, or a row per output with such a list "
+        "per input",
+    }
+
+
+def _matrix(rule: str) -> dict[str, Any]:
+    row = {"type": "array", "items": NUMBER, "minItems": 1, "maxItems": LONGEST_DEN}
+    return {"anyOf": [NUMBER, row, {"type": "array", "items": row, "minItems": 1}], "description": rule}
+
+
+PLANT = keyed(
+    {
+        "num": _polynomials(LONGEST_NUM),
+        "den": _polynomials(LONGEST_DEN),
+        **{name: _matrix("a matrix of numbers, row by row") for name in "ABCD"},
+        "dt": {"type": "number", "description": "the sampling time in seconds"},
+        "noise": keyed(
+            {
+                "variance": {"type": "number", "minimum": 0, "description": "a number of at least 0"},
+                "covariance": _matrix("a number, or a matrix with a row per output"),
+                "filter": keyed({name: _polynomials(LONGEST_DEN) for name in ("num", "den")}, ("num", "den")),
+            }
+        ),
+        "free": {"type": "array", "items": {"type": "string"}, "description": "a list of parameters' names"},
+        "name": {"type": "string", "minLength": 1, "description": "a text"},
+        "schema_version": {"type": "integer", "description": "a whole number"},
+    }
+)
+"""What a plant file may hold."""
 
 
 def plant_from_json(source: str | Path | Mapping[str, Any], *, noise_variance: float | None = None) -> Plant:
@@ -31,23 +71,11 @@ def plant_from_json(source: str | Path | Mapping[str, Any], *, noise_variance: f
         The plant; InputError if the file is not such a description.
     """
     if isinstance(source, Mapping):
-        content, where, name = dict(source), "the plant", "plant"
+        content, name = checked(_plain(source), PLANT, "the plant"), "plant"
+        where = "the plant"
     else:
-        where, name = str(source), Path(source).stem
-        try:
-            content = json.loads(Path(source).read_text())
-        except OSError as error:
-            raise InputError(f"cannot read the plant file {source}: {error.strerror}.") from None
-        except json.JSONDecodeError as error:
-            raise InputError(f"{source} is not JSON (line {error.lineno}: {error.msg}).") from None
-    if not isinstance(content, dict):
-        raise InputError(
-            f"{where} holds {type(content).__name__}; a plant is a JSON object with num, den and dt."
-        )
-    known = {"num", "den", "A", "B", "C", "D", "dt", "noise", "free", "name", "schema_version"}
-    extra = sorted(set(content) - known)
-    if extra:
-        raise InputError(f"{where} has the unknown keys {extra}; a plant has {sorted(known)}.")
+        content, name = read_document(source, PLANT, "the plant file"), Path(source).stem
+        where = str(source)
     noise = content.get("noise", {})
     attributes: dict[str, Any] = {"name": content.get("name", name), "free": tuple(content.get("free", ()))}
     if "covariance" in noise or "variance" in noise:
@@ -56,6 +84,10 @@ def plant_from_json(source: str | Path | Mapping[str, Any], *, noise_variance: f
         attributes["noise_num"], attributes["noise_den"] = noise["filter"]["num"], noise["filter"]["den"]
     if noise_variance is not None:
         attributes["noise_covariance"] = noise_variance
+    if {"covariance", "variance"} <= set(noise):
+        raise InputError(f"{where} gives a variance and a covariance of the noise; give one of them.")
+    if {"num", "den"} & set(content) and set("ABCD") & set(content):
+        raise InputError(f"{where} has num or den and A, B, C or D; a plant is given in one of the two ways.")
     dt = content.get("dt", 1.0)
     if dt in (0, 0.0):
         raise InputError(
@@ -65,10 +97,7 @@ def plant_from_json(source: str | Path | Mapping[str, Any], *, noise_variance: f
     if {"A", "B", "C"} <= set(content):
         from oed.plants.realisations import from_state_space
 
-        D = content.get(
-            "D", np.zeros((np.atleast_2d(content["C"]).shape[0], np.atleast_2d(content["B"]).shape[1]))
-        )
-        return from_state_space(content["A"], content["B"], content["C"], D, dt=dt, **attributes)
+        return from_state_space(*(content.get(name) for name in "ABCD"), dt=dt, **attributes)
     if not {"num", "den"} <= set(content):
         raise InputError(
             f"{where} has the keys {sorted(content)}; a plant needs num and den, or A, B, C and D."
@@ -101,3 +130,12 @@ def plant_to_json(plant: Plant) -> dict[str, Any]:
     if not plant.white_noise:
         description["noise"]["filter"] = {"num": plant.noise_num.tolist(), "den": plant.noise_den.tolist()}
     return description
+
+
+def _plain(value: Any) -> Any:
+    """Arrays and tuples as lists, so that a mapping made in Python is checked like a file."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [_plain(entry) for entry in value] if isinstance(value, list | tuple) else value

@@ -52,6 +52,17 @@ def _matrix_of_polynomials(values: Any, name: str) -> list[list[NDArray[np.float
     return rows
 
 
+def _scaled(p: NDArray[np.float64], lead: float, name: str) -> NDArray[np.float64]:
+    """A polynomial divided by a leading coefficient, which may be too small for that."""
+    with np.errstate(over="ignore"):
+        scaled = p / lead
+    if not np.isfinite(scaled).all():
+        raise InputError(
+            f"{name} begins with {float(lead)!r}, and coefficients divided by it are not finite; scale them."
+        )
+    return frozen(scaled)
+
+
 def _check_stable(den: NDArray[np.float64], name: str) -> None:
     poles = np.roots(den)
     if poles.size and np.abs(poles).max() >= 1:
@@ -109,13 +120,18 @@ class Plant:
                         f"den[{i}][{j}] begins with 0, which makes the plant improper (it would know the future); "
                         "the coefficient of z^0 must not be zero: multiply num and den by a power of z."
                     )
-                num[i][j], den[i][j] = frozen(num[i][j] / lead), frozen(den[i][j] / lead)
+                num[i][j], den[i][j] = (_scaled(side[i][j], lead, f"den[{i}][{j}]") for side in (num, den))
                 _check_stable(den[i][j], f"den[{i}][{j}]")
         if not any(np.any(entry) for row in num for entry in row):
             raise InputError(
                 "every numerator coefficient is zero; a plant that does nothing has no gain to estimate."
             )
-        covariance = np.array(self.noise_covariance, dtype=float)
+        try:
+            covariance = np.array(self.noise_covariance, dtype=float)
+        except (TypeError, ValueError):
+            raise InputError(
+                f"the noise covariance is {self.noise_covariance!r}; give a number, or a row per output."
+            ) from None
         covariance = covariance * np.eye(ny) if covariance.ndim == 0 else covariance
         _check_covariance(covariance, ny)
         shape = []
@@ -125,7 +141,7 @@ class Plant:
                 raise InputError(
                     f"{side} begins with 0; the noise filter must be monic up to scale (H = 1 + ...)."
                 )
-            shape.append(frozen(p / p[0]))
+            shape.append(_scaled(p, p[0], side))
         _check_stable(shape[1], "the noise filter's den")
         for field, value in (
             ("num", tuple(map(tuple, num))),

@@ -54,13 +54,15 @@ def state_space(plant: Plant) -> StateSpace:
     return A, B, C, D
 
 
-def from_state_space(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, **attributes: Any) -> Plant:
+def from_state_space(
+    A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None, **attributes: Any
+) -> Plant:
     """Plant in transfer-function form of a discrete-time state-space system, entry by entry, minimal.
 
     Parameters
     ----------
     A, B, C, D : array_like
-        (n, n), (n, nu), (ny, n), (ny, nu).
+        (n, n), (n, nu), (ny, n), (ny, nu); D is zero by default.
     **attributes : object
         Other attributes of the plant (`dt`, `noise_covariance`, `name`, ...).
 
@@ -70,7 +72,8 @@ def from_state_space(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, **a
         Each entry with its own minimal numerator and denominator.
     """
     try:
-        A, B, C, D = (np.atleast_2d(np.array(m, dtype=float)) for m in (A, B, C, D))
+        A, B, C = (np.atleast_2d(np.array(m, dtype=float)) for m in (A, B, C))
+        D = np.zeros((len(C), B.shape[1])) if D is None else np.atleast_2d(np.array(D, dtype=float))
     except (TypeError, ValueError):
         raise InputError(
             "A, B, C and D must be matrices of real numbers, each row of equal length."
@@ -84,7 +87,14 @@ def from_state_space(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, **a
         raise InputError("A, B, C or D has entries that are not finite; give finite numbers.")
     num, den = [], []
     for i in range(ny):
-        entries = [_minimal_entry(A, B[:, j], C[i], D[i, j]) for j in range(nu)]
+        try:
+            with np.errstate(over="raise", invalid="raise", divide="raise"):
+                entries = [_minimal_entry(A, B[:, j], C[i], D[i, j]) for j in range(nu)]
+        except (FloatingPointError, np.linalg.LinAlgError):
+            raise InputError(
+                f"A, B, C, D have entries of up to {max(np.abs(m).max(initial=0) for m in (A, B, C, D)):.3g}: their products "
+                "are not finite; scale the signals, or give num and den."
+            ) from None
         num.append([entry[0] for entry in entries])
         den.append([entry[1] for entry in entries])
     return Plant(num, den, **attributes)

@@ -120,7 +120,7 @@ def test_a_folder_without_a_report_is_refused(tmp_path):
     with pytest.raises(InputError, match="has no report.json"):
         write_report(tmp_path)
     (tmp_path / "report.json").write_text("{")
-    with pytest.raises(CampaignError, match="damaged"):
+    with pytest.raises(CampaignError, match="is not JSON"):
         write_report(tmp_path)
 
 

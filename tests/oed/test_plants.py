@@ -96,9 +96,9 @@ def test_simulation_agrees_with_python_control():
         (lambda: Plant.from_control(control.tf([1], [1, 1])), ["continuous", "zoh"]),
         (lambda: Plant.from_control(control.tf([1, 0, 0], [1, 0.5], 1)), ["improper", "degree 2"]),
         (lambda: plant_from_json({"num": [1]}), ["needs num and den"]),
-        (lambda: plant_from_json({"num": [1], "den": [1], "colour": 1}), ["unknown keys", "colour"]),
+        (lambda: plant_from_json({"num": [1], "den": [1], "colour": 1}), ["is unknown", "colour"]),
         (lambda: plant_from_json({"num": [1], "den": [1], "dt": 0}), ["continuous-time", "hold"]),
-        (lambda: plant_from_json("nowhere.json"), ["cannot read", "nowhere.json"]),
+        (lambda: plant_from_json("nowhere.json"), ["cannot be read", "nowhere.json"]),
     ],
 )
 def test_bad_plants_are_refused_in_words(make, words):
