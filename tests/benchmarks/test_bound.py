@@ -14,7 +14,7 @@ import pytest
 import benchmarks.campaign.registry as methods
 import benchmarks.campaign.running as campaign
 import benchmarks.campaign.store as store_module
-import benchmarks.commands.diagnose_folder as diagnose_folder
+import benchmarks.commands.record.diagnose_folder as diagnose_folder
 import benchmarks.tables.statistics as statistics
 from benchmarks.campaign.merging import merge_stores
 from benchmarks.campaign.plants import content_of

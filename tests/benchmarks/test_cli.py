@@ -141,7 +141,7 @@ def test_bad_records(content, sentence, tmp_path, capsys):
 def test_json_is_alone_on_standard_output_even_below_python(tmp_path):
     """A library that writes to file descriptor 1 must not disturb the object."""
     script = (
-        "import os, sys, benchmarks.commands.report as r\n"
+        "import os, sys, benchmarks.commands.suite.report as r\n"
         "r.run = lambda args: (os.write(1, b'banner'), ({'path': float('nan')}, ''))[1]\n"
         "from benchmarks.cli import main\nsys.exit(main(['report', 'x', '--json']))\n"
     )
@@ -152,7 +152,7 @@ def test_json_is_alone_on_standard_output_even_below_python(tmp_path):
 
 
 def test_a_defect_is_exit_status_1_with_its_traceback(monkeypatch, capsys):
-    import benchmarks.commands.report as command
+    import benchmarks.commands.suite.report as command
 
     monkeypatch.setattr(command, "run", lambda args: 1 / 0)
     assert main(["report", "x"]) == 1
