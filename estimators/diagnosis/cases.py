@@ -13,6 +13,9 @@ from oed.files.documents import keyed, read_document
 
 __all__ = ["diagnose_files", "setting_of_meta"]
 
+SIGNALS = {"deviations": True, "as logged": False}
+"""What `signals` of a meta.json says of the operating point; where it is absent, the data decide."""
+
 
 ORDER = {"type": "integer", "minimum": 1, "maximum": 20}
 META = keyed(
@@ -69,7 +72,14 @@ def setting_of_meta(meta: dict[str, Any], n_outputs: int) -> Setting:
                 f"suggested_order is {order!r} for {n_outputs} outputs; give one whole number from 1 to 20 each."
             )
         orders = tuple(given)
-    return Setting(orders=orders, structure=structure, deviations=True)
+    signals = meta.get("signals")
+    if signals not in (None, *SIGNALS):
+        raise InputError(
+            f"signals in meta.json is {signals!r}; it is one of {', '.join(SIGNALS)}, or absent."
+        )
+    return Setting(
+        orders=orders, structure=structure, deviations=None if signals is None else SIGNALS[signals]
+    )
 
 
 def diagnose_files(
@@ -140,7 +150,7 @@ def diagnose_files(
         raise InputError(
             f"the sampling time is {stated:g} s in meta.json and {first.dt:g} s by the column t; correct one of them."
         )
-    setting = setting_of_meta(known, first.n_outputs) if meta is not None else Setting(deviations=False)
+    setting = setting_of_meta(known, first.n_outputs) if meta is not None else Setting()
     if order is not None:
         setting = replace(setting, orders=(order,) * first.n_outputs)
     setting = replace(setting, skip=skip, alpha=alpha)

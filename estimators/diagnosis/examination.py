@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects import CATALOGUE, Clock, Effect, Nature, Slot, named
+from estimators.diagnosis.effects import Clock, Effect, Nature, Slot, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.input import LINES, SANDWICH
 from estimators.diagnosis.effects.path import INITIAL, OUTFLOW
@@ -17,6 +17,7 @@ from estimators.diagnosis.model.forces import balanced_fit, effective_samples, f
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.measurement import (
     Signature,
     at_reversals,
@@ -26,47 +27,16 @@ from estimators.diagnosis.record.measurement import (
 )
 from estimators.diagnosis.search.blocks import curved, grown, sandwich
 from estimators.diagnosis.search.candidates import Menu
+from estimators.diagnosis.search.free_runs import thinned
 from estimators.diagnosis.search.selection import Attribution, attribute
 from oed.data import Record
 
-__all__ = ["Examined", "Setting", "examine", "thinned"]
+__all__ = ["Examined", "examine"]
 
 Array = NDArray[Any]
 LONG = 8000
 SCREEN = 4096
 MIDDLE = 20000
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """What the user knows and wants.
-
-    Attributes
-    ----------
-    orders : tuple of int
-        Suggested order per output; empty to choose.
-    structure : str
-        "SISO", "diagonal" or "full".
-    deviations : bool
-        Whether signals are deviations from the operating point: the linear model then has no offset, and
-        starts at rest.
-    skip : int
-        Test samples that may set the initial state and are left out of the error.
-    alpha : float
-        False-alarm rate over all tests together.
-    separate : bool
-        Whether the two records are on separate clocks.
-    effects : tuple of Effect
-        What is looked for: the catalogue, and effects of one's own.
-    """
-
-    orders: tuple[int, ...] = ()
-    structure: str = "full"
-    deviations: bool = True
-    skip: int = 0
-    alpha: float = 0.01
-    separate: bool = False
-    effects: tuple[Effect, ...] = CATALOGUE
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,15 +117,6 @@ def _thinning(y: Array, n_most: int = LONG) -> int:
     share = np.cumsum(power) / np.sum(power)
     top = float(np.searchsorted(share, 0.999) / (n / 2))  # of the Nyquist frequency
     return int(max(1, min(0.2 / max(top, 1e-6), n // 1500)))
-
-
-def thinned(record: Record, by: int) -> Record:
-    """Every `by`-th sample, the input averaged over the interval that it acts in; `by` 1 for no change."""
-    if by == 1:
-        return record
-    n = len(record) // by
-    u = record.u[: n * by].reshape(n, by, -1).mean(axis=1)
-    return record.replace(u=u, y=record.y[: n * by : by], dt=record.dt * by)
 
 
 def examine(record: Record, i: int, setting: Setting) -> Examined:

@@ -1,15 +1,26 @@
-"""Every threshold of the diagnosis's claims, by name and with its reason."""
+"""What the user knows and wants of a diagnosis, and every threshold of its claims with the reason."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import Enum
 
-__all__ = ["Policy"]
+from estimators.diagnosis.effects import CATALOGUE, Effect
+
+__all__ = ["Effort", "Policy", "Setting"]
+
+
+class Effort(Enum):
+    """How much work a diagnosis may be: the stages that run, and how many candidates each of them fits."""
+
+    QUICK = "quick"
+    NORMAL = "normal"
+    THOROUGH = "thorough"
 
 
 @dataclass(frozen=True)
 class Policy:
-    """Thresholds of the ladder and the verdict; the field's comment says why it has its value."""
+    """Thresholds of the ladder and the verdict; the comment beneath a field says why it has its value."""
 
     pieces: int = 20
     # stretches over which paired errors are averaged: enough for a standard error good to a sixth, each long enough
@@ -20,10 +31,50 @@ class Policy:
     least_gain: float = 0.01
     # share of the error on unused blocks below which an effect is no cause: a real plant is never exactly linear
     sane_reach: float = 8.0
-    # largest simulated value, in spans of the training output, that is no explosion
-    warn_constant: float = 1.0
+    # largest distance of a simulated output from the training output's middle, in half spans of it, that is no explosion
+    constant: float = 1.0
     # a free run with more than this times the error of the record's own mean is never given without a warning
     outside: float = 0.01
     # share of test samples beyond the training range from which on it is said: below it are noise's own extremes
+    dark: float = 0.01
+    # power of the training input, of the test input's at the same frequency, below which that frequency is not covered
     removable: float = 0.02
     # (before - floor)/floor below which there is hardly anything to remove, and no share of it is given
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What the user knows and wants.
+
+    Attributes
+    ----------
+    orders : tuple of int
+        Suggested order per output; empty to choose.
+    structure : str
+        "SISO", "diagonal" or "full".
+    deviations : bool or None
+        True: signals are deviations from the operating point, where every record starts at rest. False: as logged.
+        None: the data decide.
+    skip : int
+        Test samples that may set the initial state and are left out of the error.
+    alpha : float
+        False-alarm rate over all tests together.
+    separate : bool
+        Whether the two records are on separate clocks.
+    effort : Effort
+        How much work it may be.
+    policy : Policy
+        Thresholds of the claims.
+    effects : tuple of Effect
+        What is looked for: the catalogue, and effects of one's own.
+    """
+
+    orders: tuple[int, ...] = ()
+    structure: str = "full"
+    deviations: bool | None = None
+    skip: int = 0
+    alpha: float = 0.01
+    separate: bool = False
+    effort: Effort = Effort.NORMAL
+    policy: Policy = field(default_factory=Policy)
+    effects: tuple[Effect, ...] = CATALOGUE

@@ -72,11 +72,23 @@ class Diagnosis:
     remaining : str
         What the final residual still shows.
     refinements : tuple of str
-        Causes in the model that are so weak beside the first that they may only refine its shape.
+        Causes that the search had put into the model and that are not claimed.
     floor_is_bound : bool
         Whether the noise floor may hold model error, as something remains or a noise model stands beside a nonlinearity.
     held_out : str
         What the errors were measured on.
+    system, data : str, tuple of str
+        The headline on the system, and the findings about the record, which are no answer to what is missing.
+    warnings : tuple of str
+        What limits the errors: a free run that explodes, a test record that leaves the range of the training data.
+    linear : dict
+        structure, orders, delay and poles of the linear model, and why it was taken.
+    ladder : tuple of dict
+        One row per kind of model: step, adds, rmse_unused with its interval low to high, rmse_test with its own.
+    explainable : dict
+        share of the linear model's residual that can be explained, low, high, by variable; empty where not asked.
+    equation : str
+        Terms that were discovered, in the units of the record.
     extra : dict
         Fits and tables for figures, not part of the JSON.
     """
@@ -103,6 +115,13 @@ class Diagnosis:
     refinements: tuple[str, ...] = ()
     floor_is_bound: bool = False
     held_out: str = "test record"
+    system: str = ""
+    data: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    linear: dict[str, Any] = field(default_factory=dict)
+    ladder: tuple[dict[str, Any], ...] = ()
+    explainable: dict[str, Any] = field(default_factory=dict)
+    equation: str = ""
     extra: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @property
@@ -158,20 +177,35 @@ class Diagnosis:
             "refinements": list(self.refinements),
             "remaining": self.remaining,
             "held_out": self.held_out,
+            "system": self.system,
+            "data": list(self.data),
+            "warnings": list(self.warnings),
+            "linear": self.linear,
+            "ladder": list(self.ladder),
+            "explainable": self.explainable,
+            "equation": self.equation,
             "yhat_before": signal(self.yhat_before),
             "yhat_after": signal(self.yhat_after),
         }
 
     def __str__(self) -> str:
         lines = [
-            f"cause: {self.effect}" + (f" ({self.variant})" if self.variant else "") + f"; {self.nature}"
+            self.system,
+            *(f"the data: {words}" for words in self.data),
+            *(f"WARNING: {w}" for w in self.warnings),
         ]
-        if not self.detected:
-            lines = ["Nothing is missing from the linear model at the stated false-alarm rate."]
         lines += [f"  - {sentence}" for sentence in self.evidence]
         for name, (value, se, unit) in self.parameters.items():
             lines.append(f"  {name} = {value:.5g} +- {se:.2g} {unit}")
+        if self.linear:
+            poles = ", ".join(_pole(*row) for row in self.linear["poles"])
+            lines.append(f"linear model: {self.linear['structure']}; poles {poles or 'none'}")
         lines.append(f"simulation error on the {self.held_out}: {self.rmse_before} -> {self.rmse_after}")
+        for row in self.ladder:
+            adds = f" ({', '.join(row['adds'])})" if row["adds"] else ""
+            mark = " <- the answer" if row["answer"] else ""
+            lines.append(f"  {row['step']}{adds}: {row['rmse_unused']:.4g} [{row['low']:.4g}, {row['high']:.4g}] on unused "
+                         f"blocks, {row['rmse_test']:.4g} on the {self.held_out}{mark}")  # fmt: skip
         # what the residual still shows, or a noise model has taken, counts as noise in the floor
         bound = "at most " if self.floor_is_bound else ""
         lines.append(
@@ -192,3 +226,9 @@ class Diagnosis:
         if self.remaining:
             lines.append(self.remaining)
         return "\n".join(lines)
+
+
+def _pole(frequency: float, damping: float, time_constant: float) -> str:
+    if frequency:
+        return f"{frequency:.4g} Hz (damping {damping:.2g})"
+    return f"{time_constant:.4g} s"

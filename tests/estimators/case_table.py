@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from estimators.diagnosis.cases import diagnose_files
-from estimators.diagnosis.examination import Setting
 from estimators.diagnosis.loop import diagnose
+from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.measurement import held_samples
 from tests.estimators.case_beyond import BEYOND, draw_beyond
 from tests.estimators.case_generator import FAMILIES, write_case

@@ -2,8 +2,8 @@
 
 import pytest
 
-from estimators.diagnosis.examination import Setting
 from estimators.diagnosis.loop import diagnose
+from estimators.diagnosis.policy import Setting
 from tests.estimators.case_beyond import BEYOND, draw_beyond
 
 pytestmark = pytest.mark.validate

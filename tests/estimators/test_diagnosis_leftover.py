@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from estimators.diagnosis.baseline import blocks_of
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.forces import effective_samples, force_balance
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
-from estimators.diagnosis.record.crossvalidation import blocked_simulation
 from estimators.diagnosis.record.leftover import leftovers
 from estimators.diagnosis.search.blocks import curved, sandwich
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.exchange import exchanged
+from estimators.diagnosis.search.free_runs import blocked
 from oed.data import Record
 from oed.errors import InputError
 
@@ -74,7 +75,8 @@ def test_blocks_held_out_show_what_overfitting_hides():
     errors = {}
     for order in (1, 6):
         f = fit_linear(channel, Structure(order))
-        errors[order] = (np.std(y - blocked_simulation(channel, f)), np.std(f.residual))
+        unused = blocked(channel, f, blocks_of([Record(u, y)], 4, 0, 0), 1, white=True)
+        errors[order] = (np.std(y - unused), np.std(f.residual))
     assert errors[6][1] < errors[1][1]  # more parameters always fit better
     assert errors[6][0] > errors[1][0]  # and here they carry over worse
 

@@ -8,15 +8,16 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects import Clock, named
-from estimators.diagnosis.examination import Setting
-from estimators.diagnosis.loop import _bootstrap, diagnose
+from estimators.diagnosis.ladder.held_out import bootstrap
+from estimators.diagnosis.ladder.verdicts import _assumed
+from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.fitting import Channel
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.paired import as_good, paired_difference
 from estimators.diagnosis.report import ErrorFigure
 from estimators.diagnosis.search.candidates import Menu, augmented
-from estimators.diagnosis.verdicts import _assumed
 from oed.data import Record
 
 
@@ -55,7 +56,7 @@ def test_the_standard_error_is_that_of_repeated_differences():
 
 def test_a_transient_at_the_start_counts_in_the_interval():
     squares = np.concatenate(([600.0], np.ones(299)))
-    figure = _bootstrap(squares, np.random.default_rng(1))
+    figure = bootstrap(squares, np.random.default_rng(1))
     assert figure.value == pytest.approx(np.sqrt(899 / 300))
     assert figure.low < figure.value < figure.high
 
@@ -92,7 +93,7 @@ def test_a_limit_that_is_reached_on_one_side_only_is_said_to_be_assumed_on_the_o
     channel = Channel(u, np.zeros(300), Clock(np.arange(300.0), 300), np.ones(300, dtype=bool))
     model = Structure(1).adding(Part(named("saturation")))
     f = SimpleNamespace(structure=model, p=np.array([-0.6, 0.4, 1.2]))
-    out = SimpleNamespace(attribution=SimpleNamespace(final=f), last=channel)
+    out = SimpleNamespace(named=SimpleNamespace(fit=f), examined=SimpleNamespace(last=channel))
     assert _assumed(out, "saturation").startswith(words)
     assert bool(_assumed(out, "saturation")) == bool(words)
     assert _assumed(out, "input_cubic") == ""

@@ -49,6 +49,13 @@ class Step:
         default_factory=lambda: np.zeros(0)
     )  # AR coefficients that whiten its simulation error
     admitted: bool = True  # False where the stage's own cross-validation refuses it: shown, never the answer
+    below: Step | None = None  # the step that it adds to; the linear model where none is named
+    nature: str = ""  # the kind of cause, where the step has no name for it
+
+    @property
+    def chain(self) -> tuple[Step, ...]:
+        """This step and all that it stands on, itself first."""
+        return (self, *(self.below.chain if self.below is not None else ()))
 
 
 @dataclass(frozen=True)
@@ -138,12 +145,18 @@ def unused_error(
 
 
 def climb(
-    measured: Sequence[Array], steps: Sequence[Step], counted: Sequence[NDArray[np.bool_]], policy: Policy
+    measured: Sequence[Array],
+    steps: Sequence[Step],
+    counted: Sequence[NDArray[np.bool_]],
+    policy: Policy,
+    *,
+    least: int = 0,
 ) -> Ladder:
     """Order the steps and choose the answer: the simplest within a standard error of the best on unused blocks.
 
     `measured` and `counted` are (N,) per training record; the first step is the linear model. By construction the
-    answer is no worse there than the linear model, whatever a stage claims of itself.
+    answer is no worse there than the linear model, whatever a stage claims of itself. Steps before `least` are shown only:
+    a linear model fitted to samples that are no measurements.
     """
     counted = tuple(
         use & np.isfinite(first) for use, first in zip(counted, steps[0].unused, strict=True)
@@ -151,7 +164,11 @@ def climb(
     order = list(Kind)
     ranked = [steps[0], *sorted(steps[1:], key=lambda s: (order.index(s.kind), s.size))]
     rungs = tuple(unused_error(measured, s, counted, policy) for s in ranked)
-    able = [i for i, r in enumerate(rungs) if i == 0 or (r.step.admitted and np.isfinite(r.value))]
+    able = [
+        i
+        for i, r in enumerate(rungs)
+        if i >= least and (i == least or (r.step.admitted and np.isfinite(r.value)))
+    ]
     best = min(able, key=lambda i: rungs[i].value)
 
     def loses(i: int) -> bool:

@@ -1,0 +1,243 @@
+"""Errors before and after on data not used, whether the free run of the answer is sane there, and what it is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
+from estimators.diagnosis.policy import Policy
+from estimators.diagnosis.report import ErrorFigure
+from oed.data import Record
+
+__all__ = ["HeldOut", "assess", "outside"]
+
+Array = NDArray[Any]
+SEED = 20260
+"""Of the bootstrap: two runs on one record give the same intervals."""
+DRAWS = 200
+"""Bootstrap draws: the 2.5 % quantile of 200 is off by a tenth of the interval's width."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Simulated outputs before and after (N, ny), their errors, and what has to be said of them."""
+
+    before: Array
+    after: Array
+    rmse_before: ErrorFigure
+    rmse_after: ErrorFigure
+    pred_before: ErrorFigure
+    pred_after: ErrorFigure
+    difference: ErrorFigure
+    room: ErrorFigure
+    rungs: tuple[dict[str, Any], ...]
+    answered: tuple[Step, ...]  # per output, the step whose free run is given
+    warnings: tuple[str, ...]
+
+
+def _resampled(squares: list[Array], rng: np.random.Generator) -> list[Array]:
+    """Roots of the means of several series over the same moving blocks, (DRAWS,) each.
+
+    The blocks run on from the end to the start: else the first and last samples, where a transient is, would hardly count.
+    """
+    n = len(squares[0])
+    block = max(1, min(n // 5, int(2 * n ** (1 / 3))))
+    count = int(np.ceil(n / block))
+    which = rng.integers(0, n, (DRAWS, count))
+    out = []
+    for series in squares:
+        total = np.concatenate(([0.0], np.cumsum(np.concatenate((series, series[: block - 1])))))
+        sums = total[block:] - total[:-block]
+        out.append(np.sqrt(np.maximum(sums[which].sum(axis=1) / (count * block), 0.0)))
+    return out
+
+
+def _root(squares: Array) -> float:
+    return float(np.sqrt(max(squares.mean(), 0.0)))
+
+
+def bootstrap(squares: Array, rng: np.random.Generator, other: Array | None = None) -> ErrorFigure:
+    """Root of the mean (or the difference of two roots) with a moving-block bootstrap interval."""
+    if other is None:
+        values, value = _resampled([squares], rng)[0], _root(squares)
+    else:
+        first, second = _resampled([squares, other], rng)
+        values, value = first - second, _root(squares) - _root(other)
+    low, high = np.quantile(values, (0.025, 0.975))
+    return ErrorFigure(value, float(low), float(high))
+
+
+def removed(
+    before: Array, after: Array, floor: tuple[float, int], rng: np.random.Generator, policy: Policy
+) -> ErrorFigure:
+    """(before - after)/(before - floor) with its interval; NaN where there is hardly anything to remove.
+
+    The floor is from other data, of so many samples: a standard deviation with its own sampling error.
+    """
+    level, samples = floor
+    value = _root(before)
+    if value - level <= policy.removable * level:
+        return ErrorFigure(*[float("nan")] * 3)
+    first, second = _resampled([before, after], rng)
+    floors = level * (1.0 + rng.standard_normal(len(first)) / np.sqrt(2.0 * samples))
+    room = np.maximum(first - floors, policy.removable * level + 1e-300)
+    low, high = np.quantile((first - second) / room, (0.025, 0.975))
+    return ErrorFigure((value - _root(after)) / (value - level), float(low), float(high))
+
+
+def _sane(run: Array, y: Array, policy: Policy) -> bool:
+    low, high = float(np.nanmin(y)), float(np.nanmax(y))
+    reach = policy.sane_reach * max(high - low, 1e-300) / 2.0
+    return bool(np.all(np.isfinite(run)) and np.max(np.abs(run - (low + high) / 2.0)) < reach)
+
+
+def assess(
+    train: Record, test: Record | None, ladders: Sequence[Ladder], *, skip: int, floor: float, counts: Array, policy: Policy
+) -> HeldOut:  # fmt: skip
+    """The errors of every rung on the test record, or on the unused blocks of the training record where there is none.
+
+    `counts` (N, ny) says which samples of that record count. The answer of each output is its ladder's; where its free
+    run explodes, that is said, and the last rung below it that does not stands in its place.
+    """
+    record = train if test is None else test
+    y = np.nan_to_num(record.y)
+    runs = [
+        [
+            r.step.unused[0] if test is None else r.step.simulate(record, skip)
+            for r in ladder.rungs
+        ]
+        for ladder in ladders
+    ]  # fmt: skip
+    answers, warnings = [], []
+    for i, ladder in enumerate(ladders):
+        sane = [
+            j for j in range(ladder.answer, -1, -1) if _sane(runs[i][j][counts[:, i]], train.y[:, i], policy)
+        ]
+        answers.append(sane[0] if sane else 0)
+        if answers[-1] != ladder.answer or not sane:
+            warnings.append(_exploded(ladder, answers[-1] if sane else None, record.output_names[i]))
+    before = np.stack([r[0] for r in runs], axis=1)
+    after = np.stack([r[a] for r, a in zip(runs, answers, strict=True)], axis=1)
+    weight = counts & np.isfinite(before)
+    rows = weight.any(axis=1)
+    rng = np.random.default_rng(SEED)
+
+    def squares(run: Array) -> Array:
+        e = np.where(weight, np.nan_to_num(y - run, posinf=1e150, neginf=-1e150), 0.0)
+        return (e**2).sum(axis=1)[rows] / weight.sum(axis=1)[rows]
+
+    steps = [ladder.rungs[a].step for ladder, a in zip(ladders, answers, strict=True)]
+    ahead = [np.stack([_innovations(y[:, i] - run[:, i], noise) for i, noise in enumerate(noises)], axis=1)
+             for run, noises in ((before, [np.zeros(0)] * len(steps)), (after, [s.noise for s in steps]))]  # fmt: skip
+    first, second = squares(before), squares(after)
+    figures = bootstrap(first, rng), bootstrap(second, rng)
+    return HeldOut(
+        before, after, figures[0], figures[1], bootstrap(squares(y - ahead[0]), rng), bootstrap(squares(y - ahead[1]), rng),
+        bootstrap(first, rng, second), removed(first, second, (floor, len(train)), rng, policy),
+        tuple(_rungs(ladders, runs, squares, rng)), tuple(steps),
+        (*warnings, *_worse_than_constant(y, weight, figures, record.output_names, policy)),
+    )  # fmt: skip
+
+
+def _innovations(e: Array, noise: Array) -> Array:
+    return np.convolve(np.nan_to_num(e, posinf=1e150, neginf=-1e150), np.concatenate(([1.0], noise)))[
+        : len(e)
+    ]
+
+
+def _exploded(ladder: Ladder, instead: int | None, name: str) -> str:
+    kind = ladder.chosen.kind.value
+    if instead is None:
+        return f"the free runs of all models of {name} leave every bound on the test record: no error there means anything"
+    return (
+        f"the free run of the {kind} model of {name} leaves every bound on the test record: the errors after are those "
+        f"of the {ladder.rungs[instead].step.kind.value} model"
+    )
+
+
+def _worse_than_constant(
+    y: Array, weight: Array, figures: Sequence[ErrorFigure], names: Sequence[str], policy: Policy
+) -> list[str]:
+    """A free run that predicts less than the record's own mean does."""
+    spread = np.sqrt(np.mean([np.var(y[weight[:, i], i]) for i in range(y.shape[1])]))
+    out = []
+    for words, figure in zip(("linear model", "answer"), figures, strict=True):
+        if figure.value > policy.constant * spread:
+            out.append(f"the free run of the {words} is worse on data not used ({figure.value:.4g}) than the record's "
+                       f"own mean ({spread:.4g})")  # fmt: skip
+    return out
+
+
+def _rungs(
+    ladders: Sequence[Ladder], runs: list[list[Array]], squares: Any, rng: np.random.Generator
+) -> list[dict]:
+    """One row per kind of step over all outputs: each output stands on its last rung of that kind or below."""
+    kinds = list(dict.fromkeys(r.step.kind for kind in ladders for r in kind.rungs))
+    rows = []
+    for kind in sorted(kinds, key=list(Kind).index):
+        at = [_last(ladder, kind) for ladder in ladders]
+        run = np.stack([r[j] for r, j in zip(runs, at, strict=True)], axis=1)
+        value, low, high = (
+            float(
+                np.sqrt(
+                    np.mean(
+                        [getattr(ladder.rungs[j], name) ** 2 for ladder, j in zip(ladders, at, strict=True)]
+                    )
+                )
+            )
+            for name in ("value", "low", "high")
+        )
+        figure = bootstrap(squares(run), rng)
+        adds = [key for ladder, j in zip(ladders, at, strict=True) if ladder.rungs[j].step.kind is kind
+                for key in ladder.rungs[j].step.adds]  # fmt: skip
+        rows.append({
+            "step": kind.value, "adds": adds, "rmse_unused": value, "low": low, "high": high,
+            "rmse_test": figure.value, "low_test": figure.low, "high_test": figure.high,
+            "answer": any(ladder.rungs[ladder.answer].step.kind is kind for ladder in ladders),
+        })  # fmt: skip
+    return rows
+
+
+def _last(ladder: Ladder, kind: Kind) -> int:
+    order = list(Kind)
+    able = [j for j, r in enumerate(ladder.rungs) if order.index(r.step.kind) <= order.index(kind)]
+    same = [j for j in able if ladder.rungs[j].step.kind is kind]
+    return min(same or able[-1:], key=lambda j: ladder.rungs[j].value)
+
+
+def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
+    """What the test record asks that no training record covered: ranges of inputs, outputs and their rates."""
+    out = []
+    for words, of in (
+        ("input", lambda r: r.u), ("output", lambda r: r.y), ("rate of the input", lambda r: np.diff(r.u, axis=0)),
+        ("rate of the output", lambda r: np.diff(r.y, axis=0)),
+    ):  # fmt: skip
+        known = np.concatenate([of(r) for r in train])
+        low, high, asked = np.nanmin(known, axis=0), np.nanmax(known, axis=0), of(test)
+        share = np.mean((asked < low) | (asked > high), axis=0)
+        for j in np.flatnonzero(share > policy.outside):
+            number = f" {j + 1}" if known.shape[1] > 1 else ""
+            out.append(f"{100 * share[j]:.2g} % of the test record's samples leave the range of the {words}{number} "
+                       f"that the training data cover ({low[j]:.4g} to {high[j]:.4g})")  # fmt: skip
+    return out + _new_frequencies(train, test, policy)
+
+
+def _new_frequencies(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
+    """Share of the test input's power at frequencies where the training input has next to none."""
+    from scipy.signal import welch
+
+    out = []
+    size = min(256, len(test), *(len(r) for r in train))
+    for j in range(test.n_inputs):
+        power = np.mean([welch(r.u[:, j], nperseg=size)[1] for r in train], axis=0)
+        asked = welch(test.u[:, j], nperseg=size)[1]
+        share = float(np.sum(asked[power < policy.dark * asked]) / max(np.sum(asked), 1e-300))
+        if share > policy.outside:
+            out.append(f"{100 * share:.2g} % of the power of test input {j + 1} is at frequencies where the training input "
+                       "has next to none")  # fmt: skip
+    return out

@@ -1,0 +1,156 @@
+"""Free runs of a fitted structure: how it starts on a record, and on blocks that its parameters did not see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from estimators.diagnosis.baseline.blocks import Blocks
+from estimators.diagnosis.baseline.linear_model import FAR, LinearModel, Prior
+from estimators.diagnosis.effects import Clock
+from estimators.diagnosis.model.fitting import Channel, Fit, fit, levenberg_marquardt
+from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices
+from estimators.diagnosis.model.simulation import simulate
+from oed.data import Record
+
+__all__ = ["Start", "blocked", "free_run", "lengthened", "on_record", "start_of", "thinned"]
+
+Array = NDArray[Any]
+
+SETTLED = 1e-4
+"""What may be left of a wrong state after the constant input that is put before a record."""
+LONGEST = 3000
+"""Samples of constant input before a record; a pole within `FAR` of the circle has settled to 5 % by then."""
+STEPS = 6
+"""Gauss-Newton steps without a block, from the fit to all blocks: more than the two or three that change anything."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """How a free run starts: at rest, or settled under its first input, and how a window of samples corrects that."""
+
+    prior: Prior  # of the simulation error, whose part that decays with the poles is a wrong state
+    rest: bool  # no input before the record; else the first one, for ever
+
+
+def start_of(f: Fit, prior: Prior, rest: bool) -> Start:
+    """The start of a fit's free runs: its own simulation error says how far off the state may be."""
+    r = f.residual
+    lags = min(len(prior.covariance), len(r))
+    covariance = np.array([r[: len(r) - k] @ r[k:] for k in range(lags)]) / max(len(r), 1)
+    return Start(replace(prior, mean=0.0, covariance=covariance, rest=False), rest)
+
+
+def denominator(f: Fit) -> Array:
+    """Denominator of the linear part in the shift operator, its leading 1 included."""
+    s = f.structure
+    if s.layout == "tf":
+        return np.concatenate(([1.0], f.p[: s.order]))
+    if s.layout == "tanks":
+        return np.ones(1)
+    from scipy.linalg import expm
+
+    A = layout_matrices(s.layout, f.p[: LAYOUTS[s.layout][1]])[0]
+    return np.real(np.poly(np.linalg.eigvals(expm(A))))
+
+
+def _lead(f: Fit, den: Array) -> int:
+    """Samples of constant input that bring the linear part to rest; 0 where it has none."""
+    radius = float(np.abs(np.roots(den)).max(initial=0.0))
+    if radius >= FAR:
+        return 0
+    return min(LONGEST, 2 + f.structure.delay + int(np.log(SETTLED) / np.log(max(radius, 0.05))))
+
+
+def free_run(f: Fit, u: Array, clock: Clock, y: Array, window: int, start: Start) -> Array:
+    """(N,) simulated output of another record; its first `window` measured samples may set the state.
+
+    Without a window the run starts at rest, or settled under the first input where signals are as logged. With one, the
+    part of the error in the window that decays with the poles is taken for a wrong state, as the linear model's is.
+    """
+    if f.structure.layout == "tanks":
+        return _tanks(f, u, clock, y, window)
+    den = denominator(f)
+    lead = 0 if start.rest else _lead(f, den)
+    padded = np.concatenate((np.repeat(u[:1], lead, axis=0), u))
+    early = Clock(np.concatenate((clock.k[0] - np.arange(lead, 0.0, -1.0), clock.k)), clock.length)
+    run = simulate(f.structure, f.p, padded, early, rest=True)[lead:]
+    return run + _corrected(den, y - run, window, start) if np.all(np.isfinite(run)) else run
+
+
+def _corrected(den: Array, error: Array, window: int, start: Start) -> Array:
+    """(N,) free response that the error in the window asks for."""
+    if window <= 0 or len(den) < 2 or np.abs(np.roots(den)).max(initial=0.0) > 1.0:
+        return np.zeros(len(error))
+    model = LinearModel(den, np.zeros((1, 1)))
+    return model.free_run(start.prior, np.zeros((len(error), 1)), error, window)
+
+
+def _tanks(f: Fit, u: Array, clock: Clock, y: Array, window: int) -> Array:
+    """Levels at the start by least squares in the window, from those of the training record."""
+    x0 = f.p[8:10].copy()
+    seen = np.flatnonzero(np.isfinite(y[:window]))
+    if len(seen):
+        head = Clock(clock.k[:window], clock.length)
+
+        def errors(x: Array) -> Array:
+            return (y[:window] - simulate(f.structure, f.p, u[:window], head, rest=True, start=x))[seen]
+
+        x0, _, _ = levenberg_marquardt(errors, x0, np.abs(x0) + 1e-3 * np.abs(x0).max() + 1e-12)
+    return simulate(f.structure, f.p, u, clock, rest=True, start=x0)
+
+
+def on_record(
+    f: Fit, record: Record, output: int, clock: Clock, window: int, start: Start, thin: int
+) -> Array:
+    """(N,) simulated output of a record; a thinned model's is interpolated between its samples."""
+    y = record.y[:, output]
+    if thin == 1:
+        return free_run(f, record.u, clock, y, window, start)
+    short = thinned(record, thin)
+    slow = Clock(clock.k[0] / thin + np.arange(len(short), dtype=float), clock.length // thin)
+    few = max(window // thin, 2 * f.structure.order) if window else 0
+    run = free_run(f, short.u, slow, short.y[:, output], few, start)
+    return lengthened(run, thin, len(record))
+
+
+def lengthened(run: Array, thin: int, n: int) -> Array:
+    """(n,) values between those of a thinned signal."""
+    if thin == 1 or not np.all(np.isfinite(run)):
+        return run if len(run) == n else np.full(n, np.inf)
+    return CubicSpline(thin * np.arange(len(run)), run)(np.arange(n))
+
+
+def thinned(record: Record, by: int) -> Record:
+    """Every `by`-th sample, the input averaged over the interval that it acts in."""
+    if by == 1:
+        return record
+    n = len(record) // by
+    u = record.u[: n * by].reshape(n, by, -1).mean(axis=1)
+    return record.replace(u=u, y=record.y[: n * by : by], dt=record.dt * by)
+
+
+def blocked(channel: Channel, f: Fit, blocks: Blocks, thin: int, *, white: bool) -> Array:
+    """(N,) free run of every block of the one training record, by parameters fitted to the others.
+
+    The run goes through the whole record, as the linear model's does. Infinite in a block whose fit failed.
+    """
+    n, out = len(channel), np.full(len(channel), np.inf)
+    scales = f.scales.copy()
+    for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
+        if part.key == "initial":  # no other block says anything of the record's own start
+            scales[sl] = 0.0
+    for block in blocks.blocks:
+        keep = channel.keep & blocks.training(block)[0][::thin][:n]
+        g = fit(
+            replace(channel, keep=keep), f.structure, f.p, scales, noise=None if white else f.noise,
+            iterations=STEPS, colour=False,
+        )  # fmt: skip
+        if np.isfinite(g.deviance):
+            rows = slice(block.start // thin, min(-(-block.stop // thin), n))
+            out[rows] = simulate(g.structure, g.p, channel.u, channel.clock)[rows]
+    return lengthened(out, thin, blocks.lengths[0])

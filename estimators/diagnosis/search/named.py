@@ -1,0 +1,207 @@
+"""The named stage: effects of the catalogue in one joint model, each kept only where unused blocks ask for it.
+
+Significance says that a model without the effect is wrong, not that the effect is right: a claim needs both a gain on
+blocks that no parameter saw, beyond its standard error, and significance in the joint fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from estimators.diagnosis.baseline import Baseline
+from estimators.diagnosis.effects import Clock, Slot
+from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
+from estimators.diagnosis.model.fitting import Channel, Fit, innovations
+from estimators.diagnosis.model.structure import Part
+from estimators.diagnosis.policy import Policy
+from estimators.diagnosis.record.paired import as_good
+from estimators.diagnosis.search.exchange import without
+from estimators.diagnosis.search.free_runs import blocked, on_record, start_of
+from estimators.diagnosis.search.selection import Attribution
+from oed.data import Record
+
+__all__ = ["Claim", "Named", "named_steps", "parameters_of"]
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Claim:
+    """One effect of the joint model: what it gains on unused blocks there, its significance there, and its rivals."""
+
+    part: Part
+    gain: Gain
+    p_value: float
+    rivals: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """Key of the catalogue."""
+        return self.part.key
+
+    @property
+    def cause(self) -> str:
+        """The cause, in the words of the vocabulary."""
+        return self.part.effect.cause
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """The joint model of one output with the effects that hold, and what was dropped on the way."""
+
+    fit: Fit
+    claims: tuple[Claim, ...]  # largest gain first
+    dropped: tuple[tuple[str, str], ...]  # key, and why in words
+    step: Step | None  # None where nothing holds
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What the trials of one output share: data, blocks, how runs start, thresholds."""
+
+    channel: Channel
+    base: Baseline
+    output: int
+    train: Record
+    thin: int
+    rest: bool
+    white: bool  # fits minimise the simulation error itself
+    policy: Policy
+    alpha: float
+    family: int  # effects that the record is tested for
+
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """(N,) samples that count: measured, after a block's window, neither held nor wild."""
+        use = self.base.blocks.counting([self.train])[0][:, self.output].copy()
+        keep = np.repeat(self.channel.keep, self.thin)
+        use[: len(keep)] &= keep[: len(use)]
+        return use
+
+    def unused(self, f: Fit) -> Array:
+        """(N,) free run of every block by parameters that did not see it."""
+        return self.rounded(blocked(self.channel, f, self.base.blocks, self.thin, white=self.white))
+
+    def rounded(self, run: Array) -> Array:
+        """As the sensor rounds."""
+        step = self.channel.step
+        return np.round(run / step) * step if step > 0 else run
+
+    def runner(self, f: Fit) -> Callable[[Record, int], Array]:
+        """Free run on any record; the clock is the training record's."""
+        start = start_of(f, self.base.outputs[self.output].prior, self.rest)
+
+        def simulate(record: Record, window: int) -> Array:
+            first = round((record.t0 - self.train.t0) / self.train.dt)
+            clock = Clock(first + np.arange(len(record), dtype=float), len(self.train))
+            return self.rounded(on_record(f, record, self.output, clock, window, start, self.thin))
+
+        return simulate
+
+    def gain(self, first: Array, second: Array) -> Gain:
+        """Paired gain on the samples that count."""
+        y = np.nan_to_num(self.train.y[:, self.output])
+        return paired_gain([y], [first], [second], [self.counted], self.policy)
+
+
+def named_steps(bench: Bench, a: Attribution) -> Named:
+    """Prune the joint model of a search until every effect left holds; the step is None where none does."""
+    f, dropped = a.final, []
+    unused = bench.unused(f) if f.structure.effects else np.zeros(0)
+    while f.structure.effects:
+        claims, rests = [], []
+        for position, part in enumerate(f.structure.parts):
+            if position < f.structure.base:
+                continue
+            if part.effect.slot is Slot.FORM and len(f.structure.effects) > 1:
+                continue  # the others were fitted in this form: without it there is no model of them
+            rest = a.base if part.effect.slot is Slot.FORM else without(bench.channel, f, position)
+            rests.append((rest, bench.unused(rest)))
+            claims.append(
+                Claim(part, bench.gain(rests[-1][1], unused), _significance(rest, f, part, bench.family))
+            )
+        weak = [i for i, c in enumerate(claims) if not _holds(c, bench)]
+        if not weak:
+            claims.sort(key=lambda c: -c.gain.value)
+            return Named(
+                f, tuple(_with_rivals(claims, a, f)), tuple(dropped), _step(bench, f, claims, unused)
+            )
+        worst = min(weak, key=lambda i: claims[i].gain.value)
+        dropped.append((claims[worst].key, _why(claims[worst], bench)))
+        f, unused = rests[worst]
+    return Named(f, (), tuple(dropped), None)
+
+
+def _significance(rest: Fit, f: Fit, part: Part, family: int) -> float:
+    """Corrected p-value of a part in the joint fit: its likelihood ratio, each side under the noise model that it asks for."""
+    cost = [g.deviance + len(g.noise) * float(np.log(g.n)) for g in (rest, f)]
+    degrees = max(1, len(f.p) - len(rest.p))
+    return float(min(1.0, family * part.effect.tries(f.n) * chi2.sf(max(cost[0] - cost[1], 0.0), degrees)))
+
+
+def _holds(c: Claim, bench: Bench) -> bool:
+    known = c.key == "initial" or (
+        c.gain.beyond(bench.policy.claim_errors) and c.gain.share > bench.policy.least_gain
+    )
+    return known and c.p_value < bench.alpha
+
+
+def _why(c: Claim, bench: Bench) -> str:
+    if c.p_value >= bench.alpha:
+        return f"not significant in the joint fit (p = {c.p_value:.2g})"
+    if not c.gain.beyond(bench.policy.claim_errors):
+        return "blocks not used do not get better by more than their standard error"
+    return f"it explains {100 * max(c.gain.share, 0.0):.2g} % of the error on unused blocks"
+
+
+def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
+    """Single effects that fit as well as the first one does, and what the search noted for the others."""
+    out = []
+    for c in claims:
+        names = list(a.rivals.get(c.key, []))
+        if len(claims) == 1:
+            names += [o.cause for o in a.claims if o.cause != c.cause and as_good(f, o.fit)]
+        out.append(Claim(c.part, c.gain, c.p_value, tuple(n for n in dict.fromkeys(names) if n != c.cause)))
+    return out
+
+
+def _step(bench: Bench, f: Fit, claims: list[Claim], unused: Array) -> Step:
+    return Step(
+        Kind.NAMED, tuple(c.key for c in claims), (unused,), bench.runner(f), len(f.p), parameters_of(f),
+        tuple(c.part.effect.sentence for c in claims), noise=f.noise,
+    )  # fmt: skip
+
+
+def parameters_of(f: Fit, prefix: str = "") -> dict[str, tuple[float, float, str]]:
+    """Parameters of a fit's parts, with standard errors that know of the noise's correlation."""
+    if not f.jacobian.size:
+        return {}
+    J, e = f.jacobian, innovations(f.residual, f.noise)[: len(f.jacobian)]
+    norms = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
+    H = np.linalg.pinv((J / norms).T @ (J / norms))
+    errors = np.sqrt(np.maximum(np.diag(H @ _score_covariance(J / norms, e) @ H), 0.0)) / norms
+    out: dict[str, tuple[float, float, str]] = {}
+    for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
+        for i, (name, unit) in enumerate(part.parameters(f.structure.order)):
+            label = f"{prefix}{part.key}.{name}"
+            if label in out:  # the same effect at another input
+                label += f"_{part.channel + 1}"
+            out[label] = (float(f.p[sl.start + i]), float(errors[sl.start + i]), unit)
+    return out
+
+
+def _score_covariance(J: Array, e: Array) -> Array:
+    """Covariance of J'e by Bartlett's weights (Newey and West), its lag growing as the cube root of the record."""
+    scores = J * e[:, None]
+    lags = int(np.ceil(1.3 * len(e) ** (1 / 3)))
+    S = scores.T @ scores
+    for k in range(1, lags + 1):
+        C = scores[k:].T @ scores[:-k]
+        S += (1.0 - k / (lags + 1.0)) * (C + C.T)
+    return S * len(e) / max(len(e) - J.shape[1], 1)
