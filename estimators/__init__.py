@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from estimators.montecarlo.additivity import (
         additivity_by_monte_carlo,
         additivity_of_records,
-        additivity_of_spectra,
     )
     from estimators.pem import identify
     from estimators.rules.power import power_iterations
@@ -24,7 +23,6 @@ __all__ = [
     "Trace",
     "additivity_by_monte_carlo",
     "additivity_of_records",
-    "additivity_of_spectra",
     "diagnose",
     "identify",
     "power_iterations",
@@ -37,7 +35,6 @@ __getattr__, __dir__ = exporting(
         "Trace": "estimators.rules.trace",
         "additivity_by_monte_carlo": "estimators.montecarlo.additivity",
         "additivity_of_records": "estimators.montecarlo.additivity",
-        "additivity_of_spectra": "estimators.montecarlo.additivity",
         "diagnose": "estimators.diagnosis.loop",
         "identify": "estimators.pem",
         "power_iterations": "estimators.rules.power",
