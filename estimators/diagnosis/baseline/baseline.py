@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.blocks import Blocks, blocks_of
 from estimators.diagnosis.baseline.choice import Trial, simplest
-from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from estimators.diagnosis.baseline.linear_model import LinearModel, Prior, rest_level
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.baseline.search import Search
 from oed.data import Record
@@ -19,6 +19,10 @@ from oed.errors import InputError
 __all__ = ["Baseline", "Options", "OutputModel", "Pole", "best_linear"]
 
 Array = NDArray[np.float64]
+
+QUIET = 1e-4
+"""Noise of a window's samples, of the output's variance: small, as a state that is too free costs less than one that is
+held; records with more noise have it in every sample of the window."""
 
 
 @dataclass(frozen=True)
@@ -210,4 +214,5 @@ def _prior(records: Sequence[Record], i: int, blocks: Blocks, options: Options) 
     mean = float(np.nanmean(y))
     d = np.nan_to_num(y - mean)
     covariance = np.array([d[: len(d) - k] @ d[k:] for k in range(64)]) / len(d)
-    return Prior(mean, covariance, 1e-4 * covariance[0], rest=bool(options.deviations))
+    level, held = rest_level(records[0].u, records[0].y[:, i], covariance[0]), records[0].u[0]
+    return Prior(mean, covariance, QUIET * covariance[0], 0.0, bool(options.deviations), level, held)

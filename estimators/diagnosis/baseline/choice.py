@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 
 BATCHES = 4
 """Parts of a block whose errors are one unit of a standard error: longer than what noise remembers, and enough of them."""
+SLOW = 1.4
+"""By so much a pole that remembers longer than a block must lower the error: of such a pole the record shows one response
+only, which blocks share, and a trend or a disturbance that came once looks the same."""
 WORSE = 0.02
 """A simpler model may cost at most so much of the least error, however uncertain that is."""
 
@@ -43,11 +46,17 @@ class Trial:
     candidate: Candidate
     unused: list[Array]
     squares: Array
+    slow: bool
 
     @property
     def rmse(self) -> float:
         """Root mean square error on unused blocks; infinite where one of the fits has no bounded free run."""
         return float(np.sqrt(np.mean(self.squares)))
+
+    @property
+    def charged(self) -> Array:
+        """The mean squares with the charge for a pole slower than a block."""
+        return self.squares * (SLOW**2 if self.slow else 1.0)
 
 
 def tried(
@@ -65,7 +74,9 @@ def tried(
         record = records[block.record]
         run = model.free_run(prior, record.u[: block.stop], record.y[: block.stop, output], blocks.window)
         unused[block.record][block.rows] = run[block.rows]
-    return Trial(candidate, unused, batch_squares(unused, records, output, blocks))
+    shortest = min(b.stop - b.start for b in blocks.blocks)
+    slow = candidate.models[-1].radius > 1.0 - 1.0 / shortest
+    return Trial(candidate, unused, batch_squares(unused, records, output, blocks), slow)
 
 
 def batch_squares(unused: Sequence[Array], records: Sequence[Record], output: int, blocks: Blocks) -> Array:
@@ -81,10 +92,11 @@ def batch_squares(unused: Sequence[Array], records: Sequence[Record], output: in
 def simplest(trials: Iterable[Trial]) -> Trial:
     """The trial with fewest parameters whose error is the least within one standard error of their difference."""
     known = [t for t in trials if np.isfinite(t.rmse)]
-    best = min(known, key=lambda t: t.rmse)
+    best = min(known, key=lambda t: float(t.charged.mean()))
 
     def as_good(t: Trial) -> bool:
-        d = t.squares - best.squares
-        return d.mean() <= d.std() / np.sqrt(max(len(d) - 1, 1)) and t.rmse <= (1.0 + WORSE) * best.rmse
+        d = t.charged - best.charged
+        error = d.std() / np.sqrt(max(len(d) - 1, 1))
+        return d.mean() <= min(error, ((1.0 + WORSE) ** 2 - 1.0) * best.charged.mean())
 
     return min((t for t in known if as_good(t)), key=lambda t: (t.candidate.size, t.rmse))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-__all__ = ["LinearModel", "Prior"]
+__all__ = ["LinearModel", "Prior", "rest_level"]
 
 Array = NDArray[np.float64]
 
@@ -18,6 +18,18 @@ REST = 1e-6
 """Variance of a state about rest, of that of the signal: rest is not exact, and a singular prior is no prior."""
 FAR = 0.999
 """Radius from which on a pole forgets too slowly (over 1000 samples) for a steady state to say where a record starts."""
+FEWEST = 5
+"""Samples from which on an output is known to rest, or a state is set by measurement."""
+STILL = 0.05
+"""Standard deviation of a resting output, of that of all its samples."""
+
+
+def rest_level(u: Array, y: Array, variance: float) -> float:
+    """Mean output before the inputs (N, nu) first move, if it rests there; NaN otherwise."""
+    moved = np.flatnonzero((u != u[:1]).any(axis=1))
+    y = y[: moved[0] if len(moved) else len(y)]
+    y = y[np.isfinite(y)]
+    return float(y.mean()) if len(y) >= FEWEST and y.var() <= STILL**2 * variance else np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +48,10 @@ class Prior:
         Variance of a disturbance that enters with the input (before 1/A): the more, the more the last samples count.
     rest : bool
         Whether signals are deviations from a rest in which every record starts.
+    level : float
+        Output at which the training records rested under the inputs `held` before they were excited; NaN if they did not.
+    held : ndarray
+        (nu,) those inputs.
     """
 
     mean: float
@@ -43,6 +59,8 @@ class Prior:
     noise: float
     drive: float = 0.0
     rest: bool = False
+    level: float = np.nan
+    held: Array = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +134,16 @@ class LinearModel:
         anywhere = toeplitz(prior.covariance[:n]) if n else np.empty((0, 0))
         if prior.rest:
             return 0.0, REST * anywhere
-        seen = y[np.isfinite(y)]
-        if len(seen) < 2:  # nothing is measured: at rest under the first input, if there is such a rest
-            level = self.level(u[0]) if self.radius < FAR else np.nan
-            return level if np.isfinite(level) else prior.mean, REST * anywhere
-        if np.ptp(u[: len(y)], axis=0).max() == 0.0 and np.ptp(seen) < 6.0 * np.sqrt(prior.noise):
-            return float(np.mean(seen)), prior.covariance[0] * np.ones((n, n)) + REST * anywhere
-        return prior.mean, anywhere
+        level = rest_level(u[: len(y)], y, prior.covariance[0])
+        if np.isfinite(level):
+            return level, prior.covariance[0] * np.ones((n, n)) + REST * anywhere
+        if np.isfinite(y).sum() >= FEWEST:
+            return prior.mean, anywhere
+        # nothing is measured: where the training records rested, or at rest under the first input if there is such a rest
+        level = prior.level if np.array_equal(u[0], prior.held) else np.nan
+        if not np.isfinite(level):
+            level = self.level(u[0]) if self.radius < FAR else prior.mean
+        return level, REST * anywhere
 
     def free_run(self, prior: Prior, u: Array, y: Array, window: int) -> Array:
         """(N,) simulated output; the first `window` samples of y (N,) set the state, and are smoothed by it.

@@ -29,8 +29,8 @@ REFINED = (1, 2, 3, 4, 5, 6, 8)
 """Orders refined to the least simulation error."""
 REALISED = 30
 """Lags of the impulse response that a reduction to few poles keeps: three times the largest order."""
-STEPS = (10, 4)
-"""Gauss-Newton steps on all data from afar, and without one block from the optimum on all data."""
+STEPS = (4, 8, 4)
+"""Gauss-Newton steps from each start, on from the best of them, and without one block from the optimum on all data."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,27 +84,35 @@ class Search:
         if not best:
             return []
         delays = list(dict.fromkeys(t.candidate.form.delay for t in best[:10]))[:2]
-        out = []
-        rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
+        found = []
         for n in REFINED:
-            fits = []
-            for delay in delays:
-                form = Arx(n, n if min(delay) else n + 1, delay, self.offset)
-                starts = [realised(best[0].candidate.models[-1], form, REALISED)]
-                starts += [t.candidate.models[-1] for t in best if t.candidate.form.na == n][:1]
-                problem = OutputError(self.records, self.output, form, self.prior, np.ones(1))
-                fits += [
-                    (*problem.fit(s, rows, STEPS[0]), problem)
-                    for s in starts
-                    if s is not None and s.radius < 1.0
-                ]
+            forms = [(n, tuple(max(d, 1) for d in delay)) for delay in delays] + [(n + 1, delays[0])]
+            fits = [
+                fit
+                for nb, delay in dict.fromkeys(forms)
+                if (fit := self._fitted(Arx(n, nb, delay, self.offset), best))
+            ]
             if fits:
-                model, _, problem = min(fits, key=lambda f: f[1])
-                out.append(self._tried(self._oe(problem, model, "OE")))
-        return [t for t in out if t is not None]
+                _, problem, model = min(fits, key=lambda f: f[0])
+                found.append(self._tried(self._oe(problem, model, "OE")))
+        return [t for t in found if t is not None]
+
+    def _fitted(self, form: Arx, best: Sequence[Trial]) -> tuple[float, OutputError, LinearModel] | None:
+        """Schwarz's criterion, problem and model of an output-error form, from a reduction of the best and from ARX."""
+        rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
+        starts = [realised(best[0].candidate.models[-1], form, REALISED)]
+        starts += [t.candidate.models[-1] for t in best if t.candidate.form.na == form.na][:1]
+        problem = OutputError(self.records, self.output, form, self.prior, np.ones(1))
+        fits = [problem.fit(s, rows, STEPS[0]) for s in starts if s is not None and s.radius < 1.0]
+        if not fits:
+            return None
+        model, _ = min(fits, key=lambda f: f[1])
+        model, loss = problem.fit(model, rows, STEPS[1])
+        count = sum(self.blocks.lengths)
+        return count * np.log(max(loss, 1e-300)) + form.size * np.log(count), problem, model
 
     def _oe(self, problem: OutputError, model: LinearModel, kind: str) -> Candidate:
-        models = [problem.fit(model, self.blocks.training(b), STEPS[1])[0] for b in self.blocks.blocks]
+        models = [problem.fit(model, self.blocks.training(b), STEPS[2])[0] for b in self.blocks.blocks]
         return Candidate(kind, _words(problem.form), problem.form.size, [*models, model], problem.form)
 
 
