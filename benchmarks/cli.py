@@ -1,4 +1,4 @@
-"""The command `oed`: one subcommand per file of `benchmarks.commands`.
+"""The command `oed`: one subcommand per file of the folders of `benchmarks.commands`.
 
 Exit status: 0 when the command did its job, 2 for bad input (one clear line), 1 for anything else. With
 `--json` standard output carries one JSON object and nothing else, whatever a solver prints below Python.
@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 
 import benchmarks.commands
 import oed
-from oed.errors import CampaignError, InfeasibleDesign, InputError, NotIdentifiable, OedError
+from oed.errors import CampaignError, InfeasibleDesign, InputError, NotIdentifiable, OedError, check_names
 
 __all__ = ["main"]
 
@@ -35,6 +35,17 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message}; see {self.prog} --help.\n")
 
 
+def _modules() -> dict[str, str]:
+    """Word of the command line -> module, from the files of the folders."""
+    folders = [info.name for info in pkgutil.iter_modules(benchmarks.commands.__path__) if info.ispkg]
+    found = {}
+    for folder in folders:
+        home = import_module(f"benchmarks.commands.{folder}")
+        for info in pkgutil.iter_modules(home.__path__):
+            found[info.name.replace("_", "-")] = f"{home.__name__}.{info.name}"
+    return dict(sorted(found.items()))
+
+
 def _parser() -> _Parser:
     parser = _Parser(
         prog="oed",
@@ -42,13 +53,11 @@ def _parser() -> _Parser:
         "and what a model is missing.",
     )
     parser.add_argument("--version", action="version", version=f"oed {oed.__version__}")
-    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
-    for info in pkgutil.iter_modules(benchmarks.commands.__path__):
-        if info.name.startswith("_"):
-            continue
-        module = import_module(f"benchmarks.commands.{info.name}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
+    for word, home in _modules().items():
+        module = import_module(home)
         sub = subparsers.add_parser(
-            info.name.replace("_", "-"),
+            word,
             help=module.HELP,
             description=module.HELP,
             epilog=f"example: {module.EXAMPLE}",
@@ -124,7 +133,18 @@ def main(argv: list[str] | None = None) -> int:
     # Matrices of this size gain nothing from threads, and with one the last bits are the same whatever the cores.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    args = _parser().parse_args(argv)
+    argv = sys.argv[1:] if argv is None else argv
+    parser = _parser()
+    if not argv:
+        parser.print_help()
+        return 0
+    if not argv[0].startswith("-"):
+        try:
+            check_names(argv[:1], tuple(_modules()), "command")
+        except InputError as error:
+            print(f"oed: {error}", file=sys.stderr)
+            return 2
+    args = parser.parse_args(argv)
     try:
         if not args.json:
             _, text, *status = args.run(args)  # a status only where a command has one of its own

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from oed.plants.named import named_plant
     from oed.plants.norms import peak
     from oed.plants.plant import Plant
+    from oed.plants.systems import as_plant
     from oed.theory import limit_spectrum
 
 __version__ = "0.2.0"
@@ -33,6 +34,7 @@ __all__ = [
     "Record",
     "Spectrum",
     "Status",
+    "as_plant",
     "information_of_records",
     "information_of_signal",
     "information_of_spectrum",
@@ -59,6 +61,7 @@ __getattr__, __dir__ = exporting(
         "Record": "oed.data",
         "Spectrum": "oed.data",
         "Status": "oed.errors",
+        "as_plant": "oed.plants.systems",
         "information_of_records": "oed.information",
         "information_of_signal": "oed.information",
         "information_of_spectrum": "oed.information",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from oed.data import Record, as_signal
 from oed.errors import ExperimentError, InputError
 from oed.plants.plant import Plant
+from oed.plants.systems import as_plant
 from oed.signals.noise import noise_key, noise_series
 
 __all__ = ["Experiment", "Usage", "replayed", "simulated"]
@@ -134,7 +136,7 @@ class Experiment:
 
 
 def simulated(
-    plant: Plant,
+    plant: Any,
     *,
     seed: int = 0,
     replicate: int = 0,
@@ -146,7 +148,7 @@ def simulated(
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant or what `oed.plants.systems.as_plant` takes
         The plant, with its noise.
     seed, replicate : int
         Coordinates of the noise (`oed.signals.noise`).
@@ -164,6 +166,7 @@ def simulated(
     Experiment
         From rest at every call.
     """
+    plant = as_plant(plant)
     key = noise_key(seed, plant.name)
     factor = noise_factor(plant)
     count = first

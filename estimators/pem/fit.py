@@ -139,6 +139,13 @@ class Fit:
     records: tuple[Record, ...] = field(default=(), repr=False)
 
     @property
+    def plot(self) -> Any:
+        """Figures: `plot.bode()`, `.compare(record)`, `.residuals(record)`, `.poles()`, `.step()`, `.order()`."""
+        from estimators.pem.plots import FitPlots
+
+        return FitPlots(self)
+
+    @property
     def theta(self) -> NDArray[np.float64]:
         """(n,) parameters."""
         return self.model.theta
@@ -350,28 +357,7 @@ class Fit:
         Plant
             With the same G; InputError if it is unstable, or if outputs have different noise filters.
         """
-        from oed.plants.plant import Plant
-
-        structure, num, den, filters = self.model.structure, [], [], []
-        if isinstance(structure, StateSpace):
-            return Plant.from_control(
-                self.model.to_control(), noise_covariance=self.noise_covariance, name=name
-            )
-        for i, row in enumerate(structure.coefficients(self.theta)):
-            num.append(
-                [row["b"][j] if structure.nb[i, j] else np.zeros(1) for j in range(structure.n_inputs)]
-            )
-            den.append([np.convolve(row["a"][0], row["f"][j]) for j in range(structure.n_inputs)])
-            filters.append((row["c"][0], np.convolve(row["a"][0], row["d"][0])))
-        first = filters[0]
-        if any(len(p) != len(q) or np.any(p != q) for f in filters for p, q in zip(f, first, strict=True)):
-            raise InputError(
-                "the outputs have different noise filters; a plant has one for all: use an output-error model."
-            )
-        return Plant(
-            num=num, den=den, dt=self.model.dt, noise_covariance=self.noise_covariance,
-            noise_num=first[0], noise_den=first[1], name=name,
-        )  # fmt: skip
+        return self.model.to_plant(name)
 
     def to_dict(self) -> dict:
         """Plain numbers: the model, its uncertainty and the figures of merit.

@@ -4,6 +4,7 @@ singular values."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,52 @@ from matplotlib.figure import Figure
 
 from estimators.pem.fit import Fit, fit_percent
 from estimators.pem.uncertainty import bode_band, pole_covariances, step_band
-from estimators.residual.tests import ResidualTest
+from estimators.residual.tests import ResidualTest, residual_tests
 from oed.data import Record
 from oed.errors import InputError
 from oed.models.model import Polynomial
 
-__all__ = ["plot_bode", "plot_compare", "plot_order", "plot_poles", "plot_residual_tests", "plot_step"]
+__all__ = [
+    "FitPlots",
+    "plot_bode",
+    "plot_compare",
+    "plot_order",
+    "plot_poles",
+    "plot_residual_tests",
+    "plot_step",
+]
+
+
+@dataclass(frozen=True)
+class FitPlots:
+    """The figures of one fit, as `fit.plot.bode()`; several fits in one figure by the functions of this module."""
+
+    fit: Fit
+
+    def bode(self, **how: Any) -> Figure:
+        """Gain and phase with their bands, see `plot_bode`."""
+        return plot_bode(self.fit, **how)
+
+    def compare(self, record: Record, **how: Any) -> Figure:
+        """Measured against simulated, see `plot_compare`."""
+        return plot_compare(self.fit, record, **how)
+
+    def residuals(self, record: Record, **how: Any) -> Figure:
+        """Correlations of the residual on the fitted record, see `plot_residual_tests`."""
+        return plot_residual_tests(residual_tests(self.fit, [record]), **how)
+
+    def poles(self, **how: Any) -> Figure:
+        """Poles with their ellipses, see `plot_poles`."""
+        return plot_poles(self.fit, **how)
+
+    def step(self, samples: int = 100, **how: Any) -> Figure:
+        """Step response with its band, see `plot_step`."""
+        return plot_step(self.fit, samples, **how)
+
+    def order(self) -> Figure:
+        """Singular values of a subspace method, see `plot_order`."""
+        return plot_order(self.fit)
+
 
 BLUE, ORANGE, GREY = "#1f77b4", "#d95f02", "#777777"
 
@@ -109,11 +150,13 @@ def plot_bode(fits: Fit | Mapping[str, Fit], *, level: float = 0.95, points: int
     Returns
     -------
     Figure
-        Gain above phase, one column per entry.
+        Gain above phase, one column per entry; in Hz where the sampling time is known.
     """
     named = {"model": fits} if isinstance(fits, Fit) else dict(fits)
     omega = np.geomspace(0.01, np.pi, points)
     first = next(iter(named.values())).model.structure
+    dt = next(iter(named.values())).model.dt
+    turn, unit = (1.0, "rad/sample") if dt == 1 else (2 * np.pi * dt, "Hz")
     entries = [(i, j) for i in range(first.n_outputs) for j in range(first.n_inputs)]
     figure = Figure(figsize=(max(5.0, 3.2 * len(entries)), 5), layout="constrained")
     axes = figure.subplots(2, len(entries), squeeze=False, sharex=True)
@@ -125,7 +168,7 @@ def plot_bode(fits: Fit | Mapping[str, Fit], *, level: float = 0.95, points: int
                 floor = 1e-3 * band.value[:, i, j].max() if ax is axes[0, column] else -np.inf
                 _band(
                     ax,
-                    omega,
+                    omega / turn,
                     factor * band.value[:, i, j],
                     np.maximum(factor * low[:, i, j], floor),
                     factor * high[:, i, j],
@@ -137,7 +180,7 @@ def plot_bode(fits: Fit | Mapping[str, Fit], *, level: float = 0.95, points: int
         )  # an absent entry has no logarithm
         axes[0, column].set(xscale="log", yscale="log" if there else "linear")
         axes[0, column].set_title(f"input {j + 1} to output {i + 1}" if len(entries) > 1 else "")
-        axes[1, column].set_xlabel("frequency [rad/sample]")
+        axes[1, column].set_xlabel(f"frequency [{unit}]")
     axes[0, 0].set_ylabel("gain")
     axes[1, 0].set_ylabel("phase [deg]")
     axes[0, 0].legend(fontsize="small")

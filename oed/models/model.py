@@ -6,8 +6,10 @@ What information and design ask of any model is `response(omega) -> (G, dG)`.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +18,9 @@ from oed.data import frozen
 from oed.errors import InputError
 from oed.models.polynomials import Orders, Polynomial, polynomial
 from oed.models.statespaces import StateSpace, state_space
+
+if TYPE_CHECKING:
+    from oed.plants.plant import Plant
 
 __all__ = [
     "Model",
@@ -145,6 +150,30 @@ class Model:
                 den[i].append(np.pad(a, (0, length - len(a))))
         return control.TransferFunction(num, den, self.dt)
 
+    def to_plant(self, name: str = "identified") -> Plant:
+        """The model's G and noise as a plant to design experiments for; InputError if it is unstable, or if outputs have
+        different noise filters."""
+        from oed.plants.plant import Plant
+
+        structure, num, den, filters = self.structure, [], [], []
+        if isinstance(structure, StateSpace):
+            return Plant.from_control(self.to_control(), noise_covariance=self.noise_covariance, name=name)
+        for i, row in enumerate(structure.coefficients(self.theta)):
+            num.append(
+                [row["b"][j] if structure.nb[i, j] else np.zeros(1) for j in range(structure.n_inputs)]
+            )
+            den.append([np.convolve(row["a"][0], row["f"][j]) for j in range(structure.n_inputs)])
+            filters.append((row["c"][0], np.convolve(row["a"][0], row["d"][0])))
+        first = filters[0]
+        if any(len(p) != len(q) or np.any(p != q) for f in filters for p, q in zip(f, first, strict=True)):
+            raise InputError(
+                "the outputs have different noise filters; a plant has one for all: use an output-error model."
+            )
+        return Plant(
+            num=num, den=den, dt=self.dt, noise_covariance=self.noise_covariance,
+            noise_num=first[0], noise_den=first[1], name=name,
+        )  # fmt: skip
+
     def poles(self) -> list[NDArray[np.complex128]]:
         """Poles of G, entry by entry.
 
@@ -220,6 +249,18 @@ def model_from_json(text: str | dict) -> Model:
         return Model(structure, given["theta"], given["noise_covariance"], given["dt"])
     except (KeyError, TypeError, json.JSONDecodeError) as error:
         raise InputError(f"this is not a saved model ({error}); give what Model.to_json wrote.") from None
+
+
+def saved_model(source: Any) -> Model | None:
+    """The model in a file that `oed identify --out` wrote, or in its parsed mapping; None where it holds something else."""
+    try:
+        given = (
+            json.loads(Path(source).read_text(encoding="utf-8")) if isinstance(source, str | Path) else source
+        )
+    except (OSError, ValueError, RecursionError):
+        return None
+    wanted = {"structure", "theta", "noise_covariance", "dt"}
+    return model_from_json(dict(given)) if isinstance(given, Mapping) and wanted <= set(given) else None
 
 
 def fir(nb: Orders, delay: Orders = 1) -> Polynomial:

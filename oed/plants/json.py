@@ -10,6 +10,7 @@ import numpy as np
 
 from oed.errors import InputError
 from oed.files.documents import checked, keyed, read_document
+from oed.models.model import saved_model
 from oed.plants.plant import Plant
 
 __all__ = ["plant_from_json", "plant_to_json"]
@@ -61,7 +62,8 @@ def plant_from_json(source: str | Path | Mapping[str, Any], *, noise_variance: f
     Parameters
     ----------
     source : str, Path or mapping
-        A file with `num`, `den`, `dt` (or `A`, `B`, `C`, `D`, `dt`), optionally `noise` and `free`.
+        A file with `num`, `den`, `dt` (or `A`, `B`, `C`, `D`, `dt`), optionally `noise` and `free`; or a model that
+        `oed identify --out` wrote.
     noise_variance : float, optional
         Overrides the variance in the file.
 
@@ -70,6 +72,10 @@ def plant_from_json(source: str | Path | Mapping[str, Any], *, noise_variance: f
     Plant
         The plant; InputError if the file is not such a description.
     """
+    model = saved_model(source)
+    if model is not None:
+        plant = model.to_plant(name="identified" if isinstance(source, Mapping) else Path(source).parent.name)
+        return plant if noise_variance is None else plant.replace(noise_variance=noise_variance)
     if isinstance(source, Mapping):
         content, name = checked(_plain(source), PLANT, "the plant"), "plant"
         where = "the plant"

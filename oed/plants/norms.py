@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from oed.errors import SolverFailure
 from oed.plants.plant import Plant
+from oed.plants.systems import as_plant
 
 __all__ = [
     "Peak",
@@ -363,12 +365,12 @@ def _generalised_eigenvalues(M: NDArray, N: NDArray) -> NDArray[np.complex128]:
     )
 
 
-def peak(plant: Plant, *, tolerance: float = 1e-9) -> Peak:
+def peak(plant: Any, *, tolerance: float = 1e-9) -> Peak:
     """H-infinity norm of a plant, gamma = max_w sigma_max(G(e^jw)), with a certified upper bound.
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant or what `oed.plants.systems.as_plant` takes
         The plant.
     tolerance : float
         Relative distance of the upper bound from the value.
@@ -388,6 +390,7 @@ def peak(plant: Plant, *, tolerance: float = 1e-9) -> Peak:
     Twin: dense grid and `control.system_norm` in the tests. Source: N. A. Bruinsma, M. Steinbuch, Systems &
     Control Letters 14 (1990) 287-293.
     """
+    plant = as_plant(plant)
     omega = _grid(plant, 512)
     maxima = _local_maxima(plant, omega)
     for _ in range(30):

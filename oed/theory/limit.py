@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -25,6 +26,7 @@ from oed.data import Spectrum
 from oed.errors import InputError, SolverFailure
 from oed.plants.norms import Peak, peak
 from oed.plants.plant import Plant
+from oed.plants.systems import as_plant
 from oed.theory.quadrature import Nodes, graded_nodes
 
 __all__ = ["LimitSpectrum", "limit_spectrum", "limit_spectrum_on_grid", "spectra_of_iterations"]
@@ -184,14 +186,14 @@ def _centres(plant: Plant, top: Peak) -> list[float]:
     return exact + [w for w in others if min(abs(w - e) for e in exact) > 1e-9]
 
 
-def limit_spectrum(plant: Plant, *, method: str = "quadrature") -> LimitSpectrum:
+def limit_spectrum(plant: Any, *, method: str = "quadrature") -> LimitSpectrum:
     """Limit of the input spectrum under Algorithm 1 with noise, [S] Theorem 7.
 
     Solves (1/2pi) int lambda_e |H|^2 / (delta + gamma^2 - |G|^2) dw = 1 for the excess delta = mu^2 - gamma^2.
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant or what `oed.plants.systems.as_plant` takes
         One input, one output, positive noise variance; H may be any rational filter.
     method : {"quadrature", "lyapunov"}
         Graded quadrature, or the H2 norm of the spectral factor (white noise only).
@@ -214,6 +216,7 @@ def limit_spectrum(plant: Plant, *, method: str = "quadrature") -> LimitSpectrum
     delta / gamma^2 = 1e-12, and 7 where gamma^2 - |G|^2 itself keeps its digits, to 1e-19; the Lyapunov way may
     break down from about 1e-12 on, and says so. Twins: `limit_spectrum_on_grid`, and adaptive quadrature in tests/oracles.
     """
+    plant = as_plant(plant)
     _check(plant)
     if method not in ("quadrature", "lyapunov"):
         raise InputError(

@@ -87,7 +87,7 @@ def test_design_of_the_reference_plant(capfd, criterion, loss):
         (("compare", "--plant", "reference", "--methods", "whit"), "did you mean white"),
         (("compare", "--replicates", "1"), "replicates is 1"),
         (("report", "nowhere"), "there is no folder nowhere"),
-        (("nonsense",), "invalid choice"),
+        (("nonsense",), "no command named"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_status_2(words, sentence, tmp_path, capsys, monkeypatch):

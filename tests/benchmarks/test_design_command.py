@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.commands import design
+from benchmarks.commands.plant import design
 from benchmarks.speed.design import against_cvxpy
 from oed.errors import InputError
 

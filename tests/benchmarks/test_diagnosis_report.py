@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from benchmarks.commands import diagnose as command
+from benchmarks.commands.record import diagnose as command
 from benchmarks.page.report import write_report
 
 

@@ -102,6 +102,24 @@ class Design:
 
         return white_information(self.map, self.limits, self.power_used, self.spectrum.total_power)
 
+    def plot(self) -> Any:
+        """The spectrum's lines above the sensitivity that certifies them, as a matplotlib Figure.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Two panels; `savefig` writes it.
+        """
+        from matplotlib.figure import Figure
+
+        from oed.design.plots import plot_design, plot_sensitivity
+
+        figure = Figure(figsize=(6.4, 6.0), layout="constrained")
+        above, below = figure.subplots(2, 1, sharex=True)
+        plot_design(self, above)
+        plot_sensitivity(self, below)
+        return figure
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers under the keys of the command line.
 

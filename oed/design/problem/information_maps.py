@@ -19,6 +19,7 @@ from oed.errors import InputError
 from oed.information import power_root, whitened_gradient
 from oed.models.model import Model
 from oed.plants.plant import Plant
+from oed.plants.systems import as_plant
 
 __all__ = ["InformationMap", "information_map", "resonances_of"]
 
@@ -178,12 +179,9 @@ def information_map(
         )
     if isinstance(model, Model):
         return _of_model(model)
-    try:
-        G, dG = model.response(np.array([0.1, 0.2]))
-    except AttributeError:
-        raise InputError(
-            f"a design needs a plant, a model or an object with response(omega) -> (G, dG), not {type(model).__name__}."
-        ) from None
+    if not callable(getattr(model, "response", None)):
+        return information_map(as_plant(model))
+    G, dG = model.response(np.array([0.1, 0.2]))
     ny, nu = np.shape(G)[1:]
     W = _whitening(np.asarray(1.0 if noise_covariance is None else noise_covariance), ny)
 

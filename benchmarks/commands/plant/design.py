@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     from oed.design import solve_design
     from oed.design.parametrisations.amplitude import amplitude_design
-    from oed.signals.synthesis import realise as signals
+    from oed.signals import synthesis as signals
 
     plant = load_plant(args.plant, args.noise_variance)
     writer = _writer(args.out, args.realise)

@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         "missing": args.missing,
     }
     records = [read_record(spec, **reading) for spec in args.data]
-    out = _new_folder(args.out) if args.out else None
+    out = new_folder(args.out, "--out") if args.out else None
     orders = args.orders or DEFAULTS[args.structure]
     offset = "mean" if args.remove_means else not args.no_offset
     options = {
@@ -226,29 +226,34 @@ def _fresh(fit, record, skip: int) -> dict:
     }
 
 
-def _new_folder(name: str):
+def new_folder(name: str, option: str):
+    """The folder of that name; InputError if something is there, or in the way."""
     from pathlib import Path
 
     from oed.errors import InputError
 
     folder = Path(name)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"--out {name} already holds something; give a new or empty folder.")
+        raise InputError(f"{option} {name} already holds something; give a new or empty folder.")
     return folder
 
 
 def _write(folder, fit, records) -> str:
+    import json
+
     import numpy as np
 
     from oed.files.writing import write_whole
 
     folder.mkdir(parents=True, exist_ok=True)
+    levels = {"input_level": fit.input_level.tolist(), "output_level": fit.output_level.tolist()}
+    saved = fit.model.to_dict() | {"covariance": fit.covariance.tolist(), **levels, "status": fit.status.name}
     head = "record,t," + ",".join(f"e_{name}" for name in records[0].output_names)
     rows = [
         np.column_stack([np.full(len(e), k + 1), r.t, e])
         for k, (r, e) in enumerate(zip(records, fit.residuals, strict=True))
     ]
     table = "\n".join(",".join(repr(float(x)) for x in row) for row in np.concatenate(rows))
-    for name, text in (("model.json", fit.model.to_json()), ("residuals.csv", f"{head}\n{table}")):
+    for name, text in (("model.json", json.dumps(saved)), ("residuals.csv", f"{head}\n{table}")):
         write_whole(folder / name, text + "\n")
     return str(folder)

@@ -1,0 +1,58 @@
+"""`oed plot`: the figures of an identified model."""
+
+from __future__ import annotations
+
+import argparse
+
+HELP = "figures of identified models: frequency response, poles, step response, residual tests, measured against simulated"
+EXAMPLE = "oed plot record.csv --structure oe --orders 2 2 --delay 3 --figure bode --out bode.svg"
+
+FIGURES = ("bode", "poles", "step", "residuals", "compare")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """The model is fitted here, so that the figure has its bands."""
+    from benchmarks.commands.record.identify import DEFAULTS
+
+    parser.add_argument("data", metavar="DATA", help="csv, mat, parquet or npz; FILE[a:b] takes rows")
+    parser.add_argument("--structure", choices=tuple(DEFAULTS), default="oe")
+    parser.add_argument("--orders", nargs="+", type=int, help="as in oed identify")
+    parser.add_argument("--delay", type=int, default=1, help="nk in samples (default 1)")
+    parser.add_argument("--figure", choices=FIGURES, default="bode")
+    parser.add_argument("--test", metavar="DATA", help="fresh data for --figure compare")
+    parser.add_argument(
+        "--skip", type=int, default=20, metavar="n", help="samples that set the initial state (20)"
+    )
+    parser.add_argument("--inputs", help="input columns, with commas (default: those that begin with u)")
+    parser.add_argument("--outputs", help="output columns, with commas (default: those that begin with y)")
+    parser.add_argument("--dt", type=float, help="sampling time in seconds")
+    parser.add_argument("--out", required=True, metavar="FILE", help="svg, pdf or png")
+
+
+def run(args: argparse.Namespace) -> tuple[dict, str]:
+    """The payload and the text: where the figure is."""
+    from pathlib import Path
+
+    from benchmarks.commands.record.identify import DEFAULTS
+    from estimators.pem import identify
+    from oed.errors import InputError
+    from oed.files import read_record
+
+    target = Path(args.out)
+    if target.suffix not in (".svg", ".pdf", ".png"):
+        raise InputError(f"--out is {args.out}; a figure is svg, pdf or png: choose one of these suffixes.")
+    if not target.parent.is_dir():
+        raise InputError(f"the folder {target.parent} does not exist; make it first.")
+    reading = {"inputs": args.inputs, "outputs": args.outputs, "dt": args.dt}
+    record = read_record(args.data, **reading)
+    fit = identify(record, args.structure, args.orders or DEFAULTS[args.structure], args.delay)
+    plots = fit.plot
+    if args.figure == "compare":
+        fresh = read_record(args.test, **reading) if args.test else record
+        figure = plots.compare(fresh, window=args.skip)
+    elif args.figure == "residuals":
+        figure = plots.residuals(record)
+    else:
+        figure = {"bode": plots.bode, "poles": plots.poles, "step": plots.step}[args.figure]()
+    figure.savefig(target)
+    return {"path": str(target)}, f"written to {target}"

@@ -1,0 +1,86 @@
+"""What a newcomer meets: `oed` alone, a misspelt command, demo, plants, effects, data, plot."""
+
+from __future__ import annotations
+
+import json
+import shlex
+
+import pytest
+
+from benchmarks.cli import main
+
+
+def test_alone_prints_the_help(capfd):
+    assert main([]) == 0
+    assert "diagnose" in capfd.readouterr().out
+
+
+def test_a_misspelt_command_gets_a_hint(capfd):
+    assert main(["identfy"]) == 2
+    said = capfd.readouterr().err
+    assert "did you mean identify" in said
+    assert said.count("\n") == 1
+
+
+def test_plants_have_the_norms_of_the_theory(capfd):
+    assert main(["plants", "--json"]) == 0
+    rows = {row["name"]: row for row in json.loads(capfd.readouterr().out)["rows"]}
+    assert rows["reference"]["norm"] == pytest.approx(2.411554068769, rel=1e-10)
+    assert (rows["three-by-two"]["outputs"], rows["three-by-two"]["inputs"]) == (3, 2)
+
+
+def test_effects_are_those_of_the_catalogue(capfd):
+    from estimators.diagnosis.effects import CATALOGUE
+
+    assert main(["effects", "--json"]) == 0
+    assert [row["name"] for row in json.loads(capfd.readouterr().out)["rows"]] == [e.key for e in CATALOGUE]
+    assert main(["effects", "--nature", "magic"]) == 2
+    assert "no nature named" in capfd.readouterr().err
+
+
+def test_the_demo_can_be_copied_line_by_line(tmp_path, monkeypatch, capfd):
+    """Every command of the demo that takes under ten seconds is run as printed; a second demo does not overwrite the first."""
+    assert main(["demo", str(tmp_path / "try")]) == 0
+    assert main(["demo", str(tmp_path / "try")]) == 2
+    monkeypatch.chdir(tmp_path / "try")
+    commands = (tmp_path / "try" / "commands.sh").read_text().splitlines()
+    quick = [shlex.split(line)[1:] for line in commands if line.startswith("oed")]
+    quick = [words for words in quick if words[0] in ("identify", "design", "theory", "session")]
+    assert len(quick) >= 6
+    for words in quick:
+        capfd.readouterr()
+        assert main(words) == 0, (words, capfd.readouterr().err)
+
+
+def test_data_says_what_is_missing(tmp_path, capfd):
+    assert main(["data", "silverbox", "--from", str(tmp_path)]) == 2
+    assert "silverbox_snls80mv.csv.gz is not there" in capfd.readouterr().err
+    assert main(["data", "--from", str(tmp_path), "--json"]) == 0
+    assert not any(row["there"] for row in json.loads(capfd.readouterr().out)["rows"])
+
+
+def test_data_finds_the_shared_records(shared_data, capfd):
+    assert main(["data", "emps", "--from", str(shared_data / "emps"), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["rows"][0]["there"]
+
+
+@pytest.mark.parametrize("figure", ["bode", "poles", "step", "residuals", "compare"])
+def test_plot_draws(figure, tmp_path, capfd):
+    from benchmarks.campaign.plants import hair_dryer_record
+    from oed import write_record
+
+    write_record(hair_dryer_record()[:300], str(tmp_path / "r.csv"))
+    words = [
+        "plot",
+        str(tmp_path / "r.csv"),
+        "--delay",
+        "3",
+        "--figure",
+        figure,
+        "--out",
+        str(tmp_path / "f.svg"),
+    ]
+    assert main(words) == 0
+    text = (tmp_path / "f.svg").read_text()
+    assert text.count("<path") > 5
+    assert main([*words[:-1], str(tmp_path / "f.bmp")]) == 2
