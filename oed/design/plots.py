@@ -12,7 +12,7 @@ from oed.design.problem.design import Design
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_autocorrelation", "plot_design", "plot_sensitivity"]
+__all__ = ["plot_autocorrelation", "plot_design", "plot_sensitivity", "plot_with_certificate"]
 
 
 def plot_sensitivity(design: Design, axes: Axes | None = None, *, points: int = 4000) -> Any:
@@ -78,6 +78,17 @@ def plot_design(design: Design, axes: Axes | None = None) -> Any:
     )
     axes.legend(frameon=False, loc="upper right")
     return axes
+
+
+def plot_with_certificate(design: Design) -> Any:
+    """The spectrum's lines above the sensitivity that certifies them, as a Figure."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 6.0), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    plot_design(design, above)
+    plot_sensitivity(design, below)
+    return figure
 
 
 def plot_autocorrelation(

@@ -20,3 +20,9 @@ def test_the_support_lies_on_the_curve_at_one():
     assert np.max(curve) == pytest.approx(1.0, abs=1e-9)
     bars = plot_design(design).collections[-1].get_segments()
     assert [bar[1][1] for bar in bars] == pytest.approx([0.5, 0.5])
+
+
+def test_a_design_draws_itself():
+    figure = solve_design(named_plant("reference"), "D").plot()
+    assert len(figure.axes) >= 2
+    assert all(axes.lines or axes.collections for axes in figure.axes[:2])

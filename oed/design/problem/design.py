@@ -110,15 +110,9 @@ class Design:
         matplotlib.figure.Figure
             Two panels; `savefig` writes it.
         """
-        from matplotlib.figure import Figure
+        from oed.design.plots import plot_with_certificate
 
-        from oed.design.plots import plot_design, plot_sensitivity
-
-        figure = Figure(figsize=(6.4, 6.0), layout="constrained")
-        above, below = figure.subplots(2, 1, sharex=True)
-        plot_design(self, above)
-        plot_sensitivity(self, below)
-        return figure
+        return plot_with_certificate(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers under the keys of the command line.
