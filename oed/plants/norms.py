@@ -41,24 +41,13 @@ FLAT = 1e-13
 class Peak:
     """The H-infinity norm of a plant and where it is attained.
 
-    Attributes
-    ----------
-    value : float
-        gamma = max over w of sigma_max(G(e^jw)).
-    frequency : float
-        w^ in [0, pi], rad/sample; the lowest where several peaks are equal.
-    frequencies : tuple of float
-        All frequencies in [0, pi] with a peak of that height (to 1e-10 relative); 0 and pi where the gain is
-        the same at all frequencies.
-    curvatures : tuple of float
-        H = -d2 sigma_max^2 / dw2 at each of them ([S] Theorem 9: H_mu).
-    output_direction, input_direction : ndarray
-        Left (ny,) and right (nu,) singular vectors at w^; the phase makes the largest entry of the input
-        direction real and positive.
-    local_maxima : tuple of (float, float)
-        Every local maximum found: (frequency, sigma_max), highest first.
-    upper_bound : float
-        Certified: no frequency has a larger gain.
+    `value` gamma = max over w of sigma_max(G(e^jw)); `frequency` w^ in [0, pi], rad/sample; the lowest where
+    several peaks are equal; `frequencies` all frequencies in [0, pi] with a peak of that height (to 1e-10
+    relative); 0 and pi where the gain is the same at all frequencies; `curvatures` H = -d2 sigma_max^2 / dw2
+    at each of them ([S] Theorem 9: H_mu); `output_direction, input_direction` left (ny,) and right (nu,)
+    singular vectors at w^; the phase makes the largest entry of the input direction real and positive;
+    `local_maxima` every local maximum found: (frequency, sigma_max), highest first; `upper_bound` certified:
+    no frequency has a larger gain.
     """
 
     value: float
@@ -86,17 +75,10 @@ class Peak:
 
 
 def largest_gain(G: NDArray) -> NDArray[np.float64]:
-    """Largest singular value of every matrix of a stack; without a decomposition where it is a number or a vector.
+    """Largest singular value of every matrix of a stack; without a decomposition where it is a number or a
+    vector.
 
-    Parameters
-    ----------
-    G : ndarray
-        (..., ny, nu) complex.
-
-    Returns
-    -------
-    ndarray
-        (...,).
+    Shapes: G (..., ny, nu), returns (...,).
     """
     if G.shape[-2:] == (1, 1):
         return np.abs(G[..., 0, 0])
@@ -108,19 +90,10 @@ def largest_gain(G: NDArray) -> NDArray[np.float64]:
 def refined_maximum(height: Callable[[NDArray], NDArray], low: float, high: float) -> float:
     """Where a smooth function with one maximum between two close points is largest.
 
-    Off by the order of the square of a hundredth of their distance, so that the height is by its fourth power.
+    Off by the order of the square of a hundredth of their distance, so that the height is by its fourth
+    power.
 
-    Parameters
-    ----------
-    height : callable
-        (K,) places -> (K,) values.
-    low, high : float
-        The two points.
-
-    Returns
-    -------
-    float
-        The top of the parabola through the three highest of 101 points, or the end where the highest lies.
+    Shapes: height (K,).
     """
     points = np.linspace(low, high, 101)
     heights = height(points)
@@ -137,17 +110,7 @@ def response_derivatives(
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
     """Frequency response with its first two derivatives in frequency.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    omega : array_like
-        (K,) rad/sample.
-
-    Returns
-    -------
-    tuple of ndarray
-        G, dG/dw, d2G/dw2, each (K, ny, nu).
+    Shapes: omega (K,).
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     most = max(len(p) for rows in (plant.num, plant.den) for row in rows for p in row)
@@ -212,20 +175,7 @@ def _height(plant: Plant, omega: NDArray) -> NDArray[np.float64]:
 
 
 def singular_value_curvature(plant: Plant, omega: float) -> float:
-    """H = -d2 sigma_max(G(e^jw))^2 / dw2, by second-order perturbation of the eigenvalue of G* G.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant; its largest singular value must be simple at omega.
-    omega : float
-        rad/sample.
-
-    Returns
-    -------
-    float
-        Positive at a peak.
-    """
+    """H = -d2 sigma_max(G(e^jw))^2 / dw2, by second-order perturbation of the eigenvalue of G* G."""
     G, G1, G2 = (m[0] for m in response_derivatives(plant, [omega]))
     M1 = G1.conj().T @ G + G.conj().T @ G1
     M2 = G2.conj().T @ G + 2 * G1.conj().T @ G1 + G.conj().T @ G2
@@ -434,17 +384,7 @@ def gain_gradient(plant: Plant, at: Peak | None = None) -> NDArray[np.float64]:
     By the envelope theorem c_i = Re(u^* dG_i(e^jw^) v), with the singular vectors at the peak, which must be
     unique and simple.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    at : Peak, optional
-        Its peak, if already computed.
-
-    Returns
-    -------
-    ndarray
-        (n,), in the order of `plant.free`.
+    Shapes: returns (n,).
     """
     at = peak(plant) if at is None else at
     dG = plant.response([at.frequency])[1][0]
