@@ -56,6 +56,7 @@ def _identities() -> list[dict[str, Any]]:
                 float(np.abs(w - G.T @ (G @ u)).max()),
                 1e-11,
                 "against the dense matrix, 40 samples; rounding only.",
+                kind="statement",
             )
         )
     plant, N = named_plant("three-by-two", 0.0), 12
@@ -71,8 +72,13 @@ def _identities() -> list[dict[str, Any]]:
             norm,
             float(values[-1]),
             1e-6 * norm,
-            "12 samples, 600 iterations; it rises at every step and never exceeds the norm: "
-            f"{bool((np.diff(values) > -1e-12).all() and values.max() <= norm * (1 + 1e-12))}.",
+            "12 samples, 600 iterations, rising at every step and never above the norm.",
+            bool(
+                abs(values[-1] / norm - 1) < 1e-6
+                and (np.diff(values) > -1e-12).all()
+                and values.max() <= norm * (1 + 1e-12)
+            ),
+            "statement",
         )
     )
     return found
@@ -97,15 +103,14 @@ def _story() -> list[dict[str, Any]]:
     illustration = "an illustration: the plant was built to show it."
     return [
         row("largest singular value on lines of 18.5 Hz", source, None, float(coarse.max()), None,
-            f"at {hertz[np.argmax(coarse)]:g} Hz ([M]: 1.95 at 296 Hz); {illustration}",
-            bool(hertz[np.argmax(coarse)] == 296 and abs(coarse.max() - 1.95) < 1e-3)),
+            f"at {hertz[np.argmax(coarse)]:g} Hz ([M]: 1.95 at 296 Hz); {illustration}"),
         row("estimate after 40 iterations", source, None, last, None,
-            f"above the grid's {coarse.max():.4f} ([M]: 1.997); {illustration}", bool(last > coarse.max())),
+            f"above the grid's {coarse.max():.4f} ([M]: 1.997); {illustration}"),
         row("dominant frequency in Hz", source, None, worst.frequency_hz, None,
-            f"121 and not 296 Hz; {illustration}", bool(abs(worst.frequency_hz - 121) < 1)),
+            f"121 and not 296 Hz; {illustration}"),
         row("from white noise to a sinusoid", source, None,
             f"largest line {flat[0]:.3g} to {flat[1]:.3g} times the mean", None,
-            f"[M] Fig. 5 and 6; {illustration}", bool(flat[1] > 50 * flat[0])),
+            f"[M] Fig. 5 and 6; {illustration}"),
         row("both channels of comparable size", source, None, float(sizes.min() / sizes.max()), None,
-            f"ratio of the channels' standard deviations; {illustration}", bool(sizes.min() > 0.5 * sizes.max())),
+            f"ratio of the channels' standard deviations; {illustration}"),
     ]  # fmt: skip

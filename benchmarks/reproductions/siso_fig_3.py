@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.tables.reproduced import row
-from estimators.montecarlo.engine import monte_carlo
+from estimators.montecarlo.engine import batches, monte_carlo
 from oed.plants.named import named_plant
 from oed.theory.finite import finite_moments, finite_norm
 
@@ -41,6 +41,7 @@ def rows() -> list[dict[str, Any]]:
                 None,
                 "the mean must lie below by 4 of its standard errors at every iteration.",
                 bool((mean + 4 * error < norm).all()),
+                "statement",
             )
         )
         square = campaign.mean["gain_square"][-1]
@@ -65,6 +66,30 @@ def rows() -> list[dict[str, Any]]:
             None,
             "an ordering; the differences are hundreds of standard errors.",
             bool(means[0] > means[1] > means[2]),
+            "statement",
         )
     )
-    return found
+    return [*found, _single()]
+
+
+def _single() -> dict[str, Any]:
+    """Fig. 3 left: one realisation at variance 9 beside the average of 1000 and the finite-time norm."""
+    plant, samples, iterations = named_plant("reference", 9.0), 1000, 50
+    squares = np.concatenate(
+        [b.gain_squares for b in batches(plant, samples=samples, iterations=iterations, replicates=1000)]
+    )
+    gains = np.sqrt(np.maximum(squares[:, 9:], 0.0))  # from iteration 10 on the transient is over
+    one, mean, spread = gains[0], gains.mean(axis=0), gains.std(axis=0)
+    inside = float(np.mean(np.abs(one - mean) < 4 * spread))
+    noise = float(np.std(one - mean) / np.median(spread))
+    return row(
+        "one realisation is noisy, the average smooth, both below the norm, variance 9",
+        "[S] Fig. 3 left",
+        "one run scatters about the mean, which lies below the norm",
+        f"scatter {noise:.2f} of that between runs, {inside:.0%} within 4 of it; mean {mean[-1]:.4f} of {finite_norm(plant, samples):.4f}",
+        None,
+        "scatter along one run within a factor of two of that between runs (its iterations depend on each other), and over 10 "
+        "times that of the average.",
+        bool(0.5 < noise < 2 and inside > 0.95 and np.std(np.diff(mean)) < 0.1 * np.std(np.diff(one))),
+        "statement",
+    )

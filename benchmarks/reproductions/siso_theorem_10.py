@@ -51,6 +51,7 @@ def rows() -> list[dict[str, Any]]:
                     1e-6,
                     f"after {count} iterations of Lemma 6, relative to the largest value; the error falls by "
                     f"gamma^2 / mu^2 = {np.exp(rate):.5f} each, and quadrature leaves 1e-7.",
+                    kind="statement",
                 )
             )
     return found

@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.tables.reproduced import row
 from oed.plants.named import NAMES, named_plant
 from oed.plants.norms import peak
+from oed.plants.plant import Plant
 from oed.theory.limit import limit_spectrum
 
 __all__ = ["rows"]
@@ -25,31 +26,50 @@ def rows() -> list[dict[str, Any]]:
         Rows of `benchmarks.tables.reproduced`.
     """
     plants = [p for p in map(named_plant, NAMES) if p.n_inputs * p.n_outputs == 1]
-    omega = np.linspace(0, np.pi, 8001)
     above, tops, bottoms, rising, ends = [], [], [], [], []
     for plant in plants:
         gamma = peak(plant).value
-        gain = np.abs(plant.response(omega)[0][:, 0, 0])
         limits = [limit_spectrum(plant.replace(noise_variance=v)) for v in VARIANCES]
         excess = np.array([limit.mu2_excess for limit in limits])
-        above.append(excess.min() >= 0)
         rising.append((np.diff(excess) > 0).all())
         ends.append(excess[0] < 1e-5 * gamma**2 and np.sqrt(limits[-1].mu2) > 20 * gamma)
-        for limit in limits[::5]:
-            density = limit.density(omega)
-            tops.append(np.argmax(density) == np.argmax(gain))
-            bottoms.append(density.min() > 0 and gain[np.argmin(density)] <= gain.min() + 1e-6 * gamma)
-    published = "on every plant"
+        for share in (0.5, 1.0, 2.0):
+            gain, Phi, mu2 = _iterated(plant, share * gamma**2)
+            above.append(mu2 >= gamma**2)
+            tops.append(gain[np.argmax(Phi)] >= gain.max() - 1e-6 * gamma)
+            bottoms.append(Phi.min() > 0 and gain[np.argmin(Phi)] <= gain.min() + 1e-6 * gamma)
     count = lambda flags: f"{int(np.sum(flags))} of {len(flags)}"
+    runs = "recursion (8) from a low-pass start on 8001 lines, 400 steps, noise of .5, 1 and 2 gamma^2"
     text = f"{len(plants)} plants, variances from 1e-6 to 1e4"
     properties = (
-        ("(1) mu >= ||G||", above, "the excess mu^2 - gamma^2 is solved for directly, so its sign is exact."),
-        ("(2) largest where |G| is", tops, "same line of a grid of 8001."),
-        ("(3) smallest, and not zero, where |G| is smallest", bottoms, "same gain to 1e-6 of the peak."),
-        ("(4) mu rises strictly with the noise", rising, "21 variances in a row."),
-        ("(4) mu tends to ||G|| and to infinity", ends, "at 1e-6 within 1e-5, at 1e4 above 20 ||G||."),
+        ("(1) mu >= ||G||", above, f"{runs}; mu^2 is the power of the last output."),
+        ("(2) largest where |G| is", tops, f"{runs}; same gain to 1e-6 of the peak."),
+        (
+            "(3) smallest, and not zero, where |G| is smallest",
+            bottoms,
+            f"{runs}; same gain to 1e-6 of the peak.",
+        ),
+        ("(4) mu rises strictly with the noise", rising, f"{text}; 21 variances in a row."),
+        (
+            "(4) mu tends to ||G|| and to infinity",
+            ends,
+            f"{text}; at 1e-6 within 1e-5, at 1e4 above 20 ||G||.",
+        ),
     )
     return [
-        row(name, "[S] Theorem 8", published, count(flags), None, f"{text}; {why}", bool(np.all(flags)))
+        row(name, "[S] Theorem 8", "everywhere", count(flags), None, why, bool(np.all(flags)), "statement")
         for name, flags, why in properties
     ]
+
+
+def _iterated(plant: Plant, variance: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Gain, spectrum and mu^2 after 400 steps of [S] (8): nothing of (9) is used, and the start peaks elsewhere."""
+    omega = np.linspace(0, np.pi, 8001)
+    weight = np.full(8001, 1 / 8000)
+    weight[[0, -1]] /= 2
+    gain = np.abs(plant.response(omega)[0][:, 0, 0])
+    Phi, mu2 = 0.01 + 1 / (1.0001 - np.cos(omega)), 0.0
+    for _ in range(400):
+        Phi = gain**2 * (Phi / (weight @ Phi)) + variance
+        mu2 = float(weight @ Phi)
+    return gain, Phi / mu2, mu2

@@ -9,9 +9,16 @@ from typing import Any
 
 from oed.errors import check_names
 
-__all__ = ["KEYS", "row", "row_names", "rows_of"]
+__all__ = ["KEYS", "KINDS", "row", "row_names", "rows_of"]
 
-KEYS = ("name", "source", "published", "computed", "tolerance", "why", "holds")
+KEYS = ("name", "source", "published", "computed", "tolerance", "why", "holds", "kind")
+KINDS = {
+    "in print": "a figure that stands in print",
+    "statement": "a statement in print that could have failed",
+    "two ways": "recomputed two ways, by programs that share no formula",
+    "illustration": "an illustration, which proves nothing and is not judged",
+}
+"""What stands behind `published`; only the first three can fail, and only they are counted."""
 
 
 def row(
@@ -22,6 +29,7 @@ def row(
     tolerance: float | None,
     why: str,
     holds: bool | None = None,
+    kind: str = "two ways",
 ) -> dict[str, Any]:
     """One published statement and what comes out here.
 
@@ -32,7 +40,7 @@ def row(
     source : str
         Where it was published: paper and equation, figure or theorem.
     published : float, str or None
-        What was published; None for an illustration, which proves nothing by holding.
+        What was published or comes out of the other way; None for an illustration.
     computed : float or str
         What comes out here.
     tolerance : float or None
@@ -40,16 +48,23 @@ def row(
     why : str
         Why the tolerance is what it is, and what was done.
     holds : bool, optional
-        Whether it agrees; default by the tolerance. None with a reason in `why` where data are absent.
+        Whether it agrees; default by the tolerance. None with a reason in `why` where data are absent. Of an
+        illustration it is not said.
+    kind : str
+        One of `KINDS`; without `published` the row is an illustration.
 
     Returns
     -------
     dict
         The row.
     """
-    if holds is None and isinstance(published, int | float) and tolerance is not None:
+    kind = "illustration" if published is None else kind
+    check_names([kind], tuple(KINDS), "kind of row")
+    if kind == "illustration":
+        holds = None
+    elif holds is None and isinstance(published, int | float) and tolerance is not None:
         holds = bool(abs(float(computed) - published) <= tolerance)
-    return dict(zip(KEYS, (name, source, published, computed, tolerance, why, holds), strict=True))
+    return dict(zip(KEYS, (name, source, published, computed, tolerance, why, holds, kind), strict=True))
 
 
 def _modules() -> dict[str, str]:

@@ -28,7 +28,7 @@ from estimators.rules.trace import Trace
 from oed.errors import InputError, Status
 from oed.plants.norms import largest_gain
 
-__all__ = ["corrected", "fixed_point", "theorem_12"]
+__all__ = ["corrected", "fixed_point", "theorem_12", "width_left_open"]
 
 WINDOW = 5
 """DFT lines that a rough gain is averaged over."""
@@ -112,11 +112,11 @@ def corrected(trace: Trace) -> PeakEstimate:
     rivals = [p for p in peaks if p is not best]
     wide = lambda p: 2 * float(np.hypot(p.standard_error, best.standard_error))
     competing = any(p.value + wide(p) >= best.value for p in rivals)
-    best = _width_left_open(best, trace, spectra)
+    best = width_left_open(best, trace, spectra)
     return replace(best, status=Status.COMPETING) if competing else best
 
 
-def _width_left_open(best: PeakEstimate, trace: Trace, spectra: Spectra | None) -> PeakEstimate:
+def width_left_open(best: PeakEstimate, trace: Trace, spectra: Spectra | None = None) -> PeakEstimate:
     """The estimate with the error that the width of its band leaves open.
 
     Were the model right, the estimate from a narrower band would differ by no more than the difference of the two

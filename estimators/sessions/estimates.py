@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.norm.peak_estimates import PeakEstimate, local_peak
+from estimators.norm.peak_estimates import PeakEstimate, local_peak, width_left_open
 from estimators.rules.trace import Trace
 from estimators.sessions.settings import Settings
 from oed.errors import OedError, Status
@@ -134,6 +134,8 @@ def _peak(settings: Settings, records: Trace) -> tuple[PeakEstimate, str, str]:
         return best_arm(records), "best line", ""
     try:
         found, doubt = _against_rival(records, local_peak(records))
+        if np.isfinite(found.value):
+            found = width_left_open(found, records)
         return found, "local model", why or doubt
     except OedError as error:
         nan = float("nan")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
-from benchmarks.tables.reproduced import KEYS, row, row_names, rows_of
-from oed.errors import InputError
+from benchmarks.tables.reproduced import KEYS, KINDS, row, row_names, rows_of
+from oed.errors import InputError, OedError
 
 
 @pytest.mark.slow
@@ -23,12 +25,39 @@ def test_every_row_holds(name):
         assert tuple(each) == KEYS
         assert each["holds"] is not False, each
         assert each["why"]
-        assert each["holds"] is True or "absent" in each["why"] or each["published"] is None
+        assert each["kind"] in KINDS
+        assert (each["kind"] == "illustration") == (each["published"] is None)
+        assert each["holds"] is True or "absent" in each["why"] or each["kind"] == "illustration"
+        if each["tolerance"] and each["published"]:  # what is within a third of anything proves little
+            assert each["tolerance"] < 0.34 * abs(each["published"])
 
 
 def test_a_row_is_judged_by_its_tolerance():
     assert row("a", "b", 1.0, 1.1, 0.2, "c")["holds"] is True
     assert row("a", "b", 1.0, 1.3, 0.2, "c")["holds"] is False
     assert row("a", "b", None, 1.3, None, "c")["holds"] is None
+    assert row("a", "b", None, 1.3, None, "c", holds=True)["holds"] is None  # an illustration never counts
+    with pytest.raises(InputError, match="kind of row"):
+        row("a", "b", 1.0, 1.3, 0.2, "c", kind="proof")
     with pytest.raises(InputError, match="no reproduction named"):
         rows_of("siso-fig-7")
+
+
+def test_the_last_line_counts_what_could_have_failed(monkeypatch):
+    import benchmarks.tables.reproduced as reproduced
+    from benchmarks.commands.reproduce import run
+
+    rows = [
+        row("a", "b", 1.0, 1.1, 0.2, "c", kind="in print"),
+        row("a", "b", 1.0, 1.3, 0.2, "c", kind="statement"),
+        row("a", "b", 1.0, 1.0, 0.2, "c"),
+        row("a", "b", None, 1.0, None, "c"),
+    ]
+    monkeypatch.setattr(reproduced, "rows_of", lambda name, progress: rows)
+    text = run(SimpleNamespace(name=None, quiet=True, strict=False))[1]
+    assert text.endswith(
+        "2 of 3 rows that can fail hold, 1 do not: 1 figures and 1 statements in print, 1 recomputed two ways. "
+        "1 illustrations are not counted."
+    )
+    with pytest.raises(OedError, match="1 of 3 rows that can fail do not hold: a"):
+        run(SimpleNamespace(name=None, quiet=True, strict=True))
