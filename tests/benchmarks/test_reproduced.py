@@ -45,7 +45,7 @@ def test_a_row_is_judged_by_its_tolerance():
 
 def test_the_last_line_counts_what_could_have_failed(monkeypatch):
     import benchmarks.tables.reproduced as reproduced
-    from benchmarks.commands.reproduce import run
+    from benchmarks.commands.suite.reproduce import run
 
     rows = [
         row("a", "b", 1.0, 1.1, 0.2, "c", kind="in print"),
