@@ -5,6 +5,7 @@
 #   make test      the tests (under 8 minutes on 2 cores);  make test PYTEST_ARGS="-k spectrum -x"
 #   make lint      ruff, pyright, import-linter
 #   make validate  the tests that are too long for `make test`; writes validation.json
+#   make fuzz      hostile files and documents, $(FUZZ) of them (100000; `make test` has a fixed thousand)
 #   make campaign, make speed, make report    the large campaign, the speed benchmarks, the HTML report again
 #   make docs      the documentation site in build/docs, warnings as errors
 #   make readme    the README's headline table and picture again, from the comparison
@@ -15,6 +16,7 @@
 PYTHON      ?= python3
 VENV        ?= .venv
 JOBS        ?= 2
+FUZZ        ?= 100000
 PYTEST_ARGS ?=
 
 BIN   := $(VENV)/bin
@@ -47,7 +49,7 @@ PYTHON_IS = $(or $(shell $(PYTHON) -V 2>/dev/null),nothing that runs here)
 
 .DEFAULT_GOAL := help
 
-.PHONY: help readme setup compare test lint validate campaign speed report docs lock clean
+.PHONY: help readme setup compare test lint validate fuzz campaign speed report docs lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p;/^$$/q' $(firstword $(MAKEFILE_LIST))
@@ -82,6 +84,9 @@ lint: $(STAMP)
 
 validate: $(STAMP)
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m validate --validation-json validation.json $(PYTEST_ARGS)
+
+fuzz: $(STAMP)
+	OED_FUZZ=$(FUZZ) $(BIN)/python -m pytest -n $(JOBS) tests/fuzz $(PYTEST_ARGS)
 
 # 10 plants x 6 noise levels x 12 inputs, 10000 samples a run: about two hours on 2 cores, extrapolated from single runs; killed, it resumes.
 campaign: $(STAMP)

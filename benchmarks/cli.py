@@ -117,6 +117,12 @@ def _standard_output_reserved() -> Iterator[Any]:
         os.close(kept)
 
 
+def _one_line(text: str) -> str:
+    """A message as one line; what a file put in it, such as a column's name, does not reach the terminal as a command."""
+    words = " ".join(text.split())
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in words)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run the command line.
 
@@ -155,12 +161,9 @@ def main(argv: list[str] | None = None) -> int:
                 payload = {"schema_version": SCHEMA_VERSION, **content}
                 out.write(json.dumps(plain(payload), allow_nan=False) + "\n")
         return status[0] if status else 0
-    except BAD_INPUT as error:
-        print(f"oed {args.command}: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
     except OedError as error:
-        print(f"oed {args.command}: {' '.join(str(error).split())}", file=sys.stderr)
-        return 1
+        print(f"oed {args.command}: {_one_line(str(error))}", file=sys.stderr)
+        return 2 if isinstance(error, BAD_INPUT) else 1
     except BrokenPipeError:  # the reader of our output has gone, such as `head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 1

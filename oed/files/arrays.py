@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from oed.data import Record
 from oed.errors import InputError
+from oed.files.limits import check_limit
 from oed.files.tables import Table, numbers
 
 __all__ = ["arrays_of", "npz_bytes", "npz_table", "table_of_arrays"]
@@ -158,6 +159,10 @@ def npz_table(content: bytes, source: str) -> Table:
         raise InputError(f"{source} is not an npz file (a zip archive of arrays); write it with numpy.savez.")
     try:
         archive = np.load(io.BytesIO(content), allow_pickle=False)
+        check_limit("columns", len(archive.files), source)
+        if len(set(archive.files)) < len(archive.files):
+            raise ValueError("it has two arrays of one name")
+        check_limit("bytes", sum(entry.file_size for entry in archive.zip.infolist()), source)
         arrays = {name: _member(archive, name, source) for name in archive.files}
     except InputError:
         raise
@@ -181,7 +186,7 @@ def first_line(error: Exception) -> str:
     str
         One line.
     """
-    return (str(error).splitlines() or [type(error).__name__])[0]
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 
 def _member(archive: Any, name: str, source: str) -> NDArray:

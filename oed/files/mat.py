@@ -1,4 +1,4 @@
-"""MAT files: v5 through SciPy, v7.3 through h5py; plain arrays, or a struct with iddata's fields."""
+"""MAT files: v5 by our own reader, v7.3 through h5py; plain arrays, or a struct with iddata's fields."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import numpy as np
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.arrays import arrays_of, first_line, scalar, table_of_arrays, texts
+from oed.files.limits import check_limit
+from oed.files.mat5 import is_mat5, read_mat5
 from oed.files.tables import Table, numbers
 
 __all__ = ["mat_bytes", "mat_table"]
@@ -69,7 +71,9 @@ def mat_table(content: bytes, source: str) -> Table:
     hdf5 = any(content[k : k + 8] == b"\x89HDF\r\n\x1a\n" for k in offsets)
     reader = _read_hdf5 if hdf5 else _read_v5
     try:
-        variables = reader(content)
+        variables = reader(content, source)
+    except InputError:
+        raise
     except Exception as error:  # the parsers raise many kinds on damaged files
         raise InputError(
             f"{source} is not a whole MAT file ({first_line(error)}); save it again with save(..., '-v7')."
@@ -141,53 +145,67 @@ def _struct_table(name: str, struct: Mapping[str, Any], source: str) -> Table:
     return table_of_arrays({key: array.shape for key, array in arrays.items()}, arrays.__getitem__, source)
 
 
-def _read_v5(content: bytes) -> dict[str, Any]:
-    from scipy.io import loadmat
-
-    variables = loadmat(io.BytesIO(content), squeeze_me=False, struct_as_record=True, chars_as_strings=True)
-    return {name: _plain(value) for name, value in variables.items() if not name.startswith("__")}
-
-
-def _plain(value: Any) -> Any:
-    """A struct of SciPy's as a dictionary; objects that only MATLAB understands as None."""
-    if type(value) is not np.ndarray:
-        return None
-    if value.dtype.names is None:
-        return value
-    if value.size != 1:
-        return None
-    entry = value.ravel()[0]
-    return {field: entry[field] for field in value.dtype.names}
+def _read_v5(content: bytes, source: str) -> dict[str, Any]:
+    if not is_mat5(content):
+        raise ValueError("it is neither of version 5 nor of version 7.3")
+    return {name: value for name, value in read_mat5(content, source).items() if not name.startswith("__")}
 
 
-def _read_hdf5(content: bytes) -> dict[str, Any]:
+def _read_hdf5(content: bytes, source: str) -> dict[str, Any]:
     import h5py
 
     with h5py.File(io.BytesIO(content), "r") as file:
-        return {str(name): _node(file[name], file) for name in file if not str(name).startswith("#")}
+        reader = _Hdf5(file, source)
+        return {str(name): reader.of(file, str(name), 0) for name in file if not str(name).startswith("#")}
 
 
-def _node(node: Any, file: Any) -> Any:
-    """A variable of a v7.3 file: axes reversed, characters as text, cells as object arrays, structs as dictionaries."""
-    import h5py
+class _Hdf5:
+    """The variables of a v7.3 file, within the limits on nodes, depth and bytes; nothing outside the file is opened."""
 
-    kind = node.attrs.get("MATLAB_class", b"")
-    kind = kind.decode() if isinstance(kind, bytes) else str(kind)
-    if isinstance(node, h5py.Group):
-        return {name: _node(node[name], file) for name in node}
-    if node.attrs.get("MATLAB_empty", 0):
-        return np.empty(0, dtype=str if kind == "char" else float)
-    if kind == "char":
-        return np.array(["".join(map(chr, row)) for row in np.atleast_2d(node[()].T)], dtype=str)
-    if h5py.check_ref_dtype(node.dtype) is not None:
-        references = node[()].T
-        cells = np.empty(references.shape, dtype=object)
-        for index in np.ndindex(references.shape):
-            cells[index] = _node(file[references[index]], file)
-        return cells
-    if node.attrs.get("MATLAB_object_decode", 0) or (kind not in _NUMERIC and kind):
-        return None
-    return node[()].T
+    def __init__(self, file: Any, source: str) -> None:
+        self.file, self.source = file, source
+        self.nodes, self.size = 0, 0.0
+
+    def of(self, group: Any, name: str, depth: int) -> Any:
+        """What a group holds under a name."""
+        import h5py
+
+        if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+            raise InputError(
+                f"{self.source} has the link {name!r} into another file, which is not followed; save the values themselves."
+            )
+        return self.node(group[name], depth + 1)
+
+    def node(self, node: Any, depth: int) -> Any:
+        """Axes reversed, characters as text, cells as object arrays, structs as dictionaries."""
+        import h5py
+
+        self.nodes += 1
+        check_limit("columns", self.nodes, self.source)
+        check_limit("depth", depth, self.source)
+        kind = node.attrs.get("MATLAB_class", b"")
+        kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+        if isinstance(node, h5py.Group):
+            return {str(name): self.of(node, str(name), depth) for name in node}
+        if node.attrs.get("MATLAB_empty", 0):
+            return np.empty(0, dtype=str if kind == "char" else float)
+        if node.external or node.is_virtual:
+            raise InputError(
+                f"{self.source} keeps the values of {node.name} in another file, which is not opened; save them in this one."
+            )
+        self.size += float(node.size or 0) * node.dtype.itemsize
+        check_limit("bytes", self.size, self.source)
+        if kind == "char":
+            return np.array(["".join(map(chr, row)) for row in np.atleast_2d(node[()].T)], dtype=str)
+        if h5py.check_ref_dtype(node.dtype) is not None:
+            references = np.asarray(node[()]).T
+            cells = np.empty(references.shape, dtype=object)
+            for index in np.ndindex(references.shape):
+                cells[index] = self.node(self.file[references[index]], depth + 1)
+            return cells
+        if node.attrs.get("MATLAB_object_decode", 0) or (kind not in _NUMERIC and kind):
+            return None
+        return np.asarray(node[()]).T
 
 
 _NUMERIC = {"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64))}

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.arrays import first_line
+from oed.files.limits import check_limit
 from oed.files.tables import Table, numbers, seconds_per
 
 if TYPE_CHECKING:
@@ -78,9 +79,13 @@ def parquet_table(content: bytes, source: str) -> Table:
     try:
         file = open_parquet(content)
         schema = file.schema_arrow
+        check_limit("columns", len(schema.names), source)
+        check_limit("bytes", 8.0 * file.metadata.num_rows * len(schema.names), source)
         own = json.loads((schema.metadata or {}).get(KEY, b"null"))
         marks = {} if own is None else _marks(own, schema.names)
-    except (pa.ArrowException, OSError, ValueError) as error:
+    except (pa.ArrowException, OSError, ValueError, OverflowError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(
             f"{source} is not a whole Parquet file ({first_line(error)}); write it again."
         ) from None
@@ -110,7 +115,7 @@ def _marks(own: Any, names: list[str]) -> dict[str, Any]:
             "dt": float.fromhex(own["dt"]),
             "t0": float.fromhex(own["t0"]),
         }
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"its metadata are damaged at {error}") from None
 
 

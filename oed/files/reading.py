@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import gzip
+import io
 import os
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from oed.data import Record
-from oed.errors import InputError
+from oed.errors import InputError, OedError
 from oed.files.arrays import npz_table
+from oed.files.limits import check_limit
 from oed.files.mat import mat_table
 from oed.files.parquet import parquet_table
 from oed.files.tables import Table, record_of
@@ -65,7 +69,7 @@ def read_record(
 
 def _split_spec(spec: str | os.PathLike[str]) -> tuple[Path, tuple[int | None, int | None]]:
     text = os.fspath(spec)
-    if Path(text).exists() or not text.endswith("]"):
+    if os.path.exists(text) or not text.endswith("]"):
         return Path(text), (None, None)
     parts = re.fullmatch(r"(.*)\[\s*(-?\d*)\s*:\s*(-?\d*)\s*\]", text)
     if not parts:
@@ -107,23 +111,54 @@ def read_table(path: Path) -> Table:
         raise InputError(f"{path.name} is not gzipped although its suffix says so; rename it without .gz.")
     if not content:
         raise InputError(f"{path.name} is empty (0 bytes); it may not have been written to the end.")
-    return READERS[suffix](content, path.name)
+    table = _understood(path.name, lambda: READERS[suffix](content, path.name))
+    load = table.load
+    return replace(table, load=lambda wanted: _understood(path.name, lambda: load(wanted)))
+
+
+def _understood(name: str, read: Callable[[], Any]) -> Any:
+    """What a reader returns; a file that it was not made for is one line, whatever the parsers below it raise."""
+    try:
+        return read()
+    except OedError:
+        raise
+    except MemoryError:
+        raise InputError(
+            f"{name} needs more memory than there is; read fewer columns or rows of it."
+        ) from None
+    except Exception as error:
+        words = " ".join(str(error).split())[:200]
+        raise InputError(
+            f"{name} is not understood ({type(error).__name__}: {words}); it is damaged, or of a kind that is not read: "
+            "save it again, as CSV for example."
+        ) from None
 
 
 def _content(path: Path) -> bytes:
     try:
+        check_limit("bytes", path.stat().st_size, path.name)
+        if not (path.is_file() or path.is_dir()):
+            raise InputError(f"{str(path)!r} is a device or a pipe; give a file.")
         return path.read_bytes()
     except FileNotFoundError:
         raise InputError(f"the file {str(path)!r} does not exist; check the name and the folder.") from None
     except IsADirectoryError:
         raise InputError(f"{str(path)!r} is a folder; give a file.") from None
-    except OSError as error:
-        raise InputError(f"the file {str(path)!r} cannot be read: {error.strerror or error}.") from None
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"the file {str(path)[:80]!r} cannot be read: {getattr(error, 'strerror', '') or error}."
+        ) from None
 
 
 def _unzipped(content: bytes, name: str) -> bytes:
     try:
-        return gzip.decompress(content)
+        most = check_limit("bytes", 0, name)
+        with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
+            whole = file.read(int(most) + 1)
+        check_limit("bytes", len(whole), name)
+        return whole
     except (EOFError, zlib.error, OSError) as error:
         raise InputError(
             f"{name} cannot be decompressed ({error}); it is cut off or damaged: fetch or write it again."

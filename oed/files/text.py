@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from oed.data import Record
 from oed.errors import InputError
+from oed.files.limits import check_limit
 from oed.files.tables import Table, column_name
 
 __all__ = ["csv_bytes", "csv_table"]
@@ -55,6 +56,7 @@ def csv_table(content: bytes, source: str) -> Table:
             break
         comment, header = header.strip() or comment, ""
     delimiter = next((mark for mark in (",", ";", "\t") if mark in header), ",")
+    check_limit("columns", header.count(delimiter), source)
     names = _fields(header, delimiter)
     body = stream.tell()
     if header and all(_is_number(name) for name in names):
@@ -75,7 +77,7 @@ def csv_table(content: bytes, source: str) -> Table:
 
 
 def _fields(line: str, delimiter: str) -> list[str]:
-    return [name.strip() for name in next(csv.reader([line.strip()], delimiter=delimiter), [])]
+    return [name.strip() for name in next(csv.reader([line.strip("\r\n ")], delimiter=delimiter), [])]
 
 
 def _is_number(entry: str) -> bool:
@@ -99,9 +101,9 @@ def _parse(
         body = body.replace(",", ".")
     try:
         table = np.loadtxt(io.StringIO(body), delimiter=delimiter, usecols=where, ndmin=2, comments=None)
-        even = body.count(delimiter) == len(table) * (
-            len(names) - 1
-        )  # loadtxt lets rows be longer than the header
+        # loadtxt lets single rows be longer or shorter than the header, as one with a decimal comma is
+        counts = [line.count(delimiter) for line in body.splitlines() if line.strip()]
+        even = len(counts) == len(table) and {*counts} <= {len(names) - 1}
     except ValueError:
         even = False
     if not even:
@@ -123,7 +125,7 @@ def _parse_slowly(
                 "columns; they must be equal: the file may be cut off, or have commas for decimal points."
             )
         rows.append([_number(fields[k], row, names[k], source) for k in where])
-    return np.array(rows, dtype=float)
+    return np.array(rows, dtype=float).reshape(len(rows), len(where))
 
 
 def _number(entry: str, row: int, column: str, source: str) -> float:

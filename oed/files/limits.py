@@ -1,0 +1,35 @@
+"""How much a file may ask for: small files can declare columns, nesting and gigabytes that nobody recorded.
+
+Each limit can be raised by an environment variable, which its message names.
+"""
+
+from __future__ import annotations
+
+import os
+
+from oed.errors import InputError
+
+__all__ = ["check_limit"]
+
+LIMITS = {
+    # Bytes of a file, and of its content once expanded: 67 million numbers. Reading takes up to three times as much.
+    "bytes": 2**29,
+    # Columns or arrays: the largest of the published records has some hundred.
+    "columns": 10_000,
+    # Groups in groups, structs in structs: MATLAB's own have two or three.
+    "depth": 32,
+}
+
+
+def check_limit(what: str, value: float, source: str) -> float:
+    """Raise if a file asks for more than the limit on `what`; the value that is left is the limit minus the value."""
+    name = f"OED_MOST_{what.upper()}"
+    given = os.environ.get(name, "")
+    if given and not given.isdigit():
+        raise InputError(f"{name} is {given!r}; give a whole number.")
+    most = int(given) if given else LIMITS[what]
+    if value > most:
+        raise InputError(
+            f"{source} asks for {value:,.0f} {what}, and at most {most:,} are read; if that is meant, set {name} higher."
+        )
+    return most - value

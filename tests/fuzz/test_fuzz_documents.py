@@ -1,0 +1,106 @@
+"""Plant, campaign and session files with something in them changed: what they were, or one line that refuses them."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+from datetime import timedelta
+
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from estimators.sessions.settings import Settings, settings_from_json, settings_to_json
+from oed.errors import OedError
+from oed.plants.json import plant_from_json, plant_to_json
+
+TESTS = 5  # with those of the readers beside this file
+MANY = int(os.environ.get("OED_FUZZ", "0"))
+quick = settings(
+    max_examples=MANY // TESTS or 125, derandomize=not MANY, database=None, deadline=timedelta(seconds=20),
+    suppress_health_check=list(HealthCheck),
+)  # fmt: skip
+PLANTS = (
+    {"num": [[[0, 0.2155, 0.2012]]], "den": [[[1, -0.9854, 0.8187]]], "dt": 1, "free": ["b1"],
+     "noise": {"covariance": [[2.0]], "filter": {"num": [1, 0.5], "den": [1, -0.3]}}},
+    {"A": [[0.5, 0.1], [0, 0.3]], "B": [[1], [1]], "C": [[1, 0]], "D": [[0]], "dt": 0.1, "noise": {"variance": 3}},
+    {"num": [[[0, 1], [0, 2]], [[0, 1], [0, 3]]], "den": [[[1, -0.5], [1]], [[1, -0.2], [1, 0.3]]],
+     "noise": {"covariance": [[2.0, 1], [1, 3]]}},
+)  # fmt: skip
+ODD = (None, True, 0, -1, 1e-320, 1e308, -1e308, 1e-300, [], {}, "x", "", [[]], [[[]]], [1], [1, 2, 3], 1e150, 5,
+       [[1, 2], [3]], {"a": 1}, 0.999999999, -0.0, float("nan"), float("inf"), 10**400)  # fmt: skip
+changes = st.lists(
+    st.tuples(st.integers(0, 999), st.sampled_from(["set", "set", "drop", "add"]), st.sampled_from(ODD)),
+    min_size=1, max_size=2,
+)  # fmt: skip
+
+
+def places(value, path=()):
+    """Paths of everything inside a document."""
+    found = [path] if path else []
+    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, entry in inside:
+        found += places(entry, (*path, key))
+    return found
+
+
+def changed(content, how):
+    content = copy.deepcopy(content)
+    for number, kind, value in how:
+        paths = places(content)
+        if not paths:
+            break
+        *parents, last = paths[number % len(paths)]
+        inside = content
+        for key in parents:
+            inside = inside[key]
+        if kind == "drop":
+            del inside[last]
+        elif kind == "add" and isinstance(inside, list):
+            inside.insert(last, copy.deepcopy(value))
+        else:
+            inside[last if kind == "set" or number % 2 else "varance"] = copy.deepcopy(value)
+    return content
+
+
+def read(reader):
+    """What is read; None where it was refused in a line."""
+    try:
+        return reader()
+    except OedError as error:
+        said = str(error)
+    assert 10 < len(said) < 2000
+    return None
+
+
+@quick
+@given(st.sampled_from(PLANTS), changes)
+def test_a_changed_plant_is_read_as_it_stands_or_refused(content, how):
+    content = changed(content, how)
+    plant = read(lambda: plant_from_json(content))
+    if plant is None:
+        return
+    assert all(np.isfinite(p).all() for side in (plant.num, plant.den) for row in side for p in row)
+    again = plant_from_json(json.loads(json.dumps(plant_to_json(plant))))
+    assert plant_to_json(again) == plant_to_json(plant)
+    if "num" in content and np.ndim(
+        content["num"][0]
+    ):  # the slow reading: every coefficient over the leading one
+        for i, row in enumerate(content["num"]):
+            for j, entry in enumerate(row):
+                lead = content["den"][i][j][0]
+                assert plant.num[i][j].tolist() == [float(v) / lead for v in entry]
+
+
+@quick
+@given(changes)
+def test_a_changed_session_is_read_as_it_stands_or_refused(how):
+    content = json.loads(
+        settings_to_json(Settings("power", 100, amplitude=(2.0,), sensor_range=((-1.0, 1.0),)))
+    )
+    text = json.dumps(changed(content, how))
+    found = read(lambda: settings_from_json(text, "session.json"))
+    if found is None:
+        return
+    assert settings_from_json(settings_to_json(found), "again") == found
