@@ -14,9 +14,9 @@ from estimators.diagnosis.discovery.fitting import Fitted, Piece, run_piece
 from estimators.diagnosis.discovery.form import Assembly
 from estimators.diagnosis.discovery.model import DiscoveredModel, FoundTerm
 from estimators.diagnosis.discovery.search import Budget, greedy_search
-from estimators.diagnosis.discovery.starts import pieces_of, scales_of
+from estimators.diagnosis.discovery.starts import Scales, pieces_of, scales_of
 from estimators.diagnosis.discovery.uncertainty import covariance
-from estimators.diagnosis.discovery.validation import unused
+from estimators.diagnosis.discovery.validation import ahead, start_prior, unused
 from oed.data import Record
 
 __all__ = ["BUDGETS", "Discovery", "discover"]
@@ -97,33 +97,69 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     smooth = [(y - scales.y) / scales.sy for y in baseline.y_model]
     zeros = {f"y{i}": float(-scales.y[i] / scales.sy[i]) for i in range(records[0].n_outputs)}
     zeros |= {f"u{j}": float(-scales.u[j] / scales.su[j]) for j in range(records[0].n_inputs)}
+    judge = _Judge(records, baseline, scales, pieces)
     found = greedy_search(pieces, scales, smooth, zeros, budget, bool(np.min(delays) == 0))
-    squares = _Squares(records, baseline, scales)
-    return _chosen(found, records, baseline, pieces, squares, scales)
+    whole, gain, considered = _chosen(found, judge)
+    predictions = None if whole is None else judge.unused(whole, False)
+    if whole is None or predictions is None:
+        return Discovery(None, considered=considered, gain=gain)
+    model = _model(whole, records, pieces, scales)
+    terms = model.found()
+    return Discovery(
+        model,
+        tuple(terms),
+        model.equation(),
+        terms[0].nature,
+        tuple(predictions),
+        judge.rmse(predictions),
+        gain,
+        considered,
+    )
 
 
 def _same_inputs(baseline: Baseline, record: Record) -> bool:
     return all(len(m.delays) == record.n_inputs for m in baseline.outputs)
 
 
-class _Squares:
-    """Squared errors on unused blocks by batch, all outputs in units of their spread."""
+class _Judge:
+    """Squared errors where parameters did not see the data, by batch, in units of each output's spread."""
 
-    def __init__(self, records, baseline, scales):
-        self.records, self.baseline, self.scales = records, baseline, scales
+    def __init__(
+        self, records: Sequence[Record], baseline: Baseline, scales: Scales, pieces: Sequence[Piece]
+    ):
+        self.records, self.baseline, self.scales, self.pieces = records, baseline, scales, pieces
+        self.blocks = baseline.blocks
         self.counting = baseline.blocks.counting(records)
         self.batches = baseline.blocks.batches(BATCHES)
 
+    def unused(self, f: Fitted, carried: bool) -> list[Array] | None:
+        """Predictions of all blocks in the user's units."""
+        got = unused(f, self.pieces, self.blocks, carried)
+        return None if got is None else [y * self.scales.sy + self.scales.y for y in got]
+
     def of(self, predictions: Sequence[Array]) -> Array:
+        """Mean squares by batch of all blocks."""
         out = []
         for b in self.batches:
-            r = self.records[b.record]
-            e = ((r.y - predictions[b.record]) / self.scales.sy)[b.rows]
+            e = ((self.records[b.record].y - predictions[b.record]) / self.scales.sy)[b.rows]
             use = self.counting[b.record][b.rows]
             out.append(float(np.mean(e[use] ** 2)) if use.any() else 0.0)
         return np.array(out)
 
+    def ahead(self, f: Fitted) -> Array:
+        """Mean squares by batch of the last parts, infinite where a run explodes."""
+        got = ahead(f, self.pieces, self.blocks.window)
+        if got is None:
+            return np.array([np.inf])
+        out = []
+        for b, y in got.items():
+            p = self.pieces[b.record]
+            e = ((p.y[b.rows] - y) ** 2 * p.weight[b.rows])[self.blocks.window :]
+            out += [float(x.mean()) for x in np.array_split(e, 2 * BATCHES)]
+        return np.array(out)
+
     def rmse(self, predictions: Sequence[Array]) -> Array:
+        """(ny,) over the samples that count."""
         ny = self.records[0].n_outputs
         total, count = np.zeros(ny), np.zeros(ny)
         for r, y, use in zip(self.records, predictions, self.counting):
@@ -132,42 +168,28 @@ class _Squares:
         return np.sqrt(total / np.maximum(count, 1))
 
 
-def _chosen(
-    found: list[Fitted], records, baseline, pieces: Sequence[Piece], squares: _Squares, scales
-) -> Discovery:
-    """The simplest model within one standard error of the best on unused blocks, if it beats the baseline."""
-    base = squares.of(baseline.unused)
-    tried: list[tuple[Fitted, list[Array], Array]] = []
+def _chosen(found: list[Fitted], judge: _Judge) -> tuple[Fitted | None, float, tuple[tuple[str, float], ...]]:
+    """The simplest model within one standard error of the best where it did not see the data, None if it is linear."""
+    base = judge.of(judge.baseline.unused)
+    tried = []
     for f in _front(found):
-        predicted = unused(f, pieces, baseline.blocks, 0)
-        if predicted is None:
-            continue
-        predicted = [y * scales.sy + scales.y for y in predicted]
-        s = squares.of(predicted)
-        if np.all(np.isfinite(s)):
-            tried.append((f, predicted, s))
-    if not tried:
-        return Discovery(None)
-    considered = tuple((_short(f), float(np.sqrt(s.mean() / base.mean()))) for f, _, s in tried)
-    reference = min([base, *(s for f, _, s in tried if not f.form.terms)], key=np.mean)
-    best = min(tried, key=lambda t: t[2].mean())
-    near = [t for t in tried if _errors(t[2], best[2]) < 1.0]
-    f, predicted, s = min(near, key=lambda t: t[0].free)
-    gain = _errors(reference, s)
-    if not f.form.terms or gain < ADMITTED or s.mean() > (1 - LEAST) ** 2 * reference.mean():
-        return Discovery(None, considered=considered, gain=gain)
-    model = _model(f, records, pieces, scales)
-    terms = model.found()
-    return Discovery(
-        model,
-        tuple(terms),
-        model.equation(),
-        terms[0].nature,
-        tuple(predicted),
-        squares.rmse(predicted),
-        gain,
-        considered,
-    )
+        predictions = judge.unused(f, True)
+        if predictions is not None:
+            s = np.concatenate([judge.of(predictions), judge.ahead(f)])
+            if np.all(np.isfinite(s)):
+                tried.append((f, s))
+    m = len(base)
+    considered = tuple((_short(f), float(np.sqrt(s[:m].mean() / base.mean()))) for f, s in tried)
+    linear, nonlinear = [[t for t in tried if bool(t[0].form.terms) is k] for k in (False, True)]
+    if not nonlinear or not linear:
+        return None, 0.0, considered
+    best = min(nonlinear, key=lambda t: t[1].mean())
+    near = [t for t in nonlinear if t is best or _errors(t[1], best[1]) < 1.0]
+    f, s = min(near, key=lambda t: t[0].free)
+    rivals = [(x, s) for _, x in linear] + [(base, s[:m])]
+    gain = min(_errors(a, b) for a, b in rivals)
+    less = all(b.mean() < (1 - LEAST) ** 2 * a.mean() for a, b in rivals)
+    return (f if gain > ADMITTED and less else None), gain, considered
 
 
 def _errors(a: Array, b: Array) -> float:
@@ -204,4 +226,6 @@ def _model(f: Fitted, records, pieces, scales) -> DiscoveredModel:
     ranges = {
         n: tuple(np.quantile(signals[:, i], [0.005, 0.995]).tolist()) for i, n in enumerate(asm.signals)
     }
-    return DiscoveredModel(f.form, f.theta, scales, covariance(f, pieces), f.mse, names, ranges)
+    return DiscoveredModel(
+        f.form, f.theta, scales, covariance(f, pieces), start_prior(f, pieces), names, ranges
+    )

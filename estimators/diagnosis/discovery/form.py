@@ -67,6 +67,7 @@ class Form:
     terms: tuple[Term, ...] = ()
     feedthrough: bool = False
     inner: bool = False  # whether chain 0 has a free signal z = h x + g u
+    bounds: tuple[tuple[float, float], ...] = ()  # of y, v, u, du of all channels inside terms; () for none
 
     def taps(self, term: Term) -> int:
         """Number of coefficients of a term."""
@@ -118,6 +119,8 @@ class Assembly:
         self.signals += (
             [f"du{j}" for j in range(nu)] + [f"s{m}" for m in range(len(slow))] + ["z"] * form.inner
         )
+        self.bounds = np.tile([-np.inf, np.inf], (len(self.signals), 1))
+        self.bounds[: len(form.bounds)] = np.array(form.bounds).reshape(-1, 2)
         n, ns, nt = nx + ny + len(slow), len(self.signals), len(form.terms)
         nd = (
             1 + 2 * nu + (ny if injection is not None else 0)
@@ -260,7 +263,7 @@ class Assembly:
         for p, f, which in self.slots:
             constants[2 * f + which] = theta[p]
         values = np.concatenate([self._l[2], self._pc * b, self._pc * a])
-        return Filled(matrices, (*self.table, constants), (self.entries, values, self.slots))
+        return Filled(matrices, (*self.table, constants, self.bounds), (self.entries, values, self.slots))
 
 
 class Filled(NamedTuple):

@@ -16,7 +16,7 @@ from estimators.diagnosis.discovery.fitting import Piece
 from estimators.diagnosis.discovery.form import LAST, Assembly, Factor, Form, Term
 from estimators.diagnosis.discovery.starts import Scales, drive
 from estimators.diagnosis.discovery.uncertainty import error_of
-from estimators.diagnosis.discovery.validation import first_level, rest, simulated, trust, window_start
+from estimators.diagnosis.discovery.validation import StartPrior, free_run
 from estimators.diagnosis.discovery.wording import (
     DEGREE,
     Axis,
@@ -64,13 +64,13 @@ class FoundTerm:
 
 @dataclass(frozen=True, eq=False)
 class DiscoveredModel:
-    """A fitted form with the scales of its signals, covariance of theta, scaled error variance, names and units."""
+    """A fitted form with the scales of its signals, covariance of theta, prior of its start, names and units."""
 
     form: Form
     theta: Array
     scales: Scales
     covariance: Array
-    mse: float
+    prior: StartPrior
     names: Mapping[str, tuple[str, str]]
     ranges: Mapping[str, tuple[float, float]]
 
@@ -83,9 +83,7 @@ class DiscoveredModel:
         y = (record.y - self.scales.y) / self.scales.sy
         fine = np.isfinite(y)
         piece = Piece(drive(record.u, self.scales), np.where(fine, y, 0.0), fine.astype(float))
-        x = rest(self.assembly, self.theta, first_level(piece, window), piece.d[0])
-        x = window_start(self.assembly, self.theta, x, piece, window, trust(piece, self.mse))
-        return simulated(self.assembly, self.theta, x, piece.d)[0] * self.scales.sy + self.scales.y
+        return free_run(self.assembly, self.theta, self.prior, piece, window) * self.scales.sy + self.scales.y
 
     def resolved(self, theta: Array | None = None) -> list[tuple[Term, Array]]:
         """Every term with its fitted constants, and its coefficients."""
@@ -226,7 +224,7 @@ class DiscoveredModel:
                 "form": asdict(self.form),
                 "theta": self.theta.tolist(),
                 "covariance": self.covariance.tolist(),
-                "mse": self.mse,
+                "prior": [self.prior.mean.tolist(), self.prior.covariance.tolist(), self.prior.mse],
                 "scales": {k: np.asarray(v).tolist() for k, v in vars(s).items()},
                 "names": dict(self.names),
                 "ranges": dict(self.ranges),
@@ -250,17 +248,24 @@ class DiscoveredModel:
             terms,
             f["feedthrough"],
             f["inner"],
+            tuple(tuple(b) for b in f["bounds"]),
         )
         s = d["scales"]
         arrays = {k: np.array(s[k]) for k in ("u", "su", "y", "sy", "delay")}
-        scales = Scales(**arrays, paces=tuple(s["paces"]), steps=tuple(s["steps"]), dt=s["dt"])
+        scales = Scales(
+            **arrays,
+            paces=tuple(s["paces"]),
+            steps=tuple(s["steps"]),
+            dt=s["dt"],
+            bounds=tuple(tuple(b) for b in s["bounds"]),
+        )
         pairs = lambda key: {k: tuple(v) for k, v in d[key].items()}
         return cls(
             form,
             np.array(d["theta"]),
             scales,
             np.array(d["covariance"]),
-            d["mse"],
+            StartPrior(*map(np.array, d["prior"][:2]), d["prior"][2]),
             pairs("names"),
             pairs("ranges"),
         )

@@ -74,12 +74,19 @@ def factor(kind, s, p, q):  # pragma: no cover - compiled
 
 @compiled
 def evaluate(s, table, w, ws, wq):  # pragma: no cover - compiled
-    """Values w of all terms at the signals s, derivatives ws by each factor's signal and wq by its two constants."""
-    heads, kinds, signals, q = table
+    """Values w of all terms at the signals s, derivatives ws by each factor's signal and wq by its two constants.
+
+    Beyond its bounds a signal counts as at them: a polynomial is not followed to where no data were.
+    """
+    heads, kinds, signals, q, bounds = table
     for t in range(heads.shape[0] - 1):
         w[t] = 1.0
         for f in range(heads[t], heads[t + 1]):
-            v, ws[f], wq[f, 0], wq[f, 1] = factor(kinds[f], s[signals[f]], q[2 * f], q[2 * f + 1])
+            a = s[signals[f]]
+            b = min(max(a, bounds[signals[f], 0]), bounds[signals[f], 1])
+            v, ws[f], wq[f, 0], wq[f, 1] = factor(kinds[f], b, q[2 * f], q[2 * f + 1])
+            if a != b:
+                ws[f] = 0.0
             for other in range(heads[t], f):
                 ws[other] *= v
                 wq[other, 0] *= v
@@ -94,12 +101,13 @@ def evaluate(s, table, w, ws, wq):  # pragma: no cover - compiled
 def recursion(mats, table, x0, dx0, d, moving, most):  # pragma: no cover - compiled
     """Outputs (N, ny), their derivatives (N, ny, P), signals (N, ns), states (N, n), whether these stayed below `most`.
 
-    mats holds A to G, table the heads of the terms and the kinds, signals and constants (2 each) of the factors, dx0 is
+    mats holds A to G, table the heads of the terms and the kinds, signals and constants (2 each) of the factors and the
+    signals' bounds (ns, 2), dx0 is
     (n, P). moving holds what the parameters move: entries, rows (parameter, matrix, row, column), matrix 0 to 7 for A, B,
     E, S, T, C, D, G; values, the derivative of each such element; slots, rows (parameter, factor, which constant).
     """
     A, B, E, S, T, C, D, G = mats
-    heads, kinds, signals, _ = table
+    heads, kinds, signals, _, _ = table
     entries, values, slots = moving
     count, n, ny, ns, nt, nf = (
         d.shape[0],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from oed.data import Record
 __all__ = ["Scales", "chain_roots", "linear_fit", "pieces_of", "scales_of"]
 
 Array = NDArray[Any]
+MARGIN = 0.25  # of a signal's span: how far beyond the data a term follows it
 SLOWEST, FASTEST = 0.01, 1.0  # pace of the delta operator: what one sample may change
 ROUNDS = 4  # of filtering by the last denominator: more change nothing that the fit does not
 
@@ -36,6 +37,7 @@ class Scales:
     steps: tuple[float, ...]
     delay: Array
     dt: float
+    bounds: tuple[tuple[float, float], ...]
 
 
 def scales_of(records: Sequence[Record], smooth: Sequence[Array], delay: Array) -> Scales:
@@ -43,17 +45,28 @@ def scales_of(records: Sequence[Record], smooth: Sequence[Array], delay: Array) 
     u, y = np.vstack([r.u for r in records]), np.vstack([np.nan_to_num(r.y) for r in records])
     su, sy = np.maximum(u.std(axis=0), 1e-300), np.maximum(y.std(axis=0), 1e-300)
     change = np.sqrt(np.mean(np.vstack([np.diff(s, axis=0) for s in smooth]) ** 2, axis=0)) / sy
+    change = np.maximum(change, 1e-6)
     paces = np.clip(2 * change, SLOWEST, FASTEST)
-    return Scales(
-        u.mean(axis=0),
-        su,
-        y.mean(axis=0),
-        sy,
-        tuple(paces),
-        tuple(np.maximum(change, 1e-6)),
-        delay,
-        records[0].dt,
+    early = Scales(
+        u.mean(axis=0), su, y.mean(axis=0), sy, tuple(paces), tuple(change), delay, records[0].dt, ()
     )
+    return replace(early, bounds=_bounds(early, records, smooth))
+
+
+def _bounds(
+    scales: Scales, records: Sequence[Record], smooth: Sequence[Array]
+) -> tuple[tuple[float, float], ...]:
+    """Where y, v, u, du may go inside a term: the range that the records cover and a margin."""
+    nu, ny = len(scales.u), len(scales.y)
+    columns = []
+    for r, s in zip(records, smooth):
+        d = drive(r.u, scales)
+        y = (np.nan_to_num(r.y, nan=0.0) - scales.y) / scales.sy
+        v = np.diff((s - scales.y) / scales.sy, axis=0, prepend=np.nan) / np.array(scales.steps)
+        columns.append(np.hstack([y, np.nan_to_num(v), d[:, 1 : 1 + 2 * nu]]))
+    low, high = np.vstack(columns).min(axis=0), np.vstack(columns).max(axis=0)
+    margin = MARGIN * (high - low) + np.r_[np.zeros(ny), np.ones(ny), np.zeros(2 * nu)]
+    return tuple(zip((low - margin).tolist(), (high + margin).tolist()))
 
 
 def drive(u: Array, scales: Scales) -> Array:
@@ -149,7 +162,7 @@ def linear_fit(
 ) -> Fitted | None:
     """Chains of these orders fitted by simulation error, from smooth outputs (scaled) as the start."""
     nu = (pieces[0].d.shape[1] - 1) // 2
-    form = Form(orders, nu, scales.paces, scales.steps, feedthrough=feedthrough)
+    form = Form(orders, nu, scales.paces, scales.steps, feedthrough=feedthrough, bounds=scales.bounds)
     parts = []
     for i, n in enumerate(orders):
         parts += [chain_start(n, scales.paces[i], pieces, i, outputs), np.zeros(nu * feedthrough)]

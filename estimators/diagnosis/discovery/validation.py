@@ -3,25 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.baseline import Blocks
-from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, start_state
+from estimators.diagnosis.baseline import Block, Blocks
+from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, run_piece, start_state
 from estimators.diagnosis.discovery.form import NOTHING, Assembly
 
-__all__ = ["first_level", "rest", "simulated", "trust", "unused", "window_start"]
+__all__ = ["StartPrior", "ahead", "first_level", "free_run", "predicted", "rest", "start_prior", "unused"]
 
 Array = NDArray[Any]
-SPREAD = (
-    0.3  # standard deviations of the output by which a start may differ from rest, where nothing says rest
-)
-TRUST = 3.0  # samples of the model's own (correlated) error that a carried or resting state is worth
+CORRELATED = 3.0  # samples over which the model's own error lasts: a window says that much less of the state
 STILL = 5  # samples without a change of the drive that are taken for rest
 STEPS = 4  # of the window's fit: its problem is nearly linear
 FOLD_ROUNDS = 4  # of a fit that starts from that of all blocks
+AHEAD = 0.3  # share of a record that the forward check leaves out
+ANCHOR = 3.0  # samples that a start state is worth where its own record's first block is left out
+TINY = 1e-6  # share of a state's variance below which it counts as that large
+
+
+@dataclass(frozen=True, eq=False)
+class StartPrior:
+    """Mean (n,) and covariance (n, n) of the chain states along the training records, error variance of the model."""
+
+    mean: Array
+    covariance: Array
+    mse: float
+
+    def ridge(self, resting: bool) -> Array:
+        """Weight of the expected state against the window's squared errors."""
+        scale = CORRELATED if resting else CORRELATED * max(self.mse, 1e-12)
+        return scale * np.linalg.inv(self.covariance)
+
+
+def start_prior(fitted: Fitted, pieces: Sequence[Piece]) -> StartPrior:
+    """From the states of the fitted runs."""
+    asm = Assembly(fitted.form)
+    runs = [run_piece(asm, fitted.theta, s, p.d).states for s, p in zip(fitted.starts, pieces)]
+    x = np.vstack(runs)[:, : asm.chain_states]
+    cov = np.cov(x.T).reshape(asm.chain_states, -1)
+    cov += np.diag(TINY * np.diag(cov) + 1e-12)
+    return StartPrior(x.mean(axis=0), cov, fitted.mse)
 
 
 def rest(asm: Assembly, theta: Array, y0: Array, d0: Array) -> Array:
@@ -45,10 +70,43 @@ def rest(asm: Assembly, theta: Array, y0: Array, d0: Array) -> Array:
     return x
 
 
-def window_start(
-    asm: Assembly, theta: Array, expected: Array, piece: Piece, window: int, ridge: float
+def first_level(piece: Piece, most: int) -> Array:
+    """(ny,) output at the start: the mean of the samples over which the drive has not moved yet, at most `most`."""
+    still = np.all(piece.d[: max(most, 1)] == piece.d[0], axis=1)
+    n = len(still) if still.all() else max(int(np.argmin(still)), 1)
+    w = piece.weight[:n]
+    return (piece.y[:n] * w).sum(axis=0) / np.maximum(w.sum(axis=0), 1.0)
+
+
+def free_run(
+    asm: Assembly, theta: Array, prior: StartPrior, piece: Piece, window: int, before: Array | None = None,
+    carried: bool = False,
+) -> Array:  # fmt: skip
+    """(N, ny) from the state that the first `window` samples say, NaN where it explodes.
+
+    The state is expected at rest where the drive stands still at first, else anywhere where the training records were;
+    of the whole state `before` (where known) the slow states are taken, or all of it where it is `carried`.
+    """
+    resting = carried or bool(np.all(piece.d[:STILL] == piece.d[0]))
+    filled = asm.fill(theta)
+    if before is not None and carried:
+        expected = before
+    elif resting:
+        expected = rest(asm, theta, first_level(piece, window), piece.d[0])
+    else:
+        expected, _ = start_state(asm, filled, prior.mean, piece.d[0])
+    if before is not None:
+        slow = asm.chain_states + len(asm.form.orders)
+        expected[slow:] = before[slow:]
+    x = _window_state(asm, theta, expected, piece, window, prior.ridge(resting))
+    run = filled.run(x, piece.d)
+    return run.y if run.fine else np.full_like(run.y, np.nan)
+
+
+def _window_state(
+    asm: Assembly, theta: Array, expected: Array, piece: Piece, window: int, ridge: Array
 ) -> Array:
-    """Whole state from the first `window` samples, about the expected one that the ridge holds."""
+    """Whole state by Gauss-Newton on the window's squared errors and the distance from the expected one."""
     if window <= 0:
         return expected
     filled = asm.fill(theta)
@@ -65,51 +123,49 @@ def window_start(
             break
         e = (piece.y[:window] - y).ravel() * weight
         off = (x - expected)[:nx]
-        now = float(e @ e + ridge * off @ off)
+        now = float(e @ e + off @ ridge @ off)
         if now >= cost * (1 - 1e-6):
             break
         best, cost = x, now
         J = dy.reshape(len(e), nx) * weight[:, None]
-        x = x + dx @ np.linalg.solve(J.T @ J + ridge * np.eye(nx), J.T @ e - ridge * off)
+        x = x + dx @ np.linalg.lstsq(J.T @ J + ridge, J.T @ e - ridge @ off, rcond=None)[0]
     return best
 
 
-def simulated(asm: Assembly, theta: Array, x0: Array, d: Array) -> tuple[Array, Array, bool]:
-    """Outputs (N, ny) and states from a whole state; not finite where the run explodes."""
-    y, _, _, states, fine = asm.fill(theta).run(x0, d)
-    if not fine:
-        y = np.full_like(y, np.nan)
-    return y, states, fine
+def predicted(
+    fitted: Fitted, pieces: Sequence[Piece], blocks: Sequence[Block], window: int, carried: bool
+) -> dict[Block, Array]:
+    """Every block (rows, ny) from a start of its own, about the state `carried` on from the record's run or not."""
+    asm, prior = Assembly(fitted.form), start_prior(fitted, pieces)
+    out = {}
+    for b in blocks:
+        p = pieces[b.record]
+        run = run_piece(asm, fitted.theta, fitted.starts[b.record], p.d)
+        before = run.states[b.start].copy() if run.fine else None
+        part = Piece(p.d[b.rows], p.y[b.rows], p.weight[b.rows])
+        out[b] = free_run(asm, fitted.theta, prior, part, window, before, carried and run.fine)
+    return out
 
 
-def trust(piece: Piece, mse: float) -> float:
-    """Ridge of a record's start: firm where its drive stands still at first, loose where nothing says rest."""
-    return TRUST if np.all(piece.d[:STILL] == piece.d[0]) else max(mse, 1e-12) / SPREAD**2
-
-
-def first_level(piece: Piece, most: int) -> Array:
-    """(ny,) output at the start: the mean of the samples over which the drive has not moved yet, at most `most`."""
-    still = np.all(piece.d[: max(most, 1)] == piece.d[0], axis=1)
-    n = len(still) if still.all() else max(int(np.argmin(still)), 1)
-    w = piece.weight[:n]
-    return (piece.y[:n] * w).sum(axis=0) / np.maximum(w.sum(axis=0), 1.0)
-
-
-def unused(fitted: Fitted, pieces: Sequence[Piece], blocks: Blocks, starts_at: int) -> list[Array] | None:
+def unused(fitted: Fitted, pieces: Sequence[Piece], blocks: Blocks, carried: bool) -> list[Array] | None:
     """Per record (N, ny): every block by the form fitted to the others, its state from its window; None if one explodes."""
-    asm = Assembly(fitted.form)
     out = [np.full_like(p.y, np.nan) for p in pieces]
     for block in blocks.blocks:
-        use = blocks.training(block)
-        kept = [Piece(p.d, p.y, p.weight * u[:, None]) for p, u in zip(pieces, use)]
-        f = fit(fitted.form, fitted.theta, fitted.starts, kept, iterations=FOLD_ROUNDS, anchor=TRUST)
-        if f is None:
+        got = _left_out(fitted, pieces, blocks.training(block), [block], blocks.window, carried)
+        if got is None:
             return None
-        piece, r = pieces[block.record], block.record
-        x0, _ = start_state(asm, asm.fill(f.theta), f.starts[r], piece.d[0])
-        _, states, fine = simulated(asm, f.theta, x0, piece.d)
-        part = Piece(piece.d[block.rows], piece.y[block.rows], piece.weight[block.rows])
-        expected = states[block.start] if fine else rest(asm, f.theta, part.y[0], part.d[0])
-        x = window_start(asm, f.theta, expected, part, blocks.window, TRUST if fine else f.mse / SPREAD**2)
-        out[r][block.rows] = simulated(asm, f.theta, x, part.d)[0]
+        out[block.record][block.rows] = got[block]
     return out
+
+
+def ahead(fitted: Fitted, pieces: Sequence[Piece], window: int) -> dict[Block, Array] | None:
+    """The last part of every record by the form fitted to the first parts: what varies with time shows."""
+    ends = [Block(r, int((1 - AHEAD) * len(p.y)), len(p.y)) for r, p in enumerate(pieces)]
+    use = [np.arange(len(p.y)) < b.start for p, b in zip(pieces, ends)]
+    return _left_out(fitted, pieces, use, ends, window, True)
+
+
+def _left_out(fitted, pieces, use, blocks, window, carried) -> dict[Block, Array] | None:
+    kept = [Piece(p.d, p.y, p.weight * u[:, None]) for p, u in zip(pieces, use)]
+    f = fit(fitted.form, fitted.theta, fitted.starts, kept, iterations=FOLD_ROUNDS, anchor=ANCHOR)
+    return None if f is None else predicted(f, pieces, blocks, window, carried)
