@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Nodes", "graded_edges", "graded_nodes", "integral", "panel_nodes"]
+__all__ = ["Nodes", "graded_edges", "graded_nodes", "integral", "panel_nodes", "resolved_edges"]
 
 POINTS = 16
 """Gauss-Legendre nodes per panel: a pole half a panel away is resolved to rounding."""
@@ -18,6 +18,10 @@ SMALLEST = 1e-15
 
 PANEL_POINTS = 10
 """Gauss-Legendre nodes per panel: exact for polynomials of degree 19; a pole one panel away costs 1e-10."""
+MOST_PANELS = 20_000
+"""Panels halved at once: more are noise in the integrand, which halving does not resolve."""
+ROUNDING = 1e-13
+"""Entries smaller than this share of the largest are taken for its rounding."""
 DEEPEST = 60
 """Halvings of a panel: below 1e-18 of it a float has no frequencies left, whatever the integrand."""
 
@@ -107,6 +111,22 @@ def integral(
     A panel is halved until its two halves together agree with it to `tolerance` of the integral of the absolute
     value, entry by entry: kinks and jumps are closed in on, at one panel per halving.
     """
+    return _adapted(function, edges, tolerance)[0]
+
+
+def resolved_edges(
+    function: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    edges: NDArray[np.float64],
+    tolerance: float = 1e-12,
+) -> NDArray[np.float64]:
+    """The edges with which `integral` ends, so that other integrals may share them."""
+    return _adapted(function, edges, tolerance)[1]
+
+
+def _adapted(
+    function: Callable[[NDArray[np.float64]], NDArray[np.float64]], edges: NDArray, tolerance: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The integral, and the edges of the panels on which it was found."""
 
     def panels(low: NDArray, high: NDArray) -> NDArray[np.float64]:
         omega, weight = panel_nodes(low, high)
@@ -117,20 +137,22 @@ def integral(
 
     low, high = edges[:-1], edges[1:]
     value, size = panels(low, high)
-    done, scale = np.zeros(value.shape[1:]), size.sum(axis=0)
+    done, scale, found = np.zeros(value.shape[1:]), size.sum(axis=0), [edges]
     for _ in range(DEEPEST):
         middle = (low + high) / 2
         low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
         halves, size = panels(low, high)
         together = halves[: len(middle)] + halves[len(middle) :]
         scale = np.maximum(scale, size.sum(axis=0))
-        off = np.abs(together - value) > tolerance * scale
-        open_ = off.reshape(len(middle), -1).any(axis=1)
-        done = done + together[~open_].sum(axis=0)
-        if not open_.any():
+        level = tolerance * np.maximum(scale, ROUNDING * scale.max())
+        unsettled = (np.abs(together - value) > level).reshape(len(middle), -1).any(axis=1)
+        done = done + together[~unsettled].sum(axis=0)
+        if not unsettled.any() or len(middle) > MOST_PANELS:
+            done = done + together[unsettled].sum(axis=0)
             break
-        again = np.concatenate([open_, open_])
+        found.append(middle[unsettled])
+        again = np.concatenate([unsettled, unsettled])
         low, high, value = low[again], high[again], halves[again]
     else:
         done = done + value.sum(axis=0)
-    return done
+    return done, np.unique(np.concatenate(found))

@@ -1,16 +1,18 @@
-"""Designs under frequency-wise limits: the spectral density of the input or output may not exceed a mask.
+"""Designs under frequency-wise limits: the density of the input or the output may not exceed a mask, nor the power a limit.
 
-On a fixed grid of cells the mask is a cap on every line's power, w_k <= cap_k. The certificate is the linear
-programme over that set, solved by hand: for any nu >= 0 no admissible spectrum has more than
+For every X and nu >= 0 no admissible spectrum has more of tr(X'(M - M_0)X) than
 
-    h(nu) = nu + sum_k cap_k max(S_k - nu, 0),   S_k the price of cell k per unit of power (power limit 1),
+    h(nu) = nu + (1/pi) int_0^pi  max over the densities Phi within the masks of tr[(S - nu I / P) Phi] dw,   S = D^* X X' D,
 
-(weak duality; the least h is the fractional knapsack), so loss >= numerator(X) / (tr X' M_0 X + min h).
+(weak duality; P the power limit), so loss >= numerator(X) / (tr X' M_0 X + h). The maximising density is known frequency
+by frequency (`oed.design.problem.masks`): all of the mask where S is above nu, nothing where it is below. Such densities
+are the columns of the design problem, each one found by the certificate of those before it, and their information is an
+integral over panels that are cut where a density jumps. So loss and bound are those of densities on the whole band.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,42 +20,33 @@ from numpy.typing import NDArray
 
 from oed.criteria import Criterion
 from oed.data import Spectrum
-from oed.design.parametrisations.masked_mimo import masked_mimo_design
 from oed.design.problem.budgets import power_budgets
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
 from oed.design.problem.information_maps import information_map
 from oed.design.problem.lines import Columns, Problem
+from oed.design.problem.masks import Mask, Masks, hermitian_root
 from oed.design.solvers.column_generation import solve_weights
-from oed.errors import InfeasibleDesign, InputError, Status
+from oed.errors import InfeasibleDesign, Status
+from oed.theory.quadrature import graded_edges, integral, panel_nodes, resolved_edges
 
-__all__ = ["knapsack", "masked_design"]
+__all__ = ["masked_design"]
 
-Mask = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-
-
-def knapsack(worth: NDArray[np.float64], cap: NDArray[np.float64]) -> tuple[float, float]:
-    """max sum w_k S_k over 0 <= w <= cap, sum w <= 1, and the multiplier nu of the sum.
-
-    Parameters
-    ----------
-    worth : ndarray
-        (K,) S_k, at least 0.
-    cap : ndarray
-        (K,) caps, at least 0.
-
-    Returns
-    -------
-    value, nu : float
-        The maximum, which h(nu) attains.
-    """
-    order = np.argsort(-worth)
-    before = np.concatenate([[0.0], np.cumsum(cap[order])[:-1]])
-    w = np.clip(1 - before, 0, cap[order])
-    full = np.flatnonzero(before + cap[order] >= 1)
-    nu = float(worth[order[full[0]]]) if len(full) else 0.0
-    return float(w @ worth[order]), nu
+NARROWEST = 1e-3
+"""The ceiling on a density lets all the power into this share of the narrowest resonance: to 1e-6 that is a line."""
+WIDEST = 0.3
+"""What counts as the width of a plant without resonances, rad/sample."""
+MOST_ROUNDS = 60
+"""Densities tried; smooth problems take about ten."""
+STEPS = 40
+"""Quasi-Newton steps on the certificate in a round."""
+PIECES = 12
+"""Parts of the band in which the densities are mixed on their own: more of them, fewer rounds, each dearer."""
+PATIENCE = 8
+"""Rounds without a smaller gap after which rounding holds it up."""
+RESOLVED = 1e-9
+"""Accuracy of the integrals, relative: what the certificate's bound is lowered by."""
 
 
 def masked_design(
@@ -63,130 +56,330 @@ def masked_design(
     input_mask: Mask | None = None,
     output_mask: Mask | None = None,
     input_power: float = 1.0,
-    cells: int | None = None,
     tolerance: float = 1e-6,
 ) -> Design:
-    """The optimal spectrum whose density stays below a mask, on a grid of cells.
+    """The optimal spectrum whose density stays below a mask.
 
     Parameters
     ----------
     model : Plant, Model or InformationMap
-        One input or several.
+        Any number of inputs.
     criterion : str or Criterion
         As for `solve_design`.
     input_mask, output_mask : callable, optional
         omega (K,) -> largest two-sided density of the input, of the noise-free output; (1/2pi) times its
-        integral over the circle is a power. With several inputs (K, nu, nu) and (K, ny, ny) Hermitian matrices.
+        integral over the circle is a power. (K,) for one channel, else (K, nu, nu) and (K, ny, ny) Hermitian matrices.
+        Where a mask jumps or is infinite, it may.
     input_power : float
-        Limit on the input power.
-    cells : int, optional
-        Number of cells of equal width on [0, pi]; the density is constant in each. By default 300 for one input
-        and 40 for several.
+        Limit on the input power, summed over channels.
     tolerance : float
         Relative gap to reach.
 
     Returns
     -------
     Design
-        Its certificate holds for spectra on these cells.
+        Its lines are the nodes of a quadrature of the density, and its certificate holds for every density within the
+        masks (and below a ceiling at which all the power lies within a thousandth of the narrowest resonance).
 
     Raises
     ------
     InputError
-        If a mask is negative, complex or of the wrong shape; with several inputs, if it is not Hermitian or not
-        positive semidefinite.
+        If a mask is negative, not Hermitian, not positive semidefinite or of the wrong shape.
     InfeasibleDesign
         If the masks leave no power at any frequency.
     """
     information = information_map(model)
     wanted = criterion_of(criterion, model, information)
-    if information.n_inputs != 1:
-        return masked_mimo_design(
-            information,
-            wanted,
-            input_mask=input_mask,
-            output_mask=output_mask,
-            input_power=input_power,
-            cells=cells or 40,
-            tolerance=tolerance,
+    limit = power_budgets(information, input_power)[0].limit
+    narrow = min(WIDEST, float(information.resonances[:, 1].min(initial=WIDEST)))
+    masks = Masks(information, input_mask, output_mask, limit * np.pi / (NARROWEST * narrow))
+    panels = _Panels.of(masks)
+    _check_open(panels, masks)
+    used = np.einsum("kij,kij->k", panels.R, panels.R.conj()).real > 0
+    problem = Problem(information, wanted, power_budgets(information, input_power), panels.omega[used])
+    return _Search(problem, masks, limit, tolerance).run(panels)
+
+
+@dataclass(frozen=True, eq=False)
+class _Panels:
+    """Nodes and weights of the quadrature, (K,), and the masks there: R and B of `Masks.at`."""
+
+    edges: NDArray[np.float64]
+    omega: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    R: NDArray[np.complex128]
+    B: NDArray[np.complex128] | None
+
+    @classmethod
+    def on(cls, masks: Masks, edges: NDArray[np.float64]) -> _Panels:
+        omega, weight = (part.ravel() for part in panel_nodes(edges[:-1], edges[1:]))
+        return cls(edges, omega, weight / np.pi, *masks.at(omega))
+
+    @classmethod
+    def of(cls, masks: Masks) -> _Panels:
+        """Panels that resolve masks and information."""
+        information = masks.information
+
+        def resolved(omega: NDArray) -> NDArray[np.float64]:
+            R, B = masks.at(omega)
+            told = np.sum(np.abs(information.factor(omega) @ R[:, None]) ** 2, axis=(2, 3))
+            traces = [
+                np.einsum("kii->k", part).real
+                for part in (R @ R.conj().swapaxes(1, 2), B)
+                if part is not None
+            ]
+            return np.column_stack([told, *traces])
+
+        start = graded_edges(0.0, np.pi, information.resonances)
+        return cls.on(masks, resolved_edges(resolved, start, RESOLVED))
+
+
+@dataclass(frozen=True, eq=False)
+class _Density:
+    """The density that a certificate (X, nu) finds worth most, as a function of frequency."""
+
+    X: NDArray[np.float64]
+    nu: float
+
+    def worth(self, D: NDArray[np.complex128], limit: float) -> NDArray[np.complex128]:
+        """T = S - nu I / P (K, nu, nu) from the scaled factors D (K, n, r, nu)."""
+        K, n, r, q = D.shape
+        E = (
+            (self.X.T @ np.moveaxis(D, 1, 0).reshape(n, -1))
+            .reshape(-1, K, r, q)
+            .swapaxes(0, 1)
+            .reshape(K, -1, q)
         )
-    cells = cells or 300
-    omega = (np.arange(cells) + 0.5) * np.pi / cells
-    cap = np.full(cells, np.inf)
-    if input_mask is not None:
-        cap = np.minimum(cap, _values(input_mask, omega, "input mask") / cells)
-    open_to_input = cap > 0
-    if output_mask is not None:
-        gain = np.sum(np.abs(information.gain(omega)) ** 2, axis=(1, 2))
-        with np.errstate(divide="ignore"):
-            cap = np.minimum(
-                cap, np.where(gain > 0, _values(output_mask, omega, "output mask") / cells / gain, np.inf)
-            )
-    if not cap.any():
-        if input_mask is not None and output_mask is not None and open_to_input.any():
-            at = omega[open_to_input]
-            raise InfeasibleDesign(
-                f"the input mask clashes with the output mask: the input may have power between {at[0]:.4g} and "
-                f"{at[-1]:.4g} rad/sample only, and there the output mask is 0; raise one where the other is open."
-            )
-        which = "input" if not open_to_input.any() else "output"
-        raise InfeasibleDesign(
-            f"the {which} mask is 0 at every frequency, so no input satisfies it; raise it somewhere."
-        )
-    open_cells = cap > 0
-    budgets = power_budgets(information, input_power)
-    problem = Problem(information, wanted, budgets, omega[open_cells])
-    share = np.minimum(cap[open_cells] / budgets[0].limit, 1.0)
-    columns = problem.columns(problem.omega, np.ones((len(share), 1), dtype=complex))
-    limit = budgets[0].limit
-    capped = Columns(
-        columns.omega,
-        columns.direction,
-        columns.F * np.sqrt(limit),
-        np.concatenate([np.ones((len(share), 1)), np.diag(1 / share)[:, share < 1]], axis=1),
-    )
-    weights = solve_weights(problem, capped, None, 1e-12)
-    w = np.minimum(weights.w, share)
-    w = w / max(1.0, float(w.sum()))
-    worth = np.sum(np.einsum("mnr,ns->mrs", capped.F, weights.X) ** 2, axis=(1, 2))
-    most, nu = knapsack(worth, share)
-    fixed = float(np.sum(weights.X * (problem.constant @ weights.X)))
-    bound = problem.criterion.numerator(weights.X) / (fixed + most) * problem.scale
-    spectrum = Spectrum(problem.omega, w * limit)
-    loss = problem.loss(columns, w * limit) * problem.scale
-    X = np.asarray(np.linalg.solve(problem.R, weights.X), dtype=np.float64)
-    numerator = problem.original.numerator(X)
-    unit = np.array([max(nu, 1e-300)])
-    return Design(
-        spectrum=spectrum,
-        criterion=wanted,
-        loss=loss,
-        bound=bound,
-        certificate=Certificate(
-            X=X,
-            multipliers={"input power": nu},
-            numerator=numerator,
-            value=numerator / bound,
+        return E.conj().swapaxes(1, 2) @ E - self.nu / limit * np.eye(q)
+
+
+class _Search:
+    """Column generation over densities."""
+
+    def __init__(self, problem: Problem, masks: Masks, limit: float, tolerance: float) -> None:
+        self.problem, self.masks, self.limit, self.tolerance = problem, masks, limit, tolerance
+        self.ends = np.zeros(0)
+        self.last: tuple[_Panels, NDArray[np.complex128]] | None = None
+
+    def factor(self, panels: _Panels) -> NDArray[np.complex128]:
+        """Scaled factors at the nodes, kept while the panels stay."""
+        if self.last is None or self.last[0] is not panels:
+            self.last = panels, self.problem.scaled_factor(panels.omega)
+        return self.last[1]
+
+    def run(self, panels: _Panels) -> Design:
+        # The first: everything, whatever its power; the second: what white noise would find worth most.
+        n = self.problem.map.n
+        self.ends = panels.edges[np.linspace(0, len(panels.edges) - 1, PIECES + 1).astype(int)][1:-1]
+        best = self._best(panels, self.problem.criterion.direction(np.eye(n)))
+        found, pieces, start = [_Density(np.eye(n), 0.0), best], np.ones((2, PIECES), dtype=bool), None
+        panels = self._cut(panels, best)
+        bound, kept, loss, stalled = self._bound(panels, best), None, np.inf, 0
+        for _ in range(MOST_ROUNDS):
+            gap = max(loss / bound - 1, self.tolerance)
+            columns, phi = self._columns(panels, found, pieces)
+            weights = solve_weights(self.problem, columns, start, max(1e-12, min(1e-4, 1e-2 * gap)))
+            w = weights.w / max(1.0, float((columns.q.T @ weights.w).max()))
+            value = self.problem.criterion.loss(self.problem.constant + columns.information(w))
+            W = np.zeros(pieces.shape)
+            W[pieces] = w
+            if kept is None or value < loss:
+                shares = W[:, self._piece(panels)]
+                loss, kept = value, (panels, np.einsum("mk,mkij->kij", shares, phi, optimize=True))
+            new = []
+            # A density within both masks is dear: there the price is the one that the weights found.
+            priced = _Density(weights.X, float(weights.nu[0]))
+            for density in (priced if panels.B is not None else self._best(panels, weights.X), None):
+                new.append(density or self._climbed(panels, best))
+                panels = self._cut(panels, new[-1])
+                proof = self._bound(panels, new[-1])
+                if proof > bound:
+                    bound, best = proof, new[-1]
+            stalled = stalled + 1 if loss / bound - 1 > 0.9 * gap else 0
+            if loss / bound - 1 <= self.tolerance or stalled == PATIENCE:
+                break
+            stay = w > 1e-9 * w.max()
+            pieces[pieces] = stay
+            used = np.count_nonzero(pieces, axis=1) > 0
+            found = [one for one, s in zip(found, used, strict=True) if s] + new
+            pieces = np.concatenate([pieces[used], np.ones((len(new), PIECES), dtype=bool)])
+            start = np.append(w[stay], np.full(len(new) * PIECES, 0.1 / (1 + stay.sum())))
+        nodes, phi = kept if kept is not None else (panels, np.zeros(panels.R.shape))
+        return self._design(nodes, phi, best, self._bound(panels, best, exactly=True))
+
+    def _piece(self, panels: _Panels) -> NDArray[np.int64]:
+        """Which piece of the band every node belongs to."""
+        return np.searchsorted(self.ends, panels.omega)
+
+    def _columns(
+        self, panels: _Panels, found: list[_Density], pieces: NDArray[np.bool_]
+    ) -> tuple[Columns, NDArray[np.complex128]]:
+        """Information of the pieces of the densities, their shares of the power and of their piece; the densities."""
+        D, piece = self.factor(panels), self._piece(panels)
+        phi = np.stack([self._at(panels, one)[0] for one in found])
+        F, shares = [], []
+        for one, wanted in zip(phi, pieces, strict=True):
+            told = D @ (hermitian_root(one) * np.sqrt(panels.weight)[:, None, None])[:, None]
+            power = np.einsum("kii,k->k", one, panels.weight).real
+            for p in np.flatnonzero(wanted):
+                own = piece == p
+                flat = np.moveaxis(told[own], 1, 0).reshape(D.shape[1], -1)
+                values, vectors = np.linalg.eigh((flat @ flat.conj().T).real)
+                F.append(vectors * np.sqrt(np.clip(values, 0, None)))
+                shares.append(np.append(power[own].sum() / self.limit, np.arange(PIECES) == p))
+        direction = np.full((len(F), D.shape[3]), 1 / np.sqrt(D.shape[3]), dtype=complex)
+        return Columns(np.zeros(len(F)), direction, np.stack(F), np.stack(shares)), phi
+
+    def _at(self, panels: _Panels, one: _Density) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+        return self.masks.most(panels.R, panels.B, one.worth(self.factor(panels), self.limit))
+
+    def _best(self, panels: _Panels, X: NDArray) -> _Density:
+        """With the price of power at which the bound is best; it is convex in the price."""
+        from scipy.optimize import minimize_scalar
+
+        free = _Density(X, 0.0)
+        S = free.worth(self.factor(panels), self.limit)
+        top = self.limit * float(np.linalg.eigvalsh(S)[:, -1].max())
+        eye = np.eye(S.shape[1]) / self.limit
+        h = lambda nu: nu + float(panels.weight @ self.masks.most(panels.R, panels.B, S - nu * eye)[1])
+        if not np.isfinite(top) or top <= 0:
+            return free
+        found = minimize_scalar(h, bounds=(0.0, top), method="bounded", options={"xatol": 1e-13 * top})
+        return replace(free, nu=min((h(x), x) for x in (0.0, float(found.x)))[1])
+
+    def _climbed(self, panels: _Panels, one: _Density) -> _Density:
+        """A certificate of a larger bound, by quasi-Newton steps: its gradient is the information of its own density."""
+        from scipy.optimize import minimize
+
+        problem, D = self.problem, self.factor(panels)
+        (K, _, r, q), flat = D.shape, np.moveaxis(D, 1, 0).reshape(D.shape[1], -1)
+        criterion, shape = problem.criterion, one.X.shape
+        if criterion.kind not in ("D", "A", "E"):
+            return one
+        unit, price = np.abs(one.X).max(), max(one.nu, 1e-12)
+
+        def against(x: NDArray) -> tuple[float, NDArray[np.float64]]:
+            X, nu = unit * x[:-1].reshape(shape), price * x[-1]
+            E = (X.T @ flat).reshape(-1, K, r, q).swapaxes(0, 1).reshape(K, -1, q)
+            T = E.conj().swapaxes(1, 2) @ E - nu / self.limit * np.eye(q)
+            phi, worth = self.masks.most(panels.R, panels.B, T)
+            half = ((E @ phi).conj() * panels.weight[:, None, None]).reshape(K, -1, r, q)
+            slope = (flat @ half.transpose(0, 2, 3, 1).reshape(K * r * q, -1)).real
+            used = float(np.einsum("kii,k->", phi, panels.weight).real) / self.limit
+            most = float(np.sum(X * (problem.constant @ X))) + nu + float(panels.weight @ worth)
+            numerator, steep = _logarithm(criterion, X)
+            down = (2 * problem.constant @ X + 2 * slope) / most - steep
+            return np.log(most) - numerator, np.append(unit * down.ravel(), price * (1 - used) / most)
+
+        x = np.append(one.X.ravel() / unit, one.nu / price)
+        bounds = [(None, None)] * one.X.size + [(0.0, None)]
+        found = minimize(
+            against, x, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": STEPS, "maxcor": 30}
+        ).x
+        return _Density(unit * found[:-1].reshape(shape), price * found[-1])
+
+    def _bound(self, panels: _Panels, one: _Density, exactly: bool = False) -> float:
+        """Scaled bound of a certificate; exactly: by an integral that closes in on the kinks, lowered by its accuracy."""
+        if exactly and panels.B is None:
+            worth = lambda w: self.masks.most(
+                *self.masks.at(w), one.worth(self.problem.scaled_factor(w), self.limit)
+            )[1]
+            most = float(integral(worth, panels.edges, RESOLVED)) / np.pi * (1 + RESOLVED)
+        else:
+            most = float(panels.weight @ self._at(panels, one)[1])
+        fixed = float(np.sum(one.X * (self.problem.constant @ one.X)))
+        return self.problem.criterion.numerator(one.X) / (fixed + one.nu + most)
+
+    def _cut(self, panels: _Panels, one: _Density) -> _Panels:
+        """Panels with edges where the density jumps: where the number of positive eigenvalues of its worth changes."""
+        if panels.B is not None:
+            return panels
+
+        def positive(omega: NDArray) -> NDArray[np.int64]:
+            R, _ = self.masks.at(omega)
+            T = one.worth(self.problem.scaled_factor(omega), self.limit)
+            return np.count_nonzero(np.linalg.eigvalsh(R.conj().swapaxes(1, 2) @ T @ R) > 0, axis=1)
+
+        points = np.union1d(panels.omega, panels.edges)
+        count = positive(points)
+        at = np.flatnonzero(count[1:] != count[:-1])
+        if not len(at):
+            return panels
+        low, high, left = points[at], points[at + 1], count[at]
+        for _ in range(60):
+            middle = (low + high) / 2
+            same = positive(middle) == left
+            low, high = np.where(same, middle, low), np.where(same, high, middle)
+        edges = np.union1d(panels.edges, high)
+        edges = edges[np.concatenate([[True], np.diff(edges) > 1e-15])]
+        return _Panels.on(self.masks, edges) if len(edges) > len(panels.edges) else panels
+
+    def _design(self, panels: _Panels, phi: NDArray, one: _Density, bound: float) -> Design:
+        problem = self.problem
+        power = phi * panels.weight[:, None, None]
+        share = np.einsum("kii->k", power).real
+        keep = share > 0
+        spectrum = Spectrum(panels.omega[keep], power[keep])
+        loss = problem.original.loss(problem.map.of_spectrum(spectrum))
+        bound = bound * problem.scale
+        X = np.asarray(np.linalg.solve(problem.R, one.X), dtype=np.float64)
+        numerator = problem.original.numerator(X)
+        unit = np.array([max(one.nu, 1e-300)])
+        prices = problem.prices_at(spectrum.omega, one.X, unit).ratio
+        return Design(
+            spectrum=spectrum,
+            criterion=problem.original,
+            loss=loss,
             bound=bound,
-            largest_price=float(worth.max() / unit[0]),
-            frequency=float(problem.omega[np.argmax(worth)]),
-            price=lambda frequencies: problem.prices_at(frequencies, weights.X, unit).ratio,
-        ),
-        status=Status.OK if loss - bound <= tolerance * bound else Status.INACCURATE,
-        information=information.of_spectrum(spectrum),
-        map=information,
-        power_used={"input power": spectrum.total_power},
-        limits={"input power": limit},
-        solver="newton",
-        rounds=1,
-    )
-
-
-def _values(mask: Mask, omega: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    values = np.asarray(mask(omega))
-    if np.iscomplexobj(values) or values.shape != omega.shape or np.isnan(values).any() or (values < 0).any():
-        raise InputError(
-            f"the {name} has the shape {values.shape} and values from {values.min()} on; for one input it must be "
-            f"real, at least 0 and of shape {omega.shape}."
+            certificate=Certificate(
+                X=X,
+                multipliers={"input power": one.nu},
+                numerator=numerator,
+                value=numerator / bound,
+                bound=bound,
+                largest_price=float(prices.max()),
+                frequency=float(spectrum.omega[np.argmax(prices)]),
+                price=lambda omega: problem.prices_at(omega, one.X, unit).ratio,
+            ),
+            status=Status.OK if loss - bound <= self.tolerance * bound else Status.INACCURATE,
+            information=problem.map.of_spectrum(spectrum),
+            map=problem.map,
+            power_used={"input power": spectrum.total_power},
+            limits={"input power": self.limit},
+            solver="newton",
+            rounds=1,
         )
-    return values.astype(float)
+
+
+def _logarithm(criterion: Criterion, X: NDArray) -> tuple[float, NDArray[np.float64]]:
+    """Logarithm of the criterion's numerator and its gradient in X."""
+    V = criterion.columns
+    turned = V.T @ X
+    if criterion.kind == "A":
+        slope = 2 * V / np.trace(turned)
+    elif criterion.kind == "E":
+        slope = 2 * V @ turned / np.sum(turned**2)
+    else:
+        slope = 2 / len(turned) * V @ np.linalg.inv(turned).T
+    return float(np.log(max(criterion.numerator(X), 1e-300))), slope
+
+
+def _check_open(panels: _Panels, masks: Masks) -> None:
+    """An InfeasibleDesign where the masks leave no power."""
+    if np.any(panels.R):
+        return
+    from_input = (
+        None
+        if masks.on_input is None
+        else np.any(replace(masks, on_output=None).at(panels.omega)[0], axis=(1, 2))
+    )
+    if from_input is not None and masks.on_output is not None and from_input.any():
+        at = panels.omega[from_input]
+        raise InfeasibleDesign(
+            f"the input mask clashes with the output mask: the input may have power between {at[0]:.4g} and "
+            f"{at[-1]:.4g} rad/sample only, and there the output mask is 0; raise one where the other is open."
+        )
+    which = "input" if from_input is not None and not from_input.any() else "output"
+    raise InfeasibleDesign(
+        f"the {which} mask is 0 at every frequency, so no input satisfies it; raise it somewhere."
+    )

@@ -149,12 +149,16 @@ def _responses(model: Any, omega: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _mean_response(model: Any, information: InformationMap, band: tuple[float, float]) -> NDArray[np.float64]:
     """W with trace(W M^-1) the mean variance of the frequency response over the band, to 1e-12."""
+    edges = graded_edges(*band, information.resonances)
+    # In units in which every parameter matters alike: small entries keep their digits.
+    unit = np.sqrt(np.mean(_responses(model, edges) ** 2, axis=(0, 2)))
+    unit = np.where(unit > 0, unit, 1.0)
 
     def squares(omega: NDArray) -> NDArray[np.float64]:
-        V = _responses(model, omega)
+        V = _responses(model, omega) / unit[:, None]
         return V @ V.swapaxes(1, 2)
 
-    return integral(squares, graded_edges(*band, information.resonances)) / (band[1] - band[0])
+    return integral(squares, edges) / (band[1] - band[0]) * np.outer(unit, unit)
 
 
 def _worst_response(
