@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Baseline, Options, best_linear
+from estimators.diagnosis.discovery import DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
-from estimators.diagnosis.examination import examine
+from estimators.diagnosis.examination import Examined, examine
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
 from estimators.diagnosis.ladder.steps import Kind, Step, climb
 from estimators.diagnosis.ladder.verdicts import Outcome, verdict
@@ -24,7 +25,8 @@ from estimators.diagnosis.record.measurement import held_samples
 from estimators.diagnosis.record.overlap import copied_rows
 from estimators.diagnosis.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.named import Bench, named_steps
+from estimators.diagnosis.search.named import Bench, Named, named_steps
+from estimators.diagnosis.share import Share, explainable_share
 from oed.data import Record
 from oed.errors import InputError
 
@@ -107,7 +109,9 @@ def diagnose(
     if test is not None and setting.separate:
         test = replace(test, t0=train.t0)
     base = best_linear([train], _options(train, setting))
-    outcomes = [_outcome(train, i, base, setting) for i in range(train.n_outputs)]
+    parts = [_named(train, i, base, setting) for i in range(train.n_outputs)]
+    discovery = discover([train], base, setting.effort.value)
+    outcomes = [_outcome(train, i, base, parts[i], discovery, setting) for i in range(train.n_outputs)]
     held = _held_out(train, test, outcomes, setting)
     return _diagnosis(train, test, base, outcomes, held, setting)
 
@@ -117,27 +121,61 @@ def _options(train: Record, setting: Setting) -> Options:
     return Options(deviations=setting.deviations, diagonal=diagonal)
 
 
-def _outcome(train: Record, i: int, base: Baseline, setting: Setting) -> Outcome:
-    """All stages of one output."""
+def _named(train: Record, i: int, base: Baseline, setting: Setting) -> tuple[Examined, Bench, Named]:
+    """The named stage of one output: what its samples show, and the effects that hold."""
     found = examine(train, i, setting)
-    final = found.attribution.final
     rest = bool(setting.deviations) or (setting.deviations is None and _starts_at_rest(train, i, base))
-    bench = Bench(found.last, base, i, train, found.thin_of(final), rest,
-                  not setting.deviations, setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family)  # fmt: skip
-    named = named_steps(bench, found.attribution)
-    steps = [_linear_step(base, i, rest)]
+    bench = Bench(
+        found.last, base, i, train, found.thin_of(found.attribution.final), rest, not setting.deviations,
+        setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family,
+    )  # fmt: skip
+    return found, bench, named_steps(bench, found.attribution)
+
+
+def _left(train: Record, i: int, base: Baseline, step: Step | None, share: Share) -> Share:
+    """The explainable share of what the named model leaves."""
+    if step is None:
+        return share
+    y = base.y_model[0].copy()
+    y[:, i] = step.simulate(train, base.blocks.window)
+    return explainable_share(replace(base, y_model=(y,)), [train], i) if np.all(np.isfinite(y)) else share
+
+
+def _outcome(
+    train: Record,
+    i: int,
+    base: Baseline,
+    parts: tuple[Examined, Bench, Named],
+    discovery: Discovery,
+    setting: Setting,
+) -> Outcome:
+    """The ladder of one output."""
+    found, bench, named = parts
+    steps = [_linear_step(base, i, bench.rest)]
     kept = np.repeat(found.last.keep, bench.thin)
     out = np.flatnonzero(np.isfinite(train.y[: len(kept), i]) & ~kept)
     if len(out):  # samples that are no measurement: the best linear model without them
         y = train.y.copy()
         y[out, i] = np.nan
         clean = best_linear([train.replace(y=y)], _options(train, setting))
-        steps.append(_linear_step(clean, i, rest, tuple(sig.key for sig in found.signatures)))
+        steps.append(_linear_step(clean, i, bench.rest, tuple(sig.key for sig in found.signatures)))
     steps += [named.step] if named.step is not None else []
+    steps += [_discovered_step(discovery, discovery.model, i)] if discovery.model is not None else []
+    share = explainable_share(base, [train], i)
+    left = _left(train, i, base, named.step, share)
     y = np.nan_to_num(train.y[:, i])
-    return Outcome(
-        i, found, named, climb([y], steps, [bench.counted], setting.policy, least=int(len(out) > 0))
-    )
+    ladder = climb([y], steps, [bench.counted], setting.policy, least=int(len(out) > 0))
+    return Outcome(i, found, named, ladder, share, left, discovery)
+
+
+def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:
+    terms = [t for t in d.terms if t.output == i]
+    parameters = {f"term {k + 1}.{name}": v for k, t in enumerate(terms) for name, v in t.parameters.items()}
+    return Step(
+        Kind.DISCOVERED, tuple(t.text for t in terms), tuple(u[:, i] for u in d.unused),
+        lambda record, window: model.simulate(record, window)[:, i], len(model.theta), parameters,
+        tuple(t.meaning for t in terms), d.equation, nature=d.nature,
+    )  # fmt: skip
 
 
 def _linear_step(base: Baseline, i: int, rest: bool, adds: tuple[str, ...] = ()) -> Step:

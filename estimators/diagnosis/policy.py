@@ -30,6 +30,8 @@ class Policy:
     # fit is asked for besides, so that this need not carry the false-alarm rate alone
     least_gain: float = 0.01
     # share of the error on unused blocks below which an effect is no cause: a real plant is never exactly linear
+    carried: float = 0.9
+    # share of what the answer explains that named effects must explain to lend their names to it
     sane_reach: float = 8.0
     # largest distance of a simulated output from the training output's middle, in half spans of it, that is no explosion
     constant: float = 1.0

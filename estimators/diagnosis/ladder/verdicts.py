@@ -13,16 +13,18 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot, named
 from estimators.diagnosis.examination import Examined
 from estimators.diagnosis.ladder.held_out import HeldOut
-from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
+from estimators.diagnosis.ladder.steps import Kind, Ladder
 from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
-from estimators.diagnosis.policy import Setting
+from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.leftover import Leftover, leftovers
 from estimators.diagnosis.search.named import Claim, Named
-from estimators.diagnosis.search.selection import FAMILY, causes_of
+from estimators.diagnosis.search.selection import FAMILY
+from estimators.diagnosis.share import Share
 
 __all__ = ["Outcome", "verdict"]
 
@@ -38,30 +40,30 @@ class Outcome:
     examined: Examined
     named: Named
     ladder: Ladder
+    share: Share
+    left: Share  # of what the named model leaves
+    discovery: Discovery
+
+    def value(self, kind: Kind) -> float:
+        """Least error on unused blocks of the steps of a kind; infinite where there is none."""
+        return min((r.value for r in self.ladder.rungs if r.step.kind is kind), default=np.inf)
 
     @property
-    def claims(self) -> tuple[Claim, ...]:
-        """Effects of the answer: none where it does not stand on the named model."""
-        return self.named.claims if any(s.kind is Kind.NAMED for s in self.ladder.chosen.chain) else ()
-
-    @property
-    def nameless(self) -> Step | None:
-        """The part of the answer that has no name, where it gains more than all that has one."""
-        chain = self.ladder.chosen.chain
-        without = [s for s in chain if s.kind in (Kind.DISCOVERED, Kind.REMAINDER)]
-        if not without:
-            return None
-        value = {id(r.step): r.value for r in self.ladder.rungs}
-        base = next((value[id(s)] for s in chain if s.kind is Kind.NAMED), self.ladder.rungs[0].value)
-        more = base**2 - value[id(chain[0])] ** 2
-        return without[-1] if more > self.ladder.rungs[0].value ** 2 - base**2 else None
+    def named_share(self) -> float:
+        """What the named model explains on unused blocks, of what the answer explains."""
+        linear = self.value(Kind.LINEAR) ** 2
+        answer = self.ladder.rungs[self.ladder.answer].value ** 2
+        gained = linear - min(self.value(Kind.NAMED) ** 2, linear)
+        return gained / (linear - answer) if answer < linear else 0.0
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing found: key of the catalogue (or what stands in its place), its weight among its kind, the evidence."""
+    """One thing found: its variant and cause, its nature, its weight among its kind, the evidence."""
 
     key: str
+    cause: str
+    nature: str
     weight: float
     p_value: float
     sentence: str
@@ -69,95 +71,139 @@ class Finding:
 
 def verdict(outcomes: Sequence[Outcome], held: HeldOut, setting: Setting) -> dict[str, Any]:
     """The fields of a `Diagnosis` that name causes."""
-    several, effects = len(outcomes) > 1, (*CATALOGUE, *setting.effects)
-    system = [f for o in outcomes for f in _system(o, _tag(o, several))]
-    nameless = [(o, step) for o in outcomes if (step := o.nameless) is not None]
-    withdrawn = bool(system or nameless) and not held.difference.low > 0.0
+    several, effects = len(outcomes) > 1, {e.key: e for e in (*CATALOGUE, *setting.effects)}
     rests = [
         leftovers(o.examined.last, o.named.fit, alpha=setting.alpha / len(outcomes) / 10) for o in outcomes
     ]
-    strange = [
-        (o, item) for o, rest in zip(outcomes, rests, strict=True)
-        if not nameless and (item := _unexplained(o, rest, setting.alpha / len(outcomes))) is not None
-    ]  # fmt: skip
-    data = [f for o in outcomes for f in _data(o, setting, _tag(o, several))]
-    noise = [f for o in outcomes for f in _noise(o, _tag(o, several))]
-    first = [] if withdrawn else sorted(system, key=lambda f: -f.weight)
-    second = sorted(data, key=lambda f: -f.weight) + noise
-    unknown = (bool(nameless) and not withdrawn) or bool(strange)
-    keys = [
-        *([(strange[0][1].key if strange else "") or UNKNOWN] if unknown else []),
-        *(f.key for f in (*first, *second)),
-    ]
-    chosen = causes_of(keys, effects)
-    evidence = [
-        f"no effect of the catalogue explains what is left{_tag(o, several)}: {x.sentence}"
-        for o, x in strange
-    ]
-    evidence += [UNCLAIMED] if withdrawn else []
-    evidence += [
-        f"no effect of the catalogue explains {_nameless_words(s)}{_tag(o, several)}"
-        for o, s in nameless
-        if unknown
-    ]
-    evidence += [f.sentence for f in (*first, *second)] + _dropped(outcomes, several, effects)
-    natures = [*(x.nature for _, x in strange), *(s.nature for _, s in nameless)]
-    nature = natures[0] if unknown else named(keys[0], effects).nature.value if keys else NONE
-    tried = _tried(outcomes, chosen)
+    system = [f for o in outcomes for f in _system(o, _tag(o, several), setting.policy)]
+    withdrawn = bool(system) and not held.difference.low > 0.0
+    if withdrawn:
+        system = []
+    for o, rest in zip(outcomes, rests, strict=True):
+        if not any(f.cause == UNKNOWN for f in system):
+            system += _unexplained(o, rest, setting.alpha / len(outcomes), _tag(o, several))
+    first = sorted(system, key=lambda f: -f.weight)
+    data = sorted(
+        (f for o in outcomes for f in _data(o, setting, effects, _tag(o, several))), key=lambda f: -f.weight
+    )
+    found = [*first, *data, *(f for o in outcomes for f in _noise(o, effects, _tag(o, several)))]
+    chosen = list(dict.fromkeys(f.cause for f in found))
+    said = _equations(outcomes)
     return {
-        "detected": bool(keys), "effect": chosen[0] if chosen else NONE,
-        "variant": ", ".join(dict.fromkeys(_variant(keys, nameless, unknown))), "nature": nature,
-        "ranked": (*chosen, *tried) if chosen else (NONE,),
-        "p_value": min((f.p_value for f in (*first, *second)), default=1.0), "evidence": tuple(evidence),
+        "detected": bool(found), "effect": chosen[0] if chosen else NONE,
+        "variant": ", ".join(dict.fromkeys((*(said if first else []), *(f.key for f in found if f.key)))),
+        "nature": found[0].nature if found else NONE,
+        "ranked": (*chosen, *_tried(outcomes, chosen)) if chosen else (NONE,),
+        "p_value": min((f.p_value for f in found), default=1.0),
+        "evidence": (*([UNCLAIMED] if withdrawn else []), *(f.sentence for f in found), *_dropped(outcomes, several, effects)),
         "parameters": {k: v for o in outcomes for k, v in _parameters(o, several).items()},
         "confusable": _confusable(outcomes, chosen),
         "remaining": "; ".join(x.sentence + _tag(o, several) for o, rest in zip(outcomes, rests, strict=True) for x in rest[:3]),
-        "refinements": tuple(causes_of([key for o in outcomes for key, _ in o.named.dropped], effects)),
-        "system": _headline(first, unknown, withdrawn, outcomes, held, effects), "equation": "; ".join(_equations(outcomes)),
-        "floor_is_bound": any(map(bool, rests)) or any(_absorbing(o) for o in outcomes), "data": tuple(f.sentence for f in data),
+        "refinements": tuple(dict.fromkeys(effects[key].cause for o in outcomes for key, _ in o.named.dropped)),
+        "system": _headline(first, withdrawn, outcomes, held), "equation": "; ".join(said),
+        "floor_is_bound": any(map(bool, rests)) or any(_absorbing(o) for o in outcomes),
+        "data": tuple(f.sentence for f in data), "explainable": _explainable(outcomes),
     }  # fmt: skip
-
-
-def _headline(
-    first: list[Finding], unknown: bool, withdrawn: bool, outcomes: Sequence[Outcome], held: HeldOut,
-    effects: tuple[Effect, ...],
-) -> str:  # fmt: skip
-    """The first line: what is missing from the system, and what that is worth on fresh data."""
-    errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g}"
-    if withdrawn:
-        return f"{UNCLAIMED}; {errors}"
-    if unknown:
-        return f"an effect without a name: {'; '.join(_equations(outcomes)) or 'predicted by no equation'}; {errors}"
-    if not first:
-        return f"nothing is missing from the linear model that data not used could show; {errors}"
-    words = named(first[0].key, effects).cause.replace("_", " ")
-    o = next(o for o in outcomes if any(c.key == first[0].key for c in o.claims))
-    given = [f"{name.rpartition('.')[2]} {v:.4g} +- {se:.1g} {unit}".rstrip()
-             for name, (v, se, unit) in _parameters(o, False).items() if name.startswith(first[0].key + ".")]  # fmt: skip
-    return f"{words}{': ' + ', '.join(given[:MOST]) if given else ''}; {errors}"
 
 
 MOST = 4
 """Parameters in the headline: a curve of many corners is given below it."""
 
 
+def _headline(first: list[Finding], withdrawn: bool, outcomes: Sequence[Outcome], held: HeldOut) -> str:
+    """The first line: what is missing from the system, and what that is worth on fresh data."""
+    errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g}"
+    if not first:
+        words = (
+            UNCLAIMED
+            if withdrawn
+            else "nothing is missing from the linear model that data not used could show"
+        )
+        return f"{words}; {errors}"
+    top = first[0]
+    said = "; ".join(_equations(outcomes))
+    if top.cause == UNKNOWN:
+        return f"an effect without a name ({top.nature}){': ' + said if said else ''}; {errors}"
+    given = [f"{name.rpartition('.')[2]} {v:.4g} +- {se:.1g} {unit}".rstrip() for o in outcomes
+             for name, (v, se, unit) in _parameters(o, False).items() if name.startswith(top.key + ".")]  # fmt: skip
+    words = ", ".join(given[:MOST]) if top.key else said
+    return f"{top.cause.replace('_', ' ')}{': ' + words if words else ''}; {errors}"
+
+
 def _equations(outcomes: Sequence[Outcome]) -> list[str]:
     return [s.equation for o in outcomes for s in o.ladder.chosen.chain if s.equation]
+
+
+def _explainable(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """The share of the first output's residual, as there is one share for one residual; the least sure where several."""
+    s = min((o.share for o in outcomes), key=lambda s: -s.share)
+    return {
+        "share": s.share,
+        "low": s.low,
+        "high": s.high,
+        "by": s.by,
+        "nature": s.nature,
+        "noise_floor": s.noise_floor,
+    }
 
 
 def _tag(o: Outcome, several: bool) -> str:
     return f" on output {o.index + 1}" if several else ""
 
 
-def _system(o: Outcome, tag: str) -> list[Finding]:
-    """The effects of the answer, by what they explain on unused blocks as a share of the error there."""
+def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
+    """What is claimed of the system: named effects that the answer stands on, else the terms that were discovered.
+
+    Where a discovered model is the answer, the named effects keep their names if they explain nearly all that it does.
+    """
+    chain = o.ladder.chosen.chain
+    kinds = {s.kind for s in chain}
+    claimed = _claimed(o, tag)
+    if Kind.NAMED in kinds:
+        gained = sum(f.weight for f in claimed)
+        return _nameless(o, tag, policy, gained) + claimed
+    if Kind.DISCOVERED not in kinds and Kind.REMAINDER not in kinds:
+        return []
+    if o.named_share >= policy.carried:
+        return claimed
+    weight = 1.0 - (o.ladder.rungs[o.ladder.answer].value / o.ladder.rungs[0].value) ** 2
+    d = o.discovery
+    if Kind.DISCOVERED in kinds and (mine := [t for t in d.terms if t.output == o.index]):
+        cause = mine[0].same_as or UNKNOWN
+        words = f"blocks not used are simulated with {_percent(o):.3g} % less error with the terms{tag}: {d.equation}"
+        return [Finding("", cause, mine[0].nature, weight, 0.0, words)] + [
+            Finding("", t.same_as, t.nature, 0.1 * weight / (2 + k), 0.0, f"{t.meaning}{tag}: {t.text}")
+            for k, t in enumerate(mine[1:]) if t.same_as and t.same_as != cause
+        ]  # fmt: skip
+    words = f"what is left{tag} can be predicted, but neither a name nor an equation was found for it"
+    return [Finding("", UNKNOWN, o.share.nature, weight, 0.0, words)]
+
+
+def _percent(o: Outcome) -> float:
+    return 100 * (1.0 - o.ladder.rungs[o.ladder.answer].value / o.ladder.rungs[0].value)
+
+
+def _nameless(o: Outcome, tag: str, policy: Policy, gained: float) -> list[Finding]:
+    """What the named model leaves, where more of it can be explained than the model explains."""
+    if not o.left.explainable:
+        return []
+    value = next(r.value for r in o.ladder.rungs if r.step.kind is Kind.NAMED)
+    left = o.left.share * (value / o.ladder.rungs[0].value) ** 2
+    if left <= max(gained, policy.least_gain):
+        return []
+    words = f"of what the named effects leave{tag}, {o.left.share:.0%} can be explained: {o.left.natures[0].sentence}"
+    return [Finding("", UNKNOWN, o.left.nature, np.inf, 0.0, words)]
+
+
+def _claimed(o: Outcome, tag: str) -> list[Finding]:
+    """The named effects that hold, by what they explain on unused blocks as a share of the error there."""
     return [
         Finding(
-            c.key, c.gain.value / max(o.ladder.rungs[0].value ** 2, 1e-300), c.p_value,
+            c.key, c.cause, c.part.effect.nature.value, c.gain.value / max(o.ladder.rungs[0].value ** 2, 1e-300), c.p_value,
             f"{c.part.effect.sentence}{tag}: the error on unused blocks is {100 * c.gain.share:.3g} % less with it, "
             f"corrected p = {c.p_value:.2g}{_assumed(o, c.key)}{_or(c)}",
         )
-        for c in o.claims
+        for c in o.named.claims
     ]  # fmt: skip
 
 
@@ -165,83 +211,82 @@ def _or(c: Claim) -> str:
     return f"; it may as well be {' or '.join(c.rivals)}" if c.rivals else ""
 
 
-def _data(o: Outcome, setting: Setting, tag: str) -> list[Finding]:
+def _seen(effects: dict[str, Effect], key: str, weight: float, p: float, sentence: str) -> Finding:
+    """A finding of the catalogue that is no part of a model."""
+    return Finding(key, effects[key].cause, effects[key].nature.value, weight, p, sentence)
+
+
+def _data(o: Outcome, setting: Setting, effects: dict[str, Effect], tag: str) -> list[Finding]:
     """Faults of the measurement, then feedback: what shows in the samples before what a fit says."""
-    a = o.examined.attribution
+    p = o.examined.attribution.feedback
     order = {"held": 4.0, "quantised": 3.0, "outliers": 1.0}
-    found = [Finding(s.key, order.get(s.key, 0.0), 0.0, s.sentence) for s in o.examined.signatures]
-    if a.feedback < setting.alpha / 100:
-        found.append(Finding("feedback", 2.0, a.feedback, "past innovations help to predict the input"
-                             f"{tag} (p = {a.feedback:.2g}): the data are from a closed loop"))  # fmt: skip
+    found = [_seen(effects, s.key, order.get(s.key, 0.0), 0.0, s.sentence) for s in o.examined.signatures]
+    if p < setting.alpha / 100:
+        words = (
+            f"past innovations help to predict the input{tag} (p = {p:.2g}): the data are from a closed loop"
+        )
+        found.append(_seen(effects, "feedback", 2.0, p, words))
     return found
 
 
-def _noise(o: Outcome, tag: str) -> list[Finding]:
+def _noise(o: Outcome, effects: dict[str, Effect], tag: str) -> list[Finding]:
     """Noise that is correlated in time, beyond what the search over its orders finds in white noise."""
     f = o.named.fit
     if not len(f.noise):
         return []
     plain = f.n * float(np.log(max(np.sum(f.residual**2) / f.n, 1e-300)))
-    p = min(
-        1.0,
-        FAMILY * named("coloured").trials * float(chi2.sf(max(plain - f.deviance, 0.0), len(f.noise))),
-    )
-    return (
-        [Finding("coloured", 0.0, p, f"the noise is correlated in time{tag}: corrected p = {p:.2g}")]
-        if p < 0.01
-        else []
-    )
+    tail = float(chi2.sf(max(plain - f.deviance, 0.0), len(f.noise)))
+    p = min(1.0, FAMILY * effects["coloured"].trials * tail)
+    words = f"the noise is correlated in time{tag}: corrected p = {p:.2g}"
+    return [_seen(effects, "coloured", 0.0, p, words)] if p < LEVEL else []
 
 
-def _dropped(outcomes: Sequence[Outcome], several: bool, effects: tuple[Effect, ...]) -> list[str]:
+LEVEL = 0.01
+"""Of the noise model's likelihood ratio, corrected for the orders tried."""
+
+
+def _dropped(outcomes: Sequence[Outcome], several: bool, effects: dict[str, Effect]) -> list[str]:
     return [
-        f"not claimed{_tag(o, several)}: {named(key, effects).cause} ({why})"
+        f"not claimed{_tag(o, several)}: {effects[key].cause} ({why})"
         for o in outcomes
         for key, why in o.named.dropped
     ]
 
 
-def _unexplained(o: Outcome, rest: list[Leftover], alpha: float) -> Leftover | None:
+def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> list[Finding]:
     """What the tests of the residual still show, where it weighs more than all that was found."""
     a, f = o.examined.attribution, o.named.fit
-    if o.examined.signatures:
-        return None
+    if o.examined.signatures or o.ladder.chosen.kind in (Kind.DISCOVERED, Kind.REMAINDER):
+        return []
     explained = 0.0
     if (
-        o.claims
+        o.named.claims
     ):  # in one-step errors, or in simulation errors: a noise model predicts part of any model error
         before = float(np.mean(a.base.residual[o.examined.channel.keep] ** 2))
         after = float(np.mean(f.residual[o.examined.last.keep] ** 2))
         explained = max(
             a.coloured.criterion - f.criterion, f.n * float(np.log(before / max(after, 1e-300))), 0.0
         )
-    limit = SURE if o.claims or len(f.noise) else alpha / 10
+    limit = SURE if o.named.claims or len(f.noise) else alpha / 10
     for item in rest:
         noisy = item.nature == Nature.NOISE
         if item.p_value >= (SURE if noisy else limit):
             continue
-        if (noisy and not o.claims) or (not noisy and item.gain > max(0.5 * explained, LEAST)):
-            return item
-    return None
+        if (noisy and not o.named.claims) or (not noisy and item.gain > max(0.5 * explained, LEAST)):
+            words = "what is left" if item.key else "no effect of the catalogue explains what is left"
+            cause = named(item.key).cause if item.key else UNKNOWN
+            return [
+                Finding(
+                    item.key, cause, str(item.nature), np.inf, item.p_value, f"{words}{tag}: {item.sentence}"
+                )
+            ]
+    return []
 
 
 SURE = 1e-6
 """Significance under a noise model or beside an effect is less sure than it says."""
 LEAST = 6.0
 """Of Schwarz's criterion: odds of twenty to one."""
-
-
-def _nameless_words(step: Step) -> str:
-    return (
-        f"what is left: {step.equation}"
-        if step.equation
-        else "what is left, but it can be predicted from the inputs"
-    )
-
-
-def _variant(keys: list[str], nameless: list[tuple[Outcome, Step]], unknown: bool) -> list[str]:
-    said = [s.equation for _, s in nameless if s.equation] if unknown else []
-    return said + [k for k in keys if k != UNKNOWN]
 
 
 def _tried(outcomes: Sequence[Outcome], chosen: list[str]) -> tuple[str, ...]:
@@ -254,7 +299,9 @@ def _tried(outcomes: Sequence[Outcome], chosen: list[str]) -> tuple[str, ...]:
 
 
 def _confusable(outcomes: Sequence[Outcome], chosen: list[str]) -> tuple[str, ...]:
-    names = [name for o in outcomes for c in o.claims if chosen and c.cause == chosen[0] for name in c.rivals]
+    names = [
+        name for o in outcomes for c in o.named.claims if chosen and c.cause == chosen[0] for name in c.rivals
+    ]
     return tuple(dict.fromkeys(names))
 
 
