@@ -22,6 +22,7 @@ from estimators.diagnosis.record.measurement import (
     Signature,
     at_reversals,
     held_samples,
+    resting_samples,
     rounding_step,
     wild_samples,
 )
@@ -191,7 +192,7 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
     missing = ~np.isfinite(y)
     y[missing] = 0.0
     faults = {sig.key for sig in short.signatures}
-    keep = ~missing & ~held_samples(y) if "held" in faults else ~missing
+    keep = ~missing & (~held_samples(y) | resting_samples(record.u, y)) if "held" in faults else ~missing
     channel = Channel(record.u, y, Clock(np.arange(n, dtype=float), n), keep, short.channel.step)
     ratio = n / len(short.channel)
 
@@ -230,7 +231,8 @@ def _examined(record: Record, i: int, setting: Setting) -> Examined:
     signatures: list[Signature] = []
     step = rounding_step(y)
     if step == 0.0:
-        held = held_samples(y) & keep
+        rest = resting_samples(record.u, y)
+        held = held_samples(y) & keep & ~rest
         if held.sum() >= max(3, 0.004 * n):
             keep &= ~held
             share = float(held.mean())

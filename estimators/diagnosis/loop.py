@@ -21,7 +21,7 @@ from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
 from estimators.diagnosis.ladder.steps import Kind, Step, climb
 from estimators.diagnosis.ladder.verdicts import Outcome, verdict
 from estimators.diagnosis.policy import Setting
-from estimators.diagnosis.record.measurement import held_samples
+from estimators.diagnosis.record.measurement import held_samples, resting_samples
 from estimators.diagnosis.record.overlap import copied_rows
 from estimators.diagnosis.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
@@ -205,7 +205,8 @@ def _held_out(train: Record, test: Record | None, outcomes: list[Outcome], setti
     counts = np.isfinite(record.y)
     for o in outcomes:
         if any(sig.key == "held" for sig in o.examined.signatures):
-            counts[:, o.index] &= ~held_samples(np.nan_to_num(record.y[:, o.index]))
+            y = np.nan_to_num(record.y[:, o.index])
+            counts[:, o.index] &= ~held_samples(y) | resting_samples(record.u, y)
         if test is None:
             counts[:, o.index] &= o.ladder.counted[0]
     if test is not None:

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.cases import diagnose_files
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import ar_model
-from estimators.diagnosis.record.measurement import held_samples, rounding_step, wild_samples
+from estimators.diagnosis.record.measurement import held_samples, resting_samples, rounding_step, wild_samples
 from estimators.diagnosis.search.selection import feedback_test
 from oed.data import Record
 from oed.errors import InputError
@@ -128,6 +128,20 @@ def test_rounded_and_held_samples_are_recognised():
     assert held_samples(held).sum() == 4  # a limit that is reached again
     assert held_samples(y).sum() == 0
     assert held_samples(np.round(y)).sum() == 0  # values recur: coarse, not lost
+
+
+def test_rest_is_no_loss_and_a_loss_is_no_rest():
+    """Thirty samples before the input moves, and ten in the middle, repeat; three lost ones under a moving input do too."""
+    rng = np.random.default_rng(8)
+    u = np.concatenate((np.zeros(30), rng.standard_normal(370)))
+    y = np.concatenate((np.full(30, 0.7), np.cumsum(rng.standard_normal(370))))
+    u[200:210], y[200:210] = u[200], y[200]
+    y[300:303] = y[299]
+    rest = resting_samples(u[:, None], y)
+    assert rest[1:30].all()
+    assert rest[201:210].all()
+    assert rest.sum() == 38
+    assert set(np.flatnonzero(held_samples(y) & ~rest)) == {300, 301, 302}
 
 
 def test_wild_samples_are_recognised_and_gaussian_ones_are_not():

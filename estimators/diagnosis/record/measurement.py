@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-__all__ = ["Signature", "at_reversals", "held_samples", "rounding_step", "wild_samples"]
+__all__ = ["Signature", "at_reversals", "held_samples", "resting_samples", "rounding_step", "wild_samples"]
 
 Array = NDArray[Any]
 
@@ -106,6 +106,24 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
     if len(np.unique(fresh)) < 0.97 * len(fresh):  # values recur anyway: a coarse scale, not a lost sample
         held[:] = False
     return held
+
+
+RESTING = 8
+"""Samples of unmoved input and output from which on a system rests; losses in a row are seldom so many."""
+
+
+def resting_samples(u: Array, y: Array) -> NDArray[np.bool_]:
+    """(N,) samples at which neither the inputs (N, nu) nor the output move: from the start, or for `RESTING` samples and more.
+
+    A system at rest repeats its output; nothing is lost there.
+    """
+    still = np.zeros(len(y) + 1, dtype=bool)
+    still[1:-1] = (y[1:] == y[:-1]) & np.all(u[1:] == u[:-1], axis=1)
+    edges = np.flatnonzero(np.diff(still.astype(int)))
+    out = np.zeros(len(y), dtype=bool)
+    for first, stop in zip(edges[::2] + 1, edges[1::2] + 1, strict=True):
+        out[first:stop] = stop - first >= RESTING or first == 1
+    return out
 
 
 def at_reversals(wild: NDArray[np.bool_], simulated: Array) -> bool:
