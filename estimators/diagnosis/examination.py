@@ -17,7 +17,7 @@ from estimators.diagnosis.model.forces import balanced_fit, effective_samples, f
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
-from estimators.diagnosis.policy import Setting
+from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.record.measurement import (
     Signature,
     at_reversals,
@@ -32,7 +32,7 @@ from estimators.diagnosis.search.free_runs import thinned
 from estimators.diagnosis.search.selection import Attribution, attribute
 from oed.data import Record
 
-__all__ = ["Examined", "examine"]
+__all__ = ["Examined", "Known", "examine"]
 
 Array = NDArray[Any]
 LONG = 8000
@@ -93,20 +93,31 @@ def _structure(setting: Setting, record: Record, i: int, order: int) -> tuple[St
     return s, tuple(j for j in every if j not in inputs)
 
 
-def _order(channel: Channel, record: Record, setting: Setting, i: int) -> int:
-    """Smallest order that, with some delay, comes within a quarter of the best error of orders 1 to 6."""
+@dataclass(frozen=True)
+class Known:
+    """What the best linear model says of the structure that effects are added to: poles, and samples of delay beyond one."""
+
+    order: int
+    delay: int = 0
+
+
+FITTED = {Effort.QUICK: 6, Effort.NORMAL: 14, Effort.THOROUGH: 0}
+"""Effects whose scores promise most that are fitted at first; 0 for all. A score is a linearised gain: among fourteen the
+right one has not been missed where all were fitted."""
+PHYSICAL = 4
+"""Poles from which on a linear model is no plant that effects could sit in, but an approximation of one."""
+
+
+def _order(channel: Channel, record: Record, setting: Setting, i: int, known: Known) -> int:
+    """The order of the best linear model; where that is a long approximation, the smallest within a quarter of the best error."""
+    if known.order <= PHYSICAL:
+        return max(known.order, 1)
     errors = []
     for order in range(1, 7):
         s, _ = _structure(setting, record, i, order)
-        row = []
-        for delay in (0, 1, 2, 3):
-            f = fit_linear(channel, replace(s, delay=delay), rough=True)
-            row.append(float(np.sqrt(np.mean(f.residual**2))) if np.isfinite(f.deviance) else np.inf)
-        errors.append(min(row))
-    for order, error in enumerate(errors, start=1):
-        if error <= 1.25 * min(errors):
-            return order
-    return 2
+        f = fit_linear(channel, replace(s, delay=known.delay), rough=True)
+        errors.append(float(np.sqrt(np.mean(f.residual**2))) if np.isfinite(f.deviance) else np.inf)
+    return next((order for order, error in enumerate(errors, start=1) if error <= 1.25 * min(errors)), 2)
 
 
 def _thinning(y: Array, n_most: int = LONG) -> int:
@@ -120,7 +131,7 @@ def _thinning(y: Array, n_most: int = LONG) -> int:
     return int(max(1, min(0.2 / max(top, 1e-6), n // 1500)))
 
 
-def examine(record: Record, i: int, setting: Setting) -> Examined:
+def examine(record: Record, i: int, setting: Setting, known: Known | None = None) -> Examined:
     """Find what the linear model of one output lacks.
 
     Parameters
@@ -130,19 +141,23 @@ def examine(record: Record, i: int, setting: Setting) -> Examined:
     i : int
         Output.
     setting : Setting
-        What is known.
+        What the user knows.
+    known : Known, optional
+        What the best linear model says of the structure; chosen here without it.
 
     Returns
     -------
     Examined
         The outcome.
     """
+    known = Known(PHYSICAL + 1) if known is None else known
     thin = _thinning(np.nan_to_num(record.y[:, i]))
+    known = replace(known, delay=known.delay // thin)
     full, record = record, thinned(record, thin)
     if len(record) > LONG:
-        short = _examined(record[:SCREEN], i, setting)
+        short = _examined(record[:SCREEN], i, setting, known)
         return replace(_lengthened(record, i, short, setting), thin=thin)
-    return _with_forces(full, i, replace(_examined(record, i, setting), thin=thin), setting)
+    return _with_forces(full, i, replace(_examined(record, i, setting, known), thin=thin), setting)
 
 
 FRICTION = ("coulomb", "coulomb_asymmetric", "stribeck")
@@ -221,7 +236,7 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
     return Examined(channel, found, short.signatures, naive)
 
 
-def _examined(record: Record, i: int, setting: Setting) -> Examined:
+def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examined:
     y = record.y[:, i].copy()
     n = len(y)
     missing = ~np.isfinite(y)
@@ -239,9 +254,10 @@ def _examined(record: Record, i: int, setting: Setting) -> Examined:
             signatures.append(Signature("held", i, int(held.sum()), share,
                 f"{record.output_names[i]}: {int(held.sum())} of {n} samples repeat the one before exactly"))  # fmt: skip
     channel = Channel(record.u, y, clock, keep)
-    order = setting.orders[i] if setting.orders else _order(channel, record, setting, i)
+    order = setting.orders[i] if setting.orders else _order(channel, record, setting, i, known)
     s, others = _structure(setting, record, i, order)
-    menu = Menu(setting.effects, others)
+    s = s if setting.orders else replace(s, delay=known.delay)
+    menu = Menu(setting.effects, others, FITTED[setting.effort])
     first = fit_linear(channel, s)
     naive = fit_linear(replace(channel, keep=~missing), s) if not np.array_equal(keep, ~missing) else first
     if step > 0.0:

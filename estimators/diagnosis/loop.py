@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.baseline import Baseline, Options, best_linear
 from estimators.diagnosis.discovery import DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
-from estimators.diagnosis.examination import Examined, examine
+from estimators.diagnosis.examination import Examined, Known, examine
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
 from estimators.diagnosis.ladder.steps import Kind, Step, climb
 from estimators.diagnosis.ladder.verdicts import Outcome, verdict
@@ -25,7 +25,7 @@ from estimators.diagnosis.record.measurement import held_samples, resting_sample
 from estimators.diagnosis.record.overlap import copied_rows
 from estimators.diagnosis.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.named import Bench, Named, named_steps
+from estimators.diagnosis.search.named import Bench, Named, early, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from oed.data import Record
 from oed.errors import InputError
@@ -123,11 +123,15 @@ def _options(train: Record, setting: Setting) -> Options:
 
 def _named(train: Record, i: int, base: Baseline, setting: Setting) -> tuple[Examined, Bench, Named]:
     """The named stage of one output: what its samples show, and the effects that hold."""
-    found = examine(train, i, setting)
+    delay = min(base.outputs[i].delays)
+    ahead = delay == 0 and not setting.orders
+    known = Known(base.outputs[i].model.order, max(delay - 1, 0))
+    record = early(train) if ahead else train
+    found = examine(record, i, setting, known)
     rest = bool(setting.deviations) or (setting.deviations is None and _starts_at_rest(train, i, base))
     bench = Bench(
-        found.last, base, i, train, found.thin_of(found.attribution.final), rest, not setting.deviations,
-        setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family,
+        found.last, base, i, record, found.thin_of(found.attribution.final), rest, not setting.deviations,
+        setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead,
     )  # fmt: skip
     return found, bench, named_steps(bench, found.attribution)
 

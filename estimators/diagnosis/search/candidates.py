@@ -25,10 +25,11 @@ HOPELESS = (
 
 @dataclass(frozen=True, eq=False)
 class Menu:
-    """What is tried: effects, and the inputs that do not act on this output in the model."""
+    """What is tried: effects, the inputs that do not act on this output in the model, how many are fitted (0: all)."""
 
     effects: tuple[Effect, ...] = CATALOGUE
     others: tuple[int, ...] = ()
+    top: int = 0
 
     @property
     def family(self) -> int:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimators.diagnosis.baseline import Baseline
-from estimators.diagnosis.effects import Clock, Slot
+from estimators.diagnosis.effects import Clock, Nature, Slot
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.model.fitting import Channel, Fit, innovations
 from estimators.diagnosis.model.structure import Part
@@ -26,7 +26,7 @@ from estimators.diagnosis.search.free_runs import blocked, on_record, start_of
 from estimators.diagnosis.search.selection import Attribution
 from oed.data import Record
 
-__all__ = ["Claim", "Named", "named_steps", "parameters_of"]
+__all__ = ["Bench", "Claim", "Named", "early", "named_steps", "parameters_of"]
 
 Array = NDArray[Any]
 
@@ -75,6 +75,9 @@ class Bench:
     policy: Policy
     alpha: float
     family: int  # effects that the record is tested for
+    ahead: bool = (
+        False  # the input acts in the sample in which it is measured: it is taken one sample earlier
+    )
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -100,14 +103,31 @@ class Bench:
         def simulate(record: Record, window: int) -> Array:
             first = round((record.t0 - self.train.t0) / self.train.dt)
             clock = Clock(first + np.arange(len(record), dtype=float), len(self.train))
-            return self.rounded(on_record(f, record, self.output, clock, window, start, self.thin))
+            return self.rounded(
+                on_record(
+                    f, early(record) if self.ahead else record, self.output, clock, window, start, self.thin
+                )
+            )
 
         return simulate
 
-    def gain(self, first: Array, second: Array) -> Gain:
-        """Paired gain on the samples that count."""
-        y = np.nan_to_num(self.train.y[:, self.output])
-        return paired_gain([y], [first], [second], [self.counted], self.policy)
+    def gain(self, first: Array, second: Array, part: Part) -> Gain:
+        """Paired gain on the samples that count; for what changes with time, the least of all and of the last block.
+
+        Only there is time extrapolated, as it is on a later record.
+        """
+        y, counted = np.nan_to_num(self.train.y[:, self.output]), self.counted
+        whole = paired_gain([y], [first], [second], [counted], self.policy)
+        if part.effect.nature is not Nature.TIME:
+            return whole
+        late = counted.copy()
+        late[: self.base.blocks.blocks[-1].start] = False
+        return min(whole, paired_gain([y], [first], [second], [late], self.policy), key=lambda g: g.value)
+
+
+def early(record: Record) -> Record:
+    """The record with its inputs one sample earlier: what acts without delay then acts after one, as the structures have it."""
+    return record.replace(u=np.concatenate((record.u[1:], record.u[-1:])))
 
 
 def named_steps(bench: Bench, a: Attribution) -> Named:

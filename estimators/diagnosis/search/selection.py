@@ -133,6 +133,19 @@ def _white(f: Fit) -> Fit:
     return replace(f, noise=np.zeros(0), variance=variance, deviance=f.n * np.log(max(variance, 1e-300)))
 
 
+FEW = 8
+"""Gauss-Newton steps after which candidates are compared: what is far behind then does not win with more."""
+FINISHED = 6
+"""Candidates that are fitted to the end."""
+
+
+def _finished(channel: Channel, fits: list[Fit]) -> list[Fit]:
+    """The most promising fits, fitted to the end, and the others as they are."""
+    fits = sorted(fits, key=lambda f: f.criterion)
+    head = [fit(channel, f.structure, f.p, f.scales, iterations=25) for f in fits[:FINISHED]]
+    return [g if g.criterion < f.criterion else f for f, g in zip(fits, head, strict=False)] + fits[FINISHED:]
+
+
 def _settled(channel: Channel, fits: list[Fit], count: int) -> list[Fit]:
     """The most promising fits, fitted again under their own noise models; sorted by criterion."""
     fits = sorted(fits, key=lambda f: f.criterion)
@@ -167,10 +180,10 @@ def attribute(
         coloured = min((coloured, again), key=lambda f: f.criterion)
     white = _white(base)
     position = len(s.parts)
-    fits = list(augmented(channel, white, menu))
+    fits = _finished(channel, list(augmented(channel, white, menu, iterations=FEW, top=menu.top)))
     simulated = _explained(white, fits, position) if s.base else {}
     fits = _settled(channel, fits, 6)
-    if len(coloured.noise) and (not fits or len(fits[0].noise)):
+    if len(coloured.noise) and not s.base and (not fits or len(fits[0].noise)):
         more = list(augmented(channel, coloured, menu, best=1, iterations=15))
         fits = _settled(channel, _per_key(fits + more, position), 4)
     fits = _per_key(fits, position)
@@ -289,9 +302,9 @@ def _exchangeable(best: Fit, other: Fit, rivals: dict[str, list[str]]) -> None:
 
 def _second(channel: Channel, f: Fit, menu: Menu, coloured: bool = True) -> list[Fit]:
     position = len(f.structure.parts)
-    fits = list(augmented(channel, _white(f), menu, best=1, iterations=12, top=8))
+    fits = list(augmented(channel, _white(f), menu, best=1, iterations=FEW, top=8))
     fits = _settled(channel, _per_key(fits, position), 3)
-    if coloured and len(f.noise) and (not fits or len(fits[0].noise)):
+    if coloured and not f.structure.base and len(f.noise) and (not fits or len(fits[0].noise)):
         fits += list(augmented(channel, f, menu, best=1, iterations=10, top=5))
         fits = _settled(channel, _per_key(fits, position), 2)
     if fits:
