@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from estimators.diagnosis.loop import Setting, diagnose
@@ -11,7 +13,7 @@ from oed.data import Record
 from oed.errors import InputError
 from oed.files.documents import keyed, read_document
 
-__all__ = ["diagnose_files", "setting_of_meta"]
+__all__ = ["Columns", "diagnose_files", "setting_of_meta"]
 
 SIGNALS = {"deviations": True, "as logged": False}
 """What `signals` of a meta.json says of the operating point; where it is absent, the data decide."""
@@ -82,17 +84,32 @@ def setting_of_meta(meta: dict[str, Any], n_outputs: int) -> Setting:
     )
 
 
+@dataclass(frozen=True)
+class Columns:
+    """Which columns of the files are the inputs and outputs (names, separated by commas), and the sampling time in seconds.
+
+    Attributes
+    ----------
+    inputs, outputs : str or None
+        Names; by default the columns that begin with u and y.
+    dt : float or None
+        By default from the column t or t_s.
+    """
+
+    inputs: str | None = None
+    outputs: str | None = None
+    dt: float | None = None
+
+
 def diagnose_files(
-    train: str | os.PathLike[str],
-    test: str | os.PathLike[str] | None = None,
+    train: Path | str,
+    test: Path | str | None = None,
     *,
-    meta: str | os.PathLike[str] | None = None,
+    meta: Path | str | None = None,
     skip: int = 0,
-    order: int | None = None,
-    inputs: str | None = None,
-    outputs: str | None = None,
-    dt: float | None = None,
-    alpha: float = 0.01,
+    columns: Columns | None = None,
+    setting: Setting | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> tuple[Diagnosis, list[str]]:
     """Diagnose records in files.
 
@@ -101,17 +118,15 @@ def diagnose_files(
     train, test : path
         Records; `FILE[a:b]` takes rows a to b-1.
     meta : path, optional
-        A meta.json: the signals are then deviations and the linear model has no offset.
+        A meta.json: what is known of the structure and the signals.
     skip : int
         Test samples that may set the initial state.
-    order : int, optional
-        Order of the linear model.
-    inputs, outputs : str, optional
-        Column names.
-    dt : float, optional
-        Sampling time in seconds.
-    alpha : float
-        False-alarm rate over all tests together.
+    columns : Columns, optional
+        Names of the columns, and the sampling time.
+    setting : Setting, optional
+        Orders, false-alarm rate and effort that the user wants.
+    progress : callable, optional
+        Told the name of each stage as it begins.
 
     Returns
     -------
@@ -123,37 +138,32 @@ def diagnose_files(
     InputError
         If the files or options cannot be used.
     """
-    from dataclasses import replace
-
     from oed.files import read_record
 
+    columns, wanted = columns or Columns(), setting or Setting()
     notes: list[str] = []
     known = read_document(meta, META, "the description") if meta is not None else {}
-    if inputs is None and isinstance(known.get("inputs"), list):
-        inputs = ",".join(known["inputs"])
-    if outputs is None and isinstance(known.get("outputs"), list):
-        outputs = ",".join(known["outputs"])
-    if not 0 < alpha < 0.5:
-        raise InputError(f"the false-alarm rate is {alpha}; it lies between 0 and 0.5.")
-    if skip < 0:
-        raise InputError(f"--skip is {skip}; it must be 0 or more.")
-    if order is not None and not 1 <= order <= 20:
-        raise InputError(f"the order is {order}; give a whole number from 1 to 20.")
+    names = {
+        side: given or (",".join(known[side]) if isinstance(known.get(side), list) else None)
+        for side, given in (("inputs", columns.inputs), ("outputs", columns.outputs))
+    }
+    _check(wanted, skip)
 
-    def read(path: str | os.PathLike[str]) -> Record:
-        return read_record(path, inputs=inputs, outputs=outputs, dt=dt, missing=True, notes=notes)
+    def read(path: Path | str) -> Record:
+        return read_record(path, **names, dt=columns.dt, missing=True, notes=notes)
 
     first = read(train)
     second = read(test) if test is not None else None
     stated = known.get("sampling_time")
-    if isinstance(stated, int | float) and dt is None and abs(first.dt - stated) > 1e-3 * stated:
+    if isinstance(stated, int | float) and columns.dt is None and abs(first.dt - stated) > 1e-3 * stated:
         raise InputError(
             f"the sampling time is {stated:g} s in meta.json and {first.dt:g} s by the column t; correct one of them."
         )
-    setting = setting_of_meta(known, first.n_outputs) if meta is not None else Setting()
-    if order is not None:
-        setting = replace(setting, orders=(order,) * first.n_outputs)
-    setting = replace(setting, skip=skip, alpha=alpha)
+    said = setting_of_meta(known, first.n_outputs) if meta is not None else wanted
+    final = replace(
+        wanted, structure=said.structure, deviations=said.deviations, skip=skip,
+        orders=(wanted.orders or said.orders) * (first.n_outputs if len(wanted.orders) == 1 else 1),
+    )  # fmt: skip
     if second is not None and second.t0 < first.t0 + first.dt * (len(first) - 1):
         same = abs(second.t0 - first.t0) < 0.5 * first.dt
         how = (
@@ -162,5 +172,14 @@ def diagnose_files(
             else "the test record does not follow the training record"
         )
         notes.append(f"{how}: they are taken as separate clocks")
-        setting = replace(setting, separate=True)
-    return diagnose(first, second, setting), list(dict.fromkeys(notes))
+        final = replace(final, separate=True)
+    return diagnose(first, second, final, progress=progress), list(dict.fromkeys(notes))
+
+
+def _check(setting: Setting, skip: int) -> None:
+    if not 0 < setting.alpha < 0.5:
+        raise InputError(f"the false-alarm rate is {setting.alpha}; it lies between 0 and 0.5.")
+    if skip < 0:
+        raise InputError(f"--skip is {skip}; it must be 0 or more.")
+    if any(not 1 <= order <= 20 for order in setting.orders):
+        raise InputError(f"the order is {setting.orders[0]}; give a whole number from 1 to 20.")

@@ -6,7 +6,7 @@ remainder) -> the ladder on unused blocks -> the verdict. No stage calls back.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -74,6 +74,7 @@ def diagnose(
     setting: Setting | None = None,
     *,
     effects: Iterable[Effect] | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Find what a linear model of measured data lacks, add it, and measure the error before and after.
 
@@ -88,6 +89,8 @@ def diagnose(
         What is known of the system.
     effects : iterable of Effect, optional
         What is looked for, `[*CATALOGUE, mine]` for one of your own; the catalogue without it.
+    progress : callable, optional
+        Told the name of each stage as it begins.
 
     Returns
     -------
@@ -108,9 +111,14 @@ def diagnose(
     _check(train, test)
     if test is not None and setting.separate:
         test = replace(test, t0=train.t0)
+    say = progress if progress is not None else lambda stage: None
+    say("the best linear model")
     base = best_linear([train], _options(train, setting))
+    say("effects of the catalogue")
     parts = [_named(train, i, base, setting) for i in range(train.n_outputs)]
+    say("terms of no catalogue")
     discovery = discover([train], base, setting.effort.value)
+    say("comparison on blocks not used")
     outcomes = [_outcome(train, i, base, parts[i], discovery, setting) for i in range(train.n_outputs)]
     held = _held_out(train, test, outcomes, setting)
     return _diagnosis(train, test, base, outcomes, held, setting)

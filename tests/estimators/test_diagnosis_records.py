@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from estimators.diagnosis.cases import diagnose_files
+from estimators.diagnosis.cases import Columns, diagnose_files
 from estimators.diagnosis.model.forces import force_balance
 from oed.files import read_record
 
@@ -31,14 +31,16 @@ def diagnosed(train, test, **options):
     ids=["multisine", "arrow"],
 )
 def test_silverbox_is_a_stiffening_spring(rows, linear, limit):
-    result = diagnosed(f"{SILVERBOX}[40650:105712]", f"{SILVERBOX}[{rows}]", skip=50, dt=SILVERBOX_DT)
+    result = diagnosed(
+        f"{SILVERBOX}[40650:105712]", f"{SILVERBOX}[{rows}]", skip=50, columns=Columns(dt=SILVERBOX_DT)
+    )
     assert result.effect == "duffing"
     assert result.rmse_before.value == pytest.approx(linear, rel=0.05)
     assert result.rmse_after.value < limit
 
 
 def test_wiener_hammerstein_has_its_nonlinearity_between_two_filters():
-    result = diagnosed(f"{WH}[5200:105200]", f"{WH}[105200:184000]", skip=50, dt=WH_DT)
+    result = diagnosed(f"{WH}[5200:105200]", f"{WH}[105200:184000]", skip=50, columns=Columns(dt=WH_DT))
     assert result.variant.startswith("sandwich")
     assert not {"outliers", "dropouts"} & set(result.ranked)
     assert result.rmse_before.value == pytest.approx(43.4e-3, rel=0.05)  # published linear error
@@ -54,7 +56,9 @@ def test_cascaded_tanks_lack_the_square_root_outflow():
 
 def test_emps_has_dry_friction_and_a_loop():
     options = {"inputs": "vir_V", "outputs": "qm_m"}
-    result = diagnosed("emps/emps_est.csv.gz", "emps/emps_val_pulses.csv.gz", skip=20, **options)
+    result = diagnosed(
+        "emps/emps_est.csv.gz", "emps/emps_val_pulses.csv.gz", skip=20, columns=Columns(**options)
+    )
     assert result.effect == "coulomb_friction"
     assert "closed_loop" in result.ranked[:3]
     # the open-loop position drifts: minima of the training error 1 % apart are 5 to 9 mm on the test record

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -32,17 +33,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--alpha", type=float, default=0.01, help="false-alarm rate over all tests (default 0.01)"
     )
     parser.add_argument(
+        "--effort",
+        choices=("quick", "normal", "thorough"),
+        default="normal",
+        help="how much work it may be (default normal)",
+    )
+    parser.add_argument(
         "--out", metavar="DIR", help="write the result, the simulated outputs, figures and report.html there"
     )
 
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Diagnose one pair of records."""
-    from estimators.diagnosis.cases import diagnose_files
+    from estimators.diagnosis.cases import Columns, diagnose_files
+    from estimators.diagnosis.policy import Effort, Setting
 
+    orders = () if args.order is None else (args.order,)
     result, notes = diagnose_files(
-        args.train, args.test, meta=args.meta, skip=args.skip, order=args.order, inputs=args.inputs,
-        outputs=args.outputs, dt=args.dt, alpha=args.alpha,
+        args.train, args.test, meta=args.meta, skip=args.skip, columns=Columns(args.inputs, args.outputs, args.dt),
+        setting=Setting(orders=orders, alpha=args.alpha, effort=Effort(args.effort)),
+        progress=None if args.quiet else _shown,
     )  # fmt: skip
     payload = result.to_dict() | {"notes": notes}
     if args.meta:
@@ -60,3 +70,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         write_diagnosis_report(result, folder, made)
         payload["out"] = str(folder)
     return payload, "\n".join([*notes, str(result)])
+
+
+def _shown(stage: str) -> None:
+    print(f"{stage} ...", file=sys.stderr, flush=True)

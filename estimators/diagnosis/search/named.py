@@ -144,7 +144,9 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             rest = a.base if part.effect.slot is Slot.FORM else without(bench.channel, f, position)
             rests.append((rest, bench.unused(rest)))
             claims.append(
-                Claim(part, bench.gain(rests[-1][1], unused), _significance(rest, f, part, bench.family))
+                Claim(
+                    part, bench.gain(rests[-1][1], unused, part), _significance(rest, f, part, bench.family)
+                )
             )
         weak = [i for i, c in enumerate(claims) if not _holds(c, bench)]
         if not weak:
