@@ -25,11 +25,12 @@ class Policy:
     pieces: int = 20
     # stretches over which paired errors are averaged: enough for a standard error good to a sixth, each long enough
     # for its neighbours to be nearly independent
-    claim_errors: float = 1.0
-    # standard errors by which unused blocks must get better: the one-standard-error rule; significance in the joint
-    # fit is asked for besides, so that this need not carry the false-alarm rate alone
-    least_gain: float = 0.01
-    # share of the error on unused blocks below which an effect is no cause: a real plant is never exactly linear
+    claimed: tuple[float, float] = (1.0, 0.01)
+    # by how many standard errors, and by what share of the error, unused blocks must get better for a named effect: the
+    # one-standard-error rule, as significance in the joint fit carries the false-alarm rate; a real plant is never
+    # exactly linear, so that the smallest gains are no causes
+    searched: tuple[float, float] = (2.0, 0.05)
+    # the same for models whose terms or shape were searched for on the same blocks: the best of hundreds is lucky there
     carried: float = 0.9
     # share of what the answer explains that named effects must explain to lend their names to it
     sane_reach: float = 8.0

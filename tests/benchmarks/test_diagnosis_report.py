@@ -25,7 +25,10 @@ def test_the_page_tells_the_cause_and_both_errors(tmp_path):
     parser = command.argparse.ArgumentParser()
     command.configure(parser)
     out = tmp_path / "out"
-    args = parser.parse_args([str(files[0]), "--test", str(files[1]), "--meta", str(meta), "--out", str(out)])
+    parser.add_argument("--quiet", action="store_true")
+    args = parser.parse_args(
+        [str(files[0]), "--quiet", "--test", str(files[1]), "--meta", str(meta), "--out", str(out)]
+    )
     payload, _ = command.run(args)
     assert payload["effect"] == "input_saturation"
     page = (out / "report.html").read_text()

@@ -106,7 +106,7 @@ def test_limits_must_be_positive():
 
 def test_the_next_experiment_is_designed_for_the_confusable_pair():
     channel, (a, b) = models(PAIRS[0])
-    claims = [SimpleNamespace(label="input_saturation", fit=a), SimpleNamespace(label="hammerstein", fit=b)]
+    claims = [SimpleNamespace(cause="input_saturation", fit=a), SimpleNamespace(cause="hammerstein", fit=b)]
     out = SimpleNamespace(attribution=SimpleNamespace(claims=claims), thin=1)
     train = Record(channel.u, channel.y)
     result = SimpleNamespace(

@@ -152,7 +152,7 @@ def climb(
     *,
     least: int = 0,
 ) -> Ladder:
-    """Order the steps and choose the answer: the simplest within a standard error of the best on unused blocks.
+    """Order the steps, and climb to each that is better on unused blocks than the answer so far, beyond its standard errors.
 
     `measured` and `counted` are (N,) per training record; the first step is the linear model. By construction the
     answer is no worse there than the linear model, whatever a stage claims of itself. Steps before `least` are shown only:
@@ -169,10 +169,11 @@ def climb(
         for i, r in enumerate(rungs)
         if i >= least and (i == least or (r.step.admitted and np.isfinite(r.value)))
     ]
-    best = min(able, key=lambda i: rungs[i].value)
-
-    def loses(i: int) -> bool:
-        gain = paired_gain(measured, rungs[i].step.unused, rungs[best].step.unused, counted, policy)
-        return gain.beyond(policy.claim_errors)
-
-    return Ladder(rungs, next(i for i in able if i == best or not loses(i)), counted)
+    answer = able[0]
+    for i in able[1:]:
+        gain = paired_gain(measured, rungs[answer].step.unused, rungs[i].step.unused, counted, policy)
+        searched = rungs[i].step.kind in (Kind.DISCOVERED, Kind.REMAINDER)
+        errors, share = policy.searched if searched else policy.claimed
+        if gain.beyond(errors) and gain.share > share:
+            answer = i
+    return Ladder(rungs, answer, counted)

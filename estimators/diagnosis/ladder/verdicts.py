@@ -189,7 +189,7 @@ def _nameless(o: Outcome, tag: str, policy: Policy, gained: float) -> list[Findi
         return []
     value = next(r.value for r in o.ladder.rungs if r.step.kind is Kind.NAMED)
     left = o.left.share * (value / o.ladder.rungs[0].value) ** 2
-    if left <= max(gained, policy.least_gain):
+    if left <= max(gained, policy.claimed[1]):
         return []
     words = f"of what the named effects leave{tag}, {o.left.share:.0%} can be explained: {o.left.natures[0].sentence}"
     return [Finding("", UNKNOWN, o.left.nature, np.inf, 0.0, words)]

@@ -169,7 +169,7 @@ def _significance(rest: Fit, f: Fit, part: Part, family: int) -> float:
 
 def _holds(c: Claim, bench: Bench) -> bool:
     known = c.key == "initial" or (
-        c.gain.beyond(bench.policy.claim_errors) and c.gain.share > bench.policy.least_gain
+        c.gain.beyond(bench.policy.claimed[0]) and c.gain.share > bench.policy.claimed[1]
     )
     return known and c.p_value < bench.alpha
 
@@ -177,7 +177,7 @@ def _holds(c: Claim, bench: Bench) -> bool:
 def _why(c: Claim, bench: Bench) -> str:
     if c.p_value >= bench.alpha:
         return f"not significant in the joint fit (p = {c.p_value:.2g})"
-    if not c.gain.beyond(bench.policy.claim_errors):
+    if not c.gain.beyond(bench.policy.claimed[0]):
         return "blocks not used do not get better by more than their standard error"
     return f"it explains {100 * max(c.gain.share, 0.0):.2g} % of the error on unused blocks"
 
