@@ -82,6 +82,8 @@ class OutputModel:
         Standard deviation of that model's innovations.
     why : tuple of str
         Sentences.
+    folds : tuple of LinearModel
+        Fitted without each block, in the order of the blocks.
     """
 
     inputs: tuple[int, ...]
@@ -93,6 +95,7 @@ class OutputModel:
     noise: Array
     noise_std: float
     why: tuple[str, ...]
+    folds: tuple[LinearModel, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +208,16 @@ def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options)
         f"{c.kind}({c.orders}) of {len(trials)} stable candidates: error {chosen.rmse:.4g} on unused blocks",
     )
     return OutputModel(
-        inputs, c.kind, c.orders, form.delay, c.models[-1], prior, np.ones(1), chosen.rmse, why
+        inputs,
+        c.kind,
+        c.orders,
+        form.delay,
+        c.models[-1],
+        prior,
+        np.ones(1),
+        chosen.rmse,
+        why,
+        tuple(c.models[:-1]),
     ), chosen
 
 

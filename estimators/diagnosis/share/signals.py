@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.baseline import Baseline
 from oed.data import Record
 
-__all__ = ["Bank", "Columns", "bank_of", "columns_of", "leaky"]
+__all__ = ["Bank", "Columns", "bank_of", "columns_of", "leaky", "rate"]
 
 Array = NDArray[np.float64]
 
@@ -74,7 +74,8 @@ def leaky(x: Array, tau: float) -> Array:
     return np.asarray(lfilter([1.0 - p], [1.0, -p], x - x[0])) + x[0]
 
 
-def _rate(x: Array) -> Array:
+def rate(x: Array) -> Array:
+    """(N,) difference to the sample before, 0 at the first."""
     return np.diff(x, prepend=x[0])
 
 
@@ -96,7 +97,7 @@ def bank_of(base: Baseline, records: list[Record], output: int) -> Bank:
             taus.append(t)
     runs = [y[:, output] for y in base.y_model]
     signals = [np.concatenate([r.u[:, j] for r in records]) for j in range(records[0].n_inputs)]
-    signals += [np.concatenate(runs), np.concatenate([_rate(y) for y in runs])]
+    signals += [np.concatenate(runs), np.concatenate([rate(y) for y in runs])]
     levels = np.linspace(0.0, 1.0, KNOTS + 2)[1:-1]
     scaled, centre, spread = [], [], []
     for x in signals:
@@ -112,7 +113,7 @@ def columns_of(bank: Bank, record: Record, run: Array, output: int, start: float
     nu = record.n_inputs
     u = [(record.u[:, j] - bank.centre[j]) / bank.spread[j] for j in range(nu)]
     y = (run[:, output] - bank.centre[nu]) / bank.spread[nu]
-    v = _rate(run[:, output]) / bank.spread[nu + 1]
+    v = rate(run[:, output]) / bank.spread[nu + 1]
     time = (start + np.arange(len(record))) / bank.length - 0.5
     table = _Table()
     for j, x in enumerate(u):
@@ -124,7 +125,7 @@ def columns_of(bank: Bank, record: Record, run: Array, output: int, start: float
             table.add(name, "input", h, *(leaky(h, t) for t in bank.taus))
         table.add("time", "time", *(time * c for c in linear[:: max(1, len(linear) // 4)]))
     table.add("level of the output", "linear", y)
-    table.add("rate of the output", "linear", v, _rate(v))
+    table.add("rate of the output", "linear", v, rate(v))
     bends = _hinges(y, bank.knots[nu])
     table.add("level of the output", "output", *bends)
     table.add("level of the output", "dynamic", *(leaky(h, t) for h in bends[::2] for t in bank.taus[::2]))
@@ -132,9 +133,9 @@ def columns_of(bank: Bank, record: Record, run: Array, output: int, start: float
     for i in range(run.shape[1]):
         if i != output:
             x = (run[:, i] - run[:, i].mean()) / bank.spread[nu]
-            table.add(record.output_names[i], "dynamic", x, _rate(x), x * y, x * v, x * x)
+            table.add(record.output_names[i], "dynamic", x, rate(x), x * y, x * v, x * x)
     table.add("time", "time", time * y, time * leaky(y, bank.taus[len(bank.taus) // 2]))
-    table.add("time", "sampling", v * time, v * time**2, _rate(v) * time)
+    table.add("time", "sampling", v * time, v * time**2, rate(v) * time)
     table.add("time", "disturbance", time, time**2, time**3)
     return Columns(np.stack(table.columns, axis=1), tuple(table.names), tuple(table.kinds))
 
