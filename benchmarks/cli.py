@@ -1,6 +1,7 @@
 """The command `oed`: one subcommand per file of the folders of `benchmarks.commands`.
 
-Exit status: 0 when the command did its job, 2 for bad input (one clear line), 1 for anything else. With
+Exit status: 0 when the command did its job, 2 for bad input (one clear line), 130 and 143 when Ctrl-C or SIGTERM
+ended it (what was finished is kept), 1 for anything else. With
 `--json` standard output carries one JSON object and nothing else, whatever a solver prints below Python.
 """
 
@@ -12,7 +13,9 @@ import json
 import math
 import os
 import pkgutil
+import signal
 import sys
+import threading
 import traceback
 from collections.abc import Iterator
 from importlib import import_module
@@ -134,7 +137,7 @@ def main(argv: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0, 1 or 2.
+        Exit status: 0, 1, 2, 130 or 143.
     """
     # Matrices of this size gain nothing from threads, and with one the last bits are the same whatever the cores.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -151,6 +154,32 @@ def main(argv: list[str] | None = None) -> int:
             print(f"oed: {error}", file=sys.stderr)
             return 2
     args = parser.parse_args(argv)
+    with _terminated_like_interrupted():
+        return _run(args)
+
+
+class _Terminated(KeyboardInterrupt):
+    """The process was asked to end by SIGTERM: like Ctrl-C, but for the exit status."""
+
+
+@contextlib.contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    """While the block runs, SIGTERM ends it as Ctrl-C does, so that workers end too and what was finished is kept."""
+
+    def stop(number: int, frame: Any) -> NoReturn:
+        raise _Terminated
+
+    if threading.current_thread() is not threading.main_thread():  # whoever owns that decides
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _run(args: argparse.Namespace) -> int:
     try:
         if not args.json:
             _, text, *status = args.run(args)  # a status only where a command has one of its own
@@ -167,9 +196,11 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has gone, such as `head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return 1
-    except KeyboardInterrupt:
-        print(f"oed {args.command}: interrupted; what was finished is kept.", file=sys.stderr)
-        return 1
+    except KeyboardInterrupt as error:
+        ended = isinstance(error, _Terminated)
+        what = "ended from outside" if ended else "interrupted"
+        print(f"oed {args.command}: {what}; what was finished is kept.", file=sys.stderr)
+        return 128 + (signal.SIGTERM if ended else signal.SIGINT)
     except Exception:
         traceback.print_exc()
         print(

@@ -1,56 +1,106 @@
-"""Work on several processes, its results in the order of the work."""
+"""Work on several processes: nothing is lost when one is killed, and none is left when the first one is."""
 
 from __future__ import annotations
 
+import os
+import sys
+import threading
+import time
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-__all__ = ["at_once", "spread"]
+from oed.errors import CampaignError
+
+__all__ = ["as_finished", "at_once", "spread"]
+
+ROUNDS = 10
+"""How often all workers are started again; what still kills its worker is then tried alone, once."""
+WATCH = 0.5
+"""Seconds between two looks of a worker at whether the process that started it lives."""
+
+
+def as_finished(
+    function: Callable[[Any], Any], items: Iterable[Any], jobs: int
+) -> Iterator[tuple[Any, Any, bool]]:
+    """Each item with its result and whether there is one, as they are finished, on so many processes.
+
+    A worker that is killed, as by a system short of memory, takes the others with it: what was not finished is
+    done again. An item whose worker is killed even when it is alone has no result.
+    """
+    from joblib import Parallel, delayed, parallel_config
+    from joblib.externals.loky import ProcessPoolExecutor
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    todo = dict(enumerate(items))
+    # A worker that has come to hold much more than after its first task, as by its imports, is replaced and says so.
+    warnings.filterwarnings("ignore", "A worker stopped while some jobs were given")
+    for _ in range(ROUNDS):
+        before = len(todo)
+        if not todo:
+            return
+        try:
+            with parallel_config(backend="loky", inner_max_num_threads=1, n_jobs=jobs):
+                work: Any = Parallel(return_as="generator_unordered")
+                for k, result in work(
+                    delayed(_watched)(os.getpid(), k, function, v) for k, v in [*todo.items()]
+                ):
+                    yield todo.pop(k), result, True
+        except TerminatedWorkerError:
+            print("a worker process was killed; what it had not finished is done again.", file=sys.stderr)
+        if len(todo) == before:  # whoever kills the workers does so at once
+            break
+    for k, item in todo.items():
+        executor = ProcessPoolExecutor(max_workers=1, timeout=10)
+        try:
+            yield item, executor.submit(_watched, os.getpid(), k, function, item).result()[1], True
+        except TerminatedWorkerError:
+            yield item, None, False
+        finally:
+            executor.shutdown(kill_workers=True)
+
+
+def _watched(parent: int, k: int, function: Callable[[Any], Any], item: Any) -> tuple[int, Any]:
+    """Do the work in a worker that ends with the process that started it, also where that was killed."""
+    if not any(thread.name == "oed-watch" for thread in threading.enumerate()):
+        threading.Thread(target=_watch, args=(parent,), name="oed-watch", daemon=True).start()
+    return k, function(item)
+
+
+def _watch(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(WATCH)
+    os._exit(1)
 
 
 def spread(function: Callable[[Any], Any], items: Iterable[Any], jobs: int = 1) -> list[Any]:
-    """What the function returns for every item, in their order, whoever does the work.
-
-    Parameters
-    ----------
-    function : callable
-        Of a module, so that other processes find it.
-    items : iterable
-        Its arguments.
-    jobs : int
-        Processes; BLAS has one thread in each.
-
-    Returns
-    -------
-    list
-        One entry per item.
-    """
+    """What the function, of a module so that other processes find it, returns for every item, in their order."""
+    items = list(items)
     if jobs <= 1:
         return [function(item) for item in items]
-    from joblib import Parallel, delayed, parallel_config
+    found: dict[int, Any] = {}
+    for (k, _), result, done in as_finished(_Second(function), enumerate(items), jobs):
+        if not done:
+            raise CampaignError(
+                "a process was killed each time it made a table or a figure, perhaps for want of memory; what was finished "
+                "is kept: run again with --jobs 1."
+            )
+        found[k] = result
+    return [found[k] for k in range(len(items))]
 
-    with warnings.catch_warnings(), parallel_config(backend="loky", inner_max_num_threads=1, n_jobs=jobs):
-        # A worker that has come to hold much more than after its first task, as by its imports, is replaced and says so.
-        warnings.filterwarnings("ignore", "A worker stopped while some jobs were given")
-        return list(Parallel()(delayed(function)(item) for item in items))
+
+class _Second:
+    """A function of the second of a pair."""
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        self.function = function
+
+    def __call__(self, pair: tuple[int, Any]) -> Any:
+        return self.function(pair[1])
 
 
 def at_once(tasks: Iterable[Callable[[], Any]], jobs: int = 1) -> list[Any]:
-    """What every task returns, in their order.
-
-    Parameters
-    ----------
-    tasks : iterable of callable
-        Without arguments, such as a `functools.partial` of a module's function.
-    jobs : int
-        Processes; BLAS has one thread in each.
-
-    Returns
-    -------
-    list
-        One entry per task.
-    """
+    """What every task, such as a `functools.partial` of a module's function, returns, in their order."""
     return spread(_call, tasks, jobs)
 
 

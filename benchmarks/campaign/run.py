@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ __all__ = [
     "CHUNK",
     "Part",
     "check_contents",
+    "killed_rows",
     "checkpoints",
     "parts",
     "profile_marks",
@@ -249,18 +250,7 @@ def run_part(
     sums: dict[int, Row] = {}
     noise = _Noise(settings, part)
     for replicate in range(part.start, part.stop):
-        head = {
-            "plant": part.plant,
-            "noise_variance": part.noise_variance,
-            "method": part.method,
-            "replicate": replicate,
-        }
-        names = [
-            name
-            for name in settings.estimators
-            if compatible(part.method, name)
-            and replicate < settings.replicates_of(part.stop, part.plant, part.method, name)
-        ]
+        head, names = _head(part, replicate), _estimators(settings, part, replicate)
         try:
             plant, trace = within(time_limit, _run, settings, part, replicate, own, noise)
         except Exception as error:  # a method that raises is a row of the table, not the end of the campaign
@@ -275,6 +265,26 @@ def run_part(
                 rows[-1]["final"] = k == len(trace)
     check_contents(settings, part.plant)
     return rows + [sums[k] | {"information": sums[k]["information"].tolist()} for k in sorted(sums)]
+
+
+def killed_rows(settings: Settings, part: Part) -> list[Row]:
+    """The rows of a part whose process is killed whenever it is run."""
+    return [
+        _row(_head(part, replicate), name, final=True, message="the process that ran it was killed")
+        for replicate in range(part.start, part.stop)
+        for name in _estimators(settings, part, replicate)
+    ]
+
+
+def _head(part: Part, replicate: int) -> Row:
+    plant, noise_variance, method = part.combination
+    return {"plant": plant, "noise_variance": noise_variance, "method": method, "replicate": replicate}
+
+
+def _estimators(settings: Settings, part: Part, replicate: int) -> list[str]:
+    """Which estimates a replicate has, by the pairs that fit and the limits."""
+    most = partial(settings.replicates_of, part.stop, part.plant, part.method)
+    return [name for name in settings.estimators if compatible(part.method, name) and replicate < most(name)]
 
 
 def check_contents(settings: Settings, *plants: str) -> None:

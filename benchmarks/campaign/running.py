@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks.campaign.cluster import on_cluster
 from benchmarks.campaign.part import Runs, runs_of
-from benchmarks.campaign.run import CHUNK, Part, checkpoints, parts, run_part, seed_for
+from benchmarks.campaign.processes import as_finished
+from benchmarks.campaign.run import CHUNK, Part, checkpoints, killed_rows, parts, run_part, seed_for
 from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.store import Store, difference, versions
 from oed.errors import CampaignError, InputError
@@ -206,41 +208,13 @@ def _results(
     jobs = min(jobs or os.cpu_count() or 1, max(len(missing), 1))
     if scheduler is None and jobs <= 1:
         for part in missing:
-            yield _with_part(settings, part, options)
+            yield _with_part(settings, options, part)
         return
-    from joblib import Parallel, delayed, parallel_config
-
-    if scheduler is None:
-        backend: dict[str, Any] = {"backend": "loky", "inner_max_num_threads": 1, "n_jobs": jobs}
-    else:
-        backend = {"backend": "dask", "wait_for_workers_timeout": 30}
-    with _connected(scheduler), parallel_config(**backend):
-        work = Parallel(return_as="generator_unordered")  # type: ignore[arg-type]
-        yield from work(delayed(_with_part)(settings, part, options) for part in missing)  # type: ignore[misc]
+    work = partial(_with_part, settings, options)
+    each = as_finished(work, missing, jobs) if scheduler is None else on_cluster(scheduler, work, missing)
+    for part, found, done in each:
+        yield found if done else (part, killed_rows(settings, part), versions())
 
 
-@contextmanager
-def _connected(scheduler: str | None) -> Iterator[None]:
-    """A client of the scheduler while the block runs; nothing without a scheduler."""
-    if scheduler is None:
-        yield
-        return
-    try:
-        from distributed import Client
-    except ImportError:
-        raise InputError(
-            '--scheduler needs the package distributed; install the extra: pip install "oed[dask]".'
-        ) from None
-    try:
-        client = Client(scheduler, timeout=10)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(
-            f"no Dask scheduler answers at {scheduler} ({type(error).__name__}); start one with `dask scheduler` and "
-            "give its address, such as tcp://127.0.0.1:8786."
-        ) from None
-    with client:
-        yield
-
-
-def _with_part(settings: Settings, part: Part, options: dict[str, Any]) -> Result:
+def _with_part(settings: Settings, options: dict[str, Any], part: Part) -> Result:
     return part, run_part(settings, part, **options), versions()

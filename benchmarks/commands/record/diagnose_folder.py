@@ -129,17 +129,15 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
 
 def _diagnosed(cases: list[Path], out: Path, jobs: int, quiet: bool) -> dict[str, str]:
     """Append a line for every case that is not done; what failed, by name."""
-    from joblib import Parallel, delayed
-
+    from benchmarks.campaign.processes import as_finished
     from benchmarks.cli import plain
 
     done = _done(out, cases)
     todo = [str(p) for p in cases if p.name not in done]
     failed: dict[str, str] = {}
-    results: Any = Parallel(n_jobs=jobs, return_as="generator")(delayed(_one)(p) for p in todo)
-    for count, (path, (line, error)) in enumerate(
-        zip(todo, results, strict=True), len(cases) - len(todo) + 1
-    ):
+    results = as_finished(_one, todo, jobs) if jobs > 1 else ((p, _one(p), True) for p in todo)
+    for count, (path, found, ended) in enumerate(results, len(cases) - len(todo) + 1):
+        line, error = found if ended else (None, "the process that diagnosed it was killed")
         if line is None:
             failed[Path(path).name] = error
         else:
@@ -147,4 +145,9 @@ def _diagnosed(cases: list[Path], out: Path, jobs: int, quiet: bool) -> dict[str
         if not quiet:
             what = error if line is None else line["effect"]
             print(f"{count}/{len(cases)} {Path(path).name}: {what}", file=sys.stderr, flush=True)
+    if out.exists():  # the same bytes whoever did the work
+        lines = out.read_text(encoding="utf-8").splitlines()
+        write_whole(
+            out, "".join(line + "\n" for line in sorted(lines, key=lambda line: json.loads(line)["case"]))
+        )
     return failed

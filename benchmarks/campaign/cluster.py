@@ -1,0 +1,120 @@
+"""Parts of a campaign on a Dask cluster: a cluster that is not there, or no longer, is said in a line and ended."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import queue
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from oed.errors import CampaignError, InputError
+
+__all__ = ["on_cluster"]
+
+CONNECT, SAY, END = 10.0, 10.0, 120.0
+"""Seconds to connect; without a worker until it is said; and until the campaign ends, keeping what was finished."""
+LOOK = 1.0
+"""Seconds between two looks at the cluster while nothing arrives."""
+
+
+def on_cluster(
+    address: str, function: Callable[[Any], Any], items: Sequence[Any]
+) -> Iterator[tuple[Any, Any, bool]]:
+    """Each item with its result and whether there is one, as they are finished, on the workers of a scheduler.
+
+    An item without a result killed its workers, as many as the scheduler allows (`allowed-failures`).
+    """
+    from distributed import KilledWorker
+
+    with _connected(address) as client:
+        arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        waiting = {}
+        for number, item in enumerate(items):
+            future = client.submit(function, item, pure=False, key=f"oed-{id(client):x}-{number}")
+            waiting[future.key] = item
+            future.add_done_callback(arrived.put)
+        kept = []  # a future that nobody holds is cancelled
+        watch = _Watch(client)
+        while waiting:
+            try:
+                future = arrived.get(timeout=LOOK)
+            except queue.Empty:
+                watch.look()
+                continue
+            watch.seen()
+            if future.status in ("cancelled", "lost"):
+                raise CampaignError(f"the Dask scheduler at {address} was lost; {KEPT}")
+            item = waiting.pop(future.key)
+            error = future.exception()
+            kept.append(future)
+            if error is None:
+                yield item, future.result(), True
+            elif isinstance(error, KilledWorker):
+                yield item, None, False
+            else:
+                raise error
+            future.release()
+            kept.clear()
+
+
+KEPT = "what was finished is kept: run again with the same --out."
+
+
+class _Watch:
+    """How long there has been no worker, and what is said and done about it."""
+
+    def __init__(self, client: Any) -> None:
+        self.client = client
+        self.since, self.said = time.monotonic(), False
+
+    def seen(self) -> None:
+        """A worker has answered."""
+        self.since, self.said = time.monotonic(), False
+
+    def look(self) -> None:
+        """Say that there is no worker, and after a while end."""
+        if self.client.status == "running":
+            with contextlib.suppress(OSError, TimeoutError):
+                if self.client.scheduler_info(n_workers=-1)["workers"]:
+                    self.seen()
+        gone = time.monotonic() - self.since
+        where = self.client.scheduler.address if self.client.scheduler else "the scheduler"
+        if gone > END:
+            raise CampaignError(f"the Dask cluster at {where} has had no worker for {END:.0f} s; {KEPT}")
+        if gone > SAY and not self.said:
+            self.said = True
+            print(
+                f"the Dask cluster at {where} has no worker; waiting for one until {END:.0f} s are over.",
+                file=sys.stderr,
+            )
+
+
+@contextlib.contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    """A client of the scheduler; what the library would log of a lost cluster in many lines is said here in one."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError(
+            '--scheduler needs the package distributed; install the extra: pip install "oed[dask]".'
+        ) from None
+    level = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        try:
+            client = Client(address, timeout=CONNECT)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise InputError(
+                f"no Dask scheduler answers at {address} ({type(error).__name__}); start one with `dask scheduler` and "
+                "give its address, such as tcp://127.0.0.1:8786."
+            ) from None
+        try:
+            yield client
+        finally:
+            with contextlib.suppress(OSError, TimeoutError):
+                client.close(timeout=5)
+    finally:
+        logging.disable(level)

@@ -1,0 +1,144 @@
+"""Processes that are killed: a worker, the first process, a cluster. Nothing is lost, nothing is left, nothing hangs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import benchmarks.campaign.cluster as cluster_module
+from benchmarks.campaign.running import run_campaign
+from benchmarks.campaign.settings import Settings
+from benchmarks.campaign.users_own import Own
+from oed.errors import CampaignError
+
+DEADLY = """
+import os, signal
+
+def deadly(samples, n_inputs, n_outputs, rng):
+    os.kill(os.getpid(), signal.SIGKILL)
+    yield
+
+def slow(samples, n_inputs, n_outputs, rng):
+    import time
+    time.sleep(0.3)
+    while True:
+        yield rng.standard_normal((samples, n_inputs))
+"""
+SMALL = {"plants": ("reference",), "noise_variances": (1.0,), "estimators": ("frf",), "samples": 50, "experiments": 2,
+         "profile_replicates": 0}  # fmt: skip
+
+
+@pytest.fixture
+def own(tmp_path):
+    (tmp_path / "own.py").write_text(DEADLY)
+    return lambda name: f"{tmp_path / 'own.py'}:{name}"
+
+
+@pytest.mark.slow
+def test_what_kills_its_worker_is_a_row(tmp_path, own, capfd):
+    brought = Own([own("deadly"), "white"], ["frf"])
+    settings = Settings(**SMALL | {"methods": brought.methods, "sources": tuple(brought.sources)})
+    found = run_campaign(settings, 5, tmp_path / "out", jobs=2, own=brought.functions)
+    deadly, white = found
+    assert deadly.final["frf"].statuses == {"FAILED": 5}
+    assert deadly.final["frf"].messages == ("the process that ran it was killed",)
+    assert white.final["frf"].statuses == {"OK": 5}
+    said = capfd.readouterr().err
+    assert "a worker process was killed; what it had not finished is done again" in said
+    assert "Traceback" not in said
+
+
+def family(pid: int) -> list[int]:
+    """Processes that a process has started, and theirs."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+            except OSError:
+                continue
+            if parent == pid:
+                found += [int(entry.name), *family(int(entry.name))]
+    return found
+
+
+def alive(pid: int) -> bool:
+    try:
+        return (Path("/proc") / str(pid) / "stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes under /proc")
+@pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.validate)])
+def test_no_process_is_left(tmp_path, own, how):
+    """The first process alone is hit, as by `kill`; its workers are in the middle of a part."""
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "benchmarks.cli", "compare", "--plant", "reference", "--noise-variance", "1", "--methods",
+         own("slow"), "--estimators", "frf", "--samples", "50", "--experiments", "2", "--replicates", "300", "--jobs", "2",
+         "--quiet", "--out", str(out)],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 120
+    while (
+        len(list(out.glob("parts/*.parquet"))) < 2 and time.monotonic() < deadline and process.poll() is None
+    ):
+        time.sleep(0.05)
+    children = family(process.pid)
+    assert len(children) >= 2
+    process.send_signal(how)
+    _, said = process.communicate(timeout=30)
+    if how == signal.SIGTERM:
+        assert process.returncode == 143
+        assert said.strip().endswith("oed compare: ended from outside; what was finished is kept.")
+        assert "Traceback" not in said
+    deadline = time.monotonic() + 10
+    while any(map(alive, children)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not [pid for pid in children if alive(pid)]
+    assert not list(out.glob("parts/*.tmp")) or how == signal.SIGKILL
+    assert len(list(out.glob("parts/*.parquet"))) >= 2
+
+
+@pytest.mark.slow
+def test_a_cluster_without_workers_and_one_that_is_lost(tmp_path, monkeypatch, capsys):
+    distributed = pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    for name, seconds in (("SAY", 0.5), ("END", 2.5), ("LOOK", 0.2)):
+        monkeypatch.setattr(cluster_module, name, seconds)
+    settings = Settings(**SMALL | {"methods": ("white",)})
+    with distributed.LocalCluster(
+        n_workers=0, processes=True, dashboard_address=":0", silence_logs=50
+    ) as cluster:
+        began = time.monotonic()
+        with pytest.raises(CampaignError, match="has had no worker for 2 s; what was finished is kept"):
+            run_campaign(settings, 2, tmp_path / "a", scheduler=cluster.scheduler_address)
+        assert time.monotonic() - began < 15
+    assert "has no worker; waiting for one until" in capsys.readouterr().err
+
+
+@pytest.mark.validate
+def test_one_worker_of_one_thread_does_the_work(tmp_path, own):
+    distributed = pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    (tmp_path / "who.py").write_text("import os\ndef who(trace, plant):\n    return float(os.getpid())\n")
+    brought = Own(["white"], [f"{tmp_path / 'who.py'}:who"])
+    settings = Settings(
+        **SMALL | {"methods": ("white",), "estimators": brought.estimators, "sources": tuple(brought.sources)}
+    )
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
+    ) as cluster:
+        pids = {worker.process.pid for worker in cluster.workers.values()}
+        found = run_campaign(
+            settings, 10, tmp_path / "a", scheduler=cluster.scheduler_address, own=brought.functions
+        )
+    (estimates,) = found[0].final.values()
+    assert {int(v) for v in estimates.estimate} == pids
+    assert os.getpid() not in pids
