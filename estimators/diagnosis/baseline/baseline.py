@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.baseline.blocks import Blocks, blocks_of
-from estimators.diagnosis.baseline.choice import Trial, simplest
-from estimators.diagnosis.baseline.linear_model import LinearModel, Prior, rest_level
-from estimators.diagnosis.baseline.regression import Arx
-from estimators.diagnosis.baseline.search import Search
+from estimators.diagnosis.baseline.blocks import Blocks
+from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from oed.data import Record
-from oed.errors import InputError
 
-__all__ = ["Baseline", "Options", "OutputModel", "Pole", "best_linear"]
+__all__ = ["Baseline", "Options", "OutputModel", "Pole"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
-QUIET = 1e-4
-"""Noise of a window's samples, of the output's variance: small, as a state that is too free costs less than one that is
-held; records with more noise have it in every sample of the window."""
+REACH = 400
+"""Most samples that set a training record's state: their covariance is solved as one matrix."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +27,8 @@ class Options:
     Attributes
     ----------
     deviations : bool or None
-        True: signals are deviations from a rest in which every record starts (no offset); None: the data decide.
+        True: signals are deviations from a rest in which every record starts, so that there is no offset; else one is
+        fitted, and the data tell where a record starts.
     diagonal : bool
         Whether input i drives output i alone.
     window : int
@@ -84,6 +80,10 @@ class OutputModel:
         Sentences.
     folds : tuple of LinearModel
         Fitted without each block, in the order of the blocks.
+    tones : tuple of float
+        Frequencies in Hz of disturbances that were set aside before the order was chosen.
+    warnings : tuple of str
+        Where its free run is not to be trusted.
     """
 
     inputs: tuple[int, ...]
@@ -96,6 +96,12 @@ class OutputModel:
     noise_std: float
     why: tuple[str, ...]
     folds: tuple[LinearModel, ...] = ()
+    tones: tuple[float, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def ill_posed(self, blocks: Blocks) -> bool:
+        """Whether a pole remembers the initial state for longer than the records are."""
+        return 1.0 - self.model.radius < 1.0 / max(blocks.lengths)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +120,6 @@ class Baseline:
         Per record (N, ny): free run of every block by a model fitted to the others.
     rmse_unused, rmse_unused_se : ndarray
         (ny,) error of `unused` on the samples that count, and its standard error over parts of blocks.
-    ill_posed : bool
-        Whether a free run hangs on its initial state, or is worse than the record's mean.
     dt : float
         Sampling time.
     """
@@ -126,9 +130,17 @@ class Baseline:
     unused: tuple[Array, ...]
     rmse_unused: Array
     rmse_unused_se: Array
-    ill_posed: bool
-    warnings: tuple[str, ...]
     dt: float
+
+    @property
+    def ill_posed(self) -> bool:
+        """Whether a free run hangs on its initial state, which a window of samples cannot tell well enough."""
+        return any(m.ill_posed(self.blocks) for m in self.outputs)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences: where a free run is ill-posed, or worse than the record's mean."""
+        return tuple(sentence for m in self.outputs for sentence in m.warnings)
 
     @property
     def structure(self) -> str:
@@ -168,63 +180,21 @@ class Baseline:
             axis=1,
         )
 
+    def opening(self, length: int) -> int:
+        """Samples of a training record that set its state: of an ill-posed free run as many as it needs, up to `REACH`."""
+        return min(length, REACH) if self.ill_posed else self.blocks.window
+
     def k_step(self, record: Record, k: int) -> Array:
-        """(N, ny) prediction of every sample from outputs up to k samples earlier; NaN where there are too few."""
+        """(N, ny) every sample from outputs up to k samples earlier; NaN before the first.
+
+        Every k-th prediction starts anew from a window of samples and serves for the k samples after it, so that those
+        of one start are 1 to k samples ahead.
+        """
         out = np.full(record.y.shape, np.nan)
         for i, m in enumerate(self.outputs):
-            u = record.u[:, list(m.inputs)]
-            w = max(self.blocks.window, 2 * m.model.order)
-            for s in range(len(record) - w - k + 1):
-                rows = slice(s, s + w + k)
-                out[s + w + k - 1, i] = m.model.free_run(m.prior, u[rows], record.y[rows, i], w)[-1]
+            u, y = record.u[:, list(m.inputs)], record.y[:, i]
+            w = max(self.blocks.window, 2 * m.model.order + 2)
+            prior = replace(m.prior, rest=False)
+            for s in range(0, len(record) - w, k):
+                out[s + w : s + w + k, i] = m.model.free_run(prior, u[s : s + w + k], y[s : s + w + k], w)[w:]
         return out
-
-
-def best_linear(records: Sequence[Record], options: Options | None = None) -> Baseline:
-    """The linear model of each output with the least free-run error on unused blocks, and the simplest within its error."""
-    options = Options() if options is None else options
-    if not records:
-        raise InputError("there is no training record; give at least one.")
-    blocks = blocks_of(records, options.blocks, 0 if options.deviations else options.window, options.guard)
-    found = [_output(records, i, blocks, options) for i in range(records[0].n_outputs)]
-    unused = tuple(np.stack([t.unused[r] for _, t in found], axis=1) for r in range(len(records)))
-    outputs = tuple(m for m, _ in found)
-    squares = [t.squares for _, t in found]
-    rmse = np.array([np.sqrt(s.mean()) for s in squares])
-    se = np.array([s.std(ddof=1) / np.sqrt(len(s)) / (2 * r) for s, r in zip(squares, rmse, strict=True)])
-    base = Baseline(outputs, blocks, (), unused, rmse, se, False, (), records[0].dt)
-    return replace(base, y_model=tuple(base.simulate(record) for record in records))
-
-
-def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options) -> tuple[OutputModel, Trial]:
-    inputs = (i,) if options.diagonal else tuple(range(records[0].n_inputs))
-    own = [r.replace(u=r.u[:, list(inputs)], input_names=(), input_units=()) for r in records]
-    prior = _prior(own, i, blocks, options)
-    trials = Search(own, i, blocks, prior, not options.deviations).trials()
-    chosen = simplest(trials)
-    c = chosen.candidate
-    form: Arx = c.form  # type: ignore[assignment]
-    why = (
-        f"{c.kind}({c.orders}) of {len(trials)} stable candidates: error {chosen.rmse:.4g} on unused blocks",
-    )
-    return OutputModel(
-        inputs,
-        c.kind,
-        c.orders,
-        form.delay,
-        c.models[-1],
-        prior,
-        np.ones(1),
-        chosen.rmse,
-        why,
-        tuple(c.models[:-1]),
-    ), chosen
-
-
-def _prior(records: Sequence[Record], i: int, blocks: Blocks, options: Options) -> Prior:
-    y = np.concatenate([r.y[:, i] for r in records])
-    mean = float(np.nanmean(y))
-    d = np.nan_to_num(y - mean)
-    covariance = np.array([d[: len(d) - k] @ d[k:] for k in range(64)]) / len(d)
-    level, held = rest_level(records[0].u, records[0].y[:, i], covariance[0]), records[0].u[0]
-    return Prior(mean, covariance, QUIET * covariance[0], 0.0, bool(options.deviations), level, held)

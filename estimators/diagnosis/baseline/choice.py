@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from estimators.diagnosis.baseline.regression import Arx
 from oed.data import Record
 
 __all__ = ["Candidate", "Trial", "simplest", "tried"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 BATCHES = 4
 """Parts of a block whose errors are one unit of a standard error: longer than what noise remembers, and enough of them."""
@@ -36,7 +38,7 @@ class Candidate:
     orders: str
     size: int
     models: list[LinearModel]
-    form: object = field(default=None)
+    form: Arx
 
 
 @dataclass(frozen=True, eq=False)

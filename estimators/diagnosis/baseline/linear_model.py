@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from scipy.signal import lfilter
 
 __all__ = ["LinearModel", "Prior", "rest_level"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 REST = 1e-6
 """Variance of a state about rest, of that of the signal: rest is not exact, and a singular prior is no prior."""
@@ -44,8 +45,6 @@ class Prior:
         (m,) autocovariance of the output at lags 0 to m - 1, m above the order of every model.
     noise : float
         Variance of measured minus simulated output, sample by sample.
-    drive : float
-        Variance of a disturbance that enters with the input (before 1/A): the more, the more the last samples count.
     rest : bool
         Whether signals are deviations from a rest in which every record starts.
     level : float
@@ -57,7 +56,6 @@ class Prior:
     mean: float
     covariance: Array
     noise: float
-    drive: float = 0.0
     rest: bool = False
     level: float = np.nan
     held: Array = field(default_factory=lambda: np.empty(0))
@@ -148,8 +146,8 @@ class LinearModel:
     def free_run(self, prior: Prior, u: Array, y: Array, window: int) -> Array:
         """(N,) simulated output; the first `window` samples of y (N,) set the state, and are smoothed by it.
 
-        The state is the conditional mean of a Gaussian: outputs before the first sample with the prior's covariance, a
-        disturbance of variance `drive` that enters with the input, noise of variance `noise` on the samples.
+        The state is the conditional mean of a Gaussian: outputs before the first sample with the prior's covariance, noise
+        of variance `noise` on the samples.
         """
         n, w = self.order, min(window, len(y))
         driven = self.driven(u, np.zeros((1, u.shape[1])) if prior.rest else None)
@@ -160,9 +158,6 @@ class LinearModel:
         if n and len(seen):
             lead = np.concatenate((np.eye(n)[::-1], self.free(w)))
             spread = lead @ cov @ lead.T
-            if prior.drive:
-                T = toeplitz(lfilter([1.0], self.den, np.eye(1, w)[0]), np.zeros(w))
-                spread[n:, n:] += prior.drive * T @ T.T
             inner = spread[np.ix_(seen, seen)] + prior.noise * np.eye(len(seen))
             ahead += spread[:, seen] @ np.linalg.lstsq(inner, y[seen - n] - ahead[seen], rcond=1e-13)[0]
         return np.concatenate((ahead[n:], self.run(driven[w:], ahead[w:][::-1])))

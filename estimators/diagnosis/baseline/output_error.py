@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from oed.data import Record
 
 __all__ = ["OutputError", "realised"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 DAMPING = (1e-6, 10.0, 1e6)
 """Levenberg's first damping in units of each parameter's information, its factor, and where a search gives up."""

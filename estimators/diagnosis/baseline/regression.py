@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from oed.data import Record
 
 __all__ = ["Arx", "Lagged", "lagged", "lagged_inputs"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ def _parts(start: int, stop: int, guard: int) -> tuple[slice, slice, slice]:
 
 
 def _factor(rows: Array) -> Array:
-    return np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
+    return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
 
 
 def _table(record: Record, output: int, widest: Arx, rest: bool) -> Array:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,9 @@ from estimators.diagnosis.baseline.output_error import OutputError, realised
 from estimators.diagnosis.baseline.regression import Arx, Lagged, lagged
 from oed.data import Record
 
-__all__ = ["Search"]
+__all__ = ["ORDERS", "Search"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 ORDERS = (0, 1, 2, 3, 4, 5, 6, 8, 10)
 """Orders of ARX; ten lags are what every answer is compared with."""
@@ -48,24 +49,36 @@ class Search:
         """Number of inputs."""
         return self.records[0].n_inputs
 
-    def trials(self) -> list[Trial]:
-        """All stable candidates on unused blocks."""
-        first = self.arx(DELAYS)
-        refined = self.refined(first)
-        return first + refined
-
-    def arx(self, delays: Sequence[int]) -> list[Trial]:
-        """ARX over orders, numerators and delays."""
-        widest = Arx(max(ORDERS), max(delays) + LONG + 1, (0,) * self.inputs, True)
-        regressors = lagged(self.records, self.output, self.blocks, widest, self.prior.rest)
+    def arx(self) -> list[Trial]:
+        """Stable ARX over orders, numerators and delays."""
         forms = [
             Arx(na, nb, (nk,) * self.inputs, self.offset)
-            for nk in delays
+            for nk in DELAYS
             for na in ORDERS
             for nb in sorted({max(1, na - 1), max(1, na), na + 1, LONG})
         ]
+        regressors = self._lagged(Arx(max(ORDERS), max(DELAYS) + LONG + 1, (0,) * self.inputs, True))
         found = [self._tried(self._arx(regressors, form)) for form in forms]
         return [t for t in found if t is not None]
+
+    def again(self, chosen: Candidate) -> Trial:
+        """A model chosen on other parts of the records, fitted to these."""
+        form = chosen.form
+        if chosen.kind in ("ARX", "FIR"):
+            candidate = self._arx(self._lagged(replace(form, offset=True)), form)
+        else:
+            problem = OutputError(self.records, self.output, form, self.prior, np.ones(1))
+            rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
+            candidate = self._oe(problem, problem.fit(chosen.models[-1], rows, STEPS[1])[0], chosen.kind)
+        trial = self._tried(candidate)
+        return (
+            self._tried(replace(chosen, models=[chosen.models[-1]] * (len(self.blocks.blocks) + 1)))
+            if trial is None
+            else trial
+        )  # type: ignore[return-value]
+
+    def _lagged(self, widest: Arx) -> Lagged:
+        return lagged(self.records, self.output, self.blocks, widest, self.prior.rest)
 
     def _arx(self, regressors: Lagged, form: Arx) -> Candidate:
         models = [regressors.fit(form, b) for b in [*range(len(self.blocks.blocks)), -1]]

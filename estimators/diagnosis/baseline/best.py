@@ -1,0 +1,192 @@
+"""From records to the Baseline: tones first, then the choice, then what is said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.baseline.baseline import Baseline, Options, OutputModel
+from estimators.diagnosis.baseline.blocks import Block, Blocks, blocks_of
+from estimators.diagnosis.baseline.choice import Trial, batch_squares, simplest
+from estimators.diagnosis.baseline.disturbances import foretold, noise_model, tones
+from estimators.diagnosis.baseline.linear_model import Prior, rest_level
+from estimators.diagnosis.baseline.search import ORDERS, Search
+from oed.data import Record
+from oed.errors import InputError
+
+__all__ = ["best_linear"]
+
+Array = NDArray[Any]
+
+QUIET = 1e-4
+"""Noise of a window's samples, of the output's variance, while nothing is known of it: a state that is too free costs less
+than one that is held."""
+LOW = 3
+"""Lags of the output in a model that cannot take a tone for its own dynamics and fit the rest."""
+LONG = 8000
+"""Samples from which on the model is chosen on pieces of every block, and only fitted to all of them."""
+LAGS = 64
+"""Lags of the output's covariance that a prior holds: above every order."""
+
+
+def best_linear(records: Sequence[Record], options: Options | None = None) -> Baseline:
+    """The linear model of each output with the least free-run error on unused blocks, and the simplest within its error.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Training records of one system; NaN outputs do not count.
+    options : Options, optional
+        What is known and wanted.
+
+    Returns
+    -------
+    Baseline
+        Models, their free runs, their errors on blocks that they did not see.
+
+    Raises
+    ------
+    InputError
+        If there is no record, or no stable model of an output.
+    """
+    options = Options() if options is None else options
+    if not records:
+        raise InputError("there is no training record; give at least one.")
+    blocks = blocks_of(records, options.blocks, 0 if options.deviations else options.window, options.guard)
+    found = [_output(records, i, blocks, options) for i in range(records[0].n_outputs)]
+    outputs = tuple(m for m, _ in found)
+    unused = tuple(np.stack([t.unused[r] for _, t in found], axis=1) for r in range(len(records)))
+    squares = [batch_squares(t.unused, records, i, blocks) for i, (_, t) in enumerate(found)]
+    rmse = np.array([np.sqrt(s.mean()) for s in squares])
+    se = np.array(
+        [s.std(ddof=1) / np.sqrt(len(s)) / (2.0 * max(r, 1e-300)) for s, r in zip(squares, rmse, strict=True)]
+    )
+    base = Baseline(outputs, blocks, (), unused, rmse, se, records[0].dt)
+    base = replace(
+        base, y_model=tuple(base.simulate(record, base.opening(len(record))) for record in records)
+    )
+    return replace(base, outputs=tuple(_with_noise(m, i, base, records) for i, m in enumerate(outputs)))
+
+
+def _with_noise(m: OutputModel, i: int, base: Baseline, records: Sequence[Record]) -> OutputModel:
+    """The model with the one-step model of what its free run leaves, and the warnings that its errors call for."""
+    counts = base.blocks.counting(records)
+    rest = [
+        np.where(c[:, i], r.y[:, i] - y[:, i], np.nan)
+        for r, y, c in zip(records, base.y_model, counts, strict=True)
+    ]
+    noise, deviation = noise_model([e - np.nanmean(e) for e in rest])
+    y = np.concatenate([r.y[c[:, i], i] for r, c in zip(records, counts, strict=True)])
+    constant, name, warnings = float(np.std(y)), records[0].output_names[i], []
+    if base.rmse_unused[i] >= constant:
+        warnings.append(
+            f"{name}: no linear model predicts unused blocks better than the record's mean "
+            f"(error {base.rmse_unused[i]:.4g}, standard deviation {constant:.4g})."
+        )
+    if m.ill_posed(base.blocks):
+        k = base.blocks.guard
+        near = [base.k_step(r, k)[:, i] - r.y[:, i] for r in records]
+        error = float(np.sqrt(np.nanmean(np.concatenate(near) ** 2)))
+        warnings.append(
+            f"{name}: the free run is ill-posed: a pole at radius {m.model.radius:.5g} remembers the initial state for "
+            f"{1.0 / max(1.0 - m.model.radius, 1e-12):.3g} samples; {k} samples ahead the error is {error:.4g}."
+        )
+    return replace(m, noise=noise, noise_std=deviation, warnings=tuple(warnings))
+
+
+def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options) -> tuple[OutputModel, Trial]:
+    inputs = (i,) if options.diagonal else tuple(range(records[0].n_inputs))
+    own = [r.replace(u=r.u[:, list(inputs)], input_names=(), input_units=()) for r in records]
+    prior = _prior(own, i, options)
+    search = Search(own, i, blocks, prior, not options.deviations)
+    parts, places = _pieces(own, blocks)
+    screen = search if parts is own else Search(parts, i, places, prior, search.offset)
+    screen, known, lines = _screened(screen)
+    if lines and parts is own:
+        own = list(screen.records)
+    if not known:
+        raise InputError(
+            f"no stable linear model follows {records[0].output_names[i]}; give a record whose inputs move it."
+        )
+    trials = known + screen.refined(known)
+    chosen = simplest(trials)
+    if places is not blocks:
+        chosen = search.again(chosen.candidate)
+    c = chosen.candidate
+    why = [
+        f"{records[0].output_names[i]}: {c.kind} with {c.orders}: the simplest of {len(trials)} stable models within one "
+        f"standard error of the least free-run error on {len(blocks.blocks)} unused blocks ({chosen.rmse:.4g})."
+    ]
+    if lines:
+        listed = ", ".join(f"{w / (2 * np.pi * records[0].dt):.4g} Hz" for w in lines)
+        why.append(f"Tones that no input drives were set aside before the order was chosen: {listed}.")
+    noise = QUIET * prior.covariance[0] if chosen.slow else chosen.rmse**2
+    model = OutputModel(inputs, c.kind, c.orders, c.form.delay, c.models[-1], replace(prior, noise=noise), np.ones(1),
+                        chosen.rmse, tuple(why), tuple(c.models[:-1]), tuple(w / (2 * np.pi * records[0].dt) for w in lines))  # fmt: skip
+    return model, chosen
+
+
+def _screened(search: Search) -> tuple[Search, list[Trial], list[float]]:
+    """The search on records without tones that no input drives, its ARX, and the tones' angular frequencies.
+
+    They are looked for in what a low-order model leaves, then again without those found, for a model that was not fitted
+    to them; and set aside where that foretells unused blocks better than the best model of the records as they are.
+    """
+    known, lines, now = search.arx(), [], search
+    for most in (LOW, max(ORDERS)):
+        low = [t for t in known if t.candidate.form.na <= most]
+        found, clean = _without_tones(search, simplest(low)) if low else ([], search.records)
+        quiet = (without := replace(search, records=clean)).arx() if found else []
+        if not _least(quiet) < _least(known):
+            break
+        lines, now, known = found, without, quiet
+    return now, known, lines
+
+
+def _least(trials: Sequence[Trial]) -> float:
+    return min((float(t.charged.mean()) for t in trials), default=np.inf)
+
+
+def _without_tones(search: Search, trial: Trial) -> tuple[list[float], Sequence[Record]]:
+    """Angular frequencies of the tones in the residual of a model, and the records without them.
+
+    In each block the tones are those of the other blocks, so that an error on unused blocks counts how far they foretell.
+    """
+    records, i, model = search.records, search.output, trial.candidate.models[-1]
+    lines, clean = [], []
+    for k, r in enumerate(records):
+        run = model.free_run(search.prior, r.u, r.y[:, i], 0)
+        y, found = r.y.copy(), tones(r.y[:, i], run, r.u)
+        for b in search.blocks.blocks:
+            if found and b.record == k:
+                y[b.rows, i] -= foretold(r.y[:, i] - run, found, b.rows)
+        clean.append(r.replace(y=y) if found else r)
+        lines += found
+    return sorted(set(lines)), clean if lines else records
+
+
+def _pieces(records: list[Record], blocks: Blocks) -> tuple[list[Record], Blocks]:
+    """The records, or of long ones the middle of every block as a record of its own, and their blocks."""
+    total = sum(blocks.lengths)
+    if total <= LONG:
+        return records, blocks
+    parts = []
+    for b in blocks.blocks:
+        size = int((b.stop - b.start) * LONG / total)
+        first = (b.start + b.stop - size) // 2
+        parts.append(records[b.record][first : first + size])
+    lengths = tuple(map(len, parts))
+    return parts, Blocks(lengths, blocks.window, 0, tuple(Block(k, 0, n) for k, n in enumerate(lengths)))
+
+
+def _prior(records: Sequence[Record], i: int, options: Options) -> Prior:
+    y = np.concatenate([r.y[:, i] for r in records])
+    mean = float(np.nanmean(y))
+    d = np.nan_to_num(y - mean)
+    covariance = np.array([d[: len(d) - k] @ d[k:] for k in range(LAGS)]) / len(d)
+    level, held = rest_level(records[0].u, records[0].y[:, i], covariance[0]), records[0].u[0]
+    return Prior(mean, covariance, QUIET * covariance[0], bool(options.deviations), level, held)
