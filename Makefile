@@ -49,7 +49,7 @@ PYTHON_IS = $(or $(shell $(PYTHON) -V 2>/dev/null),nothing that runs here)
 
 .DEFAULT_GOAL := help
 
-.PHONY: help readme setup compare test lint validate fuzz campaign speed report docs lock clean
+.PHONY: help map readme setup compare test lint validate fuzz campaign speed report docs lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p;/^$$/q' $(firstword $(MAKEFILE_LIST))
@@ -111,3 +111,6 @@ clean:
 docs: $(STAMP)
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 	@echo "open build/docs/index.html"
+
+map:
+	$(BIN)/python -m tests.architecture_map

@@ -3,65 +3,24 @@
 from __future__ import annotations
 
 import os
-import shlex
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from benchmarks.campaign.run import check_contents
 from benchmarks.campaign.running import TIME_LIMIT, Settings, fill_store, stored_runs
 from benchmarks.campaign.settings import Limit, default_limits
-from benchmarks.campaign.store import versions
 from benchmarks.campaign.users_own import Own
+from benchmarks.tables.columns import COLUMNS, is_number
 from benchmarks.tables.formats import to_text
 from benchmarks.tables.tabulation import tabulate
 from oed.errors import CampaignError, InputError
 from oed.files.lock import locked
-from oed.files.writing import write_whole
 
-__all__ = ["COLUMNS", "Comparison", "compare"]
-
-BUDGET = {
-    "channels": "channels",
-    "samples": "samples",
-    "experiments": "experiments",
-    "energy": "energy",
-    "energy_per_input": "per input",
-    "peak_amplitude": "peak |u|",
-}
-COLUMNS = {
-    "plant": "plant",
-    "noise_variance": "noise",
-    "method": "input",
-    "estimator": "estimator",
-    **BUDGET,
-    "rho": "rho",
-    "rho_predicted": "predicted",
-    "bias": "bias",
-    "rmse": "RMSE",
-    "c_efficiency": "eff. peak gain",
-    "d_efficiency": "eff. D",
-    "coverage": "coverage",
-    "n": "runs",
-    "n_failed": "failed",
-    "failures": "how",
-}
-INFORMATION_COLUMNS = {
-    "plant": "plant",
-    "noise_variance": "noise",
-    "method": "input",
-    **BUDGET,
-    "c_efficiency": "peak gain",
-    "d_efficiency": "D",
-    "a_efficiency": "A",
-    "e_efficiency": "E",
-    "rho_predicted": "best rho",
-}
+__all__ = ["Comparison", "compare"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,100 +242,3 @@ def _dry_run(settings: Settings, replicates: int, out: Path, options: dict[str, 
 def _failure_in_words(row: dict[str, Any]) -> str:
     why = str(row["message"] or row["status"].lower().replace("_", " ")).rstrip(".")
     return f"{row['plant']}, {row['method']}, {row['estimator']}: {why}"
-
-
-def command_line(settings: Settings, replicates: int, out: Path) -> str:
-    """The command that repeats a comparison.
-
-    Parameters
-    ----------
-    settings : Settings
-        The campaign.
-    replicates : int
-        Monte-Carlo runs.
-    out : Path
-        Results folder.
-
-    Returns
-    -------
-    str
-        For a shell.
-    """
-    words = ["oed", "compare"]
-    for plant in settings.plants:
-        words += ["--plant", plant]
-    for variance in settings.noise_variances:
-        words += ["--noise-variance", f"{variance:g}"]
-    for limit in settings.limits:
-        words += ["--limit", ",".join(f"{k}={v}" for k, v in asdict(limit).items() if v != "")]
-    words += ["--samples", str(settings.samples), "--experiments", str(settings.experiments)]
-    words += [
-        "--replicates",
-        str(replicates),
-        "--methods",
-        *settings.methods,
-        "--estimators",
-        *settings.estimators,
-    ]
-    words += ["--profile-replicates", str(settings.profile_replicates)]
-    return shlex.join([*words, "--seed", str(settings.seed), "--out", str(out)])
-
-
-def made(settings: Settings, replicates: int, out: Path) -> dict[str, str]:
-    """How a comparison was made, for the end of its page.
-
-    Parameters
-    ----------
-    settings : Settings
-        The campaign.
-    replicates : int
-        Monte-Carlo runs.
-    out : Path
-        Results folder.
-
-    Returns
-    -------
-    dict
-        Name to value.
-    """
-    values = {
-        name: ", ".join(map(str, v)) if isinstance(v, tuple) else str(v)
-        for name, v in asdict(settings).items()
-    }
-    return {
-        "command": command_line(settings, replicates, out),
-        **{name.replace("_", " "): value for name, value in values.items()},
-        "replicates": str(replicates),
-        **{f"version of {name}": value for name, value in versions().items()},
-    }
-
-
-def save_summary(folder: Path, sentences: Sequence[str], headline: str) -> None:
-    """Keep the sentences and the headline table as Markdown.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    sentences : sequence of str
-        What the numbers say.
-    headline : str
-        Markdown table.
-    """
-    write_whole(folder / "summary.md", "\n\n".join([headline, *sentences]) + "\n")
-
-
-def is_number(value: Any) -> bool:
-    """Whether a table entry is a finite number.
-
-    Parameters
-    ----------
-    value : object
-        An entry.
-
-    Returns
-    -------
-    bool
-        False for None, text, NaN and infinities.
-    """
-    return isinstance(value, int | float) and bool(np.isfinite(value))

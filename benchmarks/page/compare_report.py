@@ -12,7 +12,6 @@ import numpy as np
 
 from benchmarks.campaign.processes import at_once
 from benchmarks.campaign.settings import Settings
-from benchmarks.comparison import BUDGET, COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
 from benchmarks.page import figures
 from benchmarks.page.comparison_sections import (
     Save,
@@ -24,6 +23,7 @@ from benchmarks.page.comparison_sections import (
 from benchmarks.page.report import save_figure, save_report, save_table
 from benchmarks.tables.answer import answer_rows, answer_sentences
 from benchmarks.tables.claim_map import claim_tasks
+from benchmarks.tables.columns import BUDGET, COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
 from benchmarks.tables.formats import format_value, to_markdown
 from benchmarks.tables.hair_dryer import hair_dryer_story
 from benchmarks.tables.head_to_head import head_to_head_tasks

@@ -76,7 +76,7 @@ def hair_dryer_story(record: Record | None = None) -> HairDryerStory:
     """
     from estimators.pem import identify
     from estimators.pem.choice import estimate_delay
-    from estimators.pem.fit import fit_percent
+    from estimators.residual.measures import fit_percent
     from estimators.residual.tests import input_correlation
 
     record = record or hair_dryer_record()

@@ -13,37 +13,13 @@ from estimators.pem.predictors.of_structure import samples
 from estimators.pem.regularised.regularisation import Regularisation
 from estimators.pem.search.problem import prepare
 from estimators.pem.subspace.observability import Subspace
+from estimators.residual.measures import fit_percent
 from oed.data import Record, as_signal
 from oed.errors import InputError, Status
 from oed.files.objects import as_records
 from oed.models.model import Model, Polynomial, StateSpace
 
-__all__ = ["Fit", "fit_percent", "noise_free", "peak_gain"]
-
-
-def fit_percent(y: NDArray, y_hat: NDArray) -> float:
-    """100 (1 - |y - y_hat| / |y - mean y|), the mean over outputs.
-
-    Parameters
-    ----------
-    y, y_hat : ndarray
-        (N, ny) measured and modelled; rows with NaN in y are left out.
-
-    Returns
-    -------
-    float
-        Percent; 100 is perfect, 0 no better than the mean.
-    """
-    values = []
-    for i in range(y.shape[1]):
-        known, error = y[:, i], y[:, i] - y_hat[:, i]
-        if np.isnan(known).any():
-            error, known = error[np.isfinite(known)], known[np.isfinite(known)]
-        about = known - known.sum() / max(len(known), 1)
-        size = float(about @ about)
-        if size > 0:
-            values.append(100 * (1 - np.sqrt(float(error @ error) / size)))
-    return float(np.mean(values)) if values else float("nan")
+__all__ = ["Fit", "noise_free", "peak_gain"]
 
 
 def noise_free(model: Model) -> tuple[Polynomial | StateSpace, NDArray[np.float64]]:

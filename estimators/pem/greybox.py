@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimators.pem.fit import fit_percent
 from estimators.pem.predictors.kernel import Kernel, kernel_of
 from estimators.pem.predictors.statespace import differentiated
 from estimators.pem.search.levenberg_marquardt import Point, minimise
+from estimators.residual.measures import fit_percent
 from oed.data import Record, as_signal
 from oed.errors import InputError, NotIdentifiable, Status
 from oed.files.objects import as_records

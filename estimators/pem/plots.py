@@ -5,18 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estimators.pem.fit import Fit, fit_percent
 from estimators.pem.uncertainty import bode_band, pole_covariances, step_band
+from estimators.residual.measures import fit_percent
 from estimators.residual.tests import ResidualTest, residual_tests
 from oed.data import Record
 from oed.errors import InputError
 from oed.models.model import Polynomial
+
+if TYPE_CHECKING:
+    from estimators.pem.fit import Fit
 
 __all__ = [
     "FitPlots",
@@ -80,7 +83,7 @@ def plot_compare(fits: Fit | Mapping[str, Fit], record: Record, *, window: int =
     Figure
         One row per output.
     """
-    named = {"model": fits} if isinstance(fits, Fit) else dict(fits)
+    named = dict(fits) if isinstance(fits, Mapping) else {"model": fits}
     figure = Figure(figsize=(8, 2.6 * record.n_outputs), layout="constrained")
     axes = figure.subplots(record.n_outputs, 1, squeeze=False, sharex=True)[:, 0]
     simulated = {name: fit.simulate_record(record, window=window) for name, fit in named.items()}
@@ -152,7 +155,7 @@ def plot_bode(fits: Fit | Mapping[str, Fit], *, level: float = 0.95, points: int
     Figure
         Gain above phase, one column per entry; in Hz where the sampling time is known.
     """
-    named = {"model": fits} if isinstance(fits, Fit) else dict(fits)
+    named = dict(fits) if isinstance(fits, Mapping) else {"model": fits}
     omega = np.geomspace(0.01, np.pi, points)
     first = next(iter(named.values())).model.structure
     dt = next(iter(named.values())).model.dt

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.fit import Fit, fit_percent
+from estimators.pem.fit import Fit
 from estimators.pem.predictors.of_structure import Structure
 from estimators.pem.search.extras import robust_factor, unweighted
 from estimators.pem.search.levenberg_marquardt import Optimum, Point
 from estimators.pem.search.problem import Problem
+from estimators.residual.measures import fit_percent
 from oed.data import Record
 from oed.errors import NotIdentifiable, Status
 from oed.inspection import excitation_order

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimators.pem.fit import Fit
 from estimators.pem.search.levenberg_marquardt import minimise
 from estimators.pem.search.problem import Problem, prepare
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.objects import as_records
+
+if TYPE_CHECKING:
+    from estimators.pem.fit import Fit
 
 __all__ = [
     "Band",

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oed.design.problem.design import Design
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_autocorrelation", "plot_design", "plot_sensitivity", "plot_with_certificate"]
+if TYPE_CHECKING:
+    from oed.design.problem.design import Design
+
+__all__ = ["plot_design", "plot_sensitivity", "plot_with_certificate"]
 
 
 def plot_sensitivity(design: Design, axes: Axes | None = None, *, points: int = 4000) -> Any:
@@ -32,7 +32,7 @@ def plot_sensitivity(design: Design, axes: Axes | None = None, *, points: int = 
     matplotlib.axes.Axes
         With the drawing.
     """
-    axes = _axes(axes)
+    axes = axes_or_new(axes)
     support = design.spectrum.omega
     omega = np.unique(np.concatenate([np.linspace(0, np.pi, points), support]))
     axes.axhline(1.0, color="0.6", linewidth=1)
@@ -63,7 +63,7 @@ def plot_design(design: Design, axes: Axes | None = None) -> Any:
     matplotlib.axes.Axes
         With the drawing.
     """
-    axes = _axes(axes)
+    axes = axes_or_new(axes)
     power = np.einsum("kii->k", design.spectrum.power).real
     omega = np.linspace(0, np.pi, 2000)
     gain = np.linalg.svd(design.map.gain(omega), compute_uv=False)[:, 0]
@@ -91,42 +91,8 @@ def plot_with_certificate(design: Design) -> Any:
     return figure
 
 
-def plot_autocorrelation(
-    model: Any, criterion: str = "D", lags: Sequence[int] = (4, 8, 16, 24, 32, 48), axes: Axes | None = None
-) -> Any:
-    """How fast the best finite moving average nears the optimum over all spectra.
-
-    Parameters
-    ----------
-    model : Plant, Model or InformationMap
-        One input.
-    criterion : str
-        As for `autocorrelation_design`.
-    lags : sequence of int
-        Numbers of lags; 64 take several seconds.
-    axes : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-        With the relative excess of the loss over the certified bound, against the lags; both logarithmic.
-    """
-    from oed.design.parametrisations.autocorrelation import autocorrelation_design
-    from oed.design.solve import solve_design
-
-    axes = _axes(axes)
-    bound = solve_design(model, criterion).bound
-    excess = [autocorrelation_design(model, criterion, lags=int(L)).loss / bound - 1 for L in lags]
-    axes.loglog(list(lags), excess, "o-", label="best moving average")
-    axes.loglog(list(lags), excess[0] * lags[0] / np.asarray(lags, dtype=float), ":", label="1 / lags")
-    axes.set_xlabel("lags")
-    axes.set_ylabel(f"loss ({criterion}) above the certified optimum, relative")
-    axes.legend()
-    return axes
-
-
-def _axes(axes: Axes | None) -> Axes:
+def axes_or_new(axes: Axes | None) -> Axes:
+    """The axes given, or those of a new figure."""
     if axes is not None:
         return axes
     from matplotlib.figure import Figure

@@ -354,9 +354,31 @@ class Plant:
         Plant
             The plant; InputError if it is continuous without `dt` and `hold`, improper or unstable.
         """
-        from oed.plants.realisations import from_control
+        from oed.plants.realisations import entries_of_control
 
-        return from_control(system, dt=dt, hold=hold, **noise)
+        return Plant(**entries_of_control(system, dt, hold), **noise)
+
+    @staticmethod
+    def from_state_space(
+        A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None, **attributes: Any
+    ) -> Plant:
+        """Plant in transfer-function form of a discrete-time state-space system, entry by entry, minimal.
+
+        Parameters
+        ----------
+        A, B, C, D : array_like
+            (n, n), (n, nu), (ny, n), (ny, nu); D is zero by default.
+        **attributes : object
+            Other attributes of the plant (`dt`, `noise_covariance`, `name`, ...).
+
+        Returns
+        -------
+        Plant
+            Each entry with its own minimal numerator and denominator.
+        """
+        from oed.plants.realisations import entries_of_state_space
+
+        return Plant(**entries_of_state_space(A, B, C, D), **attributes)
 
     def to_control(self) -> Any:
         """The plant's G as a python-control TransferFunction.

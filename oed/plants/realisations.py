@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from oed.errors import InputError
-from oed.plants.plant import Plant
 
-__all__ = ["from_control", "from_state_space", "state_space"]
+if TYPE_CHECKING:
+    from oed.plants.plant import Plant
+
+__all__ = ["entries_of_control", "entries_of_state_space", "state_space"]
 
 StateSpace = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
@@ -54,23 +56,10 @@ def state_space(plant: Plant) -> StateSpace:
     return A, B, C, D
 
 
-def from_state_space(
-    A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None, **attributes: Any
-) -> Plant:
-    """Plant in transfer-function form of a discrete-time state-space system, entry by entry, minimal.
-
-    Parameters
-    ----------
-    A, B, C, D : array_like
-        (n, n), (n, nu), (ny, n), (ny, nu); D is zero by default.
-    **attributes : object
-        Other attributes of the plant (`dt`, `noise_covariance`, `name`, ...).
-
-    Returns
-    -------
-    Plant
-        Each entry with its own minimal numerator and denominator.
-    """
+def entries_of_state_space(
+    A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None
+) -> dict[str, Any]:
+    """num and den of a discrete-time state-space system (n, n), (n, nu), (ny, n), (ny, nu): each entry of `Plant` minimal."""
     try:
         A, B, C = (np.atleast_2d(np.array(m, dtype=float)) for m in (A, B, C))
         D = np.zeros((len(C), B.shape[1])) if D is None else np.atleast_2d(np.array(D, dtype=float))
@@ -97,7 +86,7 @@ def from_state_space(
             ) from None
         num.append([entry[0] for entry in entries])
         den.append([entry[1] for entry in entries])
-    return Plant(num, den, **attributes)
+    return {"num": num, "den": den}
 
 
 def _minimal_entry(A: NDArray, b: NDArray, c: NDArray, d: float) -> tuple[NDArray, NDArray]:
@@ -139,25 +128,8 @@ def _poles_seen(A: NDArray, b: NDArray, c: NDArray, order: int) -> NDArray:
     return np.linalg.eigvals((scale[:, None] * U.T) @ L.T @ A @ R @ (V * scale))
 
 
-def from_control(system: Any, *, dt: float | None = None, hold: str | None = None, **noise: Any) -> Plant:
-    """Plant of a python-control StateSpace or TransferFunction; see `Plant.from_control`.
-
-    Parameters
-    ----------
-    system : control.StateSpace or control.TransferFunction
-        The system.
-    dt : float, optional
-        Sampling time in seconds, for a continuous-time system.
-    hold : str, optional
-        Hold, for a continuous-time system: "zoh", "foh", "bilinear", ... (`control.sample_system`).
-    **noise : object
-        Other attributes of the plant.
-
-    Returns
-    -------
-    Plant
-        The plant.
-    """
+def entries_of_control(system: Any, dt: float | None = None, hold: str | None = None) -> dict[str, Any]:
+    """num, den and dt of a python-control system, sampled first where it is in continuous time."""
     import control
 
     if not isinstance(system, control.StateSpace | control.TransferFunction):
@@ -176,7 +148,7 @@ def from_control(system: Any, *, dt: float | None = None, hold: str | None = Non
         )
     step = 1.0 if system.dt in (True, None) else float(system.dt)
     if isinstance(system, control.StateSpace):
-        return from_state_space(system.A, system.B, system.C, system.D, dt=step, **noise)
+        return entries_of_state_space(system.A, system.B, system.C, system.D) | {"dt": step}
     num, den = [], []
     for Bs, As in zip(system.num_list, system.den_list, strict=True):
         num.append([])
@@ -193,4 +165,4 @@ def from_control(system: Any, *, dt: float | None = None, hold: str | None = Non
             den[-1].append(np.trim_zeros(A, "b"))
             if not num[-1][-1].size:
                 num[-1][-1] = np.zeros(1)
-    return Plant(num, den, dt=step, **noise)
+    return {"num": num, "den": den, "dt": step}

@@ -8,11 +8,11 @@ from scipy.signal import lfilter
 
 from benchmarks.campaign.plants import hair_dryer_record
 from estimators.pem import identify
-from estimators.pem.fit import fit_percent
 from estimators.pem.predictors import recursion as recursions
 from estimators.pem.predictors.filtering import filter_kernel
 from estimators.pem.predictors.kernel import kernel_of
 from estimators.pem.predictors.recursion import polynomial_recursion
+from estimators.residual.measures import fit_percent
 from oed.data import Record
 from oed.errors import InputError, NotIdentifiable, Status
 from oed.files import to_control, to_pandas, to_xarray

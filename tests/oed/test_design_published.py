@@ -147,7 +147,7 @@ def test_fir_optima_are_flat_in_every_parametrisation():
 @pytest.mark.slow
 def test_how_fast_autocorrelations_approach():
     """A finite moving average has no lines: it stays above the certified optimum and nears it about like 1 / L."""
-    from oed.design.plots import plot_autocorrelation
+    from oed.design.parametrisations.plots import plot_autocorrelation
 
     lags = [8, 16, 24, 32, 48]
     axes = plot_autocorrelation(named_plant("reference"), "D", lags)

@@ -12,7 +12,7 @@ from oed.errors import InputError
 from oed.plants.json import plant_from_json, plant_to_json
 from oed.plants.named import NAMES, named_plant
 from oed.plants.plant import Plant
-from oed.plants.realisations import from_state_space, state_space
+from oed.plants.realisations import state_space
 
 OMEGA = np.linspace(0.01, 3.13, 40)
 
@@ -69,7 +69,7 @@ def test_state_space_becomes_minimal_entries():
     plant = named_plant("reference")
     A, B, C, D = state_space(plant)
     padded = np.block([[A, np.zeros((2, 1))], [np.zeros((1, 2)), 0.3 * np.eye(1)]])  # a mode nobody sees
-    again = from_state_space(padded, np.vstack([B, [[0.0]]]), np.hstack([C, [[1.0]]]), D)
+    again = Plant.from_state_space(padded, np.vstack([B, [[0.0]]]), np.hstack([C, [[1.0]]]), D)
     assert again.all_names == plant.all_names
     assert np.allclose(again.theta, plant.theta, atol=1e-9)
 

@@ -209,7 +209,7 @@ def _fresh(fit, record, skip: int) -> dict:
     """Errors on a record that was not fitted: simulated, and one step ahead; the first samples left out."""
     import numpy as np
 
-    from estimators.pem.fit import fit_percent
+    from estimators.residual.measures import fit_percent
     from oed.errors import InputError
 
     if not 0 <= skip < len(record):

@@ -18,9 +18,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.fit import Fit, fit_percent
+from estimators.pem.fit import Fit
 from estimators.pem.regularised.impulse_priors import KERNELS, SlowNoise, kernel_factor
 from estimators.pem.regularised.regularisation import Regularisation, lagged, transient_factor
+from estimators.residual.measures import fit_percent
 from oed.data import Record, frozen
 from oed.errors import InputError, Status
 from oed.models.model import Model, Polynomial, polynomial

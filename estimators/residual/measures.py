@@ -1,0 +1,25 @@
+"""How well a model fits, as one number."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["fit_percent"]
+
+
+def fit_percent(y: NDArray, y_hat: NDArray) -> float:
+    """100 (1 - |y - y_hat| / |y - mean y|), the mean over outputs.
+
+    Shapes: y, y_hat (N, ny), measured and modelled; rows with NaN in y are left out. 100 is perfect, 0 no better than the mean.
+    """
+    values = []
+    for i in range(y.shape[1]):
+        known, error = y[:, i], y[:, i] - y_hat[:, i]
+        if np.isnan(known).any():
+            error, known = error[np.isfinite(known)], known[np.isfinite(known)]
+        about = known - known.sum() / max(len(known), 1)
+        size = float(about @ about)
+        if size > 0:
+            values.append(100 * (1 - np.sqrt(float(error @ error) / size)))
+    return float(np.mean(values)) if values else float("nan")
