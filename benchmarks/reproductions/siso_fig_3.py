@@ -45,7 +45,7 @@ def rows() -> list[dict[str, Any]]:
             )
         )
         square = campaign.mean["gain_square"][-1]
-        predicted = finite_moments(plant, samples, iterations).beta2[-1]
+        predicted = finite_moments(plant, samples, iterations, effect="random-mu").beta2[-1]
         spread = campaign.error("gain_square")[-1]
         found.append(
             row(

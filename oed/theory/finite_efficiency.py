@@ -47,8 +47,8 @@ def finite_peak_gain_efficiency(plant: Plant, samples: int, experiments: int) ->
 
     Notes
     -----
-    Tends to `peak_gain_efficiency_by_experiments` ([S] Lemmas 6 and 13) as 1/N. With mu replaced by its mean the
-    result is 10 % too high at N = 100. Twin: the mean information of simulated runs in the tests.
+    Tends to `peak_gain_efficiency_by_experiments` ([S] Lemmas 6 and 13) as 1/N. The fluctuation of mu is counted where its
+    expansion holds; with mu replaced by its mean everywhere the result is 10 % too high at N = 100. Twin: the mean information of simulated runs in the tests.
     """
     variance = float(np.trace(plant.noise_covariance))
     top = peak(plant)

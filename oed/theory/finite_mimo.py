@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from oed.errors import InputError, check_names
 from oed.plants.plant import Plant
-from oed.theory.finite import EFFECTS, LARGEST, FiniteMoments, finite_norm, singular_values
+from oed.theory.finite import EFFECTS, LARGEST, FiniteMoments, finite_norm, singular_values, within_expansion
 from oed.theory.mimo import SCALINGS, mimo_limit_spectrum, mimo_recursion
 
 __all__ = ["finite_mimo_moments", "finite_mimo_prediction"]
@@ -37,7 +37,7 @@ DENSE = 1200
 
 
 def finite_mimo_moments(
-    plant: Plant, samples: int, iterations: int = 60, *, effect: str = "random-mu", scaling: str = "none"
+    plant: Plant, samples: int, iterations: int = 60, *, effect: str = "edge", scaling: str = "none"
 ) -> FiniteMoments:
     """Means of gamma_2^2 and mu^2 of Procedure 2 from a white start, at finite N.
 
@@ -84,7 +84,11 @@ def finite_mimo_moments(
         return FiniteMoments(effect, gain2, mu2, float(np.sqrt(mu2[-1])), float(mu2[-1]))
     d2 = singular_values(plant, samples) ** 2
     fixed, following = _gathered(plant.n_outputs, scaling)
-    gain2, mu2 = _moments(d2, samples, plant.n_outputs, variance, (fixed, following), iterations, effect)
+    gain2, mu2, holds = _moments(
+        d2, samples, plant.n_outputs, variance, (fixed, following), iterations, effect
+    )
+    if effect == "random-mu":
+        return FiniteMoments(effect, gain2, mu2, np.nan, np.nan, holds)
     limit = _limit(d2, samples, plant.n_outputs, variance, (fixed, following))
     return FiniteMoments(effect, gain2, mu2, *limit)
 
@@ -102,22 +106,24 @@ def _moments(
     gathered: tuple[float, float],
     iterations: int,
     effect: str,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Means of gamma_2^2 and mu^2 per iteration; the covariance of the shares is dense, (qN, qN)."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Means of gamma_2^2 and mu^2 per iteration, and whether the expansion holds; the covariance of the shares is dense, (qN, qN)."""
     n = len(d2)
     fixed, following = gathered
     shares = np.full(n, 1 / n)
     covariance = (np.eye(n) - 1 / n) * 2 / (n * (n + 2))  # white on the sphere, exactly
     gain2, mu2 = np.empty(iterations), np.empty(iterations)
-    noise = variance / N
+    noise, holds = variance / N, True
     for m in range(iterations):
         gain2[m] = d2 @ shares
+        if effect == "random-mu":
+            holds = holds and within_expansion(float(np.trace(covariance)), shares)
         r = fixed + following * (gain2[m] + p * variance)
         own = noise * (d2 + r)
         q = d2**2 * shares + own
         Q = mu2[m] = q.sum()
         new = q / Q
-        if effect == "random-mu" and m + 1 < iterations:
+        if effect == "random-mu" and holds and m + 1 < iterations:
             slope = noise * following  # dq_i / dP, the same in every direction
             # with the noise of the first stage, given the shares: Cov(q_i, P) and Var(P)
             joint = noise * (4 * d2**2 * shares + 2 * d2 * noise)
@@ -134,7 +140,7 @@ def _moments(
             shares = new - row / Q**2 + new * total / Q**2
         else:
             shares = new
-    return gain2, mu2
+    return gain2, mu2, holds
 
 
 def _limit(
@@ -183,14 +189,14 @@ def finite_mimo_prediction(plant: Plant, samples: int, scaling: str = "none") ->
     -------
     dict
         samples, finite_norm; finite_mu2 and finite_beta2_mean (edge effect) where N max(nu, ny) is at most 3000;
-        finite_beta2_mean_random_mu (both effects, iteration 60) where N nu is at most 1200.
+        finite_beta2_mean_random_mu (both effects, iteration 60) where N nu is at most 1200 and the expansion holds.
     """
     payload: dict[str, Any] = {"samples": int(samples), "finite_norm": finite_norm(plant, samples)}
     if samples * max(plant.n_inputs, plant.n_outputs) <= LARGEST:
         edge = finite_mimo_moments(plant, samples, 1, effect="edge", scaling=scaling)
         payload |= {"finite_mu2": edge.limit_mu2, "finite_beta2_mean": edge.limit_beta2}
     if samples * plant.n_inputs <= DENSE and "finite_mu2" in payload:
-        payload["finite_beta2_mean_random_mu"] = float(
-            finite_mimo_moments(plant, samples, scaling=scaling).beta2[-1]
-        )
+        both = finite_mimo_moments(plant, samples, effect="random-mu", scaling=scaling)
+        if both.holds:
+            payload["finite_beta2_mean_random_mu"] = float(both.beta2[-1])
     return payload
