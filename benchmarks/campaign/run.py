@@ -6,6 +6,7 @@ plant, method, replicate). All methods meet the same plants and the same noise.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -79,7 +80,9 @@ class Part:
     def key(self) -> str:
         """File name of the part."""
         digest = blake2b(repr(self.combination).encode(), digest_size=6).hexdigest()
-        name = f"{Path(self.plant).stem}-{Path(self.method).stem}"
+        name = re.sub(
+            r"[^\w.+-]+", "-", f"{Path(self.plant).stem[:60]}-{Path(self.method).stem[:60]}", flags=re.ASCII
+        )
         return f"{name}-{digest}-{self.start:07d}-{self.stop:07d}"
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from benchmarks.campaign.cluster import on_cluster
 from benchmarks.campaign.part import Runs, runs_of
 from benchmarks.campaign.processes import as_finished
+from benchmarks.campaign.registry import APPLIES, compatible
 from benchmarks.campaign.run import CHUNK, Part, checkpoints, killed_rows, parts, run_part, seed_for
 from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.store import Store, difference, versions
@@ -132,6 +133,12 @@ def fill_store(
         raise InputError(
             "nothing is left to run: none of the inputs is made for the channels of these plants, or the limits leave "
             "everything out."
+        )
+    if not any(compatible(part.method, name) for part in todo for name in settings.estimators):
+        made_for = "; ".join(f"{name} for {', '.join(APPLIES.get(name, ()))}" for name in settings.estimators)
+        raise InputError(
+            f"no estimator asked for can be applied to the records of {', '.join(settings.methods)}: they are made for other "
+            f"inputs ({made_for}); add one of these inputs, or another estimator such as pem."
         )
     store = Store(folder, asdict(settings))
     with locked(folder / "lock", f"the campaign {folder}"):

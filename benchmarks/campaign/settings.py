@@ -204,7 +204,8 @@ def campaign_from_toml(file: str | Path) -> dict[str, Any]:
     ----------
     file : str or Path
         Keys of `Settings`, `replicates`, `time_limit` (seconds per run of a method or an estimator), `out`, and tables
-        `[[limit]]` with `replicates` and any of `plant`, `method`, `estimator`.
+        `[[limit]]` with `replicates` and any of `plant`, `method`, `estimator`. One's own methods and estimators, as
+        `FILE.py:FUNCTION`, lie beside the file.
 
     Returns
     -------
@@ -218,9 +219,26 @@ def campaign_from_toml(file: str | Path) -> dict[str, Any]:
     """
     content = read_document(Path(file), CAMPAIGN, "the campaign file")
     found = {key: tuple(value) if isinstance(value, list) else value for key, value in content.items()}
+    for key in ("methods", "estimators"):
+        found |= {key: tuple(_beside(Path(file), name) for name in found[key])} if key in found else {}
     if "limit" in found:
         found["limits"] = tuple(Limit(**entry) for entry in found.pop("limit"))
     return found
+
+
+def _beside(campaign: Path, name: str) -> str:
+    """One's own FILE.py:FUNCTION of a campaign file, where it lies beside it: a campaign from somebody else, on its own,
+    runs nothing but what came with it."""
+    if ".py:" not in name:
+        return name
+    code, _, function = name.rpartition(":")
+    path = campaign.parent / code
+    if path.resolve().parent != campaign.resolve().parent:
+        raise InputError(
+            f"the campaign file {campaign} asks to run {code}, which does not lie beside it; put it there, or name it on the "
+            f"command line: --methods or --estimators {name}."
+        )
+    return f"{path}:{function}"
 
 
 def limit_from_text(text: str) -> Limit:

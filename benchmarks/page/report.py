@@ -14,6 +14,7 @@ import base64
 import json
 import re
 from collections.abc import Mapping
+from hashlib import blake2b
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,8 @@ from oed.files.writing import write_figure, write_whole
 
 __all__ = ["save_figure", "save_report", "save_table", "write_report"]
 
+LONGEST_NAME = 100
+"""Characters of a file's name that come from the names of plants and methods; file systems allow 255 bytes."""
 TEXT = {"type": "string", "description": "a text"}
 TEXTS = {"type": "array", "items": TEXT, "description": "a list of texts"}
 WORDS = keyed({}, others=TEXT)
@@ -156,13 +159,19 @@ def save_table(
     dict
         An entry for "tables" in report.json.
     """
-    where = folder / "tables"
+    where, name = folder / "tables", file_name(name)
     where.mkdir(parents=True, exist_ok=True)
     to_parquet(rows, where / f"{name}.parquet", metadata, overwrite=True)
     to_csv(rows, where / f"{name}.csv", overwrite=True)
     write_whole(where / f"{name}.md", to_markdown(rows, columns) + "\n")
     write_whole(where / f"{name}.tex", to_latex(rows, columns, caption=caption, label=f"tab:{name}") + "\n")
     return {"file": f"tables/{name}.parquet", "caption": caption, "columns": columns}
+
+
+def file_name(text: str) -> str:
+    """A name that every file system takes, different for different texts: a plant may be a file in a folder."""
+    plain = re.sub(r"[^\w.+-]+", "-", text, flags=re.ASCII)[:LONGEST_NAME]
+    return plain if plain == text else f"{plain}-{blake2b(text.encode(), digest_size=3).hexdigest()}"
 
 
 def save_figure(folder: Path, name: str, figure: Any, caption: str) -> dict[str, Any]:
@@ -186,7 +195,7 @@ def save_figure(folder: Path, name: str, figure: Any, caption: str) -> dict[str,
     """
     import matplotlib
 
-    where = folder / "figures"
+    where, name = folder / "figures", file_name(name)
     where.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "none", "font.family": "sans-serif"}):
         write_figure(where / f"{name}.svg", figure, metadata={"Date": None})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +19,13 @@ import benchmarks.commands.record.diagnose_folder as diagnose_folder
 import benchmarks.tables.statistics as statistics
 from benchmarks.campaign.merging import merge_stores
 from benchmarks.campaign.plants import content_of
+from benchmarks.campaign.run import Part
 from benchmarks.campaign.running import fill_store, run_campaign, stored_runs
 from benchmarks.campaign.settings import Settings
 from benchmarks.cli import main
+from benchmarks.page.report import file_name
 from benchmarks.tables.statistics import targets
-from oed.errors import CampaignError
+from oed.errors import CampaignError, InputError
 from oed.files.lock import locked
 from oed.plants.norms import peak
 
@@ -181,6 +184,30 @@ def test_two_processes_do_not_work_in_one_folder(tmp_path):
     assert left.exists(), "only who holds the lock tidies"
     list(stored_runs(fill_store(SMALL, 2, tmp_path, jobs=1), SMALL, 2))
     assert not left.exists()
+
+
+def test_a_plant_in_a_folder_has_figures_of_its_name(tmp_path, monkeypatch):
+    from benchmarks.comparison import compare
+
+    (tmp_path / "dir").mkdir()
+    plant_file(tmp_path, 1.0).rename(tmp_path / "dir" / "p.json")
+    monkeypatch.chdir(tmp_path)
+    found = compare(plants=["dir/p.json"], noise_variances=[1.0], methods=["white"], estimators=["frf"], samples=50,
+                    experiments=2, replicates=2, jobs=1, quiet=True, out=tmp_path / "o")  # fmt: skip
+    assert found.page.exists()
+
+
+@pytest.mark.parametrize("name", ["q" * 250 + ".json", "a/../b.json", "ü\n\0.json", "reference"])
+def test_names_of_files_are_such_that_every_system_takes_them(name):
+    made = [file_name(f"efficiency-{name}"), Part(name, 1.0, f"{name}:f", 0, 5).key]
+    assert all(re.fullmatch(r"[\w.+-]{1,200}", text, flags=re.ASCII) for text in made)
+    assert file_name(name) != file_name(name + "x")
+
+
+def test_estimators_for_none_of_the_inputs_are_refused_before_any_work(tmp_path):
+    with pytest.raises(InputError, match="made for other inputs .rayleigh for power"):
+        run_campaign(replace(SMALL, methods=("white",), estimators=("rayleigh",)), 2, tmp_path / "o", jobs=1)
+    assert not (tmp_path / "o").exists()
 
 
 class Told:

@@ -53,6 +53,33 @@ def test_a_wrong_file_is_refused_in_words(tmp_path, text, words):
         campaign_from_toml(file)
 
 
+def test_a_campaign_runs_only_code_that_lies_beside_it(tmp_path, capsys):
+    """And says which."""
+    (tmp_path / "c").mkdir()
+    outside, beside = tmp_path / "mine.py", tmp_path / "c" / "mine.py"
+    code = "def mine(trace, plant):\n    return 2.0\n"
+    outside.write_text(code)
+    file = tmp_path / "c" / "c.toml"
+    for path in (str(outside), "../mine.py"):
+        file.write_text(f'estimators = ["{path}:mine"]')
+        with pytest.raises(
+            InputError, match="does not lie beside it; put it there, or name it on the command line"
+        ):
+            campaign_from_toml(file)
+    beside.symlink_to(outside)
+    file.write_text('plants = ["reference"]\nmethods = ["white"]\nestimators = ["mine.py:mine"]')
+    with pytest.raises(InputError, match="does not lie beside it"):
+        campaign_from_toml(file)
+    beside.unlink()
+    beside.write_text(code)
+    assert campaign_from_toml(file)["estimators"] == (f"{beside}:mine",)
+    assert (
+        main(["compare", "--config", str(file), "--dry-run", "--samples", "50", "--jobs", "1", "--quiet"])
+        == 0
+    )
+    assert f"running the code in {beside}" in capsys.readouterr().err
+
+
 def test_a_file_that_is_not_there():
     with pytest.raises(InputError, match=r"nowhere.toml cannot be read \(No such file"):
         campaign_from_toml("nowhere.toml")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import Any
 
 HELP = "compare inputs and estimators for the H-infinity norm: tables, figures, report"
@@ -115,6 +116,9 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         args.limit = [limit_from_text(text) for text in args.limit]
     given = {LISTS.get(name, name): getattr(args, name) for name in (*LISTS, *PLAIN)}
     options |= {name: value for name, value in given.items() if value is not None}
+    own = [*options.get("methods", ()), *options.get("estimators", ())]
+    for file in dict.fromkeys(name.rpartition(":")[0] for name in own if ".py:" in name):
+        print(f"oed compare: running the code in {file}", file=sys.stderr)
     result = compare(
         **options,
         jobs=args.jobs,

@@ -6,10 +6,12 @@ its length and rounding errors do not grow with it. The compiled library is kept
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import hashlib
 import os
 import shutil
+import stat
 import subprocess
 import tempfile
 from collections.abc import Callable
@@ -178,32 +180,28 @@ def _found(asked: str | None, path: str | None) -> str | None:
 
 
 def library_folder() -> Path:
-    """The folder of compiled libraries: in the user's cache, else a private one in the temporary folder.
+    """The folder of compiled libraries, which this user owns and only this user may write in.
 
-    Returns
-    -------
-    Path
-        It exists, belongs to this user and only this user may write in it.
+    What is loaded from it runs: it is in the user's cache, else a new one that ends with the process, and never one
+    of a known name in a folder that is shared.
     """
     base = os.environ.get("XDG_CACHE_HOME") or (
-        os.path.join(os.environ["HOME"], ".cache") if os.environ.get("HOME") else ""
+        os.environ.get("HOME", "") and os.path.join(os.environ["HOME"], ".cache")
     )
-    user = os.getuid() if os.name == "posix" else "user"
-    for folder in ([Path(base) / "oed-kernels"] if base else []) + [
-        Path(tempfile.gettempdir()) / f"oed-kernels-{user}"
-    ]:
-        try:
+    folder = Path(base) / "oed-kernels"
+    with contextlib.suppress(OSError):
+        if base:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            found = folder.stat()
-            if (
-                os.access(folder, os.W_OK)
-                and (user == "user" or found.st_uid == user)
-                and not found.st_mode & 0o022
-            ):
+            found = folder.lstat()
+            mine = os.name != "posix" or (found.st_uid == os.getuid() and not found.st_mode & 0o022)
+            if mine and stat.S_ISDIR(found.st_mode) and os.access(folder, os.W_OK):
                 return folder
-        except OSError:
-            continue
-    return Path(tempfile.mkdtemp(prefix="oed-kernels-"))
+    return Path(_own_folder().name)
+
+
+@lru_cache(maxsize=1)
+def _own_folder() -> tempfile.TemporaryDirectory:
+    return tempfile.TemporaryDirectory(prefix="oed-kernels-")
 
 
 def _functions(recursion: Recursion) -> tuple[Any, Any, int]:
