@@ -43,18 +43,15 @@ def with_headline(text: str, table: str) -> str:
 
 SHOWN = (
     "plant",
-    "channels",
     "noise_variance",
     "c_efficiency",
     "over_white",
-    "verdict",
     "rho_own",
     "rho_pem",
-    "waste",
     "advice_input",
-    "advice_estimator",
     "rho_advice",
 )
+"""At most eight columns: a reader takes in no more; the page has the rest."""
 PICTURES = {
     "efficiency-reference": "efficiency",
     "answer-where": "answer-where",
@@ -82,9 +79,6 @@ def write_readme(results: Path, readme: Path) -> None:
         "",
         to_markdown(rows, {key: ANSWER[key] for key in SHOWN}),
         head_to_head_sentence(head),
-        "",
-        "![Where the iterations are optimal design: share of the certified optimum against noise](docs/answer-where.svg)",
-        "![What their estimators waste: rho against noise](docs/answer-advice.svg)",
     ]
     write_whole(readme, with_headline(readme.read_text(encoding="utf-8"), "\n".join(lines)))
     folder = readme.parent / "docs"
