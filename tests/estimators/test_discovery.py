@@ -47,7 +47,7 @@ def rich_theta(form: Form) -> np.ndarray:
 def plain_run(form, theta, x, d):
     """The recursion, sample by sample, in plain Python."""
     asm = Assembly(form)
-    (A, B, E, S, T, C, D, G), (heads, kinds, signals, constants), _ = asm.fill(theta)
+    (A, B, E, S, T, C, D, G), (heads, kinds, signals, constants, _), _ = asm.fill(theta)
     out = []
     for row in d:
         s = S @ x + T @ row

@@ -101,7 +101,7 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     found = greedy_search(pieces, scales, smooth, zeros, budget, bool(np.min(delays) == 0))
     whole, gain, considered = _chosen(found, judge)
     predictions = None if whole is None else judge.unused(whole, False)
-    if whole is None or predictions is None:
+    if whole is None or predictions is None or not judge.better(predictions):
         return Discovery(None, considered=considered, gain=gain)
     model = _model(whole, records, pieces, scales)
     terms = model.found()
@@ -145,6 +145,10 @@ class _Judge:
             use = self.counting[b.record][b.rows]
             out.append(float(np.mean(e[use] ** 2)) if use.any() else 0.0)
         return np.array(out)
+
+    def better(self, predictions: Sequence[Array]) -> bool:
+        """Whether the blocks are better predicted than by the baseline, each from its own window."""
+        return bool(self.of(predictions).mean() < self.of(self.baseline.unused).mean())
 
     def ahead(self, f: Fitted) -> Array:
         """Mean squares by batch of the last parts, infinite where a run explodes."""

@@ -11,11 +11,17 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.discovery.form import Assembly, Filled, Form, Injection, Run
 
-__all__ = ["Fitted", "Piece", "fit", "run_piece", "sensitivities", "start_state"]
+__all__ = ["REACH", "Fitted", "Piece", "fit", "forgets", "run_piece", "sensitivities", "start_state"]
 
 Array = NDArray[Any]
+REACH = 10.0  # standard deviations of the training output that no free run may leave
+DISTURBED = 0.3  # of a state's standard deviation, by which it is disturbed
+FORGETS = 40.0  # time constants over which that is followed
+GROWTH, NOTICED = (
+    1.5,
+    0.02,
+)  # how much more of it may be seen in the end than at first; an integrator keeps all of it
 DAMPING, LOWEST, HIGHEST = 1e-2, 1e-9, 1e8  # of the Levenberg-Marquardt steps
-REST_TRUST = 1e-2  # weight of the resting state in the fit of a start, in units of the error's variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +84,29 @@ def sensitivities(asm: Assembly, theta: Array, state: Array, d: Array) -> Run:
     return filled.sensitivities(x, start, d)
 
 
+def forgets(f: Fitted, pieces: Sequence[Piece]) -> bool:
+    """Whether runs from disturbed states stay beside the fitted one: an unstable mode that only this start hides is refused."""
+    asm = Assembly(f.form)
+    filled = asm.fill(f.theta)
+    nx = asm.chain_states
+    piece = max(pieces, key=lambda q: len(q.y))
+    base = run_piece(asm, f.theta, f.starts[[q is piece for q in pieces].index(True)], piece.d)
+    if not base.fine or np.abs(base.y).max() > REACH:
+        return False
+    size, axes = np.linalg.eigh(np.atleast_2d(np.cov(base.states[:, :nx].T)))
+    long = int(min(FORGETS / min(f.form.paces), len(piece.y) // 2))
+    for at in (0, len(piece.y) // 2 - 1):
+        for k in range(nx):
+            x = base.states[at].copy()
+            x[:nx] += DISTURBED * np.sqrt(max(size[k], 0.0)) * axes[:, k]
+            run = filled.run(x, piece.d[at : at + long])
+            off = np.abs(run.y - base.y[at : at + long]).max(axis=1)
+            early = off[: max(long // 5, 1)].max()
+            if not run.fine or off[-(long // 5) :].max() > GROWTH * early + NOTICED:
+                return False
+    return True
+
+
 def normal_equations(
     asm: Assembly, theta: Array, states: Sequence[Array], pieces: Sequence[Piece]
 ) -> tuple[Array, Array, float] | None:
@@ -135,7 +164,8 @@ def fit(
         H[range(p, len(at)), range(p, len(at))] += anchor
         return H, g + anchor * off, sse + anchor * float(off @ off)
 
-    here = equations(point)
+    with np.errstate(over="ignore", invalid="ignore"):
+        here = equations(point)
     if here is None:
         return None
     damping = DAMPING

@@ -140,7 +140,7 @@ class Assembly:
         at = 0
         self.alphas: list[slice] = []
         self.betas: list[Array] = []  # (nu, n) parameter numbers
-        self.feeds: list[Array | None] = []
+        self.feeds: list[Array] = []  # (nu,) each, or none
         for i, n in enumerate(self.form.orders):
             f, pace = int(self.first[i]), self.form.paces[i]
             C[i, f] = 1.0
@@ -158,7 +158,7 @@ class Assembly:
             at += nu * n
             self._linear.append((at, 1, f + n - 1, 0, pace))
             at += 1
-            feed = None
+            feed = np.zeros(0, int)
             if self.form.feedthrough:
                 feed = at + np.arange(nu)
                 for j in range(nu):
@@ -169,7 +169,7 @@ class Assembly:
                 gains = injection.gains[f : f + n]
                 A[f : f + n, f] -= gains
                 B[f : f + n, 1 + 2 * nu + i] += gains
-                if feed is not None:
+                if len(feed):
                     self._linear += [
                         (int(feed[j]), 1, f + m, 1 + j, -gains[m]) for j in range(nu) for m in range(n)
                     ]
@@ -186,7 +186,7 @@ class Assembly:
             S[i, f] = 1.0
             S[ny + i, f], S[ny + i, nx + i] = 1 / step, -1 / step
             feed = self.feeds[i]
-            for j in range(nu if feed is not None else 0):
+            for j in range(len(feed)):
                 self._linear += [(int(feed[j]), 4, i, 1 + j, 1.0), (int(feed[j]), 4, ny + i, 1 + j, 1 / step)]
         for j in range(nu):
             T[2 * ny + j, 1 + j] = 1.0
@@ -230,7 +230,7 @@ class Assembly:
                 (at, int(b), 2, f + m, t, pace) for m, b in enumerate(self.betas[i][term.along])
             ]
             feed = self.feeds[i]
-            if feed is not None:
+            if len(feed):
                 self._products.append((at, int(feed[term.along]), 7, i, t, 1.0))
 
     def _tables(self) -> None:

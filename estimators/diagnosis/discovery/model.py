@@ -224,7 +224,7 @@ class DiscoveredModel:
                 "form": asdict(self.form),
                 "theta": self.theta.tolist(),
                 "covariance": self.covariance.tolist(),
-                "prior": [self.prior.mean.tolist(), self.prior.covariance.tolist(), self.prior.mse],
+                "prior": {k: np.asarray(v).tolist() for k, v in vars(self.prior).items()},
                 "scales": {k: np.asarray(v).tolist() for k, v in vars(s).items()},
                 "names": dict(self.names),
                 "ranges": dict(self.ranges),
@@ -265,7 +265,7 @@ class DiscoveredModel:
             np.array(d["theta"]),
             scales,
             np.array(d["covariance"]),
-            StartPrior(*map(np.array, d["prior"][:2]), d["prior"][2]),
+            StartPrior(**{k: v if k == "mse" else np.array(v) for k, v in d["prior"].items()}),
             pairs("names"),
             pairs("ranges"),
         )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit
+from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets
 from estimators.diagnosis.discovery.form import FREE
 from estimators.diagnosis.discovery.screening import Screened, screen, terms_of
 from estimators.diagnosis.discovery.starts import Scales, linear_fit
@@ -71,7 +71,7 @@ def grown(fitted: Fitted, s: Screened, pieces: Sequence[Piece], rounds: int) -> 
         first = len(start) - form.size(terms[-1])
         start[first : first + taps] *= share
         f = fit(form, np.concatenate([fitted.theta, start]), fitted.starts, pieces, iterations=rounds)
-        if f is not None and f.sse < fitted.sse * (1 + 1e-9):
+        if f is not None and f.sse < fitted.sse * (1 + 1e-9) and forgets(f, pieces):
             return f
     return None
 
@@ -83,7 +83,7 @@ def greedy_search(
     """All models fitted on the way, the best by the criterion first; linear ones among them."""
     ny = pieces[0].y.shape[1]
     fits = [linear_fit((n,) * ny, pieces, scales, outputs, feedthrough=feedthrough) for n in budget.orders]
-    beam = [f for f in fits if f is not None]
+    beam = [f for f in fits if f is not None and forgets(f, pieces)]
     every = list(beam)
     for _ in range(budget.terms):
         new = []

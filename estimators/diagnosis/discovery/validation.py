@@ -10,15 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Block, Blocks
-from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, run_piece, start_state
-from estimators.diagnosis.discovery.form import NOTHING, Assembly
+from estimators.diagnosis.discovery.fitting import REACH, Fitted, Piece, fit, run_piece, start_state
+from estimators.diagnosis.discovery.form import NOTHING, Assembly, Filled
 
 __all__ = ["StartPrior", "ahead", "first_level", "free_run", "predicted", "rest", "start_prior", "unused"]
 
 Array = NDArray[Any]
-CORRELATED = 3.0  # samples over which the model's own error lasts: a window says that much less of the state
+FIRM = 1.0  # error variances by which a carried or resting state is off
+LONGEST = 0.98  # correlation from sample to sample of the model's error: beyond it a level is no error but the state
 STILL = 5  # samples without a change of the drive that are taken for rest
-STEPS = 4  # of the window's fit: its problem is nearly linear
+SETTLES, LONG = 10.0, 2000  # time constants, and samples at most, over which a model held at rest must stay
+ALIKE = 3.0  # standard errors of the model within which it stays
+STEPS = 5  # of the window's fit: its problem is nearly linear
 FOLD_ROUNDS = 4  # of a fit that starts from that of all blocks
 AHEAD = 0.3  # share of a record that the forward check leaves out
 ANCHOR = 3.0  # samples that a start state is worth where its own record's first block is left out
@@ -27,26 +30,39 @@ TINY = 1e-6  # share of a state's variance below which it counts as that large
 
 @dataclass(frozen=True, eq=False)
 class StartPrior:
-    """Mean (n,) and covariance (n, n) of the chain states along the training records, error variance of the model."""
+    """Chain states along the training records: mean (n,), covariance (n, n); the model's error: variance, correlation.
+
+    The error lasts: what a window says of the state is weighed with the correlation (ny,) from sample to sample.
+    """
 
     mean: Array
     covariance: Array
     mse: float
+    correlation: Array
 
-    def ridge(self, resting: bool) -> Array:
-        """Weight of the expected state against the window's squared errors."""
-        scale = CORRELATED if resting else CORRELATED * max(self.mse, 1e-12)
-        return scale * np.linalg.inv(self.covariance)
+    def ridge(self, firm: bool) -> Array:
+        """Inverse covariance of the expected state, in units of the error's variance."""
+        return np.linalg.inv(self.covariance) * (1 / FIRM if firm else max(self.mse, 1e-12))
+
+    def whitened(self, e: Array, weight: Array) -> Array:
+        """Errors or their derivatives (N, ny, ...) as independent ones of the same variance (first-order correlation)."""
+        out = (e.T * weight.T).T
+        for i, r in enumerate(self.correlation):
+            out[1:, i] = (out[1:, i] - r * out[:-1, i]) / np.sqrt(1 - r * r)
+        return out
 
 
 def start_prior(fitted: Fitted, pieces: Sequence[Piece]) -> StartPrior:
-    """From the states of the fitted runs."""
+    """From the states and residuals of the fitted runs."""
     asm = Assembly(fitted.form)
-    runs = [run_piece(asm, fitted.theta, s, p.d).states for s, p in zip(fitted.starts, pieces)]
-    x = np.vstack(runs)[:, : asm.chain_states]
+    runs = [run_piece(asm, fitted.theta, s, p.d) for s, p in zip(fitted.starts, pieces)]
+    x = np.vstack([r.states for r in runs])[:, : asm.chain_states]
     cov = np.cov(x.T).reshape(asm.chain_states, -1)
     cov += np.diag(TINY * np.diag(cov) + 1e-12)
-    return StartPrior(x.mean(axis=0), cov, fitted.mse)
+    e = [(p.y - r.y) * p.weight for p, r in zip(pieces, runs)]
+    power = sum((x**2).sum(axis=0) for x in e) + 1e-300
+    correlation = np.clip(sum((x[1:] * x[:-1]).sum(axis=0) for x in e) / power, 0.0, LONGEST)
+    return StartPrior(x.mean(axis=0), cov, fitted.mse, np.atleast_1d(correlation))
 
 
 def rest(asm: Assembly, theta: Array, y0: Array, d0: Array) -> Array:
@@ -87,47 +103,63 @@ def free_run(
     The state is expected at rest where the drive stands still at first, else anywhere where the training records were;
     of the whole state `before` (where known) the slow states are taken, or all of it where it is `carried`.
     """
-    resting = carried or bool(np.all(piece.d[:STILL] == piece.d[0]))
     filled = asm.fill(theta)
+    firm = True
     if before is not None and carried:
         expected = before
-    elif resting:
-        expected = rest(asm, theta, first_level(piece, window), piece.d[0])
     else:
-        expected, _ = start_state(asm, filled, prior.mean, piece.d[0])
+        expected = rest(asm, theta, first_level(piece, window), piece.d[0])
+        firm = _rests(asm, filled, expected, piece, prior.mse)
+        if not firm:
+            expected, _ = start_state(asm, filled, prior.mean, piece.d[0])
     if before is not None:
         slow = asm.chain_states + len(asm.form.orders)
         expected[slow:] = before[slow:]
-    x = _window_state(asm, theta, expected, piece, window, prior.ridge(resting))
+    x = _window_state(
+        filled,
+        asm,
+        expected,
+        Piece(piece.d[:window], piece.y[:window], piece.weight[:window]),
+        prior,
+        firm,
+    )
     run = filled.run(x, piece.d)
-    return run.y if run.fine else np.full_like(run.y, np.nan)
+    fine = run.fine and np.abs(run.y).max() < REACH
+    return run.y if fine else np.full_like(run.y, np.nan)
+
+
+def _rests(asm: Assembly, filled: Filled, x: Array, piece: Piece, mse: float) -> bool:
+    """Whether the drive stands still at first and the model, held there, stays where the record starts."""
+    if not np.all(piece.d[:STILL] == piece.d[0]):
+        return False
+    long = int(min(SETTLES / min(asm.form.paces), LONG))
+    run = filled.run(x, np.tile(piece.d[0], (long, 1)))
+    return run.fine and bool(np.abs(run.y - run.y[0]).max() < ALIKE * np.sqrt(mse))
 
 
 def _window_state(
-    asm: Assembly, theta: Array, expected: Array, piece: Piece, window: int, ridge: Array
+    filled: Filled, asm: Assembly, expected: Array, window: Piece, prior: StartPrior, firm: bool
 ) -> Array:
-    """Whole state by Gauss-Newton on the window's squared errors and the distance from the expected one."""
-    if window <= 0:
+    """Whole state by Gauss-Newton on the window's errors and the distance from the expected one."""
+    if not len(window.y):
         return expected
-    filled = asm.fill(theta)
     nx, ny = asm.chain_states, len(asm.form.orders)
+    ridge = prior.ridge(firm)
     dx = np.zeros((len(expected), nx))
     dx[:nx] = np.eye(nx)
-    for i in range(ny):
-        dx[nx + i, asm.first[i]] = 1.0
-    weight = piece.weight[:window].ravel()
+    dx[nx + np.arange(ny), asm.first[:-1]] = 1.0
     x, best, cost = expected, expected, np.inf
     for _ in range(STEPS):
-        y, dy, _, _, fine = filled.moved(x, dx, piece.d[:window], *NOTHING)
+        y, dy, _, _, fine = filled.moved(x, dx, window.d, *NOTHING)
         if not fine:
             break
-        e = (piece.y[:window] - y).ravel() * weight
+        e = prior.whitened(window.y - y, window.weight).ravel()
         off = (x - expected)[:nx]
         now = float(e @ e + off @ ridge @ off)
         if now >= cost * (1 - 1e-6):
             break
         best, cost = x, now
-        J = dy.reshape(len(e), nx) * weight[:, None]
+        J = prior.whitened(dy, window.weight).reshape(len(e), nx)
         x = x + dx @ np.linalg.lstsq(J.T @ J + ridge, J.T @ e - ridge @ off, rcond=None)[0]
     return best
 
