@@ -205,6 +205,28 @@ def test_no_hasattr_and_no_pickle(path: Path) -> None:
     assert not wrong, wrong
 
 
+# Who writes files: one writer, the lock, and the compiler's own folder.
+WRITERS = ("oed/files/writing.py", "oed/files/lock.py", "estimators/pem/predictors/kernel.py")
+
+
+@each([path for path in FILES if path.relative_to(ROOT).as_posix() not in WRITERS])
+def test_files_are_written_by_the_one_writer(path: Path) -> None:
+    wrong = []
+    for node in ast.walk(tree(path)):
+        if not isinstance(node, ast.Call):
+            continue
+        name = called(node)
+        mode = [*node.args[:2], *(k.value for k in node.keywords if k.arg == "mode")]
+        opens = last(name) == "open" and any(
+            set(literal(m)) & set("wax+") and len(literal(m)) < 5 for m in mode
+        )
+        if opens or last(name) in ("write_text", "savetxt", "savefig") or name in ("os.replace", "os.rename"):
+            wrong.append(f"line {node.lineno}: {name}()")
+    allowed = ("np.savetxt",)  # into memory, in traces
+    wrong = [entry for entry in wrong if not any(name in entry for name in allowed)]
+    assert not wrong, f"whole or not at all, also after a power cut: use oed.files.writing: {wrong}"
+
+
 @each([path for path in FILES if not path.is_relative_to(ROOT / "benchmarks")])
 def test_dataclasses_are_frozen(path: Path) -> None:
     wrong = []

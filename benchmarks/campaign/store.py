@@ -77,7 +77,7 @@ class Store:
         self.parts = folder / "parts"
         self.settings = json.loads(json.dumps(settings))
         file = folder / "campaign.json"
-        if folder.is_dir() and any(entry.name != "lock" for entry in folder.iterdir()):
+        if folder.is_dir() and not all(map(_left_by_a_start, folder.iterdir())):
             found = self._settings_of(file)
             if found["settings"] != self.settings:
                 raise CampaignError(
@@ -201,6 +201,15 @@ class Store:
         }
         content = table_bytes(table.replace_schema_metadata({MADE: json.dumps(made).encode()}))
         write_whole(self.path(key), content, kept=KEPT, error=CampaignError)
+
+
+def _left_by_a_start(entry: Path) -> bool:
+    """Whether a run that was killed before its campaign.json was there may have left this."""
+    return (
+        entry.name == "lock"
+        or entry.match(".*.tmp")
+        or (entry.name == "parts" and entry.is_dir() and not any(entry.iterdir()))
+    )
 
 
 def _digest(table: pa.Table) -> str:

@@ -37,6 +37,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     from estimators.pem import identify
     from oed.errors import InputError
     from oed.files import read_record
+    from oed.files.writing import write_figure
 
     target = Path(args.out)
     if target.suffix not in (".svg", ".pdf", ".png"):
@@ -54,5 +55,5 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         figure = plots.residuals(record)
     else:
         figure = {"bode": plots.bode, "poles": plots.poles, "step": plots.step}[args.figure]()
-    figure.savefig(target)
+    write_figure(target, figure)
     return {"path": str(target)}, f"written to {target}"
