@@ -63,6 +63,8 @@ def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 12) -> F
         f1, f2 = np.real(np.poly(first))[1:], np.real(np.poly(second))[1:]
         part = Part(SANDWICH, j, 1, first=n1)
         x = part.blocked(channel.u[:, j], np.concatenate((f1, np.zeros(n1))))
+        if not np.all(np.isfinite(x)):  # a pole on the circle
+            continue
         parts = tuple(replace(q) for q in s.parts)
         new = replace(s, order=n2, taps=n2 + 1, delay=0, parts=(*parts, part))
         b = numerators(channel.y - np.mean(channel.y), x[:, None], f2, n2 + 1, 0, channel.keep)
