@@ -9,7 +9,7 @@ from benchmarks.page.report import save_figure, save_report, save_table
 from oed.files.writing import write_whole
 
 if TYPE_CHECKING:
-    from estimators.diagnosis.report import Diagnosis
+    from estimators.diagnosis.result.report import Diagnosis
 
 __all__ = ["write_diagnosis_report"]
 
@@ -68,7 +68,7 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: dict[str, Any]
     import numpy as np
 
     from estimators.diagnosis.next_experiment.decision import next_experiment
-    from estimators.diagnosis.plots import nonlinearity_figure, residual_figure
+    from estimators.diagnosis.result.plots import nonlinearity_figure, residual_figure
 
     lead = [
         f"Cause: {result.effect.replace('_', ' ')} ({result.nature})."

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from estimators.diagnosis.loop import Setting, diagnose
-from estimators.diagnosis.report import Diagnosis
+from estimators.diagnosis.result.report import Diagnosis
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.documents import keyed, read_document

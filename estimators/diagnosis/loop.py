@@ -16,16 +16,18 @@ from numpy.typing import NDArray
 from estimators.diagnosis.baseline import Baseline, Options, best_linear
 from estimators.diagnosis.discovery import DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
-from estimators.diagnosis.examination import Examined, Known, examine
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
 from estimators.diagnosis.ladder.steps import Kind, Step, climb
 from estimators.diagnosis.ladder.verdicts import Outcome, verdict
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.measurement import held_samples, resting_samples
 from estimators.diagnosis.record.overlap import copied_rows
-from estimators.diagnosis.report import Diagnosis
+from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, early
+from estimators.diagnosis.result.model import DiagnosedModel
+from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.named import Bench, Named, early, named_steps
+from estimators.diagnosis.search.examination import Examined, Known, examine
+from estimators.diagnosis.search.named import Bench, Named, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from oed.data import Record
 from oed.errors import InputError
@@ -185,19 +187,16 @@ def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:
     parameters = {f"term {k + 1}.{name}": v for k, t in enumerate(terms) for name, v in t.parameters.items()}
     return Step(
         Kind.DISCOVERED, tuple(t.text for t in terms), tuple(u[:, i] for u in d.unused),
-        lambda record, window: model.simulate(record, window)[:, i], len(model.theta), parameters,
+        DiscoveredAnswer(i, model), len(model.theta), parameters,
         tuple(t.meaning for t in terms), d.equation, nature=d.nature,
     )  # fmt: skip
 
 
 def _linear_step(base: Baseline, i: int, rest: bool, adds: tuple[str, ...] = ()) -> Step:
     m = base.outputs[i]
-    prior, inputs = replace(m.prior, rest=rest), list(m.inputs)
-    return Step(
-        Kind.LINEAR, adds, (base.unused[0][:, i],),
-        lambda record, window: m.model.free_run(prior, record.u[:, inputs], record.y[:, i], window),
-        m.model.order + m.model.num.size, noise=m.noise[1:],
-    )  # fmt: skip
+    answer = LinearAnswer(i, m.inputs, m.model, replace(m.prior, rest=rest))
+    size = m.model.order + m.model.num.size
+    return Step(Kind.LINEAR, adds, (base.unused[0][:, i],), answer, size, noise=m.noise[1:])
 
 
 def _starts_at_rest(train: Record, i: int, base: Baseline) -> bool:
@@ -256,7 +255,7 @@ def _diagnosis(
         rmse_before=held.rmse_before, rmse_after=held.rmse_after, pred_rmse_before=held.pred_before,
         pred_rmse_after=held.pred_after, difference=held.difference, noise_floor=floor, room=held.room,
         yhat_before=held.before, yhat_after=held.after, held_out=words,
-        warnings=tuple(notes), linear=_linear(base), ladder=held.rungs,
+        warnings=tuple(notes), model=_model(train, outcomes, held), linear=_linear(base), ladder=held.rungs,
         extra={"outputs": [o.examined for o in outcomes], "finals": [o.named.fit for o in outcomes], "train": train,
                "test": train if test is None else test},
         **verdict(outcomes, held, setting),
@@ -272,3 +271,13 @@ def _linear(base: Baseline) -> dict[str, Any]:
         "structure": base.structure, "orders": [m.orders for m in base.outputs],
         "delay": [list(m.delays) for m in base.outputs], "poles": poles, "why": list(base.why),
     }  # fmt: skip
+
+
+def _model(train: Record, outcomes: list[Outcome], held: HeldOut) -> DiagnosedModel:
+    """The answers of all outputs, each with its error on unused blocks."""
+    errors = [
+        next(r.value for r in o.ladder.rungs if r.step is step)
+        for o, step in zip(outcomes, held.answered, strict=True)
+    ]
+    return DiagnosedModel(tuple(step.answer for step in held.answered), np.array(errors), train.dt, train.input_names,
+                          train.output_names)  # fmt: skip

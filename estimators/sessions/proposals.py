@@ -136,9 +136,9 @@ def propose(
     levels = Proposal(_silenced(_levels(length, power, amplitude, rng), samples))
     if not records:
         return levels
-    from estimators.diagnosis.examination import examine
     from estimators.diagnosis.next_experiment.discrimination import discriminate
     from estimators.diagnosis.policy import Setting
+    from estimators.diagnosis.search.examination import examine
 
     try:
         found = examine(joined(records), 0, Setting()).attribution

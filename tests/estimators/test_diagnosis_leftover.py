@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import blocks_of
+from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, fit
@@ -17,7 +18,7 @@ from estimators.diagnosis.record.leftover import leftovers
 from estimators.diagnosis.search.blocks import curved, sandwich
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.exchange import exchanged
-from estimators.diagnosis.search.free_runs import blocked
+from estimators.diagnosis.search.free_runs import Start, blocked
 from oed.data import Record
 from oed.errors import InputError
 
@@ -72,10 +73,10 @@ def test_blocks_held_out_show_what_overfitting_hides():
     u = np.repeat(rng.uniform(-1, 1, 60), 4)[:, None]
     y = lfilter([0.0, 0.3], [1.0, -0.7], u[:, 0]) + 0.3 * rng.standard_normal(240)
     channel = channel_of(Record(u, y))
-    errors = {}
+    errors, start = {}, Start(Prior(0.0, np.ones(8), 0.1), rest=True)
     for order in (1, 6):
         f = fit_linear(channel, Structure(order))
-        unused = blocked(channel, f, blocks_of([Record(u, y)], 4, 0, 0), 1, white=True)
+        unused = blocked(channel, f, blocks_of([Record(u, y)], 4, 0, 0), 1, start, white=True)
         errors[order] = (np.std(y - unused), np.std(f.residual))
     assert errors[6][1] < errors[1][1]  # more parameters always fit better
     assert errors[6][0] > errors[1][0]  # and here they carry over worse

@@ -16,7 +16,7 @@ from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.paired import as_good, paired_difference
-from estimators.diagnosis.report import ErrorFigure
+from estimators.diagnosis.result.report import ErrorFigure
 from estimators.diagnosis.search.candidates import Menu, augmented
 from oed.data import Record
 

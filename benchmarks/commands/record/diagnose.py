@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         payload["case"] = Path(args.meta).parent.name
     if args.out:
         from benchmarks.page.diagnosis_report import write_diagnosis_report
-        from estimators.diagnosis.saving import save
+        from estimators.diagnosis.result.saving import save
 
         folder = save(result, args.out)
         made = {
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             "false-alarm rate": args.alpha,
         }
         write_diagnosis_report(result, folder, made)
-        payload["out"] = str(folder)
+        payload |= {"out": str(folder), "model": str(folder / "model.json")}
     return payload, "\n".join([*notes, str(result)])
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.policy import Policy
-from estimators.diagnosis.report import ErrorFigure
+from estimators.diagnosis.result.report import ErrorFigure
 from oed.data import Record
 
 __all__ = ["HeldOut", "assess", "outside"]

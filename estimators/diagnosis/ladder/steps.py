@@ -6,7 +6,7 @@ see, and simulates any record. The stages do not know of each other here; a new 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.policy import Policy
+from estimators.diagnosis.result.answers import Answer
 from oed.data import Record
 
 __all__ = ["Gain", "Kind", "Ladder", "Rung", "Step", "climb", "paired_gain", "unused_error"]
@@ -33,12 +34,12 @@ class Kind(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One whole model of one output: `unused` (N,) per training record, `simulate(record, window)` (N,)."""
+    """One whole model of one output: `unused` (N,) per training record."""
 
     kind: Kind
     adds: tuple[str, ...]  # keys of effects, or the terms of an equation
     unused: tuple[Array, ...]  # every block predicted with parameters that did not see it; NaN where none is
-    simulate: Callable[[Record, int], Array]  # the first `window` measured samples may set the state
+    answer: Answer  # the model itself
     size: int = 0  # parameters, for ties
     parameters: dict[str, tuple[float, float, str]] = field(
         default_factory=dict
@@ -51,6 +52,10 @@ class Step:
     admitted: bool = True  # False where the stage's own cross-validation refuses it: shown, never the answer
     below: Step | None = None  # the step that it adds to; the linear model where none is named
     nature: str = ""  # the kind of cause, where the step has no name for it
+
+    def simulate(self, record: Record, window: int) -> Array:
+        """(N,) free run; the first `window` measured samples may set the state."""
+        return self.answer.simulate(record, window)
 
     @property
     def chain(self) -> tuple[Step, ...]:

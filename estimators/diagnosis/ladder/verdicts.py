@@ -15,13 +15,13 @@ from scipy.stats import chi2
 
 from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot, named
-from estimators.diagnosis.examination import Examined
 from estimators.diagnosis.ladder.held_out import HeldOut
 from estimators.diagnosis.ladder.steps import Kind, Ladder
 from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.leftover import Leftover, leftovers
+from estimators.diagnosis.search.examination import Examined
 from estimators.diagnosis.search.named import Claim, Named
 from estimators.diagnosis.search.selection import FAMILY
 from estimators.diagnosis.share import Share
@@ -270,9 +270,11 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
     limit = SURE if o.named.claims or len(f.noise) else alpha / 10
     for item in rest:
         noisy = item.nature == Nature.NOISE
-        if item.p_value >= (SURE if noisy else limit):
-            continue
-        if (noisy and not o.named.claims) or (not noisy and item.gain > max(0.5 * explained, LEAST)):
+        if item.p_value >= (SURE if noisy else limit) or not (noisy or o.left.explainable):
+            continue  # a significant dependence that predicts nothing on unused blocks is no cause
+        if (noisy and not o.named.claims and not len(f.noise)) or (
+            not noisy and item.gain > max(0.5 * explained, LEAST)
+        ):
             words = "what is left" if item.key else "no effect of the catalogue explains what is left"
             cause = named(item.key).cause if item.key else UNKNOWN
             return [

@@ -12,7 +12,7 @@ from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.fitting import Fit, levenberg_marquardt
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.next_experiment.discrimination import Discrimination, discriminate
-from estimators.diagnosis.report import Diagnosis
+from estimators.diagnosis.result.report import Diagnosis
 from oed.errors import InputError
 
 __all__ = ["Decision", "decision_samples", "next_experiment"]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
-from estimators.diagnosis.report import Diagnosis
+from estimators.diagnosis.result.report import Diagnosis
 from estimators.norm.gains import gain
 from estimators.rules.limits import Limits
 from estimators.rules.power import power_iterations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,11 @@ from scipy.interpolate import CubicSpline
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import FAR, LinearModel, Prior
 from estimators.diagnosis.effects import Clock
+from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, levenberg_marquardt
 from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices
 from estimators.diagnosis.model.simulation import simulate
+from estimators.diagnosis.model.structure import Structure
 from oed.data import Record
 
 __all__ = ["Start", "blocked", "free_run", "lengthened", "on_record", "start_of", "thinned"]
@@ -27,6 +29,20 @@ LONGEST = 3000
 """Samples of constant input before a record; a pole within `FAR` of the circle has settled to 5 % by then."""
 STEPS = 6
 """Gauss-Newton steps without a block, from the fit to all blocks: more than the two or three that change anything."""
+
+
+class Shaped(Protocol):
+    """What a free run needs: a structure and its parameters."""
+
+    @property
+    def structure(self) -> Structure:
+        """The form."""
+        ...
+
+    @property
+    def p(self) -> Array:
+        """(size,) parameters."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +61,7 @@ def start_of(f: Fit, prior: Prior, rest: bool) -> Start:
     return Start(replace(prior, mean=0.0, covariance=covariance, rest=False), rest)
 
 
-def denominator(f: Fit) -> Array:
+def denominator(f: Shaped) -> Array:
     """Denominator of the linear part in the shift operator, its leading 1 included."""
     s = f.structure
     if s.layout == "tf":
@@ -58,7 +74,7 @@ def denominator(f: Fit) -> Array:
     return np.real(np.poly(np.linalg.eigvals(expm(A))))
 
 
-def _lead(f: Fit, den: Array) -> int:
+def _lead(f: Shaped, den: Array) -> int:
     """Samples of constant input that bring the linear part to rest; 0 where it has none."""
     radius = float(np.abs(np.roots(den)).max(initial=0.0))
     if radius >= FAR:
@@ -66,7 +82,7 @@ def _lead(f: Fit, den: Array) -> int:
     return min(LONGEST, 2 + f.structure.delay + int(np.log(SETTLED) / np.log(max(radius, 0.05))))
 
 
-def free_run(f: Fit, u: Array, clock: Clock, y: Array, window: int, start: Start) -> Array:
+def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: Start) -> Array:
     """(N,) simulated output of another record; its first `window` measured samples may set the state.
 
     Without a window the run starts at rest, or settled under the first input where signals are as logged. With one, the
@@ -90,7 +106,7 @@ def _corrected(den: Array, error: Array, window: int, start: Start) -> Array:
     return model.free_run(start.prior, np.zeros((len(error), 1)), error, window)
 
 
-def _tanks(f: Fit, u: Array, clock: Clock, y: Array, window: int) -> Array:
+def _tanks(f: Shaped, u: Array, clock: Clock, y: Array, window: int) -> Array:
     """Levels at the start by least squares in the window, from those of the training record."""
     x0 = f.p[8:10].copy()
     seen = np.flatnonzero(np.isfinite(y[:window]))
@@ -105,7 +121,7 @@ def _tanks(f: Fit, u: Array, clock: Clock, y: Array, window: int) -> Array:
 
 
 def on_record(
-    f: Fit, record: Record, output: int, clock: Clock, window: int, start: Start, thin: int
+    f: Shaped, record: Record, output: int, clock: Clock, window: int, start: Start, thin: int
 ) -> Array:
     """(N,) simulated output of a record; a thinned model's is interpolated between its samples."""
     y = record.y[:, output]
@@ -134,16 +150,20 @@ def thinned(record: Record, by: int) -> Record:
     return record.replace(u=u, y=record.y[: n * by : by], dt=record.dt * by)
 
 
-def blocked(channel: Channel, f: Fit, blocks: Blocks, thin: int, *, white: bool) -> Array:
+def blocked(channel: Channel, f: Fit, blocks: Blocks, thin: int, start: Start, *, white: bool) -> Array:
     """(N,) free run of every block of the one training record, by parameters fitted to the others.
 
-    The run goes through the whole record, as the linear model's does. Infinite in a block whose fit failed.
+    The run starts as on a test record, not from the state that was fitted to this one, and goes through to the block. A
+    model that hangs on its fitted state is shown for what it is. Infinite in a block whose fit failed.
     """
     n, out = len(channel), np.full(len(channel), np.inf)
     scales = f.scales.copy()
     for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
-        if part.key == "initial":  # no other block says anything of the record's own start
+        if part.effect is INITIAL:  # no other block says anything of the record's own start
             scales[sl] = 0.0
+    own = not any(part.effect is INITIAL for part in f.structure.parts[: f.structure.base])
+    window = max(blocks.window // thin, 2 * f.structure.order) if blocks.window else 0
+    y = np.where(channel.keep, channel.y, np.nan)
     for block in blocks.blocks:
         keep = channel.keep & blocks.training(block)[0][::thin][:n]
         g = fit(
@@ -152,5 +172,9 @@ def blocked(channel: Channel, f: Fit, blocks: Blocks, thin: int, *, white: bool)
         )  # fmt: skip
         if np.isfinite(g.deviance):
             rows = slice(block.start // thin, min(-(-block.stop // thin), n))
-            out[rows] = simulate(g.structure, g.p, channel.u, channel.clock)[rows]
+            if own:  # at rest, or from an initial state that is the effect
+                run = simulate(g.structure, g.p, channel.u, channel.clock)
+            else:
+                run = free_run(g, channel.u, channel.clock, y, window, start)
+            out[rows] = run[rows]
     return lengthened(out, thin, blocks.lengths[0])

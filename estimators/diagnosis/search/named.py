@@ -6,7 +6,6 @@ blocks that no parameter saw, beyond its standard error, and significance in the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,18 +14,19 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimators.diagnosis.baseline import Baseline
-from estimators.diagnosis.effects import Clock, Nature, Slot
+from estimators.diagnosis.effects import Nature, Slot
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.model.fitting import Channel, Fit, innovations
 from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.paired import as_good
+from estimators.diagnosis.result.answers import NamedAnswer
 from estimators.diagnosis.search.exchange import without
-from estimators.diagnosis.search.free_runs import blocked, on_record, start_of
+from estimators.diagnosis.search.free_runs import blocked, start_of
 from estimators.diagnosis.search.selection import Attribution
 from oed.data import Record
 
-__all__ = ["Bench", "Claim", "Named", "early", "named_steps", "parameters_of"]
+__all__ = ["Bench", "Claim", "Named", "named_steps", "parameters_of"]
 
 Array = NDArray[Any]
 
@@ -89,27 +89,22 @@ class Bench:
 
     def unused(self, f: Fit) -> Array:
         """(N,) free run of every block by parameters that did not see it."""
-        return self.rounded(blocked(self.channel, f, self.base.blocks, self.thin, white=self.white))
+        start = start_of(f, self.base.outputs[self.output].prior, self.rest)
+        run = blocked(self.channel, f, self.base.blocks, self.thin, start, white=self.white)
+        return self.rounded(run)
 
     def rounded(self, run: Array) -> Array:
         """As the sensor rounds."""
         step = self.channel.step
         return np.round(run / step) * step if step > 0 else run
 
-    def runner(self, f: Fit) -> Callable[[Record, int], Array]:
-        """Free run on any record; the clock is the training record's."""
+    def answer(self, f: Fit) -> NamedAnswer:
+        """A fit as the model of the output; its clock is the training record's."""
         start = start_of(f, self.base.outputs[self.output].prior, self.rest)
-
-        def simulate(record: Record, window: int) -> Array:
-            first = round((record.t0 - self.train.t0) / self.train.dt)
-            clock = Clock(first + np.arange(len(record), dtype=float), len(self.train))
-            return self.rounded(
-                on_record(
-                    f, early(record) if self.ahead else record, self.output, clock, window, start, self.thin
-                )
-            )
-
-        return simulate
+        clock = (self.train.t0, self.train.dt, len(self.train))
+        return NamedAnswer(
+            self.output, f.structure, f.p, start, clock, self.thin, self.channel.step, self.ahead
+        )
 
     def gain(self, first: Array, second: Array, part: Part) -> Gain:
         """Paired gain on the samples that count; for what changes with time, the least of all and of the last block.
@@ -123,11 +118,6 @@ class Bench:
         late = counted.copy()
         late[: self.base.blocks.blocks[-1].start] = False
         return min(whole, paired_gain([y], [first], [second], [late], self.policy), key=lambda g: g.value)
-
-
-def early(record: Record) -> Record:
-    """The record with its inputs one sample earlier: what acts without delay then acts after one, as the structures have it."""
-    return record.replace(u=np.concatenate((record.u[1:], record.u[-1:])))
 
 
 def named_steps(bench: Bench, a: Attribution) -> Named:
@@ -195,7 +185,7 @@ def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
 
 def _step(bench: Bench, f: Fit, claims: list[Claim], unused: Array) -> Step:
     return Step(
-        Kind.NAMED, tuple(c.key for c in claims), (unused,), bench.runner(f), len(f.p), parameters_of(f),
+        Kind.NAMED, tuple(c.key for c in claims), (unused,), bench.answer(f), len(f.p), parameters_of(f),
         tuple(c.part.effect.sentence for c in claims), noise=f.noise,
     )  # fmt: skip
 

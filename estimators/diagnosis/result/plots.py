@@ -13,7 +13,7 @@ from oed.files.writing import write_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from estimators.diagnosis.report import Diagnosis
+    from estimators.diagnosis.result.report import Diagnosis
 
 __all__ = ["nonlinearity_figure", "residual_figure", "save_figures", "story_figure"]
 

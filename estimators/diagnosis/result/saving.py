@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimators.diagnosis.report import Diagnosis
+from estimators.diagnosis.result.report import Diagnosis
 from oed.errors import InputError
 from oed.files.writing import write_whole
 
@@ -60,8 +60,10 @@ def save(result: Diagnosis, folder: str | os.PathLike[str]) -> Path:
     lines = [",".join(names)] + [",".join(f"{v:.10g}" for v in row) for row in rows]
     write_whole(path / "simulated.csv", "\n".join(lines) + "\n")
     write_whole(path / "summary.txt", str(result) + "\n")
+    if result.model is not None:
+        result.model.save(path / "model.json")
 
-    from estimators.diagnosis.plots import save_figures
+    from estimators.diagnosis.result.plots import save_figures
 
     save_figures(result, path)
     return path

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from estimators.diagnosis.result.model import DiagnosedModel
 
 __all__ = ["Diagnosis", "ErrorFigure"]
 
@@ -87,6 +90,8 @@ class Diagnosis:
         One row per kind of model: step, adds, rmse_unused with its interval low to high, rmse_test with its own.
     explainable : dict
         share of the linear model's residual that can be explained, low, high, by variable; empty where not asked.
+    model : DiagnosedModel
+        The answer as a model to be used.
     equation : str
         Terms that were discovered, in the units of the record.
     extra : dict
@@ -122,6 +127,7 @@ class Diagnosis:
     ladder: tuple[dict[str, Any], ...] = ()
     explainable: dict[str, Any] = field(default_factory=dict)
     equation: str = ""
+    model: DiagnosedModel | None = field(default=None, repr=False)
     extra: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @property

@@ -1,0 +1,1 @@
+"""What a diagnosis gives: the verdict with its figures, the model as an object, files and plots."""

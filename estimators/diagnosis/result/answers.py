@@ -1,0 +1,151 @@
+"""The model of one output as data: what simulates any record, and is written to and read from JSON."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from estimators.diagnosis.discovery import DiscoveredModel
+from estimators.diagnosis.effects import CATALOGUE, Clock, Effect, named
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.search.free_runs import Start, on_record
+from oed.data import Record
+from oed.errors import InputError
+
+__all__ = ["Answer", "DiscoveredAnswer", "LinearAnswer", "NamedAnswer", "early", "read_answer"]
+
+Array = NDArray[Any]
+
+
+class Answer(Protocol):
+    """A model of one output, whatever stage it came from."""
+
+    @property
+    def output(self) -> int:
+        """Which output of the record."""
+        ...
+
+    def simulate(self, record: Record, window: int) -> Array:
+        """(N,) free run; the first `window` measured samples may set the state."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data that `read_answer` reads."""
+        ...
+
+
+def early(record: Record) -> Record:
+    """The record with its inputs one sample earlier: what acts without delay then acts after one, as the structures have it."""
+    return record.replace(u=np.concatenate((record.u[1:], record.u[-1:])))
+
+
+def _prior_of(data: dict[str, Any]) -> Prior:
+    fields: dict[str, Any] = data | {"covariance": np.array(data["covariance"])}
+    return Prior(**fields)
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class LinearAnswer:
+    """The best linear model of an output."""
+
+    output: int
+    inputs: tuple[int, ...]
+    model: LinearModel
+    prior: Prior
+
+    def simulate(self, record: Record, window: int) -> Array:
+        """(N,) free run."""
+        u, y = record.u[:, list(self.inputs)], record.y[:, self.output]
+        return self.model.free_run(self.prior, u, y, window)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Coefficients and how the state is set."""
+        m = {"den": self.model.den.tolist(), "num": self.model.num.tolist(), "constant": self.model.constant}
+        return {"kind": "linear", "output": self.output, "inputs": list(self.inputs), "model": m,
+                "prior": _plain(asdict(self.prior))}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class NamedAnswer:
+    """A linear part with named effects around and inside it, on the clock of its training record."""
+
+    output: int
+    structure: Structure
+    p: Array
+    start: Start
+    clock: tuple[float, float, int]  # time of the first training sample, sampling time, training samples
+    thin: int = 1
+    step: float = 0.0  # of the sensor's rounding
+    ahead: bool = False  # the input acts in the sample in which it is measured
+
+    def simulate(self, record: Record, window: int) -> Array:
+        """(N,) free run."""
+        t0, dt, length = self.clock
+        first = round((record.t0 - t0) / dt)
+        clock = Clock(first + np.arange(len(record), dtype=float), length)
+        moved = early(record) if self.ahead else record
+        run = on_record(self, moved, self.output, clock, window, self.start, self.thin)
+        return np.round(run / self.step) * self.step if self.step > 0 else run
+
+    def to_dict(self) -> dict[str, Any]:
+        """Structure by the keys of its effects, parameters, start and clock."""
+        s = self.structure
+        parts = [{"effect": q.key, "channel": q.channel, "size": q.size, "first": q.first} for q in s.parts]
+        form = {"order": s.order, "inputs": list(s.inputs), "layout": s.layout, "delay": s.delay, "taps": s.taps,
+                "base": s.base, "parts": parts}  # fmt: skip
+        return {
+            "kind": "named", "output": self.output, "structure": form, "p": self.p.tolist(),
+            "prior": _plain(asdict(self.start.prior)), "rest": self.start.rest, "clock": list(self.clock),
+            "thin": self.thin, "step": self.step, "ahead": self.ahead,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class DiscoveredAnswer:
+    """One output of a model whose terms were discovered."""
+
+    output: int
+    model: DiscoveredModel
+
+    def simulate(self, record: Record, window: int) -> Array:
+        """(N,) free run."""
+        return self.model.simulate(record, window)[:, self.output]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The whole model, as its outputs may drive one another."""
+        return {"kind": "discovered", "output": self.output, "model": self.model.to_json()}
+
+
+def _named(data: dict[str, Any], effects: tuple[Effect, ...]) -> NamedAnswer:
+    form = data["structure"]
+    parts = tuple(
+        Part(named(q["effect"], effects), q["channel"], q["size"], q["first"]) for q in form["parts"]
+    )
+    structure = Structure(**(form | {"inputs": tuple(form["inputs"]), "parts": parts}))
+    t0, dt, length = data["clock"]
+    start = Start(_prior_of(data["prior"]), data["rest"])
+    return NamedAnswer(data["output"], structure, np.array(data["p"]), start, (t0, dt, int(length)), data["thin"],
+                       data["step"], data["ahead"])  # fmt: skip
+
+
+def read_answer(data: dict[str, Any], effects: tuple[Effect, ...] = CATALOGUE) -> Answer:
+    """The answer that `to_dict` wrote; effects of one's own must be among those given."""
+    if data["kind"] == "linear":
+        m = data["model"]
+        model = LinearModel(np.array(m["den"]), np.array(m["num"]), m["constant"])
+        return LinearAnswer(data["output"], tuple(data["inputs"]), model, _prior_of(data["prior"]))
+    if data["kind"] == "named":
+        return _named(data, effects)
+    if data["kind"] == "discovered":
+        return DiscoveredAnswer(data["output"], DiscoveredModel.from_json(data["model"]))
+    raise InputError(
+        f"the model of an output is of the kind {data['kind']!r}; known are linear, named and discovered."
+    )
