@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shutil
 import sys
 from pathlib import Path
 
@@ -71,7 +72,8 @@ PACKAGES = (
 def write_reference(_app) -> None:
     """One page per package, one entry per exported name: the reference is what the packages export, no more, no less."""
     folder = HERE / "reference"
-    folder.mkdir(exist_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
     pages = []
     for name in PACKAGES:
         package = importlib.import_module(name)
@@ -81,12 +83,15 @@ def write_reference(_app) -> None:
         first = (package.__doc__ or "").strip().splitlines()[0]
         rows = "\n".join(f"   {name}.{each}" for each in exported)
         text = f"{name}\n{'=' * len(name)}\n\n{first}\n\n.. autosummary::\n   :toctree: generated\n   :nosignatures:\n\n{rows}\n"
-        page = folder / f"{name}.rst"
-        if not page.exists() or page.read_text(encoding="utf-8") != text:
-            page.write_text(text, encoding="utf-8")
+        (folder / f"{name}.rst").write_text(text, encoding="utf-8")
         pages.append(name)
     index = "Reference\n=========\n\nEvery name that a package exports.\n\n.. toctree::\n   :maxdepth: 1\n\n"
     (folder / "index.rst").write_text(index + "".join(f"   {page}\n" for page in pages), encoding="utf-8")
+
+
+def _escape(_app, _what, _name, _object, _options, lines) -> None:
+    """|G| in a docstring is a magnitude, not a substitution."""
+    lines[:] = [line.replace("|", r"\|") if "``" not in line and ">>>" not in line else line for line in lines]
 
 
 def _inline(self, node) -> None:
@@ -106,4 +111,5 @@ def _display(self, node) -> None:
 def setup(app) -> None:
     """Write the reference before Sphinx reads it; formulas are MathML, which needs no script and no network."""
     app.connect("builder-inited", write_reference, priority=0)
+    app.connect("autodoc-process-docstring", _escape, priority=900)
     app.add_html_math_renderer("mathml", (_inline, None), (_display, None))
