@@ -91,7 +91,9 @@ def write_reference(_app) -> None:
 
 def _escape(_app, _what, _name, _object, _options, lines) -> None:
     """|G| in a docstring is a magnitude, not a substitution."""
-    lines[:] = [line.replace("|", r"\|") if "``" not in line and ">>>" not in line else line for line in lines]
+    lines[:] = [
+        line.replace("|", r"\|") if "``" not in line and ">>>" not in line else line for line in lines
+    ]
 
 
 def _inline(self, node) -> None:
