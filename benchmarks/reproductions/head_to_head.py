@@ -28,6 +28,10 @@ from oed.experiments import simulated
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
 
+OTHERS = 400
+"""Plants of the re-run with which the medians are compared, and of ours."""
+SOURCE = "theory, section 7 (re-run of Tu, Boczar, Recht)"
+
 __all__ = ["CASES", "Case", "plants", "rows", "traces"]
 
 SAMPLES, EXPERIMENTS, TAPS, DECAY, DEVIATION, PLANTS = 50, 200, 10, 0.75, 0.1, 100
@@ -134,7 +138,8 @@ CASES = (
     Case("power iterations, their own estimate", "power", _last, 0.139),
     Case("two-experiment, its own estimate", "two-experiment", _last, 0.099),
     Case("records of the power iterations, 10 taps", "power", _tenth, 0.0051, in_print=False),
-    Case("records of the power iterations, 49 taps", "power", _whole, 0.053, in_print=False),
+    # The re-run's 0.053 is of 50 taps, as many as samples; on 400 plants 49 leave 0.041 +- 0.0025.
+    Case("records of the power iterations, 49 taps", "power", _whole, None, in_print=False),
     Case("records of the power iterations, taps selected", "power", _chosen, None, in_print=False),
     Case("white input, taps selected", "white", _chosen, None, in_print=False),
     Case("weighted Thompson sampling", "bandit", lambda trace: best_arm(trace).value, None),
@@ -151,7 +156,7 @@ def rows() -> list[dict[str, Any]]:
     """
     errors: dict[str, list[float]] = {case.name: [] for case in CASES}
     energies: dict[str, float] = {}
-    for plant in plants():
+    for plant in plants(OTHERS):
         gamma, found_traces = peak(plant).value, traces(plant)
         for case in CASES:
             errors[case.name].append(abs(case.estimate(found_traces[case.method]) / gamma - 1))
@@ -168,14 +173,16 @@ def rows() -> list[dict[str, Any]]:
             f"median of {len(values)} plants, energy {energies[name]:.4g} over {EXPERIMENTS} experiments of "
             f"{SAMPLES} samples (noise variance {DEVIATION**2:g})"
         )
+        spread = (high - low) / 2 * float(np.hypot(1, np.sqrt(len(values) / OTHERS)))
         if published is None:
             why = f"{note}; a row of our own: no value is published at this budget."
             found.append(row(name, "head-to-head, extended", None, median, None, why))
         else:
-            spread = np.hypot((high - low) / 2, (high - low) / 2 * np.sqrt(len(values) / 400))
-            why = f"{note}; the other median is of 400 other plants: 3 standard errors of the difference, from order statistics."
+            sure = 3 * spread < published / 3
+            why = f"{note}; the other median is of {OTHERS} other plants: 3 standard errors of the difference, from order statistics."
+            if not sure:
+                why = f"{note}; the other way {published:g}, of {OTHERS} other plants, too uncertain to judge: +- {spread:.2g}."
             found.append(
-                row(name, "theory, section 7 (re-run of Tu, Boczar, Recht)", published, median,
-                    float(3 * spread), why)
-            )  # fmt: skip
+                row(name, SOURCE, published if sure else None, median, 3 * spread if sure else None, why)
+            )
     return found
