@@ -6,6 +6,7 @@
 #   make lint      ruff, pyright, import-linter
 #   make validate  the tests that are too long for `make test`; writes validation.json
 #   make fuzz      hostile files and documents, $(FUZZ) of them (100000; `make test` has a fixed thousand)
+#   make mutants   which changes of the code its tests would not notice, by mutmut (hours; FILES="oed/criteria.py" for some)
 #   make campaign, make speed, make report    the large campaign, the speed benchmarks, the HTML report again
 #   make docs      the documentation site in build/docs, warnings as errors
 #   make readme    the README's headline table and picture again, from the comparison
@@ -49,7 +50,7 @@ PYTHON_IS = $(or $(shell $(PYTHON) -V 2>/dev/null),nothing that runs here)
 
 .DEFAULT_GOAL := help
 
-.PHONY: help map readme setup compare test lint validate fuzz campaign speed report docs lock clean
+.PHONY: help map readme setup compare test lint validate fuzz mutants campaign speed report docs lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p;/^$$/q' $(firstword $(MAKEFILE_LIST))
@@ -87,6 +88,9 @@ validate: $(STAMP)
 
 fuzz: $(STAMP)
 	OED_FUZZ=$(FUZZ) $(BIN)/python -m pytest -n $(JOBS) tests/fuzz $(PYTEST_ARGS)
+
+mutants: $(STAMP)
+	$(BIN)/python tests/mutants.py $(FILES)
 
 # 10 plants x 6 noise levels x 12 inputs, 10000 samples a run: about two hours on 2 cores, extrapolated from single runs; killed, it resumes.
 campaign: $(STAMP)

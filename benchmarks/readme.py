@@ -12,7 +12,7 @@ from benchmarks.tables.head_to_head import head_to_head_sentence
 from oed.errors import InputError
 from oed.files.writing import write_whole
 
-__all__ = ["with_headline", "write_readme"]
+__all__ = ["oracle_sentence", "with_headline", "write_readme"]
 
 START = "<!-- headline: made by `make readme` from results/compare -->"
 END = "<!-- end of headline -->"
@@ -59,6 +59,19 @@ PICTURES = {
 }
 
 
+def oracle_sentence(rows: list[dict]) -> str:
+    """What PEM makes of the optimal input itself, one sinusoid at the peak, on the first plant at every noise."""
+    of = [
+        r
+        for r in rows
+        if (r["method"], r["estimator"]) == ("oracle-hinf", "pem") and r["plant"] == rows[0]["plant"]
+    ]
+    if not of:
+        return ""
+    told = ", ".join(f"{r['rho']:.2f} ± {r['rho_se']:.2f} at noise {r['noise_variance']:g}" for r in of)
+    return f"The optimum itself, `oracle-hinf`, with PEM on {of[0]['plant']}: rho {told}."
+
+
 def write_readme(results: Path, readme: Path) -> None:
     """Put a comparison's answer, its sentences and its pictures into a README.
 
@@ -71,6 +84,7 @@ def write_readme(results: Path, readme: Path) -> None:
     """
     rows, _ = from_parquet(results / "tables" / "answer.parquet")
     head, _ = from_parquet(results / "tables" / "head_to_head.parquet")
+    compared, _ = from_parquet(results / "tables" / "comparison.parquet")
     spent = rows[0]
     lines = [
         f"Every input had {spent['experiments']} experiments, {spent['samples']} samples and energy {spent['energy']:.6g} over all "
@@ -79,6 +93,7 @@ def write_readme(results: Path, readme: Path) -> None:
         "",
         to_markdown(rows, {key: ANSWER[key] for key in SHOWN}),
         head_to_head_sentence(head),
+        *(["", oracle_sentence(compared)] if oracle_sentence(compared) else []),
     ]
     write_whole(readme, with_headline(readme.read_text(encoding="utf-8"), "\n".join(lines)))
     folder = readme.parent / "docs"

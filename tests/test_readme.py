@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.readme import oracle_sentence
+
 README = Path(__file__).resolve().parent.parent / "README.md"
 FENCE = re.compile(r"^(?P<indent> *)```python[^\n]*\n(?P<code>.*?)^ *```", re.MULTILINE | re.DOTALL)
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
@@ -57,3 +59,27 @@ def test_a_wrong_example_is_caught() -> None:
     with pytest.raises(ZeroDivisionError):
         run("```python\n1 / 0\n```\n", "wrong")
     assert run("no code\n", "none") == 0
+
+
+def typed_figures(text: str) -> list[str]:
+    """Figures with a +- outside what `make readme` writes and outside code, which runs."""
+    outside = re.sub(r"<!-- headline.*?<!-- end of headline -->", "", text, flags=re.DOTALL)
+    return re.findall(r"[\d.]+ ±[^,;)\n]*", re.sub(r"```.*?```", "", outside, flags=re.DOTALL))
+
+
+def test_no_measured_figure_is_typed_into_the_readme() -> None:
+    """A typed 3.9 ± 0.9 stood beside a table with 2.65 ± 0.33."""
+    assert typed_figures(README.read_text(encoding="utf-8")) == []
+    assert typed_figures("rho 3.9 ± 0.9 at noise 9, or so") == ["3.9 ± 0.9 at noise 9"]
+    assert typed_figures("<!-- headline: x -->\n1 ± 2\n<!-- end of headline -->\n```\n3 ± 4\n```") == []
+
+
+def test_the_sentence_on_the_optimum_is_made_from_the_comparison() -> None:
+    row = {"plant": "reference", "method": "oracle-hinf", "estimator": "pem", "rho": 3.034, "rho_se": 0.288}
+    rows = [
+        row | {"noise_variance": 9.0},
+        row | {"method": "white", "noise_variance": 9.0},
+        row | {"plant": "other"},
+    ]
+    assert oracle_sentence(rows).endswith("with PEM on reference: rho 3.03 ± 0.29 at noise 9.")
+    assert oracle_sentence(rows[1:2]) == ""

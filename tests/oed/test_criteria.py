@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.criteria import a_criterion, c_criterion, d_criterion, e_criterion, g_criterion, worst_d_criterion
+from oed.criteria import (
+    a_criterion,
+    c_criterion,
+    condition_criterion,
+    d_criterion,
+    e_criterion,
+    g_criterion,
+    worst_d_criterion,
+)
 from oed.errors import InputError
 
 
@@ -87,3 +95,50 @@ def test_bad_input_is_named():
         d_criterion(3, np.array([0, 0]))
     with pytest.raises(InputError, match="nonzero"):
         c_criterion([0.0, 0.0])
+
+
+def test_criteria_have_the_names_they_are_called_by(rng):
+    V = rng.standard_normal((3, 4))
+    plain = [
+        d_criterion(4),
+        a_criterion(4),
+        a_criterion(4, np.eye(4)),
+        c_criterion(V[0]),
+        e_criterion(4),
+        g_criterion(V),
+    ]
+    assert [c.name for c in plain] == ["D", "A", "L", "c", "E", "G"]
+    assert worst_d_criterion(rng.standard_normal((3, 4, 2))).name == "W"
+    assert condition_criterion(4).name == "modified-E"
+    named = [
+        d_criterion(4, name="x"),
+        a_criterion(4, name="x"),
+        a_criterion(4, np.eye(4), name="x"),
+        c_criterion(V[0], name="x"),
+    ]
+    named += [e_criterion(4, name="x"), g_criterion(V, name="x"), condition_criterion(4, name="x")]
+    named += [worst_d_criterion(rng.standard_normal((3, 4, 2)), name="x")]
+    assert {c.name for c in named} == {"x"}
+
+
+def test_the_condition_number_is_that_of_the_scaled_information(rng):
+    M = _random_information(rng)
+    lengths = np.array([1.0, 2.0, 0.5, 3.0])
+    for unit, criterion in ((np.ones(4), condition_criterion(4)), (lengths, condition_criterion(4, lengths))):
+        values = np.linalg.eigvalsh(M * np.outer(unit, unit))
+        assert criterion.loss(M) == pytest.approx(values[-1] / values[0], rel=1e-10)
+    for wrong in (np.ones(3), np.array([1.0, 0.0, 1.0, 1.0]), np.array([1.0, np.inf, 1.0, 1.0])):
+        with pytest.raises(InputError):
+            condition_criterion(4, wrong)
+
+
+def test_whole_numbers_and_lists_will_do():
+    M = [[2, 0], [0, 1]]
+    losses = [
+        c.loss(M)
+        for c in (a_criterion(2, np.array([[1, 0], [0, 3]])), c_criterion([1, 2]), g_criterion([[1, 1]]))
+    ]
+    assert losses == pytest.approx([0.5 + 3, 0.5 + 4, 1.5])
+    assert worst_d_criterion([[[1, 0], [0, 1]]]).loss(M) == pytest.approx(
+        worst_d_criterion(np.eye(2)[None]).loss(np.array(M, float))
+    )
