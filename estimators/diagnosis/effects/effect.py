@@ -112,6 +112,21 @@ class Sizes:
         """Standard deviation of the velocity, not quite zero."""
         return float(np.std(self.velocity)) + 1e-12 * self.su
 
+    def centres(self, x: Array) -> list[float]:
+        """The lower, middle and upper level of a signal.
+
+        Parameters
+        ----------
+        x : ndarray
+            (N,) the signal.
+
+        Returns
+        -------
+        list of float
+            Its 15 %, 50 % and 85 % quantiles.
+        """
+        return [float(v) for v in np.quantile(x, (0.15, 0.5, 0.85))]
+
     def times(self, count: int = 40) -> Array:
         """Times spread over the record, its ends left out.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, numbered
 
-__all__ = ["INPUT", "after", "broken_line", "dead_zone", "quantiles"]
+__all__ = ["INPUT", "after", "broken_line", "dead_zone", "exponential", "power", "quantiles", "sigmoid"]
 
 Array = NDArray[Any]
 
@@ -37,6 +37,23 @@ def broken_line(x: Array, p: Array) -> Array:
 
     c = np.ascontiguousarray(p)
     return hinges(np.ascontiguousarray(x), c) - hinges(np.zeros(1), c)[0]
+
+
+def exponential(x: Any, p: Array, clock: Clock) -> Any:
+    """(exp(c x) - 1)/c, of slope 1 at zero and the identity for small c."""
+    return x if abs(p[0]) < 1e-12 else np.expm1(np.clip(p[0] * x, -60.0, 60.0)) / p[0]
+
+
+def power(x: Any, p: Array, clock: Clock) -> Any:
+    """|x|^power with the sign of x; from a twentieth to twenty."""
+    return np.sign(x) * np.abs(x) ** min(max(p[0], 0.05), 20.0)
+
+
+def sigmoid(x: Any, p: Array, clock: Clock) -> Any:
+    """tanh(c (x - centre))/c from its value at zero, the identity for small c."""
+    if abs(p[0]) < 1e-12:
+        return x
+    return (np.tanh(p[0] * (x - p[1])) + np.tanh(p[0] * p[1])) / p[0]
 
 
 def _hinges(x: Array, p: Array, clock: Clock) -> Array:
@@ -219,6 +236,14 @@ INPUT = (
             parameters={"c2": "1/u", "c3": "1/u^2"}, apply=lambda x, p, c: x * (1.0 + x * (p[0] + p[1] * x)),
             starts=lambda s: ([[a / s.su, b / s.su**2] for a in (-0.1, 0.1) for b in (-0.03, 0.03)],
                               [1 / s.su, 1 / s.su**2])),
+    _static("input_exponential", "hammerstein", "the input acts through an exponential curve: a valve of equal percentage",
+            parameters={"c": "1/u"}, trials=4, apply=exponential,
+            starts=lambda s: ([[f / s.su] for f in (0.3, 1.0, -0.3, -1.0)], [1 / s.su])),
+    _static("input_power", "hammerstein", "the input acts through a power of its size", parameters={"power": "1"}, trials=4,
+            apply=power, starts=lambda s: ([[0.5], [1.5], [2.0], [3.0]], [1.0])),
+    _static("input_tanh", "input_saturation", "the input saturates smoothly: tanh(c (u - centre))/c",
+            parameters={"c": "1/u", "centre": "u"}, trials=8, apply=sigmoid,
+            starts=lambda s: ([[f / s.su, m] for f in (0.4, 1.2) for m in s.centres(s.u)], [1 / s.su, s.su])),
     LINES,
     _moving("rate_limit", "rate_limiter", "the actuator cannot move faster than the rate", trials=6, reversing=True,
             parameters={"rate": "u/sample"}, family="rates", apply=_rate_limited, starts=_rates),

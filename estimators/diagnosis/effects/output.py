@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, numbered
-from estimators.diagnosis.effects.input import broken_line, dead_zone, quantiles
+from estimators.diagnosis.effects.input import broken_line, dead_zone, exponential, quantiles, sigmoid
 
 __all__ = ["OUTPUT"]
 
@@ -92,6 +92,11 @@ OUTPUT = (
             shape=lambda size, order: numbered({"slope": "1", "corner": "y"}, size)),
     _sensor("output_arctan", "the sensor reads atan(c y)/c", {"c": "1/y"}, 2, apply=_sharp(np.arctan), starts=_sharpness),
     _sensor("output_tanh", "the sensor reads tanh(c y)/c", {"c": "1/y"}, 2, apply=_sharp(np.tanh), starts=_sharpness),
+    _sensor("output_exponential", "the sensor reads an exponential or logarithmic curve", {"c": "1/y"}, 4, apply=exponential,
+            starts=lambda s: ([[f / s.sy] for f in (0.3, 1.0, -0.3, -1.0)], [1 / s.sy])),
+    _sensor("output_sigmoid", "the sensor saturates smoothly on either side of a centre: tanh(c (y - centre))/c",
+            {"c": "1/y", "centre": "y"}, 8, apply=sigmoid,
+            starts=lambda s: ([[f / s.sy, m] for f in (0.4, 1.0) for m in s.centres(s.y)], [1 / s.sy, s.sy])),
     _sensor("output_clip", "the sensor saturates at +-limit", {"limit": "y"}, 6, two_sided=True,
             apply=lambda x, p, c: np.clip(x, -abs(p[0]), abs(p[0])),
             starts=lambda s: (quantiles(np.abs(s.y), 0.97, 0.9, 0.8, 0.65), [s.sy])),

@@ -6,22 +6,24 @@ CasADi defines the same step in `terms`; a test holds the two to 1e-9.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import cfunc, types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 from estimators.diagnosis.effects.recursion_kernels import compiled
 
 __all__ = [
-    "MOST_FORCES", "Elements", "Held", "bouc_wen", "dry_friction", "held_response", "hysteresis_step", "no_force",
-    "pointer", "simulate_feedback",
+    "MOST_FORCES", "Elements", "Held", "bouc_wen", "dry_friction", "held_response", "hysteresis_step", "pointer",
+    "simulate_feedback",
 ]  # fmt: skip
 
 MOST_FORCES = 2
 """Forces of a model at the same time; a compiled recursion takes each as an argument."""
-_FORCE = types.float64(*[types.float64] * 5, types.float64[::1])
+_FORCE = types.float64(*[types.float64] * 5, types.CPointer(types.float64))
 
 
 class Elements(NamedTuple):
@@ -51,18 +53,31 @@ class Held(NamedTuple):
     velocity: Any
 
 
-@lru_cache(maxsize=256)
-def pointer(force: Callable[..., Any]) -> Any:
-    """A force as the compiled recursion takes it, compiled at its first use and kept on disk where its file allows."""
+_POINTERS: list[Any] = []  # what is compiled stays alive as long as its address is known
+
+
+@cache
+def pointer(force: Callable[..., Any]) -> int:
+    """Address of a force, compiled at its first use and kept on disk where its file allows: one recursion serves all forces."""
     try:
-        return cfunc(_FORCE, cache=True, error_model="numpy")(force)
+        _POINTERS.append(cfunc(_FORCE, cache=True)(force))
     except RuntimeError:  # written in a console: there is no file beside which to keep it
-        return cfunc(_FORCE, error_model="numpy")(force)
+        _POINTERS.append(cfunc(_FORCE)(force))
+    return int(_POINTERS[-1].address)
 
 
-def no_force(p, v, u, q, s, c):  # pragma: no cover - compiled
-    """Fills the place of a force that is not there."""
-    return 0.0
+@intrinsic
+def _called(typing, address, p, v, u, q, s, c):  # pragma: no cover - compiled
+    """Value of the force at an address: numba's own function types cost more than a step of the recursion at each call."""
+
+    def generate(context, builder, signature, values):
+        double = context.get_value_type(types.float64)
+        kind = cgutils.ir.FunctionType(double, [double] * 5 + [double.as_pointer()])
+        function = builder.inttoptr(values[0], kind.as_pointer())
+        row = context.make_array(signature.args[6])(context, builder, values[6])
+        return builder.call(function, [*values[1:6], row.data])
+
+    return types.float64(types.intp, *[types.float64] * 5, types.float64[::1]), generate
 
 
 @compiled
@@ -172,7 +187,8 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
 
     w = f(p, v, u, q, s, c[0]) + g(..., c[1]) + spring z + dry friction, with p and v the position and velocity that
     `held` reads off x, q the last state, z the hysteretic displacement. drive (N, 3): the input, and the signal that
-    modulates each force. c has a row per force, none where there is none. A stop takes the velocity (second state).
+    modulates each force. c has a row per force, none where there is none; f and g are addresses. A stop takes the velocity
+    (second state).
 
     """
     n = drive.shape[0]
@@ -213,9 +229,9 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
                 v += velocity[i] * x[i]
             w = elements.spring * z
             if forces > 0:
-                w += f(p, v, u, x[m - 1], drive[k, 1], c[0])
+                w += _called(f, p, v, u, x[m - 1], drive[k, 1], c[0])
             if forces > 1:
-                w += g(p, v, u, x[m - 1], drive[k, 2], c[1])
+                w += _called(g, p, v, u, x[m - 1], drive[k, 2], c[1])
             p1 = 0.0
             v1 = 0.0
             e = 0.0
@@ -227,9 +243,9 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
                 z1 = hysteresis_step(z, p1 - p, elements.width)
             ahead = elements.spring * z1
             if forces > 0:
-                ahead += f(p1, v1, u, e, drive[k, 1], c[0])  # e: the last state
+                ahead += _called(f, p1, v1, u, e, drive[k, 1], c[0])  # e: the last state
             if forces > 1:
-                ahead += g(p1, v1, u, e, drive[k, 2], c[1])
+                ahead += _called(g, p1, v1, u, e, drive[k, 2], c[1])
             w = 0.5 * (w + ahead)
             if dry and gv != 0.0:
                 v1 = 0.0

@@ -110,7 +110,6 @@ def states(
     from estimators.diagnosis.effects.plant_kernels import (
         MOST_FORCES,
         Elements,
-        no_force,
         pointer,
         simulate_feedback,
     )
@@ -125,7 +124,7 @@ def states(
         if s is not None:
             drive[:, 1 + i] = s
     forces = [pointer(f) for f, _, _ in inside.forces]
-    forces += [pointer(no_force)] * (MOST_FORCES - len(forces))
+    forces += [0] * (MOST_FORCES - len(forces))
     return simulate_feedback(drive, held, Elements(**inside.elements), x0, steps if inside else 1, c, *forces)
 
 

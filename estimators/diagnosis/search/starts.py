@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Sizes, Slot
+from estimators.diagnosis.model.derivatives import exact_columns
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices, states
-from estimators.diagnosis.model.simulation import simulate
+from estimators.diagnosis.model.simulation import free_responses, simulate
 from estimators.diagnosis.model.structure import Part, Structure
 
-__all__ = ["Start", "fitted", "scored", "sizes_of"]
+__all__ = ["Start", "fitted", "relinearised", "scored", "sizes_of"]
 
 Array = NDArray[Any]
 SHARES = (
@@ -80,6 +82,10 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
         promise = base.n * -np.log(max(1.0 - alpha**2 * power / rss, 1e-12))
         if amplitude is None and alpha < 0:
             promise *= 1e-3
+        if part.effect.slot in (Slot.INPUT, Slot.PLANT) and (q := relinearised(channel, s, p)) is not None:
+            rest = white(np.where(keep, channel.y - simulate(s, q, channel.u, channel.clock), 0.0))
+            left = float(rest @ rest) / (float(r @ r) + 1e-300)
+            promise = max(promise, base.n * -np.log(max(left, 1e-12)))
         found.append((promise, alpha, p, d))
     found.sort(key=lambda x: -x[0])
     own = len(base.p)
@@ -92,7 +98,8 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
                 move = np.linalg.solve(R, Q.T @ (r - step * d))
             except np.linalg.LinAlgError:
                 move = np.zeros(own)
-        options = []
+        projected = relinearised(channel, s, p)
+        options = [] if projected is None else [projected]
         for share in SHARES if amplitude is not None else (1.0,):
             trial = p.copy()
             if amplitude is not None:
@@ -102,6 +109,31 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
             options.append(trial)
         out.append(Start(s, min(options, key=lambda q: _squares(channel, s, q)), scales, promise))
     return out
+
+
+def relinearised(channel: Channel, s: Structure, p: Array) -> Array | None:
+    """The parameters with those in which the output is linear at their least squares: an effect may change what they are worth.
+
+    None where a curve at the output makes it linear in none.
+    """
+    if s.layout == "tanks" or any(q.effect.slot in (Slot.OUTPUT, Slot.PATH) for q in s.parts):
+        return None
+    head = s.order if s.layout == "tf" else LAYOUTS[s.layout][1]
+    columns = {i: d for i, d in exact_columns(s, p, channel.u, channel.clock) if head <= i < s.plant_size}
+    for part, sl in zip(s.parts, s.slices(), strict=True):
+        if part.effect is OFFSET:
+            columns[sl.start] = np.ones(len(channel))
+        elif part.effect.slot is Slot.START and s.layout == "tf":
+            columns |= dict(enumerate(free_responses(s, p, len(channel)).T, sl.start))
+    if not columns:
+        return None
+    at, X = list(columns), np.stack(list(columns.values()), axis=1)
+    rest = channel.y - simulate(s, p, channel.u, channel.clock)
+    if not (np.all(np.isfinite(rest)) and np.all(np.isfinite(X))):
+        return None
+    q = p.copy()
+    q[at] += np.linalg.lstsq(X[channel.keep], rest[channel.keep], rcond=1e-10)[0]
+    return q
 
 
 def fitted(channel: Channel, base: Fit, starts: Iterable[Start], iterations: int) -> list[Fit]:
