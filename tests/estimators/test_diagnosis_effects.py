@@ -261,7 +261,7 @@ def test_play_at_the_output_is_fitted_to_the_noise_between_and_on_the_samples(ke
          [-1.2, 0.5, 0.3, 0.1, 0.8, 0.01, 0.02]),
         (Structure(2).adding(Part(named("offset"))).adding(Part(named("initial"))), [-1.2, 0.5, 0.3, 0.1, 0.8, 1.0, 0.5]),
         (Structure(2).adding(Part(named("mode"), 0, 2)), [-1.2, 0.5, 0.3, 0.1, 0.1, 0.1, -1.3, 0.6]),
-        (Structure(2).adding(Part(named("sandwich"), first=1)), [-1.2, 0.5, 0.3, 0.1, -0.5, 0.2, 0.3, 0.4]),
+        (Structure(2).adding(Part(named("sandwich"), first=1, free=True)), [-1.2, 0.5, 0.3, 0.1, -0.5, 0.2, 0.3, 0.4]),
         (Structure(2, layout="oscillator", delay=1).adding(Part(named("stiffness_cubic"))).adding(Part(named("output_arctan"))),
          [-2.0, -1.0, 1.0, 0.3, 0.1, 0.3]),
     ],
@@ -322,7 +322,7 @@ def test_every_parameter_has_a_name_and_a_unit():
     names = lambda part, order=2: [name for name, _ in part.parameters(order)]
     assert names(Part(named("output_lines"), 0, 2)) == ["slope1", "corner1", "slope2", "corner2"]
     assert [unit for _, unit in Part(named("output_lines"), 0, 1).parameters(2)] == ["1", "y"]
-    assert names(Part(named("sandwich"), first=1)) == ["f1", "b1", "slope1", "corner1"]
+    assert names(Part(named("sandwich"), first=1, free=True)) == ["f1", "b1", "slope1", "corner1"]
     assert names(Part(named("cross"), 1, 1)) == ["b1", "f1"]
     assert names(Part(named("initial")), 3) == ["x1", "x2", "x3"]
     assert names(Part(named("tones"), 0, 2))[3:] == ["frequency2", "cosine2", "sine2"]

@@ -193,6 +193,8 @@ class Effect:
         (channel, fit, input) -> a further start, or None.
     search : callable, optional
         (channel, fit, inputs not in the model) -> fits, where starts are no grid of shapes.
+    lagged : bool
+        Whether an actuator's lag may stand before it: the candidate is then also fitted with one.
     block : bool
         Found only as a block structure, once simple effects leave a coloured residual.
     shape : callable, optional
@@ -242,6 +244,7 @@ class Effect:
     amplitude: int | None = None
     more: Callable[[Any, Any, int], Any] | None = None
     search: Callable[[Any, Any, tuple[int, ...]], Iterator[Any]] | None = None
+    lagged: bool = False
     block: bool = False
     shape: Callable[[int, int], list[tuple[str, str]]] | None = None
     refines: tuple[str, ...] = ()

@@ -175,7 +175,13 @@ def _changed_gain(channel: Any, base: Any, j: int) -> Any:
 
 def _static(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
     return Effect(
-        key=key, cause=cause, nature=Nature.INPUT_STATIC, slot=Slot.INPUT, sentence=sentence, **fields
+        key=key,
+        cause=cause,
+        nature=Nature.INPUT_STATIC,
+        slot=Slot.INPUT,
+        sentence=sentence,
+        lagged=True,
+        **fields,
     )
 
 
@@ -238,7 +244,7 @@ INPUT = (
                               [1 / s.su, 1 / s.su**2])),
     _static("input_exponential", "hammerstein", "the input acts through an exponential curve: a valve of equal percentage",
             parameters={"c": "1/u"}, trials=4, apply=exponential,
-            starts=lambda s: ([[f / s.su] for f in (0.3, 1.0, -0.3, -1.0)], [1 / s.su])),
+            starts=lambda s: ([[f / s.su] for f in (0.25, 0.6, 1.2, -0.25, -0.6, -1.2)], [1 / s.su])),
     _static("input_power", "hammerstein", "the input acts through a power of its size", parameters={"power": "1"}, trials=4,
             apply=power, starts=lambda s: ([[0.5], [1.5], [2.0], [3.0]], [1.0])),
     _static("input_tanh", "input_saturation", "the input saturates smoothly: tanh(c (u - centre))/c",

@@ -16,7 +16,7 @@ from estimators.diagnosis.model.layouts import LAYOUTS, states
 from estimators.diagnosis.model.simulation import free_responses, simulate
 from estimators.diagnosis.model.structure import Structure, stable_polynomial
 
-__all__ = ["fit_linear", "layout_starts", "numerators", "plant_scales", "prefiltered_error"]
+__all__ = ["fit_linear", "fresh_poles", "layout_starts", "numerators", "plant_scales", "prefiltered_error"]
 
 Array = NDArray[Any]
 
@@ -161,6 +161,17 @@ def _starts(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> l
     except np.linalg.LinAlgError:
         pass
     return out
+
+
+def fresh_poles(y: Array, U: Array, s: Structure, keep: NDArray[np.bool_], passes: int = 3) -> Array:
+    """Denominator of a linear model from inputs U (N, inputs) to y (N,) without a start: ARX, then Steiglitz-McBride passes."""
+    y, U = y - np.mean(y[keep]), U - np.mean(U[keep], axis=0)
+    f = _reflected(_regression(y, U, s.order, s.taps, s.delay, keep)[: s.order])
+    for _ in range(passes):
+        den = np.concatenate(([1.0], f))
+        v, W = np.asarray(lfilter([1.0], den, y)), np.asarray(lfilter([1.0], den, U, axis=0))
+        f = _reflected(_regression(v, W, s.order, s.taps, s.delay, keep)[: s.order])
+    return f
 
 
 def fit_linear(

@@ -35,21 +35,30 @@ def stable_polynomial(f: Array, limit: float = 0.99999) -> bool:
 
 @dataclass(frozen=True)
 class Part:
-    """One effect in a structure: the input that it concerns, how many terms it has, and the poles of a linear block before it."""
+    """One effect in a structure: the input that it concerns, how many terms it has, and the poles of a linear block before it.
+
+    The block has a gain of 1 and starts settled, or (`free`) as many zeros as poles after a first tap of 1 and starts at rest.
+    """
 
     effect: Effect
     channel: int = 0
     size: int = 1
     first: int = 0
+    free: bool = False
 
     @property
     def key(self) -> str:
         """The effect's key."""
         return self.effect.key
 
+    @property
+    def own(self) -> int:
+        """Where the effect's own parameters start, after those of the block."""
+        return self.first * (2 if self.free else 1)
+
     def parameters(self, order: int) -> list[tuple[str, str]]:
         """Names and units in the order of the parameter vector, given the order of the linear part."""
-        block = numbered({"f": "1"}, self.first) + numbered({"b": "1"}, self.first)
+        block = numbered({"f": "1"}, self.first) + (numbered({"b": "1"}, self.first) if self.free else [])
         shape = self.effect.shape
         return block + (list(self.effect.parameters.items()) if shape is None else shape(self.size, order))
 
@@ -58,26 +67,26 @@ class Part:
         return len(self.parameters(order))
 
     def apply(self, x: Array, p: Array, clock: Clock) -> Array:
-        """The signal after this part: through its linear block (denominator, then numerator after a first tap of 1), then the effect.
-
-        Infinite where the block is unstable or the parameters are not admissible.
-        """
+        """The signal after this part: through its linear block, then the effect; infinite where the parameters are not admissible."""
         if self.effect.apply is None:
             return x
-        return self.effect.apply(self.blocked(x, p), p[2 * self.first :], clock)
+        x = self.blocked(x, p)
+        return self.effect.apply(x, p[self.own :], clock) if math.isfinite(x[-1]) else x
 
     def drawn(self, x: Array, p: Array) -> Array | None:
         """The effect's characteristic at x, None where it is no curve."""
-        return self.effect.drawn(x, p[2 * self.first :])
+        return self.effect.drawn(x, p[self.own :])
 
     def blocked(self, x: Array, p: Array) -> Array:
         """The signal after the linear block, where the effect acts."""
         if not self.first:
             return x
-        f, b = p[: self.first], p[self.first : 2 * self.first]
-        if not stable_polynomial(f):
+        f = np.concatenate(([1.0], p[: self.first]))
+        if not stable_polynomial(f[1:]):
             return np.full(len(x), np.inf)
-        return np.asarray(lfilter(np.concatenate(([1.0], b)), np.concatenate(([1.0], f)), x))
+        if self.free:
+            return np.asarray(lfilter(np.concatenate(([1.0], p[self.first : self.own])), f, x))
+        return x[0] + np.asarray(lfilter([f.sum()], f, x - x[0]))
 
 
 @dataclass(frozen=True)

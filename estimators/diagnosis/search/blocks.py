@@ -61,7 +61,7 @@ def sandwich(channel: Channel, base: Fit, order: int, *, corners: int = 12) -> F
     for first, second in _subsets(_groups(poles), order - 1):
         n1, n2 = len(first), len(second)
         f1, f2 = np.real(np.poly(first))[1:], np.real(np.poly(second))[1:]
-        part = Part(SANDWICH, j, 1, first=n1)
+        part = Part(SANDWICH, j, 1, first=n1, free=True)
         x = part.blocked(channel.u[:, j], np.concatenate((f1, np.zeros(n1))))
         if not np.all(np.isfinite(x)):  # a pole on the circle
             continue

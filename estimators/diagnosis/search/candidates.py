@@ -11,12 +11,13 @@ from estimators.diagnosis.effects import CATALOGUE, Effect, Slot
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import layout_starts
 from estimators.diagnosis.model.structure import Part
-from estimators.diagnosis.search.starts import Start, fitted, scored
+from estimators.diagnosis.search.starts import Start, fitted, renewed, scored
 
 __all__ = ["Menu", "augmented", "refit"]
 
 SHARE = 0.25  # of the best gain so far, that the simpler effect must have reached for one that refines it
 LEAST_PROMISE = 6.0  # of the score, for an effect to be fitted where only the most promising are
+LAGGED = 3  # effects at the input that are tried behind a lag
 QUICK = 5  # Gauss-Newton steps by which starts inside a plant are told apart
 HOPELESS = (
     -30.0
@@ -97,12 +98,15 @@ def augmented(
     for task in tasks:
         if task.effect not in chosen and (not top or (len(chosen) < top and task.promise > LEAST_PROMISE)):
             chosen.append(task.effect)
+    found: list[Fit] = []
     most = 0.0  # that any effect gained so far
     for e in (e for e in chosen if e.slot is not Slot.PLANT):
         for task in (task for task in tasks if task.effect is e):
             for f in _least(fitted(channel, base, task.starts, iterations)):
                 most = max(most, base.deviance - f.deviance)
+                found.append(f)
                 yield f
+    yield from _lagged_fits(channel, base, found, iterations)
     simple: dict[str, Fit] = {}
     for f in _plant_fits(channel, base, [e for e in plant if e in chosen], tasks, iterations):
         most = max(most, base.deviance - f.deviance)
@@ -111,6 +115,25 @@ def augmented(
     yield from _refined_fits(
         channel, base, [e for e in plant if e.refines], simple, layouts, most, iterations
     )
+
+
+def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int) -> Iterator[Fit]:
+    """The best effects at the input once more, behind an actuator that lags: one of the linear model's poles comes before them."""
+    s = base.structure
+    if s.layout != "tf" or s.order < 2:
+        return
+    poles = np.roots(np.concatenate(([1.0], base.p[: s.order])))
+    real = sorted(z.real for z in poles if abs(z.imag) < 1e-9 and 0.02 < z.real < 0.995)
+    able = sorted((f for f in found if f.structure.parts[-1].effect.lagged), key=lambda f: f.deviance)
+    for f in able[:LAGGED]:
+        part, at = f.structure.parts[-1], f.structure.slices()[-1].start
+        new = replace(f.structure, parts=(*f.structure.parts[:-1], replace(part, first=1)))
+        scales = np.insert(f.scales, at, 1.0)
+        for pole in real or [0.5]:
+            p = np.insert(f.p, at, -pole)
+            starts = [Start(new, q, scales, 0.0) for q in renewed(channel, new, p)]
+            for g in _least(fitted(channel, base, starts, QUICK + 3)):
+                yield fit(channel, g.structure, g.p, g.scales, noise=g.noise, iterations=iterations)
 
 
 def _own(channel: Channel, base: Fit, e: Effect, menu: Menu) -> Iterator[Fit]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,11 @@ from estimators.diagnosis.effects.effect import Sizes, Slot
 from estimators.diagnosis.model.derivatives import exact_columns
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices, states
-from estimators.diagnosis.model.simulation import free_responses, simulate
-from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.model.linear import fresh_poles
+from estimators.diagnosis.model.simulation import acted, free_responses, simulate
+from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 
-__all__ = ["Start", "fitted", "relinearised", "scored", "sizes_of"]
+__all__ = ["Start", "fitted", "renewed", "scored", "sizes_of"]
 
 Array = NDArray[Any]
 SHARES = (
@@ -82,10 +83,11 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
         promise = base.n * -np.log(max(1.0 - alpha**2 * power / rss, 1e-12))
         if amplitude is None and alpha < 0:
             promise *= 1e-3
-        if part.effect.slot in (Slot.INPUT, Slot.PLANT) and (q := relinearised(channel, s, p)) is not None:
-            rest = white(np.where(keep, channel.y - simulate(s, q, channel.u, channel.clock), 0.0))
-            left = float(rest @ rest) / (float(r @ r) + 1e-300)
-            promise = max(promise, base.n * -np.log(max(left, 1e-12)))
+        if part.effect.slot in (Slot.INPUT, Slot.PLANT):
+            for q in renewed(channel, s, p):
+                rest = white(channel.y - simulate(s, q, channel.u, channel.clock))
+                left = float(rest @ rest) / (float(r @ r) + 1e-300)
+                promise = max(promise, base.n * -np.log(max(left, 1e-12)))
         found.append((promise, alpha, p, d))
     found.sort(key=lambda x: -x[0])
     own = len(base.p)
@@ -98,8 +100,7 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
                 move = np.linalg.solve(R, Q.T @ (r - step * d))
             except np.linalg.LinAlgError:
                 move = np.zeros(own)
-        projected = relinearised(channel, s, p)
-        options = [] if projected is None else [projected]
+        options = renewed(channel, s, p)
         for share in SHARES if amplitude is not None else (1.0,):
             trial = p.copy()
             if amplitude is not None:
@@ -134,6 +135,26 @@ def relinearised(channel: Channel, s: Structure, p: Array) -> Array | None:
     q = p.copy()
     q[at] += np.linalg.lstsq(X[channel.keep], rest[channel.keep], rcond=1e-10)[0]
     return q
+
+
+def renewed(channel: Channel, s: Structure, p: Array) -> list[Array]:
+    """The parameters with a linear part that is made for the effects: with the poles as they are, and with fresh ones.
+
+    A linear model bends its poles towards what it lacks; behind the right effect they are worth little.
+    """
+    found = [] if (q := relinearised(channel, s, p)) is None else [q]
+    entering = acted(s, p, channel.u, channel.clock) if found and s.layout == "tf" else None
+    if entering is not None:
+        for order in range(
+            max(s.order - 1, 1), s.order + 1
+        ):  # a pole too many settles where noise or a trend wants it
+            q = p.copy()
+            few = replace(s, order=order, taps=min(s.taps, order), parts=())
+            q[: s.order] = 0.0
+            q[:order] = fresh_poles(channel.y, entering, few, channel.keep)
+            if stable_polynomial(q[: s.order]) and (again := relinearised(channel, s, q)) is not None:
+                found.append(again)
+    return found
 
 
 def fitted(channel: Channel, base: Fit, starts: Iterable[Start], iterations: int) -> list[Fit]:
