@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from oed.errors import InputError
 
-__all__ = ["Clock", "Effect", "Grid", "Nature", "Sizes", "Slot", "numbered"]
+__all__ = ["Clock", "Effect", "Grid", "Nature", "Sizes", "Slot", "level_before", "numbered"]
 
 Array = NDArray[Any]
+OPERATING = 0.5  # mean of an input in standard deviations, beyond which it stands on an operating level
 Grid = tuple[list[list[float]], list[float]]
 """Parameter vectors to start from, and the typical size of each parameter."""
 
@@ -84,6 +85,8 @@ class Sizes:
         Time of the samples.
     position, velocity : ndarray
         (N,) of the linear part of a plant, in units of the input.
+    poles : ndarray
+        Of the linear part, in the z-plane.
     """
 
     u: Array
@@ -91,6 +94,19 @@ class Sizes:
     clock: Clock
     position: Array = field(default_factory=lambda: np.zeros(1))
     velocity: Array = field(default_factory=lambda: np.zeros(1))
+    poles: Array = field(default_factory=lambda: np.zeros(0))
+
+    @cached_property
+    def rates(self) -> list[float]:
+        """Rates per sample that a process may have: of the model's real poles, and a few more over their range."""
+        known = [-np.log(z.real) for z in self.poles if abs(z.imag) < 1e-9 and 0.05 < z.real < 0.9995]
+        slow = -np.log(min(max((abs(z) for z in self.poles), default=0.9), 0.999))
+        return sorted({round(float(r), 6) for r in (*known, slow, 3.0 * slow)})
+
+    @cached_property
+    def level(self) -> float:
+        """Mean of the input, not quite zero."""
+        return abs(float(np.mean(self.u))) + 1e-3 * self.su
 
     @cached_property
     def su(self) -> float:
@@ -141,6 +157,11 @@ class Sizes:
             (count,) in samples of the clock.
         """
         return self.clock.k[0] + np.linspace(0.03, 0.97, count) * len(self.u)
+
+
+def level_before(u: Array) -> float:
+    """The input before a record began: its first value where the signal stands on a level, zero where it swings about zero."""
+    return float(u[0]) if abs(np.mean(u)) > OPERATING * np.std(u) else 0.0
 
 
 def numbered(names: Mapping[str, str], count: int) -> list[tuple[str, str]]:

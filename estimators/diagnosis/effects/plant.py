@@ -92,7 +92,7 @@ def _inside(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
 
 
 def _spring(key: str, sentence: str, **fields: Any) -> Effect:
-    return _inside(key, "duffing", sentence, against="position", **fields)
+    return _inside(key, "duffing", sentence, **({"against": "position", "layouts": MOVING} | fields))
 
 
 def _changed(key: str, sentence: str, name: str, change: dict[str, tuple[float, ...]]) -> Effect:
@@ -150,7 +150,7 @@ PLANT = (
             parameters={"slope": "1", "corner": "u"}, refines=SPRINGS, family="springs", force=_lower,
             starts=_corner(-1.0, 0.0, 0.7, 1.5)),
     _inside("end_stop", "duffing", "a stop on either side holds the position, without rebound", parameters={"limit": "u"},
-            trials=10, refines=SPRINGS, family="springs", layouts=MOVING, inside=lambda c: {"stop": abs(c[0])},
+            trials=10, refines=SPRINGS, family="springs", inside=lambda c: {"stop": abs(c[0])},
             starts=_stop_levels),
     _inside("position_damping", "nonlinear_drag", "a damping d x^2 v that depends on the position", trials=6,
             parameters={"d": "sample/u^2"}, refines=("drag", "stiffness_cubic"), layouts=MOVING, force=_position_damping,

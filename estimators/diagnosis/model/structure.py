@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.effect import Clock, Effect, numbered
+from estimators.diagnosis.effects.effect import Clock, Effect, level_before, numbered
 from estimators.diagnosis.model.layouts import LAYOUTS
 
 __all__ = ["Part", "Structure", "stable_polynomial"]
@@ -86,7 +86,8 @@ class Part:
             return np.full(len(x), np.inf)
         if self.free:
             return np.asarray(lfilter(np.concatenate(([1.0], p[self.first : self.own])), f, x))
-        return x[0] + np.asarray(lfilter([f.sum()], f, x - x[0]))
+        level = level_before(x)
+        return level + np.asarray(lfilter([f.sum()], f, x - level))
 
 
 @dataclass(frozen=True)

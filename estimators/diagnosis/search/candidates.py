@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.diagnosis.effects import CATALOGUE, Effect, Slot
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import layout_starts
-from estimators.diagnosis.model.structure import Part
+from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.starts import Start, fitted, renewed, scored
 
 __all__ = ["Menu", "augmented", "refit"]
 
+Array = NDArray[Any]
+
 SHARE = 0.25  # of the best gain so far, that the simpler effect must have reached for one that refines it
 LEAST_PROMISE = 6.0  # of the score, for an effect to be fitted where only the most promising are
 LAGGED = 3  # effects at the input that are tried behind a lag
+RENEWALS = 3  # rounds of fresh poles for the best effect at the input
 QUICK = 5  # Gauss-Newton steps by which starts inside a plant are told apart
 HOPELESS = (
     -30.0
@@ -124,16 +129,37 @@ def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int)
         return
     poles = np.roots(np.concatenate(([1.0], base.p[: s.order])))
     real = sorted(z.real for z in poles if abs(z.imag) < 1e-9 and 0.02 < z.real < 0.995)
-    able = sorted((f for f in found if f.structure.parts[-1].effect.lagged), key=lambda f: f.deviance)
+    able = [f for f in found if f.structure.parts[-1].effect.lagged and f.structure.layout == "tf"]
+    able.sort(key=lambda f: f.deviance)
     for f in able[:LAGGED]:
+        best, source = None, f
+        for _ in range(RENEWALS if f is able[0] else 1):
+            again = _with_fresh_poles(
+                channel, f, source.p, f.scales, f.structure, source.deviance - 1.0, iterations
+            )
+            if again is None:
+                break
+            best = source = again
         part, at = f.structure.parts[-1], f.structure.slices()[-1].start
         new = replace(f.structure, parts=(*f.structure.parts[:-1], replace(part, first=1)))
-        scales = np.insert(f.scales, at, 1.0)
-        for pole in real or [0.5]:
-            p = np.insert(f.p, at, -pole)
-            starts = [Start(new, q, scales, 0.0) for q in renewed(channel, new, p)]
-            for g in _least(fitted(channel, base, starts, QUICK + 3)):
-                yield fit(channel, g.structure, g.p, g.scales, noise=g.noise, iterations=iterations)
+        behind = [
+            _with_fresh_poles(channel, f, np.insert(source.p, at, -pole), np.insert(f.scales, at, 1.0), new, np.inf, iterations)
+            for pole in real or [0.5]
+        ]  # fmt: skip
+        yield from ([] if best is None else [best])
+        yield from _least(g for g in behind if g is not None)
+
+
+def _with_fresh_poles(
+    channel: Channel, f: Fit, p: Array, scales: Array, s: Structure, limit: float, iterations: int
+) -> Fit | None:
+    """The fit from parameters whose linear part is made anew, where it ends below a limit of the deviance."""
+    starts = [Start(s, q, scales, 0.0) for q in renewed(channel, s, p)]
+    for g in _least(fitted(channel, f, starts, QUICK + 3)):
+        g = fit(channel, s, g.p, g.scales, noise=g.noise, iterations=iterations)
+        if g.deviance < limit:
+            return g
+    return None
 
 
 def _own(channel: Channel, base: Fit, e: Effect, menu: Menu) -> Iterator[Fit]:

@@ -41,9 +41,10 @@ class Start:
 def sizes_of(channel: Channel, base: Fit, part: Part) -> Sizes:
     """The signals of a fitted model that the starts of an effect take their sizes from."""
     u, y = channel.u[:, part.channel], channel.y - base.residual
+    layout, order = base.structure.layout, base.structure.order
     if part.effect.slot is not Slot.PLANT:
-        return Sizes(u, y, channel.clock)
-    layout = base.structure.layout
+        poles = np.roots(np.concatenate(([1.0], base.p[:order]))) if layout == "tf" else np.zeros(0)
+        return Sizes(u, y, channel.clock, poles=poles)
     rates = base.p[: LAYOUTS[layout][1]]
     X = states(layout, rates, u)
     position, velocity = layout_matrices(layout, rates)[3:]

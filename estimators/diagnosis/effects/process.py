@@ -1,0 +1,144 @@
+"""Nonlinear processes of first order that the input passes before the linear part: what they fill and lose, and how fast.
+
+x' = rate (u - x - force(x, u)), integrated like a plant. The linear part after it has poles of its own, so that a
+process of any order may follow or, as a lag of the actuator, come before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
+
+__all__ = ["PROCESS"]
+
+Array = NDArray[Any]
+FASTEST = 5.0  # rate per sample above which a process is no different from none
+LEAST_FLOW = 1e-3  # of the mean flow: what stands still takes for ever
+
+
+def _one_way(p, v, u, q, s, c):
+    return -c[0] * np.maximum(u - p, 0.0)
+
+
+def _orifice(p, v, u, q, s, c):
+    d = u - p
+    return d - (1.0 + np.abs(c[0]) * (d > 0.0)) * d / np.sqrt(np.abs(d) + np.abs(c[1]))
+
+
+def _loss_cubic(p, v, u, q, s, c):
+    return c[0] * p**3
+
+
+def _loss(p, v, u, q, s, c):
+    return (c[0] + c[1] * p) * p**2
+
+
+def _outflow(p, v, u, q, s, c):
+    return c[0] * np.sqrt(np.maximum(p, 0.0)) - p
+
+
+def _vessel(p, v, u, q, s, c):
+    return u - p - (u - c[0] * np.sqrt(np.maximum(p, 0.0))) / (1.0 + (c[1] * p) ** 2)
+
+
+def _exchange(p, v, u, q, s, c):
+    return u - p - (1.0 - np.maximum(u, 0.0) * p)
+
+
+def _rest(force: Callable[..., Any], u: float, c: Array, start: float) -> float:
+    """Level at which the process rests under a constant input, by secant steps."""
+    x, h = start, 1e-6 * (abs(u) + abs(start) + 1e-9)
+    for _ in range(40):
+        g = u - x - float(force(x, 0.0, u, 0.0, 0.0, c))
+        slope = (u - x - h - float(force(x + h, 0.0, u, 0.0, 0.0, c)) - g) / h
+        if not np.isfinite(g) or slope == 0.0:
+            return start
+        step = float(np.clip(g / slope, -(abs(u) + abs(start)), abs(u) + abs(start)))
+        x -= step
+        if abs(step) < h:
+            break
+    return x
+
+
+def passed(force: Callable[..., Any], u: Array, p: Array, *, start: float | None = None) -> Array:
+    """State (N,) of the process at the end of each sample, its rate p[0] per sample and the parameters of the force after it.
+
+    It rests before the record. What follows it moves on between the samples: with the end of each sample, a tap of the linear
+    part more reaches the present, and a straight line between the samples can be met.
+    """
+    from estimators.diagnosis.model.layouts import Inside, states
+
+    rate = abs(float(p[0]))
+    if not 0.0 < rate < FASTEST:
+        return np.full(len(u), np.inf)
+    level = level_before(u)
+    c = np.array(p[1:], dtype=float)
+    x0 = _rest(force, level, c, level if start is None else start)
+    again = np.append(u, u[-1])  # one sample more, for the state at the end of the last
+    return states("first", np.log([rate]), again, Inside(((force, c, None),)), np.array([x0]))[1:, 0]
+
+
+def _process(
+    key: str, cause: str, sentence: str, force: Callable[..., Any], parameters: dict[str, str], starts: Any, **fields: Any
+) -> Effect:  # fmt: skip
+    return Effect(
+        key=key, cause=cause, nature=Nature.DYNAMIC, slot=Slot.INPUT, sentence=sentence, lagged=True,
+        parameters={"rate": "1/sample"} | parameters, trials=15, starts=starts,
+        **({"apply": lambda x, p, clock: passed(force, x, p)} | fields),
+    )  # fmt: skip
+
+
+def _shapes(s: Sizes, *shapes: list[float], sizes: list[float]) -> Grid:
+    """Every rate with every shape, given in units of its sizes."""
+    grid = [[rate, *(a * b for a, b in zip(c, sizes, strict=True))] for rate in s.rates for c in shapes]
+    return grid, [max(s.rates), *sizes]
+
+
+def _losses(s: Sizes, power: int) -> float:
+    return s.su / (abs(float(np.mean(s.u))) + s.su) ** power
+
+
+def _outflows(s: Sizes) -> float:
+    """Coefficient of a square-root outflow that balances the mean input where the level has its size."""
+    return float(np.sqrt(abs(np.mean(s.u)) + s.su))
+
+
+def _through_flow(x: Array, p: Array, clock: Clock) -> Array:
+    """A heated volume that a flow passes, then a pipe: what leaves now entered when a volume less had passed.
+
+    p: rate per unit of flow, and the pipe's volume in samples of flow.
+    """
+    flow = np.maximum(x, LEAST_FLOW * (abs(float(np.mean(x))) + 1e-300))
+    heated = passed(_exchange, flow, np.array([p[0]]), start=1.0 / max(level_before(flow), 1e-300))
+    if not np.isfinite(heated[-1]) or p[1] < 0:
+        return np.full(len(x), np.inf)
+    through = np.cumsum(flow)  # at the end of each sample
+    entered = np.interp(through - p[1], through, np.arange(len(x)), left=-1.0)
+    return np.interp(entered, np.arange(-1, len(x)), np.concatenate((heated[:1], heated)))
+
+
+PROCESS = (
+    _process("rise_and_fall", "asymmetric_rise_and_fall", "it rises at another rate than it falls", _one_way,
+             {"asymmetry": "1"}, lambda s: _shapes(s, [-0.6], [1.0], [3.0], sizes=[1.0])),
+    _process("orifice", "asymmetric_rise_and_fall", "it fills and empties through orifices, at rates of their own", _orifice,
+             {"asymmetry": "1", "smooth": "u"}, lambda s: _shapes(s, [0.0, 0.05], [2.0, 0.05], sizes=[1.0, s.su])),
+    _process("loss_cubic", "nonlinear_loss", "a loss k3 x^3 that grows with the level", _loss_cubic, {"k3": "1/u^2"},
+             lambda s: _shapes(s, [0.1], [0.5], [-0.1], sizes=[_losses(s, 3)]), family="losses"),
+    _process("loss", "nonlinear_loss", "a loss k2 x^2 + k3 x^3 that depends on the level", _loss,
+             {"k2": "1/u", "k3": "1/u^2"}, lambda s: _shapes(s, [0.2, 0.2], [-0.2, 0.1], sizes=[_losses(s, 2), _losses(s, 3)]),
+             family="losses"),
+    _process("outflow_root", "square_root_outflow", "an outflow that grows with the square root of the level", _outflow,
+             {"k": "u^0.5"}, lambda s: _shapes(s, [1.0], sizes=[_outflows(s)])),
+    _process("vessel", "level_dependent_outflow", "a vessel that widens with its level, emptied through an orifice", _vessel,
+             {"k": "u^0.5", "widening": "1/u"},
+             lambda s: _shapes(s, [1.0, 0.5], [1.0, 1.5], sizes=[_outflows(s), 1.0 / (abs(float(np.mean(s.u))) + s.su)])),
+    _process("through_flow", "flow_dependent_delay", "the input is a flow: the residence time and the delay fall with it",
+             _exchange, {"volume": "u sample"}, lambda s: (
+                 [[r / s.level, v * s.level] for r in s.rates for v in (0.0, 3.0, 10.0)], [max(s.rates) / s.level, s.level]),
+             apply=_through_flow),
+)  # fmt: skip
