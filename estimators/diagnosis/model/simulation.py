@@ -108,12 +108,12 @@ def _inside(parts: list[tuple[Part, Array]], U: Array, clock: Clock) -> Inside |
     forces, elements = [], {}
     for part, q in parts:
         if part.effect.force is not None:
-            signal = part.effect.signal
+            signal, own = part.effect.signal, q[part.own :]
             forces.append(
-                (part.effect.force, q, None if signal is None else signal(U, part.channel, q, clock))
+                (part.effect.force, own, None if signal is None else signal(U, part.channel, own, clock))
             )
         if part.effect.inside is not None:
-            elements |= part.effect.inside(q)
+            elements |= part.effect.inside(q[part.own :])
     return Inside(tuple(forces), elements) if len(forces) <= MOST_FORCES else None
 
 
@@ -151,8 +151,13 @@ def acted(s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False)
         if part.effect.slot is Slot.INPUT:
             j = s.inputs.index(part.channel)
             U[:, j] = part.apply(U[:, j], p[sl], clock)
-            if not math.isfinite(U[-1, j]):
-                return None
+        elif part.effect.slot is Slot.PLANT and part.first:
+            j = s.inputs.index(part.channel)
+            U[:, j] = part.blocked(U[:, j], p[sl])
+        else:
+            continue
+        if not math.isfinite(U[-1, j]):
+            return None
     return U
 
 

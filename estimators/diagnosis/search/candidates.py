@@ -86,13 +86,13 @@ def augmented(
         e for e in menu.effects if e.simulated and not e.block and e not in present and e.cause not in causes
     ]
     tasks: list[_Task] = []
-    for e in (e for e in wanted if e.slot is not Slot.PLANT):
+    for e in wanted:
         if e.search is not None:
             yield from _own(channel, base, e, menu)
-        else:
+        elif e.slot is not Slot.PLANT:
             for j in s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
                 tasks += _scan(channel, base, base, Part(e, j), best)
-    plant = [e for e in wanted if e.slot is Slot.PLANT]
+    plant = [e for e in wanted if e.slot is Slot.PLANT and e.search is None]
     layouts = _layouts(channel, base) if plant and len(s.inputs) == 1 else []
     for layout in layouts:
         for e in plant:

@@ -1,0 +1,157 @@
+"""Effects of turning parts: gravity on a pendulum, forces that repeat with the angle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.effect import Effect, Nature, Slot
+
+__all__ = ["ROTATION"]
+
+Array = NDArray[Any]
+SWINGS = (0.7, 1.3, 2.2)  # largest angles in radian that a pendulum is started with
+SHAKEN = (-0.95, 0.0)  # zeros of the block before a pendulum: its pivot is accelerated, or its torque lags
+TURNS = 1500  # angles per record among which the period of a force is looked for
+PHASES = ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))  # of a periodic force, in sizes of the input
+LEAST_TURNS = 3  # in a record, for its force to repeat
+PEAK = 25.0  # times the mean power over all angles: by chance in one record of millions
+WINDOWS = (0.15, 0.35, 0.7, 1.0)
+"""Growing shares of the record: a phase that is kept at first is kept to the end."""
+
+
+def _pendulum(p, v, u, q, s, c):
+    return np.sin(c[0] * p) / c[0] - p
+
+
+def _pivot(p, v, u, q, s, c):
+    return np.sin(c[0] * p) / c[0] - p + u * (1.0 - np.cos(c[0] * p))
+
+
+def _periodic(p, v, u, q, s, c):
+    return c[0] * np.cos(c[2] * p) + c[1] * np.sin(c[2] * p)
+
+
+def _swings(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
+    """Starts of a pendulum: the model's oscillation, one of its real poles as a block before it, several sizes of the swing."""
+
+    def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+        from estimators.diagnosis.model.fitting import fit
+        from estimators.diagnosis.model.layouts import states
+        from estimators.diagnosis.model.structure import Part
+        from estimators.diagnosis.search.starts import Start, fitted, relinearised
+
+        s, j = base.structure, base.structure.inputs[0]
+        poles = np.roots(np.concatenate(([1.0], base.p[: s.order]))) if s.layout == "tf" else np.zeros(0)
+        pairs = [np.log(z) for z in poles.astype(complex) if z.imag > 0]
+        if len(s.inputs) != 1 or s.effects or not pairs:
+            return
+        real = [z.real for z in poles if abs(z.imag) < 1e-9 and 0.02 < z.real < 0.995][:1]
+        starts: list[Any] = []
+        for pair in pairs:
+            rates = np.log([max(abs(pair) ** 2, 1e-6), max(-2.0 * pair.real, 1e-3 * abs(pair))])
+            for block in [[]] + [[-z, b] for z in real or [0.5] for b in SHAKEN]:
+                part = Part(effect(), j, first=1 if block else 0, free=bool(block))
+                new = replace(s, order=2, taps=2, layout="oscillator", delay=0).adding(part)
+                x = np.ascontiguousarray(part.blocked(channel.u[:, j], np.array(block)))
+                top = float(np.max(np.abs(states("oscillator", rates, x)[:, 0]))) + 1e-300
+                scales = np.ones(new.size)
+                for q, sl in zip(new.parts, new.slices(), strict=True):
+                    scales[sl] = 1.0 if q is part else float(np.std(channel.y)) + 1e-300
+                scales[-1] = 1.0 / top
+                for swing in SWINGS:
+                    p = np.zeros(new.size)
+                    p[:2], p[-1] = rates, swing / top
+                    p[new.slices()[-1].start : -1] = block
+                    p = relinearised(channel, new, p)
+                    if p is not None:
+                        gains = np.abs(p[2 : new.plant_size])
+                        scales[2 : new.plant_size] = gains + 0.1 * gains.max(initial=0.0) + 1e-300
+                        starts.append(Start(new, p, scales.copy(), 0.0))
+        quick = sorted(fitted(channel, base, starts, 5), key=lambda f: f.deviance)[:3]
+        for f in quick:
+            yield fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=30)
+
+    return search
+
+
+def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """A force of the angle of a turning part whose speed is measured: the angle from the output itself, then growing windows."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.structure import Part
+
+    s, j = base.structure, base.structure.inputs[0]
+    if s.layout != "tf" or len(s.inputs) != 1 or s.effects:
+        return
+    poles = np.roots(np.concatenate(([1.0], base.p[: s.order])))
+    real = sorted((z.real for z in poles if abs(z.imag) < 1e-9 and 0.02 < z.real < 0.9995), reverse=True)
+    slow = real[0] if real else float(np.abs(poles).max())
+    rates = [-np.log(np.clip(slow, 0.05, 0.999))]
+    n, keep = len(channel), channel.keep
+    speed = np.where(keep, channel.y, channel.y - base.residual)
+    angle = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))))
+    span = float(np.ptp(angle)) + 1e-300
+    force = np.diff(base.residual, append=base.residual[-1]) + rates[0] * base.residual
+    force = np.where(keep, force - force.mean(), 0.0)
+    turns = 2 * np.pi * np.arange(LEAST_TURNS, TURNS) / span
+    power = np.array([abs(np.vdot(np.exp(1j * w * angle), force)) ** 2 for w in turns])
+    peaks = [i for i in np.argsort(-power)[:2] if power[i] > PEAK * float(power.mean())]
+    size, gain = float(np.std(channel.u[:, j])) + 1e-300, float(np.sum(base.p[s.order : s.plant_size]))
+    gain /= float(1.0 + np.sum(base.p[: s.order]))  # output per unit of input
+    spread = float(np.std(channel.y)) + 1e-300
+    turning = replace(s, order=2, taps=2, layout="integrator", delay=0)
+    for w in turns[peaks]:
+        found: list[tuple[float, Array, Array, Any]] = []
+        for first in (0, 1):  # without and with a lag of the drive
+            part = Part(POSITION, j, first=first)
+            new = turning.adding(part)
+            scales = np.full(new.size, spread)
+            scales[: new.plant_size] = 1.0, abs(gain), abs(gain)
+            at = new.slices()[-1]
+            scales[at] = [1.0] * first + [size, size, 1e-3 * abs(w * gain)]
+            for q, sl in zip(new.parts, new.slices(), strict=True):
+                if q.effect.slot is Slot.START:
+                    scales[sl.start] = 0.0  # the angle at the start is the phase of the force
+            trials: list[tuple[float, Array]] = []
+            for share in WINDOWS:
+                few = replace(channel, keep=keep & (np.arange(n) < share * n))
+                begun = [p for _, p in sorted(trials, key=lambda trial: trial[0])[:1]]
+                for a, b in () if begun else PHASES:
+                    p = np.zeros(new.size)
+                    p[:3] = np.log(rates[0]), 0.0, gain
+                    p[at] = [-0.5] * first + [a * size, b * size, w * gain]
+                    begun.append(p)
+                fits = [fit(few, new, p, scales, iterations=8, colour=False) for p in begun]
+                trials = [(f.deviance, f.p) for f in fits if np.isfinite(f.deviance)]
+            found += [(deviance, p, scales, new) for deviance, p in trials]
+        for _, p, scales, new in sorted(found, key=lambda entry: entry[0])[:1]:
+            yield fit(channel, new, p, scales, noise=base.noise, iterations=30)
+
+
+def _turned(
+    key: str, cause: str, sentence: str, force: Any, parameters: dict[str, str], search: Any, trials: float
+) -> Effect:
+    return Effect(
+        key=key, cause=cause, nature=Nature.DYNAMIC, slot=Slot.PLANT, sentence=sentence, force=force, trials=trials,
+        parameters=parameters, search=search, against="position",
+    )  # fmt: skip
+
+
+PENDULUM = _turned(
+    "pendulum", "pendulum", "gravity pulls with the sine of the angle", _pendulum, {"angle": "1/u"},
+    _swings(lambda: PENDULUM), 6,
+)  # fmt: skip
+PIVOT = _turned(
+    "pendulum_pivot", "pendulum", "gravity pulls with the sine of the angle, and the moved pivot pushes with its cosine", _pivot,
+    {"angle": "1/u"}, _swings(lambda: PIVOT), 6,
+)  # fmt: skip
+POSITION = _turned(
+    "position_periodic", "position_periodic_force", "a force that repeats with the angle: an eccentric, cogging",
+    _periodic, {"cosine": "u", "sine": "u", "per_angle": "1/(u sample)"}, _turning, 200,
+)  # fmt: skip
+
+ROTATION = (PENDULUM, PIVOT, POSITION)
