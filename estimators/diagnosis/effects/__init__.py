@@ -14,11 +14,12 @@ from estimators.diagnosis.effects.path import PATH
 from estimators.diagnosis.effects.plant import PLANT
 from estimators.diagnosis.effects.process import PROCESS
 from estimators.diagnosis.effects.rotation import ROTATION
+from estimators.diagnosis.effects.timing import TIMING
 from oed.errors import InputError
 
 __all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]
 
-CATALOGUE: tuple[Effect, ...] = (*INPUT, *PROCESS, *PLANT, *ROTATION, *PATH, *OUTPUT, *ADDED, *NOISE)
+CATALOGUE: tuple[Effect, ...] = (*INPUT, *PROCESS, *PLANT, *ROTATION, *PATH, *OUTPUT, *TIMING, *ADDED, *NOISE)
 """Every effect that the diagnosis knows; hand in more with `diagnose(..., effects=[*CATALOGUE, mine])`."""
 
 

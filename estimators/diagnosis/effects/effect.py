@@ -234,6 +234,8 @@ class Effect:
         Whether an effect at the output is more than a static curve.
     between : bool
         Whether at the output it follows the signal between the samples.
+    ahead : bool
+        Whether it reads the output later than the clock says, beyond the end of a record.
     settles : bool
         Whether it began before a later experiment, and has settled there.
     reversing : bool
@@ -275,6 +277,7 @@ class Effect:
     against: str = ""
     memory: bool = False
     between: bool = False
+    ahead: bool = False
     settles: bool = False
     reversing: bool = False
     two_sided: bool = False

@@ -24,6 +24,7 @@ __all__ = ["acted", "free_responses", "plant_states", "simulate"]
 
 Array = NDArray[Any]
 
+AHEAD = 64  # samples beyond the record, the input held, for a clock that runs ahead
 MOST_FORCES = 2  # as many as `plant_kernels` takes; a test holds the two together
 FINE = 8
 """Values per sample that a play at the output follows: leaves 0.1 % of the output at 0.6 rad per sample."""
@@ -192,6 +193,9 @@ def simulate(
         settle = 2000
         u = np.concatenate((np.zeros((settle, u.shape[1])), u))
         clock = Clock(np.concatenate((np.full(settle, clock.k[0]), clock.k)), clock.length)
+    if any(part.effect.ahead for part in s.parts):
+        u = np.concatenate((u, np.repeat(u[-1:], AHEAD, axis=0)))
+        clock = Clock(np.concatenate((clock.k, clock.k[-1] + 1.0 + np.arange(AHEAD))), clock.length)
     U = acted(s, p, u, clock, rest=rest)
     if U is None:
         return np.full(n, np.inf)
@@ -218,7 +222,7 @@ def simulate(
                 played = _played(s, p, U, p[sl]) if first and part.effect.between else None
                 y = part.apply(y, p[sl], clock) if played is None else played
                 first = False
-    return y[settle:]
+    return y[settle : settle + n]
 
 
 def _played(s: Structure, p: Array, U: Array, width: Array) -> Array | None:
