@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from estimators.diagnosis.effects.added import ADDED
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Sizes, Slot
+from estimators.diagnosis.effects.folding import FOLDING
 from estimators.diagnosis.effects.input import INPUT
 from estimators.diagnosis.effects.noise import NOISE
 from estimators.diagnosis.effects.output import OUTPUT
@@ -19,7 +20,18 @@ from oed.errors import InputError
 
 __all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]
 
-CATALOGUE: tuple[Effect, ...] = (*INPUT, *PROCESS, *PLANT, *ROTATION, *PATH, *OUTPUT, *TIMING, *ADDED, *NOISE)
+CATALOGUE: tuple[Effect, ...] = (
+    *INPUT,
+    *PROCESS,
+    *PLANT,
+    *ROTATION,
+    *PATH,
+    *OUTPUT,
+    *FOLDING,
+    *TIMING,
+    *ADDED,
+    *NOISE,
+)
 """Every effect that the diagnosis knows; hand in more with `diagnose(..., effects=[*CATALOGUE, mine])`."""
 
 

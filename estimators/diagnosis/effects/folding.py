@@ -1,0 +1,230 @@
+"""Sensors that fold their signal: magnitudes, squares, rectifiers, angles of one turn.
+
+A linear model has no gain through an even curve, and its residual shows nothing of what is behind it: the signal is
+unfolded (signs of segments, turns counted), or dynamics are drawn at random and the signs follow from them in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+
+__all__ = ["FOLDING"]
+
+Array = NDArray[Any]
+DRAWS = 24  # random sets of poles
+ROUNDS = 12  # of signs from the model, and the model from the signs
+SEED = 1987  # of the poles: the same record has the same answer
+NEAR_ZERO = 0.35  # of the mean magnitude: below it a minimum may be a change of sign
+LAGS = (0.0, 0.2, 0.4, 0.55, 0.7, 0.82)  # poles of a filter behind the fold that are tried
+LEAST_TURNS = 2  # jumps of a record that make it one of an angle
+COUNTS = 4  # rounds of turns from the model, and the model from the turns
+CLEAR, TAIL = 3, 10  # samples before and after a jump that say little: a filter keeps them
+
+
+def _wrapped(x: Array, p: Array, clock: Clock) -> Array:
+    from scipy.signal import lfilter
+
+    modulus, offset, centre, pole = p
+    if abs(modulus) < 1e-12 * (np.ptp(x) + 1e-300) or not 0.0 <= pole < 1.0:
+        return np.full(len(x), np.inf)
+    turned = x + offset - centre
+    y = centre + turned - modulus * np.floor(turned / modulus + 0.5)
+    return y[0] + np.asarray(lfilter([1.0 - pole], [1.0, -pole], y - y[0]))
+
+
+def _random_poles(rng: np.random.Generator, order: int) -> Array:
+    """A stable denominator of rates between a hundredth and one per sample, some of its poles in pairs."""
+    poles: list[complex] = []
+    while len(poles) < order:
+        size = float(np.exp(rng.uniform(np.log(0.01), 0.0)))
+        if order - len(poles) > 1 and rng.random() < 0.5:
+            damping = rng.uniform(0.05, 0.9)
+            z = np.exp(size * (-damping + 1j * np.sqrt(1.0 - damping**2)))
+            poles += [z, np.conj(z)]
+        else:
+            poles.append(np.exp(-size))
+    return np.real(np.poly(poles))[1:]
+
+
+def _unfolded(t: Array) -> Array:
+    """Signs that change at every minimum near zero."""
+    smooth = np.convolve(t, np.ones(3) / 3.0, mode="same")
+    inner = (
+        (smooth[1:-1] <= smooth[:-2]) & (smooth[1:-1] < smooth[2:]) & (smooth[1:-1] < NEAR_ZERO * t.mean())
+    )
+    flips = np.concatenate(([0], inner, [0]))
+    return np.where(np.cumsum(flips) % 2 == 0, 1.0, -1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fold:
+    """How a sensor folds: what is seen without its curve, and the target of the linear part given its own output."""
+
+    seen: Callable[[Array], Array]
+    target: Callable[
+        [Array, Array], Array
+    ]  # (magnitude seen, linear part) -> what the linear part should have been
+
+
+EVEN = _Fold(np.abs, lambda t, x: np.where(x < 0, -t, t))
+SQUARE = _Fold(lambda y: np.sqrt(np.maximum(y, 0.0)), lambda t, x: np.where(x < 0, -t, t))
+HALF = _Fold(lambda y: np.maximum(y, 0.0), lambda t, x: np.where(t > 0.15 * t.mean(), t, np.minimum(x, t)))
+
+
+def _behind(effect: Callable[[], Effect], fold: _Fold) -> Callable[..., Iterator[Any]]:
+    """Fits of a linear part behind a fold, from unfolded signs and from random poles."""
+
+    def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+        from scipy.signal import lfilter
+
+        from estimators.diagnosis.effects.added import OFFSET
+        from estimators.diagnosis.model.fitting import fit
+        from estimators.diagnosis.model.linear import fresh_poles
+        from estimators.diagnosis.model.structure import Part, stable_polynomial
+
+        s, y, keep = base.structure, channel.y, channel.keep
+        if s.layout != "tf" or s.effects:
+            return
+        floor = float(np.quantile(y[keep], 0.002)) if any(q.effect is OFFSET for q in s.parts) else 0.0
+        t = np.where(keep, fold.seen(y - floor), 0.0)
+        U = channel.u[:, list(s.inputs)]
+
+        def regressors(f: Array) -> Array:
+            v = np.asarray(lfilter([1.0], np.concatenate(([1.0], f)), U, axis=0))
+            late = [
+                np.concatenate((np.zeros(1 + s.delay + i), x[: len(x) - 1 - s.delay - i]))
+                for x in v.T
+                for i in range(s.taps)
+            ]
+            return np.stack([*late, np.ones(len(y))], axis=1)
+
+        def settled(f: Array, target: Array) -> tuple[float, Array, Array, Array]:
+            """(error, numerators and level, what the linear part should be, its denominator) after rounds of signs."""
+            X = regressors(f)
+            Q, R = np.linalg.qr(X[keep])
+            theta = np.zeros(X.shape[1])
+            for _ in range(ROUNDS):
+                theta = np.linalg.lstsq(R, Q.T @ target[keep], rcond=1e-10)[0]
+                again = fold.target(t, X @ theta)
+                if np.array_equal(again, target):
+                    break
+                target = again
+            return float(np.sum((target - X @ theta)[keep] ** 2)), theta, target, f
+
+        rng = np.random.default_rng(SEED)
+        found = []
+        for draw in range(DRAWS):
+            f = base.p[: s.order] if draw == 0 else _random_poles(rng, s.order)
+            X = regressors(f)
+            guess = X @ (
+                rng.standard_normal(X.shape[1]) / (np.std(X, axis=0) + np.abs(np.mean(X, axis=0)) + 1e-300)
+            )
+            found += [settled(f, fold.target(t, guess)), settled(f, _unfolded(t) * t)]
+        found.sort(key=lambda entry: entry[0])
+        better = []
+        for entry in found[:4]:
+            for _ in range(4):  # the poles from the signs, and the signs from the poles
+                f = fresh_poles(entry[2], U, s, keep)
+                if not stable_polynomial(f):
+                    break
+                again = settled(f, entry[2])
+                if again[0] > 0.999 * entry[0]:
+                    break
+                entry = again
+            better.append(entry)
+        part = Part(effect(), s.inputs[0])
+        new = s.adding(part)
+        scales = np.concatenate((base.scales, [float(np.std(t)) + 1e-300]))
+        for _, theta, _, f in sorted(better, key=lambda entry: entry[0])[:2]:
+            p = np.zeros(new.size)
+            p[: s.order], p[s.order : s.plant_size], p[-1] = f, theta[:-1], theta[-1]
+            for q, sl in zip(new.parts, new.slices(), strict=True):
+                if q.effect is OFFSET:
+                    p[sl] = floor
+            scales[s.order : s.plant_size] = np.abs(theta[:-1]) + 0.1 * np.abs(theta[:-1]).max() + 1e-300
+            yield fit(channel, new, p, scales.copy(), noise=base.noise, iterations=30)
+
+    return search
+
+
+def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """An angle of one turn: its jumps counted, behind filters of several lags, and a linear model of the angle unrolled."""
+    from dataclasses import replace
+
+    from estimators.diagnosis.effects.added import OFFSET
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.simulation import simulate
+    from estimators.diagnosis.model.structure import Part
+
+    s, y, keep = base.structure, channel.y, channel.keep
+    if s.layout != "tf" or s.effects or not keep.all():
+        return
+    low, high = (float(v) for v in np.quantile(y, (0.002, 0.998)))
+    found: list[tuple[float, float, float, Any, Array]] = []
+
+    def unrolled(pole: float, turn: float) -> None:
+        """The reading without its filter and its turns, and a linear model of it; then the turn's size from both."""
+        seen = np.concatenate((y[:1], (y[1:] - pole * y[:-1]) / (1.0 - pole)))
+        jumps = np.flatnonzero(np.abs(np.diff(seen)) > 0.5 * turn) + 1
+        if not LEAST_TURNS <= len(jumps) <= len(y) // 8:
+            return
+        clear = np.ones(len(y), dtype=bool)
+        for d in range(-CLEAR, TAIL + 1):
+            clear[np.clip(jumps + d, 0, len(y) - 1)] = False
+        angle = np.unwrap(seen, period=turn)
+        for _ in range(COUNTS):
+            f = fit_linear(replace(channel, y=angle, keep=clear), s, rough=True)
+            found.append((float(np.sum(f.residual**2)) * (1.0 - pole) ** 2, pole, turn, f, clear))
+            away = simulate(f.structure, f.p, channel.u, channel.clock) - seen
+            count = np.round(away / turn)
+            turn = float(away[clear] @ count[clear] / max(float(count[clear] @ count[clear]), 1.0))
+            angle = seen + turn * count
+            if not 0.5 * (high - low) < turn < 3.0 * (high - low):
+                return
+
+    for pole in LAGS:
+        unrolled(pole, high - low)
+    for _, pole, turn, f, clear in sorted(found, key=lambda entry: entry[0])[:2]:
+        new = f.structure.adding(Part(WRAPPED, s.inputs[0]))
+        p = np.concatenate((f.p, [turn, 0.0, 0.5 * (low + high), pole]))
+        scales = np.concatenate((f.scales, [turn, turn, turn, 1.0]))
+        for q, sl in zip(new.parts, new.slices(), strict=True):
+            if q.effect is OFFSET:  # inside the fold
+                p[-3], p[sl], scales[sl] = p[sl.start], 0.0, 0.0
+        smooth = fit(
+            replace(channel, keep=clear), new, p, scales, iterations=30, colour=False
+        )  # no jump misplaced by a sample
+        yield fit(channel, new, smooth.p, scales, noise=base.noise, iterations=20)
+
+
+def _folded(
+    key: str, sentence: str, apply: Callable[..., Any], fold: _Fold, effect: Callable[[], Effect]
+) -> Effect:
+    return Effect(
+        key=key, cause="magnitude_sensor", nature=Nature.OUTPUT_STATIC, slot=Slot.OUTPUT, sentence=sentence, apply=apply,
+        parameters={"level": "y"}, trials=2.0 * DRAWS, search=_behind(effect, fold),
+    )  # fmt: skip
+
+
+MAGNITUDE = _folded("magnitude", "the sensor reads the magnitude |y + level|", lambda x, p, c: np.abs(x + p[0]), EVEN,
+                    lambda: MAGNITUDE)  # fmt: skip
+SQUARED = _folded("squared", "the sensor reads the square (y + level)^2", lambda x, p, c: (x + p[0]) ** 2, SQUARE,
+                  lambda: SQUARED)  # fmt: skip
+RECTIFIED = _folded("rectified", "the sensor reads one side only: max(y + level, 0)",
+                    lambda x, p, c: np.maximum(x + p[0], 0.0), HALF, lambda: RECTIFIED)  # fmt: skip
+WRAPPED = Effect(
+    key="wrapped", cause="wrapped_angle", nature=Nature.OUTPUT_STATIC, slot=Slot.OUTPUT, memory=True, trials=12,
+    sentence="the sensor reads an angle of one turn, modulo the turn, through a filter", apply=_wrapped,
+    parameters={"turn": "y", "offset": "y", "centre": "y", "pole": "1"}, search=_turns,
+    curve=lambda x, p: p[2] + (x + p[1] - p[2]) - p[0] * np.floor((x + p[1] - p[2]) / p[0] + 0.5),
+)  # fmt: skip
+
+FOLDING = (MAGNITUDE, SQUARED, RECTIFIED, WRAPPED)
