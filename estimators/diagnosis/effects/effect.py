@@ -87,6 +87,8 @@ class Sizes:
         (N,) of the linear part of a plant, in units of the input.
     poles : ndarray
         Of the linear part, in the z-plane.
+    damping : float
+        Of a plant, in units of its stiffness: sample.
     """
 
     u: Array
@@ -95,6 +97,7 @@ class Sizes:
     position: Array = field(default_factory=lambda: np.zeros(1))
     velocity: Array = field(default_factory=lambda: np.zeros(1))
     poles: Array = field(default_factory=lambda: np.zeros(0))
+    damping: float = 1.0
 
     @cached_property
     def rates(self) -> list[float]:

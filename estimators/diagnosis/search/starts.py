@@ -48,7 +48,8 @@ def sizes_of(channel: Channel, base: Fit, part: Part) -> Sizes:
     rates = base.p[: LAYOUTS[layout][1]]
     X = states(layout, rates, u)
     position, velocity = layout_matrices(layout, rates)[3:]
-    return Sizes(u, y, channel.clock, X @ position, X @ velocity)
+    damping = float(np.exp(rates[1] - rates[0])) if len(rates) > 1 else 1.0
+    return Sizes(u, y, channel.clock, X @ position, X @ velocity, damping=damping)
 
 
 def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
