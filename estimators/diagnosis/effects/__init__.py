@@ -9,6 +9,7 @@ from estimators.diagnosis.effects.added import ADDED
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Sizes, Slot
 from estimators.diagnosis.effects.folding import FOLDING
 from estimators.diagnosis.effects.input import INPUT
+from estimators.diagnosis.effects.integral import STORE
 from estimators.diagnosis.effects.modulated import MODULATED
 from estimators.diagnosis.effects.noise import NOISE
 from estimators.diagnosis.effects.output import OUTPUT
@@ -22,7 +23,7 @@ from oed.errors import InputError
 __all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]
 
 CATALOGUE: tuple[Effect, ...] = (
-    *INPUT, *PROCESS, *PLANT, *ROTATION, *MODULATED, *PATH, *OUTPUT, *FOLDING, *TIMING, *ADDED, *NOISE,
+    *INPUT, *PROCESS, *PLANT, *ROTATION, *MODULATED, *PATH, *STORE, *OUTPUT, *FOLDING, *TIMING, *ADDED, *NOISE,
 )  # fmt: skip
 """Every effect that the diagnosis knows; hand in more with `diagnose(..., effects=[*CATALOGUE, mine])`."""
 

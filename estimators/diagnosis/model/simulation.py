@@ -204,7 +204,9 @@ def simulate(
     if y is None:
         return np.full(n, np.inf)
     for part, sl in zip(s.parts, slices, strict=True):
-        if part.effect.slot is Slot.PATH:
+        if part.effect.slot is Slot.PATH and part.effect.apply is not None:
+            y = y + part.apply(u[:, part.channel], p[sl], clock)
+        elif part.effect.slot is Slot.PATH:
             half = part.count(s.order) // 2
             b, f = p[sl][:half], p[sl][half:]
             if not stable_polynomial(f):
