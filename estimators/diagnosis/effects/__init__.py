@@ -9,15 +9,12 @@ from estimators.diagnosis.effects.added import ADDED
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Sizes, Slot
 from estimators.diagnosis.effects.folding import FOLDING
 from estimators.diagnosis.effects.input import INPUT
-from estimators.diagnosis.effects.integral import STORE
-from estimators.diagnosis.effects.modulated import MODULATED
 from estimators.diagnosis.effects.noise import NOISE
-from estimators.diagnosis.effects.output import OUTPUT
-from estimators.diagnosis.effects.path import PATH
-from estimators.diagnosis.effects.plant import PLANT
+from estimators.diagnosis.effects.output import OUTPUT, TIMING
+from estimators.diagnosis.effects.path import PATH, STORE
+from estimators.diagnosis.effects.plant import MODULATED, PLANT
 from estimators.diagnosis.effects.process import PROCESS
 from estimators.diagnosis.effects.rotation import ROTATION
-from estimators.diagnosis.effects.timing import TIMING
 from oed.errors import InputError
 
 __all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]

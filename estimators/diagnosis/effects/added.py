@@ -15,6 +15,7 @@ from estimators.diagnosis.effects.input import after
 __all__ = ["ADDED", "OFFSET"]
 
 Array = NDArray[Any]
+SWEEPS = 121  # rates of change of a frequency that are tried, up to half the sampling rate over the record
 TONE = {"frequency": "rad/sample", "cosine": "y", "sine": "y"}
 
 
@@ -100,6 +101,38 @@ def _tone_fits(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
     yield from _ringing(channel, base)
 
 
+def _sweeping(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """A sinusoid whose frequency changes steadily, also past half the sampling rate: the residual is mixed down by sweeps of
+    many rates, and the highest line of all spectra is taken."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.structure import Part
+
+    n, k = len(channel), channel.clock.k - channel.clock.k[0]
+    if n < 100 or base.structure.effects:
+        return
+    r = np.where(channel.keep, base.residual, 0.0)
+    r = np.convolve(r - r.mean(), np.concatenate(([1.0], base.noise)))[:n]
+    best = (0.0, 0.0, 0.0)
+    for rate in np.pi * np.linspace(-1.0, 1.0, SWEEPS) / n:
+        power = np.abs(np.fft.fft(r * np.exp(-0.5j * rate * k**2), 4 * n)) ** 2
+        at = int(np.argmax(power))
+        if power[at] > best[0] and abs(rate) > 1.0 / n**2:
+            best = (float(power[at]), 2 * np.pi * at / (4 * n), float(rate))
+    _, w, rate = best
+    size = float(np.std(base.residual)) + 1e-300
+    start = w - rate * channel.clock.k[0]
+    turn = start * channel.clock.k + 0.5 * rate * channel.clock.k**2
+    c = np.linalg.lstsq(np.stack([np.cos(turn), np.sin(turn)], axis=1), base.residual, rcond=None)[0]
+    p = np.concatenate((base.p, [start, rate], c))
+    scales = np.concatenate((base.scales, [1.0 / n, 1.0 / n**2, size, size]))
+    yield fit(channel, base.structure.adding(Part(SWEEP)), p, scales, noise=base.noise, iterations=25)
+
+
+def _swept(y: Array, p: Array, clock: Clock) -> Array:
+    turn = p[0] * clock.k + 0.5 * p[1] * clock.k**2
+    return y + p[2] * np.cos(turn) + p[3] * np.sin(turn)
+
+
 def _added(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
     return Effect(key=key, cause=cause, nature=Nature.ADDED, slot=Slot.ADDED, sentence=sentence, **fields)
 
@@ -114,6 +147,11 @@ TONES = _added(
     shape=lambda size, order: numbered(TONE, size) if size > 1 else list(TONE.items()), search=_tone_fits,
 )  # fmt: skip
 
+SWEEP = _added(
+    "sweep", "periodic_disturbance", "a sinusoid of steadily changing frequency is added", per_sample=True, trials=20.0,
+    parameters={"frequency": "rad/sample", "rate": "rad/sample^2", "cosine": "y", "sine": "y"}, apply=_swept, search=_sweeping,
+)  # fmt: skip
+
 ADDED = (
     OFFSET,
     _added("drift", "output_drift", "a trend is added", parameters={"offset": "y", "slope": "y/record"},
@@ -123,4 +161,5 @@ ADDED = (
            trials=0.03, per_sample=True, amplitude=0, family="steps", apply=lambda y, p, c: y + p[0] * after(c, p[1]),
            starts=lambda s: ([[0.05 * s.sy, t] for t in s.times()], [s.sy, 1.0])),
     TONES,
+    SWEEP,
 )  # fmt: skip

@@ -21,6 +21,11 @@ from oed.errors import InputError
 __all__ = ["Clock", "Effect", "Grid", "Nature", "Sizes", "Slot", "level_before", "numbered"]
 
 Array = NDArray[Any]
+TYPICAL = (
+    0.03,
+    0.1,
+    0.3,
+)  # rates per sample at which most rigs are sampled: a model without the effect may show none of them
 OPERATING = 0.5  # mean of an input in standard deviations, beyond which it stands on an operating level
 Grid = tuple[list[list[float]], list[float]]
 """Parameter vectors to start from, and the typical size of each parameter."""
@@ -104,7 +109,7 @@ class Sizes:
         """Rates per sample that a process may have: of the model's real poles, and a few more over their range."""
         known = [-np.log(z.real) for z in self.poles if abs(z.imag) < 1e-9 and 0.05 < z.real < 0.9995]
         slow = -np.log(min(max((abs(z) for z in self.poles), default=0.9), 0.999))
-        return sorted({round(float(r), 6) for r in (*known, slow, 3.0 * slow)})
+        return sorted({round(float(r), 6) for r in (*known, slow, *TYPICAL)})
 
     @cached_property
     def level(self) -> float:
@@ -217,6 +222,8 @@ class Effect:
         (channel, fit, input) -> a further start, or None.
     search : callable, optional
         (channel, fit, inputs not in the model) -> fits, where starts are no grid of shapes.
+    alone : bool
+        Whether it is looked for in a linear model only, as it replaces its dynamics.
     lagged : bool
         Whether an actuator's lag may stand before it: the candidate is then also fitted with one.
     block : bool
@@ -270,6 +277,7 @@ class Effect:
     amplitude: int | None = None
     more: Callable[[Any, Any, int], Any] | None = None
     search: Callable[[Any, Any, tuple[int, ...]], Iterator[Any]] | None = None
+    alone: bool = False
     lagged: bool = False
     block: bool = False
     shape: Callable[[int, int], list[tuple[str, str]]] | None = None

@@ -167,12 +167,13 @@ def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     s, y, keep = base.structure, channel.y, channel.keep
     if s.layout != "tf" or s.effects or not keep.all():
         return
-    low, high = (float(v) for v in np.quantile(y, (0.002, 0.998)))
-    found: list[tuple[float, float, float, Any, Array]] = []
+    found: list[tuple[float, float, tuple[float, float], Any, Array]] = []
 
-    def unrolled(pole: float, turn: float) -> None:
+    def unrolled(pole: float) -> None:
         """The reading without its filter and its turns, and a linear model of it; then the turn's size from both."""
         seen = np.concatenate((y[:1], (y[1:] - pole * y[:-1]) / (1.0 - pole)))
+        low, high = (float(v) for v in np.quantile(seen, (0.002, 0.998)))
+        turn = high - low
         jumps = np.flatnonzero(np.abs(np.diff(seen)) > 0.5 * turn) + 1
         if not LEAST_TURNS <= len(jumps) <= len(y) // 8:
             return
@@ -182,7 +183,9 @@ def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         angle = np.unwrap(seen, period=turn)
         for _ in range(COUNTS):
             f = fit_linear(replace(channel, y=angle, keep=clear), s, rough=True)
-            found.append((float(np.sum(f.residual**2)) * (1.0 - pole) ** 2, pole, turn, f, clear))
+            found.append(
+                (float(np.sum(f.residual**2)) * (1.0 - pole) ** 2, pole, (turn, 0.5 * (low + high)), f, clear)
+            )
             away = simulate(f.structure, f.p, channel.u, channel.clock) - seen
             count = np.round(away / turn)
             turn = float(away[clear] @ count[clear] / max(float(count[clear] @ count[clear]), 1.0))
@@ -191,10 +194,10 @@ def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
                 return
 
     for pole in LAGS:
-        unrolled(pole, high - low)
-    for _, pole, turn, f, clear in sorted(found, key=lambda entry: entry[0])[:2]:
+        unrolled(pole)
+    for _, pole, (turn, centre), f, clear in sorted(found, key=lambda entry: entry[0])[:2]:
         new = f.structure.adding(Part(WRAPPED, s.inputs[0]))
-        p = np.concatenate((f.p, [turn, 0.0, 0.5 * (low + high), pole]))
+        p = np.concatenate((f.p, [turn, 0.0, centre, pole]))
         scales = np.concatenate((f.scales, [turn, turn, turn, 1.0]))
         for q, sl in zip(new.parts, new.slices(), strict=True):
             if q.effect is OFFSET:  # inside the fold

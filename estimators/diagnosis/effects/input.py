@@ -87,6 +87,25 @@ def _hysteretic(x: Array, p: Array, clock: Clock) -> Array:
     return (1.0 - share) * x + share * bouc_wen(np.ascontiguousarray(x), abs(p[1]))
 
 
+def _relay(x: Array, p: Array, clock: Clock) -> Array:
+    """A relay about a level; on a scale of its input, for the plant's gain to be one of inputs."""
+    from estimators.diagnosis.effects.recursion_kernels import relay
+
+    return float(np.std(x)) * relay(np.ascontiguousarray(x - p[1]), abs(p[0]))
+
+
+def _rate_driven(x: Array, p: Array, clock: Clock) -> Array:
+    """Where the input is a velocity: a share of it acts through a hysteretic element of the way that it has made."""
+    from estimators.diagnosis.effects.plant_kernels import bouc_wen
+
+    way = np.ascontiguousarray(np.cumsum(x))
+    return x + p[0] * bouc_wen(way, abs(p[1]) + 1e-12) / (abs(p[1]) + 1e-12)
+
+
+def _kinked(x: Any, p: Array, clock: Clock) -> Any:
+    return x + p[0] * np.tanh(p[1] * x)
+
+
 def _late(x: Array, p: Array, clock: Clock) -> Array:
     """Delay linear between samples; from no delay to a quarter of the record."""
     if not 0.0 <= p[0] <= len(x) / 4:
@@ -262,8 +281,17 @@ INPUT = (
             "the input acts with hysteresis (Bouc-Wen): a share of it bends off and returns on another way",
             parameters={"share": "1", "width": "u"}, trials=10, reversing=True, apply=_hysteretic,
             starts=lambda s: ([[a, w * s.su] for a in (0.3, 0.7) for w in (0.15, 0.4, 1.0)], [1.0, s.su])),
+    _moving("hysteresis_rate", "backlash", "the input is a velocity, and the force that it makes has a hysteretic part",
+            parameters={"level": "u", "way": "u sample"}, trials=15, reversing=True, lagged=True, apply=_rate_driven,
+            starts=lambda s: ([[f * s.su, w * s.su] for f in (0.4, 1.5) for w in (0.5, 2.0, 8.0)], [s.su, s.su])),
+    _static("input_kink", "hammerstein", "the input acts through a kink at zero: u + level tanh(c u), as of dry friction",
+            parameters={"level": "u", "c": "1/u"}, trials=8, apply=_kinked,
+            starts=lambda s: ([[f * s.su, c / s.su] for f in (-0.5, 0.5, 1.5) for c in (2.0, 8.0)], [s.su, 1.0 / s.su])),
+    _moving("relay", "relay", "the input acts through a relay that switches with hysteresis", lagged=True,
+            parameters={"half_width": "u", "level": "u"}, trials=12, apply=_relay,
+            starts=lambda s: ([[f * s.su, m] for f in np.linspace(0.0, 1.6, 9) for m in {0.0, float(np.mean(s.u))}], [s.su, s.su])),
     SANDWICH,
-    Effect(key="gain_drift", cause="gain_drift", nature=Nature.TIME, slot=Slot.INPUT, amplitude=0,
+    Effect(key="gain_drift", cause="gain_drift", family="drifts", nature=Nature.TIME, slot=Slot.INPUT, amplitude=0,
            sentence="the gain changes slowly: (1 + slope t)", parameters={"slope": "1/record"},
            apply=lambda x, p, c: (1.0 + p[0] * c.turn) * x, starts=lambda s: ([[0.05]], [1.0])),
     GAIN_CHANGE,

@@ -1,7 +1,9 @@
-"""Effects at the output: what a sensor makes of it."""
+"""Effects at the output: what a sensor makes of it, and clocks that disagree."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, numbered
 from estimators.diagnosis.effects.input import broken_line, dead_zone, exponential, quantiles, sigmoid
 
-__all__ = ["OUTPUT"]
+__all__ = ["OUTPUT", "TIMING"]
 
 Array = NDArray[Any]
 
@@ -114,3 +116,94 @@ OUTPUT = (
     _backlash("backlash_output", "play at the output", apply=_play_fine, between=True),
     _backlash("backlash_sampled", "play at the output that moves with the samples, not between them", apply=_play),
 )  # fmt: skip
+
+
+SHIFTS = (0.5, 1.0, 1.8, 2.8, 4.0, 5.5)  # samples by which the clocks are apart in the end
+JUMPS = (1.0, 2.0, 3.0, 5.0)  # samples lost at once
+TIMES = 12  # of a jump, over the record
+
+
+def _read(y: Array, at: Array) -> Array:
+    """Values between the samples by a cubic spline; the first and the last value beyond the ends."""
+    from scipy.interpolate import CubicSpline
+
+    k = np.arange(len(y), dtype=float)
+    return np.asarray(CubicSpline(k, y)(np.clip(at, 0.0, k[-1])))
+
+
+def _drifted(y: Array, p: Array, clock: Clock) -> Array:
+    return _read(y, np.arange(len(y)) + p[0] * clock.k)
+
+
+def _jumped(y: Array, p: Array, clock: Clock) -> Array:
+    return _read(y, np.arange(len(y)) + p[0] * np.clip(clock.k - p[1], 0.0, 1.0))
+
+
+def _mended(
+    effect: Callable[[], Effect],
+    shapes: Callable[[int], list[list[float]]],
+    closer: Callable[[int, list[float]], list[list[float]]],
+) -> Callable[..., Iterator[Any]]:
+    """Fits from the best shapes, and from others closer to the best, each with the poles that the output has once its shape is undone."""
+
+    def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+        from estimators.diagnosis.model.fitting import fit
+        from estimators.diagnosis.model.linear import fresh_poles
+        from estimators.diagnosis.model.simulation import simulate
+        from estimators.diagnosis.model.structure import Part, stable_polynomial
+        from estimators.diagnosis.search.starts import relinearised
+
+        s, n = base.structure, len(channel)
+        if s.layout != "tf" or s.effects or not channel.keep.all():
+            return
+        k, found = np.arange(n, dtype=float), []
+        e = effect()
+
+        def mended(shape: list[float]) -> None:
+            when = (
+                e.apply(k, np.array(shape), channel.clock) if e.apply is not None else k
+            )  # what each sample shows
+            back = np.interp(k, when, k) if np.all(np.diff(when) > 0) else k - (when - k)
+            there = replace(channel, y=_read(channel.y, back))
+            p = np.zeros(s.size)
+            p[: s.order] = fresh_poles(there.y, there.u[:, list(s.inputs)], s, there.keep)
+            p = relinearised(there, s, p) if stable_polynomial(p[: s.order]) else None
+            if p is not None:
+                rest = there.y - simulate(s, p, there.u, there.clock)
+                found.append((float(rest @ rest), shape, p))
+
+        for shape in shapes(n):
+            mended(shape)
+        if not found:
+            return
+        for shape in closer(n, min(found, key=lambda entry: entry[0])[1]):
+            mended(shape)
+        part = Part(e, s.inputs[0])
+        for _, shape, p in sorted(found, key=lambda entry: entry[0])[:2]:
+            scales = np.concatenate((base.scales, [1.0 / n, 1.0] if len(shape) == 1 else [1.0, 1.0]))[
+                : len(p) + len(shape)
+            ]
+            yield fit(
+                channel, s.adding(part), np.concatenate((p, shape)), scales, noise=base.noise, iterations=25
+            )
+
+    return search
+
+
+DRIFT = Effect(
+    key="clock_drift", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=12,
+    sentence="the clock of the output runs off from that of the input", parameters={"drift": "1"}, apply=_drifted,
+    search=_mended(lambda: DRIFT, lambda n: [[sign * d / n] for d in SHIFTS for sign in (1.0, -1.0)],
+                   lambda n, best: [[best[0] * f] for f in (0.8, 0.9, 1.1, 1.25)]),
+)  # fmt: skip
+LOST = Effect(
+    key="lost_samples", cause="lost_samples", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=0.1,
+    per_sample=True, sentence="samples of the output are lost, or come twice, and what follows is out of step",
+    parameters={"samples": "1", "time": "sample"}, apply=_jumped,
+    search=_mended(lambda: LOST, lambda n: [[sign * d, t * n] for t in np.linspace(0.08, 0.92, TIMES) for d in JUMPS[:2]
+                                            for sign in (1.0, -1.0)],
+                   lambda n, best: [[d, best[1] + t * n] for d in {best[0], np.sign(best[0]) * JUMPS[2]}
+                                    for t in np.linspace(-0.07, 0.07, 9)]),
+)  # fmt: skip
+
+TIMING = (DRIFT, LOST)

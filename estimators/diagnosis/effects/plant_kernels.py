@@ -10,8 +10,8 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from llvmlite import ir
 from numba import cfunc, types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 from estimators.diagnosis.effects.recursion_kernels import compiled
@@ -72,7 +72,7 @@ def _called(typing, address, p, v, u, q, s, c):  # pragma: no cover - compiled
 
     def generate(context, builder, signature, values):
         double = context.get_value_type(types.float64)
-        kind = cgutils.ir.FunctionType(double, [double] * 5 + [double.as_pointer()])
+        kind = ir.FunctionType(double, [double] * 5 + [double.as_pointer()])
         function = builder.inttoptr(values[0], kind.as_pointer())
         row = context.make_array(signature.args[6])(context, builder, values[6])
         return builder.call(function, [*values[1:6], row.data])
@@ -229,9 +229,9 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
                 v += velocity[i] * x[i]
             w = elements.spring * z
             if forces > 0:
-                w += _called(f, p, v, u, x[m - 1], drive[k, 1], c[0])
+                w += _called(f, p, v, u, x[m - 1], drive[k, 1], c[0])  # pyright: ignore[reportCallIssue]
             if forces > 1:
-                w += _called(g, p, v, u, x[m - 1], drive[k, 2], c[1])
+                w += _called(g, p, v, u, x[m - 1], drive[k, 2], c[1])  # pyright: ignore[reportCallIssue]
             p1 = 0.0
             v1 = 0.0
             e = 0.0
@@ -243,9 +243,9 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
                 z1 = hysteresis_step(z, p1 - p, elements.width)
             ahead = elements.spring * z1
             if forces > 0:
-                ahead += _called(f, p1, v1, u, e, drive[k, 1], c[0])  # e: the last state
+                ahead += _called(f, p1, v1, u, e, drive[k, 1], c[0])  # pyright: ignore[reportCallIssue]
             if forces > 1:
-                ahead += _called(g, p1, v1, u, e, drive[k, 2], c[1])
+                ahead += _called(g, p1, v1, u, e, drive[k, 2], c[1])  # pyright: ignore[reportCallIssue]
             w = 0.5 * (w + ahead)
             if dry and gv != 0.0:
                 v1 = 0.0

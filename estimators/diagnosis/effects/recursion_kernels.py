@@ -15,6 +15,7 @@ __all__ = [
     "rate_limited",
     "rate_limited_mean",
     "rational",
+    "relay",
     "tank_levels",
 ]
 
@@ -39,6 +40,20 @@ def play(signal, half_width):  # pragma: no cover - compiled
         elif m > v + half_width:
             m = v + half_width
         out[k] = m
+    return out
+
+
+@compiled
+def relay(signal, half_width):  # pragma: no cover - compiled
+    """-1 or 1: a relay that switches up above `half_width` and down below -`half_width`, down at first."""
+    out = np.empty_like(signal)
+    state = -1.0
+    for k in range(signal.shape[0]):
+        if signal[k] > half_width:
+            state = 1.0
+        elif signal[k] < -half_width:
+            state = -1.0
+        out[k] = state
     return out
 
 

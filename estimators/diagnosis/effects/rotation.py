@@ -16,6 +16,7 @@ __all__ = ["ROTATION"]
 Array = NDArray[Any]
 SWINGS = (0.7, 1.3, 2.2)  # largest angles in radian that a pendulum is started with
 SHAKEN = (-0.95, 0.0)  # zeros of the block before a pendulum: its pivot is accelerated, or its torque lags
+FEW = 4  # starts that are fitted
 TURNS = 1500  # angles per record among which the period of a force is looked for
 PHASES = ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))  # of a periodic force, in sizes of the input
 LEAST_TURNS = 3  # in a record, for its force to repeat
@@ -42,18 +43,23 @@ def _swings(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         from estimators.diagnosis.model.fitting import fit
         from estimators.diagnosis.model.layouts import states
+        from estimators.diagnosis.model.simulation import simulate
         from estimators.diagnosis.model.structure import Part
         from estimators.diagnosis.search.starts import Start, fitted, relinearised
 
         s, j = base.structure, base.structure.inputs[0]
         poles = np.roots(np.concatenate(([1.0], base.p[: s.order]))) if s.layout == "tf" else np.zeros(0)
-        pairs = [np.log(z) for z in poles.astype(complex) if z.imag > 0]
+        pairs = [(abs(np.log(z)) ** 2, -2.0 * np.log(z).real) for z in poles.astype(complex) if z.imag > 0]
+        real = sorted((z.real for z in poles if abs(z.imag) < 1e-9 and 0.02 < z.real < 0.9995), reverse=True)
+        if not pairs and len(real) > 1:  # a swing that goes far looks like two lags
+            a, b = -np.log(real[0]), -np.log(real[1])
+            pairs, real = [(a * b, a + b)], real[2:]
+        real = [z for z in real if z < 0.995][:1]
         if len(s.inputs) != 1 or s.effects or not pairs:
             return
-        real = [z.real for z in poles if abs(z.imag) < 1e-9 and 0.02 < z.real < 0.995][:1]
         starts: list[Any] = []
         for pair in pairs:
-            rates = np.log([max(abs(pair) ** 2, 1e-6), max(-2.0 * pair.real, 1e-3 * abs(pair))])
+            rates = np.log([max(pair[0], 1e-6), max(pair[1], 1e-3 * np.sqrt(pair[0]))])
             for block in [[]] + [[-z, b] for z in real or [0.5] for b in SHAKEN]:
                 part = Part(effect(), j, first=1 if block else 0, free=bool(block))
                 new = replace(s, order=2, taps=2, layout="oscillator", delay=0).adding(part)
@@ -71,8 +77,12 @@ def _swings(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
                     if p is not None:
                         gains = np.abs(p[2 : new.plant_size])
                         scales[2 : new.plant_size] = gains + 0.1 * gains.max(initial=0.0) + 1e-300
-                        starts.append(Start(new, p, scales.copy(), 0.0))
-        quick = sorted(fitted(channel, base, starts, 5), key=lambda f: f.deviance)[:3]
+                        rest = np.where(
+                            channel.keep, channel.y - simulate(new, p, channel.u, channel.clock), 0.0
+                        )
+                        starts.append(Start(new, p, scales.copy(), -float(rest @ rest)))
+        starts = sorted((x for x in starts if np.isfinite(x.promise)), key=lambda x: -x.promise)[:FEW]
+        quick = sorted(fitted(channel, base, starts, 5), key=lambda f: f.deviance)[:2]
         for f in quick:
             yield fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=30)
 

@@ -203,17 +203,21 @@ def fit_linear(
         The best of the fits.
     """
     y, U = channel.y, channel.u[:, list(s.inputs)]
-    centred = y - np.mean(y[channel.keep]) if any(p.effect is OFFSET for p in s.parts) else y
+    level, means = 0.0, np.zeros(U.shape[1])
+    if any(p.effect is OFFSET for p in s.parts):  # both about their means: a start knows of no level
+        level, means = float(np.mean(y[channel.keep])), np.mean(U[channel.keep], axis=0)
+    centred, moved = y - level, U - means
     fits = []
-    for f in _starts(centred, U, s.order, s.taps, s.delay, channel.keep) + list(extra or []):
+    for f in _starts(centred, moved, s.order, s.taps, s.delay, channel.keep) + list(extra or []):
         f = _reflected(f)
         if not stable_polynomial(f):
             continue
-        b = numerators(centred, U, f, s.taps, s.delay, channel.keep)
+        b = numerators(centred, moved, f, s.taps, s.delay, channel.keep)
         p = np.concatenate((f, b, np.zeros(s.size - s.plant_size)))
         for part, sl in zip(s.parts, s.slices(), strict=True):
             if part.effect is OFFSET:
-                p[sl] = np.mean(y[channel.keep])
+                gains = b.reshape(len(means), s.taps).sum(axis=1) / (1.0 + float(np.sum(f)))
+                p[sl] = level - gains @ means
         scales = np.concatenate((plant_scales(s, p), np.full(s.size - s.plant_size, np.std(y) + 1e-300)))
         fits.append(fit(channel, s, p, scales, noise=noise, iterations=4, colour=False))
     fits.sort(key=lambda x: x.deviance)

@@ -21,6 +21,7 @@ Array = NDArray[Any]
 
 SHARE = 0.25  # of the best gain so far, that the simpler effect must have reached for one that refines it
 LEAST_PROMISE = 6.0  # of the score, for an effect to be fitted where only the most promising are
+NEAR = 0.5  # of the best gain at the input, for an effect to be tried with other poles
 LAGGED = 3  # effects at the input that are tried behind a lag
 RENEWALS = 3  # rounds of fresh poles for the best effect at the input
 QUICK = 5  # Gauss-Newton steps by which starts inside a plant are told apart
@@ -83,7 +84,13 @@ def augmented(
     causes = {p.effect.cause for p in s.effects}
     present = {p.effect for p in s.parts}
     wanted = [
-        e for e in menu.effects if e.simulated and not e.block and e not in present and e.cause not in causes
+        e
+        for e in menu.effects
+        if e.simulated
+        and not e.block
+        and e not in present
+        and e.cause not in causes
+        and not (e.alone and s.effects)
     ]
     tasks: list[_Task] = []
     for e in wanted:
@@ -131,6 +138,10 @@ def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int)
     real = sorted(z.real for z in poles if abs(z.imag) < 1e-9 and 0.02 < z.real < 0.995)
     able = [f for f in found if f.structure.parts[-1].effect.lagged and f.structure.layout == "tf"]
     able.sort(key=lambda f: f.deviance)
+    if s.effects or not able or not len(able[0].noise):
+        return  # nothing is left that other poles could explain
+    least = base.deviance - NEAR * (base.deviance - able[0].deviance)
+    able = [f for f in able if f.deviance <= least]
     for f in able[:LAGGED]:
         best, source = None, f
         for _ in range(RENEWALS if f is able[0] else 1):

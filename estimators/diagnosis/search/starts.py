@@ -85,7 +85,7 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
         promise = base.n * -np.log(max(1.0 - alpha**2 * power / rss, 1e-12))
         if amplitude is None and alpha < 0:
             promise *= 1e-3
-        if part.effect.slot in (Slot.INPUT, Slot.PLANT):
+        if part.effect.slot in (Slot.INPUT, Slot.PLANT) and not base.structure.effects:
             for q in renewed(channel, s, p):
                 rest = white(channel.y - simulate(s, q, channel.u, channel.clock))
                 left = float(rest @ rest) / (float(r @ r) + 1e-300)

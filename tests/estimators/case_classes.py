@@ -1,0 +1,256 @@
+"""Records of the classes that common rigs show: sensors that fold, processes that fill and empty, clocks, stores.
+
+Each maker draws nothing but what it is given: an input, a generator and the effect's strength, 0 for the same rig without
+it. Simulated with small Euler steps in plain Python, or filtered; shares no code with the models that are fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.signal import lfilter
+
+__all__ = ["CLASSES", "LOOKALIKES", "excitation"]
+
+FINE = 25  # Euler steps per sample
+PLANT = ([0.0, 0.12, 0.08], np.real(np.poly([0.85 * np.exp(0.25j), 0.85 * np.exp(-0.25j)])))
+
+
+def excitation(
+    rng: np.random.Generator, n: int, mean: float = 0.0, size: float = 1.0, hold: int = 7
+) -> np.ndarray:
+    """Held levels about a mean, at rest on it for the first 15 samples."""
+    levels = rng.uniform(-1.7, 1.7, n)
+    u = np.repeat(levels, rng.integers(max(hold // 2, 1), 2 * hold, n))[:n]
+    u[:15] = 0.0
+    return mean + size * u
+
+
+def _linear(u: np.ndarray, poles: tuple[float, ...] = ()) -> np.ndarray:
+    den = np.convolve(PLANT[1], np.poly(poles)) if poles else PLANT[1]
+    return np.asarray(lfilter(PLANT[0], den, u - u[0])) + u[0] * np.sum(PLANT[0]) / np.sum(den)
+
+
+def _lag(u: np.ndarray, pole: float) -> np.ndarray:
+    return u[0] + np.asarray(lfilter([1 - pole], [1, -pole], u - u[0]))
+
+
+def _sensor(x: np.ndarray, start: float, pole: float = 0.5) -> np.ndarray:
+    """What is read at the start of each sample of a state given at the ends, behind a lag."""
+    return _lag(np.concatenate(([start], x[:-1])), pole)
+
+
+def _process(slope: Callable[[float, float], float], u: np.ndarray, x: float) -> np.ndarray:
+    """State at the end of each sample of x' = slope(x, u)."""
+    out = np.empty(len(u))
+    for k, value in enumerate(u):
+        for _ in range(FINE):
+            x += slope(x, value) / FINE
+        out[k] = x
+    return out
+
+
+def _swing(force: Callable[[float, float, float, float], float], u: np.ndarray) -> np.ndarray:
+    """Position at the start of each sample of x'' = force(x, v, u, t), from rest."""
+    x = v = 0.0
+    out = np.empty(len(u))
+    for k, value in enumerate(u):
+        out[k] = x
+        for i in range(FINE):
+            v += force(x, v, value, k + i / FINE) / FINE
+            x += v / FINE
+    return out
+
+
+def exponential(u, a):
+    return _linear(np.expm1(4.0 * a * _lag(u, 0.6)) / (4.0 * a) if a else _lag(u, 0.6))
+
+
+def power(u, a):
+    return _linear(np.sign(u) * np.abs(u) ** (1.0 + a))
+
+
+def saturating(u, a):
+    return _linear(np.tanh(1.2 * a * (u - 0.3)) / 1.2 / a if a else u)
+
+
+def kink(u, a):
+    return _linear(u + a * np.tanh(6.0 * u))
+
+
+def relay(u, a):
+    state, out = -1.0, np.empty(len(u))
+    for k, value in enumerate(u):
+        state = 1.0 if value > 0.4 else -1.0 if value < -0.4 else state
+        out[k] = state
+    return _linear(a * out + (1 - a) * u)
+
+
+def dragged(u, a):
+    z, out = 0.0, np.empty(len(u))
+    for k, value in enumerate(u):
+        for _ in range(4 * FINE):
+            d = value / (4 * FINE)
+            z += (d - abs(d) * (z + np.sign(d) * abs(z)) / (2 * 1.5)) if d else 0.0
+        out[k] = value + a * z / 1.5
+    return _linear(out)
+
+
+def sigmoid(u, a):
+    x = _linear(u)
+    return np.tanh(a * (x - 0.5) / np.std(x)) if a else x
+
+
+def logarithm(u, a):
+    x = _linear(u) / 3.0
+    return np.expm1(-a * x) / -a if a else x
+
+
+def magnitude(u, a):
+    x = _linear(u)
+    return np.abs(x) if a else x
+
+
+def squared(u, a):
+    x = _linear(u)
+    return x**2 if a else x
+
+
+def rectified(u, a):
+    x = _linear(u)
+    return np.maximum(x, 0.0) if a else x
+
+
+def wrapped(u, a):
+    x = 45.0 * _linear(u)
+    turned = (x + 40.0 + 180.0) % 360.0 - 180.0 if a else x
+    return _lag(turned, 0.5)
+
+
+def rise_and_fall(u, a):
+    return _linear(_process(lambda x, v: (0.04 + 0.12 * a * (v > x)) * (v - x), u, u[0]))
+
+
+def orifice(u, a):
+    rate = lambda d: (0.05 + 0.1 * a * (d > 0)) * (d / np.sqrt(abs(d) + 0.05) if a else d)
+    return _linear(_process(lambda x, v: rate(v - x), u, u[0]))
+
+
+def loss(u, a):
+    x0 = np.roots([0.02 * a, 0.0, 1.0, -u[0]]) if a else np.array([u[0] + 0j])
+    start = float(x0[np.argmin(np.abs(x0.imag))].real)
+    return _sensor(_process(lambda x, v: 0.05 * (v - x - 0.02 * a * x**3), u, start), start)
+
+
+def outflow(u, a):
+    root = lambda x: np.sqrt(max(x, 0.0)) * 2.0 if a else x
+    start = (u[0] / 2.0) ** 2 if a else u[0]
+    return _sensor(_process(lambda x, v: 0.05 * (v - root(x)), u, start), start)
+
+
+def vessel(u, a):
+    area = lambda x: 1.0 + (0.4 * a * x) ** 2
+    root = lambda x: np.sqrt(max(x, 0.0)) * 2.0 if a else x
+    start = (u[0] / 2.0) ** 2 if a else u[0]
+    return _sensor(_process(lambda x, v: 0.1 * (v - root(x)) / area(x), u, start), start)
+
+
+def through_flow(u, a):
+    if not a:
+        return _linear(u)
+    heated = _process(lambda x, v: 0.03 * (1.0 - v * x), u, 1.0 / u[0])
+    through, k = np.cumsum(u), np.arange(len(u))
+    entered = np.interp(through - 12.0, through, k, left=-1.0)
+    left = np.interp(entered, np.arange(-1, len(u)), np.concatenate((heated[:1], heated)))
+    return _sensor(left, left[0], 0.6)
+
+
+def pendulum(u, a):
+    pull = lambda x: np.sin(0.7 * a * x) / 0.7 / a if a else x
+    return _swing(lambda x, v, f, t: 0.06 * (f - pull(x)) - 0.05 * v, u)
+
+
+def pivot(u, a):
+    moved = _lag(u, 0.7)
+    push = np.concatenate(([0.0], np.diff(moved))) * 5.0
+    pull = lambda x: np.sin(0.7 * a * x) / 0.7 / a if a else x
+    return _swing(lambda x, v, f, t: 0.06 * (f * (np.cos(0.7 * x) if a else 1.0) - pull(x)) - 0.05 * v, push)
+
+
+def eccentric(u, a):
+    angle, speed, out = 0.0, 0.0, np.empty(len(u))
+    for k, value in enumerate(u):
+        out[k] = speed
+        for _ in range(FINE):
+            speed += 0.08 * (value - speed - 0.8 * a * np.sin(0.25 * angle)) / FINE
+            angle += speed / FINE
+    return out
+
+
+def filling(u, a):
+    return _swing(lambda x, v, f, t: (0.06 * (f - x) - 0.03 * v) / (1.0 + a * t / 700.0), u)
+
+
+def softening(u, a):
+    return _swing(lambda x, v, f, t: 0.06 * (f - (1.0 - 0.5 * a * t / 700.0) * x) - 0.03 * v, u)
+
+
+def heated_gain(u, a):
+    warm = np.asarray(lfilter([1 / 60.0], [1, -1 + 1 / 60.0], u**2))
+    return _linear(u * (1.0 + 0.4 * a * warm))
+
+
+def store(u, a):
+    charge = np.concatenate(([0.0], np.cumsum(u)[:-1])) / 700.0
+    curve = -0.5 * charge + a * (0.3 * np.expm1(-10.0 * charge) - 0.2 * np.exp(15.0 * (charge - 1.0)))
+    return curve - 0.05 * _lag(u, 0.9)
+
+
+def _read(u, at):
+    """The continuous output of a linear plant at any time, by filtering an input held on a fine grid."""
+    fine = np.repeat(u, FINE)
+    den = np.poly(np.exp(np.log(np.roots(PLANT[1]).astype(complex)) / FINE)).real
+    y = lfilter([np.sum(den)], den, fine - u[0]) + u[0]
+    return np.interp(at * FINE, np.arange(len(y)), y)
+
+
+def clock_drift(u, a):
+    return _read(u, np.arange(len(u)) * (1.0 - 0.005 * a))
+
+
+def lost_samples(u, a):
+    k = np.arange(len(u))
+    return _read(u, k - 2.0 * a * (k > 300))
+
+
+def sweep(u, a):
+    k = np.arange(len(u))
+    return _linear(u) + 0.3 * a * np.cos(0.3 * k + 0.5 * 0.002 * k**2 + 0.4)
+
+
+_Maker = Callable[[np.ndarray, float], np.ndarray]
+_LEVEL = {"mean": 4.0, "size": 1.5}
+CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
+    # key of the effect: (record, order of the linear model, its input)
+    "input_exponential": (exponential, 3, {"mean": 0.6, "size": 0.2}), "input_power": (power, 2, _LEVEL),
+    "input_tanh": (saturating, 2, {}), "input_kink": (kink, 2, {}), "relay": (relay, 2, {}),
+    "hysteresis_rate": (dragged, 2, {}), "output_sigmoid": (sigmoid, 2, {}), "output_exponential": (logarithm, 2, {}),
+    "magnitude": (magnitude, 2, {}), "squared": (squared, 2, {}), "rectified": (rectified, 2, {}),
+    "wrapped": (wrapped, 3, {}), "rise_and_fall": (rise_and_fall, 3, _LEVEL), "orifice": (orifice, 3, _LEVEL),
+    "loss_cubic": (loss, 2, _LEVEL), "outflow_root": (outflow, 2, _LEVEL), "vessel": (vessel, 2, _LEVEL),
+    "through_flow": (through_flow, 2, {"mean": 4.0, "size": 1.2}), "pendulum": (pendulum, 2, {"size": 0.4}),
+    "pendulum_pivot": (pivot, 3, {"size": 0.8}), "position_periodic": (eccentric, 2, {"mean": 3.0, "size": 0.6}),
+    "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "gain_heat": (heated_gain, 2, {}),
+    "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
+    "lost_samples": (lost_samples, 2, {}), "sweep": (sweep, 2, {}),
+}  # fmt: skip
+
+LOOKALIKES = {
+    # effect: a record that looks like it and is not
+    "input_exponential": "rise_and_fall", "input_tanh": "input_kink", "relay": "hysteresis_rate", "magnitude": "squared",
+    "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifice": "vessel",
+    "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
+    "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "sweep": "pendulum",
+    "gain_heat": "input_kink",
+}  # fmt: skip

@@ -1,0 +1,83 @@
+"""The classes that common rigs show: each is started well enough to be found, and stays away where it is not."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from estimators.diagnosis.effects import Clock, named
+from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.path import INITIAL
+from estimators.diagnosis.effects.recursion_kernels import relay
+from estimators.diagnosis.model.fitting import Channel
+from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.search.candidates import Menu, augmented
+from estimators.diagnosis.search.selection import significance
+from tests.estimators.case_classes import CLASSES, LOOKALIKES, excitation
+
+NOISE = 0.01  # of the output's standard deviation
+N = 700
+LIMITS = {"wrapped": 1.7}  # errors of a jump's time reach beyond the samples next to it
+
+
+@cache
+def record(key, strength):
+    """Channel, linear fit without a noise model, and the noise's standard deviation."""
+    maker, order, signal = CLASSES[key]
+    rng = np.random.default_rng([7, *key.encode()])
+    u = excitation(rng, N, **signal)
+    y = maker(u, strength)
+    noise = NOISE * np.std(y)
+    y = y + noise * rng.standard_normal(N)
+    channel = Channel(u[:, None], y, Clock(np.arange(float(N)), N), np.ones(N, dtype=bool))
+    s = replace(Structure(order).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2)
+    f = fit_linear(channel, s)
+    white = float(np.mean(f.residual**2))
+    return channel, replace(f, noise=np.zeros(0), variance=white, deviance=N * np.log(white)), noise
+
+
+def error(f):
+    if f.structure.parts[-1].key == "wrapped":  # a sample too early or too late at a jump is a whole turn
+        return float(np.median(np.abs(f.residual)) / 0.6745)
+    return float(np.sqrt(np.mean(f.residual**2)))
+
+
+def fits(key, of, strength=1.0):
+    channel, base, noise = record(of, strength)
+    found = sorted(augmented(channel, base, Menu((named(key),))), key=error)
+    return found, base, noise
+
+
+@pytest.mark.parametrize("key", CLASSES)
+def test_a_class_is_found_to_the_noise(key):
+    found, base, noise = fits(key, key)
+    assert error(base) > 2.0 * noise  # the linear model does not do
+    assert error(found[0]) < LIMITS.get(key, 1.35) * noise
+
+
+@pytest.mark.parametrize("key", CLASSES)
+def test_a_class_is_not_claimed_on_the_same_rig_without_it(key):
+    """One record per class, false-alarm rate 1 % of each: the corrected significance of the best fit."""
+    found, base, noise = fits(key, key, 0.0)
+    if key != "integral_curve":  # an integrator, which the plain fit keeps from the circle
+        assert error(base) < LIMITS.get(key, 1.35) * noise  # the linear model is right
+    for f in found:
+        ratio = base.deviance - replace(f, noise=np.zeros(0)).deviance if not len(f.noise) else 0.0
+        assert significance(base, f) > 0.01 or ratio < 0.0 or error(f) > 0.98 * error(base)
+
+
+@pytest.mark.parametrize("key, of", LOOKALIKES.items())
+def test_a_class_does_not_explain_what_only_looks_like_it(key, of):
+    found, _, noise = fits(key, of)
+    assert not found or error(found[0]) > 1.5 * noise
+
+
+def test_relay_is_its_definition():
+    x, state, expected = np.cumsum(np.random.default_rng(2).standard_normal(300)), -1.0, []
+    for value in x:
+        state = 1.0 if value > 0.8 else -1.0 if value < -0.8 else state
+        expected.append(state)
+    assert len(set(expected)) == 2
+    np.testing.assert_array_equal(relay(x, 0.8), expected)
