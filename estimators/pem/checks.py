@@ -69,6 +69,10 @@ def _plain(kind: str, orders: tuple[int, ...], delay: int, ny: int, nu: int, dia
     return polynomial(kind, orders, delay, n_outputs=ny, n_inputs=nu, diagonal=diagonal)
 
 
+LARGEST = 1e75
+"""Size of a signal, and one over it the smallest: fourth powers are formed, and a double ends at 1e308 (see the test)."""
+
+
 def check_records(
     records: list[Record], form: Structure, offset: bool, missing: bool = False, regularised: bool = False
 ) -> None:
@@ -99,6 +103,13 @@ def check_records(
         )
     for k, record in enumerate(records):
         which = f"record {k + 1}" if len(records) > 1 else "the record"
+        for name, signal in (("inputs", record.u), ("outputs", record.y)):
+            size = np.abs(signal[np.isfinite(signal)]).max(initial=0.0)
+            if size and not 1 / LARGEST <= size <= LARGEST:
+                raise InputError(
+                    f"the {name} of {which} are of the size {size:.3g}; their squares leave the range of doubles, and tests "
+                    f"would say what is not so: choose units in which they are between {1 / LARGEST:g} and {LARGEST:g}."
+                )
         gaps = ~np.isfinite(record.u)
         if missing and gaps.any():
             raise InputError(
