@@ -62,3 +62,19 @@ def test_missing_samples_count_as_equal_and_short_records_as_fresh():
     train = Record(train.u, y)
     assert copied_rows(train, train[50:90]) == 40
     assert copied_rows(train, train[50:55]) == 0
+
+
+def test_two_repeats_of_one_sweep_are_no_copy():
+    """Whole counts of a quiet sensor coincide row by row where the input is the same; a copied half is longer than that."""
+    sweep = np.sin(2e-3 * np.arange(1500) ** 1.5)
+
+    def counts(seed):
+        noise = 0.12 * np.random.default_rng(seed).normal(size=1500)
+        return Record(sweep, np.round(40 * lfilter([0.0, 0.2], [1.0, -0.8], sweep) + noise))
+
+    train, *repeats = [counts(seed) for seed in range(8)]
+    assert max(longest_stretch(train, test) for test in repeats) > 40
+    assert [copied_rows(train, test) for test in repeats] == [0] * len(repeats)
+    y = repeats[0].y.copy()
+    y[700:1400] = train.y[700:1400]
+    assert copied_rows(train, Record(sweep, y)) >= 700

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.choice import Candidate, Trial, tried
+from estimators.diagnosis.baseline.disturbances import noise_model
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.output_error import OutputError, realised
 from estimators.diagnosis.baseline.regression import Arx, Lagged, lagged
@@ -32,6 +34,36 @@ REALISED = 30
 """Lags of the impulse response that a reduction to few poles keeps: three times the largest order."""
 STEPS = (4, 8, 4)
 """Gauss-Newton steps from each start, on from the best of them, and without one block from the optimum on all data."""
+EARLY = 2
+"""Samples before the onset of an impulse response at which its model may begin: the first of them drown in noise."""
+LATEST = 400
+"""Longest delay looked for, in samples, and at most a quarter of a record."""
+ONSET = (5.0, 0.2)
+"""An impulse response begins where it is so many standard deviations, and so much of its largest value, above nothing."""
+
+
+def onsets(records: Sequence[Record], output: int, runs: Sequence[Array]) -> tuple[int, ...]:
+    """For each input the lag at which the output less a free run, (N,) per record, first answers it; 0 where it does not.
+
+    It is the correlation of both after the input's own is filtered out.
+    """
+    lags = min(LATEST, min(len(r) for r in records) // 4)
+    out = []
+    for j in range(records[0].n_inputs):
+        a, _ = noise_model([r.u[:, j] - r.u[:, j].mean() for r in records])
+        total, scale, count = np.zeros(lags + 1), np.zeros(2), 0
+        for r, run in zip(records, runs, strict=True):
+            y = r.y[:, output] - run
+            y = np.nan_to_num(y - np.nanmean(y))
+            x, y = (np.asarray(lfilter(a, [1.0], v))[len(a) :] for v in (r.u[:, j] - r.u[:, j].mean(), y))
+            spectrum = np.fft.rfft(y, 2 * len(y)) * np.conj(np.fft.rfft(x, 2 * len(x)))
+            total += np.fft.irfft(spectrum)[: lags + 1]
+            scale += [x @ x, y @ y]
+            count += len(x)
+        size = np.abs(total) / max(float(np.sqrt(scale.prod())), 1e-300)
+        above = np.flatnonzero(size > max(ONSET[0] / np.sqrt(count), ONSET[1] * size.max()))
+        out.append(int(above[0]) if len(above) else 0)
+    return tuple(out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +82,31 @@ class Search:
         return self.records[0].n_inputs
 
     def arx(self) -> list[Trial]:
-        """Stable ARX over orders, numerators and delays."""
+        """Stable ARX over orders, numerators and delays: short ones, and those where the impulse responses begin."""
+        found = self._grid((0,) * self.inputs, DELAYS)
+        first, runs = (0,) * self.inputs, [np.zeros(len(r)) for r in self.records]
+        for _ in range(2):  # again in what is left: an input that answers strongly hides the onset of another
+            seen = onsets(self.records, self.output, runs)
+            late = tuple(
+                max(0, d - EARLY) if d > max(DELAYS) else f for d, f in zip(seen, first, strict=True)
+            )
+            if late == first or not (found := found + self._grid(late, range(2 * EARLY))):
+                break
+            first, best = late, min(found, key=lambda t: float(t.charged.mean())).candidate.models[-1]
+            runs = [
+                best.free_run(self.prior, r.u, r.y[:, self.output], self.blocks.window) for r in self.records
+            ]
+        return found
+
+    def _grid(self, first: tuple[int, ...], later: Sequence[int]) -> list[Trial]:
+        """ARX whose inputs are late by `first` and one of `later` more."""
+        regressors = self._lagged(Arx(max(ORDERS), max(later) + LONG + 1, first, True))
         forms = [
-            Arx(na, nb, (nk,) * self.inputs, self.offset)
-            for nk in DELAYS
+            Arx(na, nb, tuple(d + more for d in first), self.offset)
+            for more in later
             for na in ORDERS
             for nb in sorted({max(1, na - 1), max(1, na), na + 1, LONG})
         ]
-        regressors = self._lagged(Arx(max(ORDERS), max(DELAYS) + LONG + 1, (0,) * self.inputs, True))
         found = [self._tried(self._arx(regressors, form)) for form in forms]
         return [t for t in found if t is not None]
 

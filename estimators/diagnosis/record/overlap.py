@@ -27,12 +27,14 @@ def copied_rows(train: Record, test: Record) -> int:
     -------
     int
         0 where there is none. A stretch counts where it is the whole test record, or more than twice as long as any that
-        either record repeats within itself: rounding and periodic inputs repeat rows by chance.
+        either record repeats within itself, and than chance lets two repeats of one experiment agree: rounding and
+        periodic inputs repeat rows.
     """
     rows = np.concatenate([np.concatenate((r.u, r.y), axis=1) for r in (train, test)])
     rows = np.where(np.isnan(rows), np.inf, rows)  # missing samples are equal
     _, names = np.unique(rows, axis=0, return_inverse=True)
-    windows = _Windows(names.ravel())
+    names = names.ravel()
+    windows = _Windows(names)
     n, total = len(train), len(rows)
 
     def shared(length: int) -> bool:
@@ -49,10 +51,31 @@ def copied_rows(train: Record, test: Record) -> int:
     longest = _longest(shared, shorter)
     if longest == len(test):
         return longest
+    of = windows.of(longest)
+    _, here, there = np.intersect1d(of[: n - longest + 1], of[n:], return_indices=True)
     own = max(
         _longest(lambda k: repeated(0, n, k), n - 1), _longest(lambda k: repeated(n, total, k), total - n - 1)
     )
-    return longest if longest > 2 * own else 0
+    return (
+        longest
+        if longest > 2 * max(own, _by_chance(names[:n], names[n:], int(here[0]), int(there[0]), longest))
+        else 0
+    )
+
+
+def _by_chance(a: NDArray[np.int64], b: NDArray[np.int64], here: int, there: int, length: int) -> float:
+    """Longest agreement to be expected of two repeats of one experiment, from how often their other rows agree.
+
+    The records are laid so that the stretch from `here` in one and from `there` in the other meet. Runs of agreement at a
+    rate q over n rows are log n / log(1/q) long at most, give or take a few 1/log(1/q).
+    """
+    first = min(here, there)
+    count = min(len(a) - here, len(b) - there) + first
+    same = a[here - first : here - first + count] == b[there - first : there - first + count]
+    same[first : first + length] = False
+    rest = max(count - length, 1)
+    q = (same.sum() + 1.0) / (rest + 2.0)
+    return float(np.log(max(count, 2)) / np.log(1.0 / q))
 
 
 class _Windows:
