@@ -270,8 +270,10 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
     limit = SURE if o.named.claims or len(f.noise) else alpha / 10
     for item in rest:
         noisy = item.nature == Nature.NOISE
-        if item.p_value >= (SURE if noisy else limit) or not (noisy or o.left.explainable):
-            continue  # a significant dependence that predicts nothing on unused blocks is no cause
+        if item.p_value >= (SURE if noisy else limit) or item.nature == Nature.LINEAR:
+            continue  # the linear model is the best there is on unused blocks: another is no cause
+        if not noisy and not o.left.explainable and item.gain < TELLING * f.n:
+            continue  # a significant dependence that predicts nothing on unused blocks
         if (noisy and not o.named.claims and not len(f.noise)) or (
             not noisy and item.gain > max(0.5 * explained, LEAST)
         ):
@@ -287,6 +289,9 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
 
 SURE = 1e-6
 """Significance under a noise model or beside an effect is less sure than it says."""
+TELLING = 0.5
+"""Likelihood ratio per sample (two fifths of the innovations' variance) from which on a dependence is no accident of a
+noise model, though no regression predicts it on unused blocks."""
 LEAST = 6.0
 """Of Schwarz's criterion: odds of twenty to one."""
 
