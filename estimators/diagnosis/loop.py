@@ -17,7 +17,7 @@ from estimators.diagnosis.baseline import Baseline, Options, best_linear
 from estimators.diagnosis.discovery import DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
-from estimators.diagnosis.ladder.steps import Kind, Step, climb
+from estimators.diagnosis.ladder.steps import Kind, Step, climb, paired_gain
 from estimators.diagnosis.ladder.verdicts import Outcome, verdict
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.measurement import held_samples, resting_samples
@@ -179,7 +179,28 @@ def _outcome(
     left = _left(train, i, base, named.step, share)
     y = np.nan_to_num(train.y[:, i])
     ladder = climb([y], steps, [bench.counted], setting.policy, least=int(len(out) > 0))
+    if ladder.chosen.kind is Kind.DISCOVERED and not _confirmed(train, i, base, bench, setting):
+        steps = [replace(s, admitted=s.kind is not Kind.DISCOVERED) for s in steps]
+        ladder = climb([y], steps, [bench.counted], setting.policy, least=int(len(out) > 0))
     return Outcome(i, found, named, ladder, share, left, discovery)
+
+
+def _confirmed(train: Record, i: int, base: Baseline, bench: Bench, setting: Setting) -> bool:
+    """Whether a search that never saw the last block, nor what is beside it, finds terms that simulate it better.
+
+    The parameters of a discovered model did not see the blocks that vouch for it, but the search for its terms did.
+    """
+    last = base.blocks.blocks[-1]
+    head = train[: last.start - base.blocks.guard]
+    linear = best_linear([head], _options(head, setting))
+    found = discover([head], linear, setting.effort.value)
+    if found.model is None:
+        return False
+    window, counted = base.blocks.window, bench.counted.copy()
+    counted[: last.start] = False
+    runs = [m.simulate(train, window)[:, i] for m in (linear, found.model)]
+    gain = paired_gain([np.nan_to_num(train.y[:, i])], runs[:1], runs[1:], [counted], setting.policy)
+    return gain.beyond(setting.policy.claimed[0]) and gain.share > setting.policy.claimed[1]
 
 
 def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:
