@@ -27,6 +27,8 @@ SETTLED = 1e-4
 """What may be left of a wrong state after the constant input that is put before a record."""
 LONGEST = 3000
 """Samples of constant input before a record; a pole within `FAR` of the circle has settled to 5 % by then."""
+LEVELS = slice(8, 10)
+"""Where the levels at the first sample stand among the parameters of two tanks."""
 STEPS = 6
 """Gauss-Newton steps without a block, from the fit to all blocks: more than the two or three that change anything."""
 
@@ -108,7 +110,7 @@ def _corrected(den: Array, error: Array, window: int, start: Start) -> Array:
 
 def _tanks(f: Shaped, u: Array, clock: Clock, y: Array, window: int) -> Array:
     """Levels at the start by least squares in the window, from those of the training record."""
-    x0 = f.p[8:10].copy()
+    x0 = f.p[LEVELS].copy()
     seen = np.flatnonzero(np.isfinite(y[:window]))
     if len(seen):
         head = Clock(clock.k[:window], clock.length)
@@ -161,7 +163,10 @@ def blocked(channel: Channel, f: Fit, blocks: Blocks, thin: int, start: Start, *
     for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
         if part.effect is INITIAL:  # no other block says anything of the record's own start
             scales[sl] = 0.0
-    own = not any(part.effect is INITIAL for part in f.structure.parts[: f.structure.base])
+    tanks = f.structure.layout == "tanks"
+    if tanks:  # nor of the levels that its tanks start from
+        scales[LEVELS] = 0.0
+    own = not tanks and not any(part.effect is INITIAL for part in f.structure.parts[: f.structure.base])
     window = max(blocks.window // thin, 2 * f.structure.order) if blocks.window else 0
     y = np.where(channel.keep, channel.y, np.nan)
     for block in blocks.blocks:
