@@ -48,7 +48,19 @@ class Options:
 
 @dataclass(frozen=True)
 class Pole:
-    """A pole, or a pair of conjugate ones: frequency (0 for a real pole), damping ratio, time constant in seconds."""
+    """A pole, or a pair of conjugate ones.
+
+    Attributes
+    ----------
+    frequency_hz : float
+        0 for a real pole.
+    damping : float
+        Ratio, 1 for a real stable pole.
+    time_constant : float
+        In seconds.
+    radius : float
+        Magnitude in the z plane.
+    """
 
     frequency_hz: float
     damping: float
@@ -100,7 +112,18 @@ class OutputModel:
     warnings: tuple[str, ...] = ()
 
     def ill_posed(self, blocks: Blocks) -> bool:
-        """Whether a pole remembers the initial state for longer than the records are."""
+        """Whether a pole remembers the initial state for longer than the records are.
+
+        Parameters
+        ----------
+        blocks : Blocks
+            Of the training records.
+
+        Returns
+        -------
+        bool
+            Then a window of samples cannot set the state well enough.
+        """
         return 1.0 - self.model.radius < 1.0 / max(blocks.lengths)
 
 
@@ -153,7 +176,18 @@ class Baseline:
         return tuple(sentence for m in self.outputs for sentence in m.why)
 
     def poles(self, output: int = 0) -> tuple[Pole, ...]:
-        """Poles of one output's model, slowest first; a conjugate pair is one row."""
+        """Poles of one output's model, slowest first; a conjugate pair is one row.
+
+        Parameters
+        ----------
+        output : int
+            Which output, from 0.
+
+        Returns
+        -------
+        tuple of Pole
+            Delays, which are poles at 0, are left out.
+        """
         rows = []
         for z in self.outputs[output].model.poles:
             if z.imag < 0 or abs(z) < 1e-6:  # the other of a pair; a delay
@@ -170,7 +204,20 @@ class Baseline:
         return tuple(sorted(rows, key=lambda p: -p.radius))
 
     def simulate(self, record: Record, window: int | None = None) -> Array:
-        """(N, ny) free run on a record; its first `window` samples (default: the blocks') set the state."""
+        """Free run on a record.
+
+        Parameters
+        ----------
+        record : Record
+            Inputs, and outputs in the window.
+        window : int, optional
+            First samples that set the state; by default the blocks'.
+
+        Returns
+        -------
+        ndarray
+            (N, ny) simulated outputs.
+        """
         w = self.blocks.window if window is None else window
         return np.stack(
             [
@@ -181,14 +228,35 @@ class Baseline:
         )
 
     def opening(self, length: int) -> int:
-        """Samples of a training record that set its state: of an ill-posed free run as many as it needs, up to `REACH`."""
+        """How many samples of a training record set its state.
+
+        Parameters
+        ----------
+        length : int
+            Samples of the record.
+
+        Returns
+        -------
+        int
+            The window; of an ill-posed free run as many as it needs, up to `REACH`.
+        """
         return min(length, REACH) if self.ill_posed else self.blocks.window
 
     def k_step(self, record: Record, k: int) -> Array:
-        """(N, ny) every sample from outputs up to k samples earlier; NaN before the first.
+        """Every sample from outputs up to k samples earlier.
 
-        Every k-th prediction starts anew from a window of samples and serves for the k samples after it, so that those
-        of one start are 1 to k samples ahead.
+        Parameters
+        ----------
+        record : Record
+            Inputs and outputs.
+        k : int
+            Samples ahead.
+
+        Returns
+        -------
+        ndarray
+            (N, ny); NaN before the first. Each prediction starts anew from a window and serves for the next k samples,
+            so that those of one start are 1 to k samples ahead.
         """
         out = np.full(record.y.shape, np.nan)
         for i, m in enumerate(self.outputs):

@@ -16,7 +16,15 @@ __all__ = ["Block", "Blocks", "blocks_of"]
 
 @dataclass(frozen=True)
 class Block:
-    """Samples `start` to `stop` - 1 of record number `record`."""
+    """Consecutive samples of one record.
+
+    Attributes
+    ----------
+    record : int
+        Which record.
+    start, stop : int
+        First sample, and the one after the last.
+    """
 
     record: int
     start: int
@@ -52,20 +60,53 @@ class Blocks:
     blocks: tuple[Block, ...]
 
     def training(self, held_out: Block) -> list[NDArray[np.bool_]]:
-        """Per record (N,) the samples that a fit may use while a block is held out."""
+        """The samples that a fit may use while a block is held out.
+
+        Parameters
+        ----------
+        held_out : Block
+            One of the blocks.
+
+        Returns
+        -------
+        list of ndarray
+            Per record (N,) of bool: outside the block and its guard.
+        """
         rows = [np.ones(n, dtype=bool) for n in self.lengths]
         rows[held_out.record][max(0, held_out.start - self.guard) : held_out.stop + self.guard] = False
         return rows
 
     def counting(self, records: Sequence[Record]) -> list[NDArray[np.bool_]]:
-        """Per record (N, ny) the samples that count in an error: measured, and after the record's window."""
+        """The samples that count in an error.
+
+        Parameters
+        ----------
+        records : sequence of Record
+            The records of these blocks.
+
+        Returns
+        -------
+        list of ndarray
+            Per record (N, ny) of bool: measured, and after the record's window.
+        """
         out = [np.isfinite(record.y) for record in records]
         for counts in out:
             counts[: self.window] = False
         return out
 
     def batches(self, each: int) -> list[Block]:
-        """Every block's counting samples cut into `each` parts: the units of standard errors."""
+        """The units of standard errors.
+
+        Parameters
+        ----------
+        each : int
+            Parts of every block.
+
+        Returns
+        -------
+        list of Block
+            The counting samples of every block, cut into so many parts.
+        """
         out = []
         for b in self.blocks:
             edges = np.linspace(max(b.start, self.window), b.stop, each + 1).astype(int)
@@ -74,7 +115,24 @@ class Blocks:
 
 
 def blocks_of(records: Sequence[Record], count: int, window: int, guard: int) -> Blocks:
-    """About `count` blocks of equal length over all records, at least one a record and two in all."""
+    """About `count` blocks of equal length over all records, at least one a record and two in all.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        The records.
+    count : int
+        Blocks wanted.
+    window : int
+        Samples that set a record's state.
+    guard : int
+        Samples beside a held-out block that no fit uses.
+
+    Returns
+    -------
+    Blocks
+        Window and guard are cut to a quarter and a half of the shortest block.
+    """
     lengths = tuple(len(record) for record in records)
     size = sum(lengths) / max(count, 2)
     blocks = []
