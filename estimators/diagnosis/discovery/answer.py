@@ -15,7 +15,7 @@ from estimators.diagnosis.discovery.form import Assembly
 from estimators.diagnosis.discovery.model import DiscoveredModel, FoundTerm
 from estimators.diagnosis.discovery.search import Budget, greedy_search
 from estimators.diagnosis.discovery.starts import Scales, pieces_of, scales_of
-from estimators.diagnosis.discovery.uncertainty import covariance
+from estimators.diagnosis.discovery.uncertainty import covariance, pruned
 from estimators.diagnosis.discovery.validation import ahead, start_prior, unused
 from oed.data import Record
 
@@ -98,8 +98,8 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     zeros = {f"y{i}": float(-scales.y[i] / scales.sy[i]) for i in range(records[0].n_outputs)}
     zeros |= {f"u{j}": float(-scales.u[j] / scales.su[j]) for j in range(records[0].n_inputs)}
     judge = _Judge(records, baseline, scales, pieces)
-    found = greedy_search(pieces, scales, smooth, zeros, budget, bool(np.min(delays) == 0))
-    whole, gain, considered = _chosen(found, judge)
+    found = greedy_search(pieces, scales, smooth, zeros, budget, True)
+    whole, gain, considered = _chosen(_pruned(_front(found), pieces, budget.rounds), judge)
     predictions = None if whole is None else judge.unused(whole, False)
     if whole is None or predictions is None or not judge.better(predictions):
         return Discovery(None, considered=considered, gain=gain)
@@ -176,7 +176,7 @@ def _chosen(found: list[Fitted], judge: _Judge) -> tuple[Fitted | None, float, t
     """The simplest model within one standard error of the best where it did not see the data, None if it is linear."""
     base = judge.of(judge.baseline.unused)
     tried = []
-    for f in _front(found):
+    for f in found:
         predictions = judge.unused(f, True)
         if predictions is not None:
             s = np.concatenate([judge.of(predictions), judge.ahead(f)])
@@ -192,8 +192,19 @@ def _chosen(found: list[Fitted], judge: _Judge) -> tuple[Fitted | None, float, t
     f, s = min(near, key=lambda t: t[0].free)
     rivals = [(x, s) for _, x in linear] + [(base, s[:m])]
     gain = min(_errors(a, b) for a, b in rivals)
-    less = all(b.mean() < (1 - LEAST) ** 2 * a.mean() for a, b in rivals)
+    forward = min(x[m:].mean() for _, x in linear)
+    less = s[m:].mean() < forward and all(b.mean() < (1 - LEAST) ** 2 * a.mean() for a, b in rivals)
     return (f if gain > ADMITTED and less else None), gain, considered
+
+
+def _pruned(found: Sequence[Fitted], pieces: Sequence[Piece], rounds: int) -> list[Fitted]:
+    """What is left of the models once insignificant terms are out, each form once."""
+    out = {}
+    for f in found:
+        less = pruned(f, pieces, rounds)
+        if less.form not in out or less.sse < out[less.form].sse:
+            out[less.form] = less
+    return sorted(out.values(), key=lambda f: f.free)
 
 
 def _errors(a: Array, b: Array) -> float:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.discovery.form import FREE, LAST, Factor, Form, Term
+from estimators.diagnosis.discovery.form import Factor, Form, Term
 from estimators.diagnosis.discovery.recursion_kernels import factor_values
 
-__all__ = ["Candidate", "Kind", "candidates", "values"]
+__all__ = ["Candidate", "Kind", "candidates", "placed", "values"]
 
 Array = NDArray[Any]
 
@@ -53,7 +53,11 @@ class Candidate:
     """Terms to be added together: the last one acts, those before it are slow states that it reads."""
 
     terms: tuple[Term, ...]
-    slots: tuple[str, ...] = ("force", "output")
+
+    @property
+    def slow(self) -> int:
+        """Number of slow states."""
+        return sum(t.slot == "slow" for t in self.terms)
 
     @property
     def key(self) -> tuple:
@@ -118,6 +122,9 @@ def candidates(
     for a in range(len(names)):
         for b in range(a + 1, len(names)):
             out.append(Candidate((Term((centred(names[a]), centred(names[b]))),)))
+    crossing = {
+        n for n in names if signals[n].min() < zeros.get(n, 0.0) < signals[n].max()
+    }  # elsewhere |x| is x
     magnitude = lambda name: Factor(Kind.ABS, name, zeros.get(name, 0.0))
     sign = lambda name: Factor(
         Kind.SIGN, name, zeros.get(name, 0.0), SHARP * max(float(signals[name].std()), 1e-9)
@@ -126,8 +133,10 @@ def candidates(
     for a in names:
         for b in names:
             if a != b:
-                out += [Candidate((Term((f(a), centred(b))),)) for f in (magnitude, square)]
-                out += [Candidate((Term((sign(a), centred(b))),))] if a[0] in "vu" else []
+                out += [
+                    Candidate((Term((f(a), centred(b))),)) for f in (magnitude, square)[a not in crossing :]
+                ]
+                out += [Candidate((Term((sign(a), centred(b))),))] if a[0] in "vu" and a in crossing else []
                 out += [Candidate((Term((sign(a), square(b))),))] if a[0] == "v" and a[1:] != b[1:] else []
     for _i, name in enumerate(y):
         low, zero = float(signals[name].min()), zeros.get(name, 0.0)
@@ -164,6 +173,3 @@ def placed(candidate: Candidate, form: Form, slot: str, chain: int, along: int) 
     last = candidate.terms[-1]
     factors = tuple(replace(f, signal=f"s{number}") if f.signal == "s" else f for f in last.factors)
     return (*candidate.terms[:-1], replace(last, factors=factors, slot=slot, chain=chain, along=along))
-
-
-SHAPES = (FREE, LAST)

@@ -259,13 +259,16 @@ class DiscoveredModel:
             dt=s["dt"],
             bounds=tuple(tuple(b) for b in s["bounds"]),
         )
+        start = d["prior"]
+        arrays = {k: np.array(start[k]) for k in ("mean", "covariance", "correlation")}
+        prior = StartPrior(arrays["mean"], arrays["covariance"], start["mse"], arrays["correlation"])
         pairs = lambda key: {k: tuple(v) for k, v in d[key].items()}
         return cls(
             form,
             np.array(d["theta"]),
             scales,
             np.array(d["covariance"]),
-            StartPrior(**{k: v if k == "mse" else np.array(v) for k, v in d["prior"].items()}),
+            prior,
             pairs("names"),
             pairs("ranges"),
         )

@@ -10,15 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from estimators.diagnosis.discovery.dictionary import Candidate, candidates, values
+from estimators.diagnosis.discovery.dictionary import Candidate, candidates, placed, values
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, run_piece, start_state
 from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Term
 
-__all__ = ["Screened", "screen"]
+__all__ = ["Screened", "screen", "terms_of"]
 
 Array = NDArray[Any]
 SMOOTH = 1.0  # samples over which measured outputs are smoothed before they enter a candidate, over the pace
 LEAST = 1e-8  # share of a column that must be left once the model's own columns are taken out
+ELEMENTS = (
+    4_000_000  # of all candidates' sensitivities at once; a longer record is screened on its worst part
+)
+SHORT = 400  # samples that a part has at least
+KEPT = 60  # candidates of a chain that go on where a part had to do for all
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +37,21 @@ class Screened:
     coefficients: Array
     gain: float
 
+    @property
+    def parameters(self) -> int:
+        """What it would add: coefficients, free constants, rates of slow states."""
+        terms = self.candidate.terms
+        return (
+            len(self.coefficients) + sum(sum(f.free) for t in terms for f in t.factors) + self.candidate.slow
+        )
 
-def _signals(asm: Assembly, signals: Array) -> dict[str, Array]:
-    return {name: np.ascontiguousarray(signals[:, i]) for i, name in enumerate(asm.signals)}
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A stretch of a record with the chain state at its start."""
+
+    piece: Piece
+    state: Array
 
 
 def _measured(asm: Assembly, own: dict[str, Array], piece: Piece, y: Array) -> dict[str, Array]:
@@ -48,77 +65,113 @@ def _measured(asm: Assembly, own: dict[str, Array], piece: Piece, y: Array) -> d
     return out
 
 
-def _columns(
-    asm: Assembly, fitted: Fitted, piece: Piece, state: Array, w: Array
-) -> tuple[Array, Array, Array]:
+def _parts(fitted: Fitted, pieces: Sequence[Piece], samples: int) -> list[_Part]:
+    """The records themselves, or the stretch of each where the residual is largest."""
+    asm, out = Assembly(fitted.form), []
+    most = max(samples // len(pieces), SHORT)
+    for p, state, y in zip(pieces, fitted.starts, fitted.outputs):
+        if len(p.y) <= most:
+            out.append(_Part(p, state))
+            continue
+        power = np.cumsum(np.r_[0.0, (((p.y - y) * p.weight) ** 2).sum(axis=1)])
+        a = int(np.argmax(power[most:] - power[:-most]))
+        states = run_piece(asm, fitted.theta, state, p.d[: a + 1]).states
+        cut = Piece(p.d[a : a + most], p.y[a : a + most], p.weight[a : a + most])
+        out.append(_Part(cut, states[a, : asm.chain_states].copy()))
+    return out
+
+
+def screen(fitted: Fitted, pieces: Sequence[Piece], zeros: dict[str, float]) -> list[Screened]:
+    """Candidates in every slot with their gains over all data, arguments simulated and as measured; the better counts."""
+    form = fitted.form
+    asm = Assembly(form)
+    listed = None
+    parts = _parts(fitted, pieces, sum(len(p.y) for p in pieces))
+    signals = _signals(asm, fitted, parts)
+    joined = {k: np.concatenate([s[k] for pair in signals for s in pair]) for k in signals[0][0]}
+    listed = candidates(form, joined, zeros, 1 / max(form.paces))
+    taken = {(t.factors, t.slot) for t in form.terms}
+    listed = [c for c in listed if not any((c.terms[-1].factors, s) in taken for s in ("force", "output"))]
+    columns = 2 * len(listed) * (sum(form.orders) + len(form.orders)) * len(form.orders)
+    room = ELEMENTS // columns
+    if room < sum(len(p.y) for p in pieces):
+        some = _parts(fitted, pieces, max(room, SHORT))
+        best = sorted(_scored(fitted, some, _signals(asm, fitted, some), listed), key=lambda s: -s.gain)
+        kept: dict[tuple, Candidate] = {}
+        for i in range(len(form.orders)):
+            for s in [s for s in best if s.chain == i][:KEPT]:
+                kept.setdefault((s.candidate.key, s.candidate.terms), s.candidate)
+        listed = list(kept.values())
+        columns = 2 * len(listed) * (sum(form.orders) + len(form.orders)) * len(form.orders)
+        parts = _parts(fitted, pieces, max(ELEMENTS // columns, SHORT))
+        signals = _signals(asm, fitted, parts)
+    return _scored(fitted, parts, signals, listed)
+
+
+def _signals(
+    asm: Assembly, fitted: Fitted, parts: Sequence[_Part]
+) -> list[tuple[dict[str, Array], dict[str, Array]]]:
+    out = []
+    for part in parts:
+        run = run_piece(asm, fitted.theta, part.state, part.piece.d)
+        own = {name: np.ascontiguousarray(run.signals[:, i]) for i, name in enumerate(asm.signals)}
+        out.append((own, _measured(asm, own, part.piece, run.y)))
+    return out
+
+
+def _scored(fitted: Fitted, parts: Sequence[_Part], signals, listed: Sequence[Candidate]) -> list[Screened]:
+    """Every listed candidate in every slot and shape."""
+    form = fitted.form
+    per_part = []
+    for pair in signals:
+        columns = []
+        for own in pair:
+            for c in listed:
+                s = dict(own)
+                for t in c.terms[:-1]:
+                    s["s"] = values(t, own)
+                columns.append(values(c.terms[-1], s))
+        per_part.append(np.array(columns).T)
+    size = np.sqrt(np.mean(np.vstack(per_part) ** 2, axis=0)) + 1e-300
+    residual, X = _projected(Assembly(form), fitted, parts, [w / size for w in per_part])
+    share = fitted.sse / max(float(residual @ residual), 1e-300)  # a part stands for the whole
+    return _gains(fitted, list(listed) * 2, residual, X, size, share)
+
+
+def _columns(asm: Assembly, fitted: Fitted, part: _Part, w: Array) -> tuple[Array, Array, Array]:
     """Residual (N ny,), Jacobian of the model itself and, per chain and tap then output, that of exogenous w (N, m)."""
     form, p, nx, m = fitted.form, len(fitted.theta), asm.chain_states, w.shape[1]
-    filled = asm.fill(fitted.theta)
+    filled, piece = asm.fill(fitted.theta), part.piece
     mats = filled.mats
     wide = tuple(np.hstack([x, np.zeros((len(x), m))]) if i in (1, 4, 6) else x for i, x in enumerate(mats))
     nd, ny = mats[1].shape[1], len(form.orders)
-    rows, extra = [], []
-    number = p + nx
-    for i in range(ny):
-        for r in range(form.orders[i]):
-            rows += [(number + c, 1, asm.first[i] + r, nd + c) for c in range(m)]
-            extra += [form.paces[i]] * m
-            number += m
-    for i in range(ny):
-        rows += [(number + c, 6, i, nd + c) for c in range(m)]
-        extra += [1.0] * m
-        number += m
-    x, dx = start_state(asm, filled, state, piece.d[0])
-    begin = np.zeros((len(x), number))
+    places = [(1, asm.first[i] + r, form.paces[i]) for i in range(ny) for r in range(form.orders[i])]
+    places += [(6, i, 1.0) for i in range(ny)]
+    rows = np.array(
+        [(p + nx + m * k + c, a, b, nd + c) for k, (a, b, _) in enumerate(places) for c in range(m)],
+        dtype=np.int64,
+    )
+    x, dx = start_state(asm, filled, part.state, piece.d[0])
+    begin = np.zeros((len(x), p + nx + m * len(places)))
     begin[:, p : p + nx] = dx
-    entries = np.vstack([filled.moving[0], np.array(rows, dtype=np.int64)])
     got = filled._replace(mats=wide).moved(
         x,
         begin,
         np.hstack([piece.d, w]),
-        entries,
-        np.concatenate([filled.moving[1], extra]),
+        np.vstack([filled.moving[0], rows]),
+        np.concatenate([filled.moving[1], np.repeat([v for *_, v in places], m)]),
         filled.moving[2],
     )
-    y, dy = got.y, got.dy
-    J = (dy * piece.weight[:, :, None]).reshape(-1, number)
-    return ((piece.y - y) * piece.weight).ravel(), J[:, : p + nx], J[:, p + nx :]
+    J = (got.dy * piece.weight[:, :, None]).reshape(-1, begin.shape[1])
+    return ((piece.y - got.y) * piece.weight).ravel(), J[:, : p + nx], J[:, p + nx :]
 
 
-def screen(
-    fitted: Fitted, pieces: Sequence[Piece], zeros: dict[str, float], measured: bool
-) -> list[Screened]:
-    """Every candidate in every slot with its gain; its arguments simulated, or measured where that is asked."""
-    form = fitted.form
-    asm = Assembly(form)
-    own = []
-    for piece, state in zip(pieces, fitted.starts):
-        y, _, signals, _, _ = run_piece(asm, fitted.theta, state, piece.d)
-        named = _signals(asm, signals)
-        own.append(_measured(asm, named, piece, y) if measured else named)
-    joined = {k: np.concatenate([o[k] for o in own]) for k in own[0]}
-    listed = candidates(form, joined, zeros, 1 / max(form.paces))
-    has = {(t.factors, t.slot) for t in form.terms}
-    per_piece = []
-    for o in own:
-        columns = []
-        for c in listed:
-            s = dict(o)
-            for t in c.terms[:-1]:
-                s["s"] = values(t, o)
-            columns.append(values(c.terms[-1], s))
-        per_piece.append(np.array(columns).T)
-    size = np.sqrt(np.mean(np.vstack(per_piece) ** 2, axis=0)) + 1e-300
-    residual, X = _projected(asm, fitted, pieces, [w / size for w in per_piece])
-    return _gains(form, fitted, listed, residual, X, size, has)
-
-
-def _projected(asm, fitted, pieces, ws) -> tuple[Array, Array]:
+def _projected(asm, fitted, parts, ws) -> tuple[Array, Array]:
     """Residual and candidates' columns with the model's own parameters and every record's start taken out."""
     p = len(fitted.theta)
     residuals, bases, columns = [], [], []
-    for piece, state, w in zip(pieces, fitted.starts, ws):
-        e, J, X = _columns(asm, fitted, piece, state, w)
+    for part, w in zip(parts, ws):
+        e, J, X = _columns(asm, fitted, part, w)
         Q = _basis(J[:, p:])
         residuals.append(e - Q @ (Q.T @ e))
         bases.append(J[:, :p] - Q @ (Q.T @ J[:, :p]))
@@ -127,72 +180,59 @@ def _projected(asm, fitted, pieces, ws) -> tuple[Array, Array]:
     e, X = np.concatenate(residuals), np.vstack(columns)
     before = np.einsum("ij,ij->j", X, X)
     X -= Q @ (Q.T @ X)
-    after = np.einsum("ij,ij->j", X, X)
-    X[:, after < LEAST * before] = 0.0
+    X[:, np.einsum("ij,ij->j", X, X) < LEAST * before] = 0.0
     return e - Q @ (Q.T @ e), X
 
 
 def _basis(J: Array) -> Array:
     size = np.linalg.norm(J, axis=0)
+    if not np.isfinite(size).all() or not size.any():
+        return np.zeros((len(J), 0))
     U, s, _ = np.linalg.svd(J[:, size > 0] / size[size > 0], full_matrices=False)
     return U[:, s > 1e-7 * s.max(initial=0.0)]
 
 
-def _gains(form, fitted, listed, residual, X, size, has) -> list[Screened]:
-    m, ny = len(listed), len(form.orders)
+def _gains(fitted: Fitted, listed, residual: Array, X: Array, size: Array, share: float) -> list[Screened]:
+    """All shapes at once: own taps, highest derivative alone, along each input, on top of the output."""
+    form, m = fitted.form, len(listed)
     first = np.concatenate([[0], np.cumsum(form.orders)])
     X = X.reshape(len(X), -1, m)  # (N, taps of all chains then outputs, candidates)
-    g = np.einsum("n,ntm->tm", residual, X)
-    squares = np.einsum("ntm,ntm->tm", X, X)
+    g = np.einsum("n,ntm->tm", residual, X, optimize=True)
     betas = Assembly(form).betas
-    out = []
-    for c, candidate in enumerate(listed):
-        if (candidate.terms[-1].factors, "force") in has or (candidate.terms[-1].factors, "output") in has:
-            continue
-        for i in range(ny):
-            at = slice(first[i], first[i + 1])
-            Xi, gi = X[:, at, c], g[at, c]
-            G = Xi.T @ Xi
-            out += _forces(candidate, i, G, gi, size[c], [fitted.theta[b] for b in betas[i]])
-            o = first[-1] + i
-            if squares[o, c] > 0:
-                k = g[o, c] / squares[o, c]
-                out.append(
-                    Screened(candidate, "output", i, FREE, np.array([k / size[c]]), float(k * g[o, c]))
-                )
-    return out
+    out: list[Screened] = []
 
+    def add(slot: str, chain: int, along: int, k: Array, gain: Array) -> None:
+        """k (m, taps) coefficients, gain (m,)."""
+        for c in np.flatnonzero(np.isfinite(gain) & (gain > 0)):
+            out.append(Screened(listed[c], slot, chain, along, k[c] / size[c], float(gain[c] * share)))
 
-def _forces(candidate, chain, G, g, size, betas) -> list[Screened]:
-    """The force's shapes: own taps, highest derivative alone, along each input."""
-    out = []
-    if not np.any(np.diag(G) > 0):
-        return out
-    n = len(g)
-    scale = np.sqrt(np.maximum(np.diag(G), 1e-300))
-    Gs = G / np.outer(scale, scale)
-    k = np.linalg.lstsq(Gs + 1e-8 * np.eye(n), g / scale, rcond=None)[0] / scale
-    if n > 1:
-        out.append(Screened(candidate, "force", chain, FREE, k / size, float(k @ g)))
-    if G[-1, -1] > 0:
-        k1 = g[-1] / G[-1, -1]
-        out.append(Screened(candidate, "force", chain, LAST, np.array([k1 / size]), float(k1 * g[-1])))
-    for j, b in enumerate(betas):
-        power = b @ G @ b
-        if power > 0:
-            kj = (b @ g) / power
-            out.append(Screened(candidate, "force", chain, j, np.array([kj / size]), float(kj * (b @ g))))
+    for i, n in enumerate(form.orders):
+        at = slice(int(first[i]), int(first[i + 1]))
+        Xi, gi = X[:, at], g[at].T
+        G = np.matmul(Xi.transpose(2, 1, 0), Xi.transpose(2, 0, 1))  # (m, n, n)
+        scale = np.sqrt(np.maximum(np.diagonal(G, axis1=1, axis2=2), 1e-300))
+        Gs = G / (scale[:, :, None] * scale[:, None, :]) + LEAST * np.eye(n)
+        if n > 1:
+            k = np.linalg.solve(Gs, (gi / scale)[:, :, None])[:, :, 0] / scale
+            add("force", i, FREE, k, np.einsum("mn,mn->m", k, gi))
+        last = gi[:, -1:] / scale[:, -1:] ** 2
+        add("force", i, LAST, last, last[:, 0] * gi[:, -1])
+        for j, numbers in enumerate(betas[i]):
+            b = fitted.theta[numbers]
+            power = np.maximum(np.einsum("a,mab,b->m", b, G, b), 1e-300)
+            add("force", i, j, (gi @ b / power)[:, None], (gi @ b) ** 2 / power)
+        o = int(first[-1]) + i
+        power = np.maximum(np.einsum("nm,nm->m", X[:, o], X[:, o]), 1e-300)
+        add("output", i, FREE, (g[o] / power)[:, None], g[o] ** 2 / power)
     return out
 
 
 def terms_of(screened: Screened, fitted: Fitted) -> tuple[tuple[Term, ...], Array]:
     """The terms to add and their parameters to start from."""
-    from estimators.diagnosis.discovery.dictionary import placed
-
     terms = placed(screened.candidate, fitted.form, screened.slot, screened.chain, screened.along)
-    theta = []
+    theta: list[float] = []
     for t in terms:
-        theta += [1.0] if t.slot == "slow" else list(screened.coefficients)
-        tail = [x for f in t.factors for x, free in ((f.p, f.free[0]), (f.q, f.free[1])) if free]
-        theta = theta[:-1] + tail + theta[-1:] if t.slot == "slow" else theta + tail
+        theta += [] if t.slot == "slow" else list(screened.coefficients)
+        theta += [x for f in t.factors for x, free in ((f.p, f.free[0]), (f.q, f.free[1])) if free]
+        theta += [1.0] if t.slot == "slow" else []
     return terms, np.array(theta)

@@ -10,14 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets
-from estimators.diagnosis.discovery.form import FREE
+from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, run_piece
+from estimators.diagnosis.discovery.form import FREE, Assembly
+from estimators.diagnosis.discovery.recursion_kernels import factor_values
 from estimators.diagnosis.discovery.screening import Screened, screen, terms_of
 from estimators.diagnosis.discovery.starts import Scales, linear_fit
 
 __all__ = ["Budget", "criterion", "grown", "greedy_search"]
 
 Array = NDArray[Any]
+BEND = (
+    0.03  # share of a term's spread that is not linear in its signals: below it the term is linear dynamics
+)
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,7 @@ class Budget:
     """
 
     orders: tuple[int, ...] = (1, 2, 3, 4)
+    rivals: tuple[int, ...] = (5, 6)  # further linear models that terms have to beat
     width: int = 8
     beam: int = 3
     terms: int = 4
@@ -41,13 +46,11 @@ def criterion(f: Fitted) -> float:
 
 def _ranked(fitted: Fitted, pieces: Sequence[Piece], zeros: dict[str, float], width: int) -> list[Screened]:
     """The best `width` candidates by either way of taking the arguments; of one function and slot only the best shape."""
-    found = screen(fitted, pieces, zeros, False) + screen(fitted, pieces, zeros, True)
+    found = screen(fitted, pieces, zeros)
     n = fitted.count
 
     def merit(s: Screened) -> float:
-        left = max(1 - s.gain / fitted.sse, 1e-6)
-        taps = len(s.coefficients) + sum(sum(f.free) for t in s.candidate.terms for f in t.factors)
-        return n * math.log(left) + (taps + len(s.candidate.terms) - 1) * math.log(n)
+        return n * math.log(max(1 - s.gain / fitted.sse, 1e-6)) + s.parameters * math.log(n)
 
     out, seen = [], set()
     for s in sorted(found, key=merit):
@@ -71,9 +74,35 @@ def grown(fitted: Fitted, s: Screened, pieces: Sequence[Piece], rounds: int) -> 
         first = len(start) - form.size(terms[-1])
         start[first : first + taps] *= share
         f = fit(form, np.concatenate([fitted.theta, start]), fitted.starts, pieces, iterations=rounds)
-        if f is not None and f.sse < fitted.sse * (1 + 1e-9) and forgets(f, pieces):
+        if (
+            f is not None
+            and f.sse < fitted.sse * (1 + 1e-9)
+            and forgets(f, pieces)
+            and bends(f, pieces, len(terms))
+        ):
             return f
     return None
+
+
+def bends(f: Fitted, pieces: Sequence[Piece], count: int) -> bool:
+    """Whether each of the last terms differs, where the model goes, from a linear combination of its signals."""
+    asm = Assembly(f.form)
+    signals = np.vstack([run_piece(asm, f.theta, s, p.d).signals for s, p in zip(f.starts, pieces)])
+    clipped = np.clip(signals, asm.bounds[:, 0], asm.bounds[:, 1])
+    heads, kinds, which, q, _ = asm.fill(f.theta).table
+    for t in range(len(f.form.terms) - count, len(f.form.terms)):
+        if f.form.terms[t].slot == "slow":
+            continue
+        value = np.ones(len(signals))
+        for k in range(heads[t], heads[t + 1]):
+            value *= factor_values(
+                kinds[k], np.ascontiguousarray(clipped[:, which[k]]), q[2 * k], q[2 * k + 1]
+            )
+        X = np.column_stack([np.ones(len(value)), signals[:, sorted({*which[heads[t] : heads[t + 1]]})]])
+        left = value - X @ np.linalg.lstsq(X, value, rcond=None)[0]
+        if left.std() < BEND * value.std() + 1e-12:
+            return False
+    return True
 
 
 def greedy_search(
@@ -84,7 +113,8 @@ def greedy_search(
     ny = pieces[0].y.shape[1]
     fits = [linear_fit((n,) * ny, pieces, scales, outputs, feedthrough=feedthrough) for n in budget.orders]
     beam = [f for f in fits if f is not None and forgets(f, pieces)]
-    every = list(beam)
+    more = [linear_fit((n,) * ny, pieces, scales, outputs, feedthrough=feedthrough) for n in budget.rivals]
+    every = beam + [f for f in more if f is not None and forgets(f, pieces)]
     for _ in range(budget.terms):
         new = []
         for f in beam:

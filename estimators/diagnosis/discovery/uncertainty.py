@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
-from estimators.diagnosis.discovery.fitting import Fitted, Piece, sensitivities
+from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, sensitivities
 from estimators.diagnosis.discovery.form import Assembly
 
-__all__ = ["covariance", "error_of"]
+__all__ = ["covariance", "error_of", "pruned"]
 
 Array = NDArray[Any]
 LAGS = (
     3.0  # of the Bartlett window, in the model's own time constants: errors of the model last about as long
 )
+ALPHA, SEARCHED = 0.01, 1500  # rate of false terms in a model, and how many candidates it was the best of
 DIFFERENCE = 1e-5  # relative step of the delta method
 
 
@@ -55,3 +58,53 @@ def error_of(function: Callable[[Array], Array], theta: Array, cov: Array) -> Ar
         moved[i] += step
         slopes[:, i] = (np.atleast_1d(function(moved)) - middle) / step
     return np.sqrt(np.maximum(np.einsum("mi,ij,mj->m", slopes, cov, slopes), 0.0))
+
+
+def pruned(fitted: Fitted, pieces: Sequence[Piece], rounds: int) -> Fitted:
+    """The model without the terms that are not significant in the joint fit, the weakest taken out first.
+
+    The bar is that of the best of `SEARCHED` candidates, errors taken for as correlated as they are.
+    """
+    while fitted.form.terms:
+        p_values = _p_values(fitted, covariance(fitted, pieces))
+        weakest = max(p_values, key=lambda t: p_values[t])
+        if p_values[weakest] < ALPHA / SEARCHED:
+            return fitted
+        less = _without(fitted, weakest, pieces, rounds)
+        if less is None:
+            return fitted
+        fitted = less
+    return fitted
+
+
+def _p_values(fitted: Fitted, cov: Array) -> dict[int, float]:
+    """Wald test of the coefficients of every term that acts, by its number."""
+    out = {}
+    for t, (term, block) in enumerate(zip(fitted.form.terms, fitted.form.blocks)):
+        taps = fitted.form.taps(term)
+        if taps:
+            rows = slice(block.start, block.start + taps)
+            k = fitted.theta[rows]
+            out[t] = float(chi2.sf(k @ np.linalg.pinv(cov[rows, rows], hermitian=True) @ k, taps))
+    return out
+
+
+def _without(fitted: Fitted, number: int, pieces: Sequence[Piece], rounds: int) -> Fitted | None:
+    """Refitted without a term and the slow states that only it reads."""
+    form = fitted.form
+    slow = [t for t, term in enumerate(form.terms) if term.slot == "slow"]
+    kept = [t for t in range(len(form.terms)) if t != number]
+    read = {f.signal for t in kept for f in form.terms[t].factors}
+    gone = {t for m, t in enumerate(slow) if f"s{m}" not in read}
+    kept = [t for t in kept if t not in gone]
+    renamed = {f"s{slow.index(t)}": f"s{m}" for m, t in enumerate(t for t in kept if t in slow)}
+    terms = [
+        replace(
+            form.terms[t],
+            factors=tuple(replace(f, signal=renamed.get(f.signal, f.signal)) for f in form.terms[t].factors),
+        )
+        for t in kept
+    ]
+    theta = np.concatenate([fitted.theta[: form.linear_size], *(fitted.theta[form.blocks[t]] for t in kept)])
+    less = fit(form.with_terms(*terms), theta, fitted.starts, pieces, iterations=rounds)
+    return less if less is not None and forgets(less, pieces) else None
