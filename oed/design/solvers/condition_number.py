@@ -32,6 +32,10 @@ from oed.errors import NotIdentifiable, Status
 __all__ = ["condition_design"]
 
 Bands = tuple[tuple[float, float], ...]
+LOOKED_AT = 3
+"""Certificates that are evaluated anew at the end, on the grid as it has grown: the last that were the best."""
+WIDEST = 0.3
+"""Distance over which a plant without resonances changes, rad/sample."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +125,7 @@ def condition_design(
     setting = _Setting(information, criterion, input_power)
     q = information.n_inputs
     lines = setting.lines(np.repeat(omega, q), np.tile(np.eye(q, dtype=complex), (len(omega), 1)))
-    best_loss, best_bound, kept, proof, rounds = np.inf, 0.0, None, None, 0
+    best_loss, best_bound, kept, proof, proofs, rounds = np.inf, 0.0, None, None, [], 0
     while rounds < max_rounds:
         rounds += 1
         w, Z_low, Z_high = _weights(lines, setting)
@@ -135,6 +139,7 @@ def condition_design(
         bound, omega = _bound(setting, omega, bands, Z_low, Z_high, loss, refine)
         if bound > best_bound:
             best_bound, proof = bound, (Z_low, Z_high)
+            proofs.append(proof)
         if best_loss - best_bound <= tolerance * best_bound or not np.isfinite(loss):
             break
         high, direction = setting.excess(omega, Z_low, Z_high, loss)
@@ -146,6 +151,14 @@ def condition_design(
             break
         old = _Lines(lines.omega[stay], lines.direction[stay], lines.F[stay])
         lines = old + setting.lines(omega[at], direction[at])
+    if proof is not None and refine:
+        # Bounds of early rounds may have missed a maximum that the grid did not show then.
+        omega = _denser(setting, omega, bands, kept[0].omega if kept else omega)
+        best_bound, proof = 0.0, proofs[-1]
+        for one in proofs[-LOOKED_AT:]:
+            bound, omega = _bound(setting, omega, bands, *one, best_loss, refine)
+            if bound > best_bound:
+                best_bound, proof = bound, one
     if kept is None or proof is None:
         raise NotIdentifiable(
             "every spectrum leaves the information singular in double precision; give the parameters units in which "
@@ -153,6 +166,18 @@ def condition_design(
         )
     kept = _sparse(setting, *kept)
     return _as_design(setting, criterion, *kept, *proof, best_loss, best_bound, omega, rounds, tolerance)
+
+
+def _denser(setting: _Setting, omega: NDArray, bands: Bands, support: NDArray) -> NDArray[np.float64]:
+    """The grid with points between its own and, much closer, around the support."""
+    centres, widths = setting.map.resonances.T
+    scale = np.hypot(support[:, None] - centres, widths).min(axis=1, initial=WIDEST)
+    offsets = np.concatenate([side * np.geomspace(1e-3, 0.3, 8) for side in (-1, 1)])
+    points = np.concatenate(
+        [(support[:, None] + scale[:, None] * offsets).ravel(), (omega[1:] + omega[:-1]) / 2]
+    )
+    inside = np.any([(points >= low) & (points <= high) for low, high in bands], axis=0)
+    return np.union1d(omega, points[inside])
 
 
 def _weights(lines: _Lines, setting: _Setting) -> tuple[NDArray, NDArray, NDArray]:
