@@ -31,6 +31,9 @@ from oed.theory.quadrature import Nodes, graded_nodes
 
 __all__ = ["LimitSpectrum", "limit_spectrum", "limit_spectrum_on_grid", "spectra_of_iterations"]
 
+SMALL = 1e-6
+"""Of gamma^2: a smaller difference gamma^2 - |G|^2 is evaluated by its factors."""
+
 
 @dataclass(frozen=True, eq=False)
 class LimitSpectrum:
@@ -131,6 +134,7 @@ class _Gap:
 
     def __init__(self, plant: Plant, top: Peak) -> None:
         B, A = plant.num[0][0], plant.den[0][0]
+        self.A, self.B, self.level = A, B, top.value**2
         self.a = _autocorrelation(A)
         b = _autocorrelation(B)
         self.q = chebyshev.chebsub(top.value**2 * self.a, b)
@@ -156,9 +160,12 @@ class _Gap:
 
     def __call__(self, centre: NDArray, offset: NDArray) -> NDArray:
         """gamma^2 - |G|^2 at centre + offset."""
-        x = np.cos(centre + offset)
-        value = self._factor(centre, offset) * chebyshev.chebval(x, self.q) / chebyshev.chebval(x, self.a)
-        return np.maximum(value, 0.0)
+        x, z = np.cos(centre + offset), np.exp(-1j * (centre + offset))
+        bottom = np.abs(np.polyval(self.A[::-1], z)) ** 2
+        direct = self.level - np.abs(np.polyval(self.B[::-1], z)) ** 2 / bottom
+        near = self._factor(centre, offset) * chebyshev.chebval(x, self.q) / bottom
+        # The difference keeps its digits where it is not small; the series of sharp poles loses them there.
+        return np.maximum(np.where(direct > SMALL * self.level, direct, near), 0.0)
 
 
 def _noise_shape(plant: Plant, omega: NDArray) -> NDArray:

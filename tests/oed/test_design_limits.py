@@ -45,7 +45,7 @@ def test_three_powers_on_every_parametrisation(plant, name, rng):
         found = moment_design(plant, "D", input_power=power)
         own = found.power
     elif name == "autocorrelation":
-        found = autocorrelation_design(plant, "D", lags=12, input_power=power, points=1024)
+        found = autocorrelation_design(plant, "D", lags=12, input_power=power)
         own = found.power
     elif name == "masked":
         found = masked_design(plant, "D", input_mask=lambda w: np.full(w.shape, 20.0), input_power=power)
@@ -99,7 +99,7 @@ def test_autocorrelations_of_several_inputs(criterion):
     """MOOSE2's parametrisation: between white noise and the certified optimum, better with every lag."""
     three = named_plant("three-by-two")
     free = solve_design(three, criterion, tolerance=1e-5)
-    found = [autocorrelation_design(three, criterion, lags=L, points=512, input_power=2.0) for L in (0, 2, 5)]
+    found = [autocorrelation_design(three, criterion, lags=L, input_power=2.0) for L in (0, 2, 5)]
     losses = [2 * one.loss for one in found]
     assert free.bound < losses[2] < losses[1] < losses[0] <= free.loss / free.efficiency_white * (1 + 1e-6)
     for one in found:
@@ -116,7 +116,7 @@ def test_the_correlation_of_two_inputs_has_a_closed_form():
     """y_t = b1 u1_(t-1) + b2 u2_(t-2): M = [[1/2, r], [r, 1/2]] with r = E u1_(t+1) u2_t, best at 2 r = 1/2 for W = 0.8."""
     delays = Plant([[[0, 1.0], [0, 0, 1.0]]], [[[1.0], [1.0]]])
     criterion = a_criterion(2, np.array([[1.0, 0.8], [0.8, 1.0]]))
-    found = autocorrelation_design(delays, criterion, lags=1, points=64)
+    found = autocorrelation_design(delays, criterion, lags=1)
     assert found.loss == pytest.approx(4 * (1 - 0.8 * 0.5) / (1 - 0.5**2), rel=1e-7)
     # Not its transpose: the other way round the plant does not see it.
     assert found.coefficients[1][0, 1] == pytest.approx(0.25, abs=1e-4)
@@ -124,7 +124,7 @@ def test_the_correlation_of_two_inputs_has_a_closed_form():
     for lag in range(2):
         own = np.einsum("kpq,k->pq", spectrum.power, np.exp(1j * lag * spectrum.omega)).real
         np.testing.assert_allclose(own, found.coefficients[lag], atol=1e-6)
-    white = autocorrelation_design(delays, criterion, lags=0, points=64)
+    white = autocorrelation_design(delays, criterion, lags=0)
     assert white.loss == pytest.approx(4.0, rel=1e-7)
 
 

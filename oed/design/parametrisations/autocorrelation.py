@@ -25,6 +25,7 @@ from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.information_maps import InformationMap, information_map
+from oed.design.problem.white import information_nodes
 from oed.errors import InputError, SolverFailure
 from oed.plants.plant import Plant
 
@@ -133,18 +134,18 @@ def conic(criterion: Criterion, constraints: list, M: Any, accuracy: float = 1e-
 
 
 def _prepared(
-    model: Any, criterion: str | Criterion, points: int
-) -> tuple[InformationMap, Criterion, Criterion, float, NDArray, NDArray, NDArray]:
-    """Map, criterion (own and scaled), factor of the losses, nodes, scaled factors (n, K, r, nu) and R."""
+    model: Any, criterion: str | Criterion, omega: NDArray, weight: NDArray
+) -> tuple[InformationMap, Criterion, Criterion, float, NDArray, NDArray]:
+    """Map, criterion (own and scaled), factor of the losses, scaled factors (n, K, r, nu) and R of nodes with weights."""
     information = information_map(model)
     wanted = criterion_of(criterion, model, information)
-    omega = (np.arange(points) + 0.5) * np.pi / points
     D = np.moveaxis(information.factor(omega), 1, 0)
     flat = D.reshape(information.n, -1)
-    rows = np.concatenate([flat.real, flat.imag], axis=1) / np.sqrt(points)
+    whole = (D * np.sqrt(weight)[:, None, None]).reshape(information.n, -1)
+    rows = np.concatenate([whole.real, whole.imag], axis=1)
     R = np.asarray(np.linalg.qr(rows.T, mode="r"))
     scaled, factor = wanted.transformed(R)
-    return information, wanted, scaled, factor, omega, np.linalg.solve(R.T, flat).reshape(D.shape), R
+    return information, wanted, scaled, factor, np.linalg.solve(R.T, flat).reshape(D.shape), R
 
 
 def autocorrelation_design(
@@ -153,7 +154,6 @@ def autocorrelation_design(
     *,
     lags: int = 20,
     input_power: float = 1.0,
-    points: int = 4096,
 ) -> Autocorrelated:
     """The best moving-average spectrum with a given number of lags (MOOSE2's FIR parametrisation).
 
@@ -167,8 +167,6 @@ def autocorrelation_design(
         L: the signal is white noise through a filter of L + 1 taps.
     input_power : float
         r_0, or the trace of R_0.
-    points : int
-        Nodes of the midpoint rule for the information.
 
     Returns
     -------
@@ -179,11 +177,14 @@ def autocorrelation_design(
 
     if int(lags) != lags or lags < 0:
         raise InputError(f"the number of lags is {lags}; it must be a whole number of at least 0.")
-    information, wanted, scaled, _, omega, F, R = _prepared(model, criterion, points)
+    # A panel of ten nodes integrates two turns of the longest lag to 1e-9.
+    omega, weight = information_nodes(information_map(model), width=2 * np.pi / max(lags, 1))
+    information, wanted, scaled, _, F, R = _prepared(model, criterion, omega, weight)
     size, nu, n = lags + 1, information.n_inputs, information.n
     turns = np.exp(-1j * np.outer(np.arange(size), omega))
     # What entry (p, q) of R_l tells, its transpose included: (size, nu, nu, n, n).
-    pairs = np.einsum("nkrp,mkrq->kpqnm", F, F.conj(), optimize=True).reshape(points, -1) / points
+    pairs = np.einsum("nkrp,mkrq->kpqnm", F, F.conj(), optimize=True).reshape(len(omega), -1)
+    pairs = pairs * weight[:, None]
     lagged = (turns @ pairs).reshape(size, nu, nu, n, n).real
     lagged[1:] += (turns[1:].conj() @ pairs).reshape(lags, nu, nu, n, n).real.swapaxes(1, 2)
     inverse = np.linalg.inv(R)
@@ -209,11 +210,11 @@ def autocorrelation_design(
     found = (vectors * np.clip(values, 0, None)) @ vectors.T
     coefficients = (blocks @ found.ravel(order="F")).reshape(size, nu, nu)
     coefficients = coefficients * (input_power / np.trace(coefficients[0]))
-    half = (turns.T @ coefficients.reshape(size, -1)).reshape(points, nu, nu) - coefficients[0] / 2
+    half = (turns.T @ coefficients.reshape(size, -1)).reshape(-1, nu, nu) - coefficients[0] / 2
     values, vectors = np.linalg.eigh(half + half.conj().swapaxes(1, 2))
     density = (vectors * np.clip(values, 0, None)[:, None, :]) @ vectors.conj().swapaxes(1, 2)
-    density *= input_power / np.einsum("kii->k", density).real.mean()
-    spectrum = Spectrum(omega, density / points)
+    density = density * weight[:, None, None]
+    spectrum = Spectrum(omega, density * (input_power / np.einsum("kii->", density).real))
     loss = wanted.loss(information.of_spectrum(spectrum))
     return Autocorrelated(
         spectrum, coefficients[:, 0, 0] if nu == 1 else coefficients, loss, "autocorrelation", power
@@ -248,7 +249,9 @@ def moment_design(
     # Gradient numerators over A A C / D: information and power are trigonometric polynomials against the
     # measure Phi / |A A C|^2, of a degree that the numerators and the weight itself bound.
     degree = max(len(weight), len(plant.num[0][0]) + len(A) + len(plant.noise_den)) - 1
-    _, _, scaled, factor, omega, F, _ = _prepared(plant, criterion, 4 * (degree + 1) + 64)
+    points = 4 * (degree + 1) + 64
+    omega = (np.arange(points) + 0.5) * np.pi / points
+    _, _, scaled, factor, F, _ = _prepared(plant, criterion, omega, np.full(points, 1 / points))
     atoms = np.einsum("nkrp,mkrp->knm", F, F.conj()).real
     modulus = np.abs(np.polyval(weight[::-1], np.exp(-1j * omega))) ** 2
     basis = np.cos(np.outer(omega, np.arange(degree + 1)))

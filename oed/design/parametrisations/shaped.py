@@ -25,6 +25,7 @@ from oed.design.problem.budgets import power_budgets
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.information_maps import InformationMap, information_map
 from oed.design.problem.lines import Columns, Problem
+from oed.design.problem.white import information_nodes
 from oed.design.solvers.column_generation import lower_bound, solve_weights
 from oed.errors import InputError
 
@@ -114,7 +115,6 @@ def basis_design(
     *,
     input_power: float = 1.0,
     prior: ArrayLike | None = None,
-    points: int = 4096,
 ) -> Shaped:
     """The best combination of given spectra, with certificates over the combinations and over all spectra.
 
@@ -131,8 +131,6 @@ def basis_design(
         Limit on the input power.
     prior : array_like, optional
         (n, n) information of experiments already done, per sample of the new one.
-    points : int
-        Nodes of the midpoint rule on [0, pi].
 
     Returns
     -------
@@ -151,15 +149,16 @@ def basis_design(
     if prior is not None:
         information = information.with_prior(prior)
     budgets = power_budgets(information, input_power)
-    omega = (np.arange(points) + 0.5) * np.pi / points
     given = band_basis(np.linspace(0, np.pi, 21)) if basis is None else list(basis)
     if not given:
         raise InputError("the basis is empty; give at least one density.")
     nu = information.n_inputs
-    B = np.stack([_density(f, omega, nu, k) for k, f in enumerate(given)])
+    traces = lambda w: np.column_stack([_density(f, w, nu, k) for k, f in enumerate(given)])
+    omega, weight = information_nodes(information, traces)
+    B = np.stack([_normalised(f, omega, weight, nu, k) for k, f in enumerate(given)])
     problem = Problem(information, wanted, budgets, omega)
     D = problem.scaled_factor(omega)
-    F = np.stack([_factor(D, P) for P in B / points]) * np.sqrt(input_power)
+    F = np.stack([_factor(D, P) for P in B * weight[:, None, None]]) * np.sqrt(input_power)
     columns = Columns(
         np.zeros(len(B)), np.full((len(B), nu), 1 / np.sqrt(nu), dtype=complex), F, np.ones((len(B), 1))
     )
@@ -167,14 +166,14 @@ def basis_design(
     w = weights.w / weights.w.sum()
     price = float(columns.prices(weights.X, weights.nu).max())
     own = lower_bound(problem, weights.X, weights.nu, price) * problem.scale
-    spectrum = Spectrum(omega, np.einsum("m,mkqr->kqr", w * input_power, B) / points)
+    spectrum = Spectrum(omega, np.einsum("m,mkqr->kqr", w * input_power, B) * weight[:, None, None])
     free = solve_design(information, wanted, input_power=input_power, tolerance=1e-6)
     loss = wanted.loss(information.of_spectrum(spectrum))
     return Shaped(spectrum, w * input_power, loss, free.bound, own, float(w.sum()) * input_power, "basis")
 
 
-def _density(function: Density, omega: NDArray, nu: int, k: int) -> NDArray[np.complex128]:
-    """Values of a basis density, (K, nu, nu), of unit power."""
+def _density(function: Density, omega: NDArray, nu: int, k: int) -> NDArray[np.float64]:
+    """Entries of a basis density at frequencies, real and imaginary parts side by side, checked: (K, 2 nu^2)."""
     values = np.asarray(function(omega), dtype=complex)
     values = values[:, None, None] * np.eye(1) if values.ndim == 1 and nu == 1 else values
     if values.shape != (len(omega), nu, nu) or not np.isfinite(values).all():
@@ -184,9 +183,22 @@ def _density(function: Density, omega: NDArray, nu: int, k: int) -> NDArray[np.c
     scale = np.abs(values).max()
     if np.abs(values - values.conj().swapaxes(1, 2)).max() > 1e-9 * scale:
         raise InputError(f"basis density {k + 1} is not Hermitian; a spectrum must be.")
-    if np.linalg.eigvalsh(values).min() < -1e-9 * scale or scale == 0:
-        raise InputError(f"basis density {k + 1} is negative or 0; a spectrum is positive semidefinite.")
-    return values / np.einsum("kii->k", values).real.mean()
+    if np.linalg.eigvalsh(values).min() < -1e-9 * scale:
+        raise InputError(f"basis density {k + 1} is negative; a spectrum is positive semidefinite.")
+    flat = values.reshape(len(omega), -1)
+    return np.concatenate([flat.real, flat.imag], axis=1)
+
+
+def _normalised(
+    function: Density, omega: NDArray, weight: NDArray, nu: int, k: int
+) -> NDArray[np.complex128]:
+    """Values of a basis density, (K, nu, nu), of unit power."""
+    real, imaginary = np.split(_density(function, omega, nu, k), 2, axis=1)
+    values = (real + 1j * imaginary).reshape(-1, nu, nu)
+    power = float(np.einsum("kii,k->", values, weight).real)
+    if not power > 0:
+        raise InputError(f"basis density {k + 1} is 0 everywhere; it has no power.")
+    return values / power
 
 
 def _factor(D: NDArray[np.complex128], P: NDArray[np.complex128]) -> NDArray[np.float64]:
@@ -249,11 +261,11 @@ def autoregressive_design(
         )
     wanted = criterion_of(criterion, model, information)
     free = solve_design(information, wanted, input_power=input_power, tolerance=1e-6)
-    omega, flat, loss_of = _scaled_loss(information, wanted, radius, input_power)
+    omega, weight, flat, loss_of = _scaled_loss(information, wanted, radius, input_power)
     shape = lambda x: radius ** np.arange(order + 1) * step_up(np.tanh(x))
 
     def objective(x: NDArray) -> float:
-        density = _density_of(shape(x), omega)
+        density = _density_of(shape(x), omega, weight)
         return float(np.log(loss_of(density @ flat)))
 
     starts = [np.zeros(order)]
@@ -269,35 +281,35 @@ def autoregressive_design(
     found = [minimize(objective, x, method="L-BFGS-B", bounds=[(-9.0, 9.0)] * order) for x in starts if order]
     best = min(found, key=lambda one: float(one.fun)).x if found else np.zeros(0)
     A = shape(np.asarray(best, dtype=float))
-    density = _density_of(A, omega) * input_power
-    spectrum = Spectrum(omega, density / len(omega))
+    density = _density_of(A, omega, weight)
+    spectrum = Spectrum(omega, density * weight * input_power)
     loss = wanted.loss(information.of_spectrum(spectrum))
-    power = input_power * float(np.mean(_density_of(A, omega)))
+    power = input_power * float(weight @ density)
     return Shaped(spectrum, A, loss, free.bound, float("nan"), power, "ar")
 
 
 def _scaled_loss(
     information: InformationMap, wanted: Criterion, radius: float, power: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], Callable[[NDArray], float]]:
-    """Midpoint nodes, flattened scaled atoms over their number, and the scaled loss of their sum."""
-    width = min(1 - radius, float(information.resonances[:, 1].min(initial=1.0)))
-    points = int(np.clip(2 ** np.ceil(np.log2(40 / width)), 2048, 32768))
-    omega = (np.arange(points) + 0.5) * np.pi / points
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], Callable[[NDArray], float]]:
+    """Nodes, weights, flattened scaled atoms times their weights, and the scaled loss of their sum."""
+    # No panel is wider than the distance of the spectrum's poles from the circle, wherever they are.
+    omega, weight = information_nodes(information, width=1 - radius)
     problem = Problem(information, wanted, power_budgets(information, 1.0), omega)
     D = problem.scaled_factor(omega)[..., 0]
-    atoms = np.einsum("knp,kmp->knm", D, D.conj(), optimize=True).real.reshape(points, -1)
+    atoms = np.einsum("knp,kmp->knm", D, D.conj(), optimize=True).real.reshape(len(omega), -1)
     constant, n = problem.constant, information.n
     return (
         omega,
-        atoms * (power / points),
+        weight,
+        atoms * (power * weight)[:, None],
         lambda total: problem.criterion.loss(total.reshape(n, n) + constant),
     )
 
 
-def _density_of(A: NDArray[np.float64], omega: NDArray[np.float64]) -> NDArray[np.float64]:
+def _density_of(A: NDArray, omega: NDArray, weight: NDArray) -> NDArray[np.float64]:
     """1 / |A|^2 of unit power."""
     density = 1 / np.abs(np.polyval(A[::-1], np.exp(-1j * omega))) ** 2
-    return density / density.mean()
+    return density / (weight @ density)
 
 
 def _starting_poles(spectrum: Spectrum, order: int, modulus: float) -> NDArray[np.complex128]:

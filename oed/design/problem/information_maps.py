@@ -20,6 +20,7 @@ from oed.information import power_root, whitened_gradient
 from oed.models.model import Model
 from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
+from oed.theory.quadrature import graded_edges, integral
 
 __all__ = ["InformationMap", "information_map", "resonances_of"]
 
@@ -238,20 +239,17 @@ def noise_information(model: Model, W: NDArray[np.float64]) -> NDArray[np.float6
     Returns
     -------
     ndarray
-        (n, n). The mean over a uniform grid that doubles until it no longer changes (exact for rational H
-        up to rounding: the trapezoidal rule converges geometrically on the circle).
+        (n, n), to 1e-12.
     """
     L = np.linalg.inv(W)
-    previous = None
-    for points in 2 ** np.arange(8, 19):
-        omega = (np.arange(points) + 0.5) * np.pi / points
+
+    def squares(omega: NDArray) -> NDArray[np.float64]:
         H, dH = model.noise_response(omega)
-        psi = np.einsum("kpr,knrs,sq->knpq", W @ np.linalg.inv(H), dH, L)
-        flat = np.moveaxis(psi, 1, 0).reshape(psi.shape[1], -1)
-        value = (flat.real @ flat.real.T + flat.imag @ flat.imag.T) / points
-        if previous is not None and np.abs(value - previous).max() <= 1e-13 * np.abs(value).max(
-            initial=1e-300
-        ):
-            return value
-        previous = value
-    return value
+        psi = np.einsum("kpr,knrs,sq->knpq", W @ np.linalg.inv(H), dH, L).reshape(
+            len(omega), len(model.names), -1
+        )
+        return (psi @ psi.conj().swapaxes(1, 2)).real
+
+    rows = model.structure.coefficients(model.theta)
+    edges = graded_edges(0.0, np.pi, resonances_of([p for row in rows for x in "acdf" for p in row[x]]))
+    return integral(squares, edges) / np.pi

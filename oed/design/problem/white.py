@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,34 +10,40 @@ from numpy.typing import NDArray
 from oed.design.problem.information_maps import InformationMap
 from oed.errors import InfeasibleDesign, NotIdentifiable
 from oed.information import null_directions
+from oed.theory.quadrature import graded_edges, panel_nodes, resolved_edges
 
-__all__ = ["white_information", "white_root"]
+__all__ = ["information_nodes", "white_information", "white_root"]
+
+NODES = 1e-10
+"""Accuracy of the integrals on which the panels are chosen, relative to each."""
+
+
+def information_nodes(
+    information: InformationMap,
+    beside: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
+    width: float = np.pi,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Nodes (K,) on [0, pi] and weights of sum 1 that integrate the information to 1e-9.
+
+    `beside` (K, m), real, is resolved too, jumps included; no panel is wider than `width`.
+    """
+
+    def resolved(omega: NDArray) -> NDArray[np.float64]:
+        told = np.sum(np.abs(information.factor(omega)) ** 2, axis=(2, 3))
+        return told if beside is None else np.concatenate([told, beside(omega)], axis=1)
+
+    even = np.linspace(0, np.pi, int(np.ceil(np.pi / width)) + 1)
+    edges = resolved_edges(resolved, graded_edges(0.0, np.pi, information.resonances, even), NODES)
+    omega, weight = panel_nodes(edges[:-1], edges[1:])
+    return omega.ravel(), weight.ravel() / np.pi
 
 
 def mean_information(information: InformationMap) -> NDArray[np.float64]:
-    """Information of white noise of unit power in every channel, without the constant part.
-
-    Parameters
-    ----------
-    information : InformationMap
-        The model.
-
-    Returns
-    -------
-    ndarray
-        (n, n); midpoint rule on a grid that doubles until it no longer changes.
-    """
-    previous = None
-    for points in 2 ** np.arange(8, 18):
-        omega = (np.arange(points) + 0.5) * np.pi / points
-        value = np.zeros((information.n,) * 2)
-        for part in np.array_split(omega, max(1, points // 4096)):
-            flat = np.moveaxis(information.factor(part), 1, 0).reshape(information.n, -1)
-            value += (flat.real @ flat.real.T + flat.imag @ flat.imag.T) / points
-        if previous is not None and np.abs(value - previous).max() <= 1e-12 * np.abs(value).max():
-            break
-        previous = value
-    return value
+    """Information (n, n) of white noise of unit power in every channel, without the constant part."""
+    omega, weight = information_nodes(information)
+    flat = np.moveaxis(information.factor(omega) * np.sqrt(weight)[:, None, None, None], 1, 0)
+    flat = flat.reshape(information.n, -1)
+    return flat.real @ flat.real.T + flat.imag @ flat.imag.T
 
 
 def white_information(

@@ -17,6 +17,7 @@ from oed.design.problem.information_maps import InformationMap, information_map
 from oed.errors import InputError
 from oed.models.model import Model
 from oed.plants.plant import Plant
+from oed.theory.quadrature import graded_edges, integral, panel_nodes, resolved_edges
 
 __all__ = ["closed_loop_map"]
 
@@ -24,8 +25,6 @@ __all__ = ["closed_loop_map"]
 def closed_loop_map(
     model: Plant | Model,
     controller: Callable[[NDArray[np.float64]], NDArray[np.complex128]],
-    *,
-    points: int = 8192,
 ) -> InformationMap:
     """Information map of the reference of a feedback loop.
 
@@ -35,8 +34,6 @@ def closed_loop_map(
         The plant with its noise.
     controller : callable
         omega (K,) -> C (K, nu, ny), stable.
-    points : int
-        Nodes of the mean over the circle.
 
     Returns
     -------
@@ -59,32 +56,40 @@ def closed_loop_map(
             )
         return G, C, np.linalg.inv(np.eye(nu) + C @ G)
 
-    omega = (np.arange(points) + 0.5) * np.pi / points
-    G, C, T = loop(omega)
-    turns = np.sum(np.diff(np.unwrap(np.angle(np.linalg.det(np.eye(nu) + C @ G)))))
+    det = lambda omega: np.linalg.det(np.eye(nu) + (lambda G, C, _: C @ G)(*loop(omega)))
+    # Resolved where it turns fast: between two nodes of its panels it turns by less than half.
+    locus = lambda omega: np.column_stack([det(omega).real, det(omega).imag, 1 / np.abs(det(omega)) ** 2])
+    edges = resolved_edges(locus, graded_edges(0.0, np.pi, open_loop.resonances), 1e-8)
+    nodes = panel_nodes(edges[:-1], edges[1:])[0].ravel()
+    turns = np.sum(np.diff(np.unwrap(np.angle(det(nodes)))))
     if abs(turns) > np.pi / 2:
         raise InputError(
             f"the closed loop is unstable: det(I + C G) turns by {turns / np.pi:.2g} half turns around 0; "
             "the design needs a controller that stabilises the plant."
         )
-    # What the noise itself excites: whitened dG_i T C H L, and dH_i L where H has parameters.
-    D = open_loop.factor(omega)
-    if isinstance(model, Plant):
-        H = model.noise_response(omega)[:, None, None] * np.eye(G.shape[1])
-        own = np.zeros((points, open_loop.n, *H.shape[1:]), dtype=complex)
-    else:
-        H, dH = model.noise_response(omega)
-        white = np.linalg.inv(np.linalg.cholesky(model.noise_covariance))
-        own = np.einsum("kpr,knrs->knps", white @ np.linalg.inv(H), dH)
     L = np.linalg.cholesky(model.noise_covariance)
-    psi = (own - np.einsum("knpq,kqr->knpr", D, T @ C @ H)) @ L
-    flat = np.moveaxis(psi, 1, 0).reshape(open_loop.n, -1)
+
+    def squares(omega: NDArray) -> NDArray[np.float64]:
+        """What the noise itself excites: whitened dG_i T C H L, and dH_i L where H has parameters."""
+        G, C, T = loop(omega)
+        D = open_loop.factor(omega)
+        if isinstance(model, Plant):
+            H = model.noise_response(omega)[:, None, None] * np.eye(G.shape[1])
+            own = np.zeros((len(omega), open_loop.n, *H.shape[1:]), dtype=complex)
+        else:
+            H, dH = model.noise_response(omega)
+            white = np.linalg.inv(np.linalg.cholesky(model.noise_covariance))
+            own = np.einsum("kpr,knrs->knps", white @ np.linalg.inv(H), dH)
+        psi = (own - np.einsum("knpq,kqr->knpr", D, T @ C @ H)) @ L
+        flat = psi.reshape(len(omega), open_loop.n, -1)
+        return (flat @ flat.conj().swapaxes(1, 2)).real
+
     return InformationMap(
         names=open_loop.names,
         n_inputs=nu,
         factor=lambda omega: np.einsum("knpq,kqr->knpr", open_loop.factor(omega), loop(omega)[2]),
         gain=lambda omega: open_loop.gain(omega) @ loop(omega)[2],
-        constant=(flat.real @ flat.real.T + flat.imag @ flat.imag.T) / points,
+        constant=integral(squares, edges, 1e-11) / np.pi,
         resonances=open_loop.resonances,
         input_gain=lambda omega: loop(omega)[2],
     )

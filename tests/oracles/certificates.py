@@ -1,0 +1,114 @@
+"""What certificates are challenged with: random plants beyond the usual, their gradients by the quotient rule, dense grids.
+
+Shares no code with `oed.design`: sums over grids that are fine around every pole, triangular factors, no iteration.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed.plants.plant import Plant
+
+DENSE = 8001
+
+
+def hard_plant(rng: np.random.Generator, channels: int = 1, most: int = 20) -> Plant:
+    """Order to `most`, poles to radius .9999, zeros on the circle, delays to 30, noise from 1e-4 to 1e4."""
+
+    def roots(order: int, radii) -> np.ndarray:
+        found = []
+        while len(found) < order:
+            pole = radii() * np.exp(1j * rng.uniform(0.05, 3.09))
+            pair = [pole, pole.conjugate()]
+            found += pair if order - len(found) > 1 else [rng.choice([-1, 1]) * min(abs(pole), 0.95)]
+        return np.atleast_1d(np.poly(found)).real
+
+    num, den = [], []
+    for _ in range(channels):
+        num.append([])
+        den.append([])
+        for _ in range(channels):
+            order = int(rng.integers(1, most + 1))
+            den[-1].append(roots(order, lambda: 1 - 10 ** rng.uniform(-4, -0.3)))
+            top = roots(
+                int(rng.integers(0, order + 1)), lambda: 1.0 if rng.uniform() < 0.5 else rng.uniform(0.2, 2)
+            )
+            num[-1].append(np.concatenate([np.zeros(int(rng.integers(1, 31))), rng.uniform(0.1, 10) * top]))
+    return Plant(num, den, noise_covariance=10 ** rng.uniform(-4, 4), name="hard")
+
+
+def gradient(plant: Plant, omega: np.ndarray) -> np.ndarray:
+    """dG over the noise's deviation, (K, n, ny, nu): d/db = z^-k / A, d/da = -B z^-k / A^2, A from its roots."""
+    z = np.exp(-1j * np.asarray(omega))
+    columns = []
+    for i, row in enumerate(plant.den):
+        for j, A in enumerate(row):
+            B = plant.num[i][j]
+            # As a product over the roots the small values of A beside a sharp pole keep their digits.
+            bottom = np.prod(1 - np.roots(A)[:, None] * z, axis=0) if len(A) > 1 else np.ones(len(z))
+            top = np.polyval(B[::-1], z)
+            for k, slope in [(k, 1 / bottom) for k in range(np.flatnonzero(B)[0], len(B))] + [
+                (k, -top / bottom**2) for k in range(1, len(A))
+            ]:
+                columns.append(np.zeros((len(z), plant.n_outputs, plant.n_inputs), dtype=complex))
+                columns[-1][:, i, j] = slope * z**k
+    return np.stack(columns, axis=1) / np.sqrt(plant.noise_covariance[0, 0])
+
+
+def dense_grid(plant: Plant, low: float = 0.0, high: float = np.pi) -> np.ndarray:
+    """Uniform, and around every pole from a hundredth of its distance from the circle to thirty times that."""
+    parts = [np.linspace(low, high, DENSE)]
+    for den in (den for row in plant.den for den in row):
+        for pole in np.roots(den):
+            steps = (1 - abs(pole)) * np.geomspace(0.01, 100, 300)
+            parts.append(abs(np.angle(pole)) + np.concatenate([-steps, [0.0], steps]))
+    omega = np.unique(np.concatenate(parts))
+    return omega[(omega >= low) & (omega <= high)]
+
+
+class Challenge:
+    """A plant in coordinates in which the dense grid's mean information is the identity."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant, self.omega = plant, dense_grid(plant)
+        D = gradient(plant, self.omega)
+        self.n = D.shape[1]
+        flat = np.moveaxis(D, 1, 0).reshape(self.n, -1)
+        rows = np.concatenate([flat.real, flat.imag], axis=1).T / np.sqrt(len(D))
+        unit = np.linalg.norm(rows, axis=0)
+        self.R = np.linalg.qr(rows / unit, mode="r") * unit
+        self.D = np.linalg.solve(self.R.T, flat).reshape(self.n, len(D), *D.shape[2:]).swapaxes(0, 1)
+
+    def information(self, spectrum) -> np.ndarray:
+        """Scaled information of a spectrum's lines."""
+        D = gradient(self.plant, spectrum.omega)
+        flat = np.moveaxis(D, 1, 0).reshape(self.n, -1)
+        D = np.linalg.solve(self.R.T, flat).reshape(self.n, len(D), *D.shape[2:]).swapaxes(0, 1)
+        values, vectors = np.linalg.eigh(spectrum.power)
+        half = D @ (vectors * np.sqrt(np.clip(values, 0, None))[:, None, :])[:, None]
+        F = np.moveaxis(half, 1, 0).reshape(self.n, -1)
+        return (F @ F.conj().T).real
+
+    def loss(self, kind: str, M: np.ndarray) -> float:
+        """D, A or E of the parameters themselves, from the scaled information."""
+        if kind == "D":
+            return float(
+                np.exp(-(np.linalg.slogdet(M)[1] + 2 * np.log(np.abs(np.diag(self.R))).sum()) / self.n)
+            )
+        half = np.linalg.inv(np.linalg.cholesky(M)) @ np.linalg.inv(self.R).T
+        return float(np.sum(half**2) if kind == "A" else np.linalg.norm(half, 2) ** 2)
+
+    def bound(self, design) -> float:
+        """The certificate's bound, its prices maximised over the dense grid: power limited only, no prior."""
+        X = self.R @ design.certificate.X
+        E = np.einsum("knpq,ns->kspq", self.D, X, optimize=True).reshape(len(self.D), -1, self.D.shape[3])
+        most = np.linalg.norm(E, 2, axis=(1, 2)).max() ** 2
+        return design.criterion.numerator(design.certificate.X) / (most * design.limits["input power"])
+
+    def price(self, kind: str, M: np.ndarray) -> float:
+        """How much more than its share a line tells, at most: 1 at the optimum (D and A)."""
+        Y = np.linalg.inv(M)
+        W = Y if kind == "D" else Y @ np.linalg.inv(self.R @ self.R.T) @ Y
+        L = np.linalg.cholesky(W + 1e-300 * np.eye(self.n))
+        E = np.einsum("knpq,ns->kspq", self.D, L, optimize=True).reshape(len(self.D), -1, self.D.shape[3])
+        return float(np.linalg.norm(E, 2, axis=(1, 2)).max() ** 2 / np.sum(W * M))
