@@ -56,7 +56,10 @@ def closed_loop_map(
             )
         return G, C, np.linalg.inv(np.eye(nu) + C @ G)
 
-    det = lambda omega: np.linalg.det(np.eye(nu) + (lambda G, C, _: C @ G)(*loop(omega)))
+    def det(omega: NDArray) -> NDArray[np.complex128]:
+        G, C, _ = loop(omega)
+        return np.linalg.det(np.eye(nu) + C @ G)
+
     # Resolved where it turns fast: between two nodes of its panels it turns by less than half.
     locus = lambda omega: np.column_stack([det(omega).real, det(omega).imag, 1 / np.abs(det(omega)) ** 2])
     edges = resolved_edges(locus, graded_edges(0.0, np.pi, open_loop.resonances), 1e-8)

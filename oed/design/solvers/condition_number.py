@@ -125,7 +125,8 @@ def condition_design(
     setting = _Setting(information, criterion, input_power)
     q = information.n_inputs
     lines = setting.lines(np.repeat(omega, q), np.tile(np.eye(q, dtype=complex), (len(omega), 1)))
-    best_loss, best_bound, kept, proof, proofs, rounds = np.inf, 0.0, None, None, [], 0
+    best_loss, best_bound, kept, proof, rounds = np.inf, 0.0, None, None, 0
+    proofs: list[tuple[NDArray, NDArray]] = []
     while rounds < max_rounds:
         rounds += 1
         w, Z_low, Z_high = _weights(lines, setting)
