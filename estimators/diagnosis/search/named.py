@@ -121,7 +121,11 @@ class Bench:
 
 
 def named_steps(bench: Bench, a: Attribution) -> Named:
-    """Prune the joint model of a search until every effect left holds; the step is None where none does."""
+    """Prune the joint model of a search until unused blocks ask for every effect left; what is also significant is claimed.
+
+    An effect that unused blocks ask for stays in the model though it is not significant: without it they get worse, and
+    the effects beside it would be judged in a wrong model.
+    """
     f, dropped = a.final, []
     unused = bench.unused(f) if f.structure.effects else np.zeros(0)
     while f.structure.effects:
@@ -129,21 +133,19 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
         for position, part in enumerate(f.structure.parts):
             if position < f.structure.base:
                 continue
-            if part.effect.slot is Slot.FORM and len(f.structure.effects) > 1:
+            form = part.effect.slot is Slot.FORM
+            if form and not part.effect.block and len(f.structure.effects) > 1:
                 continue  # the others were fitted in this form: without it there is no model of them
-            rest = a.base if part.effect.slot is Slot.FORM else without(bench.channel, f, position)
+            rest = a.base if form else without(bench.channel, f, position)
             rests.append((rest, bench.unused(rest)))
-            claims.append(
-                Claim(
-                    part, bench.gain(rests[-1][1], unused, part), _significance(rest, f, part, bench.family)
-                )
-            )
-        weak = [i for i, c in enumerate(claims) if not _holds(c, bench)]
+            gain = bench.gain(rests[-1][1], unused, part)
+            claims.append(Claim(part, gain, _significance(rest, f, part, bench.family)))
+        weak = [i for i, c in enumerate(claims) if not _gains(c, bench)]
         if not weak:
-            claims.sort(key=lambda c: -c.gain.value)
-            return Named(
-                f, tuple(_with_rivals(claims, a, f)), tuple(dropped), _step(bench, f, claims, unused)
-            )
+            held = sorted((c for c in claims if c.p_value < bench.alpha), key=lambda c: -c.gain.value)
+            dropped += [(c.key, _why(c, bench)) for c in claims if c.p_value >= bench.alpha]
+            step = _step(bench, f, held, unused) if held else None
+            return Named(f, tuple(_with_rivals(held, a, f)), tuple(dropped), step)
         worst = min(weak, key=lambda i: claims[i].gain.value)
         dropped.append((claims[worst].key, _why(claims[worst], bench)))
         f, unused = rests[worst]
@@ -157,19 +159,20 @@ def _significance(rest: Fit, f: Fit, part: Part, family: int) -> float:
     return float(min(1.0, family * part.effect.tries(f.n) * chi2.sf(max(cost[0] - cost[1], 0.0), degrees)))
 
 
-def _holds(c: Claim, bench: Bench) -> bool:
-    known = c.key == "initial" or (
-        c.gain.beyond(bench.policy.claimed[0]) and c.gain.share > bench.policy.claimed[1]
-    )
-    return known and c.p_value < bench.alpha
+def _gains(c: Claim, bench: Bench) -> bool:
+    """Whether unused blocks ask for it; of a record's own start they say nothing."""
+    errors, share = bench.policy.claimed
+    return c.key == "initial" or (c.gain.beyond(errors) and c.gain.share > share)
 
 
 def _why(c: Claim, bench: Bench) -> str:
-    if c.p_value >= bench.alpha:
-        return f"not significant in the joint fit (p = {c.p_value:.2g})"
     if not c.gain.beyond(bench.policy.claimed[0]):
         return "blocks not used do not get better by more than their standard error"
-    return f"it explains {100 * max(c.gain.share, 0.0):.2g} % of the error on unused blocks"
+    if c.gain.share <= bench.policy.claimed[1]:
+        return f"it explains {100 * max(c.gain.share, 0.0):.2g} % of the error on unused blocks"
+    return (
+        f"unused blocks get better with it, but it is not significant in the joint fit (p = {c.p_value:.2g})"
+    )
 
 
 def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
