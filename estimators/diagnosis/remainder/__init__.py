@@ -6,7 +6,8 @@ rest.simulate(test, base.simulate(test))                              # (N,) sim
 """
 
 from estimators.diagnosis.remainder.footing import Footing, linear_footing, spliced
-from estimators.diagnosis.remainder.stack import Limits, Remainder, fit_remainder
+from estimators.diagnosis.remainder.mixture import Remainder
+from estimators.diagnosis.remainder.stack import Limits, fit_remainder
 from estimators.diagnosis.remainder.storage import from_json, to_json
 
 __all__ = [

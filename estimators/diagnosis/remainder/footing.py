@@ -32,7 +32,18 @@ class Footing:
     without: tuple[tuple[Array, ...], ...]
 
     def unused(self, blocks: Blocks) -> tuple[Array, ...]:
-        """Per record (N, ny): every block by the parameters that did not see it."""
+        """Every block by the parameters that did not see it.
+
+        Parameters
+        ----------
+        blocks : Blocks
+            The blocks of `without`.
+
+        Returns
+        -------
+        tuple of ndarray
+            Per record (N, ny).
+        """
         out = tuple(np.full_like(run, np.nan) for run in self.final)
         for runs, b in zip(self.without, blocks.blocks, strict=True):
             out[b.record][b.rows] = runs[b.record][b.rows]

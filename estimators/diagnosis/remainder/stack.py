@@ -14,115 +14,72 @@ from estimators.diagnosis.ladder import Gain, paired_gain
 from estimators.diagnosis.policy import Effort, Policy
 from estimators.diagnosis.remainder.footing import Footing
 from estimators.diagnosis.remainder.members import Networks, scale_of, starts_of, trained
+from estimators.diagnosis.remainder.mixture import Remainder
 from estimators.diagnosis.remainder.ridge import PENALTIES, Ridge, Set, columns, normal_equations, ridge_of
+from estimators.diagnosis.share import Share
+from estimators.diagnosis.share.feedback import autoregression, delayed, has_feedback, whitened
 from estimators.diagnosis.share.signals import bank_of
 from oed.data import Record
 
-__all__ = ["Limits", "Remainder", "fit_remainder"]
+__all__ = ["Limits", "fit_remainder"]
 
 Array = NDArray[np.float64]
 
+CLOCKED = ("disturbance", "time variation", "sampling")
+"""Natures whose causes run by the clock."""
+ECHOES = ("noise", "linear dynamics")
+"""What the answer of a controller to the noise looks like to a regression on inputs."""
 PIECES = 20
 """Stretches over which the size of what is left is compared: long enough for a mean square, short enough to be local."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """How much work a remainder may be, and when it is taken; the comment beneath a field says why it has its value."""
-
-    shapes: tuple[tuple[int, int], ...] = ((2, 4),)
-    # states and neurons of the networks: a second-order force and a curve; more is for the thorough
-    starts: int = 8
-    # of each shape: one in four ends within a tenth of the best on practice records
-    reach: float = 0.2
-    # by how much of the training residual's span a correction may exceed it
-    fade: tuple[float, float] = (0.25, 1.0)
-    # spans beyond an input's training range at which the correction begins to fade, and is gone
-    errors: float = 1.0
-    least: float = 0.01
-    # gain on unused blocks that admits it: in standard errors, and as a share of the error there
-    light: float = 0.05
-    # a member with less weight than this is left out
-    pull: float = 0.1
-    # of every weight to zero, relative to its member's own size: members are much alike, their weights hardly known
-
-    @classmethod
-    def of(cls, effort: Effort) -> Limits:
-        """Limits of an effort."""
-        shapes = {Effort.QUICK: (), Effort.NORMAL: ((2, 4),), Effort.THOROUGH: ((2, 4), (3, 6))}
-        return cls(shapes=shapes[effort])
-
-
-@dataclass(frozen=True, eq=False)
-class Remainder:
-    """A fading-memory model of what an earlier model of one output leaves.
+    """How much work a remainder may be, and when it is taken.
 
     Attributes
     ----------
-    output : int
-        Which output it corrects.
-    members : tuple of Ridge or Networks
-        What is mixed.
-    weights : ndarray
-        Weight of each member; the rest of 1 stays with the earlier model.
-    low, high : ndarray
-        (nu,) training range of the inputs.
+    shapes : tuple of (int, int)
+        States and neurons of the networks: a second-order force and a curve; more is for the thorough.
+    starts : int
+        Of each shape: one in four ends within a tenth of the best on practice records.
+    reach : float
+        By how much of the training residual's span a correction may exceed it.
     fade : tuple of float
-        Where, in spans beyond that range, the correction begins to fade and is gone.
-    unused : tuple of ndarray
-        Per record (N,): prediction of the output by parameters that did not see the sample's block.
-    rmse_unused : float
-        Its error there.
-    gain : Gain
-        What it gains over the earlier model there.
-    admitted : bool
-        Whether that is enough.
-    why : str
-        The same in words.
-    error : tuple of float
-        The 2.5 % and 97.5 % quantiles of measured minus predicted output on unused blocks.
+        Spans beyond an input's training range at which the correction begins to fade, and is gone.
+    errors, least : float
+        Gain on unused blocks that admits it: in standard errors, and as a share of the error there.
+    light : float
+        A member with less weight than this is left out.
+    pull : float
+        Of every weight to zero, relative to its member's own size: members are alike, their weights hardly known.
     """
 
-    output: int
-    members: tuple[Ridge | Networks, ...]
-    weights: Array
-    low: Array
-    high: Array
-    fade: tuple[float, float]
-    unused: tuple[Array, ...]
-    rmse_unused: float
-    gain: Gain
-    admitted: bool
-    why: str
-    error: tuple[float, float]
+    shapes: tuple[tuple[int, int], ...] = ((2, 4),)
+    starts: int = 8
+    reach: float = 0.2
+    fade: tuple[float, float] = (0.25, 1.0)
+    errors: float = 1.0
+    least: float = 0.01
+    light: float = 0.05
+    pull: float = 0.1
 
-    def simulate(self, record: Record, earlier: Array) -> Array:
-        """(N,) simulated output of a record; `earlier` (N, ny) is the earlier model's run on it."""
-        own = earlier[:, self.output]
-        change = np.zeros(len(record))
-        for member, weight in zip(self.members, self.weights, strict=True):
-            change += weight * _change(member, record, earlier, self.output)
-        return own + self.inside(record) * change
+    @classmethod
+    def of(cls, effort: Effort) -> Limits:
+        """Limits of an effort.
 
-    def inside(self, record: Record) -> Array:
-        """(N,) 1 where the inputs are in their training range, falling to 0 far outside: the share of the correction."""
-        span = np.maximum(self.high - self.low, 1e-300)
-        beyond = (np.maximum(np.maximum(self.low - record.u, record.u - self.high), 0.0) / span).max(axis=1)
-        begin, end = self.fade
-        return np.clip((end - beyond) / (end - begin), 0.0, 1.0)
+        Parameters
+        ----------
+        effort : Effort
+            No networks, small ones, larger ones besides.
 
-    def predict(self, record: Record, earlier: Array) -> tuple[Array, Array, Array]:
-        """Simulated output (N,), and the lower and upper end of a 95 % interval by the errors on unused blocks."""
-        run = self.simulate(record, earlier)
-        return run, run + self.error[0], run + self.error[1]
-
-
-def _change(member: Ridge | Networks, record: Record, earlier: Array, output: int) -> Array:
-    """(N,) what a member would add to the earlier run."""
-    if isinstance(member, Networks):
-        return member.run(record, earlier)
-    run = member.run(record, earlier, output)
-    return run - earlier[:, output] if member.which is Set.INPUTS else run
+        Returns
+        -------
+        Limits
+            The limits.
+        """
+        shapes = {Effort.QUICK: (), Effort.NORMAL: ((2, 4),), Effort.THOROUGH: ((2, 4), (3, 6))}
+        return cls(shapes=shapes[effort])
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +92,7 @@ class _Task:
     output: int
     counts: list[NDArray[np.bool_]]
     limits: Limits
+    feedback: bool
 
     @property
     def y(self) -> list[Array]:
@@ -226,6 +184,7 @@ def fit_remainder(
     limits: Limits | None = None,
     policy: Policy | None = None,
     counts: Sequence[NDArray[np.bool_]] | None = None,
+    share: Share | None = None,
 ) -> Remainder:
     """Fit a remainder to what an earlier model of one output leaves.
 
@@ -245,6 +204,8 @@ def fit_remainder(
         How paired errors are compared.
     counts : sequence of ndarray, optional
         Per record (N,) the samples that count; by default those of the baseline.
+    share : Share, optional
+        What could be explained: where that follows the clock, a model without a clock would only imitate it.
 
     Returns
     -------
@@ -255,7 +216,12 @@ def fit_remainder(
     policy = Policy() if policy is None else policy
     records = list(records)
     own = [c[:, output] for c in base.blocks.counting(records)] if counts is None else list(counts)
-    task = _Task(base, records, footing, output, own, limits)
+    before = [
+        r.y[:, output] - run[:, output] for r, run in zip(records, footing.unused(base.blocks), strict=True)
+    ]
+    feedback = has_feedback(records, before, own)
+    records = [delayed(r) for r in records] if feedback else records
+    task = _Task(base, records, footing, output, own, limits, feedback)
     made = [_ridge(task, which) for which in Set] + [_networks(task, shape) for shape in limits.shapes]
     earlier = [run[:, output] for run in footing.unused(base.blocks)]
     left = task.counted(task.residual(footing.unused(base.blocks)))
@@ -271,14 +237,14 @@ def fit_remainder(
     ):
         run[use] += part
     gain = paired_gain(task.y, earlier, unused, own, policy)
-    admitted = gain.beyond(limits.errors) and gain.share > limits.least
+    refused = _refused(task, earlier, unused, gain, policy, share)
     rest = task.counted([y - run for y, run in zip(task.y, unused, strict=True)])
     u = np.concatenate([r.u for r in records])
     kept = weights > 0
     return Remainder(
         output, tuple(m for (m, _), k in zip(made, kept, strict=True) if k), weights[kept], u.min(axis=0), u.max(axis=0),
-        limits.fade, unused, float(np.sqrt(np.mean(rest**2))), gain, admitted, _words(gain, admitted),
-        tuple(np.quantile(rest, (0.025, 0.975)).tolist()),
+        limits.fade, unused, float(np.sqrt(np.mean(rest**2))), gain, not refused, _words(gain, refused),
+        tuple(np.quantile(rest, (0.025, 0.975)).tolist()), feedback,
     )  # fmt: skip
 
 
@@ -311,8 +277,29 @@ def _mixed(changes: Array, left: Array, limits: Limits) -> Array:
     return weights
 
 
-def _words(gain: Gain, admitted: bool) -> str:
-    return (
-        f"a model without a name lowers the error on unused blocks by {max(gain.share, 0.0):.0%}"
-        f"{': it is taken up and reported apart' if admitted else ', which is not enough: it is left out'}"
-    )
+def _refused(
+    task: _Task, earlier: Sequence[Array], unused: Sequence[Array], gain: Gain, policy: Policy, share: Share | None
+) -> str:  # fmt: skip
+    """Why the remainder is not taken up; empty where it is."""
+    limits = task.limits
+    if not (gain.beyond(limits.errors) and gain.share > limits.least):
+        return "which is not enough"
+    if share is not None and share.nature in CLOCKED and share.share > 1.0 - (1.0 - gain.share) ** 2:
+        return "but what is left follows the clock, which this model only imitates"
+    before = task.residual(task.footing.unused(task.base.blocks))
+    if task.feedback:
+        if share is not None and share.nature in ECHOES:
+            return "but the input answers the noise, and a linear echo of it would be taken for dynamics"
+        noise = autoregression(before, task.counts)
+        steps = [[whitened(noise, np.where(c, y - run, 0.0)) for y, run, c in zip(task.y, runs, task.counts, strict=True)]
+                 for runs in (earlier, unused)]  # fmt: skip
+        none = task.empty()
+        one_step = paired_gain(none, steps[0], steps[1], task.counts, policy)
+        if not (one_step.beyond(limits.errors) and one_step.share > limits.least):
+            return "but the input answers the noise, and the one-step prediction does not get better"
+    return ""
+
+
+def _words(gain: Gain, refused: str) -> str:
+    taken = f", {refused}: it is left out" if refused else ": it is taken up and reported apart"
+    return f"a model without a name lowers the error on unused blocks by {max(gain.share, 0.0):.0%}{taken}"

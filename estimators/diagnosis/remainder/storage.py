@@ -11,9 +11,9 @@ import numpy as np
 
 from estimators.diagnosis.ladder import Gain
 from estimators.diagnosis.remainder.members import Networks, Scale
+from estimators.diagnosis.remainder.mixture import Remainder
 from estimators.diagnosis.remainder.network import Network, Sizes
 from estimators.diagnosis.remainder.ridge import Ridge, Set
-from estimators.diagnosis.remainder.stack import Remainder
 from estimators.diagnosis.share.signals import Bank
 from oed.errors import InputError
 
@@ -36,7 +36,9 @@ def to_json(rest: Remainder) -> str:
     str
         JSON with every number to full precision.
     """
-    head = {k: getattr(rest, k) for k in ("output", "fade", "rmse_unused", "admitted", "why", "error")}
+    head = {
+        k: getattr(rest, k) for k in ("output", "fade", "rmse_unused", "admitted", "why", "error", "feedback")
+    }
     arrays = {k: getattr(rest, k).tolist() for k in ("weights", "low", "high")}
     members = [_written(m) for m in rest.members]
     return json.dumps({"form": FORM, **head, **arrays, "gain": asdict(rest.gain), "members": members})
@@ -82,6 +84,7 @@ def from_json(text: str) -> Remainder:
             output=int(told["output"]), members=members, **arrays, fade=(begin, end), unused=(),
             rmse_unused=float(told["rmse_unused"]), gain=Gain(**told["gain"]), admitted=bool(told["admitted"]),
             why=str(told["why"]), error=(least, most),
+            feedback=bool(told["feedback"]),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"this is no {FORM!r} ({error}); give what to_json wrote.") from None

@@ -5,6 +5,5 @@ share = explainable_share(base, [record])  # share, low, high, by, natures, nois
 """
 
 from estimators.diagnosis.share.explainable import Evidence, Share, explainable_share
-from estimators.diagnosis.share.regression import Folds, folds_of
 
-__all__ = ["Evidence", "Folds", "Share", "explainable_share", "folds_of"]
+__all__ = ["Evidence", "Share", "explainable_share"]

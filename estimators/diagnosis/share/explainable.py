@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Baseline
+from estimators.diagnosis.share.feedback import autoregression, delayed, has_feedback, whitened
 from estimators.diagnosis.share.regression import Folds, Regression, folds_of
 from estimators.diagnosis.share.signals import Columns, bank_of, columns_of
 from oed.data import Record
@@ -73,6 +74,9 @@ class Share:
     unused : tuple of ndarray
         Per record (N,): the regression's prediction of the residual with the sample's block unused; NaN where no
         sample counts.
+    feedback : bool
+        Whether the input answers the noise: then residual and columns are whitened, and the shares are those of the
+        one-step prediction, which feedback leaves honest.
     """
 
     share: float
@@ -84,6 +88,7 @@ class Share:
     noise_low: float
     noise_high: float
     unused: tuple[Array, ...]
+    feedback: bool = False
 
     @property
     def explainable(self) -> bool:
@@ -142,8 +147,14 @@ def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0
     counts = [c[:, output] for c in base.blocks.counting(records)]
     residual = [r.y[:, output] - y[:, output] for r, y in zip(records, base.y_model, strict=True)]
     folds = folds_of(base.blocks)
-    tables = _columns(base, records, output)
-    regression = Regression.of([t.values for t in tables], residual, counts, folds)
+    feedback = has_feedback(records, residual, counts)
+    tables = _columns(base, [delayed(r) for r in records] if feedback else records, output)
+    values = [t.values for t in tables]
+    if feedback:
+        noise = autoregression(residual, counts)
+        residual = [whitened(noise, np.where(c, r, 0.0)) for r, c in zip(residual, counts, strict=True)]
+        values = [whitened(noise, v) for v in values]
+    regression = Regression.of(values, residual, counts, folds)
     owner = _batch_owner(counts)
     kinds, variables = np.array(tables[0].kinds), np.array(tables[0].variables)
     alone = {nature: regression.unused(np.flatnonzero(np.isin(kinds, own))) for nature, own in ALONE.items()}
@@ -161,8 +172,8 @@ def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0
         for v in dict.fromkeys(variables)
     }
     noise, least, most = (float(np.sqrt(max(x, 0.0))) for x in (floor, floor - error, floor + error))
-    natures = _ranked(regression.target, alone, owner) if low > 0 else ()
-    return Share(share, low, high, by, natures, noise, least, most, _spread(best, counts, folds))
+    natures = _ranked(regression.target, alone, owner, NORMAL if feedback else 1.0) if low > 0 else ()
+    return Share(share, low, high, by, natures, noise, least, most, _spread(best, counts, folds), feedback)
 
 
 def _columns(base: Baseline, records: list[Record], output: int) -> list[Columns]:
@@ -184,14 +195,19 @@ def _spread(values: Array, counts: Sequence[NDArray[np.bool_]], folds: Folds) ->
     return tuple(out)
 
 
-def _ranked(target: Array, alone: Mapping[str, Array], owner: NDArray[np.int64]) -> tuple[Evidence, ...]:
-    """Natures in the order of their claim: the simplest that is within a standard error of the best comes first."""
+def _ranked(
+    target: Array, alone: Mapping[str, Array], owner: NDArray[np.int64], errors: float
+) -> tuple[Evidence, ...]:
+    """Natures in the order of their claim: the simplest that is within so many standard errors of the best comes first.
+
+    Feedback biases the linear model itself, so that there the simplest has more of a claim.
+    """
     rows = {n: _interval(target, target - f, owner) for n, f in alone.items()}
     best = max(rows, key=lambda n: rows[n][0])
 
     def behind(nature: str) -> bool:
         gap = _means((target - alone[nature]) ** 2 - (target - alone[best]) ** 2, owner)
-        return float(gap.mean()) > float(gap.std(ddof=1) / np.sqrt(len(gap)))
+        return float(gap.mean()) > errors * float(gap.std(ddof=1) / np.sqrt(len(gap)))
 
     order = [n for n in ALONE if not behind(n)] + sorted(
         (n for n in ALONE if behind(n)), key=lambda n: -rows[n][0]

@@ -1,0 +1,131 @@
+"""A fitted remainder: what its members add to an earlier run, bounded, and gone far outside the training range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.ladder import Gain
+from estimators.diagnosis.remainder.members import Networks
+from estimators.diagnosis.remainder.ridge import Ridge, Set
+from estimators.diagnosis.share.feedback import delayed
+from oed.data import Record
+
+__all__ = ["Remainder"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """A fading-memory model of what an earlier model of one output leaves.
+
+    Attributes
+    ----------
+    output : int
+        Which output it corrects.
+    members : tuple of Ridge or Networks
+        What is mixed.
+    weights : ndarray
+        Weight of each member; the rest of 1 stays with the earlier model.
+    low, high : ndarray
+        (nu,) training range of the inputs.
+    fade : tuple of float
+        Where, in spans beyond that range, the correction begins to fade and is gone.
+    unused : tuple of ndarray
+        Per record (N,): prediction of the output by parameters that did not see the sample's block.
+    rmse_unused : float
+        Its error there.
+    gain : Gain
+        What it gains over the earlier model there.
+    admitted : bool
+        Whether that is enough.
+    why : str
+        The same in words.
+    error : tuple of float
+        The 2.5 % and 97.5 % quantiles of measured minus predicted output on unused blocks.
+    feedback : bool
+        Whether the training input answered the noise: then inputs are taken one sample late.
+    """
+
+    output: int
+    members: tuple[Ridge | Networks, ...]
+    weights: Array
+    low: Array
+    high: Array
+    fade: tuple[float, float]
+    unused: tuple[Array, ...]
+    rmse_unused: float
+    gain: Gain
+    admitted: bool
+    why: str
+    error: tuple[float, float]
+    feedback: bool = False
+
+    def simulate(self, record: Record, earlier: Array) -> Array:
+        """Simulated output of a record.
+
+        Parameters
+        ----------
+        record : Record
+            Its inputs count only.
+        earlier : ndarray
+            (N, ny) the earlier model's run on it.
+
+        Returns
+        -------
+        ndarray
+            (N,).
+        """
+        own = earlier[:, self.output]
+        record = delayed(record) if self.feedback else record
+        change = np.zeros(len(record))
+        for member, weight in zip(self.members, self.weights, strict=True):
+            change += weight * _change(member, record, earlier, self.output)
+        return own + self.inside(record) * change
+
+    def inside(self, record: Record) -> Array:
+        """How much of the correction applies.
+
+        Parameters
+        ----------
+        record : Record
+            Its inputs count only.
+
+        Returns
+        -------
+        ndarray
+            (N,) 1 where the inputs are in their training range, falling to 0 far outside.
+        """
+        span = np.maximum(self.high - self.low, 1e-300)
+        beyond = (np.maximum(np.maximum(self.low - record.u, record.u - self.high), 0.0) / span).max(axis=1)
+        begin, end = self.fade
+        return np.clip((end - beyond) / (end - begin), 0.0, 1.0)
+
+    def predict(self, record: Record, earlier: Array) -> tuple[Array, Array, Array]:
+        """Simulated output with a 95 % interval by the errors on unused blocks.
+
+        Parameters
+        ----------
+        record : Record
+            Its inputs count only.
+        earlier : ndarray
+            (N, ny) the earlier model's run on it.
+
+        Returns
+        -------
+        tuple of ndarray
+            (N,) each: the output, the lower end, the upper end.
+        """
+        run = self.simulate(record, earlier)
+        return run, run + self.error[0], run + self.error[1]
+
+
+def _change(member: Ridge | Networks, record: Record, earlier: Array, output: int) -> Array:
+    """(N,) what a member would add to the earlier run."""
+    if isinstance(member, Networks):
+        return member.run(record, earlier)
+    run = member.run(record, earlier, output)
+    return run - earlier[:, output] if member.which is Set.INPUTS else run
