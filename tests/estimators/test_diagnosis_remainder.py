@@ -105,8 +105,8 @@ def test_what_has_no_name_is_taken_up(system, left: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 0.9])
 def test_nothing_is_taken_up_from_a_linear_system(noise: float) -> None:
-    """12 linear records in white and in coloured noise: one standard error alone is passed in a sixth, with the least
-    gain of 1 % on weights of other blocks in far fewer; 4 of 12 at a twelfth have p < .02. None is made worse by 3 %."""
+    """12 linear records a noise: two standard errors are passed in 2.3 %, by correlated pieces somewhat more; 2 of 12 at a
+    twentieth have p < .12, 3 have p < .02. None that is admitted is made worse by 3 %."""
     admitted = 0
     for seed in range(12):
         train, test, truth = _pair(_linear, seed, 0.0, 600)
@@ -121,7 +121,7 @@ def test_nothing_is_taken_up_from_a_linear_system(noise: float) -> None:
                 np.sqrt(0.09 + np.mean((r - truth)[20:] ** 2)) for r in (run[:, 0], rest.simulate(test, run))
             )
             assert after < 1.03 * before
-    assert admitted <= 3
+    assert admitted <= 2
 
 
 def test_it_is_bounded_for_any_input_and_gone_far_outside() -> None:

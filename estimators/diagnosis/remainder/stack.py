@@ -48,7 +48,8 @@ class Limits:
     fade : tuple of float
         Spans beyond an input's training range at which the correction begins to fade, and is gone.
     errors, least : float
-        Gain on unused blocks that admits it: in standard errors, and as a share of the error there.
+        Gain on unused blocks that admits it: in standard errors, and as a share of the error there. With one standard
+        error coloured noise of linear systems was taken up, and did harm.
     light : float
         A member with less weight than this is left out.
     pull : float
@@ -59,7 +60,7 @@ class Limits:
     starts: int = 8
     reach: float = 0.2
     fade: tuple[float, float] = (0.25, 1.0)
-    errors: float = 1.0
+    errors: float = 2.0
     least: float = 0.01
     light: float = 0.05
     pull: float = 0.1
@@ -216,10 +217,8 @@ def fit_remainder(
     policy = Policy() if policy is None else policy
     records = list(records)
     own = [c[:, output] for c in base.blocks.counting(records)] if counts is None else list(counts)
-    before = [
-        r.y[:, output] - run[:, output] for r, run in zip(records, footing.unused(base.blocks), strict=True)
-    ]
-    feedback = has_feedback(records, before, own)
+    rest_of = [r.y[:, output] - run[:, output] for r, run in zip(records, footing.final, strict=True)]
+    feedback = has_feedback(records, rest_of, own)
     records = [delayed(r) for r in records] if feedback else records
     task = _Task(base, records, footing, output, own, limits, feedback)
     made = [_ridge(task, which) for which in Set] + [_networks(task, shape) for shape in limits.shapes]

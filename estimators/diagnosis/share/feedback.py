@@ -19,6 +19,10 @@ ORDER = 10
 """Of the autoregressions that whiten: a noise that needs more is slow, and slow noise is no innovation."""
 LEADS = 20
 """Samples by which an input may answer the noise."""
+PAST = 30
+"""Samples of its own past from which an input is predicted."""
+MATTERS = 0.05
+"""Share of an input's innovations that the noise must explain: a weaker loop echoes less noise than a block can tell."""
 ALPHA = 1e-3
 """False-alarm rate: with feedback only what improves the one-step prediction counts, a hard demand elsewhere."""
 
@@ -49,21 +53,36 @@ def delayed(record: Record) -> Record:
 def has_feedback(
     records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
 ) -> bool:
-    """Whether whitened residuals correlate with later whitened inputs, which no cause in the plant can bring about.
+    """Whether past whitened residuals help to predict an input beyond the input's own past (Granger's test).
 
-    N times the sum of squared correlations at LEADS leads of all inputs is chi-square without feedback.
+    An input may be predictable, as narrow-band ones are: only what its own past does not tell counts, and only a
+    share of it that matters.
     """
     noise = autoregression(residual, uses)
-    whole = [np.ones(len(r), dtype=bool) for r in records]
-    statistic, degrees = 0.0, 0
+    clean = [whitened(noise, np.where(c, e, 0.0)) * c for e, c in zip(residual, uses, strict=True)]
     for j in range(records[0].n_inputs):
-        u = [r.u[:, j] - r.u[:, j].mean() for r in records]
-        own = autoregression(u, whole)
-        products, sizes, count = np.zeros(LEADS), np.zeros(2), 0
-        for x, e, use in zip(u, residual, uses, strict=True):
-            a, v = whitened(noise, np.where(use, e, 0.0)) * use, whitened(own, x)
-            sizes, count = sizes + np.array([a @ a, v @ v]), count + int(use.sum())
-            products += np.array([a[:-lead] @ v[lead:] for lead in range(1, LEADS + 1)])
-        statistic += count * float(np.sum(products**2)) / max(float(np.prod(sizes)), 1e-300)
-        degrees += LEADS
-    return bool(chi2.sf(statistic, degrees) < ALPHA)
+        own, both, target = [], [], []
+        for r, e in zip(records, clean, strict=True):
+            x = r.u[:, j] - r.u[:, j].mean()
+            past = [_late(x, i) for i in range(1, PAST + 1)]
+            own.append(np.stack(past, axis=1)[PAST:])
+            both.append(np.stack([*past, *(_late(e, i) for i in range(1, LEADS + 1))], axis=1)[PAST:])
+            target.append(x[PAST:])
+        b = np.concatenate(target)
+        before, after = (_left(np.concatenate(A), b) for A in (own, both))
+        gain = 1.0 - after / max(before, 1e-300)
+        if gain > MATTERS and chi2.sf(len(b) * gain, LEADS) < ALPHA:
+            return True
+    return False
+
+
+def _late(x: Array, by: int) -> Array:
+    return np.concatenate((np.zeros(by), x[:-by]))
+
+
+def _left(A: Array, b: Array) -> float:
+    """Sum of squares that least squares leaves."""
+    size = np.sqrt(np.mean(A**2, axis=0))
+    Z = A / np.where(size > 0, size, 1.0)
+    rest = b - Z @ np.linalg.solve(Z.T @ Z + 1e-10 * len(b) * np.eye(Z.shape[1]), Z.T @ b)
+    return float(rest @ rest)
