@@ -157,7 +157,7 @@ def test_full_two_by_two(rng) -> None:
 
 
 def test_interpreted_and_compiled_agree(rng, monkeypatch) -> None:
-    from estimators.pem.predictors.of_structure import kernel
+    from estimators.pem.predictors import kernel
 
     if kernel.compiler() is None:
         pytest.skip("no C compiler here")
