@@ -51,6 +51,7 @@ class Fitted:
 
     @property
     def mse(self) -> float:
+        """Mean square of the simulation error."""
         return self.sse / max(self.count, 1)
 
 

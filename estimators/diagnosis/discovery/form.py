@@ -97,6 +97,7 @@ class Form:
 
     @property
     def parameters(self) -> int:
+        """How many parameters the form has."""
         return self.blocks[-1].stop if self.terms else self.linear_size
 
     def with_terms(self, *terms: Term) -> Form:
