@@ -75,18 +75,7 @@ def _parser() -> _Parser:
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON knows it: arrays as lists, numbers that are not finite as null.
-
-    Parameters
-    ----------
-    value : object
-        Numbers, strings, arrays, mappings and sequences of them.
-
-    Returns
-    -------
-    object
-        Ready for `json.dumps`.
-    """
+    """A value as JSON knows it: arrays as lists, numbers that are not finite as null."""
     if value is None or isinstance(value, bool | str):
         return value
     if isinstance(value, dict):
@@ -127,18 +116,7 @@ def _one_line(text: str) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the command line.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments, by default those of the process.
-
-    Returns
-    -------
-    int
-        Exit status: 0, 1, 2, 130 or 143.
-    """
+    """Run the command line."""
     # Matrices of this size gain nothing from threads, and with one the last bits are the same whatever the cores.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")

@@ -27,20 +27,9 @@ __all__ = ["Comparison", "compare"]
 class Comparison:
     """Result of `compare`.
 
-    Attributes
-    ----------
-    rows : list of dict
-        The comparison table.
-    information : list of dict
-        What the inputs carry, by number of experiments.
-    out : Path
-        Results folder.
-    page : Path or None
-        The report; None after a dry run.
-    sentences : list of str
-        What the numbers say.
-    pairs : list of dict
-        Paired differences with corrected p-values.
+    `rows` the comparison table; `information` what the inputs carry, by number of experiments; `out` results
+    folder; `page` the report; None after a dry run; `sentences` what the numbers say; `pairs` paired
+    differences with corrected p-values.
     """
 
     rows: list[dict[str, Any]]
@@ -51,13 +40,7 @@ class Comparison:
     pairs: list[dict[str, Any]] = field(default_factory=list, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """The keys of `oed compare --json`.
-
-        Returns
-        -------
-        dict
-            rows, out, and more.
-        """
+        """The keys of `oed compare --json`."""
         return {
             "rows": self.rows,
             "out": str(self.out),
@@ -113,43 +96,7 @@ def compare(
     dry_run: bool = False,
     quiet: bool = False,
 ) -> Comparison:
-    """Compare inputs and estimators for the H-infinity norm in Monte Carlo, at equal budgets.
-
-    Parameters
-    ----------
-    plants : sequence of str, optional
-        Names or JSON files.
-    noise_variances : sequence of float, optional
-        For every plant.
-    samples, experiments, replicates : int
-        Length of an experiment, experiments per run, Monte-Carlo runs.
-    methods, estimators : sequence, optional
-        Names of inputs and estimators; one's own as functions or `FILE.py:FUNCTION` (see `benchmarks.campaign.users_own`).
-    limits : sequence of Limit, optional
-        What has fewer replicates than the rest; by default `benchmarks.campaign.settings.DEFAULT_LIMITS`, those of inputs only where
-        `methods` is not given.
-    profile_replicates : int
-        For so many replicates the estimators are also run after every checkpoint of the budget.
-    seed : int
-        Of everything random.
-    out : str or Path
-        Results folder; the same settings resume it.
-    jobs : int, optional
-        Worker processes.
-    scheduler : str, optional
-        Address of a Dask scheduler.
-    time_limit : float, optional
-        Seconds for one run of a method, and for one estimate; what takes longer is a row that says so.
-    dry_run : bool
-        Only try everything on a tiny size, in a folder that is thrown away.
-    quiet : bool
-        No progress on standard error.
-
-    Returns
-    -------
-    Comparison
-        Rows, sentences and the page.
-    """
+    """Compare inputs and estimators for the H-infinity norm in Monte Carlo, at equal budgets."""
     brought = Own(methods or (), estimators or ())
     given = {
         "plants": plants,

@@ -19,20 +19,7 @@ END = "<!-- end of headline -->"
 
 
 def with_headline(text: str, table: str) -> str:
-    """A README with another headline table.
-
-    Parameters
-    ----------
-    text : str
-        The README.
-    table : str
-        Markdown.
-
-    Returns
-    -------
-    str
-        The README with the table between its marks.
-    """
+    """A README with another headline table."""
     if START not in text or END not in text:
         raise InputError(
             f"the README lacks the marks {START!r} and {END!r}, between which the headline table stands."
@@ -73,15 +60,7 @@ def oracle_sentence(rows: list[dict]) -> str:
 
 
 def write_readme(results: Path, readme: Path) -> None:
-    """Put a comparison's answer, its sentences and its pictures into a README.
-
-    Parameters
-    ----------
-    results : Path
-        Folder of a finished comparison on which the iterations ran.
-    readme : Path
-        The README; its pictures are in `docs` beside it.
-    """
+    """Put a comparison's answer, its sentences and its pictures into a README."""
     rows, _ = from_parquet(results / "tables" / "answer.parquet")
     head, _ = from_parquet(results / "tables" / "head_to_head.parquet")
     compared, _ = from_parquet(results / "tables" / "comparison.parquet")

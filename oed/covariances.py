@@ -13,17 +13,7 @@ OUTSIDE = 1e-6
 def diagonal_blocks(matrix: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Square blocks on the diagonal.
 
-    Parameters
-    ----------
-    matrix : ndarray
-        (K s, K s).
-    count : int
-        K.
-
-    Returns
-    -------
-    ndarray
-        (K, s, s).
+    Shapes: matrix (K s, K s), returns (K, s, s).
     """
     size = len(matrix) // count
     return np.einsum("kskt->kst", matrix.reshape(count, size, count, size))
@@ -32,17 +22,7 @@ def diagonal_blocks(matrix: NDArray[np.float64], count: int) -> NDArray[np.float
 def solved(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64]:
     """M^-1 V, scaled to a unit diagonal first.
 
-    Parameters
-    ----------
-    M : ndarray
-        (n, n), positive definite.
-    V : ndarray
-        (n, s).
-
-    Returns
-    -------
-    ndarray
-        (n, s).
+    Shapes: M (n, n), V (n, s), returns (n, s).
     """
     from scipy.linalg import cho_factor, cho_solve
 
@@ -53,17 +33,7 @@ def solved(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64
 def covariance_of(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """V' M^-1 V, or None where M does not determine V' theta.
 
-    Parameters
-    ----------
-    M : ndarray
-        (n, n), positive semidefinite.
-    V : ndarray
-        (n, s).
-
-    Returns
-    -------
-    ndarray or None
-        (s, s).
+    Shapes: M (n, n), V (n, s), returns (s, s).
     """
     if not np.isfinite(M).all():
         return None
@@ -76,19 +46,8 @@ def covariance_of(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.
 
 
 def covariance_of_factor(factor: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """V' (F F')^-1 V from the factor itself, to the full precision; None where F F' does not determine V' theta.
-
-    Parameters
-    ----------
-    factor : ndarray
-        F, (n, m).
-    V : ndarray
-        (n, s).
-
-    Returns
-    -------
-    ndarray or None
-        (s, s).
+    """V' (F F')^-1 V from the factor itself, to the full precision; None where F F' does not determine V'
+    theta.
     """
     if not np.isfinite(factor).all():
         return None

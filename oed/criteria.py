@@ -50,16 +50,9 @@ __all__ = [
 class Criterion:
     """A loss of the information matrix.
 
-    Attributes
-    ----------
-    kind : {"D", "A", "E", "G", "W", "K"}
-        Which function of V' M^-1 V.
-    V : ndarray
-        (n, s), or (K, n, s) for G and W.
-    name : str
-        What it is called in tables.
-    family : Family, optional
-        G: V is a sample of it, which bounds the loss from below; the loss is the maximum over all of it.
+    `kind` which function of V' M^-1 V; `V` (n, s), or (K, n, s) for G and W; `name` what it is called in
+    tables; `family` G: V is a sample of it, which bounds the loss from below; the loss is the maximum over
+    all of it.
     """
 
     kind: str
@@ -93,16 +86,7 @@ class Criterion:
     def loss(self, information: ArrayLike) -> float:
         """Loss of an information matrix; infinite where it does not determine what is asked.
 
-        Parameters
-        ----------
-        information : array_like
-            (n, n) Fisher information M.
-
-        Returns
-        -------
-        float
-            The loss. Where M is singular it is finite if the combinations lie in the range of M (to 1e-6
-            of their length after scaling the parameters to equal information).
+        Shapes: information (n, n).
         """
         if self.family is not None:
             return self.family.worst(np.asarray(information, dtype=float))
@@ -112,15 +96,7 @@ class Criterion:
     def loss_of_factor(self, factor: NDArray[np.float64]) -> float:
         """Loss of the information factor factor', with twice the digits of `loss` where that is singular.
 
-        Parameters
-        ----------
-        factor : ndarray
-            (n, k).
-
-        Returns
-        -------
-        float
-            The loss.
+        Shapes: factor (n, k).
         """
         if self.family is not None:
             return self.family.worst(factor @ factor.T)
@@ -145,18 +121,7 @@ class Criterion:
         return float(np.diag(covariance).reshape(self.V.shape[0], -1).sum(axis=1).max())
 
     def numerator(self, X: NDArray[np.float64]) -> float:
-        """Numerator of the lower bound: loss(M) >= numerator(X) / trace(X' M X) for every M.
-
-        Parameters
-        ----------
-        X : ndarray
-            (n, s), or (n, K s) for G.
-
-        Returns
-        -------
-        float
-            The numerator.
-        """
+        """Numerator of the lower bound: loss(M) >= numerator(X) / trace(X' M X) for every M."""
         if self.kind == "G":
             parts = X.reshape(len(X), self.V.shape[0], -1)
             return float(np.sum(np.einsum("kns,nks->k", self.V, parts) ** 2))
@@ -178,18 +143,7 @@ class Criterion:
     ) -> NDArray[np.float64]:
         """The X that makes the bound tight at a nonsingular optimum: Z = X X' is minus a subgradient.
 
-        Parameters
-        ----------
-        information : ndarray
-            (n, n), positive definite.
-        weight : ndarray, optional
-            E: (s, s) positive semidefinite, trace 1, on the largest eigenvalues of V' M^-1 V;
-            G, W: (K,) weights on the worst of the combinations. By default the single worst.
-
-        Returns
-        -------
-        ndarray
-            X, of the shape of `columns`.
+        Shapes: information (n, n).
         """
         Y = solved(information, self.columns)
         covariance = self.columns.T @ Y
@@ -216,17 +170,7 @@ class Criterion:
     def transformed(self, R: NDArray[np.float64]) -> tuple[Criterion, float]:
         """The same criterion for parameters R theta, and the factor between the losses.
 
-        Parameters
-        ----------
-        R : ndarray
-            (n, n), upper triangular and nonsingular.
-
-        Returns
-        -------
-        criterion : Criterion
-            For the information R^-T M R^-1; of a family the sample only.
-        factor : float
-            loss = factor * transformed loss.
+        Shapes: R (n, n).
         """
         from scipy.linalg import solve_triangular
 
@@ -249,42 +193,12 @@ class Criterion:
 
 
 def d_criterion(n: int, columns: ArrayLike | None = None, *, name: str = "") -> Criterion:
-    """D-optimality, det(M^-1)^(1/n); with columns D_s, the same of the named parameters' covariance.
-
-    Parameters
-    ----------
-    n : int
-        Number of parameters.
-    columns : array_like, optional
-        Indices of the parameters that matter, or an (n, s) matrix of combinations.
-    name : str
-        What it is called in tables.
-
-    Returns
-    -------
-    Criterion
-        The criterion.
-    """
+    """D-optimality, det(M^-1)^(1/n); with columns D_s, the same of the named parameters' covariance."""
     return Criterion("D", _combinations(n, columns), name or ("D" if columns is None else "Ds"))
 
 
 def a_criterion(n: int, weight: ArrayLike | None = None, *, name: str = "") -> Criterion:
-    """A-optimality, trace(W M^-1).
-
-    Parameters
-    ----------
-    n : int
-        Number of parameters.
-    weight : array_like, optional
-        (n, n) symmetric positive semidefinite W; by default the identity.
-    name : str
-        What it is called in tables.
-
-    Returns
-    -------
-    Criterion
-        The criterion.
-    """
+    """A-optimality, trace(W M^-1)."""
     if weight is None:
         return Criterion("A", np.eye(n), name or "A")
     W = np.asarray(weight, dtype=float)
@@ -305,94 +219,31 @@ def a_criterion(n: int, weight: ArrayLike | None = None, *, name: str = "") -> C
 def c_criterion(c: ArrayLike, *, name: str = "") -> Criterion:
     """c-optimality: the variance c' M^-1 c of one combination c' theta.
 
-    Parameters
-    ----------
-    c : array_like
-        (n,) gradient of what is to be known.
-    name : str
-        What it is called in tables.
-
-    Returns
-    -------
-    Criterion
-        The criterion.
+    Shapes: c (n,).
     """
     return Criterion("A", np.asarray(c, dtype=float).reshape(-1, 1), name or "c")
 
 
 def e_criterion(n: int, columns: ArrayLike | None = None, *, name: str = "") -> Criterion:
-    """E-optimality: the largest eigenvalue of V' M^-1 V, by default of M^-1.
-
-    Parameters
-    ----------
-    n : int
-        Number of parameters.
-    columns : array_like, optional
-        Indices of parameters, or an (n, s) matrix of combinations.
-    name : str
-        What it is called in tables.
-
-    Returns
-    -------
-    Criterion
-        The criterion.
-    """
+    """E-optimality: the largest eigenvalue of V' M^-1 V, by default of M^-1."""
     return Criterion("E", _combinations(n, columns), name or "E")
 
 
 def g_criterion(combinations: ArrayLike, *, name: str = "") -> Criterion:
-    """The worst of several: max_k trace(V_k' M^-1 V_k).
-
-    Parameters
-    ----------
-    combinations : array_like
-        (K, n) or (K, n, s) V_k.
-    name : str
-        What it is called in tables.
-
-    Returns
-    -------
-    Criterion
-        The criterion.
-    """
+    """The worst of several: max_k trace(V_k' M^-1 V_k)."""
     V = np.asarray(combinations, dtype=float)
     return Criterion("G", V[:, :, None] if V.ndim == 2 else V, name or "G")
 
 
 def worst_d_criterion(combinations: ArrayLike, *, name: str = "") -> Criterion:
-    """The worst of several D: max_k det(V_k' M^-1 V_k)^(1/s).
-
-    Parameters
-    ----------
-    combinations : array_like
-        (K, n, s) V_k.
-    name : str
-        What it is called in tables.
-
-    Returns
-    -------
-    Criterion
-        The criterion.
-    """
+    """The worst of several D: max_k det(V_k' M^-1 V_k)^(1/s)."""
     return Criterion("W", np.asarray(combinations, dtype=float), name or "W")
 
 
 def condition_criterion(n: int, lengths: ArrayLike | None = None, *, name: str = "") -> Criterion:
     """Modified E: the condition number of M, the parameters in given units.
 
-    Parameters
-    ----------
-    n : int
-        Number of parameters.
-    lengths : array_like, optional
-        (n,) unit of every parameter, positive; 1 by default. The condition number depends on it.
-    name : str
-        What it is called in tables.
-
-    Returns
-    -------
-    Criterion
-        The criterion.
+    Shapes: lengths (n,).
     """
     unit = np.ones(n) if lengths is None else np.asarray(lengths, dtype=float)
     if unit.shape != (n,) or not (np.isfinite(unit) & (unit > 0)).all():

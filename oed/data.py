@@ -31,27 +31,7 @@ def entry_name(i: int, j: int, n_outputs: int, n_inputs: int) -> str:
 
 
 def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray[np.float64]:
-    """Read-only copy of a signal as (N, channels), checked to be finite.
-
-    Parameters
-    ----------
-    values : array_like
-        (N,) for one channel, or (N, channels): time is axis 0.
-    name : str
-        What the signal is called in messages.
-    missing : bool
-        Whether NaN is allowed, as the mark of a missing sample.
-
-    Returns
-    -------
-    ndarray
-        (N, channels), float64, not writable.
-
-    Raises
-    ------
-    InputError
-        If the values are not real numbers, have more than two axes, are empty or not finite.
-    """
+    """Read-only copy of a signal as (N, channels), checked to be finite."""
     try:
         given = np.asarray(values)
         if given.dtype.kind == "c":
@@ -301,18 +281,7 @@ class Spectrum:
 
 
 def join(spectra: Sequence[Spectrum]) -> Spectrum:
-    """All lines of several spectra together, sorted by frequency; equal frequencies are added.
-
-    Parameters
-    ----------
-    spectra : sequence of Spectrum
-        With the same number of inputs.
-
-    Returns
-    -------
-    Spectrum
-        Their sum.
-    """
+    """All lines of several spectra together, sorted by frequency; equal frequencies are added."""
     if len({s.n_inputs for s in spectra}) != 1:
         raise InputError(
             f"spectra of {[s.n_inputs for s in spectra]} inputs cannot be added; the numbers must agree."

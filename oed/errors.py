@@ -79,17 +79,7 @@ class Status(Enum):
 
 
 def check_names(names: Iterable[str], known: Sequence[str], what: str) -> None:
-    """Raise an InputError that lists what exists, if one of the names does not.
-
-    Parameters
-    ----------
-    names : iterable of str
-        What was asked for.
-    known : sequence of str
-        What exists.
-    what : str
-        "plant", "method", ...
-    """
+    """Raise an InputError that lists what exists, if one of the names does not."""
     for name in names:
         if name not in known:
             close = difflib.get_close_matches(name, known, 1)

@@ -25,16 +25,8 @@ AHEAD = 2**16
 class Usage:
     """What a series of experiments has cost.
 
-    Attributes
-    ----------
-    experiments : int
-        Number of experiments.
-    samples : int
-        Samples over all experiments.
-    energy : float
-        Input energy: squares summed over samples, experiments and channels.
-    peak : float
-        Largest absolute input.
+    `experiments` number of experiments; `samples` samples over all experiments; `energy` input energy:
+    squares summed over samples, experiments and channels; `peak` largest absolute input.
     """
 
     experiments: int = 0
@@ -43,18 +35,7 @@ class Usage:
     peak: float = 0.0
 
     def add(self, u: NDArray[np.float64]) -> Usage:
-        """The usage after one more experiment with the input u, (N, nu).
-
-        Parameters
-        ----------
-        u : ndarray
-            (N, nu).
-
-        Returns
-        -------
-        Usage
-            The sum.
-        """
+        """The usage after one more experiment with the input u, (N, nu)."""
         return Usage(
             self.experiments + 1,
             self.samples + len(u),
@@ -192,18 +173,7 @@ def simulated(
 
 
 def noise_factor(plant: Plant) -> NDArray[np.float64]:
-    """A square root L of the noise covariance, L L' = Lambda (also where Lambda is singular).
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-
-    Returns
-    -------
-    ndarray
-        (ny, ny).
-    """
+    """A square root L of the noise covariance, L L' = Lambda (also where Lambda is singular)."""
     deviations = np.sqrt(np.diag(plant.noise_covariance))
     if np.count_nonzero(plant.noise_covariance) == np.count_nonzero(deviations):
         return np.diag(deviations)
@@ -214,17 +184,7 @@ def noise_factor(plant: Plant) -> NDArray[np.float64]:
 def coloured(plant: Plant, e: NDArray[np.float64]) -> NDArray[np.float64]:
     """White noise through the plant's noise filter H, from rest.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    e : ndarray
-        (N, ny).
-
-    Returns
-    -------
-    ndarray
-        (N, ny).
+    Shapes: e (N, ny), returns (N, ny).
     """
     if plant.white_noise:
         return e
@@ -236,17 +196,7 @@ def coloured(plant: Plant, e: NDArray[np.float64]) -> NDArray[np.float64]:
 def decoloured(plant: Plant, v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Noise through the inverse of the plant's noise filter, H^-1 v, from rest: undoes `coloured`.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    v : ndarray
-        (N, ny).
-
-    Returns
-    -------
-    ndarray
-        (N, ny).
+    Shapes: v (N, ny), returns (N, ny).
     """
     if plant.white_noise:
         return v

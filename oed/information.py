@@ -47,33 +47,11 @@ class Responding(Protocol):
         ...
 
     def response(self, omega: ArrayLike) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """G (K, ny, nu) and dG (K, n, ny, nu).
-
-        Parameters
-        ----------
-        omega : array_like
-            (K,) rad/sample.
-
-        Returns
-        -------
-        tuple of ndarray
-            G and dG.
-        """
+        """G (K, ny, nu) and dG (K, n, ny, nu)."""
         ...
 
     def noise_response(self, omega: ArrayLike) -> NDArray | tuple[NDArray, NDArray]:
-        """Noise filter H(e^jw).
-
-        Parameters
-        ----------
-        omega : array_like
-            (K,) rad/sample.
-
-        Returns
-        -------
-        ndarray or tuple
-            H (K,), one filter for all outputs; or (H, dH) with H (K, ny, ny), as a Model has it.
-        """
+        """Noise filter H(e^jw)."""
         ...
 
 
@@ -91,17 +69,7 @@ def _inverse_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 def whitened_gradient(model: Responding, omega: ArrayLike) -> NDArray[np.complex128]:
     """dG with the noise whitened, Phi_v^-1/2 dG_i.
 
-    Parameters
-    ----------
-    model : Plant or model
-        Anything with `response`, `noise_response` and `noise_covariance`.
-    omega : array_like
-        (K,) rad/sample.
-
-    Returns
-    -------
-    ndarray
-        (K, n, ny, nu).
+    Shapes: omega (K,), returns (K, n, ny, nu).
     """
     W = _inverse_root(model.noise_covariance)
     dG = model.response(omega)[1]
@@ -117,17 +85,7 @@ def line_information(model: Responding, omega: ArrayLike) -> NDArray[np.complex1
     I_ij(P) = Re sum_qr atoms[k, i, j, q, r] P_rq with atoms[k, i, j] = (dG_j)^* Phi_v^-1 dG_i (transposed so
     that the trace with P gives the information).
 
-    Parameters
-    ----------
-    model : Plant or model
-        The model.
-    omega : array_like
-        (K,) rad/sample.
-
-    Returns
-    -------
-    ndarray
-        (K, n, n, nu, nu), complex: tr(atoms[k, i, j] P) is entry ij before the real part is taken.
+    Shapes: omega (K,), returns (K, n, n, nu, nu).
     """
     psi = whitened_gradient(model, omega)
     return np.einsum("kjpq,kipr->kijqr", psi.conj(), psi)
@@ -162,15 +120,7 @@ def information_of_spectrum(model: Responding, spectrum: Spectrum) -> NDArray[np
 def power_root(spectrum: Spectrum) -> NDArray[np.complex128]:
     """R_k with R_k R_k^* = P_k for every line.
 
-    Parameters
-    ----------
-    spectrum : Spectrum
-        The spectrum.
-
-    Returns
-    -------
-    ndarray
-        (K, nu, nu).
+    Shapes: returns (K, nu, nu).
     """
     if spectrum.n_inputs == 1:
         return np.sqrt(np.clip(spectrum.power.real, 0, None)).astype(complex)
@@ -202,17 +152,7 @@ def information_of_signal(plant: Responding, u: ArrayLike) -> NDArray[np.float64
 def signal_gradient(plant: Responding, u: ArrayLike) -> NDArray[np.float64]:
     """Derivative of the one-step prediction with respect to the parameters, from rest.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    u : array_like
-        (N, nu).
-
-    Returns
-    -------
-    ndarray
-        (N, n, ny).
+    Shapes: u (N, nu), returns (N, n, ny).
     """
     psi = _signal_gradients(_as_plant(plant), as_signal(u, "the input")[None])[:, :, 0]
     return np.ascontiguousarray(psi.transpose(2, 1, 0))
@@ -279,17 +219,7 @@ def information_of_records(plant: Responding, inputs: list[NDArray[np.float64]])
 def information_of_each(plant: Responding, inputs: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Fisher information of each of several experiments.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    inputs : list of ndarray
-        (N_k, nu) each.
-
-    Returns
-    -------
-    ndarray
-        (experiments, n, n); `information_of_records` is its sum.
+    Shapes: inputs (N_k, nu), returns (experiments, n, n).
     """
     plant = _as_plant(plant)
     n = len(plant.free)
@@ -321,17 +251,7 @@ def _weighted_gradients(
 def null_directions(information: NDArray[np.float64], names: tuple[str, ...]) -> list[str]:
     """Combinations of parameters on which there is no information, in words.
 
-    Parameters
-    ----------
-    information : ndarray
-        (n, n).
-    names : tuple of str
-        The parameters.
-
-    Returns
-    -------
-    list of str
-        One combination per null direction, such as "0.71 b1 - 0.71 b2"; empty where all are determined.
+    Shapes: information (n, n).
     """
     scale = np.sqrt(np.clip(np.diag(information), 0, None))
     dead = scale <= 0
@@ -349,22 +269,7 @@ def null_directions(information: NDArray[np.float64], names: tuple[str, ...]) ->
 def covariance(information: NDArray[np.float64], names: tuple[str, ...] = ()) -> NDArray[np.float64]:
     """Inverse of the information: the Cramer-Rao bound on the covariance of unbiased estimates.
 
-    Parameters
-    ----------
-    information : ndarray
-        (n, n).
-    names : tuple of str
-        Names of the parameters, for the message.
-
-    Returns
-    -------
-    ndarray
-        (n, n).
-
-    Raises
-    ------
-    NotIdentifiable
-        If the information is singular; the message names the null directions.
+    Shapes: information (n, n), returns (n, n).
     """
     names = names or tuple(f"theta{i + 1}" for i in range(len(information)))
     null = null_directions(information, names)

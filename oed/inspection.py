@@ -27,20 +27,12 @@ FAR = 8.0
 class Defect:
     """One thing to know about a channel before a model is fitted to it.
 
-    Attributes
-    ----------
-    kind : str
-        missing, constant, offset, trend, outliers, saturation, slow sampling, sampling or excitation.
-    channel : str
-        Name of the channel; empty where it is about the records as a whole.
-    size : float
-        Number of samples (missing, outliers, saturation), the mean (offset), the change from the first to the last
-        sample (trend), the samples between two changes (slow sampling), the order reached (excitation), the ratio of
-        sampling times (sampling), the value (constant).
-    sentence : str
-        What was seen, with its numbers, and what can be done.
-    record : int
-        Which record, from 1; 0 for all of them.
+    `kind` missing, constant, offset, trend, outliers, saturation, slow sampling, sampling or excitation;
+    `channel` name of the channel; empty where it is about the records as a whole; `size` number of samples
+    (missing, outliers, saturation), the mean (offset), the change from the first to the last sample (trend),
+    the samples between two changes (slow sampling), the order reached (excitation), the ratio of sampling
+    times (sampling), the value (constant); `sentence` what was seen, with its numbers, and what can be done;
+    `record` which record, from 1; 0 for all of them.
     """
 
     kind: str
@@ -50,13 +42,7 @@ class Defect:
     record: int = 0
 
     def to_dict(self) -> dict:
-        """Plain values.
-
-        Returns
-        -------
-        dict
-            kind, channel, size, sentence, record.
-        """
+        """Plain values."""
         return {name: getattr(self, name) for name in ("kind", "channel", "size", "sentence", "record")}
 
     def __str__(self) -> str:
@@ -65,25 +51,7 @@ class Defect:
 
 
 def defects(records: Record | Sequence[Record], *, order: int = 0) -> list[Defect]:
-    """Everything in records that a linear model with white or coloured noise does not foresee.
-
-    Parameters
-    ----------
-    records : Record or sequence of Record
-        The data; they are not changed.
-    order : int
-        Order of persistent excitation that is needed (parameters of G for each input); 0 asks for none.
-
-    Returns
-    -------
-    list of Defect
-        In the order of the records and channels; empty where nothing was seen.
-
-    Raises
-    ------
-    InputError
-        If there is no record.
-    """
+    """Everything in records that a linear model with white or coloured noise does not foresee."""
     given = [records] if isinstance(records, Record) else list(records)
     if not given or not all(isinstance(r, Record) for r in given):
         raise InputError("defects are looked for in one oed.data.Record or a non-empty list of them.")
@@ -215,22 +183,13 @@ def _held(x: NDArray) -> int:
 
 
 def excitation_order(signals: NDArray | Sequence[NDArray], most: int) -> int:
-    """Largest n, up to a limit, for which an input is persistently exciting: its n-th covariance matrix is regular.
+    """Largest n, up to a limit, for which an input is persistently exciting: its n-th covariance matrix is
+    regular.
 
-    Regular means that the smallest eigenvalue exceeds 1e-9 of the largest (Ljung 1999, definition 13.2); the mean is
-    taken off, because it is one with an offset.
+    Regular means that the smallest eigenvalue exceeds 1e-9 of the largest (Ljung 1999, definition 13.2); the
+    mean is taken off, because it is one with an offset.
 
-    Parameters
-    ----------
-    signals : ndarray or sequence of ndarray
-        (N,) samples of one input, of each record.
-    most : int
-        Order up to which to look.
-
-    Returns
-    -------
-    int
-        From 0 (constant) to `most`, and at most half the number of samples.
+    Shapes: signals (N,).
     """
     parts = [signals] if isinstance(signals, np.ndarray) else list(signals)
     parts = [np.asarray(p, dtype=float).ravel() for p in parts]

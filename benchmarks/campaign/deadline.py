@@ -23,27 +23,8 @@ class _Stop(BaseException):
 def within(seconds: float | None, work: Callable[..., Any], *args: Any, **options: Any) -> Any:
     """Call a function and wait for it no longer than a time limit.
 
-    The call runs on a thread of its own. A call that is given up is interrupted at its next step of Python; inside
-    compiled code it goes on unheard until it returns, and ends with the process at the latest.
-
-    Parameters
-    ----------
-    seconds : float or None
-        The limit; None calls directly.
-    work : callable
-        What is called.
-    *args, **options : object
-        Its arguments.
-
-    Returns
-    -------
-    object
-        What it returned.
-
-    Raises
-    ------
-    TimeLimit
-        If it had not returned in time; what the call itself raises is passed on.
+    The call runs on a thread of its own. A call that is given up is interrupted at its next step of Python;
+    inside compiled code it goes on unheard until it returns, and ends with the process at the latest.
     """
     if seconds is None:
         return work(*args, **options)

@@ -16,28 +16,7 @@ __all__ = ["merge_stores"]
 
 
 def merge_stores(folders: Sequence[Path], out: Path) -> dict[str, Any]:
-    """Copy the finished parts of several stores into one.
-
-    Parameters
-    ----------
-    folders : sequence of Path
-        Stores with the same settings except for plants, noise variances and methods, written by the same versions.
-    out : Path
-        A new or empty folder, or the merged store of before.
-
-    Returns
-    -------
-    dict
-        The arguments of `compare` for the merged campaign: what the stores do not hold is computed when it runs. Its
-        replicates are the most that any store holds.
-
-    Raises
-    ------
-    InputError
-        If there is no store to merge.
-    CampaignError
-        If the stores do not belong together. Nothing is written then.
-    """
+    """Copy the finished parts of several stores into one."""
     if not folders:
         raise InputError("no folders to merge; give at least one.")
     found = [_description(folder) for folder in folders]

@@ -24,16 +24,9 @@ UNUSABLE = (Status.FAILED.name, Status.TIME_LIMIT.name)
 class Estimates:
     """All estimates of one estimator, in the order of the replicates.
 
-    Attributes
-    ----------
-    replicate, experiments, samples, energy, peak_amplitude, estimate, standard_error : ndarray
-        (R,) columns of the store.
-    good : ndarray
-        (R,) whether there is a number that counts.
-    statuses : dict
-        How often each status occurred.
-    messages : tuple of str
-        Different messages, the first few.
+    `replicate, experiments, samples, energy, peak_amplitude, estimate, standard_error` (R,) columns of the
+    store; `good` (R,) whether there is a number that counts; `statuses` how often each status occurred;
+    `messages` different messages, the first few.
     """
 
     replicate: NDArray[np.float64]
@@ -67,16 +60,9 @@ class Estimates:
 class Runs:
     """One combination.
 
-    Attributes
-    ----------
-    plant, noise_variance, method : object
-        Which.
-    final : mapping
-        Estimator to its Estimates with the whole budget.
-    earlier : mapping
-        (estimator, experiments) to its Estimates after a part of the budget.
-    information : tuple of dict
-        Per part and checkpoint: experiments, samples, energy, peak_amplitude, count and the sum of the information.
+    `plant, noise_variance, method` which; `final` estimator to its Estimates with the whole budget; `earlier`
+    (estimator, experiments) to its Estimates after a part of the budget; `information` per part and
+    checkpoint: experiments, samples, energy, peak_amplitude, count and the sum of the information.
     """
 
     plant: str
@@ -93,20 +79,7 @@ class Runs:
 
 
 def runs_of(combination: tuple[str, float, str], tables: Sequence[pa.Table]) -> Runs:
-    """Columns of one combination.
-
-    Parameters
-    ----------
-    combination : tuple
-        Plant, noise variance and method.
-    tables : sequence of pyarrow.Table
-        Its parts, in order.
-
-    Returns
-    -------
-    Runs
-        Sorted by estimator, budget and replicate.
-    """
+    """Columns of one combination."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

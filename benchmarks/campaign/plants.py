@@ -31,42 +31,19 @@ RANDOM_FIR_SEED = 2018
 
 
 def plant_names() -> tuple[str, ...]:
-    """Names of all plants that the suite knows.
-
-    Returns
-    -------
-    tuple of str
-        For `--plant`.
-    """
+    """Names of all plants that the suite knows."""
     from oed.plants.named import NAMES
 
     return (*NAMES, HAIR_DRYER)
 
 
 def is_file(spec: str) -> bool:
-    """Whether a plant is given as a file.
-
-    Parameters
-    ----------
-    spec : str
-        As on the command line.
-
-    Returns
-    -------
-    bool
-        True for what ends in .json, has a slash or exists as a file.
-    """
+    """Whether a plant is given as a file."""
     return spec.endswith(".json") or "/" in spec or Path(spec).is_file()
 
 
 def check_plants(specs: Sequence[str]) -> None:
-    """Raise InputError if a plant is neither a file nor known by name.
-
-    Parameters
-    ----------
-    specs : sequence of str
-        As on the command line; `random-fir-7` is the seventh random FIR plant of the head-to-head protocol.
-    """
+    """Raise InputError if a plant is neither a file nor known by name."""
     named = [spec for spec in specs if not is_file(spec) and not RANDOM_FIR.fullmatch(spec)]
     check_names(named, (*plant_names(), "random-fir-1"), "plant")
 
@@ -82,13 +59,7 @@ def content_of(spec: str) -> str:
 
 
 def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add `--plant` and `--noise-variance`.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Of a subcommand about one plant.
-    """
+    """Add `--plant` and `--noise-variance`."""
     parser.add_argument(
         "--plant", required=True, metavar="NAME|FILE.json", help="a named plant or a JSON file"
     )
@@ -101,20 +72,7 @@ def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def load_plant(spec: str, noise_variance: float | None = None) -> Plant:
-    """Plant by name or from a JSON file.
-
-    Parameters
-    ----------
-    spec : str
-        A name of `plant_names()`, or a file.
-    noise_variance : float, optional
-        Overrides the plant's own; for the hair dryer in multiples of the identified variance.
-
-    Returns
-    -------
-    Plant
-        InputError if there is no such plant or the file does not describe one.
-    """
+    """Plant by name or from a JSON file."""
     if is_file(spec):
         from oed.plants.json import plant_from_json
 
@@ -156,13 +114,7 @@ def _random_fir(spec: str, number: int, noise_variance: float | None) -> Plant:
 
 
 def hair_dryer_record() -> Record:
-    """The hair-dryer record (Feedback PT326), 1000 samples every 0.08 s.
-
-    Returns
-    -------
-    Record
-        Heater voltage to outlet air temperature, both in volts.
-    """
+    """The hair-dryer record (Feedback PT326), 1000 samples every 0.08 s."""
     from oed.files import read_record
 
     return read_record(str(files("benchmarks") / "data" / "hair_dryer.csv"))

@@ -35,16 +35,8 @@ Method = Callable[..., Trace]
 class Estimate:
     """An estimate of the H-infinity norm.
 
-    Attributes
-    ----------
-    value : float
-        NaN where the estimator failed.
-    standard_error : float
-        As the estimator states it; NaN where it states none.
-    status : Status
-        How it ended.
-    message : str
-        Why, where it failed.
+    `value` naN where the estimator failed; `standard_error` as the estimator states it; NaN where it states
+    none; `status` how it ended; `message` why, where it failed.
     """
 
     value: float
@@ -119,18 +111,7 @@ METHODS: dict[str, Callable[[Plant], Method]] = {
 
 
 def complete(trace: Trace) -> Trace:
-    """The trace without a last iteration that the budget cut short.
-
-    Parameters
-    ----------
-    trace : Trace
-        Of any method; with p outputs and q inputs an iteration of Procedure 2 has 1 + pq experiments.
-
-    Returns
-    -------
-    Trace
-        The same where every iteration is whole, or there is only one.
-    """
+    """The trace without a last iteration that the budget cut short."""
     iterations = trace.iterations
     if len(iterations) < 2:
         return trace
@@ -150,18 +131,7 @@ def _from_gains(name: str, compute: Callable[[Trace], Any]) -> Estimator:
 
 
 def model_orders(plant: Plant) -> tuple[Any, Any, Any]:
-    """Numerator and denominator orders and delays of a plant, entry by entry, as `identify` takes them.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-
-    Returns
-    -------
-    tuple
-        nb, nf and nk, each a number for one input and one output, else a list of rows.
-    """
+    """Numerator and denominator orders and delays of a plant, entry by entry, as `identify` takes them."""
     nk = [[int(np.flatnonzero(B)[0]) if np.any(B) else 0 for B in row] for row in plant.num]
     nb = [
         [len(B) - k if np.any(B) else 0 for B, k in zip(*rows, strict=True)]
@@ -179,20 +149,7 @@ wider search, which takes four times as long, ended at the same optimum to the l
 
 
 def prediction_error(trace: Trace, plant: Plant) -> Estimate:
-    """Output-error identification on all records together, orders and delay known, then the norm.
-
-    Parameters
-    ----------
-    trace : Trace
-        Any records.
-    plant : Plant
-        Gives orders and delay.
-
-    Returns
-    -------
-    Estimate
-        H-infinity norm of the model with its delta-method standard error.
-    """
+    """Output-error identification on all records together, orders and delay known, then the norm."""
     from estimators.pem import identify
 
     nb, nf, nk = model_orders(plant)
@@ -208,20 +165,7 @@ def prediction_error(trace: Trace, plant: Plant) -> Estimate:
 
 
 def prediction_error_selected(trace: Trace, plant: Plant) -> Estimate:
-    """Output-error identification with orders 1 to 4 and delays 0 to 3 chosen by the Bayesian criterion.
-
-    Parameters
-    ----------
-    trace : Trace
-        Any records.
-    plant : Plant
-        Only its number of channels is used.
-
-    Returns
-    -------
-    Estimate
-        As of `prediction_error`; the standard error does not know that orders were chosen.
-    """
+    """Output-error identification with orders 1 to 4 and delays 0 to 3 chosen by the Bayesian criterion."""
     from estimators.pem.choice import select_orders
 
     if plant.n_inputs * plant.n_outputs != 1:
@@ -257,20 +201,7 @@ def _from_peak(found: Any) -> Estimate:
 
 
 def fir_known(trace: Trace, plant: Plant) -> Estimate:
-    """Impulse response by least squares with as many taps as hold 99.99 % of the plant's energy.
-
-    Parameters
-    ----------
-    trace : Trace
-        Any records.
-    plant : Plant
-        Gives the number of taps.
-
-    Returns
-    -------
-    Estimate
-        Peak gain of the estimated response.
-    """
+    """Impulse response by least squares with as many taps as hold 99.99 % of the plant's energy."""
     from estimators.norm.fir import peak_of_fir, plug_in
 
     energy = np.cumsum(np.sum(plant.impulse_response(400) ** 2, axis=(1, 2)))
@@ -279,40 +210,14 @@ def fir_known(trace: Trace, plant: Plant) -> Estimate:
 
 
 def fir_selected(trace: Trace, plant: Plant) -> Estimate:
-    """Impulse response by least squares with the number of taps chosen by the Bayesian criterion.
-
-    Parameters
-    ----------
-    trace : Trace
-        Any records.
-    plant : Plant
-        Not used.
-
-    Returns
-    -------
-    Estimate
-        Peak gain of the estimated response.
-    """
+    """Impulse response by least squares with the number of taps chosen by the Bayesian criterion."""
     from estimators.norm.fir import peak_of_fir, plug_in
 
     return _from_peak(peak_of_fir(plug_in(trace)))
 
 
 def frequency_response_peak(trace: Trace, plant: Plant) -> Estimate:
-    """Averaged frequency response on the DFT lines, and its largest gain.
-
-    Parameters
-    ----------
-    trace : Trace
-        Any records.
-    plant : Plant
-        Not used.
-
-    Returns
-    -------
-    Estimate
-        With its standard error.
-    """
+    """Averaged frequency response on the DFT lines, and its largest gain."""
     from estimators.norm.frf import frequency_response, peak_of_response
 
     return _from_peak(peak_of_response(frequency_response(trace)))
@@ -347,18 +252,7 @@ APPLIES = {
 
 
 def compatible(method: str, estimator: str) -> bool:
-    """Whether an estimator can be applied to the records of a method.
-
-    Parameters
-    ----------
-    method, estimator : str
-        Names.
-
-    Returns
-    -------
-    bool
-        False for the iterations' own estimators on other inputs.
-    """
+    """Whether an estimator can be applied to the records of a method."""
     return method in APPLIES.get(estimator, (method,))
 
 
@@ -367,38 +261,12 @@ SINGLE_CHANNEL = ("power", "averaged", "two-experiment", "krylov", "bandit")
 
 
 def fits(method: str, plant: Plant) -> bool:
-    """Whether an input is made for the channels of a plant.
-
-    Parameters
-    ----------
-    method : str
-        Name; one's own are taken to fit.
-    plant : Plant
-        The plant.
-
-    Returns
-    -------
-    bool
-        False for inputs made for one channel on a plant with several.
-    """
+    """Whether an input is made for the channels of a plant."""
     return plant.n_inputs * plant.n_outputs == 1 or method not in SINGLE_CHANNEL
 
 
 def method_for(name: str, plant: Plant) -> Method:
-    """A method by name, ready for a plant (oracle methods compute their input from it).
-
-    Parameters
-    ----------
-    name : str
-        One of METHODS.
-    plant : Plant
-        The true plant.
-
-    Returns
-    -------
-    callable
-        `method(experiment, *, samples, iterations, rng) -> Trace`.
-    """
+    """A method by name, ready for a plant (oracle methods compute their input from it)."""
     check_names([name], tuple(METHODS), "method")
     if not fits(name, plant):
         raise InputError(

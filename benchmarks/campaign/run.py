@@ -53,16 +53,8 @@ Row = dict[str, Any]
 class Part:
     """One unit of work: a few replicates of one method on one plant at one noise level.
 
-    Attributes
-    ----------
-    plant : str
-        Name.
-    noise_variance : float
-        Level.
-    method : str
-        Name.
-    start, stop : int
-        First replicate, and the one after the last.
+    `plant` name; `noise_variance` level; `method` name; `start, stop` first replicate, and the one after the
+    last.
     """
 
     plant: str
@@ -87,19 +79,7 @@ class Part:
 
 
 def boundaries(replicates: int) -> list[tuple[int, int]]:
-    """First replicate of every part and the one after its last.
-
-    Parameters
-    ----------
-    replicates : int
-        How many there are.
-
-    Returns
-    -------
-    list of tuple of int
-        Parts grow with the replicates before them (5, 50 from 100 on, ...), so that a short campaign resumes finely and
-        a long one has few files; where a part begins does not depend on how many follow.
-    """
+    """First replicate of every part and the one after its last."""
     found, start = [], 0
     while start < replicates:
         size = min(LARGEST, max(CHUNK, 10 ** (len(str(start)) - 1) // 2))
@@ -109,21 +89,7 @@ def boundaries(replicates: int) -> list[tuple[int, int]]:
 
 
 def parts(settings: Settings, replicates: int) -> list[Part]:
-    """All units of work of a campaign, in a fixed order.
-
-    Parameters
-    ----------
-    settings : Settings
-        The campaign.
-    replicates : int
-        Monte-Carlo runs of every combination, but for the limits.
-
-    Returns
-    -------
-    list of Part
-        The first replicates of everything come first, so that a campaign cut short has something of all. Inputs that are
-        made for one channel are left out on plants with several.
-    """
+    """All units of work of a campaign, in a fixed order."""
     found = []
     for plant in settings.plants:
         loaded = load_plant(plant)
@@ -136,18 +102,7 @@ def parts(settings: Settings, replicates: int) -> list[Part]:
 
 
 def checkpoints(experiments: int) -> list[int]:
-    """Numbers of experiments after which the information is kept.
-
-    Parameters
-    ----------
-    experiments : int
-        The budget.
-
-    Returns
-    -------
-    list of int
-        1, 2, 5, 10, ... and the budget itself.
-    """
+    """Numbers of experiments after which the information is kept."""
     marks = [m * 10**e for e in range(7) for m in (1, 2, 5)]
     return sorted({m for m in marks if m < experiments} | {experiments})
 
@@ -157,57 +112,19 @@ SEVERAL = 3
 
 
 def profile_replicates(settings: Settings, plant: Any) -> int:
-    """In how many replicates the estimators also run after parts of the budget.
-
-    Parameters
-    ----------
-    settings : Settings
-        The campaign.
-    plant : Plant
-        Its channels decide.
-
-    Returns
-    -------
-    int
-        At most SEVERAL on a plant with several channels.
-    """
+    """In how many replicates the estimators also run after parts of the budget."""
     most = settings.profile_replicates
     return most if plant.n_inputs * plant.n_outputs == 1 else min(most, SEVERAL)
 
 
 def profile_marks(settings: Settings, plant: Any) -> list[int]:
-    """After how many experiments.
-
-    Parameters
-    ----------
-    settings : Settings
-        The campaign.
-    plant : Plant
-        Its channels decide.
-
-    Returns
-    -------
-    list of int
-        The checkpoints; on a plant with p outputs and q inputs those with a whole iteration of 1 + pq experiments,
-        since fewer hardly identify it.
-    """
+    """After how many experiments."""
     channels = plant.n_inputs * plant.n_outputs
     return [m for m in checkpoints(settings.experiments) if channels == 1 or m > channels]
 
 
 def seed_for(*names: object) -> np.random.Generator:
-    """A generator whose seed is a function of names.
-
-    Parameters
-    ----------
-    *names : object
-        Their `repr` is hashed.
-
-    Returns
-    -------
-    numpy.random.Generator
-        The same on every machine and worker.
-    """
+    """A generator whose seed is a function of names."""
     digest = blake2b(repr(names).encode(), digest_size=16).digest()
     return np.random.default_rng(int.from_bytes(digest, "little"))
 
@@ -226,25 +143,7 @@ def run_part(
     time_limit: float | None = None,
     own: Mapping[str, Callable[..., Any]] | None = None,
 ) -> list[Row]:
-    """Run the replicates of a part.
-
-    Parameters
-    ----------
-    settings : Settings
-        The campaign.
-    part : Part
-        Which.
-    time_limit : float, optional
-        Seconds for a run of a method, and for one of an estimator.
-    own : mapping, optional
-        The user's methods (`plant -> method`) and estimators by name.
-
-    Returns
-    -------
-    list of dict
-        One row per replicate and estimator (`final` where it used the whole budget), and one per checkpoint with the sum
-        over the replicates of the information of the inputs so far (estimator "", `count` replicates).
-    """
+    """Run the replicates of a part."""
     import scipy.signal  # noqa: F401 - before the clock starts: loading it is no part of a run
 
     check_contents(settings, part.plant)

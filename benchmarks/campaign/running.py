@@ -48,32 +48,7 @@ def run_campaign(
     time_limit: float | None = TIME_LIMIT,
     own: Own | None = None,
 ) -> list[Runs]:
-    """Run or resume a campaign, and read all of it.
-
-    Parameters
-    ----------
-    settings : Settings
-        What decides the numbers.
-    replicates : int
-        Monte-Carlo runs; a folder with fewer is extended.
-    folder : Path
-        Where the parts are kept.
-    jobs : int, optional
-        Worker processes; default one per core.
-    scheduler : str, optional
-        Address of a Dask scheduler to run on instead (needs the extra `dask`).
-    progress : callable, optional
-        Called with the number of parts done and in all.
-    time_limit : float, optional
-        Seconds for one run of a method, and for one estimate; what takes longer is a row that says so.
-    own : mapping, optional
-        The user's methods (`plant -> method`) and estimators by name.
-
-    Returns
-    -------
-    list of Runs
-        One per plant, noise variance and method, in an order that depends on nothing but the settings.
-    """
+    """Run or resume a campaign, and read all of it."""
     store = fill_store(
         settings,
         replicates,
@@ -98,32 +73,7 @@ def fill_store(
     time_limit: float | None = TIME_LIMIT,
     own: Own | None = None,
 ) -> Store:
-    """Run or resume a campaign; the results stay on disk.
-
-    Parameters
-    ----------
-    settings : Settings
-        What decides the numbers.
-    replicates : int
-        Monte-Carlo runs; a folder with fewer is extended.
-    folder : Path
-        Where the parts are kept.
-    jobs : int, optional
-        Worker processes; default one per core.
-    scheduler : str, optional
-        Address of a Dask scheduler to run on instead (needs the extra `dask`).
-    progress : callable, optional
-        Called with the number of parts done and in all.
-    time_limit : float, optional
-        Seconds for one run of a method, and for one estimate.
-    own : mapping, optional
-        The user's methods (`plant -> method`) and estimators by name.
-
-    Returns
-    -------
-    Store
-        With all parts.
-    """
+    """Run or resume a campaign; the results stay on disk."""
     if replicates < 2:
         raise InputError(f"replicates is {replicates}; standard errors need at least 2.")
     if time_limit is not None and not time_limit > 0:
@@ -168,26 +118,7 @@ def stored_runs(
     time_limit: float | None = TIME_LIMIT,
     own: Own | None = None,
 ) -> Iterator[Runs]:
-    """The combinations of a finished campaign one after the other, so that memory holds one at a time.
-
-    Parameters
-    ----------
-    store : Store
-        With all parts.
-    settings : Settings
-        The campaign.
-    replicates : int
-        Monte-Carlo runs.
-    time_limit : float, optional
-        As of `fill_store`, for a part that turns out damaged inside and is computed again.
-    own : mapping, optional
-        As of `fill_store`.
-
-    Yields
-    ------
-    Runs
-        One per plant, noise variance and method.
-    """
+    """The combinations of a finished campaign one after the other, so that memory holds one at a time."""
     grouped: dict[tuple[str, float, str], list[Part]] = {}
     for part in parts(settings, replicates):
         grouped.setdefault(part.combination, []).append(part)

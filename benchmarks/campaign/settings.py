@@ -21,12 +21,8 @@ __all__ = ["Limit", "Settings", "campaign_from_toml", "limit_from_text"]
 class Limit:
     """At most so many replicates of what is named; what is not named matches everything.
 
-    Attributes
-    ----------
-    replicates : int
-        The most; 0 leaves it out.
-    plant, method, estimator : str
-        Names, "" for any. With an estimator only its estimates are limited, not the runs.
+    `replicates` the most; 0 leaves it out; `plant, method, estimator` names, "" for any. With an estimator
+    only its estimates are limited, not the runs.
     """
 
     replicates: int
@@ -43,26 +39,13 @@ class Limit:
 class Settings:
     """What decides the numbers of a campaign.
 
-    Attributes
-    ----------
-    plants : tuple of str
-        Names or files.
-    noise_variances : tuple of float
-        For every plant (for hair-dryer in multiples of the identified variance).
-    methods, estimators : tuple of str
-        Names, or `FILE.py:FUNCTION` for one's own; pairs that do not fit are left out.
-    samples, experiments : int
-        N of every experiment, and how many.
-    seed : int
-        Of everything random.
-    profile_replicates : int
-        For so many replicates the estimators are also run after every checkpoint of the budget.
-    limits : tuple of Limit
-        What has fewer replicates than the rest.
-    sources : tuple of tuple of str
-        Name and digest of the source of one's own methods and estimators.
-    contents : tuple of tuple of str
-        Name and digest of every plant file, as it is when the settings are made, whatever is given.
+    `plants` names or files; `noise_variances` for every plant (for hair-dryer in multiples of the identified
+    variance); `methods, estimators` names, or `FILE.py:FUNCTION` for one's own; pairs that do not fit are
+    left out; `samples, experiments` N of every experiment, and how many; `seed` of everything random;
+    `profile_replicates` for so many replicates the estimators are also run after every checkpoint of the
+    budget; `limits` what has fewer replicates than the rest; `sources` name and digest of the source of one's
+    own methods and estimators; `contents` name and digest of every plant file, as it is when the settings are
+    made, whatever is given.
     """
 
     plants: tuple[str, ...] = ("reference", "hair-dryer", "random-fir-1", "three-by-two")
@@ -110,22 +93,7 @@ class Settings:
                 check_names([wanted] if wanted else [], getattr(self, f"{kind}s"), f"{kind} of a limit")
 
     def replicates_of(self, replicates: int, plant: str, method: str, estimator: str = "") -> int:
-        """How many replicates a combination has.
-
-        Parameters
-        ----------
-        replicates : int
-            Of the campaign.
-        plant, method : str
-            Which runs.
-        estimator : str
-            Which estimates of them; "" for the runs themselves.
-
-        Returns
-        -------
-        int
-            The smallest of the limits that match.
-        """
+        """How many replicates a combination has."""
         most = [replicates]
         for limit in self.limits:
             if limit.plant not in ("", plant) or limit.method not in ("", method):
@@ -157,18 +125,7 @@ DEFAULT_LIMITS = (
 def default_limits(
     plants: Sequence[str], methods: Sequence[str], estimators: Sequence[str]
 ) -> tuple[Limit, ...]:
-    """The default limits that concern a comparison.
-
-    Parameters
-    ----------
-    plants, methods, estimators : sequence of str
-        What is compared.
-
-    Returns
-    -------
-    tuple of Limit
-        Those whose names occur; those of estimators alone only where several plants share the time.
-    """
+    """The default limits that concern a comparison."""
     return tuple(
         limit
         for limit in DEFAULT_LIMITS
@@ -198,25 +155,7 @@ CAMPAIGN = keyed(
 
 
 def campaign_from_toml(file: str | Path) -> dict[str, Any]:
-    """The arguments of `compare` that a TOML file holds.
-
-    Parameters
-    ----------
-    file : str or Path
-        Keys of `Settings`, `replicates`, `time_limit` (seconds per run of a method or an estimator), `out`, and tables
-        `[[limit]]` with `replicates` and any of `plant`, `method`, `estimator`. One's own methods and estimators, as
-        `FILE.py:FUNCTION`, lie beside the file.
-
-    Returns
-    -------
-    dict
-        Only what the file gives.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, has an unknown key, or a value of another kind.
-    """
+    """The arguments of `compare` that a TOML file holds."""
     content = read_document(Path(file), CAMPAIGN, "the campaign file")
     found = {key: tuple(value) if isinstance(value, list) else value for key, value in content.items()}
     for key in ("methods", "estimators"):
@@ -242,18 +181,7 @@ def _beside(campaign: Path, name: str) -> str:
 
 
 def limit_from_text(text: str) -> Limit:
-    """A limit as the command line takes it.
-
-    Parameters
-    ----------
-    text : str
-        Such as "replicates=100,estimator=pem".
-
-    Returns
-    -------
-    Limit
-        InputError where the text is of another form.
-    """
+    """A limit as the command line takes it."""
     pairs = [part.partition("=") for part in text.split(",")]
     entry = {key: value for key, _, value in pairs}
     check_names(list(entry), ("replicates", "plant", "method", "estimator"), "key of --limit")

@@ -18,21 +18,7 @@ __all__ = ["write_trace"]
 
 
 def write_trace(trace: Trace, path: str) -> None:
-    """Write the experiments of a trace, stacked in time, with their numbers.
-
-    Parameters
-    ----------
-    trace : Trace
-        What was measured.
-    path : str
-        A new file ending in .npz (arrays u (n, N, nu), y (n, N, ny), kinds, dt) or .csv (columns experiment,
-        t, u1.., y1..).
-
-    Raises
-    ------
-    InputError
-        If the file exists, its folder does not, or its ending is another.
-    """
+    """Write the experiments of a trace, stacked in time, with their numbers."""
     target = Path(path)
     if target.suffix not in (".npz", ".csv"):
         raise InputError(f"--out is {path}; the file must end in .npz or .csv.")

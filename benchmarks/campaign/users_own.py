@@ -16,15 +16,7 @@ __all__ = ["Own"]
 
 
 class Own:
-    """What the user brought, with a name for each.
-
-    Parameters
-    ----------
-    methods, estimators : iterable of str or callable
-        Names are left as they are; `FILE.py:FUNCTION` is loaded; a function is taken under its own name. A method is a
-        rule (a generator function of samples, n_inputs, n_outputs, rng) or a function (experiment, *, samples, iterations,
-        rng) -> Trace; an estimator is a function (trace, plant) -> number or Estimate.
-    """
+    """What the user brought, with a name for each."""
 
     def __init__(self, methods: Iterable[Any], estimators: Iterable[Any]) -> None:
         self.functions: dict[str, Callable[..., Any]] = {}

@@ -48,28 +48,7 @@ HEAD_TO_HEAD_PLANTS = 40
 def write_comparison(
     folder: Path, settings: Settings, replicates: int, tables: Tables, jobs: int = 1
 ) -> tuple[list[str], Path]:
-    """Write tables, figures and the page of a comparison.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    settings : Settings
-        The campaign.
-    replicates : int
-        Monte-Carlo runs.
-    tables : Tables
-        Of `tabulate`.
-    jobs : int
-        Processes that make tables and figures.
-
-    Returns
-    -------
-    sentences : list of str
-        What the numbers say.
-    page : Path
-        The report.
-    """
+    """Write tables, figures and the page of a comparison."""
     rows, information, known = tables.rows, tables.information, tables.known
     made_with = made(settings, replicates, folder)
     save = partial(save_table, folder, metadata=made_with)
@@ -219,18 +198,7 @@ HEADLINE = {
 
 
 def headline_rows(rows: Sequence[Row]) -> list[Row]:
-    """One row per plant, noise and input: what it carries, and its best estimator.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-        Of `comparison_rows`.
-
-    Returns
-    -------
-    list of dict
-        For the README and the top of the page.
-    """
+    """One row per plant, noise and input: what it carries, and its best estimator."""
     table: list[Row] = []
     keys = list(dict.fromkeys((r["plant"], r["noise_variance"], r["method"]) for r in rows))
     for key in keys:
@@ -242,20 +210,7 @@ def headline_rows(rows: Sequence[Row]) -> list[Row]:
 
 
 def answers(rows: Sequence[Row], information: Sequence[Row], settings: Settings) -> list[str]:
-    """What the numbers say about the claim that the iterations are experiment design.
-
-    Parameters
-    ----------
-    rows, information : sequence of dict
-        The tables.
-    settings : Settings
-        The campaign.
-
-    Returns
-    -------
-    list of str
-        Sentences with their numbers.
-    """
+    """What the numbers say about the claim that the iterations are experiment design."""
     sentences = []
     at = {
         (r["plant"], r["noise_variance"], r["method"]): r

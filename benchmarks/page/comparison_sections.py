@@ -86,26 +86,7 @@ def _predicted(target: Target, row: Row) -> float:
 def answer_section(
     folder: Path, save: Save, tables: Tables, rows: list[Row], settings: Settings
 ) -> dict[str, Any]:
-    """The answer: a table and two figures, and the advice by budget.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    save : callable
-        `save_table` with folder and metadata given.
-    tables : Tables
-        The comparison.
-    rows : list of dict
-        Of `answer_rows`.
-    settings : Settings
-        The campaign.
-
-    Returns
-    -------
-    dict
-        A section of report.json.
-    """
+    """The answer: a table and two figures, and the advice by budget."""
     white = {
         (r["plant"], r["noise_variance"]): r["c_efficiency"]
         for r in tables.information
@@ -156,22 +137,7 @@ def answer_section(
 
 
 def profile_section(folder: Path, save: Save, tables: Tables) -> dict[str, Any]:
-    """Paired differences, performance and data profiles.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    save : callable
-        `save_table` with folder and metadata given.
-    tables : Tables
-        The comparison.
-
-    Returns
-    -------
-    dict
-        A section of report.json.
-    """
+    """Paired differences, performance and data profiles."""
     saved = []
     if tables.pairs:
         saved.append(
@@ -239,21 +205,8 @@ def _summary(performance: Sequence[Row]) -> list[Row]:
 
 
 def claim_section(folder: Path, save: Save, rows: Sequence[Row]) -> dict[str, Any]:
-    """The map of the claim: in which cases the sinusoid at the peak, and the limit of the iterations, are optimal.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    save : callable
-        `save_table` with folder and metadata given.
-    rows : sequence of dict
-        Of `benchmarks.tables.claim_map.claim_tasks`.
-
-    Returns
-    -------
-    dict
-        A section of report.json.
+    """The map of the claim: in which cases the sinusoid at the peak, and the limit of the iterations, are
+    optimal.
     """
     from benchmarks.page.figures_claim import claim_figure
     from benchmarks.tables.claim_map import COLUMNS as CLAIM
@@ -279,24 +232,7 @@ def claim_section(folder: Path, save: Save, rows: Sequence[Row]) -> dict[str, An
 
 
 def head_to_head_section(folder: Path, save: Save, found: Sequence[Any]) -> tuple[dict[str, Any], str]:
-    """The public head-to-head with intervals, and the line that is not in print.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    save : callable
-        `save_table` with folder and metadata given.
-    found : sequence
-        What the tasks of `benchmarks.tables.head_to_head` returned.
-
-    Returns
-    -------
-    section : dict
-        A section of report.json.
-    sentence : str
-        What it says.
-    """
+    """The public head-to-head with intervals, and the line that is not in print."""
     rows = head_to_head_rows(found)
     sentence = head_to_head_sentence(rows)
     section = {

@@ -49,22 +49,7 @@ def _claims(result: Diagnosis) -> list[dict[str, Any]]:
 
 
 def write_diagnosis_report(result: Diagnosis, folder: Path, made: dict[str, Any] | None = None) -> Path:
-    """Write report.json, its tables and figures, and the page.
-
-    Parameters
-    ----------
-    result : Diagnosis
-        What `diagnose` returned.
-    folder : Path
-        Existing folder.
-    made : dict, optional
-        Names and values for the page's last section.
-
-    Returns
-    -------
-    Path
-        `report.html` in the folder.
-    """
+    """Write report.json, its tables and figures, and the page."""
     import numpy as np
 
     from estimators.diagnosis.next_experiment.decision import next_experiment

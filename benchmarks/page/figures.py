@@ -32,24 +32,7 @@ GREY = "#5b6770"
 def panels(
     count: int = 1, *, width: float = 9.0, height: float = 3.6, columns: int | None = None
 ) -> tuple[Figure, list[Any]]:
-    """A figure with panels side by side, in the style of all figures here.
-
-    Parameters
-    ----------
-    count : int
-        Panels.
-    width, height : float
-        In inches.
-    columns : int, optional
-        Panels in a row; default all.
-
-    Returns
-    -------
-    figure : Figure
-        The figure.
-    axes : list
-        Its panels.
-    """
+    """A figure with panels side by side, in the style of all figures here."""
     figure = Figure(figsize=(width, height), layout="constrained")
     columns = min(columns or count, count)
     axes = [figure.add_subplot(-(-count // columns), columns, k + 1) for k in range(count)]
@@ -75,20 +58,7 @@ def _fine_frequencies(limit: LimitSpectrum) -> NDArray[np.float64]:
 
 
 def limit_spectrum_figure(plant: Plant, noise_variances: Sequence[float]) -> Figure:
-    """[S] Fig. 2: magnitude of G, and the limit spectra at several noise levels.
-
-    Parameters
-    ----------
-    plant : Plant
-        One input, one output.
-    noise_variances : sequence of float
-        In output units squared.
-
-    Returns
-    -------
-    Figure
-        Two panels.
-    """
+    """[S] Fig. 2: magnitude of G, and the limit spectra at several noise levels."""
     figure, (left, right) = panels(2)
     limits = [limit_spectrum(plant.replace(noise_variance=v)) for v in noise_variances]
     omega = _fine_frequencies(limits[0])
@@ -131,23 +101,7 @@ def estimated_gain_figure(
 ) -> Figure:
     """[S] Fig. 3: estimated gain over the iterations, one run and averages.
 
-    Parameters
-    ----------
-    averages : mapping
-        Noise variance to the (M,) mean of beta_2 over the runs.
-    single : ndarray
-        (M,) beta_2 of one run (NaN where its square is negative).
-    single_variance : float
-        Its noise variance.
-    finite_norm : float
-        Finite-time norm, sqrt(lambda_max(G'G)).
-    replicates : int
-        Runs averaged.
-
-    Returns
-    -------
-    Figure
-        Two panels.
+    Shapes: single (M,).
     """
     figure, (left, right) = panels(2)
     n = np.arange(1, len(single) + 1)
@@ -173,20 +127,6 @@ def spectra_against_optima_figure(
     """Cumulative power over frequency: limit spectra beside the optimal spectra.
 
     Lines have no density, so the comparison is made in the cumulative share of power, which both have.
-
-    Parameters
-    ----------
-    plant : Plant
-        One input, one output.
-    noise_variances : sequence of float
-        Of the limit spectra.
-    optima : mapping
-        Name of the criterion to its optimal spectrum.
-
-    Returns
-    -------
-    Figure
-        One panel.
     """
     figure, (ax,) = panels(1, width=7.0, height=3.8)
     for k, variance in enumerate(noise_variances):
@@ -221,22 +161,7 @@ def spectra_against_optima_figure(
 def efficiency_figure(
     rows: Sequence[Mapping[str, Any]], plant: str, theory: Mapping[float, NDArray[np.float64]]
 ) -> Figure:
-    """Efficiency of the first n experiments together, measured and predicted, for the peak gain and for D.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Of `information_rows`.
-    plant : str
-        Which plant.
-    theory : mapping
-        Noise variance to the predicted c-efficiency of the power iterations by experiments.
-
-    Returns
-    -------
-    Figure
-        Two rows of panels: c and D, one panel per noise variance.
-    """
+    """Efficiency of the first n experiments together, measured and predicted, for the peak gain and for D."""
     variances = sorted({row["noise_variance"] for row in rows if row["plant"] == plant})
     figure = Figure(figsize=(9.5, 5.6), layout="constrained")
     methods = list(dict.fromkeys(row["method"] for row in rows if row["plant"] == plant))
@@ -284,20 +209,7 @@ def efficiency_figure(
 
 
 def rho_figure(rows: Sequence[Mapping[str, Any]], plants: Sequence[str]) -> Figure:
-    """Rho of every method and estimator with its error bar, beside the prediction of the information.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Of `comparison_rows`.
-    plants : sequence of str
-        One panel each.
-
-    Returns
-    -------
-    Figure
-        Log scale; the line at 1 is the bound.
-    """
+    """Rho of every method and estimator with its error bar, beside the prediction of the information."""
     pairs = list(dict.fromkeys((row["method"], row["estimator"]) for row in rows))
     variances = sorted({row["noise_variance"] for row in rows})
     figure, axes = panels(len(plants), width=9.5, height=1.6 + 0.34 * len(pairs))
@@ -336,18 +248,7 @@ def rho_figure(rows: Sequence[Mapping[str, Any]], plants: Sequence[str]) -> Figu
 
 
 def hair_dryer_figure(story: Any) -> Figure:
-    """The hair dryer: input-residual correlation, and the simulation on the second half, before and after.
-
-    Parameters
-    ----------
-    story : HairDryerStory
-        Of `benchmarks.tables.hair_dryer`.
-
-    Returns
-    -------
-    Figure
-        Two panels.
-    """
+    """The hair dryer: input-residual correlation, and the simulation on the second half, before and after."""
     figure, (left, right) = panels(2)
     for k, (name, values) in enumerate(story.correlations.items()):
         left.plot(

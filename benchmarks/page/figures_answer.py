@@ -37,19 +37,7 @@ def where_figure(
 ) -> Figure:
     """Where the iterations are optimal experiment design: efficiency against noise, plant by plant.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Of `answer_rows`.
-    white : mapping
-        (plant, noise variance) to the peak-gain efficiency of white noise.
-    theory : mapping
-        (plant, noise variance) to the predicted efficiency of the iterations with the same budget.
-
-    Returns
-    -------
-    Figure
-        One panel per plant; error bars are two standard errors.
+    Shapes: white (plant, noise variance), theory (plant, noise variance).
     """
     plants = list(dict.fromkeys(r["plant"] for r in rows))
     figure, axes = _plant_panels(len(plants))
@@ -92,20 +80,7 @@ def where_figure(
 
 
 def advice_figure(rows: Sequence[Row], comparison: Sequence[Row]) -> Figure:
-    """What the estimators waste and what to do: rho against noise, plant by plant.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Of `answer_rows`.
-    comparison : sequence of mapping
-        Of `comparison_rows`.
-
-    Returns
-    -------
-    Figure
-        One panel per plant; the line at 1 is the bound, error bars are two standard errors.
-    """
+    """What the estimators waste and what to do: rho against noise, plant by plant."""
     plants = list(dict.fromkeys(r["plant"] for r in rows))
     figure, axes = _plant_panels(len(plants))
     white = {
@@ -159,20 +134,7 @@ def advice_figure(rows: Sequence[Row], comparison: Sequence[Row]) -> Figure:
 
 
 def profile_figure(performance: Sequence[Row], data: Sequence[Row], tolerance: float) -> Figure:
-    """Performance profiles (left) and data profiles (right) with pointwise 95 % bands.
-
-    Parameters
-    ----------
-    performance, data : sequence of mapping
-        Of `Profiles`.
-    tolerance : float
-        Relative error that the data profiles count as solved.
-
-    Returns
-    -------
-    Figure
-        The twelve solvers with the largest area under the performance profile.
-    """
+    """Performance profiles (left) and data profiles (right) with pointwise 95 % bands."""
     channels = list(dict.fromkeys(r["channels"] for r in data))
     figure, (left, *others) = panels(1 + max(len(channels), 1), width=9.5, height=4.6)
     solvers = list(dict.fromkeys((r["method"], r["estimator"]) for r in performance))
@@ -220,18 +182,7 @@ def profile_figure(performance: Sequence[Row], data: Sequence[Row], tolerance: f
 
 
 def head_to_head_figure(rows: Sequence[Row]) -> Figure:
-    """Median relative errors of the head-to-head with their intervals, beside the printed ones.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        name, median, low, high, published (None where nothing is in print).
-
-    Returns
-    -------
-    Figure
-        One line per way.
-    """
+    """Median relative errors of the head-to-head with their intervals, beside the printed ones."""
     figure, (ax,) = panels(1, width=8.0, height=0.9 + 0.32 * len(rows))
     for k, row in enumerate(rows):
         own = row["published"] is None

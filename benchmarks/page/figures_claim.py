@@ -15,18 +15,7 @@ Row = Mapping[str, Any]
 
 
 def claim_figure(rows: Sequence[Row]) -> Figure:
-    """c-efficiency of sinusoid, limit spectrum and white noise, case by case.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Of `claim_rows`.
-
-    Returns
-    -------
-    Figure
-        Cases downwards, efficiency against the certified optimum to the right; 1 is optimal.
-    """
+    """c-efficiency of sinusoid, limit spectrum and white noise, case by case."""
     figure, (ax,) = panels(width=9.0, height=1.2 + 0.24 * len(rows))
     names = {"sinusoid": "sinusoid at the peak", "limit": "limit of the iterations", "white": "white noise"}
     for (key, name), colour, marker in zip(names.items(), COLOURS, MARKERS, strict=False):

@@ -137,28 +137,7 @@ def save_table(
     *,
     metadata: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Save a table as Parquet, CSV, Markdown and LaTeX, and describe it for the report.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder; the files go to its `tables`.
-    name : str
-        File name without suffix.
-    rows : list of dict
-        The table, all columns.
-    columns : dict
-        What people see: key to heading.
-    caption : str
-        One sentence.
-    metadata : mapping, optional
-        How it was made, kept in the Parquet file.
-
-    Returns
-    -------
-    dict
-        An entry for "tables" in report.json.
-    """
+    """Save a table as Parquet, CSV, Markdown and LaTeX, and describe it for the report."""
     where, name = folder / "tables", file_name(name)
     where.mkdir(parents=True, exist_ok=True)
     to_parquet(rows, where / f"{name}.parquet", metadata, overwrite=True)
@@ -175,24 +154,7 @@ def file_name(text: str) -> str:
 
 
 def save_figure(folder: Path, name: str, figure: Any, caption: str) -> dict[str, Any]:
-    """Save a figure as SVG and PDF, the same bytes for the same figure, and describe it for the report.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder; the files go to its `figures`.
-    name : str
-        File name without suffix.
-    figure : matplotlib.figure.Figure
-        The figure.
-    caption : str
-        What it shows.
-
-    Returns
-    -------
-    dict
-        An entry for "figures" in report.json.
-    """
+    """Save a figure as SVG and PDF, the same bytes for the same figure, and describe it for the report."""
     import matplotlib
 
     where, name = folder / "figures", file_name(name)
@@ -209,37 +171,13 @@ def save_figure(folder: Path, name: str, figure: Any, caption: str) -> dict[str,
 
 
 def save_report(folder: Path, content: dict[str, Any]) -> Path:
-    """Write report.json and the HTML page made from it.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    content : dict
-        As described at the top of this module.
-
-    Returns
-    -------
-    Path
-        The page.
-    """
+    """Write report.json and the HTML page made from it."""
     write_whole(folder / "report.json", json.dumps(content, indent=1, ensure_ascii=False) + "\n")
     return write_report(folder)
 
 
 def write_report(folder: Path) -> Path:
-    """Make the HTML page of a results folder.
-
-    Parameters
-    ----------
-    folder : Path
-        It holds report.json.
-
-    Returns
-    -------
-    Path
-        `report.html` in the folder.
-    """
+    """Make the HTML page of a results folder."""
     file = folder / "report.json"
     if not folder.is_dir():
         raise InputError(

@@ -34,28 +34,7 @@ SEVERAL = (
 def prediction_errors(
     samples: int, variance: float, runs: int = RUNS
 ) -> tuple[float, float, dict[str, float], bool]:
-    """What a campaign measures, and the error of the prediction after each added effect.
-
-    Parameters
-    ----------
-    samples : int
-        N, of the reference plant.
-    variance : float
-        Noise variance.
-    runs : int
-        Size of the campaign.
-
-    Returns
-    -------
-    measured : float
-        Root of the mean of beta_2^2 over iterations 30 to 60.
-    error : float
-        Its standard error.
-    off : dict
-        Prediction less measurement by effect: "infinite", "edge", "random-mu".
-    holds : bool
-        Whether the expansion behind the last one holds.
-    """
+    """What a campaign measures, and the error of the prediction after each added effect."""
     plant = named_plant("reference", variance)
     parts = batches(plant, samples=samples, iterations=LAST, replicates=runs, seed=6)
     values = np.concatenate([batch.gain_squares[:, FIRST - 1 :].mean(axis=1) for batch in parts])
@@ -69,24 +48,7 @@ def prediction_errors(
 def mimo_prediction_errors(
     name: str, samples: int, variance: float, scaling: str, runs: int, seed: int = 6
 ) -> tuple[float, float, dict[str, float], bool]:
-    """The same for Procedure 2: the mean of gamma_2^2 over iterations 21 to 30.
-
-    Parameters
-    ----------
-    name : str
-        Named plant.
-    samples, variance, scaling, runs, seed : int, float, str, int, int
-        Of the campaign.
-
-    Returns
-    -------
-    measured, error : float
-        Mean and standard error.
-    off : dict
-        Prediction less measurement by effect.
-    holds : bool
-        Whether the expansion behind the last one holds.
-    """
+    """The same for Procedure 2: the mean of gamma_2^2 over iterations 21 to 30."""
     plant = named_plant(name, variance)
     parts = batches(
         plant, algorithm="mimo", samples=samples, iterations=30, replicates=runs, seed=seed, scaling=scaling
@@ -127,13 +89,7 @@ def _mimo_rows() -> list[dict[str, Any]]:
 
 
 def rows() -> list[dict[str, Any]]:
-    """The measurements of the theory's table, and the error before and after each effect.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """The measurements of the theory's table, and the error before and after each effect."""
     found = []
     for samples, variance, published, spread in CASES:
         measured, error, off, holds = prediction_errors(samples, variance)

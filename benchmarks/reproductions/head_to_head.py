@@ -38,36 +38,14 @@ SAMPLES, EXPERIMENTS, TAPS, DECAY, DEVIATION, PLANTS = 50, 200, 10, 0.75, 0.1, 1
 
 
 def plants(count: int = PLANTS) -> list[Plant]:
-    """Random FIR plants of the protocol.
-
-    Parameters
-    ----------
-    count : int
-        How many.
-
-    Returns
-    -------
-    list of Plant
-        The same ones first, whatever the count.
-    """
+    """Random FIR plants of the protocol."""
     rng = np.random.default_rng(2018)
     taps = rng.uniform(-1, 1, (count, TAPS)) * DECAY ** np.arange(TAPS)
     return [Plant(g, [1.0], noise_covariance=DEVIATION**2, name=f"fir-{k}") for k, g in enumerate(taps)]
 
 
 def traces(plant: Plant) -> dict[str, Trace]:
-    """Every input of the protocol on a plant.
-
-    Parameters
-    ----------
-    plant : Plant
-        One input, one output.
-
-    Returns
-    -------
-    dict
-        Input to trace.
-    """
+    """Every input of the protocol on a plant."""
     impulse = np.zeros((SAMPLES, 1))
     impulse[0] = 1.0
     energy = Limits(power=None, energy=1.0)
@@ -110,18 +88,8 @@ def _last(trace: Trace) -> float:
 class Case:
     """One input with one estimator.
 
-    Attributes
-    ----------
-    name : str
-        In words.
-    method : str
-        Key of `traces`.
-    estimate : callable
-        From a trace to the norm.
-    published : float or None
-        Median relative error of the re-run; None where it has none.
-    in_print : bool
-        Whether the original paper has it.
+    `name` in words; `method` key of `traces`; `estimate` from a trace to the norm; `published` median
+    relative error of the re-run; None where it has none; `in_print` whether the original paper has it.
     """
 
     name: str
@@ -147,13 +115,7 @@ CASES = (
 
 
 def rows() -> list[dict[str, Any]]:
-    """Median relative errors at 200 experiments of 50 samples and input norm 1.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """Median relative errors at 200 experiments of 50 samples and input norm 1."""
     errors: dict[str, list[float]] = {case.name: [] for case in CASES}
     energies: dict[str, float] = {}
     for plant in plants(OTHERS):

@@ -21,13 +21,7 @@ __all__ = ["rows"]
 
 
 def rows() -> list[dict[str, Any]]:
-    """Identities, convergence, and the illustration of Fig. 5 to 7.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """Identities, convergence, and the illustration of Fig. 5 to 7."""
     return [*_identities(), *_story()]
 
 

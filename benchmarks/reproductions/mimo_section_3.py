@@ -28,13 +28,7 @@ SAMPLES = 12
 
 
 def rows() -> list[dict[str, Any]]:
-    """Equations, a response and a map.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """Equations, a response and a map."""
     return [*_equations(), *_scaling(), _response(), *_map()]
 
 

@@ -22,13 +22,7 @@ SAMPLES, ITERATIONS, NEAR = 200, 24, 1e-6
 
 
 def rows() -> list[dict[str, Any]]:
-    """Two rows per named plant.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """Two rows per named plant."""
     return [each for name in NAMES for each in _plant(name)]
 
 

@@ -14,13 +14,7 @@ __all__ = ["rows"]
 
 
 def rows() -> list[dict[str, Any]]:
-    """The exact limit spectrum against the paper's discretised one, line by line.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """The exact limit spectrum against the paper's discretised one, line by line."""
     found = []
     for variance, points in ((1.0, 8000), (4.0, 1000), (9.0, 1000)):
         plant = named_plant("reference", variance)

@@ -17,13 +17,7 @@ SOURCE = "[S] Fig. 3 and (14)"
 
 
 def rows() -> list[dict[str, Any]]:
-    """The campaign of Fig. 3 against what the text reads from it, and against the finite-sample theory.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """The campaign of Fig. 3 against what the text reads from it, and against the finite-sample theory."""
     samples, iterations, runs = 1000, 50, 1000
     norm = finite_norm(named_plant("reference"), samples)
     found, means = [], []

@@ -24,13 +24,7 @@ __all__ = ["rows"]
 
 
 def rows() -> list[dict[str, Any]]:
-    """What the lemmas and remarks state.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """What the lemmas and remarks state."""
     found = []
     plain = Plant([0.5, 1.0, 0.3], [1.0, -0.2], noise_covariance=0.0, name="few-taps")
     values = singular_values(plain, 12)

@@ -26,13 +26,7 @@ EFFICIENCIES = ((0.01, 0.99810), (1.0, 0.81125), (9.0, 0.08693))
 
 
 def rows() -> list[dict[str, Any]]:
-    """What Sec. 4 states beyond its bias formulas.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """What Sec. 4 states beyond its bias formulas."""
     return [*(_bias(v) for v in (0.1, 1.0)), *_lemma_13(), *_claim()]
 
 

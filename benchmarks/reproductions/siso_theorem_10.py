@@ -14,13 +14,7 @@ __all__ = ["rows"]
 
 
 def rows() -> list[dict[str, Any]]:
-    """Distance from the limit, in the supremum norm, from three starts.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """Distance from the limit, in the supremum norm, from three starts."""
     found = []
     for variance in (4.0, 9.0):
         plant = named_plant("reference", variance)

@@ -23,13 +23,7 @@ LINES, SAMPLES = 200, 200
 
 
 def rows() -> list[dict[str, Any]]:
-    """Uniqueness by the eigenvectors of H_d; two matrices and two algorithms.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """Uniqueness by the eigenvectors of H_d; two matrices and two algorithms."""
     plants = [p for p in map(named_plant, NAMES) if p.n_inputs * p.n_outputs == 1]
     counts = [_fixed_points(plant.replace(noise_variance=v)) for plant in plants for v in (0.1, 1.0, 9.0)]
     found = [

@@ -18,13 +18,7 @@ VARIANCES = np.geomspace(1e-6, 1e4, 21)
 
 
 def rows() -> list[dict[str, Any]]:
-    """Each property on every named plant with one input and one output.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """Each property on every named plant with one input and one output."""
     plants = [p for p in map(named_plant, NAMES) if p.n_inputs * p.n_outputs == 1]
     above, tops, bottoms, rising, ends = [], [], [], [], []
     for plant in plants:

@@ -25,13 +25,7 @@ def _slope(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def rows() -> list[dict[str, Any]]:
-    """Orders and constants, with the factor for a peak at 0 or pi that the paper does not treat.
-
-    Returns
-    -------
-    list of dict
-        Rows of `benchmarks.tables.reproduced`.
-    """
+    """Orders and constants, with the factor for a peak at 0 or pi that the paper does not treat."""
     found = []
     for name, factor, source in (
         ("reference", 2.0, "[S] Theorem 9"),

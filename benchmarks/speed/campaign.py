@@ -21,22 +21,7 @@ CORES = os.cpu_count() or 1
 
 
 def synthetic_store(folder: Path, runs: int) -> tuple[Any, int]:
-    """A store as a campaign of two inputs would leave it, with invented estimates.
-
-    Parameters
-    ----------
-    folder : Path
-        New or empty.
-    runs : int
-        Runs over both inputs.
-
-    Returns
-    -------
-    settings : Settings
-        Of the campaign.
-    replicates : int
-        Half the runs.
-    """
+    """A store as a campaign of two inputs would leave it, with invented estimates."""
     import pyarrow as pa
 
     from benchmarks.campaign.run import checkpoints, parts
@@ -143,18 +128,7 @@ print(json.dumps({"seconds": seconds, "peak_mb": peak, "n": [r["n"] for r in tab
 
 
 def tabulated(runs: int = RUNS) -> dict[str, Any]:
-    """Tabulate a synthetic store in a process of its own.
-
-    Parameters
-    ----------
-    runs : int
-        Runs in the store.
-
-    Returns
-    -------
-    dict
-        seconds (checking the parts and all tables), peak_mb of the process, n of every row.
-    """
+    """Tabulate a synthetic store in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         settings, replicates = synthetic_store(Path(folder) / "store", runs)
         command = [
@@ -165,17 +139,8 @@ def tabulated(runs: int = RUNS) -> dict[str, Any]:
 
 
 def two_workers(replicates: int = 2000) -> tuple[float, float]:
-    """Seconds of the same campaign in one process and on two workers, each after its first parts have warmed it.
-
-    Parameters
-    ----------
-    replicates : int
-        Of two inputs without PEM.
-
-    Returns
-    -------
-    tuple of float
-        One process, two workers.
+    """Seconds of the same campaign in one process and on two workers, each after its first parts have warmed
+    it.
     """
     from benchmarks.campaign.running import fill_store
     from benchmarks.campaign.settings import Settings
@@ -199,13 +164,7 @@ def two_workers(replicates: int = 2000) -> tuple[float, float]:
 
 
 def rows() -> list[dict[str, Any]]:
-    """The rows of `oed speed campaign`.
-
-    Returns
-    -------
-    list of dict
-        Tabulating a million runs (target 30 s, 2000 MB); two workers against one (target 1.7 times, 0.85 each).
-    """
+    """The rows of `oed speed campaign`."""
     table = tabulated()
     alone, together = two_workers()
     return [

@@ -52,26 +52,7 @@ def _median(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, tupl
 
 
 def against_cvxpy(criterion: str, parameters: int, frequencies: int, target: float, repeats: int = 5) -> dict:
-    """One criterion on one grid: ours against CVXPY with Clarabel.
-
-    Parameters
-    ----------
-    criterion : str
-        D or A.
-    parameters : int
-        4 (reference plant) or up to 41 (order-20).
-    frequencies : int
-        Size of the grid.
-    target : float
-        Ratio asked for.
-    repeats : int
-        Runs of each, taken in turn.
-
-    Returns
-    -------
-    dict
-        The row.
-    """
+    """One criterion on one grid: ours against CVXPY with Clarabel."""
     from oed.design.solvers.column_generation import evaluated_bound, exchange
     from oed.design.solvers.whole_grid import cvxpy_weights
 
@@ -104,17 +85,8 @@ def against_cvxpy(criterion: str, parameters: int, frequencies: int, target: flo
 
 
 def elfving_dual(repeats: int = 5) -> dict:
-    """The peak-gain design's dual on 1000 frequencies: at most 0.6 of CVXPY's D design (15 ms where that takes 25).
-
-    Parameters
-    ----------
-    repeats : int
-        Runs of each, taken in turn.
-
-    Returns
-    -------
-    dict
-        The row.
+    """The peak-gain design's dual on 1000 frequencies: at most 0.6 of CVXPY's D design (15 ms where that
+    takes 25).
     """
     from oed.design.solvers.column_generation import exchange
     from oed.design.solvers.weights_clarabel import elfving
@@ -157,18 +129,7 @@ def elfving_dual(repeats: int = 5) -> dict:
 
 
 def rows(repeats: int = 5) -> list[dict]:
-    """All rows of the design benchmarks.
-
-    Parameters
-    ----------
-    repeats : int
-        Runs of each, taken in turn.
-
-    Returns
-    -------
-    list of dict
-        name, size, seconds, baseline, baseline_seconds, ratio, target, holds, peak_mb, note.
-    """
+    """All rows of the design benchmarks."""
     few = max(1, repeats // 2)
     return [
         against_cvxpy("D", 4, 10_000, 30, repeats),

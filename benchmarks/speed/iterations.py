@@ -21,19 +21,7 @@ def lfilter_campaign(
 ) -> np.ndarray:
     """The baseline: Algorithm 1 on the reference plant as a loop over `scipy.signal.lfilter`.
 
-    Parameters
-    ----------
-    samples, iterations, replicates : int
-        Size.
-    variance : float
-        Noise variance.
-    seed : int
-        Seed of numpy's generator.
-
-    Returns
-    -------
-    ndarray
-        (replicates, iterations) squares of [S] (7).
+    Shapes: returns (replicates, iterations).
     """
     from scipy.signal import lfilter
 
@@ -58,21 +46,10 @@ def lfilter_campaign(
 def lfilter_mimo_campaign(
     plant: Plant, samples: int, iterations: int, replicates: int, seed: int = 0
 ) -> np.ndarray:
-    """The baseline of Procedure 2: of every second-stage experiment only the output that is used is simulated.
+    """The baseline of Procedure 2: of every second-stage experiment only the output that is used is
+    simulated.
 
-    Parameters
-    ----------
-    plant : Plant
-        White noise of one variance on every output.
-    samples, iterations, replicates : int
-        Size.
-    seed : int
-        Seed of numpy's generator.
-
-    Returns
-    -------
-    ndarray
-        (replicates, iterations) squares of [M] (12).
+    Shapes: returns (replicates, iterations).
     """
     from scipy.signal import lfilter
 
@@ -134,15 +111,7 @@ def _row(
 
 
 def siso_campaign() -> list[dict[str, Any]]:
-    """The Fig. 3 campaign: N = 1000, 50 iterations, three variances; target 20 times the baseline.
-
-    Returns
-    -------
-    list of dict
-        Two rows: one thread, and as many as there are processors (the result is the same). Ours does the whole
-        campaign of 1000 runs per variance; the baseline does 8 of them, whose time per run does not depend on
-        their number.
-    """
+    """The Fig. 3 campaign: N = 1000, 50 iterations, three variances; target 20 times the baseline."""
     from estimators.montecarlo.engine import monte_carlo
     from oed.plants.named import named_plant
 
@@ -165,13 +134,7 @@ def siso_campaign() -> list[dict[str, Any]]:
 
 
 def mimo_campaign() -> list[dict[str, Any]]:
-    """Procedure 2 on the 3 x 2 plant, seven experiments per iteration; target 20 times the baseline.
-
-    Returns
-    -------
-    list of dict
-        Two rows: one thread, and as many as there are processors.
-    """
+    """Procedure 2 on the 3 x 2 plant, seven experiments per iteration; target 20 times the baseline."""
     from estimators.montecarlo.engine import monte_carlo
     from oed.plants.named import named_plant
 
@@ -188,13 +151,7 @@ def mimo_campaign() -> list[dict[str, Any]]:
 
 
 def finite_time_norm() -> list[dict[str, Any]]:
-    """The norm over 1e5 samples; target: under a second.
-
-    Returns
-    -------
-    list of dict
-        One row; the baseline is the second that is allowed.
-    """
+    """The norm over 1e5 samples; target: under a second."""
     from oed.plants.named import named_plant
     from oed.theory.finite import finite_norm
 
@@ -208,12 +165,8 @@ def finite_time_norm() -> list[dict[str, Any]]:
 
 
 def hinf_norm() -> list[dict[str, Any]]:
-    """The H-infinity norm of models of order 20, 40 and 80 at 1e-10, against slycot's ab13dd; target: half as fast.
-
-    Returns
-    -------
-    list of dict
-        One row per order; none where slycot is not installed (it is no dependency, its licence is the GPL).
+    """The H-infinity norm of models of order 20, 40 and 80 at 1e-10, against slycot's ab13dd; target: half as
+    fast.
     """
     from importlib import import_module
 
@@ -260,11 +213,5 @@ BENCHMARKS: dict[str, Callable[[], list[dict[str, Any]]]] = {
 
 
 def rows() -> list[dict[str, Any]]:
-    """All rows of this file.
-
-    Returns
-    -------
-    list of dict
-        With the keys of `oed speed`.
-    """
+    """All rows of this file."""
     return [row for benchmark in BENCHMARKS.values() for row in benchmark()]

@@ -66,22 +66,7 @@ def _row(
 
 
 def against_scipy(order: int, samples: int, repeats: int = 15) -> dict:
-    """Our fit against `scipy.optimize.least_squares` with `lfilter` and finite differences.
-
-    Parameters
-    ----------
-    order : int
-        nb = nf.
-    samples : int
-        Length of the record.
-    repeats : int
-        Runs of each, taken in turn.
-
-    Returns
-    -------
-    dict
-        One row.
-    """
+    """Our fit against `scipy.optimize.least_squares` with `lfilter` and finite differences."""
     from scipy.optimize import least_squares
     from scipy.signal import lfilter
 
@@ -109,20 +94,7 @@ def against_scipy(order: int, samples: int, repeats: int = 15) -> dict:
 
 
 def against_casadi(order: int, samples: int) -> dict:
-    """Our fit against the plain CasADi construction: mapaccum over the record, IPOPT with the exact Hessian.
-
-    Parameters
-    ----------
-    order : int
-        nb = nf.
-    samples : int
-        Length of the record.
-
-    Returns
-    -------
-    dict
-        One row; the baseline is timed from its second call on, after it has been built.
-    """
+    """Our fit against the plain CasADi construction: mapaccum over the record, IPOPT with the exact Hessian."""
     from estimators.pem import identify
     from estimators.pem.plain import plain_output_error
 
@@ -139,18 +111,7 @@ def against_casadi(order: int, samples: int) -> dict:
 
 
 def against_sippy(samples: int = 10_000) -> dict:
-    """Our fit against SIPPY's output-error estimator, where it is installed.
-
-    Parameters
-    ----------
-    samples : int
-        Length of the record.
-
-    Returns
-    -------
-    dict
-        One row; without the package its seconds are null and the note says so.
-    """
+    """Our fit against SIPPY's output-error estimator, where it is installed."""
     from estimators.pem import identify
 
     record, _, _ = _case(2, samples)
@@ -192,22 +153,7 @@ def _fits(seeds: list[int], samples: int) -> float:
 
 
 def monte_carlo(replicates: int = 1000, samples: int = 1000, jobs: int = 2) -> dict:
-    """Many fits with their own starts and their own records, shared between processes.
-
-    Parameters
-    ----------
-    replicates : int
-        Number of fits.
-    samples : int
-        Length of each record.
-    jobs : int
-        Processes, one for each core that is meant.
-
-    Returns
-    -------
-    dict
-        One row; the target is 10 s on two cores, from the first record to the last fit, the processes being there.
-    """
+    """Many fits with their own starts and their own records, shared between processes."""
     from joblib import Parallel, delayed
 
     parts = [list(range(k, replicates, jobs)) for k in range(jobs)]
@@ -220,20 +166,7 @@ def monte_carlo(replicates: int = 1000, samples: int = 1000, jobs: int = 2) -> d
 
 
 def memory(order: int = 6, samples: int = 100_000) -> dict:
-    """Peak memory of a fit above the process after its imports, measured in a fresh process.
-
-    Parameters
-    ----------
-    order : int
-        nb = nf.
-    samples : int
-        Length of the record.
-
-    Returns
-    -------
-    dict
-        One row with `peak_mb`; holds up to 150 MB.
-    """
+    """Peak memory of a fit above the process after its imports, measured in a fresh process."""
     script = (
         "import re, resource, sys, time\n"
         "from pathlib import Path\n"
@@ -262,12 +195,6 @@ def memory(order: int = 6, samples: int = 100_000) -> dict:
 
 
 def rows() -> list[dict]:
-    """Every row of this file.
-
-    Returns
-    -------
-    list of dict
-        name, size, seconds, baseline, baseline_seconds, ratio, target, holds, peak_mb, note.
-    """
+    """Every row of this file."""
     table = [against_scipy(order, samples) for order in (2, 6) for samples in (1000, 10_000, 100_000)]
     return [*table, against_casadi(2, 100_000), against_sippy(), monte_carlo(), memory()]

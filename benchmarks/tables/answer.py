@@ -96,19 +96,7 @@ def _verdict(efficiency: float, over_white: float) -> str:
 
 
 def answer_rows(tables: Tables) -> list[Row]:
-    """One row per plant and noise level on which the iterations ran.
-
-    Parameters
-    ----------
-    tables : Tables
-        Of a comparison.
-
-    Returns
-    -------
-    list of dict
-        The keys of ANSWER; `waste` is (rho of the own estimator / rho of PEM)^2 on the same records, the factor by which
-        the own estimator needs more data.
-    """
+    """One row per plant and noise level on which the iterations ran."""
     table = []
     for (plant, variance), target in tables.known.items():
         here = [r for r in tables.rows if (r["plant"], r["noise_variance"]) == (plant, variance)]
@@ -157,18 +145,7 @@ def _last_checkpoints(information: Sequence[Row], plant: str, variance: float) -
 
 
 def advice_rows(tables: Tables) -> list[Row]:
-    """Which input to apply, by budget: the one that carries most for the peak gain without knowing the plant.
-
-    Parameters
-    ----------
-    tables : Tables
-        Of a comparison.
-
-    Returns
-    -------
-    list of dict
-        The keys of ADVICE, one row per plant, noise level and checkpoint of the budget.
-    """
+    """Which input to apply, by budget: the one that carries most for the peak gain without knowing the plant."""
     grouped: dict[tuple[str, float, int], dict[str, Row]] = {}
     for row in tables.information:
         if _finite(row["c_efficiency"]):
@@ -217,20 +194,7 @@ def _where(group: Sequence[Row], total: int, key: str) -> str:
 
 
 def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
-    """The answer in a few sentences, with its numbers.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-        Of `answer_rows`.
-    settings : Settings
-        The campaign.
-
-    Returns
-    -------
-    list of str
-        Where they are design, what is wasted, what to do; empty where the iterations did not run.
-    """
+    """The answer in a few sentences, with its numbers."""
     if not rows:
         return []
     by_verdict: dict[str, list[Row]] = {}

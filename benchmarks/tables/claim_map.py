@@ -30,20 +30,7 @@ COLUMNS = {
 
 
 def row_of(group: str, row: ClaimRow) -> dict[str, Any]:
-    """One row of the table.
-
-    Parameters
-    ----------
-    group : str
-        What is varied.
-    row : ClaimRow
-        From `oed.theory`.
-
-    Returns
-    -------
-    dict
-        The keys of `COLUMNS`, and noise_variance, bound, largest_price and price_frequency of the certificate.
-    """
+    """One row of the table."""
     return {
         "group": group,
         "plant": row.plant,
@@ -62,34 +49,12 @@ def row_of(group: str, row: ClaimRow) -> dict[str, Any]:
 
 
 def claim_tasks(cases: Sequence[ClaimCase] | None = None) -> list[Callable[[], list[dict[str, Any]]]]:
-    """The map case by case; the usual ones take about 20 seconds of one core.
-
-    Parameters
-    ----------
-    cases : sequence of ClaimCase, optional
-        By default those of `oed.theory.cases`.
-
-    Returns
-    -------
-    list of callable
-        Each gives rows, for `benchmarks.campaign.processes.at_once`.
-    """
+    """The map case by case; the usual ones take about 20 seconds of one core."""
     return [partial(_mapped, case) for case in (claim_cases() if cases is None else cases)]
 
 
 def claim_rows(cases: Sequence[ClaimCase] | None = None) -> list[dict[str, Any]]:
-    """The map as rows of plain values.
-
-    Parameters
-    ----------
-    cases : sequence of ClaimCase, optional
-        As for `claim_tasks`.
-
-    Returns
-    -------
-    list of dict
-        One per case.
-    """
+    """The map as rows of plain values."""
     return [row for task in claim_tasks(cases) for row in task()]
 
 

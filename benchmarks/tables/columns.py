@@ -55,22 +55,7 @@ INFORMATION_COLUMNS = {
 
 
 def command_line(settings: Settings, replicates: int, out: Path) -> str:
-    """The command that repeats a comparison.
-
-    Parameters
-    ----------
-    settings : Settings
-        The campaign.
-    replicates : int
-        Monte-Carlo runs.
-    out : Path
-        Results folder.
-
-    Returns
-    -------
-    str
-        For a shell.
-    """
+    """The command that repeats a comparison."""
     words = ["oed", "compare"]
     for plant in settings.plants:
         words += ["--plant", plant]
@@ -92,22 +77,7 @@ def command_line(settings: Settings, replicates: int, out: Path) -> str:
 
 
 def made(settings: Settings, replicates: int, out: Path) -> dict[str, str]:
-    """How a comparison was made, for the end of its page.
-
-    Parameters
-    ----------
-    settings : Settings
-        The campaign.
-    replicates : int
-        Monte-Carlo runs.
-    out : Path
-        Results folder.
-
-    Returns
-    -------
-    dict
-        Name to value.
-    """
+    """How a comparison was made, for the end of its page."""
     values = {
         name: ", ".join(map(str, v)) if isinstance(v, tuple) else str(v)
         for name, v in asdict(settings).items()
@@ -121,31 +91,10 @@ def made(settings: Settings, replicates: int, out: Path) -> dict[str, str]:
 
 
 def save_summary(folder: Path, sentences: Sequence[str], headline: str) -> None:
-    """Keep the sentences and the headline table as Markdown.
-
-    Parameters
-    ----------
-    folder : Path
-        Results folder.
-    sentences : sequence of str
-        What the numbers say.
-    headline : str
-        Markdown table.
-    """
+    """Keep the sentences and the headline table as Markdown."""
     write_whole(folder / "summary.md", "\n\n".join([headline, *sentences]) + "\n")
 
 
 def is_number(value: Any) -> bool:
-    """Whether a table entry is a finite number.
-
-    Parameters
-    ----------
-    value : object
-        An entry.
-
-    Returns
-    -------
-    bool
-        False for None, text, NaN and infinities.
-    """
+    """Whether a table entry is a finite number."""
     return isinstance(value, int | float) and bool(np.isfinite(value))

@@ -38,20 +38,7 @@ METADATA = b"oed.table"
 
 
 def format_value(value: Any, se: Any = None) -> str:
-    """A value for people: with its standard error to two significant digits, such as 1.234 ± 0.012.
-
-    Parameters
-    ----------
-    value : object
-        A number, text, a truth value or None.
-    se : float, optional
-        Standard error of a number.
-
-    Returns
-    -------
-    str
-        A dash where the value is None or NaN; numbers without a standard error have four significant digits.
-    """
+    """A value for people: with its standard error to two significant digits, such as 1.234 ± 0.012."""
     value = _plain(value)
     if not _is_number(value):
         return _words(value)
@@ -128,20 +115,7 @@ def _numeric(rows: Sequence[Row], key: str) -> bool:
 
 
 def to_text(rows: Sequence[Row], columns: Columns = None) -> str:
-    """Table for a terminal, columns aligned, numbers to the right.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        One per line.
-    columns : mapping or sequence of str, optional
-        Keys in order, or headings by key; by default all.
-
-    Returns
-    -------
-    str
-        Lines without trailing blanks.
-    """
+    """Table for a terminal, columns aligned, numbers to the right."""
     layout = _layout(rows, columns)
     right = [_numeric(rows, key) for key in layout]
     body = [[" ".join(format_value(*cell).split()) for cell in _cells(row, layout)] for row in rows]
@@ -155,20 +129,7 @@ def to_text(rows: Sequence[Row], columns: Columns = None) -> str:
 
 
 def to_markdown(rows: Sequence[Row], columns: Columns = None) -> str:
-    """Table in Markdown.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        One per line.
-    columns : mapping or sequence of str, optional
-        Keys in order, or headings by key; by default all.
-
-    Returns
-    -------
-    str
-        Ends in a line break.
-    """
+    """Table in Markdown."""
     layout = _layout(rows, columns)
     rule = ["---:" if _numeric(rows, key) else "---" for key in layout]
     body = [[_escape_markdown(format_value(*cell)) for cell in _cells(row, layout)] for row in rows]
@@ -183,24 +144,7 @@ def _escape_markdown(text: str) -> str:
 
 
 def to_latex(rows: Sequence[Row], columns: Columns = None, caption: str = "", label: str = "") -> str:
-    r"""Table in LaTeX, for the package booktabs.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        One per line.
-    columns : mapping or sequence of str, optional
-        Keys in order, or headings by key; by default all. Headings and entries are escaped.
-    caption : str
-        LaTeX above the table; with it or a label the tabular stands in a table environment.
-    label : str
-        For `\ref`.
-
-    Returns
-    -------
-    str
-        Ends in a line break.
-    """
+    r"""Table in LaTeX, for the package booktabs."""
     layout = _layout(rows, columns)
     align = "".join("r" if _numeric(rows, key) else "l" for key in layout)
     lines = [rf"\begin{{tabular}}{{{align}}}", r"\toprule"]
@@ -242,18 +186,7 @@ LATEX = {
 
 
 def escape_latex(text: str) -> str:
-    """Text in which nothing is a command of LaTeX.
-
-    Parameters
-    ----------
-    text : str
-        Any text.
-
-    Returns
-    -------
-    str
-        The same text as LaTeX prints it.
-    """
+    """Text in which nothing is a command of LaTeX."""
     return " ".join("".join(LATEX.get(mark, mark) for mark in text).split())
 
 
@@ -274,24 +207,7 @@ def _plain(value: Any) -> Any:
 def to_csv(
     rows: Sequence[Row], path: str | os.PathLike[str], columns: Columns = None, *, overwrite: bool = False
 ) -> Path:
-    """Table as CSV with all digits; None is an empty entry.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        One per line.
-    path : str or path
-        The file.
-    columns : mapping or sequence of str, optional
-        Keys in order; by default all, also the standard errors.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Returns
-    -------
-    Path
-        The file written.
-    """
+    """Table as CSV with all digits; None is an empty entry."""
     keys = _keys(rows, columns)
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
@@ -308,31 +224,7 @@ def to_parquet(
     *,
     overwrite: bool = False,
 ) -> Path:
-    """Table as Parquet, with metadata that says what made it.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        One per line; None becomes null, NaN stays NaN.
-    path : str or path
-        The file.
-    metadata : mapping, optional
-        Anything that JSON can hold.
-    columns : mapping or sequence of str, optional
-        Keys in order; by default all, also the standard errors.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Returns
-    -------
-    Path
-        The file written.
-
-    Raises
-    ------
-    InputError
-        If a column mixes numbers with text, or the file exists.
-    """
+    """Table as Parquet, with metadata that says what made it."""
     import pyarrow as pa
 
     arrays = {}
@@ -349,25 +241,7 @@ def to_parquet(
 
 
 def from_parquet(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Rows and metadata of a file that `to_parquet` wrote.
-
-    Parameters
-    ----------
-    path : str or path
-        The file.
-
-    Returns
-    -------
-    rows : list of dict
-        One per line.
-    metadata : dict
-        What was stored beside them.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist or is damaged.
-    """
+    """Rows and metadata of a file that `to_parquet` wrote."""
     import pyarrow as pa
 
     try:

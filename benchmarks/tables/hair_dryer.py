@@ -27,26 +27,12 @@ LEVEL = 0.01
 class HairDryerStory:
     """What was found in the hair-dryer record.
 
-    Attributes
-    ----------
-    before_delay, delay : int
-        nk of the first model, and the one found.
-    suspicious_lags : tuple of int
-        Lags at which input and residual of the first model are correlated (p < 0.01 each).
-    rows : list of dict
-        Errors in volts on the second half, before and after.
-    sentences : list of str
-        The story.
-    test : Record
-        The second half.
-    simulated : dict
-        "before" and "after" to the simulated second half, (N, 1).
-    lags : ndarray
-        Lags of the correlations.
-    correlations : dict
-        "before" and "after" to the correlations of input and residual on the first half.
-    bound : float
-        99 % bound of one correlation of the first model where nothing is missing.
+    `before_delay, delay` nk of the first model, and the one found; `suspicious_lags` lags at which input and
+    residual of the first model are correlated (p < 0.01 each); `rows` errors in volts on the second half,
+    before and after; `sentences` the story; `test` the second half; `simulated` "before" and "after" to the
+    simulated second half, (N, 1); `lags` lags of the correlations; `correlations` "before" and "after" to the
+    correlations of input and residual on the first half; `bound` 99 % bound of one correlation of the first
+    model where nothing is missing.
     """
 
     before_delay: int
@@ -62,18 +48,7 @@ class HairDryerStory:
 
 
 def hair_dryer_story(record: Record | None = None) -> HairDryerStory:
-    """Identify the hair dryer, find what its model lacks, add it, and report the error before and after.
-
-    Parameters
-    ----------
-    record : Record, optional
-        By default the record shipped with the package.
-
-    Returns
-    -------
-    HairDryerStory
-        Tests, errors and sentences.
-    """
+    """Identify the hair dryer, find what its model lacks, add it, and report the error before and after."""
     from estimators.pem import identify
     from estimators.pem.choice import estimate_delay
     from estimators.residual.measures import fit_percent

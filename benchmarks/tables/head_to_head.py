@@ -31,20 +31,7 @@ HEAD_TO_HEAD = {
 
 
 def median_interval(values: Sequence[float], level: float = 0.95) -> tuple[float, float]:
-    """Interval of a median from order statistics, whatever the distribution.
-
-    Parameters
-    ----------
-    values : sequence of float
-        Independent.
-    level : float
-        At least this confidence.
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper end; the extremes where there are too few values.
-    """
+    """Interval of a median from order statistics, whatever the distribution."""
     from scipy import stats
 
     ordered = np.sort(np.asarray(values, dtype=float))
@@ -56,34 +43,12 @@ def median_interval(values: Sequence[float], level: float = 0.95) -> tuple[float
 
 
 def head_to_head_tasks(count: int) -> list[Callable[[], Any]]:
-    """The runs of the protocol on random FIR plants of length 10: 200 experiments of 50 samples, noise 0.1.
-
-    Parameters
-    ----------
-    count : int
-        Random plants, each with noise of its own.
-
-    Returns
-    -------
-    list of callable
-        One for each plant, for `benchmarks.campaign.processes.at_once`.
-    """
+    """The runs of the protocol on random FIR plants of length 10: 200 experiments of 50 samples, noise 0.1."""
     return [partial(_errors_on, plant) for plant in plants(count)]
 
 
 def head_to_head_rows(found: Sequence[Any]) -> list[dict[str, Any]]:
-    """Every way of the protocol.
-
-    Parameters
-    ----------
-    found : sequence
-        What the tasks returned.
-
-    Returns
-    -------
-    list of dict
-        The keys of HEAD_TO_HEAD, in the order of the medians.
-    """
+    """Every way of the protocol."""
     table = []
     for k, case in enumerate(CASES):
         values = np.array([errors[k] for errors, _ in found])
@@ -118,18 +83,7 @@ def _errors_on(plant: Plant) -> tuple[list[float], dict[str, Any]]:
 
 
 def head_to_head_sentence(rows: Sequence[dict[str, Any]]) -> str:
-    """What the head-to-head says.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-        Of `head_to_head_rows`.
-
-    Returns
-    -------
-    str
-        With the line that is not in print.
-    """
+    """What the head-to-head says."""
     by_name = {row["name"]: row for row in rows}
     say = lambda name: (
         f"{100 * by_name[name]['median']:.2g} % ({100 * by_name[name]['low']:.2g} to {100 * by_name[name]['high']:.2g})"

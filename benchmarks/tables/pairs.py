@@ -17,19 +17,7 @@ Solver = tuple[str, str]
 
 
 def holm(p_values: Sequence[float]) -> NDArray[np.float64]:
-    """P-values corrected for multiplicity by Holm's step-down rule.
-
-    Parameters
-    ----------
-    p_values : sequence of float
-        Of all comparisons; NaN where there was none.
-
-    Returns
-    -------
-    ndarray
-        Rejecting where it is at most alpha keeps the chance of any false rejection at most alpha, whatever the
-        dependence.
-    """
+    """P-values corrected for multiplicity by Holm's step-down rule."""
     p = np.asarray(p_values, dtype=float)
     corrected = np.full(p.shape, np.nan)
     known = np.flatnonzero(np.isfinite(p))
@@ -40,23 +28,10 @@ def holm(p_values: Sequence[float]) -> NDArray[np.float64]:
 
 
 def paired_rows(solvers: Mapping[Solver, Estimates], gamma: float, scale: float) -> list[Row]:
-    """Differences of squared errors between ways to the norm of one plant at one noise level, replicate by replicate.
+    """Differences of squared errors between ways to the norm of one plant at one noise level, replicate by
+    replicate.
 
-    Parameters
-    ----------
-    solvers : mapping
-        (input, estimator) to its estimates.
-    gamma : float
-        The norm.
-    scale : float
-        Energy over noise variance, so that squared errors are those of rho.
-
-    Returns
-    -------
-    list of dict
-        `question` ("input" with the estimator held, or "estimator" with the input held), the two with what each spent, the mean difference of
-        rho squared with `_se`, the share of replicates in which the first is closer, the number of pairs, and the
-        p-value of a paired t-test, to be corrected over the whole table.
+    Shapes: solvers (input, estimator).
     """
     rows = []
     for question, first, second in _questions(list(solvers)):

@@ -15,20 +15,7 @@ CRITERIA = ("c", "D", "A", "E")
 
 
 def optimal_loss(plant: Plant, criterion: str) -> float:
-    """Certified optimal loss of a plant at unit input power.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    criterion : str
-        One of c, D, A and E.
-
-    Returns
-    -------
-    float
-        The certified lower bound of the design; for c it is NaN where the peak is not unique.
-    """
+    """Certified optimal loss of a plant at unit input power."""
     from oed.design import solve_design
     from oed.plants.norms import peak
 
@@ -38,18 +25,7 @@ def optimal_loss(plant: Plant, criterion: str) -> float:
 
 
 def optimal_losses(plant: Plant) -> Any:
-    """Certified optimal losses of a plant for c, D, A and E at unit input power.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-
-    Returns
-    -------
-    oed.theory.efficiency.Losses
-        Of `optimal_loss`.
-    """
+    """Certified optimal losses of a plant for c, D, A and E at unit input power."""
     from oed.theory.efficiency import Losses
 
     return Losses(**{k: optimal_loss(plant, k) for k in CRITERIA})
@@ -67,22 +43,7 @@ def _efficiencies(plant: Plant, spectrum: Any) -> dict[str, float]:
 
 
 def siso_prediction(plant: Plant, *, experiments: int, samples: int | None) -> tuple[dict[str, Any], str]:
-    """Prediction for Algorithm 1 on a plant with one input and one output.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant with its noise.
-    experiments : int
-        Up to how many experiments together the efficiency is given.
-    samples : int, optional
-        Experiment length for the finite-sample predictions.
-
-    Returns
-    -------
-    tuple
-        The keys of `oed theory --json`, and the text.
-    """
+    """Prediction for Algorithm 1 on a plant with one input and one output."""
     from oed.theory.efficiency import peak_gain_efficiency_by_experiments
 
     limit = limit_spectrum(plant)
@@ -149,26 +110,7 @@ def _some(n: int) -> list[int]:
 def mimo_prediction(
     plant: Plant, algorithm: str, scaling: str, *, experiments: int, samples: int | None
 ) -> tuple[dict[str, Any], str]:
-    """Prediction for Procedure 2 or the two-experiment scheme.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant with its noise.
-    algorithm : {"mimo", "two-experiment"}
-        Which.
-    scaling : {"none", "each", "common"}
-        How the second-stage inputs are scaled.
-    experiments : int
-        Up to how many iterations the efficiency is given.
-    samples : int, optional
-        Experiment length for the finite-sample predictions.
-
-    Returns
-    -------
-    tuple
-        The keys of `oed theory --json`, and the text.
-    """
+    """Prediction for Procedure 2 or the two-experiment scheme."""
     from oed.theory.mimo import mimo_limit_spectrum
 
     limit = mimo_limit_spectrum(plant, scaling=scaling)

@@ -27,20 +27,7 @@ TOLERANCE = 0.05
 
 
 def wilson(solved: float, n: float, z: float = 1.96) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share.
-
-    Parameters
-    ----------
-    solved, n : float
-        Successes and trials.
-    z : float
-        Normal quantile.
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper end.
-    """
+    """Wilson's 95 % interval of a share."""
     if n <= 0:
         return float("nan"), float("nan")
     p = solved / n
@@ -60,20 +47,14 @@ def _errors(found: Estimates, gamma: float, replicates: int) -> NDArray[np.float
 
 @dataclass
 class Profiles:
-    """Counts that grow by one plant and noise level at a time, so that memory does not grow with the problems.
+    """Counts that grow by one plant and noise level at a time, so that memory does not grow with the
+    problems.
 
-    Attributes
-    ----------
-    solved : dict
-        Solver to the (33,) numbers of problems solved within each of RATIOS of the best.
-    problems : dict
-        Solver to the number of problems it met.
-    spent : dict
-        Solver to what it spent: sums of energy over the problems, largest of all else, and the channels met.
-    by_budget : dict
-        (input, estimator, channels, experiments) to [samples, sum of energies, peak amplitude, solved, problems].
-    least : int
-        Solvers with fewer replicates of a plant are left out there, and all others count up to the fewest of theirs.
+    `solved` solver to the (33,) numbers of problems solved within each of RATIOS of the best; `problems`
+    solver to the number of problems it met; `spent` solver to what it spent: sums of energy over the
+    problems, largest of all else, and the channels met; `by_budget` (input, estimator, channels, experiments)
+    to [samples, sum of energies, peak amplitude, solved, problems]; `least` solvers with fewer replicates of
+    a plant are left out there, and all others count up to the fewest of theirs.
     """
 
     solved: dict[Solver, NDArray[np.float64]] = field(default_factory=dict)
@@ -85,14 +66,7 @@ class Profiles:
     def add(self, solvers: Mapping[Solver, Estimates], gamma: float, channels: str) -> None:
         """Add the problems of one plant at one noise level.
 
-        Parameters
-        ----------
-        solvers : mapping
-            (input, estimator) to its estimates with the whole budget.
-        gamma : float
-            The norm.
-        channels : str
-            Outputs x inputs.
+        Shapes: solvers (input, estimator).
         """
         solvers = {solver: found for solver, found in solvers.items() if len(found) >= self.least}
         if not solvers:
@@ -121,19 +95,7 @@ class Profiles:
     def add_budget(
         self, key: tuple[str, str, str, int], found: Estimates, gamma: float, replicates: int
     ) -> None:
-        """Add the estimates of one solver after a part of the budget.
-
-        Parameters
-        ----------
-        key : tuple
-            Input, estimator, channels, and the experiments spent so far.
-        found : Estimates
-            Its estimates.
-        gamma : float
-            The norm.
-        replicates : int
-            Only the first so many.
-        """
+        """Add the estimates of one solver after a part of the budget."""
         replicates, spent = min(replicates, len(found)), found.spent
         row = self.by_budget.setdefault(key, [0.0] * 5)
         row[0] = max(row[0], spent["samples"])
@@ -143,13 +105,7 @@ class Profiles:
         row[4] += replicates
 
     def performance_rows(self) -> list[Row]:
-        """The performance profiles.
-
-        Returns
-        -------
-        list of dict
-            method, estimator, the budget of a run, ratio, share, low and high (pointwise 95 % band), n problems.
-        """
+        """The performance profiles."""
         rows = []
         for (method, estimator), counts in self.solved.items():
             n = self.problems[method, estimator]
@@ -164,14 +120,7 @@ class Profiles:
         return rows
 
     def data_rows(self) -> list[Row]:
-        """The data profiles.
-
-        Returns
-        -------
-        list of dict
-            method, estimator, channels, the budget so far, share with a relative error of at most TOLERANCE, low and
-            high (pointwise 95 % band), n problems.
-        """
+        """The data profiles."""
         rows = []
         for (method, estimator, channels, experiments), counted in sorted(self.by_budget.items()):
             samples, energy, amplitude, solved, n = counted

@@ -31,33 +31,7 @@ def row(
     holds: bool | None = None,
     kind: str = "two ways",
 ) -> dict[str, Any]:
-    """One published statement and what comes out here.
-
-    Parameters
-    ----------
-    name : str
-        Short name of the statement.
-    source : str
-        Where it was published: paper and equation, figure or theorem.
-    published : float, str or None
-        What was published or comes out of the other way; None for an illustration.
-    computed : float or str
-        What comes out here.
-    tolerance : float or None
-        Largest |computed - published| that counts as agreement.
-    why : str
-        Why the tolerance is what it is, and what was done.
-    holds : bool, optional
-        Whether it agrees; default by the tolerance. None with a reason in `why` where data are absent. Of an
-        illustration it is not said.
-    kind : str
-        One of `KINDS`; without `published` the row is an illustration.
-
-    Returns
-    -------
-    dict
-        The row.
-    """
+    """One published statement and what comes out here."""
     kind = "illustration" if published is None else kind
     check_names([kind], tuple(KINDS), "kind of row")
     if kind == "illustration":
@@ -75,31 +49,12 @@ def _modules() -> dict[str, str]:
 
 
 def row_names() -> tuple[str, ...]:
-    """Names of what can be reproduced.
-
-    Returns
-    -------
-    tuple of str
-        One per file of `benchmarks.reproductions`.
-    """
+    """Names of what can be reproduced."""
     return tuple(_modules())
 
 
 def rows_of(name: str | None = None, progress: Callable[[str], None] | None = None) -> list[dict[str, Any]]:
-    """Reproduce one published item, or all.
-
-    Parameters
-    ----------
-    name : str, optional
-        One of `row_names`.
-    progress : callable, optional
-        Told the name of each item as it begins.
-
-    Returns
-    -------
-    list of dict
-        Rows with the keys of `KEYS`.
-    """
+    """Reproduce one published item, or all."""
     modules = _modules()
     if name is not None:
         check_names([name], tuple(modules), "reproduction")

@@ -30,15 +30,7 @@ Row = dict[str, Any]
 def mean_with_error(values: NDArray[np.float64]) -> tuple[float, float]:
     """Mean and its standard error.
 
-    Parameters
-    ----------
-    values : ndarray
-        (R,) independent values.
-
-    Returns
-    -------
-    tuple of float
-        NaN where there are too few.
+    Shapes: values (R,).
     """
     if len(values) < 2:
         return (float(values[0]) if len(values) else float("nan")), float("nan")
@@ -46,17 +38,7 @@ def mean_with_error(values: NDArray[np.float64]) -> tuple[float, float]:
 
 
 class Target:
-    """What the estimates of one plant at one noise level are compared with.
-
-    Parameters
-    ----------
-    spec : str
-        Plant, as on the command line.
-    noise_variance : float
-        Level.
-    at_unit_noise : Losses
-        The certified optima of the plant as it is loaded.
-    """
+    """What the estimates of one plant at one noise level are compared with."""
 
     def __init__(self, spec: str, noise_variance: float, at_unit_noise: Losses) -> None:
         self.plant: Plant = load_plant(spec, noise_variance)
@@ -75,36 +57,13 @@ class Target:
     def efficiencies(self, information: NDArray[np.float64], energy: float) -> dict[str, float]:
         """Efficiencies of a total information against the certified optima at the same energy.
 
-        Parameters
-        ----------
-        information : ndarray
-            (n, n) of all experiments.
-        energy : float
-            Of their inputs.
-
-        Returns
-        -------
-        dict
-            c_efficiency, d_efficiency, a_efficiency, e_efficiency.
+        Shapes: information (n, n).
         """
         share = losses(information / energy, self.c).efficiency(self.optimum)
         return {f"{k.lower()}_efficiency": float(getattr(share, k)) for k in CRITERIA}
 
     def predicted_rho(self, information: NDArray[np.float64], energy: float) -> float:
-        """Rho of an efficient estimator on these inputs: sqrt(c' I^-1 c energy / lambda_e).
-
-        Parameters
-        ----------
-        information : ndarray
-            (n, n) of all experiments.
-        energy : float
-            Of their inputs.
-
-        Returns
-        -------
-        float
-            At least 1 up to the finite length.
-        """
+        """Rho of an efficient estimator on these inputs: sqrt(c' I^-1 c energy / lambda_e)."""
         return float(np.sqrt(losses(information, self.c).c * energy / self.plant.noise_variance))
 
 
@@ -120,17 +79,7 @@ Targets = Mapping[tuple[str, float], Target]
 def targets(keys: Iterable[tuple[str, float]], jobs: int = 1) -> dict[tuple[str, float], Target]:
     """Targets of plants at noise levels.
 
-    Parameters
-    ----------
-    keys : iterable of tuple
-        Plant and noise variance.
-    jobs : int
-        Processes for the optima.
-
-    Returns
-    -------
-    dict
-        (plant, noise variance) to Target.
+    Shapes: returns (plant, noise variance).
     """
     keys = list(dict.fromkeys(keys))
     specs = list(dict.fromkeys(spec for spec, _ in keys))
@@ -154,21 +103,7 @@ def _budget(target: Target, samples: float, experiments: float, energy: float, a
 
 
 def information_rows(runs: Runs, target: Target) -> list[Row]:
-    """What an input carries: efficiencies after every checkpoint, with jackknife standard errors.
-
-    Parameters
-    ----------
-    runs : Runs
-        One combination.
-    target : Target
-        Of its plant.
-
-    Returns
-    -------
-    list of dict
-        plant, noise_variance, method, the budget, the four efficiencies each with _se, and rho_predicted, the rho of an
-        efficient estimator.
-    """
+    """What an input carries: efficiencies after every checkpoint, with jackknife standard errors."""
     n = len(target.plant.free)
     marks: dict[int, list[Row]] = {}
     for row in runs.information:
@@ -208,23 +143,7 @@ def _jackknife(values: NDArray[np.float64]) -> float:
 
 
 def comparison_rows(runs: Runs, information: Sequence[Row], target: Target) -> list[Row]:
-    """Rows of the comparison table: bias, RMSE and rho of an input with every estimator.
-
-    Parameters
-    ----------
-    runs : Runs
-        One combination.
-    information : sequence of dict
-        Of `information_rows`, of the same combination.
-    target : Target
-        Of its plant.
-
-    Returns
-    -------
-    list of dict
-        One row per estimator. Failed runs are counted in `n_failed`, named in `failures`, and left out of the averages,
-        which are then averages over the runs that gave a number.
-    """
+    """Rows of the comparison table: bias, RMSE and rho of an input with every estimator."""
     carried = {row["experiments"]: row for row in information}
     table = []
     for estimator, found in runs.final.items():

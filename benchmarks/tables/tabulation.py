@@ -26,18 +26,9 @@ LEAST = 30
 class Tables:
     """All tables of a comparison.
 
-    Attributes
-    ----------
-    rows : list of dict
-        The comparison: one row per plant, noise variance, input and estimator.
-    information : list of dict
-        What the inputs carry, by number of experiments.
-    pairs : list of dict
-        Paired differences, with p-values corrected over the whole table.
-    performance, data : list of dict
-        Profiles.
-    known : dict
-        (plant, noise variance) to Target.
+    `rows` the comparison: one row per plant, noise variance, input and estimator; `information` what the
+    inputs carry, by number of experiments; `pairs` paired differences, with p-values corrected over the whole
+    table; `performance, data` profiles; `known` (plant, noise variance) to Target.
     """
 
     rows: list[Row]
@@ -49,22 +40,7 @@ class Tables:
 
 
 def tabulate(runs: Iterable[Runs], settings: Settings, jobs: int = 1) -> Tables:
-    """Tables of a campaign.
-
-    Parameters
-    ----------
-    runs : iterable of Runs
-        The combinations, those of one plant and noise level together.
-    settings : Settings
-        The campaign.
-    jobs : int
-        Processes for the certified optima.
-
-    Returns
-    -------
-    Tables
-        With every figure's standard error.
-    """
+    """Tables of a campaign."""
     known = targets([(p, v) for p in settings.plants for v in settings.noise_variances], jobs)
     rows: list[Row] = []
     information: list[Row] = []

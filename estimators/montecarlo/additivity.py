@@ -42,24 +42,13 @@ EMPTY = 1e-10
 class Additivity:
     """Outcome of a check; true where the information is additive.
 
-    Attributes
-    ----------
-    holds : bool
-        Whether no statistic is beyond its threshold.
-    discrepancy : float
-        Largest relative entry of the difference for the exact check; the smallest p-value for the Monte-Carlo check.
-    threshold : float
-        What it is held against.
-    measured, summed : ndarray
-        (n, n) the two sides of the equation.
-    standard_error : ndarray
-        (n, n) of `measured - summed`; zero for the exact check.
-    message : str
-        The sentence a user reads.
-    resolution : float
-        Relative error of the information in a single direction that would have been found with a probability of 90 %.
-    p_values : dict of str to float
-        What was tested of the joint law, and how likely a discrepancy at least as large is where it holds.
+    `holds` whether no statistic is beyond its threshold; `discrepancy` largest relative entry of the
+    difference for the exact check; the smallest p-value for the Monte-Carlo check; `threshold` what it is
+    held against; `measured, summed` (n, n) the two sides of the equation; `standard_error` (n, n) of
+    `measured - summed`; zero for the exact check; `message` the sentence a user reads; `resolution` relative
+    error of the information in a single direction that would have been found with a probability of 90 %;
+    `p_values` what was tested of the joint law, and how likely a discrepancy at least as large is where it
+    holds.
     """
 
     holds: bool
@@ -317,17 +306,7 @@ def _uncorrelated(value: float, R: int, pairs: float, sharing: float, fourth: fl
 def score_of(plant: Plant, u: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Score of one experiment from rest: gradient of its log-likelihood at the plant's parameters.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    u, y : ndarray
-        (N, nu) and (N, ny).
-
-    Returns
-    -------
-    ndarray
-        (n,), sum over samples of psi_t Lambda^-1 e_t.
+    Shapes: u, y (N, nu), returns (n,).
     """
     e = decoloured(plant, y - plant.simulate(u))
     weighted = np.linalg.solve(plant.noise_covariance, e.T).T

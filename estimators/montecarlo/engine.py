@@ -34,18 +34,9 @@ __all__ = ["Batch", "Campaign", "batches", "counter_start", "monte_carlo"]
 class Batch:
     """A few runs.
 
-    Attributes
-    ----------
-    first : int
-        Number of the first replicate.
-    gain_squares : ndarray
-        (R, M) squares of [S] (7) or [M] (12); the first of [S] (7) is NaN.
-    mu_squares : ndarray
-        (R, M) squares of mu.
-    rayleigh : ndarray
-        (R, M) [S] (4); NaN for Procedure 2.
-    energy : ndarray
-        (R, M) input energy of each iteration.
+    `first` number of the first replicate; `gain_squares` (R, M) squares of [S] (7) or [M] (12); the first of
+    [S] (7) is NaN; `mu_squares` (R, M) squares of mu; `rayleigh` (R, M) [S] (4); NaN for Procedure 2;
+    `energy` (R, M) input energy of each iteration.
     """
 
     first: int
@@ -59,22 +50,11 @@ class Batch:
 class Campaign:
     """Means and standard deviations over the runs, per iteration.
 
-    Attributes
-    ----------
-    replicates : int
-        Number of runs.
-    mean, deviation : dict
-        By estimator (gain, mu, rayleigh, gain_square, mu_square): (M,) over the runs that have a value.
-    negative : ndarray
-        (M,) how many runs had a negative square of the gain (and so no value).
-    energy : ndarray
-        (M,) mean input energy of each iteration.
-    gain_first : ndarray
-        (M,) gains of the first run, NaN where it has none.
-    samples : int
-        Length of every experiment.
-    plant : Plant or None
-        What was simulated (None for a callable).
+    `replicates` number of runs; `mean, deviation` by estimator (gain, mu, rayleigh, gain_square, mu_square):
+    (M,) over the runs that have a value; `negative` (M,) how many runs had a negative square of the gain (and
+    so no value); `energy` (M,) mean input energy of each iteration; `gain_first` (M,) gains of the first run,
+    NaN where it has none; `samples` length of every experiment; `plant` what was simulated (None for a
+    callable).
     """
 
     replicates: int
@@ -101,15 +81,7 @@ class Campaign:
     def error(self, name: str) -> NDArray[np.float64]:
         """Monte-Carlo standard error of the mean of an estimator.
 
-        Parameters
-        ----------
-        name : str
-            Key of `mean`.
-
-        Returns
-        -------
-        ndarray
-            (M,).
+        Shapes: returns (M,).
         """
         lost = self.negative if name == "gain" else 0
         return self.deviation[name] / np.sqrt(np.maximum(self.replicates - lost, 1))
@@ -128,21 +100,7 @@ def counter_start(
 ) -> NDArray[np.float64]:
     """White start from the counter-based noise, scaled to the limits.
 
-    Parameters
-    ----------
-    plant : Plant
-        Its name and number of inputs matter.
-    samples : int
-        Length N.
-    seed, replicate : int
-        Coordinates.
-    limits : Limits, optional
-        Default: total power 1.
-
-    Returns
-    -------
-    ndarray
-        (N, nu).
+    Shapes: returns (N, nu).
     """
     key = noise_key(seed, plant.name)
     return scaled(standard_noise(key, replicate, START, samples, plant.n_inputs), limits or Limits())
@@ -160,31 +118,7 @@ def batches(
     scaling: str = "none",
     threads: int = 1,
 ) -> Iterator[Batch]:
-    """Run the iterations many times, a few runs at a time.
-
-    Parameters
-    ----------
-    system : Plant or callable
-        A plant (compiled), or a function from the number of a replicate to a fresh Experiment (plain loop,
-        start from numpy's generator seeded by seed and replicate).
-    algorithm : {"siso", "two-experiment", "mimo"}
-        As in `estimators.rules.by_name`.
-    samples, iterations, replicates : int
-        Size.
-    seed : int
-        Seed of noise and starts.
-    first : int
-        Number of the first replicate, so that campaigns can be split and extended.
-    scaling : {"none", "each", "common"}
-        Scaling of second-stage inputs.
-    threads : int
-        Worker threads; the result does not depend on it.
-
-    Yields
-    ------
-    Batch
-        In the order of the replicates.
-    """
+    """Run the iterations many times, a few runs at a time."""
     check_names([scaling], SCALINGS, "scaling")
     for name, value, least in (
         ("samples", samples, 2),
@@ -274,24 +208,7 @@ def plain_batch(
     scaling: str = "none",
     start: Any = None,
 ) -> Batch:
-    """One run by the plain loop: the slow path, and the twin of the kernels.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The system.
-    algorithm, scaling : str
-        As in `batches`.
-    samples, iterations, seed, replicate : int
-        Size and coordinates.
-    start : array_like, optional
-        First input.
-
-    Returns
-    -------
-    Batch
-        Of one run.
-    """
+    """One run by the plain loop: the slow path, and the twin of the kernels."""
     from estimators.norm.gains import gain, mu, rayleigh
 
     rule: Any
@@ -319,22 +236,7 @@ def twin_batch(
     replicate: int,
     scaling: str = "none",
 ) -> Batch:
-    """The run of the compiled engine, by the plain loop.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    algorithm, scaling : str
-        As in `batches`.
-    samples, iterations, seed, replicate : int
-        Size and coordinates.
-
-    Returns
-    -------
-    Batch
-        Of one run.
-    """
+    """The run of the compiled engine, by the plain loop."""
     return plain_batch(
         simulated(plant, seed=seed, replicate=replicate),
         algorithm,
@@ -358,26 +260,7 @@ def monte_carlo(
     scaling: str = "none",
     threads: int = 1,
 ) -> Campaign:
-    """Mean and spread of the iterations' estimates over many runs.
-
-    Parameters
-    ----------
-    system : Plant or callable
-        As in `batches`.
-    samples, iterations, replicates, seed : int
-        Size and seed.
-    algorithm : {"siso", "two-experiment", "mimo"}
-        Which iterations.
-    scaling : {"none", "each", "common"}
-        Scaling of second-stage inputs.
-    threads : int
-        Worker threads; the result does not depend on it.
-
-    Returns
-    -------
-    Campaign
-        Means, standard deviations and counts per iteration.
-    """
+    """Mean and spread of the iterations' estimates over many runs."""
     sums: dict[str, list[NDArray]] = {}
     negative, energy = np.zeros(iterations), np.zeros(iterations)
     gain_first = np.full(iterations, np.nan)

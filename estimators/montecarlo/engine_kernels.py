@@ -102,14 +102,7 @@ def _normals(w, e):
 def normal_block(k0, k1, samples, output, experiment, replicate, x):
     """Standard normals of one output of one experiment into x, for B replicates.
 
-    Parameters
-    ----------
-    k0, k1 : uint64
-        The key.
-    samples, output, experiment, replicate : int
-        Length and coordinates; the first of the B replicates.
-    x : ndarray
-        (samples * B,), written.
+    Shapes: x (samples * B,).
     """
     w, e = np.empty((4, B), np.int32), np.empty((4, B), np.float32)
     for block in range((samples + 3) // 4):
@@ -241,20 +234,7 @@ def power_block(
 ):
     """Algorithm 1 for B replicates.
 
-    Parameters
-    ----------
-    samples, iterations : int
-        Size.
-    num, den, noise_num, noise_den : ndarray
-        Coefficients of G and H, num and den of one length each.
-    weights : ndarray
-        (1,) standard deviation of the noise.
-    k0, k1, start, replicate : int
-        Key, number of the experiment that gives the start, first replicate.
-    gain, mu, rayleigh : ndarray
-        (B, iterations), written: squares of [S] (7) and of mu, and [S] (4).
-    signals : ndarray
-        (2, samples * B), overwritten: room for two signals.
+    Shapes: weights (1,), gain, mu, rayleigh (B, iterations), signals (2, samples * B).
     """
     U, V, X = signals[0], signals[1], np.empty(samples * B)
     V[:] = 0.0
@@ -318,22 +298,7 @@ def procedure_block(
 ):
     """Procedure 2 for B replicates; the two-experiment scheme where there is one channel.
 
-    Parameters
-    ----------
-    samples, iterations : int
-        Size.
-    num, den : ndarray
-        (p, q, n + 1) coefficients.
-    noise_num, noise_den : ndarray
-        Coefficients of H.
-    weights : ndarray
-        (p, p) square root of the noise covariance.
-    k0, k1, start, replicate : int
-        Key, number of the experiment that gives the start, first replicate.
-    scaling : int
-        0 none, 1 each, 2 common.
-    gain, mu, energy : ndarray
-        (B, iterations), written: squares of [M] (12) and of mu, input energy of all 1 + pq experiments.
+    Shapes: num, den (p, q, n + 1), weights (p, p), gain, mu, energy (B, iterations).
     """
     p, q = num.shape[:2]
     size = samples * B

@@ -11,21 +11,10 @@ __all__ = ["noise_of_replicates"]
 def noise_of_replicates(
     key: tuple[int, int], first: int, experiments: int, samples: int, n_outputs: int = 1
 ) -> NDArray[np.float64]:
-    """Standard normal noise of B successive replicates, bit by bit that of `oed.signals.noise.noise_series`, compiled.
+    """Standard normal noise of B successive replicates, bit by bit that of `oed.signals.noise.noise_series`,
+    compiled.
 
-    Parameters
-    ----------
-    key : tuple of int
-        From `oed.signals.noise.noise_key`.
-    first : int
-        First replicate.
-    experiments, samples, n_outputs : int
-        Number of experiments from 0 on, length, channels.
-
-    Returns
-    -------
-    ndarray
-        (B, experiments, samples, n_outputs).
+    Shapes: returns (B, experiments, samples, n_outputs).
     """
     from estimators.montecarlo.engine_kernels import B, normal_block
 

@@ -34,18 +34,9 @@ CANDIDATES = (2, 3, 5, 8, 12, 18, 27, 40, 60, 90)
 class FirModel:
     """An estimated impulse response.
 
-    Attributes
-    ----------
-    taps : ndarray
-        (n, ny, nu).
-    covariance : ndarray
-        (n nu, n nu) covariance of one output's taps per unit of noise variance, tap-major.
-    noise : ndarray
-        (ny,) estimated noise variances.
-    loss : float
-        Sum over outputs of log residual variance.
-    samples : int
-        Samples used.
+    `taps` (n, ny, nu); `covariance` (n nu, n nu) covariance of one output's taps per unit of noise variance,
+    tap-major; `noise` (ny,) estimated noise variances; `loss` sum over outputs of log residual variance;
+    `samples` samples used.
     """
 
     taps: NDArray[np.float64]
@@ -116,27 +107,7 @@ def _excited(R: NDArray, factor: NDArray | None = None) -> bool:
 
 
 def plug_in(data: Trace | Sequence[Record], taps: int | None = None, *, kernel: str = "none") -> FirModel:
-    """Impulse response of given length from all records together.
-
-    Parameters
-    ----------
-    data : Trace or sequence of Record
-        Experiments from rest.
-    taps : int, optional
-        Number of taps n, g_0 included; by default chosen as by `select_taps`.
-    kernel : {"none", "tc"}
-        Least squares, or regularised by the TC kernel.
-
-    Returns
-    -------
-    FirModel
-        The taps with their covariance (with a kernel: the posterior's).
-
-    Raises
-    ------
-    InputError
-        If there are fewer samples than taps, or the input does not excite all of them.
-    """
+    """Impulse response of given length from all records together."""
     check_names([kernel], ("none", "tc"), "kernel")
     records = _records(data)
     if taps is None:
@@ -194,20 +165,7 @@ def _tc(R: NDArray, f: NDArray, noise: float, taps: int, nu: int) -> NDArray:
 
 
 def select_taps(data: Trace | Sequence[Record], candidates: Sequence[int] = CANDIDATES) -> int:
-    """Number of taps with the smallest Bayesian information criterion.
-
-    Parameters
-    ----------
-    data : Trace or sequence of Record
-        Experiments from rest.
-    candidates : sequence of int
-        Numbers of taps to choose from; those that the data cannot determine are left out.
-
-    Returns
-    -------
-    int
-        The choice.
-    """
+    """Number of taps with the smallest Bayesian information criterion."""
     return _selected(_records(data), candidates)[0]
 
 
@@ -238,21 +196,7 @@ def _selected(
 
 
 def peak_of_fir(model: FirModel, points: int = 4096) -> PeakEstimate:
-    """Largest gain of an impulse response, with the delta method's standard error.
-
-    Parameters
-    ----------
-    model : FirModel
-        The estimate.
-    points : int
-        Lines of the grid on which the peak is first sought.
-
-    Returns
-    -------
-    PeakEstimate
-        The plug-in estimate of the norm. The maximum over frequencies is biased up where the noise at other
-        frequencies reaches the peak.
-    """
+    """Largest gain of an impulse response, with the delta method's standard error."""
     n, ny, _ = model.taps.shape
     k = np.arange(n)
     response = lambda w: np.tensordot(np.exp(-1j * np.multiply.outer(w, k)), model.taps, 1)

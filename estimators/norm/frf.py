@@ -26,16 +26,8 @@ __all__ = ["FrequencyResponse", "frequency_response", "lpm", "peak_of_response"]
 class FrequencyResponse:
     """A nonparametric frequency response.
 
-    Attributes
-    ----------
-    omega : ndarray
-        (K,) rad/sample.
-    response : ndarray
-        (K, ny, nu) complex.
-    deviation : ndarray
-        (K,) standard deviation of the largest singular value.
-    noise_variance : float
-        Per output.
+    `omega` (K,) rad/sample; `response` (K, ny, nu) complex; `deviation` (K,) standard deviation of the
+    largest singular value; `noise_variance` per output.
     """
 
     omega: NDArray[np.float64]
@@ -45,24 +37,7 @@ class FrequencyResponse:
 
 
 def frequency_response(trace: Trace) -> FrequencyResponse:
-    """Averaged ratio of cross- to input spectra on the DFT lines (the ETFE for one experiment and input).
-
-    Parameters
-    ----------
-    trace : Trace
-        At least as many experiments as inputs, of one length.
-
-    Returns
-    -------
-    FrequencyResponse
-        Lines that the inputs do not excite are left out. The transients of experiments from rest are not
-        removed: an error of order 1 / sqrt(N) (use `lpm`).
-
-    Raises
-    ------
-    InputError
-        If there are too few experiments, or records of several lengths.
-    """
+    """Averaged ratio of cross- to input spectra on the DFT lines (the ETFE for one experiment and input)."""
     lengths = {len(r) for r in trace.records}
     first = trace.records[0]
     nu, ny, M = first.n_inputs, first.n_outputs, len(trace)
@@ -90,18 +65,7 @@ def frequency_response(trace: Trace) -> FrequencyResponse:
 
 
 def peak_of_response(found: FrequencyResponse) -> PeakEstimate:
-    """Largest singular value over the lines, refined by a parabola through three of them.
-
-    Parameters
-    ----------
-    found : FrequencyResponse
-        On neighbouring lines.
-
-    Returns
-    -------
-    PeakEstimate
-        Biased up by the maximum over many noisy lines.
-    """
+    """Largest singular value over the lines, refined by a parabola through three of them."""
     square = largest_gain(found.response) ** 2
     k = int(np.argmax(square))
     value, omega, bend = float(square[k]), float(found.omega[k]), float("nan")
@@ -123,23 +87,6 @@ def peak_of_response(found: FrequencyResponse) -> PeakEstimate:
 def lpm(trace: Trace, *, lines: int = 6, order: int = 2) -> PeakEstimate:
     """Peak by the local polynomial method: G and the transients polynomial over 2 lines + 1 neighbours.
 
-    Parameters
-    ----------
-    trace : Trace
-        Experiments of one length, at least as many as inputs.
-    lines : int
-        Neighbours on each side.
-    order : int
-        Order of both polynomials.
-
-    Returns
-    -------
-    PeakEstimate
-        The most certain of the largest local peaks, over bands where the plain frequency response comes near
-        its largest value.
-
-    Notes
-    -----
     R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2012, ch. 7.
     """
     plain = frequency_response(trace)

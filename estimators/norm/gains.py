@@ -28,16 +28,8 @@ __all__ = ["Gains", "gain", "mu", "rayleigh", "transposed_output"]
 class Gains:
     """One estimate of the peak gain per iteration.
 
-    Attributes
-    ----------
-    name : str
-        Name of the estimator.
-    values : ndarray
-        (M,) estimates; NaN where the status is not ok.
-    statuses : tuple of Status
-        One per iteration.
-    squares : ndarray
-        (M,) the squared estimates before the root, where there is one: may be negative.
+    `name` name of the estimator; `values` (M,) estimates; NaN where the status is not ok; `statuses` one per
+    iteration; `squares` (M,) the squared estimates before the root, where there is one: may be negative.
     """
 
     name: str
@@ -59,18 +51,7 @@ class Gains:
         return self.statuses[-1]
 
     def mean(self, discard: float = 0.5) -> float:
-        """Root of the mean of the squared estimates over the last iterations.
-
-        Parameters
-        ----------
-        discard : float
-            Share of the iterations left out at the beginning.
-
-        Returns
-        -------
-        float
-            NaN if that mean is negative or nothing is left.
-        """
+        """Root of the mean of the squared estimates over the last iterations."""
         rest = self.squares[int(len(self) * discard) :]
         rest = rest[np.isfinite(rest)]
         average = float(rest.mean()) if rest.size else np.nan
@@ -85,17 +66,7 @@ class Gains:
 def from_squares(name: str, squares: NDArray[np.float64]) -> Gains:
     """Gains that are roots: NaN with a status where the square is negative or undefined.
 
-    Parameters
-    ----------
-    name : str
-        Name of the estimator.
-    squares : ndarray
-        (M,).
-
-    Returns
-    -------
-    Gains
-        The roots.
+    Shapes: squares (M,).
     """
     squares = np.asarray(squares, dtype=float)
     statuses = tuple(
@@ -107,18 +78,7 @@ def from_squares(name: str, squares: NDArray[np.float64]) -> Gains:
 
 
 def rayleigh(trace: Trace) -> Gains:
-    """Rayleigh quotient of T G, [S] (4) and [M] (6); signed, and unreliable by nature (see the module).
-
-    Parameters
-    ----------
-    trace : Trace
-        Of power iterations.
-
-    Returns
-    -------
-    Gains
-        One value per iteration.
-    """
+    """Rayleigh quotient of T G, [S] (4) and [M] (6); signed, and unreliable by nature (see the module)."""
     _need(trace, "rayleigh", "power", "unreversed")
     reverse = -1 if trace.kinds[0] == "power" else 1
     values = np.array([_inner(r.u, r.y[::reverse]) / _inner(r.u, r.u) for r in trace.records])
@@ -127,20 +87,7 @@ def rayleigh(trace: Trace) -> Gains:
 
 
 def gain(trace: Trace) -> Gains:
-    """Gain over two steps, [S] (7), or over one iteration of Procedure 2, [M] (12).
-
-    Parameters
-    ----------
-    trace : Trace
-        Of power iterations, of the two-experiment scheme or of Procedure 2.
-
-    Returns
-    -------
-    Gains
-        One value per iteration; NaN with NEGATIVE_SQUARE where noise makes the square negative. The first
-        of [S] (7) has no experiment before it and is NaN with NOT_FINITE, as is an iteration of
-        Procedure 2 that was cut short.
-    """
+    """Gain over two steps, [S] (7), or over one iteration of Procedure 2, [M] (12)."""
     _need(trace, "gain", "power", "forward")
     if trace.kinds[0] == "power":
         squares = [np.nan]
@@ -156,18 +103,7 @@ def gain(trace: Trace) -> Gains:
 
 
 def mu(trace: Trace) -> Gains:
-    """Norm of the output over that of the input; for Procedure 2 the root of ||w|| / ||u||.
-
-    Parameters
-    ----------
-    trace : Trace
-        Of any method.
-
-    Returns
-    -------
-    Gains
-        One value per iteration. Biased up by noise, to the limit's sqrt(gamma^2 + delta).
-    """
+    """Norm of the output over that of the input; for Procedure 2 the root of ||w|| / ||u||."""
     if trace.kinds[0] != "forward":
         squares = [np.square(_norm(r.y) / _norm(r.u)) if r.u.any() else np.nan for r in trace.records]
     else:
@@ -181,17 +117,7 @@ def mu(trace: Trace) -> Gains:
 def transposed_output(trace: Trace, part: slice) -> NDArray[np.float64]:
     """w = T z of one iteration of Procedure 2: G' G u from 1 + pq experiments.
 
-    Parameters
-    ----------
-    trace : Trace
-        Of Procedure 2.
-    part : slice
-        Which records, from `trace.iterations`.
-
-    Returns
-    -------
-    ndarray
-        (N, nu); NaN if the iteration was cut short.
+    Shapes: returns (N, nu).
     """
     records: tuple[Record, ...] = trace.records[part]
     kinds = trace.kinds[part]

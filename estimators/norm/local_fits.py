@@ -36,12 +36,7 @@ SETTLED = 1e-5
 class Spectra:
     """Discrete Fourier transforms of all records of a trace, over sqrt(N).
 
-    Attributes
-    ----------
-    U, Y : ndarray
-        (N // 2 + 1, M, nu) and (N // 2 + 1, M, ny).
-    samples : int
-        N.
+    `U, Y` (N // 2 + 1, M, nu) and (N // 2 + 1, M, ny); `samples` N.
     """
 
     U: NDArray
@@ -50,18 +45,7 @@ class Spectra:
 
     @staticmethod
     def of(trace: Any) -> Spectra:
-        """Spectra of records of one length.
-
-        Parameters
-        ----------
-        trace : Trace
-            Its M records.
-
-        Returns
-        -------
-        Spectra
-            Of all of them.
-        """
+        """Spectra of records of one length."""
         N = len(trace.records[0])
         sides = ([r.u for r in trace.records], [r.y for r in trace.records])
         U, Y = (np.fft.rfft(np.stack(side), axis=1).transpose(1, 0, 2) / np.sqrt(N) for side in sides)
@@ -72,22 +56,13 @@ class Spectra:
 class Band:
     """DFT lines around a centre.
 
-    A band that reaches over 0 or pi holds some lines and their conjugates: the model then has the symmetry of a
-    real system, and the information counts those lines twice (`repeats`).
+    A band that reaches over 0 or pi holds some lines and their conjugates: the model then has the symmetry of
+    a real system, and the information counts those lines twice (`repeats`).
 
-    Attributes
-    ----------
-    U, Y : ndarray
-        (nu, K, R) and (ny, K, R): the channels' lines in the M experiments, or, where M is larger than R = K (nu + ny),
-        in R rotated ones with the same sums of products.
-    experiments : int
-        M.
-    x : ndarray
-        (K,) distances from the centre in [-1, 1].
-    centre, half : int
-        The DFT line in the middle, and how many there are on either side.
-    repeats : float
-        How often a line and its conjugate are in the band.
+    `U, Y` (nu, K, R) and (ny, K, R): the channels' lines in the M experiments, or, where M is larger than R =
+    K (nu + ny), in R rotated ones with the same sums of products; `experiments` M; `x` (K,) distances from
+    the centre in [-1, 1]; `centre, half` the DFT line in the middle, and how many there are on either side;
+    `repeats` how often a line and its conjugate are in the band.
     """
 
     U: NDArray
@@ -100,20 +75,7 @@ class Band:
 
     @staticmethod
     def of(spectra: Spectra, centre: int, half: int) -> Band:
-        """The lines centre - half to centre + half, periodic.
-
-        Parameters
-        ----------
-        spectra : Spectra
-            Of all records.
-        centre, half : int
-            As in the attributes.
-
-        Returns
-        -------
-        Band
-            Of those lines.
-        """
+        """The lines centre - half to centre + half, periodic."""
         N = spectra.samples
         k = np.arange(centre - half, centre + half + 1)
         place = np.where(k % N <= N // 2, k % N, N - k % N)
@@ -143,16 +105,8 @@ class Band:
 class LocalFit:
     """Coefficients of a local model and what is known of them.
 
-    Attributes
-    ----------
-    theta : ndarray
-        (n,) complex: B of every entry, output by output, then A without its leading 1.
-    information : ndarray
-        (n, n) inverse of the covariance of theta.
-    noise : ndarray
-        (ny,) variance of the noise.
-    criterion : float
-        Akaike's.
+    `theta` (n,) complex: B of every entry, output by output, then A without its leading 1; `information` (n,
+    n) inverse of the covariance of theta; `noise` (ny,) variance of the noise; `criterion` akaike's.
     """
 
     theta: NDArray
@@ -164,21 +118,7 @@ class LocalFit:
 def response(theta: NDArray, x: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
     """G = B / A of the coefficients at some distances.
 
-    Parameters
-    ----------
-    theta : ndarray
-        Coefficients as in `LocalFit`.
-    x : ndarray
-        (K,) distances from the centre.
-    nu, ny : int
-        Channels.
-    orders : tuple of int
-        Orders of the numerators, the denominator and the transients.
-
-    Returns
-    -------
-    ndarray
-        (K, ny, nu).
+    Shapes: x (K,), returns (K, ny, nu).
     """
     found = np.empty((len(x), ny, nu), complex)
     responses(theta, x, orders, found)
@@ -192,20 +132,7 @@ def _powers(half: int, most: int) -> NDArray[np.float64]:
 
 
 def fit_band(band: Band, orders: tuple[int, int, int]) -> LocalFit | None:
-    """Maximum likelihood of the local model by refined instruments.
-
-    Parameters
-    ----------
-    band : Band
-        The lines.
-    orders : tuple of int
-        Orders in x of the numerators, of the common denominator and of the transients' numerators.
-
-    Returns
-    -------
-    LocalFit or None
-        None where the equations are singular.
-    """
+    """Maximum likelihood of the local model by refined instruments."""
     nb, na, nt = orders
     U, Y = band.U, band.Y
     nu, ny, K, M = band.n_inputs, band.n_outputs, len(band.x), band.experiments

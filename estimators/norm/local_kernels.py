@@ -28,15 +28,7 @@ def _planes(S):
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, cache=True)
 def _line_products(s, z, found):
-    """Sums over the experiments of conj(s) z.
-
-    Parameters
-    ----------
-    s, z : ndarray
-        (K, 2, R) lines of two channels.
-    found : ndarray
-        (K,) complex, written.
-    """
+    """Sums over the experiments of conj(s) z."""
     for k in range(s.shape[0]):
         real = imag = 0.0
         for m in range(s.shape[2]):
@@ -47,16 +39,10 @@ def _line_products(s, z, found):
 
 @njit(error_model="numpy", cache=True)
 def _transients(A, powers, weights, inverse):
-    """What the transients x^j / A need, by elimination in their Gram matrix, which is small and positive definite.
+    """What the transients x^j / A need, by elimination in their Gram matrix, which is small and positive
+    definite.
 
-    Parameters
-    ----------
-    A : ndarray
-        (K,) complex denominator on the lines.
-    powers : ndarray
-        (D, K) powers of the distances x.
-    weights, inverse : ndarray
-        (K,) 1 / |A|^2 and (nt + 1, nt + 1) the inverse of the Gram matrix, written.
+    Shapes: A (K,), powers (D, K), weights, inverse (K,).
     """
     t = inverse.shape[0]
     gram = np.zeros((t, t))
@@ -137,22 +123,8 @@ def _normal_equations(
 ):
     """The equations of one refinement.
 
-    Parameters
-    ----------
-    U, Y, model : ndarray
-        (nu, K, 2, R), (ny, K, 2, R) and (ny, K, 2, R) lines; the model's outputs are the instruments.
-    of_inputs : ndarray
-        (nu, nu + ny, K) line products of the inputs with all channels.
-    weights, powers : ndarray
-        (K,) 1 / |A|^2 and (D, K) powers of the distances x.
-    inverse : ndarray
-        (nt + 1, nt + 1) inverse of the transients' Gram matrix.
-    scale : ndarray
-        (ny,) inverse variances of the noise.
-    orders : tuple of int
-        Orders of the numerators, the common denominator and the transients' numerators.
-    normal, information, right : ndarray
-        (n, n), (n, n) and (n,), zero at first, written.
+    Shapes: U, Y, model (nu, K, 2, R), of_inputs (nu, nu + ny, K), weights, powers (K,), inverse (nt + 1, nt +
+    1), scale (ny,), normal, information, right (n, n).
     """
     nb, na, nt = orders
     nu, ny, K, R = U.shape[0], Y.shape[0], U.shape[1], U.shape[3]
@@ -221,16 +193,7 @@ def _add(x, real, imag, z):
 def _left_over(U, Y, theta, A, powers, orders, inverse, errors, squares, model):
     """What the model and the transients leave of the outputs.
 
-    Parameters
-    ----------
-    U, Y : ndarray
-        (nu, K, 2, R) and (ny, K, 2, R) lines.
-    theta, A : ndarray
-        Coefficients, and (K,) the denominator on the lines.
-    powers, orders, inverse : ndarray or tuple
-        As for `_normal_equations`.
-    errors, squares, model : ndarray
-        (ny, K, 2, R), (ny,) their sums of squares and (ny, K, 2, R) the outputs less them, written.
+    Shapes: U, Y (nu, K, 2, R), errors, squares, model (ny, K, 2, R).
     """
     nb, _, nt = orders
     nu, ny, K, R = U.shape[0], Y.shape[0], U.shape[1], U.shape[3]
@@ -300,25 +263,7 @@ def _solve(matrix, right):
 def refine(U, Y, powers, orders, floor, freedom, steps, settled, theta, information, noise):
     """Refined instruments until they settle.
 
-    Parameters
-    ----------
-    U, Y : ndarray
-        (nu, K, R) and (ny, K, R) complex lines.
-    powers : ndarray
-        (D, K) powers of the distances x.
-    orders : tuple of int
-        Orders of the numerators, the common denominator and the transients' numerators.
-    floor, freedom : ndarray, float
-        (ny,) least variance of the noise, and what the sums of squares are divided by.
-    steps, settled : int, float
-        Most refinements, and the change of the denominator and of the noise (relative) at which they end.
-    theta, information, noise : ndarray
-        (n,) complex, (n, n) complex and (ny,), written.
-
-    Returns
-    -------
-    bool
-        False where the equations are singular.
+    Shapes: U, Y (nu, K, R), powers (D, K), floor, freedom (ny,), theta, information, noise (n,).
     """
     nb, na, nt = orders
     nu, ny, K = U.shape[0], Y.shape[0], U.shape[1]
@@ -374,16 +319,7 @@ def refine(U, Y, powers, orders, floor, freedom, steps, settled, theta, informat
 def responses(theta, x, orders, found):
     """G = B / A of the coefficients.
 
-    Parameters
-    ----------
-    theta : ndarray
-        (n,) complex: B of every entry, output by output, then A without its leading 1.
-    x : ndarray
-        (K,) distances from the centre.
-    orders : tuple of int
-        Orders of the numerators, the common denominator and the transients' numerators.
-    found : ndarray
-        (K, ny, nu) complex, written.
+    Shapes: theta (n,), x (K,), found (K, ny, nu).
     """
     nb, na, _ = orders
     ny, nu = found.shape[1:]

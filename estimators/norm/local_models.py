@@ -28,24 +28,12 @@ GRID = np.linspace(-1, 1, 401)
 class PeakEstimate:
     """An estimate of the peak gain with its uncertainty.
 
-    Attributes
-    ----------
-    value : float
-        Estimate of the H-infinity norm.
-    standard_error : float
-        Its standard error (NaN where the estimator has none).
-    frequency, frequency_error : float
-        Where the peak lies, rad/sample.
-    curvature : float
-        H^ = -d2 sigma_max^2 / dw2 at the peak.
-    noise_variance : float
-        Estimated variance of the noise per output.
-    status : Status
-        INACCURATE where the peak lies at the edge of the band or the error is so large that a normal
-        interval cannot be trusted; COMPETING where another peak may be the higher one.
-    shape : ndarray
-        (2, K) frequencies of the band, rad/sample, and the local model's squared largest gain there; empty where
-        the estimator has none.
+    `value` estimate of the H-infinity norm; `standard_error` its standard error (NaN where the estimator has
+    none); `frequency, frequency_error` where the peak lies, rad/sample; `curvature` H^ = -d2 sigma_max^2 /
+    dw2 at the peak; `noise_variance` estimated variance of the noise per output; `status` INACCURATE where
+    the peak lies at the edge of the band or the error is so large that a normal interval cannot be trusted;
+    COMPETING where another peak may be the higher one; `shape` (2, K) frequencies of the band, rad/sample,
+    and the local model's squared largest gain there; empty where the estimator has none.
     """
 
     value: float
@@ -58,18 +46,7 @@ class PeakEstimate:
     shape: NDArray = field(default_factory=lambda: np.empty((2, 0)), repr=False)
 
     def interval(self, level: float = 0.95) -> tuple[float, float]:
-        """Normal confidence interval.
-
-        Parameters
-        ----------
-        level : float
-            Coverage asked for.
-
-        Returns
-        -------
-        tuple of float
-            Lower and upper end; trust it where the status is OK.
-        """
+        """Normal confidence interval."""
         from scipy.stats import norm
 
         half = float(norm.ppf((1 + level) / 2)) * self.standard_error
@@ -105,32 +82,7 @@ def local_peak(
     centre: int | None = None,
     spectra: Spectra | None = None,
 ) -> PeakEstimate:
-    """Peak of a local rational model fitted to all records of a trace.
-
-    Parameters
-    ----------
-    trace : Trace
-        Records of one length, of any method.
-    lines : int
-        DFT lines on each side of the centre.
-    orders : tuple of int, optional
-        Orders in x of the numerators, of the common denominator and of the transients' numerators; by default
-        (2, 1, 2) and (3, 2, 2), averaged with Akaike's weights.
-    centre : int, optional
-        DFT line to begin from; default where the inputs carry most power.
-    spectra : Spectra, optional
-        Of the trace, where they are known already.
-
-    Returns
-    -------
-    PeakEstimate
-        Largest gain of the model in the band.
-
-    Raises
-    ------
-    InputError
-        If the records differ in length or are too short for the band.
-    """
+    """Peak of a local rational model fitted to all records of a trace."""
     lengths = {len(r) for r in trace.records}
     if len(lengths) != 1:
         raise InputError(

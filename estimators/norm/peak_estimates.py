@@ -47,26 +47,10 @@ RIVALS = 8
 def corrected(trace: Trace) -> PeakEstimate:
     """Bias-corrected estimate from the iterations' records: the peak of the local model.
 
-    Where the records do not exclude that another peak is higher, a local model is fitted there too. The one of the
-    highest lower bound is returned; where another may be as high, within two standard errors, the status is
-    COMPETING. Where no local model can be trusted, a value far off the plain gain of five lines is replaced by it.
-
-    Parameters
-    ----------
-    trace : Trace
-        Of power iterations, averaged ones, the two-experiment scheme or Procedure 2.
-
-    Returns
-    -------
-    PeakEstimate
-        With standard error; free of the biases of [S] Theorem 12, of the edges and of the transient. On the
-        reference plant at variance 1 and 50 experiments of 1000 samples its rho is
-        1.3 (PEM: 1.14), its bias -0.0005 (that of (7): -0.23) and the coverage of its 95 % interval 95.3 %.
-
-    Raises
-    ------
-    InputError
-        If the records are of other inputs, differ in length or are too short for a local model.
+    Where the records do not exclude that another peak is higher, a local model is fitted there too. The one
+    of the highest lower bound is returned; where another may be as high, within two standard errors, the
+    status is COMPETING. Where no local model can be trusted, a value far off the plain gain of five lines is
+    replaced by it.
     """
     if not trace.kinds or trace.kinds[0] not in ("power", "averaged", "forward"):
         raise InputError(
@@ -241,27 +225,10 @@ def theorem_12(trace: Trace, discard: float = 0.3) -> PeakEstimate:
 
         gamma^2 = mean beta_2^2 + f lambda^ + (1/2pi) int_near (gamma^2 - |G|^2) Phi^ dw + tail
 
-    On the share f of all frequencies that does not belong to the peak the limit spectrum (9) loses f lambda_e.
-    Beside the peak the limit is not reached in tens of iterations (the width falls as the root of their number),
-    so the loss there, and what the end of the record cuts off, are measured instead of taken from the limit.
-
-    Parameters
-    ----------
-    trace : Trace
-        Of Algorithm 1.
-    discard : float
-        Share of the iterations left out at the beginning.
-
-    Returns
-    -------
-    PeakEstimate
-        Without a standard error. INACCURATE where the far lines, measured, do not lose f lambda^ to a twentieth:
-        with a second peak or a broad one the limit is not reached there either.
-
-    Raises
-    ------
-    InputError
-        If the trace is not of Algorithm 1 or has less than 4 experiments.
+    On the share f of all frequencies that does not belong to the peak the limit spectrum (9) loses f
+    lambda_e. Beside the peak the limit is not reached in tens of iterations (the width falls as the root of
+    their number), so the loss there, and what the end of the record cuts off, are measured instead of taken
+    from the limit.
     """
     inputs = _inputs(trace, discard)
     local, variance = inputs.local, inputs.mu2 - inputs.beta2
@@ -278,28 +245,11 @@ def theorem_12(trace: Trace, discard: float = 0.3) -> PeakEstimate:
 def fixed_point(trace: Trace, discard: float = 0.2) -> PeakEstimate:
     """The recursion of the spectra, [S] (8), whose fixed point is (9)-(10), solved for gamma.
 
-    |G|^2 = gamma^2 less the local model's fall from its peak, in its band, and as measured elsewhere, is taken
-    through the experiments from the first input's own periodogram. In the band, where the inputs' spectra keep
-    their random differences for as long as the iterations last, every experiment begins from its measured
-    periodogram. gamma^2 is such that the mean of mu^2 + beta_2^2 over the later experiments is what was measured.
-
-    Parameters
-    ----------
-    trace : Trace
-        Of Algorithm 1.
-    discard : float
-        Share of the iterations left out at the beginning.
-
-    Returns
-    -------
-    PeakEstimate
-        Without a standard error. The noise variance is that of the local model's residuals. INACCURATE where the
-        recursion's spectrum away from the peak is not that of the inputs.
-
-    Raises
-    ------
-    InputError
-        If the trace is not of Algorithm 1 or has less than 4 experiments.
+    |G|^2 = gamma^2 less the local model's fall from its peak, in its band, and as measured elsewhere, is
+    taken through the experiments from the first input's own periodogram. In the band, where the inputs'
+    spectra keep their random differences for as long as the iterations last, every experiment begins from its
+    measured periodogram. gamma^2 is such that the mean of mu^2 + beta_2^2 over the later experiments is what
+    was measured.
     """
     from scipy.optimize import brentq
 

@@ -35,16 +35,8 @@ __all__ = ["ShiftedIterations", "SmallGain", "passivity_index", "small_gain", "s
 class ShiftedIterations:
     """Estimates of a smallest eigenvalue, one per iteration.
 
-    Attributes
-    ----------
-    values : ndarray
-        (M,) Rayleigh quotients: upper bounds without noise, falling to the smallest eigenvalue.
-    u : ndarray
-        (N, nu) last input.
-    shift : float
-        s.
-    experiments : int
-        Experiments used.
+    `values` (M,) Rayleigh quotients: upper bounds without noise, falling to the smallest eigenvalue; `u` (N,
+    nu) last input; `shift` s; `experiments` experiments used.
     """
 
     values: NDArray[np.float64]
@@ -89,48 +81,14 @@ def _iterate(
 def smallest_gain(
     experiment: Experiment, *, samples: int, iterations: int, gain: float, rng: np.random.Generator
 ) -> ShiftedIterations:
-    """Square of the smallest gain of the system over N samples, sigma_min(G_N)^2.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The system.
-    samples, iterations : int
-        N and how many iterations, of 1 + pq experiments each.
-    gain : float
-        An estimate of the largest gain, not below it; the shift is its square.
-    rng : numpy.random.Generator
-        For the start.
-
-    Returns
-    -------
-    ShiftedIterations
-        Noise biases the quotients up by its own power.
-    """
+    """Square of the smallest gain of the system over N samples, sigma_min(G_N)^2."""
     return _iterate(experiment, "gain", samples, iterations, gain**2, rng)
 
 
 def passivity_index(
     experiment: Experiment, *, samples: int, iterations: int, gain: float, rng: np.random.Generator
 ) -> ShiftedIterations:
-    """Input passivity index of the system over N samples, min of u' G u / u' u.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        As many inputs as outputs.
-    samples, iterations : int
-        N and how many iterations, of 1 + pq experiments each.
-    gain : float
-        An estimate of the largest gain, not below it: the shift.
-    rng : numpy.random.Generator
-        For the start.
-
-    Returns
-    -------
-    ShiftedIterations
-        The system is passive over N samples if the index is not negative.
-    """
+    """Input passivity index of the system over N samples, min of u' G u / u' u."""
     if experiment.n_inputs != experiment.n_outputs:
         raise InputError(
             f"the system has {experiment.n_inputs} inputs and {experiment.n_outputs} outputs; passivity is "
@@ -143,15 +101,9 @@ def passivity_index(
 class SmallGain:
     """Small-gain check of a controller against an additive model error.
 
-    Attributes
-    ----------
-    product : float
-        gamma of the model error times ||K (I + P K)^-1||_inf.
-    lowest, highest : float
-        The product at the ends of gamma's interval.
-    stable : bool or None
-        True or False where the whole interval lies on one side of 1, None where the data do not decide.
-        False says that the test fails, not that the loop is unstable.
+    `product` gamma of the model error times ||K (I + P K)^-1||_inf; `lowest, highest` the product at the ends
+    of gamma's interval; `stable` true or False where the whole interval lies on one side of 1, None where the
+    data do not decide. False says that the test fails, not that the loop is unstable.
     """
 
     product: float
@@ -169,31 +121,6 @@ def small_gain(
 ) -> SmallGain:
     """Whether a controller stabilises every system within gamma of the model.
 
-    Parameters
-    ----------
-    model : Plant
-        P, with nu inputs and ny outputs.
-    controller : Plant
-        K, with ny inputs and nu outputs, in negative feedback; the nominal loop must be stable.
-    gamma : float
-        Norm of the additive model error, from power iterations.
-    interval : tuple of float
-        Its confidence interval.
-    points : int
-        Lines of the frequency grid.
-
-    Returns
-    -------
-    SmallGain
-        The product and its interval.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit or the nominal loop is unstable.
-
-    Notes
-    -----
     [M] Sec. II; the condition is gamma ||K (I + P K)^-1||_inf < 1.
     """
     if (controller.n_inputs, controller.n_outputs) != (model.n_outputs, model.n_inputs):

@@ -17,19 +17,12 @@ __all__ = ["WorstCase", "dominant_frequency", "worst_case"]
 class WorstCase:
     """The strongest line of the last input, and the directions there.
 
-    The peak's frequency with a standard error is that of `estimators.norm.peak_estimates.corrected`: the inputs of one
-    run depend on each other, so that their spread says nothing about their common distance from the peak.
+    The peak's frequency with a standard error is that of `estimators.norm.peak_estimates.corrected`: the
+    inputs of one run depend on each other, so that their spread says nothing about their common distance from
+    the peak.
 
-    Attributes
-    ----------
-    frequency : float
-        In rad/sample.
-    input_direction : ndarray
-        (nu,) complex, unit norm, its largest component real and positive.
-    output_direction : ndarray
-        (ny,) likewise.
-    dt : float
-        Sampling time in seconds.
+    `frequency` in rad/sample; `input_direction` (nu,) complex, unit norm, its largest component real and
+    positive; `output_direction` (ny,) likewise; `dt` sampling time in seconds.
     """
 
     frequency: float
@@ -52,15 +45,7 @@ class WorstCase:
 def dominant_frequency(u: NDArray[np.float64]) -> float:
     """Frequency of the largest periodogram value, refined between the lines.
 
-    Parameters
-    ----------
-    u : ndarray
-        (N, channels).
-
-    Returns
-    -------
-    float
-        In rad/sample, in [0, pi].
+    Shapes: u (N, channels).
     """
     from scipy.optimize import minimize_scalar
 
@@ -80,18 +65,7 @@ def dominant_frequency(u: NDArray[np.float64]) -> float:
 
 
 def worst_case(trace: Trace) -> WorstCase:
-    """Strongest line of the last iteration's input and directions there.
-
-    Parameters
-    ----------
-    trace : Trace
-        Of power iterations or Procedure 2 (any input that concentrates at the peak).
-
-    Returns
-    -------
-    WorstCase
-        Frequency and directions.
-    """
+    """Strongest line of the last iteration's input and directions there."""
     record = trace.records[trace.iterations[-1]][0]
     omega = dominant_frequency(record.u)
     return WorstCase(

@@ -18,24 +18,7 @@ __all__ = ["check_records", "structure_for"]
 def structure_for(
     structure: Any, orders: Any, delay: Any, diagonal: bool, records: list[Record]
 ) -> Structure:
-    """The structure that was asked for, sized to the records.
-
-    Parameters
-    ----------
-    structure : str or Polynomial or StateSpace
-        As in `identify`.
-    orders, delay : object
-        As in `identify`.
-    diagonal : bool
-        As in `identify`.
-    records : list of Record
-        The data.
-
-    Returns
-    -------
-    Polynomial or StateSpace
-        InputError if the orders do not fit the structure or the records.
-    """
+    """The structure that was asked for, sized to the records."""
     if not records or not all(isinstance(r, Record) for r in records):
         raise InputError("records must be one oed.data.Record or a non-empty list of them.")
     for what in ("n_inputs", "n_outputs", "dt"):
@@ -76,21 +59,7 @@ LARGEST = 1e75
 def check_records(
     records: list[Record], form: Structure, offset: bool, missing: bool = False, regularised: bool = False
 ) -> None:
-    """Refuse records that cannot determine the structure, before any work.
-
-    Parameters
-    ----------
-    records : list of Record
-        The data.
-    form : Polynomial or StateSpace
-        The structure.
-    offset : bool
-        Whether levels are unknown.
-    missing : bool
-        Whether outputs may be missing.
-    regularised : bool
-        Whether the taps are held by a kernel, so that there may be more of them than samples.
-    """
+    """Refuse records that cannot determine the structure, before any work."""
     total = (
         sum(int(np.isfinite(r.y).all(axis=1).sum()) for r in records) if missing else sum(map(len, records))
     )

@@ -27,18 +27,9 @@ NEAR = 10.0
 class Delay:
     """The delay under which a model fits best.
 
-    Attributes
-    ----------
-    delay : int
-        nk with the smallest loss.
-    delays : ndarray of int
-        Those tried.
-    loss : ndarray
-        Mean square of the residual for each; NaN where the model could not be fitted.
-    weights : ndarray
-        exp(-difference of AIC / 2), normalised: how the data weigh the delays against each other.
-    fit : Fit
-        The model with that delay.
+    `delay` nk with the smallest loss; `delays` those tried; `loss` mean square of the residual for each; NaN
+    where the model could not be fitted; `weights` exp(-difference of AIC / 2), normalised: how the data weigh
+    the delays against each other; `fit` the model with that delay.
     """
 
     delay: int
@@ -48,13 +39,7 @@ class Delay:
     fit: Fit
 
     def to_dict(self) -> dict:
-        """Plain numbers.
-
-        Returns
-        -------
-        dict
-            delay, delays, loss, weights.
-        """
+        """Plain numbers."""
         return {"delay": self.delay} | {x: getattr(self, x).tolist() for x in ("delays", "loss", "weights")}
 
     def __repr__(self) -> str:
@@ -73,31 +58,8 @@ def estimate_delay(
     """The delay nk under which a structure of given orders leaves the smallest residual.
 
     All candidates have the same number of parameters, so that the loss alone decides: it is the profile
-    likelihood of the delay. Every candidate is fitted with the quick search; those that come near the best are
-    fitted once more with the search that was asked for.
-
-    Parameters
-    ----------
-    records : Record or sequence of Record
-        The data.
-    structure : str
-        As in `identify`.
-    orders : sequence of int
-        As in `identify`.
-    delays : iterable of int
-        Candidates, in samples.
-    **options : object
-        Passed to `identify` (offset, initial, ...).
-
-    Returns
-    -------
-    Delay
-        The delay, and the loss of every candidate.
-
-    Raises
-    ------
-    InputError
-        If no candidate can be fitted.
+    likelihood of the delay. Every candidate is fitted with the quick search; those that come near the best
+    are fitted once more with the search that was asked for.
     """
     from estimators.pem import identify
 
@@ -137,14 +99,8 @@ def estimate_delay(
 class Choice:
     """Models of several orders, best first.
 
-    Attributes
-    ----------
-    criterion : str
-        bic, aic or cv.
-    rows : tuple of dict
-        orders, delay, n, value of the criterion, loss, status; sorted by the criterion.
-    fit : Fit
-        The best model, fitted to all data.
+    `criterion` bic, aic or cv; `rows` orders, delay, n, value of the criterion, loss, status; sorted by the
+    criterion; `fit` the best model, fitted to all data.
     """
 
     criterion: str
@@ -157,13 +113,7 @@ class Choice:
         return self.rows[0]["orders"]
 
     def to_dict(self) -> dict:
-        """Plain numbers.
-
-        Returns
-        -------
-        dict
-            criterion and rows.
-        """
+        """Plain numbers."""
         return {"criterion": self.criterion, "rows": [dict(row) for row in self.rows]}
 
     def __repr__(self) -> str:
@@ -187,35 +137,7 @@ def select_orders(
     folds: int = 5,
     **options: Any,
 ) -> Choice:
-    """Fit models of many orders and rank them.
-
-    Parameters
-    ----------
-    records : Record or sequence of Record
-        The data.
-    structure : str
-        As in `identify`.
-    orders : sequence
-        Order tuples to try; or one range per order, of which all combinations are tried.
-    delays : iterable of int
-        Delays to try with each.
-    criterion : {"bic", "aic", "cv"}
-        Schwarz, Akaike, or the mean squared one-step error on blocks left out in turn (cross-validation).
-    folds : int
-        Blocks for cv; with several records these are left out one by one instead.
-    **options : object
-        Passed to `identify`.
-
-    Returns
-    -------
-    Choice
-        The ranking and the best model.
-
-    Raises
-    ------
-    InputError
-        If the criterion is unknown or no model can be fitted.
-    """
+    """Fit models of many orders and rank them."""
     from estimators.pem import identify
 
     if criterion not in ("aic", "bic", "cv"):
@@ -271,34 +193,7 @@ def held_out_error(
     records: Record | Sequence[Record], structure: str, orders: Any, delay: Any = 1, *,
     folds: int = 4, window: int = 0, **options: Any,
 ) -> tuple[float, float]:  # fmt: skip
-    """Simulation error on blocks left out in turn: what decides between structures without fresh data.
-
-    Parameters
-    ----------
-    records : Record or sequence of Record
-        The data; of several records one is left out at a time, of a single one a block.
-    structure, orders, delay : object
-        As in `identify`.
-    folds : int
-        Blocks of a single record, 2 or more.
-    window : int
-        First samples of a block that set the state from which it is simulated (`Fit.simulate_record`); they are not
-        judged.
-    **options : object
-        Passed to `identify`.
-
-    Returns
-    -------
-    error : float
-        Root mean square over all outputs and all that was left out.
-    standard_error : float
-        Of it, from the spread between blocks.
-
-    Raises
-    ------
-    InputError
-        If there are too few blocks or samples, or a model cannot be fitted.
-    """
+    """Simulation error on blocks left out in turn: what decides between structures without fresh data."""
     from estimators.pem import identify
 
     given = as_records(records, missing=bool(options.get("missing")))

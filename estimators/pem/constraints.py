@@ -32,30 +32,7 @@ def constrained(
 ) -> tuple[Optimum, NDArray[np.float64]]:
     """The optimum under constraints, from the one without them.
 
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    optimum : Optimum
-        Its optimum without the constraints.
-    constraints : callable
-        Takes the parameters by name, gives what must not be positive.
-    how : Settings
-        Steps and tolerance.
-
-    Returns
-    -------
-    optimum : Optimum
-        Where the search ended.
-    normals : ndarray
-        (m, n + levels) gradients of the active constraints, in scaled parameters.
-
-    Raises
-    ------
-    InputError
-        If the constraints are not expressions of the parameters, or no parameters obey them.
-    SolverFailure
-        If the predictor is unstable wherever they are obeyed.
+    Shapes: returns (m, n + levels).
     """
     import casadi as ca
 

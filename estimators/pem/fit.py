@@ -23,20 +23,7 @@ __all__ = ["Fit", "noise_free", "peak_gain"]
 
 
 def noise_free(model: Model) -> tuple[Polynomial | StateSpace, NDArray[np.float64]]:
-    """The output-error structure with the same G, and its parameters.
-
-    Parameters
-    ----------
-    model : Model
-        Any model.
-
-    Returns
-    -------
-    structure : Polynomial or StateSpace
-        Without a noise model: H = 1.
-    theta : ndarray
-        Its parameters.
-    """
+    """The output-error structure with the same G, and its parameters."""
     form = model.structure
     if isinstance(form, StateSpace):
         bare = StateSpace(form.blocks, form.n_inputs, form.feedthrough, noise=False)

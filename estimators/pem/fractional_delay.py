@@ -26,17 +26,10 @@ HALF = 24
 class FractionalDelay:
     """A delay in samples, not a whole number.
 
-    Attributes
-    ----------
-    delay : float
-        Total delay of the first numerator coefficient, in samples.
-    standard_error : float
-        From the curvature of the profile likelihood.
-    fit : Fit
-        The model of the input shifted by the fraction, with the whole part as its nk; the covariance of its
-        parameters includes what the uncertainty of the delay adds.
-    fraction : float
-        Shift of the input, in samples.
+    `delay` total delay of the first numerator coefficient, in samples; `standard_error` from the curvature of
+    the profile likelihood; `fit` the model of the input shifted by the fraction, with the whole part as its
+    nk; the covariance of its parameters includes what the uncertainty of the delay adds; `fraction` shift of
+    the input, in samples.
     """
 
     delay: float
@@ -51,17 +44,7 @@ class FractionalDelay:
 def shifted(signal: NDArray, fraction: float) -> NDArray[np.float64]:
     """A band-limited signal later by a fraction of a sample.
 
-    Parameters
-    ----------
-    signal : ndarray
-        (N, n_channels); held at its first and last sample outside.
-    fraction : float
-        Samples, of either sign, between -4 and 4.
-
-    Returns
-    -------
-    ndarray
-        (N, n_channels).
+    Shapes: signal (N, n_channels), returns (N, n_channels).
     """
     if abs(fraction) > 4:
         raise InputError(f"the shift is {fraction} samples; it must lie between -4 and 4: the rest is nk's.")
@@ -87,31 +70,8 @@ def estimate_fractional_delay(
 ) -> FractionalDelay:
     """The delay within one sample of nk under which a model fits best, with its standard error.
 
-    The inputs are taken as band-limited. A second numerator coefficient imitates a fraction of a delay; with one
-    the fraction is well determined.
-
-    Parameters
-    ----------
-    records : Record or sequence of Record
-        The data.
-    structure : str
-        As in `identify`.
-    orders : sequence of int
-        As in `identify`.
-    delay : int
-        The whole number of samples about which to search, as `estimate_delay` finds it.
-    **options : object
-        Passed to `identify`.
-
-    Returns
-    -------
-    FractionalDelay
-        Delay, standard error and model.
-
-    Raises
-    ------
-    InputError
-        If the records or orders break a rule of `identify`.
+    The inputs are taken as band-limited. A second numerator coefficient imitates a fraction of a delay; with
+    one the fraction is well determined.
     """
     from scipy.optimize import minimize_scalar
 

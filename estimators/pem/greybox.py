@@ -31,20 +31,9 @@ __all__ = ["GreyBox", "GreyBoxFit", "identify_grey_box"]
 class GreyBox:
     """A model as two functions of CasADi symbols.
 
-    Attributes
-    ----------
-    dynamics : callable
-        (x, u, p) -> x' or x(t+1), each a casadi.SX column.
-    output : callable
-        (x, u, p) -> y.
-    n_states : int
-        Number of states.
-    start : mapping of str to float
-        Parameters by name with their initial guesses; their order is that of p.
-    continuous : bool
-        Whether `dynamics` is a time derivative, per second.
-    substeps : int
-        Runge-Kutta steps per sample.
+    `dynamics` (x, u, p) -> x' or x(t+1), each a casadi.SX column; `output` (x, u, p) -> y; `n_states` number
+    of states; `start` parameters by name with their initial guesses; their order is that of p; `continuous`
+    whether `dynamics` is a time derivative, per second; `substeps` runge-Kutta steps per sample.
     """
 
     dynamics: Callable[[Any, Any, Any], Any]
@@ -59,28 +48,11 @@ class GreyBox:
 class GreyBoxFit:
     """Estimated parameters of a grey-box model.
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the parameters.
-    theta : ndarray
-        (n,) estimates.
-    covariance : ndarray
-        (n, n), for white residuals.
-    noise_covariance : ndarray
-        (ny, ny) of the residuals, corrected for the degrees of freedom.
-    fit_percent : float
-        Of the simulation on the data that were fitted.
-    residuals : list of ndarray
-        (N, ny) of each record.
-    initial_states : ndarray
-        (R, nx); zero unless they were estimated.
-    status : Status
-        How the search ended.
-    iterations : int
-        Gauss-Newton steps.
-    simulator : callable
-        (u, x0) -> y.
+    `names` of the parameters; `theta` (n,) estimates; `covariance` (n, n), for white residuals;
+    `noise_covariance` (ny, ny) of the residuals, corrected for the degrees of freedom; `fit_percent` of the
+    simulation on the data that were fitted; `residuals` (N, ny) of each record; `initial_states` (R, nx);
+    zero unless they were estimated; `status` how the search ended; `iterations` gauss-Newton steps;
+    `simulator` (u, x0) -> y.
     """
 
     names: tuple[str, ...]
@@ -102,17 +74,7 @@ class GreyBoxFit:
     def simulate(self, u: ArrayLike, x0: ArrayLike | None = None) -> NDArray[np.float64]:
         """Output of the model for an input.
 
-        Parameters
-        ----------
-        u : array_like
-            (N, nu).
-        x0 : array_like, optional
-            (nx,) initial state; zero by default.
-
-        Returns
-        -------
-        ndarray
-            (N, ny).
+        Shapes: u (N, nu), x0 (nx,), returns (N, ny).
         """
         width = self.initial_states.shape[1]
         start = np.zeros(width) if x0 is None else np.asarray(x0, dtype=float)
@@ -173,33 +135,7 @@ def identify_grey_box(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     max_iterations: int = 200,
 ) -> GreyBoxFit:
-    """Parameters that minimise the simulation error of a physically parametrised model.
-
-    Parameters
-    ----------
-    records : Record or sequence of Record
-        The data; their sampling time is that of the model.
-    model : GreyBox
-        Dynamics, output and a guess of every parameter.
-    initial : {"zero", "estimate"}
-        Initial states at zero, or estimated for every record.
-    bounds : mapping of str to tuple, optional
-        Lower and upper bound by name.
-    max_iterations : int
-        Most Gauss-Newton steps.
-
-    Returns
-    -------
-    GreyBoxFit
-        Parameters with their covariance.
-
-    Raises
-    ------
-    InputError
-        If the model's shapes do not fit the records, or the loss at the guess is not finite.
-    NotIdentifiable
-        If the data do not determine a combination of parameters, which is named.
-    """
+    """Parameters that minimise the simulation error of a physically parametrised model."""
     given = as_records(records)
     if not given or initial not in ("zero", "estimate"):
         raise InputError(f"{len(given)} records, initial {initial!r}; give records and zero or estimate.")

@@ -25,24 +25,7 @@ def plain_output_error(
     constraints: Callable[[Any], list[tuple[Any, float, float]]] | None = None,
     options: dict[str, Any] | None = None,
 ) -> Callable[[ArrayLike], tuple[NDArray[np.float64], float]]:
-    """A solver for y = (B / F) u + e with nb = nf = order and nk = 1, from rest.
-
-    Parameters
-    ----------
-    record : Record
-        One input, one output.
-    order : int
-        nb = nf.
-    constraints : callable, optional
-        theta (casadi.SX, (2 order,)) -> list of (expression, lower, upper).
-    options : dict, optional
-        Options of `casadi.nlpsol` with IPOPT.
-
-    Returns
-    -------
-    callable
-        start -> (theta, mean squared residual).
-    """
+    """A solver for y = (B / F) u + e with nb = nf = order and nk = 1, from rest."""
     import casadi as ca
 
     theta = ca.SX.sym("theta", 2 * order)

@@ -67,22 +67,7 @@ BLUE, ORANGE, GREY = "#1f77b4", "#d95f02", "#777777"
 
 
 def plot_compare(fits: Fit | Mapping[str, Fit], record: Record, *, window: int = 0) -> Figure:
-    """Measured output against the simulated output of one or several models.
-
-    Parameters
-    ----------
-    fits : Fit or mapping of str to Fit
-        Models, by the name in the legend.
-    record : Record
-        Data, fresh ones if there are any.
-    window : int
-        Samples that set the initial state; 0 starts at rest.
-
-    Returns
-    -------
-    Figure
-        One row per output.
-    """
+    """Measured output against the simulated output of one or several models."""
     named = dict(fits) if isinstance(fits, Mapping) else {"model": fits}
     figure = Figure(figsize=(8, 2.6 * record.n_outputs), layout="constrained")
     axes = figure.subplots(record.n_outputs, 1, squeeze=False, sharex=True)[:, 0]
@@ -100,20 +85,7 @@ def plot_compare(fits: Fit | Mapping[str, Fit], record: Record, *, window: int =
 
 
 def plot_residual_tests(tests: Mapping[str, ResidualTest], *, level: float = 0.99) -> Figure:
-    """Correlations over their lags, with the band that holds them where nothing is missing.
-
-    Parameters
-    ----------
-    tests : mapping of str to ResidualTest
-        As `estimators.residual.tests.residual_tests` returns them.
-    level : float
-        Of the band, at each lag by itself.
-
-    Returns
-    -------
-    Figure
-        One panel per test.
-    """
+    """Correlations over their lags, with the band that holds them where nothing is missing."""
     from scipy.special import ndtri
 
     half = float(ndtri((1 + level) / 2))
@@ -139,22 +111,7 @@ def _band(ax: Axes, x: Any, value: Any, low: Any, high: Any, name: str) -> None:
 
 
 def plot_bode(fits: Fit | Mapping[str, Fit], *, level: float = 0.95, points: int = 400) -> Figure:
-    """Gain and phase of every entry of G with pointwise confidence bands.
-
-    Parameters
-    ----------
-    fits : Fit or mapping of str to Fit
-        Models, by the name in the legend.
-    level : float
-        Coverage of the bands at each frequency.
-    points : int
-        Frequencies between 0.01 and pi rad/sample.
-
-    Returns
-    -------
-    Figure
-        Gain above phase, one column per entry; in Hz where the sampling time is known.
-    """
+    """Gain and phase of every entry of G with pointwise confidence bands."""
     named = dict(fits) if isinstance(fits, Mapping) else {"model": fits}
     omega = np.geomspace(0.01, np.pi, points)
     first = next(iter(named.values())).model.structure
@@ -191,20 +148,7 @@ def plot_bode(fits: Fit | Mapping[str, Fit], *, level: float = 0.95, points: int
 
 
 def plot_poles(fit: Fit, *, level: float = 0.95) -> Figure:
-    """Poles with confidence ellipses, and zeros of the entries of a polynomial model.
-
-    Parameters
-    ----------
-    fit : Fit
-        The model.
-    level : float
-        Coverage of an ellipse.
-
-    Returns
-    -------
-    Figure
-        The unit circle and what lies around it.
-    """
+    """Poles with confidence ellipses, and zeros of the entries of a polynomial model."""
     radius = np.sqrt(-2 * np.log(1 - level))  # chi-squared with two degrees of freedom
     turn = np.linspace(0, 2 * np.pi, 100)
     figure = Figure(figsize=(5, 5), layout="constrained")
@@ -228,22 +172,7 @@ def plot_poles(fit: Fit, *, level: float = 0.95) -> Figure:
 
 
 def plot_step(fit: Fit, samples: int = 100, *, level: float = 0.95) -> Figure:
-    """Step response of every entry with pointwise confidence bands.
-
-    Parameters
-    ----------
-    fit : Fit
-        The model.
-    samples : int
-        Length.
-    level : float
-        Coverage of the bands at each sample.
-
-    Returns
-    -------
-    Figure
-        One panel per entry.
-    """
+    """Step response of every entry with pointwise confidence bands."""
     band = step_band(fit, samples)
     low, high = band.interval(level)
     ny, nu = band.value.shape[1:]
@@ -259,17 +188,8 @@ def plot_step(fit: Fit, samples: int = 100, *, level: float = 0.95) -> Figure:
 
 
 def plot_order(fit: Fit) -> Figure:
-    """What a subspace method went by: the singular values that tell the order, and the simulation error by horizon.
-
-    Parameters
-    ----------
-    fit : Fit
-        By a subspace method, as `identify(..., method="moesp")`.
-
-    Returns
-    -------
-    Figure
-        Two panels; the second only where several horizons were tried. InputError for a fit by another method.
+    """What a subspace method went by: the singular values that tell the order, and the simulation error by
+    horizon.
     """
     form, how = fit.model.structure, fit.subspace
     if how is None or isinstance(form, Polynomial):

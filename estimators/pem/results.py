@@ -31,29 +31,7 @@ def result(
 ) -> Fit:
     """A fit from the optimum that was found.
 
-    Parameters
-    ----------
-    problem : Problem
-        What was minimised.
-    optimum : Optimum
-        Where it ended.
-    records : list of Record
-        The data.
-    offset : bool
-        Whether levels were estimated.
-    initial : str
-        How the initial states were treated.
-    robust : str, optional
-        Which robust loss was used.
-    normals : ndarray, optional
-        (m, n + levels) gradients of active constraints: nothing varies across them.
-    spread : ndarray, optional
-        (n + levels, n + levels) covariance in scaled units, where it is not that of a minimum.
-
-    Returns
-    -------
-    Fit
-        In the user's units. NotIdentifiable if the information matrix is singular.
+    Shapes: normals (m, n + levels), spread (n + levels, n + levels).
     """
     form, point, n = problem.structure, optimum.point, problem.structure.n
     ny, total = form.n_outputs, problem.n_observed
@@ -149,18 +127,7 @@ def _covariance(
 
 
 def needed(form: Structure) -> int:
-    """The order of persistent excitation that tells the parameters of G apart, for the entry with the most.
-
-    Parameters
-    ----------
-    form : Polynomial or StateSpace
-        The structure.
-
-    Returns
-    -------
-    int
-        nb + nf + na; of n states n for each input and output, and n more.
-    """
+    """The order of persistent excitation that tells the parameters of G apart, for the entry with the most."""
     if isinstance(form, StateSpace):
         return 2 * form.order + form.feedthrough
     return int((form.nb + form.nf + form.na[:, None])[form.nb > 0].max(initial=0))

@@ -39,14 +39,7 @@ __all__ = [
 class Band:
     """A curve with its standard errors.
 
-    Attributes
-    ----------
-    x : ndarray
-        (K,) frequencies in rad/sample, or samples.
-    value : ndarray
-        (K, ny, nu).
-    standard_error : ndarray
-        (K, ny, nu).
+    `x` (K,) frequencies in rad/sample, or samples; `value` (K, ny, nu); `standard_error` (K, ny, nu).
     """
 
     x: NDArray[np.float64]
@@ -56,15 +49,7 @@ class Band:
     def interval(self, level: float = 0.95) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Pointwise interval.
 
-        Parameters
-        ----------
-        level : float
-            Its coverage at each point.
-
-        Returns
-        -------
-        lower, upper : ndarray
-            (K, ny, nu).
+        Shapes: returns (K, ny, nu).
         """
         from scipy.special import ndtri
 
@@ -107,28 +92,14 @@ def _problem(fit: Fit, records: Record | Sequence[Record]) -> tuple[Problem, NDA
 def sandwich(fit: Fit, records: Record | Sequence[Record], *, lags: int | None = None) -> Fit:
     """The fit with a covariance that holds for a misspecified model too: H^-1 M H^-1.
 
-    H is half the Hessian of the loss, by central differences of its exact gradient; M the long-run covariance of
-    the gradient's terms: residuals over one minus their leverage, because fitted residuals are too small (MacKinnon,
-    White 1985: HC3), whitened by a vector autoregression of order 1, summed over lags with Bartlett's weights, and
-    coloured again (Andrews, Monahan 1992).
+    H is half the Hessian of the loss, by central differences of its exact gradient; M the long-run covariance
+    of the gradient's terms: residuals over one minus their leverage, because fitted residuals are too small
+    (MacKinnon, White 1985: HC3), whitened by a vector autoregression of order 1, summed over lags with
+    Bartlett's weights, and coloured again (Andrews, Monahan 1992).
 
-    No covariance helps where the misspecified loss has its minimum far from the parameters in a part of the samples:
-    output error in noise much larger than the signal, at low frequencies, fits a slow mode to the noise.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    records : Record or sequence of Record
-        The data that were fitted.
-    lags : int, optional
-        How far the whitened terms are correlated; by default 4 (N / 100)^(2/9). With 0 they are taken as
-        independent, without the autoregression.
-
-    Returns
-    -------
-    Fit
-        The same with another covariance.
+    No covariance helps where the misspecified loss has its minimum far from the parameters in a part of the
+    samples: output error in noise much larger than the signal, at low frequencies, fits a slow mode to the
+    noise.
     """
     problem, z = _problem(fit, records)
     point = problem.evaluate(z)
@@ -175,35 +146,15 @@ def _scores(e: NDArray, jacobian: NDArray, weight: NDArray, hessian: NDArray) ->
 
 
 def default_lags(samples: int) -> int:
-    """How many lags a long-run covariance takes: 4 (N / 100)^(2/9) (Newey, West 1994).
-
-    Parameters
-    ----------
-    samples : int
-        N.
-
-    Returns
-    -------
-    int
-        Rounded up.
-    """
+    """How many lags a long-run covariance takes: 4 (N / 100)^(2/9) (Newey, West 1994)."""
     return int(np.ceil(4 * (samples / 100) ** (2 / 9)))
 
 
 def long_run(scores: list[NDArray], lags: int) -> NDArray[np.float64]:
-    """Sum over all pairs of times of the covariance of a series: whitened, weighted by Bartlett, coloured again.
+    """Sum over all pairs of times of the covariance of a series: whitened, weighted by Bartlett, coloured
+    again.
 
-    Parameters
-    ----------
-    scores : list of ndarray
-        (N, n) of each record.
-    lags : int
-        How far the whitened series is correlated; with 0 it is not whitened and its terms are independent.
-
-    Returns
-    -------
-    ndarray
-        (n, n).
+    Shapes: scores (N, n), returns (n, n).
     """
     n = scores[0].shape[1]
     recolour = np.eye(n)
@@ -228,22 +179,6 @@ def profile_interval(
     """Profile-likelihood interval of a parameter: where the other parameters' best fit is not too much worse.
 
     N log(V(theta_k) / V) <= the chi-squared quantile with one degree of freedom.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    records : Record or sequence of Record
-        The data that were fitted.
-    name : str
-        The parameter.
-    level : float
-        Coverage.
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper end; infinite where the likelihood never falls so far.
     """
     from scipy.optimize import brentq
     from scipy.special import chdtri
@@ -310,19 +245,7 @@ def _propagated(fit: Fit, function: Callable[[NDArray], NDArray]) -> tuple[NDArr
 def bode_band(fit: Fit, omega: ArrayLike) -> tuple[Band, Band]:
     """Gain and phase of G with their standard errors.
 
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    omega : array_like
-        (K,) rad/sample.
-
-    Returns
-    -------
-    gain : Band
-        |G|.
-    phase : Band
-        arg G in rad, unwrapped along the frequencies.
+    Shapes: omega (K,).
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     g, dg = fit.model.response(omega)
@@ -338,17 +261,7 @@ def bode_band(fit: Fit, omega: ArrayLike) -> tuple[Band, Band]:
 def step_band(fit: Fit, samples: int = 100) -> Band:
     """Step response with its standard errors.
 
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    samples : int
-        Length.
-
-    Returns
-    -------
-    Band
-        (samples, ny, nu).
+    Shapes: returns (samples, ny, nu).
     """
     structure = fit.model.structure
     steps = [np.outer(np.ones(samples), row) for row in np.eye(structure.n_inputs)]
@@ -360,18 +273,7 @@ def step_band(fit: Fit, samples: int = 100) -> Band:
 
 
 def pole_covariances(fit: Fit) -> list[tuple[complex, NDArray[np.float64]]]:
-    """Poles of G with the covariance of their real and imaginary parts.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-
-    Returns
-    -------
-    list of tuple
-        (pole, (2, 2) covariance), entry by entry; an ellipse of it is the pole's confidence region.
-    """
+    """Poles of G with the covariance of their real and imaginary parts."""
     structure, h = fit.model.structure, 1e-4 * np.maximum(fit.standard_errors, 1e-8)
     here = np.concatenate([np.zeros(0), *structure.poles(fit.theta)])
     slope = np.zeros((len(here), len(h)), complex)

@@ -15,18 +15,7 @@ Parts = Sequence[NDArray[np.float64]]
 def noise_filter(residuals: Parts, most: int | None = None) -> NDArray[np.float64]:
     """Autoregression that whitens a noise, its order chosen by Akaike's criterion.
 
-    Parameters
-    ----------
-    residuals : sequence of ndarray
-        (N,) of each record.
-    most : int, optional
-        Highest order; by default N / 20 and at most 40.
-
-    Returns
-    -------
-    ndarray
-        1, a_1, ..., a_p: the noise is white noise filtered by 1 / (1 + a_1 q^-1 + ...); stable by
-        construction (Levinson's recursion on the windowed autocovariance).
+    Shapes: residuals (N,).
     """
     total = sum(map(len, residuals))
     most = min(40, total // 20, min(map(len, residuals)) - 1) if most is None else most
@@ -54,17 +43,7 @@ def noise_filter(residuals: Parts, most: int | None = None) -> NDArray[np.float6
 def delayed(x: NDArray, lags: Iterable[int]) -> NDArray:
     """A signal at several lags.
 
-    Parameters
-    ----------
-    x : ndarray
-        (N, 1).
-    lags : iterable of int
-        Samples, positive into the past.
-
-    Returns
-    -------
-    ndarray
-        (N, L) columns x(t - l), zero outside the record.
+    Shapes: x (N, 1), returns (N, L).
     """
     n, out = len(x), []
     for k in lags:
@@ -78,23 +57,10 @@ def delayed(x: NDArray, lags: Iterable[int]) -> NDArray:
 def taken_up(
     per_output: list[list[NDArray]], sensitivity: Parts, weight: NDArray, influence: Parts | None
 ) -> list[list[NDArray]]:
-    """What is left of the columns once the fit has taken its part: by least squares, or by the noise's influence.
+    """What is left of the columns once the fit has taken its part: by least squares, or by the noise's
+    influence.
 
-    Parameters
-    ----------
-    per_output : list of list of ndarray
-        [output][record] (N, L) columns.
-    sensitivity : sequence of ndarray
-        (N, ny, n) of each record, to everything that was fitted.
-    weight : ndarray
-        (ny, ny) of the least squares.
-    influence : sequence of ndarray, optional
-        (N, ny, m) what noise adds to the first m parameters, where these are no least squares estimate; the others are.
-
-    Returns
-    -------
-    list of list of ndarray
-        Columns that give with the true noise what the given ones give with the residuals.
+    Shapes: sensitivity (N, ny, n), weight (ny, ny), influence (N, ny, m).
     """
     known = 0 if influence is None else influence[0].shape[2]
     cross = np.zeros((sensitivity[0].shape[2] - known, per_output[0][0].shape[1]))
@@ -121,20 +87,10 @@ def taken_up(
 def spread_of(parts: Parts, per_output: list[list[NDArray]]) -> NDArray:
     """Covariance of columns times noise, sum_kl Y_k' Sigma_kl Y_l.
 
-    Noise k is white noise w_k filtered by 1 / A_k, the w correlated at equal times. A column against filtered noise is
-    the column through the same filter, backwards in time, against w.
+    Noise k is white noise w_k filtered by 1 / A_k, the w correlated at equal times. A column against filtered
+    noise is the column through the same filter, backwards in time, against w.
 
-    Parameters
-    ----------
-    parts : sequence of ndarray
-        (N, ny) residuals of each record, from which the filters come.
-    per_output : list of list of ndarray
-        [output][record] (N, L) columns Y.
-
-    Returns
-    -------
-    ndarray
-        (L, L).
+    Shapes: parts (N, ny), returns (L, L).
     """
     from scipy.signal import lfilter
 
@@ -157,15 +113,7 @@ def spread_of(parts: Parts, per_output: list[list[NDArray]]) -> NDArray:
 def inverse(matrix: NDArray) -> NDArray:
     """Pseudo-inverse of a positive semidefinite matrix in units that make its diagonal 1.
 
-    Parameters
-    ----------
-    matrix : ndarray
-        (n, n).
-
-    Returns
-    -------
-    ndarray
-        (n, n).
+    Shapes: matrix (n, n), returns (n, n).
     """
     size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     return np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)

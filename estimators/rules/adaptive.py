@@ -78,26 +78,7 @@ def two_stage(
     share: float = 0.2,
     power: float = 1.0,
 ) -> Rule:
-    """White noise first, then the optimal input for the model fitted to it.
-
-    Parameters
-    ----------
-    orders, delay : object
-        Output-error orders (nb, nf) and delay, as for `identify`.
-    criterion : str
-        As for `solve_design`.
-    experiments : int
-        Budget, of which the first stage takes a share.
-    share : float
-        Share of the budget for the first stage; at least one experiment.
-    power : float
-        Input power of every experiment.
-
-    Returns
-    -------
-    callable
-        A rule for `run`.
-    """
+    """White noise first, then the optimal input for the model fitted to it."""
     if not 0 < share < 1:
         raise InputError(f"share is {share:g}; the first stage takes a share strictly between 0 and 1.")
     first = max(1, round(share * experiments))
@@ -116,32 +97,9 @@ def sequential(
 ) -> Rule:
     """White noise once, then redesign after 1, 2, 3, 4, 6, 8, 12, 16, 24, ... experiments.
 
-    Parameters
-    ----------
-    orders, delay : object
-        Output-error orders (nb, nf) and delay, as for `identify`.
-    criterion : str
-        As for `solve_design`.
-    experiments : int
-        Budget, which sets how far ahead each design plans.
-    power : float
-        Input power of every experiment.
-    draws : int
-        Plants drawn for the mean of their optima, for the criterion "hinf"; 0 designs for the fitted plant alone.
-    inflation : float
-        How many times the standard errors of the fit the draws are spread: the asymptotic covariance of a fit to few data
-        is too small, and a design that is too narrow cannot correct itself.
-
-    Returns
-    -------
-    callable
-        A rule for `run`.
-
-    Notes
-    -----
-    Optimal for the peak gain is the sinusoid at the peak in the direction of the largest singular value (gain-scaling
-    theorem, `oed.theory.claim`); the mean of these sinusoids over the posterior is the design that is best on average to
-    first order where the posterior is wide.
+    Optimal for the peak gain is the sinusoid at the peak in the direction of the largest singular value
+    (gain-scaling theorem, `oed.theory.claim`); the mean of these sinusoids over the posterior is the design
+    that is best on average to first order where the posterior is wide.
     """
     if draws < 0 or not inflation > 0:
         raise InputError(f"draws is {draws} and inflation {inflation:g}; give draws >= 0 and inflation > 0.")

@@ -35,39 +35,14 @@ def averaged_iterations(
 
         u^(n+1) ~ (1 - a_n) u^(n-1) + a_n T y^(n) / mu^(n),   a_n = n^-exponent,   n = 2, 3, ...
 
-    scaled to the limits. It is the input two experiments back that is moved, because the eigenvalues of T G come in
-    pairs of nearly equal size and opposite sign: over two experiments both grow by the same positive factor.
+    scaled to the limits. It is the input two experiments back that is moved, because the eigenvalues of T G
+    come in pairs of nearly equal size and opposite sign: over two experiments both grow by the same positive
+    factor.
 
-    Parameters
-    ----------
-    samples : int
-        Length N of every experiment.
-    n_inputs, n_outputs : int
-        Number of channels; one each.
-    rng : numpy.random.Generator
-        For the start.
-    exponent : float
-        In [0, 1]: 0 is the power iterations themselves. Without noise a larger one only slows them down.
-    limits : Limits, optional
-        Limits that every input is scaled to; default unit power.
-    start : array_like, optional
-        (N, 1) first input; default white noise.
+    Shapes: start (N, 1).
 
-    Yields
-    ------
-    Step
-        The next input, of kind "averaged". `corrected` estimates the norm from the records; [S] (7) does not hold
-        for them, since an input is not the output before.
-
-    Raises
-    ------
-    InputError
-        If the system has several channels or the exponent lies outside [0, 1].
-
-    Notes
-    -----
-    [S] Sec. 6, future work. On the reference plant (N = 1000, 50 experiments) the share of gamma^2
-    that the last inputs reach rises from 0.82 to 0.91 at variance 1, 0.34 to 0.86 at 4, 0.14 to 0.76 at 9.
+    [S] Sec. 6, future work. On the reference plant (N = 1000, 50 experiments) the share of gamma^2 that the
+    last inputs reach rises from 0.82 to 0.91 at variance 1, 0.34 to 0.86 at 4, 0.14 to 0.76 at 9.
     """
     if (n_inputs, n_outputs) != (1, 1):
         raise InputError(

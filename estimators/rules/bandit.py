@@ -76,26 +76,6 @@ def thompson_sampling(
 ) -> Generator[Step, NDArray[np.float64], None]:
     """Multisines whose powers follow the chance of each line to be the peak.
 
-    Parameters
-    ----------
-    samples : int
-        Length, one period.
-    n_inputs, n_outputs : int
-        One each.
-    rng : numpy.random.Generator
-        For draws and phases.
-    power : float
-        Input power of every experiment.
-    explore : float
-        Share of the power spread over all lines.
-
-    Yields
-    ------
-    Step
-        "bandit"; the first experiment is flat.
-
-    Notes
-    -----
     After Mueller, Valenzuela, Proutiere, Rojas, "A stochastic multi-armed bandit approach to nonparametric
     H-infinity norm estimation", CDC 2017 (the weighted variant), with lambda_e estimated.
     """
@@ -121,18 +101,7 @@ def thompson_sampling(
 
 
 def best_arm(trace: Trace) -> PeakEstimate:
-    """Gain of the line that is best under the posterior.
-
-    Parameters
-    ----------
-    trace : Trace
-        Of any inputs on one input and one output.
-
-    Returns
-    -------
-    PeakEstimate
-        Status CONVERGED where the best line is the peak in 95 % of joint draws (best-arm stopping).
-    """
+    """Gain of the line that is best under the posterior."""
     records = trace.records
     if records[0].n_inputs * records[0].n_outputs != 1:
         raise InputError("the best frequency is sought for one input and one output only.")

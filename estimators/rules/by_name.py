@@ -23,26 +23,7 @@ ALGORITHMS = ("siso", "procedure-1", "two-experiment", "mimo")
 def algorithm_rule(
     algorithm: str, n_inputs: int, n_outputs: int, *, scaling: str = "none", limits: Limits | None = None
 ) -> tuple[Rule, int]:
-    """The rule of an algorithm and its number of experiments per iteration.
-
-    Parameters
-    ----------
-    algorithm : {"siso", "procedure-1", "two-experiment", "mimo"}
-        [S] Algorithm 1; [M] Procedure 1 (the same with [M]'s estimator); [S] Remark 4; [M] Procedure 2.
-    n_inputs, n_outputs : int
-        Channels of the system.
-    scaling : {"none", "each", "common"}
-        How the second-stage inputs are scaled (`procedure_2`).
-    limits : Limits, optional
-        Limits on the inputs.
-
-    Returns
-    -------
-    rule : callable
-        For `run`.
-    experiments : int
-        Experiments per iteration.
-    """
+    """The rule of an algorithm and its number of experiments per iteration."""
     check_names([algorithm], ALGORITHMS, "algorithm")
     if algorithm in ("siso", "procedure-1"):
         return partial(power_iterations, limits=limits), 1
@@ -65,32 +46,7 @@ def iterate(
     rng: np.random.Generator,
     stop: Callable[[Trace], bool] | None = None,
 ) -> tuple[Trace, dict[str, Gains]]:
-    """Run an algorithm and evaluate its estimators.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The system.
-    algorithm : str
-        See `algorithm_rule`.
-    samples, iterations : int
-        Length of each experiment, number of iterations.
-    scaling : {"none", "each", "common"}
-        See `procedure_2`.
-    limits : Limits, optional
-        Limits on the inputs; default unit power.
-    rng : numpy.random.Generator
-        For the start.
-    stop : callable, optional
-        As in `run`.
-
-    Returns
-    -------
-    trace : Trace
-        The experiments.
-    gains : dict
-        `Gains` by estimator.
-    """
+    """Run an algorithm and evaluate its estimators."""
     rule, each = algorithm_rule(
         algorithm, experiment.n_inputs, experiment.n_outputs, scaling=scaling, limits=limits
     )

@@ -23,22 +23,7 @@ Steps = Generator[Step, NDArray[np.float64], None]
 def white(
     samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, power: float = 1.0
 ) -> Steps:
-    """White Gaussian noise, independent between channels and experiments.
-
-    Parameters
-    ----------
-    samples, n_inputs, n_outputs : int
-        Length and channels.
-    rng : numpy.random.Generator
-        Source of the noise.
-    power : float
-        Total input power.
-
-    Yields
-    ------
-    Step
-        The next input.
-    """
+    """White Gaussian noise, independent between channels and experiments."""
     limits = Limits(power)
     while True:
         yield Step(scaled(rng.standard_normal((samples, n_inputs)), limits), "white")
@@ -47,22 +32,7 @@ def white(
 def multisine(
     samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, power: float = 1.0
 ) -> Steps:
-    """Random-phase multisine, flat over all lines 2 pi k / N inside (0, pi).
-
-    Parameters
-    ----------
-    samples, n_inputs, n_outputs : int
-        Length (one period) and channels.
-    rng : numpy.random.Generator
-        Source of the phases, independent between channels and experiments.
-    power : float
-        Total input power.
-
-    Yields
-    ------
-    Step
-        The next input.
-    """
+    """Random-phase multisine, flat over all lines 2 pi k / N inside (0, pi)."""
     lines = (samples - 1) // 2
     if lines < 1:
         raise InputError(f"a multisine of {samples} samples has no line inside (0, pi); give at least 3.")
@@ -76,22 +46,7 @@ def multisine(
 def prbs(
     samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, power: float = 1.0
 ) -> Steps:
-    """Pseudo-random binary sequence: pieces of a maximum-length sequence at random places.
-
-    Parameters
-    ----------
-    samples, n_inputs, n_outputs : int
-        Length and channels.
-    rng : numpy.random.Generator
-        Where in the sequence each channel and experiment begins.
-    power : float
-        Total input power, equal in all channels.
-
-    Yields
-    ------
-    Step
-        The next input, of the two levels +-sqrt(power / nu).
-    """
+    """Pseudo-random binary sequence: pieces of a maximum-length sequence at random places."""
     from scipy.signal import max_len_seq
 
     bits = max(8, int(np.ceil(np.log2(16 * samples * n_inputs))))  # pieces seldom overlap
@@ -106,22 +61,7 @@ def prbs(
 def sweep(
     samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, power: float = 1.0
 ) -> Steps:
-    """Linear sine sweep from 0 to pi with a random initial phase; channel j is delayed by j N / nu.
-
-    Parameters
-    ----------
-    samples, n_inputs, n_outputs : int
-        Length and channels.
-    rng : numpy.random.Generator
-        Source of the phase.
-    power : float
-        Total input power.
-
-    Yields
-    ------
-    Step
-        The next input.
-    """
+    """Linear sine sweep from 0 to pi with a random initial phase; channel j is delayed by j N / nu."""
     t = np.arange(samples)
     limits = Limits(power)
     while True:
@@ -133,17 +73,7 @@ def sweep(
 def fixed(u: ArrayLike, kind: str = "fixed") -> Rule:
     """A rule that repeats one signal, such as a designed one, as it is.
 
-    Parameters
-    ----------
-    u : array_like
-        (N, nu).
-    kind : str
-        What the trace calls it.
-
-    Returns
-    -------
-    callable
-        The rule.
+    Shapes: u (N, nu).
     """
     signal = as_signal(u, "the fixed input")
 

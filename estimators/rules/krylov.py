@@ -33,24 +33,6 @@ def lanczos(
 ) -> Generator[Step, NDArray[np.float64], None]:
     """Lanczos vectors as inputs: one experiment each for one channel, 1 + pq for several.
 
-    Parameters
-    ----------
-    samples, n_inputs, n_outputs : int
-        Length and channels.
-    rng : numpy.random.Generator
-        For the start.
-    limits : Limits, optional
-        Limits on every input; default unit power.
-    start : array_like, optional
-        First input; default white noise.
-
-    Yields
-    ------
-    Step
-        "krylov" for one channel, "forward" and "transpose i j" for several.
-
-    Notes
-    -----
     The next input is the part of T y (of G' G u) that is orthogonal to all inputs before it.
     """
     limits = limits or Limits()
@@ -79,19 +61,7 @@ def lanczos(
 
 
 def ritz(trace: Trace) -> Gains:
-    """Largest gain in the span of the inputs so far, one value per iteration.
-
-    Parameters
-    ----------
-    trace : Trace
-        Of `lanczos`, of power iterations or of Procedure 2.
-
-    Returns
-    -------
-    Gains
-        For one channel the largest |eigenvalue| of V' T G V, V an orthonormal basis of the inputs; for
-        several the root of the largest eigenvalue of V' G' G V. Noise biases them up once the span is wide.
-    """
+    """Largest gain in the span of the inputs so far, one value per iteration."""
     if not trace.kinds or trace.kinds[0] not in ("krylov", "power", "forward"):
         raise InputError("Ritz values need the experiments of lanczos, power iterations or Procedure 2.")
     single = trace.kinds[0] != "forward"

@@ -18,16 +18,9 @@ __all__ = ["Limits", "scaled", "white_start"]
 class Limits:
     """Limits on the input; those that are None do not bind.
 
-    Attributes
-    ----------
-    power : float or None
-        Sum over channels of the mean square, in squared input units (default 1).
-    energy : float or None
-        Sum over channels and samples of the squares.
-    amplitude : float or array_like or None
-        Largest absolute value, common or per channel.
-    channel_power : array_like or None
-        Mean square of each channel, (nu,).
+    `power` sum over channels of the mean square, in squared input units (default 1); `energy` sum over
+    channels and samples of the squares; `amplitude` largest absolute value, common or per channel;
+    `channel_power` mean square of each channel, (nu,).
     """
 
     power: float | None = 1.0
@@ -56,22 +49,7 @@ class Limits:
 def scaled(x: ArrayLike, limits: Limits) -> NDArray[np.float64]:
     """The largest positive multiple of a signal that meets the limits.
 
-    Parameters
-    ----------
-    x : array_like
-        (N, nu).
-    limits : Limits
-        What must be met.
-
-    Returns
-    -------
-    ndarray
-        (N, nu).
-
-    Raises
-    ------
-    ExperimentError
-        If the signal is zero: it has no direction to go on with.
+    Shapes: x (N, nu), returns (N, nu).
     """
     x = np.asarray(x, dtype=float)
     N = len(x)
@@ -108,22 +86,7 @@ def _channel_factors(x: NDArray[np.float64], limits: Limits) -> list[float]:
 def white_start(
     samples: int, n_inputs: int, rng: np.random.Generator, limits: Limits | None = None
 ) -> NDArray[np.float64]:
-    """White Gaussian noise scaled to the limits (exactly unit power by default).
-
-    Parameters
-    ----------
-    samples, n_inputs : int
-        Size.
-    rng : numpy.random.Generator
-        Source of the noise.
-    limits : Limits, optional
-        Default: total power 1.
-
-    Returns
-    -------
-    ndarray
-        (samples, n_inputs).
-    """
+    """White Gaussian noise scaled to the limits (exactly unit power by default)."""
     return scaled(rng.standard_normal((samples, n_inputs)), limits or Limits())
 
 

@@ -82,21 +82,7 @@ def first_input(
 ) -> NDArray[np.float64]:
     """The start of the iterations: what the user gave, or white noise, scaled to the limits.
 
-    Parameters
-    ----------
-    samples, n_inputs : int
-        Size.
-    rng : numpy.random.Generator
-        For the white noise.
-    limits : Limits
-        What the input must meet.
-    start : array_like or None
-        (N, nu) or None.
-
-    Returns
-    -------
-    ndarray
-        (N, nu).
+    Shapes: start (N, nu), returns (N, nu).
     """
     if start is None:
         return white_start(samples, n_inputs, rng, limits)

@@ -34,30 +34,8 @@ def procedure_2(
     I_ij puts output j in place of input i: every experiment of the sum has one input that is not zero, and
     one output of it is used. With one channel this is the two-experiment scheme of [S] Remark 4.
 
-    Parameters
-    ----------
-    samples : int
-        Length N of every experiment.
-    n_inputs, n_outputs : int
-        Number of channels q and p.
-    rng : numpy.random.Generator
-        For the start.
-    limits : Limits, optional
-        Limits on the inputs; default total power 1.
-    scaling : {"none", "each", "common"}
-        Second-stage inputs as they are (the limits then hold for the first stage only); each scaled to the
-        limits by itself; or all by one factor, for which they meet the power and energy limits together and
-        every other limit one by one. The output is scaled back ([M] (13)).
-    start : array_like, optional
-        (N, nu) first input; default white noise.
+    Shapes: start (N, nu).
 
-    Yields
-    ------
-    Step
-        The next input, "forward" or "transpose i j" (input i, output j, from 1).
-
-    Notes
-    -----
     [M] Procedure 2 and Sec. III-C. An output that is exactly zero makes no experiment void: its input is
     applied as zero, so that there are always 1 + pq.
     """

@@ -22,22 +22,8 @@ def settled(
     """A stopping rule: the last iterations agree with those before them.
 
     Two neighbouring windows of iterations are compared: their means differ by less than `share` times the
-    standard error of the difference, computed from their own scatter. Without noise the scatter is the remaining
-    drift itself, and a relative change below 1e-6 stops.
-
-    Parameters
-    ----------
-    estimator : callable
-        From a trace to gains, one per iteration.
-    window : int
-        Iterations per window, at least 3.
-    share : float
-        Standard errors.
-
-    Returns
-    -------
-    callable
-        For the argument `stop` of `run`.
+    standard error of the difference, computed from their own scatter. Without noise the scatter is the
+    remaining drift itself, and a relative change below 1e-6 stops.
     """
     if window < 3 or not share > 0:
         raise InputError(f"window is {window} and share {share}; they must be at least 3 and positive.")

@@ -33,13 +33,9 @@ Rule = Callable[[int, int, int, np.random.Generator], Generator[Any, NDArray[np.
 class Step:
     """An input with its part in the method.
 
-    Attributes
-    ----------
-    u : ndarray
-        (N, nu) the input to apply.
-    kind : str
-        What the experiment is for: "power", "forward", "transpose 1 2" (input 1, output 2), "white", ...
-        One iteration of a method begins at every kind that is not "transpose ...".
+    `u` (N, nu) the input to apply; `kind` what the experiment is for: "power", "forward", "transpose 1 2"
+    (input 1, output 2), "white", ... One iteration of a method begins at every kind that is not "transpose
+    ...".
     """
 
     u: NDArray[np.float64]

@@ -31,20 +31,7 @@ def apply_transpose(
 ) -> NDArray[np.float64]:
     """G' x by pq experiments on G.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The system.
-    x : array_like
-        (N, ny) signal on the outputs.
-    power : float, optional
-        Power that every experiment's input is scaled to; the output is scaled back ([M] (13)). Default: as
-        it is.
-
-    Returns
-    -------
-    ndarray
-        (N, nu); with noise, its noise is that of pq experiments.
+    Shapes: x (N, ny), returns (N, nu).
     """
     x = as_signal(x, "the signal to transpose")
     if x.shape[1] != experiment.n_outputs:
@@ -68,16 +55,8 @@ def apply_transpose(
 class LearningControl:
     """Trials of adjoint iterative learning control.
 
-    Attributes
-    ----------
-    u : ndarray
-        (N, nu) last input.
-    errors : ndarray
-        (trials,) root mean square of r - y in every trial, as measured.
-    inputs, outputs : tuple of ndarray
-        Of every trial.
-    step : float
-        The learning gain a.
+    `u` (N, nu) last input; `errors` (trials,) root mean square of r - y in every trial, as measured; `inputs,
+    outputs` of every trial; `step` the learning gain a.
     """
 
     u: NDArray[np.float64]
@@ -104,25 +83,7 @@ def adjoint_learning(
 ) -> LearningControl:
     """Learn the input that tracks a reference, without a model.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The system; every trial costs 1 + pq experiments.
-    reference : array_like
-        (N, ny) wanted output.
-    trials : int
-        How many.
-    gain : float
-        An estimate of ||G_N|| (from power iterations); an overestimate is safe.
-    relaxation : float
-        The learning gain a times gain^2, below 2.
-    decreasing : bool
-        Whether a falls as 1 / (1 + k / 4), which averages the noise out instead of learning it.
-
-    Returns
-    -------
-    LearningControl
-        Errors and signals of every trial.
+    Shapes: reference (N, ny).
     """
     r = as_signal(reference, "the reference")
     if r.shape[1] != experiment.n_outputs:
@@ -151,22 +112,7 @@ def adjoint_learning(
 def lipschitz_constant(
     mapping: Callable[[NDArray], NDArray], points: NDArray[np.float64], size: float = 1e-4
 ) -> float:
-    """Largest measured ratio ||f(x + d) - f(x)|| / ||d||, d towards the other points and along f itself.
-
-    Parameters
-    ----------
-    mapping : callable
-        From a vector to a vector of the same size.
-    points : ndarray
-        (n, m) points at which it is tried.
-    size : float
-        Length of d relative to the point.
-
-    Returns
-    -------
-    float
-        A lower bound on the Lipschitz constant: below 1 for a contraction, above 1 shows that there is none.
-    """
+    """Largest measured ratio ||f(x + d) - f(x)|| / ||d||, d towards the other points and along f itself."""
     worst = 0.0
     for x in points:
         base = mapping(x)
@@ -181,20 +127,6 @@ def lipschitz_constant(
 def model_error(model: object, experiment: Experiment) -> Experiment:
     """Experiments on the model error P_model - P_true: one experiment and one simulation each.
 
-    Parameters
-    ----------
-    model : Plant
-        The model (anything with `simulate(u)`, `n_inputs` and `n_outputs`).
-    experiment : Experiment
-        The true system.
-
-    Returns
-    -------
-    Experiment
-        Its inputs are applied to the system; its outputs are the model's minus the measured ones.
-
-    Notes
-    -----
     [M] (1) and Sec. II.
     """
     shape = (getattr(model, "n_inputs", None), getattr(model, "n_outputs", None))

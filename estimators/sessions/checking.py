@@ -27,12 +27,8 @@ HELD = 5
 class Reading:
     """The content of a recorded file.
 
-    Attributes
-    ----------
-    y : ndarray
-        (rows, ny) outputs; NaN where a sample is missing.
-    u : ndarray or None
-        (rows, nu) the inputs as they were recorded beside them, where they were.
+    `y` (rows, ny) outputs; NaN where a sample is missing; `u` (rows, nu) the inputs as they were recorded
+    beside them, where they were.
     """
 
     y: Array
@@ -40,27 +36,7 @@ class Reading:
 
 
 def read_output(path: Path, settings: Settings, step: int) -> Reading:
-    """Read a recorded file and check all that can be checked without the session's past.
-
-    Parameters
-    ----------
-    path : Path
-        CSV, MAT, Parquet or npz.
-    settings : Settings
-        Names and sampling time.
-    step : int
-        The step that waits.
-
-    Returns
-    -------
-    Reading
-        The outputs, and the inputs where they are recorded.
-
-    Raises
-    ------
-    InputError
-        If the file is of another step by its name, half written, without the outputs' columns, or on another clock.
-    """
+    """Read a recorded file and check all that can be checked without the session's past."""
     named = re.fullmatch(r"(?:.*[^a-z])?(input|output)-(\d+)(?:-\d+)?\.\w+(?:\.gz)?", path.name)
     if named and (named[1] == "input" or int(named[2]) != step):
         raise InputError(
@@ -118,19 +94,7 @@ def _check_clock(t: Array, settings: Settings, name: str) -> None:
 def check_output(y: Array, rows: int, settings: Settings) -> None:
     """Raise if an output has not the session's shape.
 
-    Parameters
-    ----------
-    y : ndarray
-        (N, ny) what was recorded.
-    rows : int
-        Rows of the input.
-    settings : Settings
-        The channels.
-
-    Raises
-    ------
-    InputError
-        With both numbers.
+    Shapes: y (N, ny).
     """
     if y.ndim != 2 or y.shape[1] != settings.n_outputs:
         raise InputError(
@@ -145,23 +109,10 @@ def check_output(y: Array, rows: int, settings: Settings) -> None:
 
 
 def check_reference(u: Array, asked: Array, before: list[Array], settings: Settings) -> None:
-    """Raise if the inputs recorded beside the outputs are not those that were asked for, and say what they are.
+    """Raise if the inputs recorded beside the outputs are not those that were asked for, and say what they
+    are.
 
-    Parameters
-    ----------
-    u : ndarray
-        (rows, nu) recorded.
-    asked : ndarray
-        (rows, nu) of the step.
-    before : list of ndarray
-        Those of the earlier steps.
-    settings : Settings
-        Names, levels and the tolerance.
-
-    Raises
-    ------
-    InputError
-        Naming swapped channels, another step's input, a reversed sign or a delay where that is what it is.
+    Shapes: u (rows, nu), asked (rows, nu).
     """
     close = lambda a, b: _distance(a, b, settings) <= settings.reference_tolerance
     if not np.isfinite(u).all():
@@ -209,21 +160,7 @@ def _distance(u: Array, asked: Array, settings: Settings) -> float:
 def faults(y: Array, u: Array, settings: Settings, *, silent: bool = False) -> str:
     """What makes a measurement unfit for use, empty where nothing does.
 
-    Parameters
-    ----------
-    y : ndarray
-        (rows, ny) recorded.
-    u : ndarray
-        (rows, nu) asked for.
-    settings : Settings
-        Sensor ranges and abort levels.
-    silent : bool
-        Whether an output that is zero throughout is possible.
-
-    Returns
-    -------
-    str
-        A sentence: samples missing, beyond the abort level, saturated, held, or an output that never moves.
+    Shapes: y (rows, ny), u (rows, nu).
     """
     for i, name in enumerate(settings.outputs):
         signal = y[:, i]

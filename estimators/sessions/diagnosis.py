@@ -17,14 +17,9 @@ __all__ = ["SessionDiagnosis", "diagnosis_of"]
 class SessionDiagnosis:
     """What is missing, by whichever way the session's records allow.
 
-    Attributes
-    ----------
-    of_model : ModelError or None
-        Corrections of the model that the session was given.
-    of_rig : object
-        The `Diagnosis` of what any linear model of the rig lacks, None where it was not made.
-    proposal : Proposal or None
-        The experiment that would decide between the likeliest causes.
+    `of_model` corrections of the model that the session was given; `of_rig` the `Diagnosis` of what any
+    linear model of the rig lacks, None where it was not made; `proposal` the experiment that would decide
+    between the likeliest causes.
     """
 
     of_model: ModelError | None = None
@@ -32,13 +27,7 @@ class SessionDiagnosis:
     proposal: Proposal | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON.
-
-        Returns
-        -------
-        dict
-            cause, ranked, errors before and after, and the proposal.
-        """
+        """Plain data for JSON."""
         found: dict[str, Any] = {}
         if self.of_model is not None:
             best = self.of_model.cause
@@ -86,24 +75,7 @@ class SessionDiagnosis:
 
 
 def diagnosis_of(session: Session) -> SessionDiagnosis:
-    """What is missing from the session's model, or from a linear model of its rig.
-
-    Parameters
-    ----------
-    session : Session
-        With at least two records.
-
-    Returns
-    -------
-    SessionDiagnosis
-        Of the model where the session has one; of the rig where it is a `diagnose-next` session, with the experiment
-        that would decide.
-
-    Raises
-    ------
-    InputError
-        If the session has neither a model nor that method, or too few records.
-    """
+    """What is missing from the session's model, or from a linear model of its rig."""
     s = session.settings
     records = session.trace.records
     if len(records) < 2:

@@ -20,32 +20,14 @@ __all__ = ["SessionEstimate", "estimate_of"]
 class SessionEstimate:
     """Peak gain of what the session experiments on.
 
-    Attributes
-    ----------
-    value : float
-        H-infinity norm; NaN before the first measurement.
-    standard_error : float
-        NaN where there is none yet.
-    interval : tuple of float
-        95 % interval.
-    frequency : float
-        Where the gain peaks, in rad/sample.
-    frequency_error : float
-        Its standard error; infinite where the records do not say where the peak is: `frequency` is then only the
-        place that was looked at.
-    direction : ndarray
-        (nu,) complex: the worst-case input direction there.
-    estimator : str
-        Which estimator the numbers are from.
-    status : Status
-        Whether they can be trusted.
-    gains : tuple of float
-        The method's own estimate after every iteration, where it has one.
-    noise_floor : tuple of float
-        Standard deviation of the noise on one sample of each output, after averaging; from the scatter of the
-        periods where there are several, otherwise from the estimator, the same for all outputs.
-    message : str
-        What a reader should know.
+    `value` H-infinity norm; NaN before the first measurement; `standard_error` naN where there is none yet;
+    `interval` 95 % interval; `frequency` where the gain peaks, in rad/sample; `frequency_error` its standard
+    error; infinite where the records do not say where the peak is: `frequency` is then only the place that
+    was looked at; `direction` (nu,) complex: the worst-case input direction there; `estimator` which
+    estimator the numbers are from; `status` whether they can be trusted; `gains` the method's own estimate
+    after every iteration, where it has one; `noise_floor` standard deviation of the noise on one sample of
+    each output, after averaging; from the scatter of the periods where there are several, otherwise from the
+    estimator, the same for all outputs; `message` what a reader should know.
     """
 
     value: float
@@ -81,21 +63,7 @@ def estimate_of(
 ) -> SessionEstimate:
     """Estimate from what was measured.
 
-    Parameters
-    ----------
-    settings : Settings
-        Of the session.
-    records : Trace
-        Inputs as applied and outputs as measured.
-    own : Trace
-        The same as the method sees them (different where experiments from rest have ramps).
-    scatter : ndarray, optional
-        (ny,) variance of the noise from the scatter of repeated periods.
-
-    Returns
-    -------
-    SessionEstimate
-        Never an exception for want of data: then the interval is infinite or the value NaN, and the status says so.
+    Shapes: scatter (ny,).
     """
     nan = float("nan")
     if not len(records):

@@ -39,13 +39,7 @@ Every file here is written once and never changed. Every command can be repeated
 
 
 class Folder:
-    """The folder of a session.
-
-    Parameters
-    ----------
-    path : Path
-        It exists.
-    """
+    """The folder of a session."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -53,15 +47,7 @@ class Folder:
     def find(self, kind: str) -> dict[tuple[int, int], Path]:
         """The files of a kind by step and version.
 
-        Parameters
-        ----------
-        kind : str
-            "input", "output" or "flagged".
-
-        Returns
-        -------
-        dict
-            (step, version) -> file, in order; the version is 1 where the name has none.
+        Shapes: returns (step, version).
         """
         found = {}
         for entry in os.listdir(self.path):
@@ -71,35 +57,11 @@ class Folder:
         return dict(sorted(found.items()))
 
     def input_path(self, step: int, version: int = 1) -> Path:
-        """Name of an input file.
-
-        Parameters
-        ----------
-        step : int
-            From 1.
-        version : int
-            1, or 1 plus the number of times it was halved.
-
-        Returns
-        -------
-        Path
-            The file, there or not.
-        """
+        """Name of an input file."""
         return self.path / (f"input-{step:04d}" + (f"-{version}" if version > 1 else "") + ".csv")
 
     def output_path(self, step: int) -> Path:
-        """Name of an output file.
-
-        Parameters
-        ----------
-        step : int
-            From 1.
-
-        Returns
-        -------
-        Path
-            The file, there or not.
-        """
+        """Name of an output file."""
         return self.path / f"output-{step:04d}.csv"
 
     def tidy(self) -> None:
@@ -112,19 +74,7 @@ class Folder:
                     self.note(step, kind, file)
 
     def note(self, step: int, event: str, file: Path | None, words: str = "") -> None:
-        """Add a line to the journal.
-
-        Parameters
-        ----------
-        step : int
-            Of the session.
-        event : str
-            "input", "output", "flagged", ...
-        file : Path or None
-            The file it is about: its fingerprint is noted.
-        words : str
-            Anything else a reader should know.
-        """
+        """Add a line to the journal."""
         stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         about = f"{file.name} {fingerprint(file.read_bytes())}" if file is not None else "- -"
         append_line(
@@ -134,13 +84,7 @@ class Folder:
         )
 
     def fingerprints(self) -> dict[str, str]:
-        """What the journal says of each file.
-
-        Returns
-        -------
-        dict
-            File name -> fingerprint of its content.
-        """
+        """What the journal says of each file."""
         journal = self.path / "journal.txt"
         if not journal.is_file():
             return {}
@@ -152,20 +96,7 @@ class Folder:
         return found
 
     def check_unchanged(self, file: Path, content: bytes) -> None:
-        """Raise if a file is not what the journal says it was.
-
-        Parameters
-        ----------
-        file : Path
-            An input or output of this folder.
-        content : bytes
-            What it holds now.
-
-        Raises
-        ------
-        CampaignError
-            If it was changed after it was written.
-        """
+        """Raise if a file is not what the journal says it was."""
         known = self.fingerprints().get(file.name)
         if known is not None and known != fingerprint(content):
             raise CampaignError(
@@ -175,16 +106,5 @@ class Folder:
 
 
 def fingerprint(content: bytes) -> str:
-    """Short checksum of a file's content.
-
-    Parameters
-    ----------
-    content : bytes
-        The content.
-
-    Returns
-    -------
-    str
-        16 hexadecimal digits of its SHA-256.
-    """
+    """Short checksum of a file's content."""
     return hashlib.sha256(content).hexdigest()[:16]

@@ -28,12 +28,8 @@ Array = NDArray[np.float64]
 class Measured:
     """What is left of a recorded output.
 
-    Attributes
-    ----------
-    y : ndarray
-        (N, ny) the measured part, averaged over the periods.
-    noise : ndarray
-        (ny,) variance of the noise on one sample of y, from the scatter of the periods; NaN with one period.
+    `y` (N, ny) the measured part, averaged over the periods; `noise` (ny,) variance of the noise on one
+    sample of y, from the scatter of the periods; NaN with one period.
     """
 
     y: Array
@@ -41,18 +37,7 @@ class Measured:
 
 
 def rig_samples(settings: Settings) -> int:
-    """Rows of every input and output file.
-
-    Parameters
-    ----------
-    settings : Settings
-        The settings.
-
-    Returns
-    -------
-    int
-        With lead, ramps, warm-up, periods and rest.
-    """
+    """Rows of every input and output file."""
     around = settings.lead + settings.rest
     if not settings.periodic:
         return settings.samples + around
@@ -62,15 +47,7 @@ def rig_samples(settings: Settings) -> int:
 def taper(settings: Settings) -> Array:
     """The weight w of every sample of an experiment from rest.
 
-    Parameters
-    ----------
-    settings : Settings
-        The settings.
-
-    Returns
-    -------
-    ndarray
-        (N, 1), symmetric in time; ones where the experiment is periodic or has no ramp.
+    Shapes: returns (N, 1).
     """
     w = np.ones((settings.samples, 1))
     if settings.ramp and not settings.periodic:
@@ -87,17 +64,7 @@ def _rise(ramp: int) -> Array:
 def placed(u: Array, settings: Settings) -> Array:
     """The whole input of an experiment as the rig sees it.
 
-    Parameters
-    ----------
-    u : ndarray
-        (N, nu) what the method asks for, about the level.
-    settings : Settings
-        The settings.
-
-    Returns
-    -------
-    ndarray
-        (`rig_samples`, nu) levels included.
+    Shapes: u (N, nu).
     """
     if settings.periodic:
         parts = [u] * (settings.periods + settings.warm_up)
@@ -112,20 +79,7 @@ def placed(u: Array, settings: Settings) -> Array:
 
 
 def measured(y: Array, settings: Settings) -> Measured:
-    """The measured part of a recorded output: warm-up discarded, periods averaged.
-
-    Parameters
-    ----------
-    y : ndarray
-        (`rig_samples`, ny) what was recorded.
-    settings : Settings
-        The settings.
-
-    Returns
-    -------
-    Measured
-        N samples and the noise on them.
-    """
+    """The measured part of a recorded output: warm-up discarded, periods averaged."""
     N, P = settings.samples, settings.periods
     if settings.lead:
         y, lead = y[settings.lead :], y[: settings.lead]

@@ -19,26 +19,7 @@ FROM_REST = ("two-stage", "sequential", "diagnose-next")
 
 
 def rule_of(settings: Settings, known: Sequence[NDArray[np.float64]] = ()) -> Rule:
-    """The rule of a session's method.
-
-    Parameters
-    ----------
-    settings : Settings
-        Method and options.
-    known : sequence of ndarray
-        Inputs of the first steps where they are on record: a method whose inputs depend on nothing but the records
-        takes them from here and does not compute them again.
-
-    Returns
-    -------
-    callable
-        For `run`, or to be driven by a session.
-
-    Raises
-    ------
-    InputError
-        If the method does not go with another setting.
-    """
+    """The rule of a session's method."""
     if settings.method in FROM_REST and settings.periodic:
         raise InputError(
             f"the method {settings.method} fits models to experiments from rest; use one period and no warm-up."
@@ -78,18 +59,7 @@ def _limits(settings: Settings) -> Limits:
 
 
 def nominal_power(settings: Settings) -> float:
-    """Power of the inputs of methods that know of no other limit.
-
-    Parameters
-    ----------
-    settings : Settings
-        With a power, or with amplitudes or energies.
-
-    Returns
-    -------
-    float
-        The power, or the most that the amplitudes or energies could allow.
-    """
+    """Power of the inputs of methods that know of no other limit."""
     if settings.power is not None:
         return settings.power
     if settings.amplitude is not None:

@@ -36,18 +36,10 @@ MAKERS = ("gain", "delay", "feedthrough", "lag", "mode")
 class Cause:
     """A correction of the model.
 
-    Attributes
-    ----------
-    name : str
-        none, gain, delay, feedthrough, lag or mode.
-    sentence : str
-        What it says.
-    criterion : float
-        Gain of Schwarz's criterion over no correction, in units of twice the log-likelihood.
-    before, after : float
-        Root mean square of the model error's output on the records held out, without and with the correction.
-    parameters : dict
-        Poles and coefficients by name.
+    `name` none, gain, delay, feedthrough, lag or mode; `sentence` what it says; `criterion` gain of Schwarz's
+    criterion over no correction, in units of twice the log-likelihood; `before, after` root mean square of
+    the model error's output on the records held out, without and with the correction; `parameters` poles and
+    coefficients by name.
     """
 
     name: str
@@ -65,14 +57,8 @@ class Cause:
 class ModelError:
     """What is missing from a model, and where.
 
-    Attributes
-    ----------
-    causes : tuple of Cause
-        Best first; "none" among them.
-    frequency : float
-        Worst-case frequency in rad/sample.
-    share : ndarray
-        (ny, nu) share of each entry of the model error in its squared size at that frequency.
+    `causes` best first; "none" among them; `frequency` worst-case frequency in rad/sample; `share` (ny, nu)
+    share of each entry of the model error in its squared size at that frequency.
     """
 
     causes: tuple[Cause, ...]

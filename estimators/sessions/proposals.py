@@ -22,18 +22,9 @@ Array = NDArray[np.float64]
 class Proposal:
     """The next input, and what it is for.
 
-    Attributes
-    ----------
-    u : ndarray
-        (N,) input.
-    causes : tuple of str
-        The two causes between which it decides; empty where none could be told apart.
-    power : float
-        Predicted probability of the right decision with it; NaN where there is none.
-    white : float
-        The same with white noise of the same length within the same limits.
-    candidates : tuple of str
-        All that were considered.
+    `u` (N,) input; `causes` the two causes between which it decides; empty where none could be told apart;
+    `power` predicted probability of the right decision with it; NaN where there is none; `white` the same
+    with white noise of the same length within the same limits; `candidates` all that were considered.
     """
 
     u: Array
@@ -54,28 +45,8 @@ def diagnose_next(
     seed: int = 0,
     known: Sequence[Array] = (),
 ) -> Generator[Step, Array, None]:
-    """Experiments that find out what a linear model lacks: each decides between the two likeliest causes so far.
-
-    Parameters
-    ----------
-    samples : int
-        Length; the last eighth of it is silence, in which the system comes to rest, so that the records of
-        several experiments can be joined to one.
-    n_inputs, n_outputs : int
-        One each.
-    rng : numpy.random.Generator
-        Not used: what is drawn in experiment k depends on the seed and k alone.
-    power, amplitude : float
-        Limits on the inputs.
-    seed : int
-        For what is drawn.
-    known : sequence of ndarray
-        Inputs of the first experiments where they are on record, which saves designing them again.
-
-    Yields
-    ------
-    Step
-        "levels", then "decide".
+    """Experiments that find out what a linear model lacks: each decides between the two likeliest causes so
+    far.
     """
     if (n_inputs, n_outputs) != (1, 1):
         raise InputError(
@@ -94,18 +65,7 @@ def diagnose_next(
 
 
 def joined(records: Sequence[Record]) -> Record:
-    """One record of several that each begin and end at rest.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        In order.
-
-    Returns
-    -------
-    Record
-        All of them, one after the other.
-    """
+    """One record of several that each begin and end at rest."""
     return records[0].replace(
         u=np.concatenate([r.u for r in records]), y=np.concatenate([r.y for r in records])
     )
@@ -114,24 +74,7 @@ def joined(records: Sequence[Record]) -> Record:
 def propose(
     records: Sequence[Record], samples: int, power: float, amplitude: float, rng: np.random.Generator
 ) -> Proposal:
-    """The next input of `diagnose_next`.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        What was measured, each experiment from rest and back to it.
-    samples : int
-        Length of the input, its silent end included.
-    power, amplitude : float
-        Limits.
-    rng : numpy.random.Generator
-        For levels, phases and the search.
-
-    Returns
-    -------
-    Proposal
-        Random levels while there is nothing to decide.
-    """
+    """The next input of `diagnose_next`."""
     length = samples - samples // 8
     levels = Proposal(_silenced(_levels(length, power, amplitude, rng), samples))
     if not records:

@@ -18,17 +18,7 @@ ROUNDING = 1e-9
 def check_input(u: NDArray[np.float64], settings: Settings) -> None:
     """Raise if a rig's input violates a limit, naming the limit, the channel and the sample.
 
-    Parameters
-    ----------
-    u : ndarray
-        (samples, nu) the whole input as the rig will see it, levels included.
-    settings : Settings
-        With the limits.
-
-    Raises
-    ------
-    InputError
-        With the value, the limit and the remedy.
+    Shapes: u (samples, nu).
     """
     if not np.isfinite(u).all():
         raise InputError("the input has samples that are not finite; nothing was written.")
@@ -47,19 +37,7 @@ def check_input(u: NDArray[np.float64], settings: Settings) -> None:
 def fitting_factor(u: NDArray[np.float64], settings: Settings) -> tuple[float, str]:
     """By what the deviation from the levels must be multiplied so that every limit is met.
 
-    Parameters
-    ----------
-    u : ndarray
-        (samples, nu) the whole input, levels included.
-    settings : Settings
-        With the limits.
-
-    Returns
-    -------
-    factor : float
-        At most 1.
-    limit : str
-        Which limit demands it, empty where none does.
+    Shapes: u (samples, nu).
     """
     factor, binding = 1.0, ""
     for name, _, values, limits in _demands(u, settings):

@@ -37,20 +37,9 @@ class FlaggedMeasurement(InputError):
 class Asked:
     """An input that waits for its output.
 
-    Attributes
-    ----------
-    step : int
-        From 1.
-    kind : str
-        Its part in the method.
-    u : ndarray
-        (N, nu) what the method asked for.
-    whole : ndarray
-        (rows, nu) what the rig is to apply.
-    factor : float
-        whole is made of factor times u.
-    limit : str
-        Which limit demanded a factor below 1, empty where none did.
+    `step` from 1; `kind` its part in the method; `u` (N, nu) what the method asked for; `whole` (rows, nu)
+    what the rig is to apply; `factor` whole is made of factor times u; `limit` which limit demanded a factor
+    below 1, empty where none did.
     """
 
     step: int

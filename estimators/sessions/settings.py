@@ -243,41 +243,12 @@ SESSION = keyed(
 
 
 def settings_to_json(settings: Settings) -> str:
-    """The text of `session.json`.
-
-    Parameters
-    ----------
-    settings : Settings
-        The settings.
-
-    Returns
-    -------
-    str
-        The same settings always give the same text.
-    """
+    """The text of `session.json`."""
     return json.dumps({"oed_session": SCHEMA, **asdict(settings)}, indent=1) + "\n"
 
 
 def settings_from_json(text: str, where: str) -> Settings:
-    """Settings from the text of `session.json`.
-
-    Parameters
-    ----------
-    text : str
-        Its content.
-    where : str
-        What it is called in messages.
-
-    Returns
-    -------
-    Settings
-        The settings.
-
-    Raises
-    ------
-    CampaignError
-        If it is damaged, or of another version.
-    """
+    """Settings from the text of `session.json`."""
     content = parsed_json(text, where, error=CampaignError)
     if not isinstance(content, Mapping) or "oed_session" not in content:
         raise CampaignError(f"{where} does not describe a session; choose another folder.")

@@ -16,22 +16,7 @@ __all__ = ["plot_design", "plot_sensitivity", "plot_with_certificate"]
 
 
 def plot_sensitivity(design: Design, axes: Axes | None = None, *, points: int = 4000) -> Any:
-    """Sensitivity over frequency with the support marked on it.
-
-    Parameters
-    ----------
-    design : Design
-        The design.
-    axes : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
-    points : int
-        Frequencies of the curve, besides those of the support.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-        With the drawing.
-    """
+    """Sensitivity over frequency with the support marked on it."""
     axes = axes_or_new(axes)
     support = design.spectrum.omega
     omega = np.unique(np.concatenate([np.linspace(0, np.pi, points), support]))
@@ -49,20 +34,7 @@ def plot_sensitivity(design: Design, axes: Axes | None = None, *, points: int = 
 
 
 def plot_design(design: Design, axes: Axes | None = None) -> Any:
-    """Lines of the spectrum, one-sided power summed over channels, over the plant's largest gain.
-
-    Parameters
-    ----------
-    design : Design
-        The design.
-    axes : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-        With the drawing.
-    """
+    """Lines of the spectrum, one-sided power summed over channels, over the plant's largest gain."""
     axes = axes_or_new(axes)
     power = np.einsum("kii->k", design.spectrum.power).real
     omega = np.linspace(0, np.pi, 2000)

@@ -196,22 +196,7 @@ def _looked_at_again(found: Exchange) -> Exchange:
 
 
 def certified(found: Exchange, *, tolerance: float, solver: str) -> Design:
-    """Make a Design of the outcome of the loop, in the model's own units.
-
-    Parameters
-    ----------
-    found : Exchange
-        The outcome.
-    tolerance : float
-        Relative gap that was asked for.
-    solver : str
-        Name of the solver.
-
-    Returns
-    -------
-    Design
-        The design.
-    """
+    """Make a Design of the outcome of the loop, in the model's own units."""
     problem, spectrum = found.problem, _spectrum(found.columns, found.w)
     loss, bound = found.loss * problem.scale, found.bound * problem.scale
     X = np.asarray(np.linalg.solve(problem.R, found.X), dtype=np.float64)

@@ -24,20 +24,6 @@ def table_of_arrays(shapes: Mapping[str, tuple[int, ...]], get: Callable[[str], 
 
     A vector is one channel whichever way it lies (MATLAB's 1 x N and N x 1), except in the files that
     `write_record` wrote. Numbers on their own are not columns; of these `dt` (or `Ts`) and `t0` are used.
-
-    Parameters
-    ----------
-    shapes : mapping
-        Shape by name.
-    get : callable
-        The array by name.
-    source : str
-        What the table is called in messages.
-
-    Returns
-    -------
-    Table
-        Its columns, loaded when asked for.
     """
     own = "input_names" in shapes and "output_names" in shapes and "u" in shapes and "y" in shapes
     place: dict[str, tuple[str, int | None]] = {}
@@ -95,36 +81,12 @@ def _single(shape: tuple[int, ...]) -> bool:
 
 
 def scalar(value: Any, name: str, source: str) -> float:
-    """The one number in an array.
-
-    Parameters
-    ----------
-    value : array_like
-        With one entry.
-    name, source : str
-        What it and the file are called in messages.
-
-    Returns
-    -------
-    float
-        The number.
-    """
+    """The one number in an array."""
     return float(numbers(np.ravel(value), name, source)[0])
 
 
 def texts(value: Any) -> list[str]:
-    """The strings in an array of strings, a cell array, or a list of either.
-
-    Parameters
-    ----------
-    value : array_like
-        Strings.
-
-    Returns
-    -------
-    list of str
-        One per entry; an empty entry is an empty string.
-    """
+    """The strings in an array of strings, a cell array, or a list of either."""
     if isinstance(value, str):
         return [value]
     array = np.asarray(value)
@@ -136,25 +98,7 @@ def texts(value: Any) -> list[str]:
 
 
 def npz_table(content: bytes, source: str) -> Table:
-    """Table of an npz file; what is pickled in it is refused.
-
-    Parameters
-    ----------
-    content : bytes
-        The file.
-    source : str
-        What it is called in messages.
-
-    Returns
-    -------
-    Table
-        Its arrays as columns.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, or an array holds objects.
-    """
+    """Table of an npz file; what is pickled in it is refused."""
     if not content.startswith(b"PK"):
         raise InputError(f"{source} is not an npz file (a zip archive of arrays); write it with numpy.savez.")
     try:
@@ -174,18 +118,7 @@ def npz_table(content: bytes, source: str) -> Table:
 
 
 def first_line(error: Exception) -> str:
-    """First line of an exception's message, its kind where it has none.
-
-    Parameters
-    ----------
-    error : Exception
-        From a library.
-
-    Returns
-    -------
-    str
-        One line.
-    """
+    """First line of an exception's message, its kind where it has none."""
     return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 
@@ -205,18 +138,7 @@ def _member(archive: Any, name: str, source: str) -> NDArray:
 
 
 def arrays_of(record: Record) -> dict[str, Any]:
-    """A record as arrays by name, the form of npz and MAT files.
-
-    Parameters
-    ----------
-    record : Record
-        What is written.
-
-    Returns
-    -------
-    dict
-        u, y, dt, t0 and the channels' names and units.
-    """
+    """A record as arrays by name, the form of npz and MAT files."""
     return {
         "u": record.u,
         "y": record.y,
@@ -235,18 +157,7 @@ def _text_array(entries: Iterable[str]) -> NDArray[np.str_]:
 
 
 def npz_bytes(record: Record) -> bytes:
-    """A record as an npz file.
-
-    Parameters
-    ----------
-    record : Record
-        What is written.
-
-    Returns
-    -------
-    bytes
-        The file's content.
-    """
+    """A record as an npz file."""
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays_of(record))
     return stream.getvalue()

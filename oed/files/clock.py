@@ -16,29 +16,10 @@ UNIFORM = 1e-6
 def sampling_time(t: NDArray[np.float64], source: str, *, first_row: int = 0) -> tuple[float, float]:
     """Sampling time of uniform times t_k = t_0 + k dt, and how well the times determine it.
 
-    Deviations up to 1e-6 of the step are accepted, and so are larger ones that rounding to the digits
-    printed explains: a line through the times exists with all of them within half a unit of the last digit.
+    Deviations up to 1e-6 of the step are accepted, and so are larger ones that rounding to the digits printed
+    explains: a line through the times exists with all of them within half a unit of the last digit.
 
-    Parameters
-    ----------
-    t : ndarray
-        (N,) times in seconds, N >= 2.
-    source : str
-        What the times are called in messages.
-    first_row : int
-        Row of t[0] in the file, for messages.
-
-    Returns
-    -------
-    dt : float
-        Sampling time in seconds: where it can be, the number with the fewest digits that reproduces t.
-    tolerance : float
-        Half the width of the interval of sampling times that t allows, in seconds.
-
-    Raises
-    ------
-    InputError
-        If the times are not finite, do not increase or are not uniform; the first bad row is named.
+    Shapes: t (N,).
     """
     bad = ~np.isfinite(t)
     if bad.any():

@@ -43,24 +43,8 @@ SECONDS |= {"": 1.0, "s": 1.0, "days": 86400.0}
 
 
 def mat_table(content: bytes, source: str) -> Table:
-    """Table of a MAT file: its arrays, or its one struct with the fields InputData and OutputData (or u and y).
-
-    Parameters
-    ----------
-    content : bytes
-        The file.
-    source : str
-        What it is called in messages.
-
-    Returns
-    -------
-    Table
-        Its columns.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged or holds objects, several structs or several experiments.
+    """Table of a MAT file: its arrays, or its one struct with the fields InputData and OutputData (or u and
+    y).
     """
     offsets = (
         0,
@@ -212,18 +196,7 @@ _NUMERIC = {"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") 
 
 
 def mat_bytes(record: Record) -> bytes:
-    """A record as a MAT file of version 5, with the variables u, y, dt, t0 and the channels' names and units.
-
-    Parameters
-    ----------
-    record : Record
-        What is written.
-
-    Returns
-    -------
-    bytes
-        The file's content.
-    """
+    """A record as a MAT file of version 5, with the variables u, y, dt, t0 and the channels' names and units."""
     from scipy.io import savemat
 
     variables = arrays_of(record)

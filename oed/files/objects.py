@@ -299,26 +299,7 @@ def to_control(record: Record) -> Any:
 
 
 def as_records(given: Any, *, missing: bool = False) -> list[Record]:
-    """Records of whatever holds them: records, DataFrames, Datasets, time responses, or a sequence of these.
-
-    Parameters
-    ----------
-    given : Record or DataFrame or Dataset or DataArray or control.TimeResponseData, or a sequence of them
-        Inputs and outputs are found by name, as `from_pandas` and its neighbours do; of a DataArray by the labels of
-        its second dimension.
-    missing : bool
-        Whether NaN is allowed, as the mark of a missing sample.
-
-    Returns
-    -------
-    list of Record
-        One for each.
-
-    Raises
-    ------
-    InputError
-        If something is none of these, or cannot be used.
-    """
+    """Records of whatever holds them: records, DataFrames, Datasets, time responses, or a sequence of these."""
     one = _record_of_object(given, missing)
     if one is not None:
         return [one]

@@ -55,25 +55,7 @@ def table_bytes(table: pa.Table) -> bytes:
 
 
 def parquet_table(content: bytes, source: str) -> Table:
-    """Table of a Parquet file.
-
-    Parameters
-    ----------
-    content : bytes
-        The file.
-    source : str
-        What it is called in messages.
-
-    Returns
-    -------
-    Table
-        Its columns, read when they are loaded.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged.
-    """
+    """Table of a Parquet file."""
     import pyarrow as pa
 
     try:
@@ -146,18 +128,7 @@ def _numpy(column: Any) -> NDArray[np.float64]:
 
 
 def parquet_bytes(record: Record) -> bytes:
-    """A record as a Parquet file.
-
-    Parameters
-    ----------
-    record : Record
-        What is written.
-
-    Returns
-    -------
-    bytes
-        The file's content.
-    """
+    """A record as a Parquet file."""
     import pyarrow as pa
 
     channels = {}

@@ -87,22 +87,11 @@ UNITS = frozenset(
 class Table:
     """Columns by name, loaded only when asked for.
 
-    Attributes
-    ----------
-    source : str
-        What the table is called in messages.
-    names : tuple of str
-        Names of the columns.
-    load : callable
-        Takes names, gives one float array (N,) each.
-    units : mapping
-        Unit by column name, where the source says it.
-    inputs, outputs : tuple of str
-        The columns that the source itself marks as inputs and outputs; empty where it does not.
-    labels : mapping
-        Channel name by column name, where it is not the column's name.
-    dt, t0 : float or None
-        Sampling time and time of the first sample that the source itself states.
+    `source` what the table is called in messages; `names` names of the columns; `load` takes names, gives one
+    float array (N,) each; `units` unit by column name, where the source says it; `inputs, outputs` the
+    columns that the source itself marks as inputs and outputs; empty where it does not; `labels` channel name
+    by column name, where it is not the column's name; `dt, t0` sampling time and time of the first sample
+    that the source itself states.
     """
 
     source: str
@@ -117,37 +106,13 @@ class Table:
 
 
 def seconds_per(column: str) -> float:
-    """Seconds in a unit of a column of times: t or time, with its unit as in t_ms, `Time (s)`, `time [min]`.
-
-    Parameters
-    ----------
-    column : str
-        Name of the column.
-
-    Returns
-    -------
-    float
-        1 where the name has no unit; 0 where it is not that of a column of times.
-    """
+    """Seconds in a unit of a column of times: t or time, with its unit as in t_ms, `Time (s)`, `time [min]`."""
     found = re.fullmatch(r"(?:t|[Tt]ime|TIME)(?:_(\w+)| ?[\[(](\w+)[\])])?", column)
     return 0.0 if found is None else SECONDS.get(found[1] or found[2] or "s", 0.0)
 
 
 def split_unit(column: str) -> tuple[str, str]:
-    """Name and unit of a column such as `vir_V` or `flow [ft^3/min]`.
-
-    Parameters
-    ----------
-    column : str
-        Name of the column.
-
-    Returns
-    -------
-    name : str
-        The column's name without the unit.
-    unit : str
-        The unit, empty where the name has none: only known units are split off an underscore.
-    """
+    """Name and unit of a column such as `vir_V` or `flow [ft^3/min]`."""
     bracket = re.fullmatch(r"(.*\S) \[(.*)\]", column)
     if bracket:
         return bracket[1], bracket[2]
@@ -156,20 +121,7 @@ def split_unit(column: str) -> tuple[str, str]:
 
 
 def column_name(name: str, unit: str) -> str:
-    """Name of a column that `split_unit` takes apart again.
-
-    Parameters
-    ----------
-    name : str
-        Name of the channel.
-    unit : str
-        Its unit, or an empty string.
-
-    Returns
-    -------
-    str
-        `name_unit` for known units, otherwise `name [unit]`.
-    """
+    """Name of a column that `split_unit` takes apart again."""
     for column in (f"{name}_{unit}" if unit else name, f"{name} [{unit}]"):
         if split_unit(column) == (name, unit):
             return column
@@ -189,33 +141,7 @@ def record_of(
     rows: tuple[int | None, int | None] = (None, None),
     notes: list[str] | None = None,
 ) -> Record:
-    """Record of some columns of a table; the arguments are those of `oed.files.read_record`.
-
-    Parameters
-    ----------
-    table : Table
-        The columns.
-    inputs, outputs : sequence of str or str, optional
-        Names of columns, with or without their units; a string is split at commas.
-    dt : float, optional
-        Sampling time in seconds.
-    missing : bool
-        Whether NaN is allowed, as the mark of a missing sample.
-    rows : tuple
-        First row and the row after the last.
-    notes : list of str, optional
-        Sentences on what was assumed are appended to it.
-
-    Returns
-    -------
-    Record
-        With the names and units of its columns.
-
-    Raises
-    ------
-    InputError
-        If columns are absent, ambiguous or not finite, or the times are not uniform or contradict dt.
-    """
+    """Record of some columns of a table; the arguments are those of `oed.files.read_record`."""
     notes = [] if notes is None else notes
     if dt is not None and not (np.isfinite(dt) and dt > 0):
         raise InputError(f"the sampling time given is {dt}; it must be a positive number of seconds.")
@@ -387,19 +313,7 @@ def _labels(table: Table, columns: Sequence[str]) -> dict[str, tuple[str, str]]:
 def numbers(values: ArrayLike, name: str, source: str) -> NDArray[np.float64]:
     """Values of a column as float64, refused where they are not real numbers.
 
-    Parameters
-    ----------
-    values : array_like
-        (N,).
-    name : str
-        Name of the column.
-    source : str
-        What the table is called in messages.
-
-    Returns
-    -------
-    ndarray
-        (N,).
+    Shapes: values (N,), returns (N,).
     """
     array = np.asarray(values)
     if array.dtype.kind in "biuf":

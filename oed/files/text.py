@@ -22,26 +22,10 @@ BLANK = ("", "na", "n/a", "nan", "null", "none", "-nan")
 
 
 def csv_table(content: bytes, source: str) -> Table:
-    """Table of a CSV file: comma, semicolon or tab between the columns, lines before the header that begin with #.
+    """Table of a CSV file: comma, semicolon or tab between the columns, lines before the header that begin
+    with #.
 
     Decimal commas are read where semicolons or tabs part the columns and no number has a decimal point.
-
-    Parameters
-    ----------
-    content : bytes
-        The file, in UTF-8.
-    source : str
-        What it is called in messages.
-
-    Returns
-    -------
-    Table
-        Its columns, parsed when they are loaded.
-
-    Raises
-    ------
-    InputError
-        If the file is empty or not text, or has no header.
     """
     try:
         text = content.decode("utf-8-sig")
@@ -145,18 +129,7 @@ def _number(entry: str, row: int, column: str, source: str) -> float:
 
 
 def csv_bytes(record: Record) -> bytes:
-    """A record as CSV: the column t, the inputs, the outputs, each number with all its digits.
-
-    Parameters
-    ----------
-    record : Record
-        What is written.
-
-    Returns
-    -------
-    bytes
-        The file's content.
-    """
+    """A record as CSV: the column t, the inputs, the outputs, each number with all its digits."""
     columns = [
         *map(column_name, record.input_names, record.input_units),
         *map(column_name, record.output_names, record.output_units),

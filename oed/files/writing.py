@@ -67,20 +67,7 @@ def write_record(record: Record, path: str | os.PathLike[str], *, overwrite: boo
 
 
 def check_writable(path: Path, overwrite: bool) -> None:
-    """Raise if a file exists or its folder does not.
-
-    Parameters
-    ----------
-    path : Path
-        The file to be written.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    InputError
-        With the remedy.
-    """
+    """Raise if a file exists or its folder does not."""
     if path.is_dir():
         raise InputError(f"{str(path)!r} is a folder; give the name of a file.")
     if path.exists() and not overwrite:

@@ -41,16 +41,8 @@ __all__ = [
 class Model:
     """A structure with its parameters: G, H and the noise covariance.
 
-    Attributes
-    ----------
-    structure : Polynomial or StateSpace
-        The structure.
-    theta : ndarray
-        (n,) parameters.
-    noise_covariance : ndarray
-        (ny, ny) covariance of the white noise e.
-    dt : float
-        Sampling time in seconds.
+    `structure` the structure; `theta` (n,) parameters; `noise_covariance` (ny, ny) covariance of the white
+    noise e; `dt` sampling time in seconds.
     """
 
     structure: Polynomial | StateSpace
@@ -81,58 +73,22 @@ class Model:
         return self.structure.names
 
     def response(self, omega: ArrayLike) -> tuple[NDArray, NDArray]:
-        """Frequency response G (K, ny, nu) and its derivatives dG (K, n, ny, nu).
-
-        Parameters
-        ----------
-        omega : array_like
-            (K,) rad/sample.
-
-        Returns
-        -------
-        G, dG : ndarray
-            Complex.
-        """
+        """Frequency response G (K, ny, nu) and its derivatives dG (K, n, ny, nu)."""
         return self.structure.response(self.theta, omega)
 
     def noise_response(self, omega: ArrayLike) -> tuple[NDArray, NDArray]:
-        """Frequency response H (K, ny, ny) of the noise model and its derivatives dH (K, n, ny, ny).
-
-        Parameters
-        ----------
-        omega : array_like
-            (K,) rad/sample.
-
-        Returns
-        -------
-        H, dH : ndarray
-            Complex.
-        """
+        """Frequency response H (K, ny, ny) of the noise model and its derivatives dH (K, n, ny, ny)."""
         return self.structure.noise_response(self.theta, omega)
 
     def simulate(self, u: NDArray) -> NDArray[np.float64]:
         """Noise-free output from rest.
 
-        Parameters
-        ----------
-        u : ndarray
-            (N, nu) input.
-
-        Returns
-        -------
-        ndarray
-            (N, ny).
+        Shapes: u (N, nu), returns (N, ny).
         """
         return self.structure.simulate(self.theta, u)
 
     def to_control(self) -> Any:
-        """G as a python-control object.
-
-        Returns
-        -------
-        control.TransferFunction or control.StateSpace
-            Of a polynomial model, or of a state-space model.
-        """
+        """G as a python-control object."""
         import control
 
         if isinstance(self.structure, StateSpace):
@@ -175,13 +131,7 @@ class Model:
         )  # fmt: skip
 
     def poles(self) -> list[NDArray[np.complex128]]:
-        """Poles of G, entry by entry.
-
-        Returns
-        -------
-        list of ndarray
-            One array per entry, row by row.
-        """
+        """Poles of G, entry by entry."""
         return self.structure.poles(self.theta)
 
     @property
@@ -190,13 +140,7 @@ class Model:
         return all(np.abs(p).max(initial=0.0) < 1 for p in self.poles())
 
     def to_dict(self) -> dict:
-        """Plain numbers, from which `model_from_json` makes the same model bit for bit.
-
-        Returns
-        -------
-        dict
-            With structure, names, theta, noise_covariance and dt.
-        """
+        """Plain numbers, from which `model_from_json` makes the same model bit for bit."""
         return {
             "structure": self.structure.to_dict(),
             "names": list(self.names),
@@ -206,13 +150,7 @@ class Model:
         }
 
     def to_json(self) -> str:
-        """The model as JSON text; reading it back gives the same bits.
-
-        Returns
-        -------
-        str
-            JSON.
-        """
+        """The model as JSON text; reading it back gives the same bits."""
         return json.dumps(self.to_dict())
 
     def __repr__(self) -> str:
@@ -221,23 +159,7 @@ class Model:
 
 
 def model_from_json(text: str | dict) -> Model:
-    """The model that `Model.to_json` wrote.
-
-    Parameters
-    ----------
-    text : str or dict
-        JSON text, or what `Model.to_dict` returned.
-
-    Returns
-    -------
-    Model
-        The same, bit for bit.
-
-    Raises
-    ------
-    InputError
-        If a field is missing or is not what the structure needs.
-    """
+    """The model that `Model.to_json` wrote."""
     try:
         given = json.loads(text) if isinstance(text, str) else text
         orders = dict(given["structure"])
@@ -264,90 +186,25 @@ def saved_model(source: Any) -> Model | None:
 
 
 def fir(nb: Orders, delay: Orders = 1) -> Polynomial:
-    """Finite impulse response: y = B u + e.
-
-    Parameters
-    ----------
-    nb : int
-        Number of coefficients.
-    delay : int
-        Delay of the first, in samples.
-
-    Returns
-    -------
-    Polynomial
-        The structure of one input and one output.
-    """
+    """Finite impulse response: y = B u + e."""
     return polynomial("fir", [nb], delay)
 
 
 def arx(na: int, nb: int, delay: int = 1) -> Polynomial:
-    """A y = B u + e.
-
-    Parameters
-    ----------
-    na, nb : int
-        Degree of A, number of coefficients of B.
-    delay : int
-        Delay of the first coefficient of B, in samples.
-
-    Returns
-    -------
-    Polynomial
-        The structure of one input and one output.
-    """
+    """A y = B u + e."""
     return polynomial("arx", [na, nb], delay)
 
 
 def armax(na: int, nb: int, nc: int, delay: int = 1) -> Polynomial:
-    """A y = B u + C e.
-
-    Parameters
-    ----------
-    na, nb, nc : int
-        Degree of A, number of coefficients of B, degree of C.
-    delay : int
-        Delay of the first coefficient of B, in samples.
-
-    Returns
-    -------
-    Polynomial
-        The structure of one input and one output.
-    """
+    """A y = B u + C e."""
     return polynomial("armax", [na, nb, nc], delay)
 
 
 def oe(nb: int, nf: int, delay: int = 1) -> Polynomial:
-    """Output error: y = (B / F) u + e.
-
-    Parameters
-    ----------
-    nb, nf : int
-        Number of coefficients of B, degree of F.
-    delay : int
-        Delay of the first coefficient of B, in samples.
-
-    Returns
-    -------
-    Polynomial
-        The structure of one input and one output.
-    """
+    """Output error: y = (B / F) u + e."""
     return polynomial("oe", [nb, nf], delay)
 
 
 def bj(nb: int, nc: int, nd: int, nf: int, delay: int = 1) -> Polynomial:
-    """Box-Jenkins: y = (B / F) u + (C / D) e.
-
-    Parameters
-    ----------
-    nb, nc, nd, nf : int
-        Number of coefficients of B, degrees of C, D and F.
-    delay : int
-        Delay of the first coefficient of B, in samples.
-
-    Returns
-    -------
-    Polynomial
-        The structure of one input and one output.
-    """
+    """Box-Jenkins: y = (B / F) u + (C / D) e."""
     return polynomial("bj", [nb, nc, nd, nf], delay)

@@ -37,22 +37,10 @@ Orders = int | Sequence[int] | Sequence[Sequence[int]] | NDArray
 class Polynomial:
     """Orders of a polynomial model; a member of one family whatever its name.
 
-    Attributes
-    ----------
-    na : ndarray of int
-        (ny,) degrees of A_i.
-    nb : ndarray of int
-        (ny, nu) numbers of numerator coefficients.
-    nc, nd : ndarray of int
-        (ny,) degrees of C_i and D_i.
-    nf : ndarray of int
-        (ny, nu) degrees of F_ij.
-    nk : ndarray of int
-        (ny, nu) delays of the first coefficients of B_ij, in samples.
-    kind : str
-        The name of the constructor: fir, arx, armax, oe or bj.
-    names : tuple of str
-        One per parameter, output by output: a, b, c, d, f.
+    `na` (ny,) degrees of A_i; `nb` (ny, nu) numbers of numerator coefficients; `nc, nd` (ny,) degrees of C_i
+    and D_i; `nf` (ny, nu) degrees of F_ij; `nk` (ny, nu) delays of the first coefficients of B_ij, in
+    samples; `kind` the name of the constructor: fir, arx, armax, oe or bj; `names` one per parameter, output
+    by output: a, b, c, d, f.
     """
 
     na: NDArray[np.int64]
@@ -111,18 +99,7 @@ class Polynomial:
         return self.nb.shape[1]
 
     def row(self, i: int) -> Polynomial:
-        """The model of output i alone.
-
-        Parameters
-        ----------
-        i : int
-            Output, from 0.
-
-        Returns
-        -------
-        Polynomial
-            One output, all inputs.
-        """
+        """The model of output i alone."""
         rows = slice(i, i + 1)
         return Polynomial(
             self.na[rows],
@@ -135,13 +112,7 @@ class Polynomial:
         )
 
     def places(self) -> tuple[dict[str, list[slice]], ...]:
-        """Where each polynomial's coefficients stand in theta.
-
-        Returns
-        -------
-        tuple of dict
-            For each output, letter -> slices: one for a, c, d; one per input for b, f.
-        """
+        """Where each polynomial's coefficients stand in theta."""
         return self._places
 
     def _located(self) -> list[dict[str, list[slice]]]:
@@ -160,15 +131,7 @@ class Polynomial:
     def coefficients(self, theta: ArrayLike) -> list[dict[str, list[NDArray[np.float64]]]]:
         """Polynomials in powers of q^-1, with their leading ones and delays.
 
-        Parameters
-        ----------
-        theta : array_like
-            (n,) parameters.
-
-        Returns
-        -------
-        list of dict
-            For each output, letter -> arrays: one for a, c, d; one per input for b, f.
+        Shapes: theta (n,).
         """
         theta = np.asarray(theta, dtype=float)
         rows = []
@@ -181,19 +144,7 @@ class Polynomial:
     def response(self, theta: ArrayLike, omega: ArrayLike) -> tuple[NDArray, NDArray]:
         """Frequency response of the input channel and its derivatives.
 
-        Parameters
-        ----------
-        theta : array_like
-            (n,) parameters.
-        omega : array_like
-            (K,) rad/sample.
-
-        Returns
-        -------
-        G : ndarray
-            (K, ny, nu) complex.
-        dG : ndarray
-            (K, n, ny, nu) complex, dG[:, k] = dG / dtheta_k.
+        Shapes: theta (n,), omega (K,), returns (K, ny, nu), returns (K, n, ny, nu).
         """
         z = _delays(omega)
         shape = (len(z(0)), self.n_outputs, self.n_inputs)
@@ -214,19 +165,7 @@ class Polynomial:
     def noise_response(self, theta: ArrayLike, omega: ArrayLike) -> tuple[NDArray, NDArray]:
         """Frequency response of the noise model and its derivatives.
 
-        Parameters
-        ----------
-        theta : array_like
-            (n,) parameters.
-        omega : array_like
-            (K,) rad/sample.
-
-        Returns
-        -------
-        H : ndarray
-            (K, ny, ny) complex, diagonal.
-        dH : ndarray
-            (K, n, ny, ny) complex.
+        Shapes: theta (n,), omega (K,), returns (K, ny, ny), returns (K, n, ny, ny).
         """
         z = _delays(omega)
         shape = (len(z(0)), self.n_outputs, self.n_outputs)
@@ -242,17 +181,7 @@ class Polynomial:
     def simulate(self, theta: ArrayLike, u: NDArray) -> NDArray[np.float64]:
         """Noise-free output from rest.
 
-        Parameters
-        ----------
-        theta : array_like
-            (n,) parameters.
-        u : ndarray
-            (N, nu) input.
-
-        Returns
-        -------
-        ndarray
-            (N, ny).
+        Shapes: theta (n,), u (N, nu), returns (N, ny).
         """
         from scipy.signal import lfilter
 
@@ -266,15 +195,7 @@ class Polynomial:
     def poles(self, theta: ArrayLike) -> list[NDArray[np.complex128]]:
         """Poles of G, entry by entry and row by row.
 
-        Parameters
-        ----------
-        theta : array_like
-            (n,) parameters.
-
-        Returns
-        -------
-        list of ndarray
-            Roots of A_i F_ij for every entry.
+        Shapes: theta (n,).
         """
         return [
             np.roots(np.convolve(row["a"][0], row["f"][j])).astype(complex)
@@ -283,13 +204,7 @@ class Polynomial:
         ]
 
     def to_dict(self) -> dict:
-        """The orders as plain lists.
-
-        Returns
-        -------
-        dict
-            With `kind` and na, nb, nc, nd, nf, nk.
-        """
+        """The orders as plain lists."""
         return {"kind": self.kind} | {
             x: getattr(self, x).tolist() for x in ("na", "nb", "nc", "nd", "nf", "nk")
         }
@@ -322,32 +237,7 @@ def polynomial(
     n_inputs: int = 1,
     diagonal: bool = False,
 ) -> Polynomial:
-    """A polynomial structure by its name and orders.
-
-    Parameters
-    ----------
-    kind : str
-        fir, arx, armax, oe or bj.
-    orders : int or sequence
-        fir: nb; arx: na, nb; armax: na, nb, nc; oe: nb, nf; bj: nb, nc, nd, nf. Each is a number for all
-        entries, or one per output (na, nc, nd, and nb, nf of a diagonal model), or (ny, nu) for nb, nf.
-    delay : int or array_like
-        nk, the delay of the first numerator coefficient in samples: a number or (ny, nu).
-    n_outputs, n_inputs : int
-        Size of the model.
-    diagonal : bool
-        Whether output i is driven by input i alone.
-
-    Returns
-    -------
-    Polynomial
-        The structure.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown or the orders do not fit it.
-    """
+    """A polynomial structure by its name and orders."""
     if kind not in _LETTERS:
         raise InputError(f"the structure {kind!r} is unknown; choose one of {', '.join(_LETTERS)}, ss.")
     letters = _LETTERS[kind]

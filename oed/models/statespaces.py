@@ -23,18 +23,10 @@ __all__ = ["StateSpace", "state_space"]
 class StateSpace:
     """Structure of an innovations model.
 
-    Attributes
-    ----------
-    blocks : tuple of int
-        n_i >= 1, the number of states that belong to each output.
-    n_inputs : int
-        Number of inputs nu.
-    feedthrough : bool
-        Whether D is free (a delay of 0); otherwise it is zero.
-    noise : bool
-        Whether K is free; otherwise it is zero, an output-error model.
-    names : tuple of str
-        A12 is row 1, column 2 of A; B, K, D likewise; from (10) on with an underscore, A1_10.
+    `blocks` n_i >= 1, the number of states that belong to each output; `n_inputs` number of inputs nu;
+    `feedthrough` whether D is free (a delay of 0); otherwise it is zero; `noise` whether K is free; otherwise
+    it is zero, an output-error model; `names` A12 is row 1, column 2 of A; B, K, D likewise; from (10) on
+    with an underscore, A1_10.
     """
 
     blocks: tuple[int, ...]
@@ -79,13 +71,7 @@ class StateSpace:
         return [int(k) - 1 for k in np.cumsum(self.blocks)]
 
     def entries(self) -> list[tuple[str, int, int]]:
-        """Matrix, row and column of every parameter.
-
-        Returns
-        -------
-        list of tuple
-            In the order of theta: A, B, K, D, row by row.
-        """
+        """Matrix, row and column of every parameter."""
         n, nu, ny = self.order, self.n_inputs, self.n_outputs
         free = [("A", i, j) for i in self.last_rows for j in range(n)]
         free += [("B", i, j) for i in range(n) for j in range(nu)]
@@ -99,15 +85,7 @@ class StateSpace:
     def matrices(self, theta: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """A, B, C, D and K.
 
-        Parameters
-        ----------
-        theta : array_like
-            (n,) parameters.
-
-        Returns
-        -------
-        dict of str to ndarray
-            The matrices by their letters.
+        Shapes: theta (n,).
         """
         n, nu, ny = self.order, self.n_inputs, self.n_outputs
         shapes = {"A": (n, n), "B": (n, nu), "C": (ny, n), "D": (ny, nu), "K": (n, ny)}
@@ -124,15 +102,7 @@ class StateSpace:
     def theta_of(self, A: NDArray, B: NDArray, C: NDArray, D: NDArray, K: NDArray) -> NDArray[np.float64]:
         """Parameters of a model given in any coordinates.
 
-        Parameters
-        ----------
-        A, B, C, D, K : ndarray
-            Matrices of the innovations form.
-
-        Returns
-        -------
-        ndarray
-            (n,); InputError if the states of this structure's blocks are not independent in the model.
+        Shapes: returns (n,).
         """
         rows = []
         for i, count in enumerate(self.blocks):
@@ -152,38 +122,14 @@ class StateSpace:
     def response(self, theta: ArrayLike, omega: ArrayLike) -> tuple[NDArray, NDArray]:
         """Frequency response of the input channel and its derivatives.
 
-        Parameters
-        ----------
-        theta : array_like
-            (n,) parameters.
-        omega : array_like
-            (K,) rad/sample.
-
-        Returns
-        -------
-        G : ndarray
-            (K, ny, nu) complex: C (zI - A)^-1 B + D.
-        dG : ndarray
-            (K, n, ny, nu) complex.
+        Shapes: theta (n,), omega (K,), returns (K, ny, nu), returns (K, n, ny, nu).
         """
         return self._channel(theta, omega, "B", "D")
 
     def noise_response(self, theta: ArrayLike, omega: ArrayLike) -> tuple[NDArray, NDArray]:
         """Frequency response of the noise model and its derivatives.
 
-        Parameters
-        ----------
-        theta : array_like
-            (n,) parameters.
-        omega : array_like
-            (K,) rad/sample.
-
-        Returns
-        -------
-        H : ndarray
-            (K, ny, ny) complex: C (zI - A)^-1 K + I.
-        dH : ndarray
-            (K, n, ny, ny) complex.
+        Shapes: theta (n,), omega (K,), returns (K, ny, ny), returns (K, n, ny, ny).
         """
         h, dh = self._channel(theta, omega, "K", "")
         return h + np.eye(self.n_outputs), dh
@@ -209,32 +155,14 @@ class StateSpace:
     def poles(self, theta: ArrayLike) -> list[NDArray[np.complex128]]:
         """Eigenvalues of A.
 
-        Parameters
-        ----------
-        theta : array_like
-            (n,) parameters.
-
-        Returns
-        -------
-        list of ndarray
-            One array.
+        Shapes: theta (n,).
         """
         return [np.linalg.eigvals(self.matrices(theta)["A"]).astype(complex)]
 
     def simulate(self, theta: ArrayLike, u: NDArray) -> NDArray[np.float64]:
         """Noise-free output from rest.
 
-        Parameters
-        ----------
-        theta : array_like
-            (n,) parameters.
-        u : ndarray
-            (N, nu) input.
-
-        Returns
-        -------
-        ndarray
-            (N, ny).
+        Shapes: theta (n,), u (N, nu), returns (N, ny).
         """
         m = self.matrices(theta)
         states, x = np.zeros((len(u), self.order)), np.zeros(self.order)
@@ -245,13 +173,7 @@ class StateSpace:
         return states @ m["C"].T + u @ m["D"].T
 
     def to_dict(self) -> dict:
-        """The orders as plain numbers.
-
-        Returns
-        -------
-        dict
-            With `kind`, blocks, n_inputs, feedthrough and noise.
-        """
+        """The orders as plain numbers."""
         return {
             "kind": "ss",
             "blocks": list(self.blocks),
@@ -268,29 +190,7 @@ class StateSpace:
 def state_space(
     order: int, *, n_outputs: int = 1, n_inputs: int = 1, delay: int = 1, noise: bool = True
 ) -> StateSpace:
-    """Innovations model of some order, its states shared evenly among the outputs.
-
-    Parameters
-    ----------
-    order : int
-        Number of states.
-    n_outputs, n_inputs : int
-        Size of the model.
-    delay : int
-        1, or 0 for a direct term D; longer delays take states of their own.
-    noise : bool
-        Whether K is free.
-
-    Returns
-    -------
-    StateSpace
-        The structure.
-
-    Raises
-    ------
-    InputError
-        If there are fewer states than outputs, or the delay is neither 0 nor 1.
-    """
+    """Innovations model of some order, its states shared evenly among the outputs."""
     if delay not in (0, 1):
         raise InputError(
             f"the delay is {delay}; a state-space model takes 0 or 1: shift the input, or raise the order."

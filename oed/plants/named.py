@@ -150,24 +150,6 @@ def random_fir(
 ) -> Plant:
     """A random FIR plant, g_k = decay^k w_k with w uniform in [-1, 1].
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of the taps.
-    taps : int
-        Length.
-    decay : float
-        Ratio of the sizes of successive taps.
-    noise_variance : float
-        Variance of the white noise.
-
-    Returns
-    -------
-    Plant
-        With direct feedthrough (the first tap is g_0).
-
-    Notes
-    -----
     The family of the H-infinity estimation head-to-head of Tu, Boczar and Recht (2018).
     """
     g = rng.uniform(-1, 1, taps) * decay ** np.arange(taps)

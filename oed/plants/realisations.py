@@ -20,18 +20,8 @@ StateSpace = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
 def state_space(plant: Plant) -> StateSpace:
     """State-space realisation of a plant's G: one companion block per entry.
 
-    x_(t+1) = A x_t + B u_t,  y_t = C x_t + D u_t. Entries with a common denominator are realised apart, so
-    the realisation of a plant with several entries is in general not minimal (the response is exact).
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-
-    Returns
-    -------
-    tuple of ndarray
-        A (n, n), B (n, nu), C (ny, n), D (ny, nu).
+    x_(t+1) = A x_t + B u_t, y_t = C x_t + D u_t. Entries with a common denominator are realised apart, so the
+    realisation of a plant with several entries is in general not minimal (the response is exact).
     """
     blocks = []
     for i, row in enumerate(plant.num):

@@ -64,20 +64,7 @@ _SHIFT = np.uint64(32)
 
 
 def noise_key(seed: int, plant: str) -> tuple[int, int]:
-    """Key of the noise of a plant under a seed: two 32-bit words.
-
-    Parameters
-    ----------
-    seed : int
-        The user's seed.
-    plant : str
-        Name of the plant.
-
-    Returns
-    -------
-    tuple of int
-        Two words, each below 2**32.
-    """
+    """Key of the noise of a plant under a seed: two 32-bit words."""
     digest = blake2b(f"{int(seed)}|{plant}".encode(), digest_size=8).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")
 
@@ -85,22 +72,7 @@ def noise_key(seed: int, plant: str) -> tuple[int, int]:
 def philox(
     counter: tuple[NDArray[np.uint64], ...], key: tuple[int, int], rounds: int = ROUNDS
 ) -> tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]:
-    """Philox4x32 on arrays of counters.
-
-    Parameters
-    ----------
-    counter : tuple of ndarray
-        Four arrays of equal shape, uint64 that hold 32-bit words.
-    key : tuple of int
-        Two 32-bit words.
-    rounds : int
-        Number of rounds.
-
-    Returns
-    -------
-    tuple of ndarray
-        Four arrays of 32-bit words, uniform and independent across counters.
-    """
+    """Philox4x32 on arrays of counters."""
     c0, c1, c2, c3 = counter
     k0, k1 = key
     for _ in range(rounds):
@@ -120,19 +92,7 @@ def standard_noise(
 ) -> NDArray[np.float64]:
     """Standard normal noise of one experiment.
 
-    Parameters
-    ----------
-    key : tuple of int
-        From `noise_key`.
-    replicate, experiment : int
-        Which Monte-Carlo run, and which experiment in it (both from 0).
-    n_samples, n_outputs : int
-        Size.
-
-    Returns
-    -------
-    ndarray
-        (n_samples, n_outputs), zero mean, unit variance, independent.
+    Shapes: returns (n_samples, n_outputs).
     """
     return noise_series(key, replicate, [experiment], n_samples, n_outputs)[0]
 
@@ -142,21 +102,7 @@ def noise_series(
 ) -> NDArray[np.float64]:
     """Standard normal noise of several experiments at once.
 
-    Parameters
-    ----------
-    key : tuple of int
-        From `noise_key`.
-    replicate : int
-        Which Monte-Carlo run (from 0).
-    experiments : sequence of int
-        Which experiments in it (from 0).
-    n_samples, n_outputs : int
-        Size of each.
-
-    Returns
-    -------
-    ndarray
-        (experiments, n_samples, n_outputs), bit by bit what `standard_noise` gives for each.
+    Shapes: returns (experiments, n_samples, n_outputs).
     """
     number = np.asarray(experiments, dtype=np.uint64)[:, None, None]
     block = np.arange(-(-n_samples // 4), dtype=np.uint64)[:, None]

@@ -15,20 +15,7 @@ __all__ = ["Sinusoids", "check_realisable", "sinusoids"]
 
 
 def check_realisable(spectrum: Spectrum, N: int) -> None:
-    """Raise where a spectrum has no power, or a signal too few samples.
-
-    Parameters
-    ----------
-    spectrum : Spectrum
-        The lines.
-    N : int
-        Number of samples.
-
-    Raises
-    ------
-    InputError
-        If so.
-    """
+    """Raise where a spectrum has no power, or a signal too few samples."""
     if int(N) != N or N < 2:
         raise InputError(f"the signal has N = {N} samples; ask for a whole number of at least 2.")
     if not (len(spectrum) and spectrum.total_power > 0):
@@ -45,20 +32,11 @@ def _components(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.com
 
 @dataclass(frozen=True, eq=False)
 class Sinusoids:
-    """What all signals of one spectrum and length share: exp(j w t), t = block m + n, is a product of two short tables.
+    """What all signals of one spectrum and length share: exp(j w t), t = block m + n, is a product of two
+    short tables.
 
-    Attributes
-    ----------
-    real : ndarray of bool
-        (m,) whether a sinusoid lies at 0 or pi.
-    amplitudes : ndarray
-        (m, nu) complex, without their phases.
-    fine, coarse : ndarray
-        (m, block) and (m, blocks), the two tables.
-    samples : int
-        N.
-    power : float
-        The spectrum's total power.
+    `real` (m,) whether a sinusoid lies at 0 or pi; `amplitudes` (m, nu) complex, without their phases; `fine,
+    coarse` (m, block) and (m, blocks), the two tables; `samples` N; `power` the spectrum's total power.
     """
 
     real: NDArray[np.bool_]
@@ -69,37 +47,15 @@ class Sinusoids:
     power: float
 
     def signal(self, amplitudes: NDArray[np.complex128]) -> NDArray[np.float64]:
-        """Re sum_k a_k exp(j w_k t).
-
-        Parameters
-        ----------
-        amplitudes : ndarray
-            (m, nu) complex, with their phases.
-
-        Returns
-        -------
-        ndarray
-            (N, nu).
-        """
+        """Re sum_k a_k exp(j w_k t)."""
         columns = [((self.coarse * a[:, None]).T @ self.fine).real.ravel() for a in amplitudes.T]
         return np.column_stack([column[: self.samples] for column in columns])
 
 
 @lru_cache(maxsize=4)
 def sinusoids(spectrum: Spectrum, N: int) -> Sinusoids:
-    """The sinusoids of a spectrum; those of the last few are kept, since campaigns realise one again and again.
-
-    Parameters
-    ----------
-    spectrum : Spectrum
-        The lines. One whose power has a rank above 1 is several sinusoids 2 pi / N apart.
-    N : int
-        Number of samples.
-
-    Returns
-    -------
-    Sinusoids
-        Tables and amplitudes.
+    """The sinusoids of a spectrum; those of the last few are kept, since campaigns realise one again and
+    again.
     """
     check_realisable(spectrum, N)
     omega, a = _components(spectrum)

@@ -350,18 +350,9 @@ def periodogram(u: ArrayLike) -> Spectrum:
 class Realised:
     """A signal made from a design, and what it lost.
 
-    Attributes
-    ----------
-    u : ndarray
-        (N, nu).
-    loss : float
-        Loss per sample of the finite experiment from rest, edge effects included.
-    design_loss, bound : float
-        Of the design.
-    power : float
-        Mean square summed over channels.
-    crest_factor : float
-        Of the worst channel.
+    `u` (N, nu); `loss` loss per sample of the finite experiment from rest, edge effects included;
+    `design_loss, bound` of the design; `power` mean square summed over channels; `crest_factor` of the worst
+    channel.
     """
 
     u: NDArray[np.float64]
@@ -386,26 +377,7 @@ class Realised:
 def realisation(
     plant: Any, design: Any, N: int, rng: np.random.Generator, *, how: Callable[..., NDArray] = multisine
 ) -> Realised:
-    """Make a signal of a design and say what the realisation lost.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant of the design.
-    design : Design
-        With `spectrum`, `criterion`, `loss` and `bound`.
-    N : int
-        Number of samples.
-    rng : numpy.random.Generator
-        For phases or noise.
-    how : callable
-        spectrum, N, rng -> u: multisine, realise, filtered_noise or binary.
-
-    Returns
-    -------
-    Realised
-        The signal with its loss, from the exact information of the finite experiment, prior included.
-    """
+    """Make a signal of a design and say what the realisation lost."""
     from oed.information import information_of_signal
 
     u = how(design.spectrum, N, rng)

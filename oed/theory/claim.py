@@ -163,20 +163,7 @@ def map_of_claim(plants: Sequence[Plant], **limits: float) -> list[ClaimRow]:
 
 
 def claim_row(plant: Plant, limits: dict[str, Any]) -> ClaimRow:
-    """One row of the map.
-
-    Parameters
-    ----------
-    plant : Plant
-        With its noise and its unknown parameters.
-    limits : dict
-        As for `solve_design`.
-
-    Returns
-    -------
-    ClaimRow
-        With NaN and a note where a number does not exist.
-    """
+    """One row of the map."""
     from oed.criteria import c_criterion
     from oed.design import solve_design
 
@@ -217,20 +204,8 @@ def claim_row(plant: Plant, limits: dict[str, Any]) -> ClaimRow:
 def offset_row(plant: Plant, samples: int) -> ClaimRow:
     """The map's row where a constant offset at the output is unknown.
 
-    The offset takes all information that a line at frequency 0 carries: its regressor is the same constant. What
-    is left are lines of whole periods, from 2 pi / N on.
-
-    Parameters
-    ----------
-    plant : Plant
-        One input and one output.
-    samples : int
-        N of the experiment.
-
-    Returns
-    -------
-    ClaimRow
-        `sinusoid` is 0 where the peak lies at 0.
+    The offset takes all information that a line at frequency 0 carries: its regressor is the same constant.
+    What is left are lines of whole periods, from 2 pi / N on.
     """
     row = claim_row(plant, {"band": (2 * np.pi / samples, np.pi)})
     note = f"lines from 2 pi / {samples} on" + (f"; {row.note}" if row.note else "")
@@ -240,22 +215,11 @@ def offset_row(plant: Plant, samples: int) -> ClaimRow:
 def amplitude_row(plant: Plant, amplitude: float) -> ClaimRow:
     """The map's row where |u| is limited, not its power.
 
-    A signal within the amplitude a has a power of at most a^2, which bounds its information; the sinusoid at the
-    peak has a^2 / 2, a square wave of its frequency a^2, of which its fundamental holds 8 / pi^2. Where the gain-scaling
-    theorem holds, x' I x is the mean square of G u / gamma over the noise variance, and for plants of at most two states
-    sums of squares bound it more tightly than the power does (`oed.design.parametrisations.bounded_inputs`).
-
-    Parameters
-    ----------
-    plant : Plant
-        One input.
-    amplitude : float
-        a.
-
-    Returns
-    -------
-    ClaimRow
-        `optimum` and `gap` are those of the better of sinusoid and square wave against the certified bound.
+    A signal within the amplitude a has a power of at most a^2, which bounds its information; the sinusoid at
+    the peak has a^2 / 2, a square wave of its frequency a^2, of which its fundamental holds 8 / pi^2. Where
+    the gain-scaling theorem holds, x' I x is the mean square of G u / gamma over the noise variance, and for
+    plants of at most two states sums of squares bound it more tightly than the power does
+    (`oed.design.parametrisations.bounded_inputs`).
     """
     relaxed = claim_row(plant, {"input_power": amplitude**2})
     if not np.isfinite(relaxed.bound):
@@ -312,19 +276,7 @@ def _passed_share(plant: Plant, closed: bool) -> float:
 def budget_form(plant: Plant, name: str, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
     """The Hermitian form that a named limit puts on a line's power.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    name : str
-        As in `Design.limits`.
-    omega : ndarray
-        (K,) rad/sample.
-
-    Returns
-    -------
-    ndarray
-        (K, nu, nu).
+    Shapes: omega (K,), returns (K, nu, nu).
     """
     if name == "output power":
         G = plant.response(omega)[0]

@@ -24,16 +24,8 @@ __all__ = ["Losses", "losses", "peak_gain_efficiency_by_experiments"]
 class Losses:
     """Losses of an information matrix under the four criteria; infinite where it is singular.
 
-    Attributes
-    ----------
-    c : float
-        c' I^-1 c, the variance of the estimated peak gain (NaN where the peak is not unique).
-    D : float
-        det(I^-1)^(1/n).
-    A : float
-        trace I^-1.
-    E : float
-        Largest eigenvalue of I^-1.
+    `c` c' I^-1 c, the variance of the estimated peak gain (NaN where the peak is not unique); `D`
+    det(I^-1)^(1/n); `A` trace I^-1; `E` largest eigenvalue of I^-1.
     """
 
     c: float
@@ -42,35 +34,14 @@ class Losses:
     E: float
 
     def efficiency(self, optimum: Losses) -> Losses:
-        """Efficiencies optimum / loss, criterion by criterion.
-
-        Parameters
-        ----------
-        optimum : Losses
-            Of the optimal designs.
-
-        Returns
-        -------
-        Losses
-            Four numbers in [0, 1] (0 where the loss is infinite).
-        """
+        """Efficiencies optimum / loss, criterion by criterion."""
         return Losses(*(getattr(optimum, k) / getattr(self, k) for k in ("c", "D", "A", "E")))
 
 
 def losses(information: NDArray[np.float64], c: NDArray[np.float64] | None = None) -> Losses:
     """Losses of an information matrix under c, D, A and E.
 
-    Parameters
-    ----------
-    information : ndarray
-        (n, n).
-    c : ndarray, optional
-        (n,) gradient of the peak gain; without it the c-loss is NaN.
-
-    Returns
-    -------
-    Losses
-        Infinite where the information is singular (c: where it carries nothing along c).
+    Shapes: information (n, n), c (n,).
     """
     scale = np.sqrt(np.clip(np.diag(information), 0, None))
     if not np.all(scale > 0):
@@ -107,20 +78,8 @@ def peak_gain_efficiency_by_experiments(plant: Plant, experiments: int) -> NDArr
 
     Their information is summed (Lemma 13) and compared with k experiments at the optimum lambda_e.
 
-    Parameters
-    ----------
-    plant : Plant
-        One input, one output, white noise, a unique peak.
-    experiments : int
-        Up to which k.
+    Shapes: returns (experiments,).
 
-    Returns
-    -------
-    ndarray
-        (experiments,) (lambda_e / k) / (c' (sum I)^-1 c).
-
-    Notes
-    -----
     Source: [S] Lemmas 6 and 13; table of theory.md section 4.
     """
     top = peak(plant)
@@ -139,19 +98,6 @@ def peak_gain_efficiency_by_experiments(plant: Plant, experiments: int) -> NDArr
 
 
 def flat_spectrum(plant: Plant, points: int = 4000) -> Spectrum:
-    """White noise of unit power as the lines of a midpoint rule.
-
-    Parameters
-    ----------
-    plant : Plant
-        Sets the number of inputs, which share the power equally.
-    points : int
-        Number of lines.
-
-    Returns
-    -------
-    Spectrum
-        Of total power 1.
-    """
+    """White noise of unit power as the lines of a midpoint rule."""
     omega = (np.arange(points) + 0.5) * np.pi / points
     return Spectrum(omega, np.tile(np.eye(plant.n_inputs) / (plant.n_inputs * points), (points, 1, 1)))

@@ -62,20 +62,8 @@ def _check_samples(samples: int) -> None:
 def singular_values(plant: Plant, samples: int) -> NDArray[np.float64]:
     """Singular values of the plant over N samples from rest, largest first.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant, noise aside.
-    samples : int
-        N, at most 3000 / max(nu, ny) (dense linear algebra).
+    Shapes: returns (N nu,).
 
-    Returns
-    -------
-    ndarray
-        (N nu,); zeros fill up where there are more inputs than outputs.
-
-    Notes
-    -----
     [S] (6): for one channel they are the absolute eigenvalues of the symmetric T G_N.
     """
     _check_samples(samples)
@@ -99,23 +87,9 @@ def singular_values(plant: Plant, samples: int) -> NDArray[np.float64]:
 def finite_norm(plant: Plant, samples: int) -> float:
     """Norm of the plant over N samples from rest, ||G_N||, the largest singular value.
 
-    Block Lanczos on G' G with products by the fast Fourier transform, started from what the worst inputs
-    tend to: sinusoids at the peaks under the windows sin(k pi t / N). O(N log N); N = 1e5 takes a second.
+    Block Lanczos on G' G with products by the fast Fourier transform, started from what the worst inputs tend
+    to: sinusoids at the peaks under the windows sin(k pi t / N). O(N log N); N = 1e5 takes a second.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant, noise aside.
-    samples : int
-        N, at least 2.
-
-    Returns
-    -------
-    float
-        To about 1e-11 relative; N^2 (1 - ||G_N|| / gamma) tends to pi^2 H_mu / (4 gamma^2).
-
-    Notes
-    -----
     [S] (2), (5), Theorem 2; figures in theory.md section 6. Twin: dense singular values in the tests.
     """
     _check_samples(samples)
@@ -181,18 +155,10 @@ def _starts(plant: Plant, N: int) -> NDArray[np.float64]:
 class FiniteMoments:
     """Means over the noise, per experiment, as one of the three descriptions gives them.
 
-    Attributes
-    ----------
-    effect : str
-        "infinite", "edge" or "random-mu".
-    beta2 : ndarray
-        (M,) mean of beta_2^2 of experiments 1..M (NaN for the first).
-    mu2 : ndarray
-        (M,) mean of mu^2.
-    limit_beta2, limit_mu2 : float
-        Their limits over the iterations; NaN for "random-mu", which has none that is known.
-    holds : bool
-        Whether the expansion holds up to the last experiment; True for the descriptions that are not expansions.
+    `effect` "infinite", "edge" or "random-mu"; `beta2` (M,) mean of beta_2^2 of experiments 1..M (NaN for the
+    first); `mu2` (M,) mean of mu^2; `limit_beta2, limit_mu2` their limits over the iterations; NaN for
+    "random-mu", which has none that is known; `holds` whether the expansion holds up to the last experiment;
+    True for the descriptions that are not expansions.
     """
 
     effect: str
@@ -203,18 +169,7 @@ class FiniteMoments:
     holds: bool = True
 
     def average(self, first: int, last: int) -> float:
-        """Root of the mean of beta_2^2 over experiments first..last.
-
-        Parameters
-        ----------
-        first, last : int
-            Counted from 1, both included.
-
-        Returns
-        -------
-        float
-            The prediction for a campaign.
-        """
+        """Root of the mean of beta_2^2 over experiments first..last."""
         return float(np.sqrt(np.mean(self.beta2[first - 1 : last])))
 
 
@@ -223,22 +178,6 @@ def finite_moments(
 ) -> FiniteMoments:
     """Means of beta_2^2 and mu^2 of Algorithm 1 from a white start, at finite N.
 
-    Parameters
-    ----------
-    plant : Plant
-        One input, one output, white noise.
-    samples, iterations : int
-        N and the number of experiments.
-    effect : {"infinite", "edge", "random-mu"}
-        Up to which effect the description goes.
-
-    Returns
-    -------
-    FiniteMoments
-        Per experiment and in the limit.
-
-    Notes
-    -----
     theory.md section 6 gives the first two; the third expands E[q_i / Q] in the fluctuation of Q and carries
     the covariance of the shares through C+ = J Cov(q) J' / Q^2, J = I - p+ 1'.
     """
@@ -301,27 +240,12 @@ def _edge_limit(d2: NDArray, variance: float) -> float:
 
 
 def random_mu(d2: NDArray, variance: float, iterations: int) -> tuple[NDArray, NDArray, NDArray, bool]:
-    """Means with the fluctuation of Q, to second order, for as long as that holds; from there on Q is its mean.
+    """Means with the fluctuation of Q, to second order, for as long as that holds; from there on Q is its
+    mean.
 
     The covariance of the shares is kept as a diagonal and, from every experiment, two more directions.
 
-    Parameters
-    ----------
-    d2 : ndarray
-        (N,) squared singular values of G_N.
-    variance : float
-        Noise variance.
-    iterations : int
-        How many experiments.
-
-    Returns
-    -------
-    beta2, mu2 : ndarray
-        (M,) means of beta_2^2 and of mu^2.
-    shares : ndarray
-        (M, N) means of the shares of the input's power.
-    holds : bool
-        Whether the shares kept the relative variance of squared Gaussians, up to the last experiment.
+    Shapes: d2 (N,), returns (M,), returns (M, N).
     """
     N = len(d2)
     noise = variance / N
@@ -374,22 +298,7 @@ def _total_variance(diagonal: NDArray, U: NDArray, weights: list[NDArray]) -> fl
 
 
 def finite_prediction(plant: Plant, samples: int) -> dict[str, Any]:
-    """What experiments of N samples change in the limits: the keys of `oed theory --samples`.
-
-    Parameters
-    ----------
-    plant : Plant
-        One input, one output, white noise.
-    samples : int
-        N.
-
-    Returns
-    -------
-    dict
-        samples, finite_norm, finite_mu2 and finite_beta2_mean (edge effect); finite_beta2_mean_random_mu (both
-        effects, iteration 60) where N is at most 2000 and the expansion holds. Beyond 3000 samples the edge effect is extrapolated in 1/N from 1000,
-        1500 and the limit.
-    """
+    """What experiments of N samples change in the limits: the keys of `oed theory --samples`."""
     _check_single(plant)
     _check_samples(samples)
     variance = float(plant.noise_covariance[0, 0])

@@ -25,30 +25,11 @@ LARGEST = 2000
 def finite_peak_gain_efficiency(plant: Plant, samples: int, experiments: int) -> NDArray[np.float64]:
     """c-efficiency of the first k experiments of Algorithm 1 together, from a white start, at finite N.
 
-    Parameters
-    ----------
-    plant : Plant
-        One input, one output, white noise of positive variance, a unique peak.
-    samples : int
-        N, from 2 to 2000 (dense linear algebra).
-    experiments : int
-        Up to which k, at most 500.
+    Shapes: returns (experiments,).
 
-    Returns
-    -------
-    ndarray
-        (experiments,) (lambda_e / (k N)) / (c' (sum of the mean informations)^-1 c): against k sinusoids at the
-        peak that last for ever, so that what the transient from rest costs is counted as a loss.
-
-    Raises
-    ------
-    InputError
-        If the plant, N or k is not as above.
-
-    Notes
-    -----
-    Tends to `peak_gain_efficiency_by_experiments` ([S] Lemmas 6 and 13) as 1/N. The fluctuation of mu is counted where its
-    expansion holds; with mu replaced by its mean everywhere the result is 10 % too high at N = 100. Twin: the mean information of simulated runs in the tests.
+    Tends to `peak_gain_efficiency_by_experiments` ([S] Lemmas 6 and 13) as 1/N. The fluctuation of mu is
+    counted where its expansion holds; with mu replaced by its mean everywhere the result is 10 % too high at
+    N = 100. Twin: the mean information of simulated runs in the tests.
     """
     variance = float(np.trace(plant.noise_covariance))
     top = peak(plant)

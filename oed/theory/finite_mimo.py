@@ -41,32 +41,10 @@ def finite_mimo_moments(
 ) -> FiniteMoments:
     """Means of gamma_2^2 and mu^2 of Procedure 2 from a white start, at finite N.
 
-    Parameters
-    ----------
-    plant : Plant
-        Any number of inputs and outputs; white noise of one variance on every output.
-    samples, iterations : int
-        N, at most 3000 / max(nu, ny), and the number of iterations (of 1 + pq experiments).
-    effect : {"infinite", "edge", "random-mu"}
-        Up to which effect the description goes.
-    scaling : {"none", "each", "common"}
-        Scaling of the second-stage inputs (`estimators.rules.procedure2`).
-
-    Returns
-    -------
-    FiniteMoments
-        Per iteration and in the limit over the iterations; `beta2` is the mean of gamma_2^2, from the first on.
-
-    Raises
-    ------
-    InputError
-        If the noise is coloured, correlated or of unequal variances, or the matrices would be too large.
-
-    Notes
-    -----
-    [M] leaves the noise open; theory.md section 6 has one input and one output. With deterministic Q and P the
-    recursion would be exact, so the second effect is all of their fluctuation: E[q_i / Q] is expanded in it, and
-    the covariance of the shares is carried from iteration to iteration. Twin: campaigns of the compiled engine.
+    [M] leaves the noise open; theory.md section 6 has one input and one output. With deterministic Q and P
+    the recursion would be exact, so the second effect is all of their fluctuation: E[q_i / Q] is expanded in
+    it, and the covariance of the shares is carried from iteration to iteration. Twin: campaigns of the
+    compiled engine.
     """
     check_names([effect], EFFECTS, "description")
     check_names([scaling], SCALINGS, "scaling")
@@ -174,23 +152,7 @@ def _limit(
 
 
 def finite_mimo_prediction(plant: Plant, samples: int, scaling: str = "none") -> dict[str, Any]:
-    """What experiments of N samples change in the limits of Procedure 2: the keys of `oed theory --samples`.
-
-    Parameters
-    ----------
-    plant : Plant
-        White noise of one variance on every output.
-    samples : int
-        N.
-    scaling : {"none", "each", "common"}
-        Scaling of the second-stage inputs.
-
-    Returns
-    -------
-    dict
-        samples, finite_norm; finite_mu2 and finite_beta2_mean (edge effect) where N max(nu, ny) is at most 3000;
-        finite_beta2_mean_random_mu (both effects, iteration 60) where N nu is at most 1200 and the expansion holds.
-    """
+    """What experiments of N samples change in the limits of Procedure 2: the keys of `oed theory --samples`."""
     payload: dict[str, Any] = {"samples": int(samples), "finite_norm": finite_norm(plant, samples)}
     if samples * max(plant.n_inputs, plant.n_outputs) <= LARGEST:
         edge = finite_mimo_moments(plant, samples, 1, effect="edge", scaling=scaling)

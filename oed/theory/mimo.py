@@ -38,24 +38,11 @@ SCALINGS = ("none", "each", "common")
 class MimoLimitSpectrum:
     """Limit of the first-stage input spectrum of Procedure 2.
 
-    Attributes
-    ----------
-    plant : Plant
-        The plant with its noise.
-    scaling : str
-        How the second-stage inputs are scaled.
-    peak : Peak
-        H-infinity norm of the plant.
-    mu2_excess : float
-        mu^2 - gamma^4, solved for directly.
-    gain2_mean : float
-        Limit of E gamma_2^2 = (1/2pi) int tr(G Phi G*) dw, [M] (12).
-    noise_gain : float
-        n^2: the noise variance that the second stage adds to every input.
-    spectrum : Spectrum
-        Phi as the nodes of a quadrature; its powers sum to 1.
-    spectrum_max, spectrum_min : float
-        Largest and smallest eigenvalue of the density over all frequencies.
+    `plant` the plant with its noise; `scaling` how the second-stage inputs are scaled; `peak` H-infinity norm
+    of the plant; `mu2_excess` mu^2 - gamma^4, solved for directly; `gain2_mean` limit of E gamma_2^2 =
+    (1/2pi) int tr(G Phi G*) dw, [M] (12); `noise_gain` n^2: the noise variance that the second stage adds to
+    every input; `spectrum` phi as the nodes of a quadrature; its powers sum to 1; `spectrum_max,
+    spectrum_min` largest and smallest eigenvalue of the density over all frequencies.
     """
 
     plant: Plant
@@ -98,25 +85,6 @@ class _Terms:
 def mimo_limit_spectrum(plant: Plant, *, scaling: str = "none") -> MimoLimitSpectrum:
     """Limit of the input spectrum under Procedure 2 with noise.
 
-    Parameters
-    ----------
-    plant : Plant
-        Any number of inputs and outputs; positive noise variance, any noise filter and covariance.
-    scaling : {"none", "each", "common"}
-        Scaling of the second-stage inputs (`estimators.rules.procedure2`).
-
-    Returns
-    -------
-    MimoLimitSpectrum
-        mu^2, its excess, the spectrum and the mean of gamma_2^2.
-
-    Raises
-    ------
-    InputError
-        If the plant has no noise.
-
-    Notes
-    -----
     theory.md section 3, generalised to coloured and unequal noise. Twins: `mimo_recursion` iterated on a
     uniform grid, and simulation.
     """
@@ -255,21 +223,7 @@ def mimo_recursion(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """E gamma_2^2 and mu^2 of the first iterations of Procedure 2 from a white start, N -> infinity.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant with its noise.
-    iterations : int
-        How many.
-    scaling : {"none", "each", "common"}
-        Scaling of the second-stage inputs.
-
-    Returns
-    -------
-    gain2 : ndarray
-        (M,).
-    mu2 : ndarray
-        (M,).
+    Shapes: returns (M,).
     """
     check_names([scaling], SCALINGS, "scaling")
     terms = _terms(plant, peak(plant))

@@ -30,14 +30,8 @@ DEEPEST = 60
 class Nodes:
     """Nodes of a quadrature, kept relative to the nearest centre so that tiny distances are exact.
 
-    Attributes
-    ----------
-    centre : ndarray
-        (K,) frequency of the centre that a node belongs to.
-    offset : ndarray
-        (K,) distance from it: omega = centre + offset.
-    weight : ndarray
-        (K,) weights; sum(weight * f) = (1/pi) * integral of f over [0, pi].
+    `centre` (K,) frequency of the centre that a node belongs to; `offset` (K,) distance from it: omega =
+    centre + offset; `weight` (K,) weights; sum(weight * f) = (1/pi) * integral of f over [0, pi].
     """
 
     centre: NDArray[np.float64]
@@ -51,18 +45,7 @@ class Nodes:
 
 
 def graded_nodes(centres: Sequence[float]) -> Nodes:
-    """Gauss-Legendre nodes on panels that halve towards every centre.
-
-    Parameters
-    ----------
-    centres : sequence of float
-        Frequencies in [0, pi] at or near which an integrand may have features of any width.
-
-    Returns
-    -------
-    Nodes
-        For integrals over [0, pi], which are half of those over (-pi, pi].
-    """
+    """Gauss-Legendre nodes on panels that halve towards every centre."""
     points = np.unique(np.concatenate([[0.0, np.pi], np.asarray(centres, dtype=float)]))
     points = points[np.concatenate([[True], np.diff(points) > 1e-12])]
     x, w = np.polynomial.legendre.leggauss(POINTS)

@@ -11,13 +11,7 @@ ALGORITHMS = ("siso", "procedure-1", "two-experiment", "mimo")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `oed iterate`.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        The subcommand's parser.
-    """
+    """Add the options of `oed iterate`."""
     parser.add_argument("--plant", default="reference", help="name or JSON file of the plant")
     parser.add_argument("--algorithm", choices=ALGORITHMS, default="siso")
     parser.add_argument("--samples", type=int, default=1000, help="samples per experiment")
@@ -39,20 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> tuple[dict, str]:
-    """Run the iterations.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Options of `configure`.
-
-    Returns
-    -------
-    payload : dict
-        The JSON object.
-    text : str
-        What a person reads.
-    """
+    """Run the iterations."""
     import numpy as np
 
     from benchmarks.campaign.plants import load_plant

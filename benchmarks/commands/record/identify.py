@@ -12,13 +12,7 @@ DEFAULTS = {"fir": [20], "arx": [2, 2], "armax": [2, 2, 2], "oe": [2, 2], "bj": 
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `oed identify`.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        The subcommand's parser.
-    """
+    """Add the options of `oed identify`."""
     parser.add_argument(
         "data",
         nargs="+",
@@ -89,20 +83,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> tuple[dict, str]:
-    """Identify a model.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Options of `configure`.
-
-    Returns
-    -------
-    payload : dict
-        The JSON object.
-    text : str
-        What a person reads.
-    """
+    """Identify a model."""
     from estimators.pem import identify
     from estimators.pem.choice import estimate_delay
     from estimators.pem.results import needed

@@ -10,37 +10,13 @@ EXAMPLE = "oed reproduce siso-theorem-9"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `oed reproduce`.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        The subcommand's parser.
-    """
+    """Add the options of `oed reproduce`."""
     parser.add_argument("name", nargs="?", metavar="NAME", help="one of the items; default: all")
     parser.add_argument("--strict", action="store_true", help="exit 1 if a row does not hold")
 
 
 def run(args: argparse.Namespace) -> tuple[dict, str]:
-    """Reproduce.
-
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Options of `configure`.
-
-    Returns
-    -------
-    payload : dict
-        The JSON object.
-    text : str
-        What a person reads.
-
-    Raises
-    ------
-    OedError
-        With --strict, if a row does not hold.
-    """
+    """Reproduce."""
     from benchmarks.tables.reproduced import KINDS, rows_of
     from oed.errors import OedError
 

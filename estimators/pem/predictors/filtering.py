@@ -22,22 +22,7 @@ def _delayed(x: NDArray, k: int) -> NDArray:
 
 
 def filter_kernel(structure: Polynomial, levels: bool, initial: bool, weighted: bool = False) -> Kernel:
-    """A kernel of a polynomial structure that needs neither CasADi nor a compiler.
-
-    Parameters
-    ----------
-    structure : Polynomial
-        The structure.
-    levels, initial : bool
-        Whether output levels and initial states are unknown.
-    weighted : bool
-        Whether the samples end with a root weight for every output.
-
-    Returns
-    -------
-    Kernel
-        Of the same meaning as the compiled one.
-    """
+    """A kernel of a polynomial structure that needs neither CasADi nor a compiler."""
     ny, nu = structure.n_outputs, structure.n_inputs
     paths, noise = initial_counts(structure) if initial else ([[0] * nu] * ny, [0] * ny)
     first_x0 = structure.n + ny * levels

@@ -34,23 +34,7 @@ def _product(ca: Any, p: list, q: list) -> list:
 
 
 def kalman_recursion(structure: Polynomial, levels: bool, initial: bool) -> Recursion:
-    """The step of the predictor with missing outputs.
-
-    Parameters
-    ----------
-    structure : Polynomial
-        Its delays are left to whoever prepares the samples.
-    levels : bool
-        Whether each output has an unknown level.
-    initial : bool
-        Whether the initial state is unknown.
-
-    Returns
-    -------
-    Recursion
-        The sample holds the delayed inputs entry by entry, the outputs (anything finite where missing), the
-        pulse, and 1 or 0 for every output: observed or missing.
-    """
+    """The step of the predictor with missing outputs."""
     import casadi as ca
 
     ny, nu = structure.n_outputs, structure.n_inputs
@@ -133,24 +117,7 @@ def kalman_recursion(structure: Polynomial, levels: bool, initial: bool) -> Recu
 
 
 def state_space_kalman_recursion(structure: StateSpace, levels: bool, initial: bool) -> Recursion:
-    """The step of the predictor of a state-space model with missing samples, any of the outputs at any time.
-
-    Parameters
-    ----------
-    structure : StateSpace
-        The structure.
-    levels : bool
-        Whether each output has an unknown level.
-    initial : bool
-        Whether the initial state is unknown.
-
-    Returns
-    -------
-    Recursion
-        The sample holds the inputs, the outputs (anything finite where missing), the pulse, 1 or 0 for every output:
-        observed or missing; and of several outputs the lower triangle of the innovations' covariance, row by row.
-        The residuals are whitened: their covariance is the identity.
-    """
+    """The step of the predictor of a state-space model with missing samples, any of the outputs at any time."""
     import casadi as ca
 
     n, nu, ny = structure.order, structure.n_inputs, structure.n_outputs

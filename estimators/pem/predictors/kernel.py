@@ -83,18 +83,9 @@ void trace(long long n, long long ns, long long nd, long long ny, long long nj, 
 class Sums:
     """What a pass over the records leaves behind, one row per record.
 
-    Attributes
-    ----------
-    loss : ndarray
-        (R,) sum e' W e.
-    gradient : ndarray
-        (R, n) sum J' W e, half the gradient of the loss.
-    hessian : ndarray
-        (R, n, n) sum J' W J.
-    covariance : ndarray
-        (R, ny, ny) sum e e'.
-    log_variance : ndarray
-        (R, 1 + n) sum of the log variances and its gradient; (R, 0) where they are constant.
+    `loss` (R,) sum e' W e; `gradient` (R, n) sum J' W e, half the gradient of the loss; `hessian` (R, n, n)
+    sum J' W J; `covariance` (R, ny, ny) sum e e'; `log_variance` (R, 1 + n) sum of the log variances and its
+    gradient; (R, 0) where they are constant.
     """
 
     loss: NDArray[np.float64]
@@ -108,16 +99,9 @@ class Sums:
 class Kernel:
     """A recursion ready to run.
 
-    Attributes
-    ----------
-    fold : callable
-        (data (N, nd) of all records, lengths (R,), parameters (R, n), weight (ny, ny)) -> raw sums (R, nt).
-    trace : callable
-        (data of one record, parameters, with_jacobian) -> residuals (N, ny), jacobian (N, ny, n) or None.
-    n, n_outputs : int
-        Number of parameters and of outputs.
-    compiled : bool
-        Whether machine code runs.
+    `fold` (data (N, nd) of all records, lengths (R,), parameters (R, n), weight (ny, ny)) -> raw sums (R,
+    nt); `trace` (data of one record, parameters, with_jacobian) -> residuals (N, ny), jacobian (N, ny, n) or
+    None; `n, n_outputs` number of parameters and of outputs; `compiled` whether machine code runs.
     """
 
     fold: Callable[[NDArray, NDArray, NDArray, NDArray], NDArray]
@@ -129,21 +113,7 @@ class Kernel:
     def sums(self, data: NDArray, lengths: NDArray, parameters: NDArray, weight: NDArray) -> Sums:
         """Loss, half gradient, Gauss-Newton matrix and residual covariance, each summed over each record.
 
-        Parameters
-        ----------
-        data : ndarray
-            (N, nd) samples of all records one after the other, C-contiguous.
-        lengths : ndarray of int
-            (R,) samples of each record.
-        parameters : ndarray
-            (R, n) theta, levels, initial state.
-        weight : ndarray
-            (ny, ny) W.
-
-        Returns
-        -------
-        Sums
-            The sums.
+        Shapes: data (N, nd), lengths (R,), parameters (R, n), weight (ny, ny).
         """
         raw, n, ny = self.fold(data, lengths, parameters, weight), self.n, self.n_outputs
         square = raw[:, 1 + n + _square(n)]
@@ -161,13 +131,7 @@ def _square(n: int) -> NDArray[np.int64]:
 
 
 def compiler() -> str | None:
-    """The C compiler that would be used: `OED_CC`, else cc, gcc or clang; None where there is none.
-
-    Returns
-    -------
-    str or None
-        Its path. `OED_CC=none` switches compiling off.
-    """
+    """The C compiler that would be used: `OED_CC`, else cc, gcc or clang; None where there is none."""
     return _found(os.environ.get("OED_CC"), os.environ.get("PATH"))
 
 
@@ -233,18 +197,7 @@ def _functions(recursion: Recursion) -> tuple[Any, Any, int]:
 
 
 def kernel_of(recursion: Recursion) -> Kernel:
-    """Make a recursion ready to run, by compiling it if a compiler is there.
-
-    Parameters
-    ----------
-    recursion : Recursion
-        The step.
-
-    Returns
-    -------
-    Kernel
-        Ready to run.
-    """
+    """Make a recursion ready to run, by compiling it if a compiler is there."""
     fold, trace, n = _functions(recursion)
     ny = recursion.residual.numel()
     tool = compiler()

@@ -47,22 +47,7 @@ def _cached_kernel(structure: tuple, levels: bool, initial: bool, variant: str, 
 
 
 def kernel_for(structure: Structure, levels: bool, initial: bool, variant: str = "") -> Kernel:
-    """The kernel of a structure; made once per process.
-
-    Parameters
-    ----------
-    structure : Polynomial or StateSpace
-        The structure; without unknown initial states its delays do not matter.
-    levels, initial : bool
-        Whether output levels and initial states are unknown.
-    variant : {"", "weighted", "missing"}
-        With a weight per sample, or with a Kalman filter that bridges missing outputs.
-
-    Returns
-    -------
-    Kernel
-        Ready to run.
-    """
+    """The kernel of a structure; made once per process."""
     if isinstance(structure, StateSpace):
         key = ("ss", structure.blocks, structure.n_inputs, structure.feedthrough, structure.noise)
         return _cached_kernel(key, levels, initial, variant, compiler())
@@ -75,17 +60,7 @@ def kernel_for(structure: Structure, levels: bool, initial: bool, variant: str =
 def predictor_is_stable(structure: Structure, z: NDArray) -> bool:
     """Whether the predictor forgets: every C and F stable, or A - K C.
 
-    Parameters
-    ----------
-    structure : Polynomial or StateSpace
-        The structure.
-    z : ndarray
-        (n,) parameters, scaled or not.
-
-    Returns
-    -------
-    bool
-        True if so.
+    Shapes: z (n,).
     """
     if isinstance(structure, StateSpace):
         m = structure.matrices(z)
@@ -99,21 +74,8 @@ def predictor_is_stable(structure: Structure, z: NDArray) -> bool:
 
 
 def projected(structure: Structure, z: NDArray, mirror: bool = True) -> NDArray:
-    """Parameters with the unstable roots of C and F mirrored into the unit circle; of state space, as they are.
-
-    Parameters
-    ----------
-    structure : Polynomial or StateSpace
-        The structure.
-    z : ndarray
-        Parameters, with whatever follows them.
-    mirror : bool
-        False leaves such roots on the circle.
-
-    Returns
-    -------
-    ndarray
-        The same where the predictor is stable.
+    """Parameters with the unstable roots of C and F mirrored into the unit circle; of state space, as they
+    are.
     """
     if isinstance(structure, StateSpace) or predictor_is_stable(structure, z):
         return z
@@ -130,17 +92,7 @@ def walls(structure: Structure, z: NDArray) -> NDArray[np.float64]:
 
     With p(r) = 0 the root moves by dr = -r^(n-k) dz_k / p'(r), its modulus by Re(conj(r) dr) / |r|.
 
-    Parameters
-    ----------
-    structure : Polynomial or StateSpace
-        The structure.
-    z : ndarray
-        (n,) parameters, with whatever follows them.
-
-    Returns
-    -------
-    ndarray
-        (m, n) outward normals, one for each root, or pair of them, that lies there; none for state space.
+    Shapes: z (n,), returns (m, n).
     """
     found: list[NDArray] = []
     if isinstance(structure, StateSpace):
@@ -170,17 +122,7 @@ def walls(structure: Structure, z: NDArray) -> NDArray[np.float64]:
 def parameter_scale(structure: Structure, su: NDArray, sy: NDArray) -> NDArray[np.float64]:
     """Factors from the parameters of scaled channels to those of the user's units.
 
-    Parameters
-    ----------
-    structure : Polynomial or StateSpace
-        The structure.
-    su, sy : ndarray
-        (nu,), (ny,) what the channels were divided by.
-
-    Returns
-    -------
-    ndarray
-        (n,).
+    Shapes: su, sy (nu,), returns (n,).
     """
     if isinstance(structure, StateSpace):
         sx = np.repeat(sy, structure.blocks)
@@ -196,17 +138,7 @@ def parameter_scale(structure: Structure, su: NDArray, sy: NDArray) -> NDArray[n
 def samples(structure: Structure, u: NDArray, y: NDArray) -> NDArray[np.float64]:
     """The rows that a kernel reads: inputs delayed entry by entry, outputs, pulse.
 
-    Parameters
-    ----------
-    structure : Polynomial or StateSpace
-        With its delays.
-    u, y : ndarray
-        (N, nu), (N, ny) deviations.
-
-    Returns
-    -------
-    ndarray
-        (N, nd), C-contiguous.
+    Shapes: u, y (N, nu), returns (N, nd).
     """
     pulse = np.zeros(len(u))
     pulse[0] = 1.0

@@ -26,17 +26,12 @@ __all__ = ["Recursion", "initial_counts", "polynomial_recursion", "weighted"]
 class Recursion:
     """A predictor as one step: (state, sample, parameters) -> (state, residual, sensitivities).
 
-    Attributes
-    ----------
-    state, sample, parameters : casadi.SX
-        Symbols. The sample holds the inputs as delayed for each entry (all entries that are present, row
-        by row), the outputs, and the pulse (1 at the first sample, else 0). The parameters are theta,
-        one level per output (if asked), the initial state (if asked).
-    next_state, residual, jacobian : casadi.SX
-        Expressions; the residual is (ny, 1), the jacobian (ny, number of parameters).
-    log_variance, log_gradient : casadi.SX, optional
-        Log of the variances by which the residuals have been divided, summed over outputs, and its (1, n)
-        derivative; None where they are constant.
+    `state, sample, parameters` symbols. The sample holds the inputs as delayed for each entry (all entries
+    that are present, row by row), the outputs, and the pulse (1 at the first sample, else 0). The parameters
+    are theta, one level per output (if asked), the initial state (if asked); `next_state, residual, jacobian`
+    expressions; the residual is (ny, 1), the jacobian (ny, number of parameters); `log_variance,
+    log_gradient` log of the variances by which the residuals have been divided, summed over outputs, and its
+    (1, n) derivative; None where they are constant.
     """
 
     state: Any
@@ -50,17 +45,8 @@ class Recursion:
 
 
 def weighted(recursion: Recursion) -> Recursion:
-    """The recursion with a weight for every sample and output, which the loss multiplies and the state ignores.
-
-    Parameters
-    ----------
-    recursion : Recursion
-        A step.
-
-    Returns
-    -------
-    Recursion
-        Its sample ends with the square roots of the weights, (ny,).
+    """The recursion with a weight for every sample and output, which the loss multiplies and the state
+    ignores.
     """
     import casadi as ca
 
@@ -89,20 +75,7 @@ class _Line:
 
 
 def initial_counts(structure: Polynomial) -> tuple[list[list[int]], list[int]]:
-    """How many pulses span the effect of what came before the record.
-
-    Parameters
-    ----------
-    structure : Polynomial
-        The structure.
-
-    Returns
-    -------
-    paths : list of list of int
-        Length of X_ij for every entry.
-    noise : list of int
-        Length of the pulse polynomial of every noise filter.
-    """
+    """How many pulses span the effect of what came before the record."""
     paths, noise = [], []
     for i in range(structure.n_outputs):
         row, rest = [], int(structure.na[i])
@@ -117,22 +90,7 @@ def initial_counts(structure: Polynomial) -> tuple[list[list[int]], list[int]]:
 
 
 def polynomial_recursion(structure: Polynomial, levels: bool, initial: bool) -> Recursion:
-    """The predictor of a polynomial structure whose inputs have already been delayed by nk.
-
-    Parameters
-    ----------
-    structure : Polynomial
-        Its delays are left to whoever prepares the samples.
-    levels : bool
-        Whether each output has an unknown level.
-    initial : bool
-        Whether the initial state is unknown.
-
-    Returns
-    -------
-    Recursion
-        The step.
-    """
+    """The predictor of a polynomial structure whose inputs have already been delayed by nk."""
     import casadi as ca
 
     ny, nu = structure.n_outputs, structure.n_inputs

@@ -24,22 +24,7 @@ __all__ = [
 def differentiated(
     state: Any, sample: Any, parameters: Any, next_state: Any, residual: Any, start: Any = None
 ) -> Recursion:
-    """A predictor with its sensitivities, propagated forwards: S+ = f_x S + f_p, J = h_x S + h_p.
-
-    Parameters
-    ----------
-    state, sample, parameters : casadi.SX
-        Symbols x, d, p.
-    next_state, residual : casadi.SX
-        f(x, d, p) and h(x, d, p).
-    start : casadi.SX, optional
-        x at the first sample, an expression in p; the last entry of the sample is then 1 at the first sample.
-
-    Returns
-    -------
-    Recursion
-        With the state (x, S) that begins at zero.
-    """
+    """A predictor with its sensitivities, propagated forwards: S+ = f_x S + f_p, J = h_x S + h_p."""
     import casadi as ca
 
     nx, n = state.numel(), parameters.numel()
@@ -64,22 +49,7 @@ def differentiated(
 
 
 def state_space_recursion(structure: StateSpace, levels: bool, initial: bool) -> Recursion:
-    """The predictor x+ = A x + B u + K e, e = y - C x - D u, of an innovations model.
-
-    Parameters
-    ----------
-    structure : StateSpace
-        The structure.
-    levels : bool
-        Whether each output has an unknown level.
-    initial : bool
-        Whether the initial state is unknown.
-
-    Returns
-    -------
-    Recursion
-        The step; the sample holds the inputs, the outputs and the pulse.
-    """
+    """The predictor x+ = A x + B u + K e, e = y - C x - D u, of an innovations model."""
     import casadi as ca
 
     n, nu, ny = structure.order, structure.n_inputs, structure.n_outputs
@@ -102,22 +72,10 @@ def state_space_recursion(structure: StateSpace, levels: bool, initial: bool) ->
 def subspace_start(
     structure: StateSpace, signals: list[tuple[NDArray, NDArray]], past: int, future: int
 ) -> NDArray[np.float64]:
-    """Parameters by a subspace method: the predictor's Markov parameters by least squares, their Hankel matrix
-    factored, the states regressed (Chiuso 2007, Automatica 43, 1034: PBSID).
+    """Parameters by a subspace method: the predictor's Markov parameters by least squares, their Hankel
+    matrix factored, the states regressed (Chiuso 2007, Automatica 43, 1034: PBSID).
 
-    Parameters
-    ----------
-    structure : StateSpace
-        The structure.
-    signals : list of tuple
-        (y (N, ny), u (N, nu)) of each record.
-    past, future : int
-        Rows of the Hankel matrix that look back and forward.
-
-    Returns
-    -------
-    ndarray
-        (n,) parameters.
+    Shapes: returns (n,).
     """
     ny, nu, n = structure.n_outputs, structure.n_inputs, structure.order
     back, now_y, now_u = [], [], []
@@ -151,17 +109,7 @@ def subspace_start(
 def subspace_candidates(structure: StateSpace, problem: Any) -> list[NDArray[np.float64]]:
     """Starts by the subspace method with several horizons.
 
-    Parameters
-    ----------
-    structure : StateSpace
-        The structure.
-    problem : Problem
-        Its scaled records.
-
-    Returns
-    -------
-    list of ndarray
-        (n + levels,) scaled parameters each.
+    Shapes: returns (n + levels,).
     """
     nu, ny = structure.n_inputs, structure.n_outputs
     signals = [(d[:, nu : nu + ny], d[:, :nu]) for d in problem.records()]
@@ -180,19 +128,7 @@ def subspace_candidates(structure: StateSpace, problem: Any) -> list[NDArray[np.
 def state_space_of_armax(structure: StateSpace, armax: Polynomial, theta: NDArray) -> NDArray[np.float64]:
     """Parameters of the state-space model that is an ARMAX model of one output.
 
-    Parameters
-    ----------
-    structure : StateSpace
-        One output, n states.
-    armax : Polynomial
-        A, C of degree n, every B with n coefficients from q^-1, or n + 1 from q^0.
-    theta : ndarray
-        Its parameters.
-
-    Returns
-    -------
-    ndarray
-        (structure.n,).
+    Shapes: returns (structure.n,).
     """
     row, n = armax.coefficients(theta)[0], structure.order
     a, c = row["a"][0], row["c"][0]

@@ -27,21 +27,7 @@ KERNELS = ("tc", "dc", "ss")
 def kernel_factor(kernel: str, taps: int, decay: float, correlation: float = 0.0) -> NDArray[np.float64]:
     """A factor M of a kernel, K = M M'.
 
-    Parameters
-    ----------
-    kernel : {"tc", "dc", "ss"}
-        Which.
-    taps : int
-        Number n of taps.
-    decay : float
-        a, between 0 and 1.
-    correlation : float
-        rho of the DC kernel.
-
-    Returns
-    -------
-    ndarray
-        (n, n), for ss (n, 2n).
+    Shapes: returns (n, n).
     """
     k = np.arange(1, taps + 1)
     if kernel == "tc":  # a^max(i, j) = sum of a^k - a^(k+1) over k >= max(i, j)
@@ -63,12 +49,8 @@ def kernel_factor(kernel: str, taps: int, decay: float, correlation: float = 0.0
 class SlowNoise:
     """White noise of variance 1 on top of a first-order disturbance; without one, white noise.
 
-    Attributes
-    ----------
-    phi : float
-        d_t = phi d_(t-1) + w_t; 1 is a random walk, which begins at the level; below 1 it is stationary.
-    q : float
-        Variance of w; 0 leaves the white noise alone.
+    `phi` d_t = phi d_(t-1) + w_t; 1 is a random walk, which begins at the level; below 1 it is stationary;
+    `q` variance of w; 0 leaves the white noise alone.
     """
 
     phi: float = 0.0
@@ -110,17 +92,7 @@ class SlowNoise:
     def weighed(self, x: NDArray) -> tuple[NDArray[np.float64], float]:
         """V^-1 x and log det V.
 
-        Parameters
-        ----------
-        x : ndarray
-            (N, m) columns.
-
-        Returns
-        -------
-        solved : ndarray
-            (N, m).
-        log_det : float
-            Of the covariance V of N samples.
+        Shapes: x (N, m), returns (N, m).
         """
         from scipy.linalg.lapack import dpttrs
 
@@ -137,15 +109,7 @@ class SlowNoise:
     def innovations(self, x: NDArray) -> NDArray[np.float64]:
         """What the past does not foretell, by the Kalman filter from the first sample on.
 
-        Parameters
-        ----------
-        x : ndarray
-            (N, m) columns.
-
-        Returns
-        -------
-        ndarray
-            (N, m).
+        Shapes: x (N, m), returns (N, m).
         """
         from scipy.linalg import solve_banded
 
@@ -161,17 +125,7 @@ class SlowNoise:
     def foretold(self, x: NDArray, ahead: int) -> NDArray[np.float64]:
         """The disturbance expected after a record of itself and the white noise.
 
-        Parameters
-        ----------
-        x : ndarray
-            (N,) the record.
-        ahead : int
-            How many samples further.
-
-        Returns
-        -------
-        ndarray
-            (ahead,).
+        Shapes: x (N,), returns (ahead,).
         """
         back = np.arange(len(x) - 1, -1, -1)
         spread = self.q * (len(x) - back) if self.phi >= 1 else self.q * self.phi**back / (1 - self.phi**2)

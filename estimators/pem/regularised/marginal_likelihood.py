@@ -204,32 +204,7 @@ def regularised(
     form: Polynomial, records: list[Record], kernel: str, disturbance: str | None, *,
     offset: bool, unknown: bool, max_iterations: int = 100,
 ) -> Fit:  # fmt: skip
-    """The impulse responses of all entries under a kernel, output by output.
-
-    Parameters
-    ----------
-    form : Polynomial
-        A fir structure: taps and delays.
-    records : list of Record
-        Complete records.
-    kernel : {"tc", "dc", "ss"}
-        What is expected of the taps.
-    disturbance : {"ar1", "walk"}, optional
-        A slow disturbance beside the white noise: stationary, or a random walk.
-    offset : bool
-        Whether signals are deviations from unknown levels: the inputs' means, and output levels that are estimated.
-    unknown : bool
-        Whether the records show the answer to inputs before them.
-    max_iterations : int
-        Most steps of the search for hyperparameters, from each of two starts.
-
-    Returns
-    -------
-    Fit
-        A fir model; with a disturbance the same G with H = (1 + c z^-1) / (1 + d z^-1). The covariance of the taps
-        is the posterior's, that of c and d the inverse Hessian of the marginal likelihood; `regularisation` holds
-        the hyperparameters.
-    """
+    """The impulse responses of all entries under a kernel, output by output."""
     ny, nu, total = form.n_outputs, form.n_inputs, sum(map(len, records))
     mean = lambda signals: np.concatenate(signals).mean(axis=0)
     u_level = mean([r.u for r in records]) if offset else np.zeros(nu)
@@ -319,24 +294,7 @@ def regularised(
 def check_regularisation(
     form: object, kernel: str | None, disturbance: str | None, refused: dict[str, bool]
 ) -> Polynomial:
-    """What a kernel asks of a call to `identify`.
-
-    Parameters
-    ----------
-    form : object
-        The structure.
-    kernel : str or None
-        Its name.
-    disturbance : str or None
-        Its name.
-    refused : dict of str to bool
-        Whether options were given that do not go with a kernel.
-
-    Returns
-    -------
-    Polynomial
-        The structure; InputError where something does not fit.
-    """
+    """What a kernel asks of a call to `identify`."""
     if kernel is None:
         raise InputError(f"disturbance={disturbance!r} goes with a regularisation; choose tc, dc or ss.")
     if kernel not in KERNELS:

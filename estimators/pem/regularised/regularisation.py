@@ -20,19 +20,7 @@ __all__ = ["Regularisation", "lagged", "transient_factor"]
 def lagged(form: Polynomial, i: int, u: NDArray) -> NDArray[np.float64]:
     """The inputs behind the taps of output i, with zeros before the record.
 
-    Parameters
-    ----------
-    form : Polynomial
-        The structure: its numbers of taps and delays.
-    i : int
-        Output, from 0.
-    u : ndarray
-        (N, nu) deviations.
-
-    Returns
-    -------
-    ndarray
-        (N, n) input after input.
+    Shapes: u (N, nu), returns (N, n).
     """
     size, columns = len(u), []
     for j in range(form.n_inputs):
@@ -46,21 +34,7 @@ def lagged(form: Polynomial, i: int, u: NDArray) -> NDArray[np.float64]:
 def transient_factor(form: Polynomial, i: int, factors: list[NDArray], size: int) -> NDArray[np.float64]:
     """A factor of the covariance of the answer to inputs before the record, up to a factor.
 
-    Parameters
-    ----------
-    form : Polynomial
-        The structure.
-    i : int
-        Output, from 0.
-    factors : list of ndarray
-        (nb, m) of each input's kernel, times its standard deviation.
-    size : int
-        Samples of the record.
-
-    Returns
-    -------
-    ndarray
-        (T, m), T the samples that such inputs reach.
+    Shapes: factors (nb, m), returns (T, m).
     """
     reach = [form.nk[i, j] + form.nb[i, j] - 1 for j in range(form.n_inputs) if form.nb[i, j]]
     rows = min(max(reach, default=0), size)
@@ -73,28 +47,14 @@ def transient_factor(form: Polynomial, i: int, factors: list[NDArray], size: int
 class Regularisation:
     """Kernel, disturbance and hyperparameters of a regularised impulse response.
 
-    Attributes
-    ----------
-    kernel : {"tc", "dc", "ss"}
-        Expected decay and smoothness.
-    disturbance : {"ar1", "walk"} or None
-        Beside the white noise.
-    scale, decay, correlation : ndarray
-        (ny, nu) c, a and rho of each entry's kernel, c in squared units of the taps; rho of dc alone.
-    transient : ndarray
-        (ny,) factor of the kernel of the answer to earlier inputs; 0 where the record begins at rest.
-    phi, q : ndarray
-        (ny,) of the disturbance; q relative to `noise`.
-    noise : ndarray
-        (ny,) variance of the white noise e.
-    input_scale : ndarray
-        (nu,) root mean square of the inputs' deviations.
-    errors : tuple of dict
-        Per output, standard errors of log scale, logit decay, ..., by name.
-    log_likelihood : float
-        Marginal log-likelihood at the optimum, up to a constant of the data.
-    degrees_of_freedom : float
-        Effective number of parameters: the trace of the map from outputs to fitted values G u, and the levels.
+    `kernel` expected decay and smoothness; `disturbance` beside the white noise; `scale, decay, correlation`
+    (ny, nu) c, a and rho of each entry's kernel, c in squared units of the taps; rho of dc alone; `transient`
+    (ny,) factor of the kernel of the answer to earlier inputs; 0 where the record begins at rest; `phi, q`
+    (ny,) of the disturbance; q relative to `noise`; `noise` (ny,) variance of the white noise e;
+    `input_scale` (nu,) root mean square of the inputs' deviations; `errors` per output, standard errors of
+    log scale, logit decay, ..., by name; `log_likelihood` marginal log-likelihood at the optimum, up to a
+    constant of the data; `degrees_of_freedom` effective number of parameters: the trace of the map from
+    outputs to fitted values G u, and the levels.
     """
 
     kernel: str
@@ -112,18 +72,7 @@ class Regularisation:
     degrees_of_freedom: float
 
     def slow_noise(self, i: int) -> SlowNoise:
-        """Disturbance and white noise of output i, per unit of white noise variance.
-
-        Parameters
-        ----------
-        i : int
-            Output, from 0.
-
-        Returns
-        -------
-        SlowNoise
-            Of variance 1.
-        """
+        """Disturbance and white noise of output i, per unit of white noise variance."""
         return SlowNoise(float(self.phi[i]), float(self.q[i]))
 
     def _transient(self, form: Polynomial, i: int, size: int) -> NDArray[np.float64]:
@@ -151,19 +100,7 @@ class Regularisation:
     def continued(self, form: Polynomial, v: NDArray, size: int) -> NDArray[np.float64]:
         """Transient and disturbance expected over a record, of which the first samples are known.
 
-        Parameters
-        ----------
-        form : Polynomial
-            The structure.
-        v : ndarray
-            (W, ny) outputs less levels and G u.
-        size : int
-            Samples of the record.
-
-        Returns
-        -------
-        ndarray
-            (size, ny); over the first W samples the transient alone.
+        Shapes: v (W, ny), returns (size, ny).
         """
         out = np.zeros((size, v.shape[1]))
         for i in range(v.shape[1]):
@@ -177,21 +114,7 @@ class Regularisation:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """One-step prediction errors and their sensitivities to the parameters and the levels.
 
-        Parameters
-        ----------
-        form : Polynomial
-            The structure.
-        u, v : ndarray
-            (N, nu) inputs' deviations, (N, ny) outputs less levels and G u.
-        unknown : bool
-            Whether earlier inputs may show in the record.
-
-        Returns
-        -------
-        e : ndarray
-            (N, ny).
-        jacobian : ndarray
-            (N, ny, n + ny), levels last.
+        Shapes: u, v (N, nu), returns (N, ny), returns (N, ny, n + ny).
         """
         from scipy.signal import lfilter
 
@@ -213,13 +136,7 @@ class Regularisation:
         return e, jacobian
 
     def to_dict(self) -> dict:
-        """Plain numbers.
-
-        Returns
-        -------
-        dict
-            All attributes.
-        """
+        """Plain numbers."""
         arrays = ("scale", "decay", "correlation", "transient", "phi", "q", "noise", "input_scale")
         rest = ("kernel", "disturbance", "log_likelihood", "degrees_of_freedom")
         return (

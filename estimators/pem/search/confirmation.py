@@ -37,16 +37,7 @@ def _channels(problem: Problem) -> list[NDArray[np.float64]]:
 def first_start(problem: Problem) -> NDArray[np.float64] | None:
     """The start by null-space fitting of one long ARX model.
 
-    Parameters
-    ----------
-    problem : Problem
-        Of one output.
-
-    Returns
-    -------
-    ndarray or None
-        (n + levels,) scaled parameters; None where the structure is none of output error, or there are few samples
-        for the long model.
+    Shapes: returns (n + levels,).
     """
     form = problem.structure
     if form.na[0] or form.nc[0] or form.nd[0] or not form.nf.any() or problem.variant:
@@ -69,20 +60,7 @@ def first_start(problem: Problem) -> NDArray[np.float64] | None:
 
 
 def confirmed(problem: Problem, optimum: Optimum) -> bool:
-    """Whether an optimum needs no rival.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of one output, output error.
-    optimum : Optimum
-        Where one search ended.
-
-    Returns
-    -------
-    bool
-        True if the residual holds nothing and every mode is told.
-    """
+    """Whether an optimum needs no rival."""
     point = optimum.point
     if not optimum.status.ok:
         return False

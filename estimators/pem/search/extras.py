@@ -38,16 +38,9 @@ STUDENT = 4.0
 class Settings:
     """How a fit is made, beside the data and the structure.
 
-    Attributes
-    ----------
-    offset, unknown, missing : bool
-        Whether levels are estimated, initial states unknown, outputs missing.
-    search : str
-        auto, quick or thorough.
-    max_iterations : int
-        Most steps from each start.
-    tolerance : float
-        Relative decrease of the loss below which to stop.
+    `offset, unknown, missing` whether levels are estimated, initial states unknown, outputs missing; `search`
+    auto, quick or thorough; `max_iterations` most steps from each start; `tolerance` relative decrease of the
+    loss below which to stop.
     """
 
     offset: bool
@@ -68,22 +61,7 @@ def _index(problem: Problem, name: str) -> int:
 def with_limits(
     problem: Problem, fixed: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]
 ) -> Problem:
-    """A problem whose parameters are known or bounded.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    fixed : mapping of str to float
-        Known parameters.
-    bounds : mapping of str to tuple
-        Lower and upper bounds.
-
-    Returns
-    -------
-    Problem
-        With its bounds in scaled units; InputError for a name that it does not have, or an empty interval.
-    """
+    """A problem whose parameters are known or bounded."""
     if not fixed and not bounds:
         return problem
     lower, upper = np.full(problem.n_parameters, -np.inf), np.full(problem.n_parameters, np.inf)
@@ -100,24 +78,7 @@ def with_limits(
 def with_prior(
     problem: Problem, optimum: Optimum, prior: Mapping[str, tuple[float, float]], how: Settings
 ) -> tuple[Problem, Optimum]:
-    """The posterior mode under independent Gaussian priors, the noise variance found along the way.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    optimum : Optimum
-        Its optimum without priors.
-    prior : mapping of str to tuple
-        Mean and standard deviation by name.
-    how : Settings
-        Steps and tolerance.
-
-    Returns
-    -------
-    tuple
-        The problem with its prior, and the optimum.
-    """
+    """The posterior mode under independent Gaussian priors, the noise variance found along the way."""
     mean, information = np.zeros(problem.n_parameters), np.zeros(problem.n_parameters)
     for name, (center, deviation) in prior.items():
         k = _index(problem, name)
@@ -140,18 +101,7 @@ def with_prior(
 
 
 def unweighted(problem: Problem) -> Problem:
-    """The problem without weights for single samples.
-
-    Parameters
-    ----------
-    problem : Problem
-        Any problem.
-
-    Returns
-    -------
-    Problem
-        With the plain kernel.
-    """
+    """The problem without weights for single samples."""
     if problem.variant != "weighted":
         return problem
     levels = problem.n_parameters > problem.structure.n
@@ -169,25 +119,7 @@ def _weights(distance: NDArray, robust: str, ny: int) -> NDArray:
 
 
 def robustly(problem: Problem, optimum: Optimum, robust: str, how: Settings) -> tuple[Problem, Optimum]:
-    """The M-estimate by iteratively reweighted least squares.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem with the squared loss.
-    optimum : Optimum
-        Its optimum, where the iteration begins.
-    robust : {"huber", "student"}
-        The loss. Huber's scale is the median absolute residual over 0.6745, Student's is estimated with the
-        parameters.
-    how : Settings
-        Steps and tolerance.
-
-    Returns
-    -------
-    tuple
-        The weighted problem at the last weights, and the optimum.
-    """
+    """The M-estimate by iteratively reweighted least squares."""
     plain, ny = problem, problem.structure.n_outputs
     point, iterations, weights = optimum.point, optimum.iterations, np.ones((problem.n_samples, 1))
     for _ in range(200):
@@ -214,21 +146,8 @@ def robustly(problem: Problem, optimum: Optimum, robust: str, how: Settings) -> 
 
 
 def robust_factor(problem: Problem, point: Point, robust: str) -> float:
-    """sigma^2 times N E[psi^2] / E[psi']^2 over the weights' sum: from (sum w J'J)^-1 to the M-estimate's covariance.
-
-    Parameters
-    ----------
-    problem : Problem
-        The weighted problem.
-    point : Point
-        Its optimum.
-    robust : {"huber", "student"}
-        The loss.
-
-    Returns
-    -------
-    float
-        Factor of the inverse of the weighted Gauss-Newton matrix (Huber 1981, section 7.6).
+    """sigma^2 times N E[psi^2] / E[psi']^2 over the weights' sum: from (sum w J'J)^-1 to the M-estimate's
+    covariance.
     """
     plain, ny = unweighted(problem), problem.structure.n_outputs
     e = np.concatenate(plain.residuals(point)) / plain.output_scale
@@ -248,20 +167,7 @@ def robust_factor(problem: Problem, point: Point, robust: str) -> float:
 
 
 def robust_scale(problem: Problem, optimum: Optimum) -> float:
-    """Median absolute residual, the product over outputs: which of two robust optima is the better one.
-
-    Parameters
-    ----------
-    problem : Problem
-        The weighted problem.
-    optimum : Optimum
-        Its optimum.
-
-    Returns
-    -------
-    float
-        In scaled units.
-    """
+    """Median absolute residual, the product over outputs: which of two robust optima is the better one."""
     e = np.concatenate(unweighted(problem).residuals(optimum.point)) / problem.output_scale
     return float(np.prod(np.median(np.abs(e), axis=0)))
 
@@ -269,17 +175,7 @@ def robust_scale(problem: Problem, optimum: Optimum) -> float:
 def without_outliers(records: list[Record], residuals: list[NDArray]) -> list[Record]:
     """Records whose outputs are interpolated where they jump off their neighbours or off a model.
 
-    Parameters
-    ----------
-    records : list of Record
-        The data.
-    residuals : list of ndarray
-        (N, ny) of a first model.
-
-    Returns
-    -------
-    list of Record
-        To begin a search from; nothing is fitted to them.
+    Shapes: residuals (N, ny).
     """
     e = np.concatenate(residuals)
     limit = 4 * np.median(np.abs(e), axis=0) / 0.6745
@@ -290,20 +186,7 @@ def without_outliers(records: list[Record], residuals: list[NDArray]) -> list[Re
 
 
 def filtered_record(record: Record, num: ArrayLike, den: ArrayLike) -> Record:
-    """A record whose inputs and outputs have both passed a filter, from rest.
-
-    Parameters
-    ----------
-    record : Record
-        The data.
-    num, den : array_like
-        Coefficients in powers of q^-1.
-
-    Returns
-    -------
-    Record
-        Filtered; the model between them is the same.
-    """
+    """A record whose inputs and outputs have both passed a filter, from rest."""
     through = lambda x: filtered(num, den, x.T).T
     roots = np.roots(np.atleast_1d(den))
     if roots.size and np.abs(roots).max() >= 1:
@@ -314,18 +197,7 @@ def filtered_record(record: Record, num: ArrayLike, den: ArrayLike) -> Record:
 
 
 def bridged(record: Record) -> Record:
-    """A record whose missing outputs are interpolated, to begin a search from.
-
-    Parameters
-    ----------
-    record : Record
-        With NaN in its outputs.
-
-    Returns
-    -------
-    Record
-        Without.
-    """
+    """A record whose missing outputs are interpolated, to begin a search from."""
     y, t = np.array(record.y), np.arange(len(record))
     for column in y.T:
         seen = np.isfinite(column)

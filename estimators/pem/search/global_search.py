@@ -39,23 +39,7 @@ DRAWS = 12
 
 
 def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimum:
-    """The lowest of the optima that the starts lead to.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of one output.
-    own : ndarray, optional
-        A start in scaled parameters, which then is the only one.
-    how : Settings
-        Its `search`: how far modes are moved, unless the first optimum is confirmed (not with thorough). auto: models of more than two modes, or on up to 400 samples, on up to
-        30000 samples; closely and with random starts on up to 3000; of larger records a part.
-
-    Returns
-    -------
-    Optimum
-        The best.
-    """
+    """The lowest of the optima that the starts lead to."""
     max_iterations, tolerance, search = how.max_iterations, how.tolerance, how.search
     first = begun = None
     if own is None and search != "thorough" and (begun := first_start(problem)) is not None:
@@ -200,17 +184,7 @@ def _signals(problem: Problem) -> list[tuple[NDArray, NDArray]]:
 def candidates(problem: Problem, known: NDArray | None = None) -> list[NDArray[np.float64]]:
     """Starts for one output, by linear algebra alone.
 
-    Parameters
-    ----------
-    problem : Problem
-        Of one output.
-    known : ndarray, optional
-        Its `first_start`, which then is not computed again.
-
-    Returns
-    -------
-    list of ndarray
-        (n + levels,) scaled parameters each.
+    Shapes: returns (n + levels,).
     """
     form, signals = problem.structure, _signals(problem)
     place, width = form.places()[0], problem.n_parameters

@@ -24,18 +24,9 @@ __all__ = ["Optimum", "Point", "minimise", "units"]
 class Point:
     """The loss at some parameters and its Gauss-Newton model.
 
-    Attributes
-    ----------
-    z : ndarray
-        (n,) parameters.
-    loss : float
-        Sum of weighted squares.
-    gradient, hessian : ndarray
-        (n,) half the gradient, (n, n) Gauss-Newton matrix.
-    follow : callable
-        d -> whatever `evaluate` needs to evaluate at z + d (initial states that go along).
-    extra : object
-        What the evaluation carries along.
+    `z` (n,) parameters; `loss` sum of weighted squares; `gradient, hessian` (n,) half the gradient, (n, n)
+    Gauss-Newton matrix; `follow` d -> whatever `evaluate` needs to evaluate at z + d (initial states that go
+    along); `extra` what the evaluation carries along.
     """
 
     z: NDArray[np.float64]
@@ -50,16 +41,9 @@ class Point:
 class Optimum:
     """Where the search ended.
 
-    Attributes
-    ----------
-    point : Point
-        The last accepted point.
-    status : Status
-        CONVERGED, MAX_ITERATIONS or INACCURATE.
-    iterations : int
-        Accepted and rejected steps.
-    decrement : float
-        gradient' hessian^-1 gradient / loss at the end: the relative decrease still to be had.
+    `point` the last accepted point; `status` CONVERGED, MAX_ITERATIONS or INACCURATE; `iterations` accepted
+    and rejected steps; `decrement` gradient' hessian^-1 gradient / loss at the end: the relative decrease
+    still to be had.
     """
 
     point: Point
@@ -71,15 +55,7 @@ class Optimum:
 def units(hessian: NDArray) -> NDArray[np.float64]:
     """Units of the parameters in which the diagonal of a matrix is 1.
 
-    Parameters
-    ----------
-    hessian : ndarray
-        (n, n) positive semidefinite.
-
-    Returns
-    -------
-    ndarray
-        (n,) factors; where the diagonal is zero, or negative by rounding, as if it were just not.
+    Shapes: hessian (n, n), returns (n,).
     """
     diagonal = hessian.diagonal()
     return 1 / np.sqrt(np.maximum(diagonal, max(1e-14 * diagonal.max(), np.finfo(float).tiny)))
@@ -144,31 +120,7 @@ def minimise(
 ) -> Optimum:
     """Minimise a sum of squares from a point.
 
-    Parameters
-    ----------
-    evaluate : callable
-        (z, extra) -> Point, or None where the predictor is unstable or the loss not finite.
-    start : Point
-        Where to begin.
-    tolerance : float
-        Stop once gradient' hessian^-1 gradient falls below this fraction of the loss.
-    max_iterations : int
-        At most so many steps, rejected ones included.
-    free : ndarray of bool, optional
-        (n,) which parameters may move; all by default.
-    project : callable, optional
-        z -> a z that is allowed; applied to every trial.
-    clip : callable, optional
-        z -> the z on the edge of what is allowed, tried where the other is no better than the start of the step.
-    walls : callable, optional
-        z -> (m, n) outward normals of the edges on which it lies; steps that lead out of them go along them.
-    bounds : tuple of ndarray, optional
-        Lower and upper bounds; a parameter at its bound that the gradient pushes outwards stays there.
-
-    Returns
-    -------
-    Optimum
-        The last accepted point and how it ended.
+    Shapes: evaluate (z, extra), free (n,).
     """
     point, damping = start, 0.0
     allowed = np.ones(len(start.z), bool) if free is None else np.asarray(free)

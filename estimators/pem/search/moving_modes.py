@@ -42,22 +42,7 @@ def _affine(problem: Problem, letters: str) -> NDArray[np.bool_]:
 
 
 def solved(problem: Problem, z: NDArray, free: NDArray) -> Trial | None:
-    """The best values of parameters in which the residual is affine, all others held: one evaluation.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of one output.
-    z : ndarray
-        Scaled parameters.
-    free : ndarray of bool
-        Which are solved for.
-
-    Returns
-    -------
-    tuple or None
-        The loss that they give, and all parameters; None where the predictor is unstable.
-    """
+    """The best values of parameters in which the residual is affine, all others held: one evaluation."""
     point = problem.evaluate(problem.projected(z))
     if point is None:
         return None
@@ -89,20 +74,7 @@ def _searched(problem: Problem) -> list[tuple[slice, list[NDArray[np.bool_]]]]:
 
 
 def integrating(problem: Problem, points: list[Point]) -> list[NDArray[np.float64]]:
-    """Starts whose slowest mode is all but an integrator: linear algebra seldom finds a pole that near to 1.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of one output, fir, oe or bj.
-    points : list of Point
-        Other starts; those with a mode near 1 are changed.
-
-    Returns
-    -------
-    list of ndarray
-        Scaled parameters.
-    """
+    """Starts whose slowest mode is all but an integrator: linear algebra seldom finds a pole that near to 1."""
     form, found = problem.structure, []
     if form.na[0] or not form.nf.any():
         return found
@@ -125,24 +97,7 @@ def integrating(problem: Problem, points: list[Point]) -> list[NDArray[np.float6
 
 
 def relocations(problem: Problem, point: Point, keep: int = 3, fine: bool = True) -> list[Point]:
-    """Each mode in turn taken out and put back elsewhere, the modes that matter least first.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of one output.
-    point : Point
-        An optimum.
-    keep : int
-        How many of the best new places are returned, of each ring and polynomial.
-    fine : bool
-        Whether the places are looked for closely.
-
-    Returns
-    -------
-    list of Point
-        Starts, lowest loss first.
-    """
+    """Each mode in turn taken out and put back elsewhere, the modes that matter least first."""
     pairs, singles, found = _places(fine, problem.n_samples), _reals(fine), list[Point]()
     for part, solves in _searched(problem):
         out = []
@@ -169,24 +124,7 @@ def relocations(problem: Problem, point: Point, keep: int = 3, fine: bool = True
 
 
 def drawn(problem: Problem, point: Point, count: int, rng: np.random.Generator) -> list[Point]:
-    """Starts whose modes are partly those of an optimum, partly drawn at random.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of one output.
-    point : Point
-        An optimum.
-    count : int
-        How many are drawn.
-    rng : numpy.random.Generator
-        Where from.
-
-    Returns
-    -------
-    list of Point
-        Lowest loss first.
-    """
+    """Starts whose modes are partly those of an optimum, partly drawn at random."""
     searched, points = _searched(problem), []
     for _ in range(count if searched else 0):
         z, which = point.z.copy(), rng.integers(len(searched)) if rng.random() < 0.5 else None
@@ -275,18 +213,7 @@ def _redrawn(tail: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def without_each_mode(tail: NDArray) -> list[tuple[NDArray, int]]:
-    """The polynomial without one pair of roots, or without one real root, each in turn.
-
-    Parameters
-    ----------
-    tail : ndarray
-        Coefficients after the leading 1.
-
-    Returns
-    -------
-    list of tuple
-        What is left with its leading 1, and the degree that was taken.
-    """
+    """The polynomial without one pair of roots, or without one real root, each in turn."""
     roots = np.roots(np.concatenate([[1.0], tail])).astype(complex)
     roots = np.concatenate([roots, np.zeros(len(tail) - len(roots))])
     pairs = [k for k in range(len(roots)) if roots[k].imag > 1e-9]

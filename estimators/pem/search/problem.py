@@ -30,37 +30,15 @@ __all__ = ["Problem", "prepare"]
 class Problem:
     """The prediction-error loss of one structure on several records, in scaled units.
 
-    Attributes
-    ----------
-    structure : Polynomial or StateSpace
-        The structure.
-    kernel : Kernel
-        Its predictor.
-    data : ndarray
-        (N, nd) samples of all records, one after the other.
-    lengths : ndarray of int
-        (R,) samples of each record.
-    scale : ndarray
-        (n + levels,) factor from scaled parameters to the user's units.
-    input_level, output_level, input_scale, output_scale : ndarray
-        What was taken off each channel, and divided by.
-    n_initial : int
-        Unknown initial states per record.
-    weight : ndarray
-        (ny, ny) inverse of the assumed residual covariance, in scaled units.
-    variant : str
-        "", "weighted" or "missing": which kernel.
-    n_observed : int
-        Rows with an observed output.
-    n_values : int
-        Observed outputs, counted one by one.
-    noise : ndarray, optional
-        (ny, ny) covariance of the innovations up to a factor, in scaled units: of state-space models of several
-        outputs with missing samples, whose residuals are whitened by it.
-    lower, upper : ndarray, optional
-        Bounds of the scaled parameters; equal where a parameter is known.
-    prior_mean, prior_precision : ndarray, optional
-        (z - mean)' precision (z - mean) is added to the loss.
+    `structure` the structure; `kernel` its predictor; `data` (N, nd) samples of all records, one after the
+    other; `lengths` (R,) samples of each record; `scale` (n + levels,) factor from scaled parameters to the
+    user's units; `input_level, output_level, input_scale, output_scale` what was taken off each channel, and
+    divided by; `n_initial` unknown initial states per record; `weight` (ny, ny) inverse of the assumed
+    residual covariance, in scaled units; `variant` "", "weighted" or "missing": which kernel; `n_observed`
+    rows with an observed output; `n_values` observed outputs, counted one by one; `noise` (ny, ny) covariance
+    of the innovations up to a factor, in scaled units: of state-space models of several outputs with missing
+    samples, whose residuals are whitened by it; `lower, upper` bounds of the scaled parameters; equal where a
+    parameter is known; `prior_mean, prior_precision` (z - mean)' precision (z - mean) is added to the loss.
     """
 
     structure: Structure
@@ -94,20 +72,7 @@ class Problem:
         return len(self.scale)
 
     def projected(self, z: NDArray, mirror: bool = True) -> NDArray:
-        """Parameters nearby whose predictor is stable, where there is a simple way to them.
-
-        Parameters
-        ----------
-        z : ndarray
-            Scaled parameters.
-        mirror : bool
-            Whether unstable roots are mirrored into the unit circle; else they go to its edge.
-
-        Returns
-        -------
-        ndarray
-            The same where the predictor is stable.
-        """
+        """Parameters nearby whose predictor is stable, where there is a simple way to them."""
         z = projected(self.structure, z, mirror)
         return z if self.lower is None else np.clip(z, self.lower, self.upper)
 
@@ -116,21 +81,7 @@ class Problem:
     ) -> Optimum:
         """Minimise from a point, within the bounds.
 
-        Parameters
-        ----------
-        point : Point
-            Where to begin.
-        max_iterations : int
-            Most steps.
-        tolerance : float
-            Relative decrease of the loss below which to stop.
-        free : ndarray of bool, optional
-            (n,) which parameters may move.
-
-        Returns
-        -------
-        Optimum
-            Where it ended.
+        Shapes: free (n,).
         """
         bounds = None
         if self.lower is not None and self.upper is not None:
@@ -144,15 +95,7 @@ class Problem:
     def with_weights(self, weights: NDArray) -> Problem:
         """The same problem with a weight for every sample.
 
-        Parameters
-        ----------
-        weights : ndarray
-            (N, ny), at least 0.
-
-        Returns
-        -------
-        Problem
-            Its loss is sum w e' W e.
+        Shapes: weights (N, ny).
         """
         known = self.data if self.variant == "" else self.data[:, : -self.structure.n_outputs]
         levels = self.n_parameters > self.structure.n
@@ -165,15 +108,7 @@ class Problem:
     def with_noise(self, noise: NDArray) -> Problem:
         """The same problem with another covariance of the innovations.
 
-        Parameters
-        ----------
-        noise : ndarray
-            (ny, ny) up to a factor, in scaled units.
-
-        Returns
-        -------
-        Problem
-            With it in every row of its data.
+        Shapes: noise (ny, ny).
         """
         lower = noise[np.tril_indices(len(noise))]
         known = self.data if self.noise is None else self.data[:, : -len(lower)]
@@ -183,17 +118,7 @@ class Problem:
     def evaluate(self, z: NDArray, initial: Any = None) -> Point | None:
         """Loss, gradient and Gauss-Newton matrix with the initial states eliminated.
 
-        Parameters
-        ----------
-        z : ndarray
-            Scaled parameters and levels.
-        initial : ndarray, optional
-            (R, m) initial states of each record; by default their best values.
-
-        Returns
-        -------
-        Point or None
-            None where the predictor is unstable or the loss is not finite.
+        Shapes: initial (R, m).
         """
         if not predictor_is_stable(self.structure, z[: self.structure.n]):
             return None
@@ -251,27 +176,13 @@ class Problem:
     def records(self) -> list[NDArray[np.float64]]:
         """The samples record by record.
 
-        Returns
-        -------
-        list of ndarray
-            (N, nd) each.
+        Shapes: returns (N, nd).
         """
         ends = np.cumsum(self.lengths).tolist()
         return [self.data[a:b] for a, b in zip([0, *ends[:-1]], ends, strict=True)]
 
     def first(self, samples: int) -> Problem:
-        """The same problem on the first samples alone, records that begin later left out.
-
-        Parameters
-        ----------
-        samples : int
-            How many.
-
-        Returns
-        -------
-        Problem
-            With fewer rows.
-        """
+        """The same problem on the first samples alone, records that begin later left out."""
         lengths, left = [], samples
         for length in self.lengths:
             if left > 0:
@@ -283,15 +194,7 @@ class Problem:
     def residuals(self, point: Point) -> list[NDArray[np.float64]]:
         """One-step prediction errors in the user's units.
 
-        Parameters
-        ----------
-        point : Point
-            Parameters and initial states.
-
-        Returns
-        -------
-        list of ndarray
-            (N, ny) for each record.
+        Shapes: returns (N, ny).
         """
         initial = point.extra[0]
         initial = np.zeros((len(self.lengths), 0)) if initial is None else initial
@@ -315,18 +218,7 @@ class Problem:
         return e
 
     def replace(self, **changes: Any) -> Problem:
-        """The same problem with some attributes changed.
-
-        Parameters
-        ----------
-        **changes : object
-            Attributes by name.
-
-        Returns
-        -------
-        Problem
-            A new problem.
-        """
+        """The same problem with some attributes changed."""
         return Problem(**({name: getattr(self, name) for name in self.__dataclass_fields__} | changes))
 
 
@@ -334,29 +226,7 @@ def prepare(
     structure: Structure, records: Sequence[Record], *, offset: bool = False, initial: bool = False,
     scales: tuple[NDArray, NDArray] | None = None, missing: bool = False,
 ) -> Problem:  # fmt: skip
-    """Make records ready for a structure.
-
-    Parameters
-    ----------
-    structure : Polynomial or StateSpace
-        The structure.
-    records : sequence of Record
-        The data.
-    offset : bool
-        Whether the model holds for deviations from levels: the inputs' are their means, the outputs' are
-        parameters.
-    initial : bool
-        Whether the initial states are unknown.
-    scales : tuple of ndarray, optional
-        Scales of inputs and outputs; by default the root mean squares of their deviations.
-    missing : bool
-        Whether NaN in the outputs marks missing samples, which a Kalman filter bridges.
-
-    Returns
-    -------
-    Problem
-        Ready to be evaluated.
-    """
+    """Make records ready for a structure."""
     average = np.nanmean if missing else np.mean
     mean = lambda signals: average(np.concatenate(signals), axis=0)
     u_level = mean([r.u for r in records]) if offset else np.zeros(structure.n_inputs)

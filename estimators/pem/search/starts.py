@@ -31,38 +31,14 @@ Signals = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 
 def filtered(b: ArrayLike, a: ArrayLike, x: NDArray) -> NDArray:
-    """x filtered by b / a from rest, along the last axis.
-
-    Parameters
-    ----------
-    b, a : array_like
-        Coefficients in powers of q^-1.
-    x : ndarray
-        Signal.
-
-    Returns
-    -------
-    ndarray
-        Of the shape of x.
-    """
+    """x filtered by b / a from rest, along the last axis."""
     from scipy.signal import lfilter
 
     return np.asarray(lfilter(b, a, x))
 
 
 def is_stable(polynomial: NDArray | list[float]) -> bool:
-    """Whether a monic polynomial in q^-1 has all roots inside the unit circle (Schur-Cohn recursion).
-
-    Parameters
-    ----------
-    polynomial : ndarray or list of float
-        Coefficients, the first is 1.
-
-    Returns
-    -------
-    bool
-        True if so.
-    """
+    """Whether a monic polynomial in q^-1 has all roots inside the unit circle (Schur-Cohn recursion)."""
     p = np.asarray(polynomial, dtype=float).tolist()
     while len(p) > 1:
         last = p[-1]
@@ -76,22 +52,7 @@ def is_stable(polynomial: NDArray | list[float]) -> bool:
 
 
 def reflected(tail: NDArray, most: float = 0.999, mirror: bool = True) -> NDArray:
-    """A monic polynomial with its unstable roots mirrored into the unit circle.
-
-    Parameters
-    ----------
-    tail : ndarray
-        Coefficients after the leading 1.
-    most : float
-        Largest modulus that is left.
-    mirror : bool
-        False moves them to that modulus instead.
-
-    Returns
-    -------
-    ndarray
-        Coefficients after the leading 1.
-    """
+    """A monic polynomial with its unstable roots mirrored into the unit circle."""
     if is_stable([1.0, *(c / most ** (k + 1) for k, c in enumerate(np.asarray(tail).tolist()))]):
         return np.array(tail, dtype=float)
     roots = np.roots(np.concatenate([[1.0], tail])).astype(complex)
@@ -106,20 +67,7 @@ def reflected(tail: NDArray, most: float = 0.999, mirror: bool = True) -> NDArra
 
 
 def lagged_gram(channels: Iterable[NDArray], lags: int) -> NDArray[np.float64]:
-    """Sums over t of x_c(t - i) x_d(t - j) with zeros before the record, in O(N lags) by the shift structure.
-
-    Parameters
-    ----------
-    channels : iterable of ndarray
-        For each record, (N, n_channels).
-    lags : int
-        Delays 0 ... lags - 1.
-
-    Returns
-    -------
-    ndarray
-        (n_channels, lags, n_channels, lags).
-    """
+    """Sums over t of x_c(t - i) x_d(t - j) with zeros before the record, in O(N lags) by the shift structure."""
     records = list(channels)
     width = records[0].shape[1]
     gap = np.zeros((lags, width))
@@ -142,23 +90,7 @@ def lagged_gram(channels: Iterable[NDArray], lags: int) -> NDArray[np.float64]:
 def high_order(gram: NDArray, order: int, lead: int) -> tuple[NDArray, list[NDArray], NDArray]:
     """ARX model of high order: A y = sum_j B_j u_j, all of `order` coefficients.
 
-    Parameters
-    ----------
-    gram : ndarray
-        `lagged_gram` of the channels (y, u_1, ..., u_nu) with at least order + 1 lags.
-    order : int
-        Number of coefficients of A after the 1, and of each B.
-    lead : int
-        1 where B begins with q^0 of the delayed input.
-
-    Returns
-    -------
-    A : ndarray
-        (order,) after the leading 1.
-    B : list of ndarray
-        (order,) for each input, from q^0.
-    covariance : ndarray
-        Of (-A, B_1, ...), up to the noise variance: the inverse Gram matrix of the regressors.
+    Shapes: returns (order,).
     """
     width, lags = gram.shape[:2]
     flat = gram.reshape(width * lags, width * lags)
@@ -178,21 +110,7 @@ def null_space_fit(
 ) -> tuple[NDArray, NDArray]:
     """B / F of low order from a high-order pair, by weighted null-space fitting.
 
-    Parameters
-    ----------
-    A, B : ndarray
-        (n,) coefficients after the leading 1, and from q^0.
-    covariance : ndarray
-        (2n, 2n) covariance of (-A, B), up to a factor.
-    nb, nf : int
-        Number of coefficients of B, degree of F.
-    iterations : int
-        Reweightings.
-
-    Returns
-    -------
-    b, f : ndarray
-        (nb,) and (nf,).
+    Shapes: A, B (n,), covariance (2n, 2n), returns (nb,).
     """
     n = len(B)
     full = np.concatenate([[1.0], A])[:n]
@@ -225,19 +143,7 @@ def low_order_fits(
 ) -> tuple[list[NDArray], list[NDArray]]:
     """B / F of every input from one long ARX model, by weighted null-space fitting.
 
-    Parameters
-    ----------
-    gram : ndarray
-        `lagged_gram` of the channels (y, u_1, ..., u_nu) with at least order + 1 lags.
-    order : int
-        Of the long model.
-    nb, nf : sequence of int
-        For every input, number of coefficients of B and degree of F.
-
-    Returns
-    -------
-    bs, fs : list of ndarray
-        (nb,) and (nf,) for every input.
+    Shapes: returns (nb,).
     """
     A, B, spread = high_order(gram, order, 1)
     bs, fs = [], []
@@ -252,21 +158,7 @@ def low_order_fits(
 def steiglitz_mcbride(signals: Signals, nb: int, f: NDArray, iterations: int = 10) -> tuple[NDArray, NDArray]:
     """Least squares of F y = B u on data filtered by 1 / F, repeated; one input.
 
-    Parameters
-    ----------
-    signals : list of tuple
-        (y, u) of each record.
-    nb : int
-        Number of coefficients of B.
-    f : ndarray
-        (nf,) F to begin with.
-    iterations : int
-        Repetitions.
-
-    Returns
-    -------
-    b, f : ndarray
-        (nb,) and (nf,).
+    Shapes: signals (y, u), f (nf,), returns (nb,).
     """
     nf, longest = len(f), max(len(y) for y, _ in signals)
     seen = np.zeros((len(signals), longest))
@@ -309,19 +201,7 @@ def _delayed(x: NDArray, k: int) -> NDArray:
 def arma_start(noise: list[NDArray], nc: int, nd: int, order: int = 30) -> tuple[NDArray, NDArray]:
     """C and D of D v = C e by two-stage least squares.
 
-    Parameters
-    ----------
-    noise : list of ndarray
-        v (N,) of each record.
-    nc, nd : int
-        Degrees.
-    order : int
-        Order of the first, long autoregression.
-
-    Returns
-    -------
-    c, d : ndarray
-        (nc,) and (nd,).
+    Shapes: returns (nc,).
     """
     if not nc + nd:
         return np.zeros(0), np.zeros(0)
@@ -342,25 +222,7 @@ def armax_start(
 ) -> list[NDArray[np.float64]]:
     """A, B, C of A y = B u + C e by extended least squares, its residuals first those of a long ARX model.
 
-    Parameters
-    ----------
-    signals : list of tuple
-        (y, u) of each record.
-    na : int
-        Degree of A.
-    nb : list of int
-        Number of coefficients of B for every input.
-    nc : int
-        Degree of C.
-    order : int
-        Order of the long ARX model.
-    rounds : int
-        How often the residuals are renewed.
-
-    Returns
-    -------
-    list of ndarray
-        One parameter vector (a, b, c) per round.
+    Shapes: signals (y, u).
     """
     channels = [np.column_stack([y, u]) for y, u in signals]
     A, B, _ = high_order(lagged_gram(channels, order + 1), order, 1)

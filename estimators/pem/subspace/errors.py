@@ -27,23 +27,7 @@ def influence(
 ) -> list[NDArray[np.float64]]:
     """What noise in each output at each sample adds to the estimate: kappa.
 
-    Parameters
-    ----------
-    form : StateSpace
-        The structure, without a noise model.
-    problem : Problem
-        Its scaled records.
-    point : Point
-        The estimate.
-    found : Range
-        The range that A and C came from.
-    signals : list of tuple
-        (u (N, nu), y (N, ny)) of each record, scaled.
-
-    Returns
-    -------
-    list of ndarray
-        (N, ny, n + levels) of each record, in scaled units.
+    Shapes: returns (N, ny, n + levels).
     """
     free = linear_entries(form, problem.n_parameters)
     at = np.flatnonzero(free)
@@ -65,21 +49,7 @@ def covariance(
 ) -> NDArray[np.float64]:
     """Covariance of the parameters of A, B and D and of the levels.
 
-    Parameters
-    ----------
-    problem : Problem
-        The scaled records.
-    residuals : list of ndarray
-        (N, ny) simulation errors of each record, in the units of the terms.
-    terms : list of ndarray
-        (N, ny, n + levels) of `influence`.
-    horizon : int
-        Block rows.
-
-    Returns
-    -------
-    ndarray
-        (n + levels, n + levels) in the units of the terms.
+    Shapes: residuals (N, ny), terms (N, ny, n + levels), returns (n + levels, n + levels).
     """
     total, n, ny = problem.n_samples, problem.n_parameters, residuals[0].shape[1]
     # noise that the states colour enters a whole horizon at a time, and cancels only over all of it
@@ -93,17 +63,7 @@ def covariance(
 def linear_entries(form: StateSpace, count: int) -> NDArray[np.bool_]:
     """Which parameters the simulated output is linear in.
 
-    Parameters
-    ----------
-    form : StateSpace
-        The structure.
-    count : int
-        n parameters and levels.
-
-    Returns
-    -------
-    ndarray of bool
-        (count,): all but those of A.
+    Shapes: returns (count,).
     """
     free = np.ones(count, bool)
     free[: form.n] = [letter != "A" for letter, _, _ in form.entries()]
@@ -167,17 +127,7 @@ def _moves(found: Range, u: NDArray, y: NDArray, lever: NDArray) -> NDArray[np.f
 def range_sensitivity(found: Range, form: StateSpace) -> NDArray[np.float64]:
     """Change of the parameters of A with noise in the future outputs times the state.
 
-    Parameters
-    ----------
-    found : Range
-        The range.
-    form : StateSpace
-        Whose parameters.
-
-    Returns
-    -------
-    ndarray
-        (p, i ny, n) for the p parameters of A, in the order of the structure.
+    Shapes: returns (p, i ny, n).
     """
     G, A, ny = found.basis, found.A, form.n_outputs
     n, rows = len(A), len(G)

@@ -23,14 +23,8 @@ CHUNK = 4096
 class Factor:
     """Triangular factor of the rows [future inputs, past inputs and outputs, future outputs].
 
-    Attributes
-    ----------
-    R : ndarray
-        (d, d) upper triangular, d = 2 i (nu + ny).
-    horizon : int
-        i, block rows that look back, and as many that look forward.
-    n_inputs, n_outputs : int
-        nu, ny.
+    `R` (d, d) upper triangular, d = 2 i (nu + ny); `horizon` i, block rows that look back, and as many that
+    look forward; `n_inputs, n_outputs` nu, ny.
     """
 
     R: NDArray[np.float64]
@@ -39,18 +33,7 @@ class Factor:
     n_outputs: int
 
     def shorter(self, horizon: int) -> Factor:
-        """The factor of fewer block rows, at the same samples.
-
-        Parameters
-        ----------
-        horizon : int
-            At most this factor's.
-
-        Returns
-        -------
-        Factor
-            With 2 horizon (nu + ny) columns.
-        """
+        """The factor of fewer block rows, at the same samples."""
         i, nu, ny = self.horizon, self.n_inputs, self.n_outputs
         begin = np.cumsum([0, i * nu, i * nu, i * ny])
         take = [
@@ -63,13 +46,7 @@ class Factor:
         return Factor(_triangle(self.R[:, at]), horizon, nu, ny)
 
     def blocks(self) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray, NDArray]:
-        """The blocks of R' by future inputs (1), past (2), future outputs (3).
-
-        Returns
-        -------
-        L11, L21, L22, L31, L32, L33 : ndarray
-            Lower triangular: rows are signals, columns are directions.
-        """
+        """The blocks of R' by future inputs (1), past (2), future outputs (3)."""
         L = self.R.T
         a = self.horizon * self.n_inputs
         b = a + self.horizon * (self.n_inputs + self.n_outputs)
@@ -81,23 +58,10 @@ def _triangle(matrix: NDArray) -> NDArray[np.float64]:
 
 
 def windows(signal: NDArray, rows: int, first: int, count: int) -> NDArray[np.float64]:
-    """Rows of a block-Hankel matrix, transposed: what a signal does over some samples, at each of several times.
+    """Rows of a block-Hankel matrix, transposed: what a signal does over some samples, at each of several
+    times.
 
-    Parameters
-    ----------
-    signal : ndarray
-        (N, k).
-    rows : int
-        How many samples.
-    first : int
-        The first of them at the first time.
-    count : int
-        How many times.
-
-    Returns
-    -------
-    ndarray
-        (count, rows k): sample by sample, within these channel by channel.
+    Shapes: signal (N, k), returns (count, rows k).
     """
     view = sliding_window_view(signal[first : first + count + rows - 1], rows, axis=0)
     return view.transpose(0, 2, 1).reshape(count, -1)
@@ -106,43 +70,14 @@ def windows(signal: NDArray, rows: int, first: int, count: int) -> NDArray[np.fl
 def lagged(signal: NDArray, lags: int, first: int, count: int) -> NDArray[np.float64]:
     """The past of a signal at each of several times, the last sample first.
 
-    Parameters
-    ----------
-    signal : ndarray
-        (N, k).
-    lags : int
-        How many samples.
-    first : int
-        The earliest of them at the first time.
-    count : int
-        How many times.
-
-    Returns
-    -------
-    ndarray
-        (count, lags k): x(t - 1), ..., x(t - lags).
+    Shapes: signal (N, k), returns (count, lags k).
     """
     past = windows(signal, lags, first, count).reshape(count, lags, -1)
     return past[:, ::-1].reshape(count, -1)
 
 
 def factored(signals: list[tuple[NDArray, NDArray]], horizon: int, centred: bool) -> Factor:
-    """Factor of all records together.
-
-    Parameters
-    ----------
-    signals : list of tuple
-        (u (N, nu), y (N, ny)) of each record; those of fewer than 2 horizon samples give no row.
-    horizon : int
-        Block rows.
-    centred : bool
-        Whether the mean of every column is taken off.
-
-    Returns
-    -------
-    Factor
-        Of at least one row.
-    """
+    """Factor of all records together."""
     nu, ny = signals[0][0].shape[1], signals[0][1].shape[1]
     R = np.zeros((0, 2 * horizon * (nu + ny) + centred))
     for u, y in signals:
@@ -157,22 +92,7 @@ def factored(signals: list[tuple[NDArray, NDArray]], horizon: int, centred: bool
 
 
 def autoregressive_order(signals: list[tuple[NDArray, NDArray]], most: int, centred: bool) -> int:
-    """Order of the autoregression with inputs that Akaike's criterion takes: how far back the data look.
-
-    Parameters
-    ----------
-    signals : list of tuple
-        (u (N, nu), y (N, ny)) of each record.
-    most : int
-        Highest order tried.
-    centred : bool
-        Whether there is a constant among the regressors.
-
-    Returns
-    -------
-    int
-        From 1 to `most`.
-    """
+    """Order of the autoregression with inputs that Akaike's criterion takes: how far back the data look."""
     nu, ny = signals[0][0].shape[1], signals[0][1].shape[1]
     R, total = np.zeros((0, 1 + nu + most * (nu + ny) + ny)), 0
     for u, y in signals:

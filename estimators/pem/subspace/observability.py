@@ -17,21 +17,10 @@ __all__ = ["Range", "Subspace", "range_of"]
 class Range:
     """Range of the extended observability matrix, as estimated.
 
-    Attributes
-    ----------
-    A, C : ndarray
-        (n, n), (ny, n) in some coordinates.
-    basis : ndarray
-        (i ny, n) its columns.
-    singular_values : ndarray
-        (i ny,) all of them; n should stand out.
-    factor : Factor
-        The data.
-    weight, unweight : ndarray
-        (i ny, i ny) what the future outputs were multiplied by before the decomposition, and its inverse.
-    instruments : ndarray
-        (i (nu + ny), n): the past, free of the future inputs, times this is the state, each over its singular value
-        squared.
+    `A, C` (n, n), (ny, n) in some coordinates; `basis` (i ny, n) its columns; `singular_values` (i ny,) all
+    of them; n should stand out; `factor` the data; `weight, unweight` (i ny, i ny) what the future outputs
+    were multiplied by before the decomposition, and its inverse; `instruments` (i (nu + ny), n): the past,
+    free of the future inputs, times this is the state, each over its singular value squared.
     """
 
     A: NDArray[np.float64]
@@ -48,19 +37,11 @@ class Range:
 class Subspace:
     """How a subspace method came to its model.
 
-    Attributes
-    ----------
-    method : str
-        moesp, n4sid or cva.
-    horizon : int
-        Block rows that look back, and as many that look forward.
-    singular_values : ndarray
-        (horizon ny,) from which the order is read: as many as the model has states should stand out.
-    tried : dict of int to float
-        Root mean square of the simulation error on the data, over the outputs' sizes, for each horizon that gave a
-        stable model.
-    influence : list of ndarray
-        (N, ny, n + levels) of each record: what noise in each output at each sample adds to the estimate.
+    `method` moesp, n4sid or cva; `horizon` block rows that look back, and as many that look forward;
+    `singular_values` (horizon ny,) from which the order is read: as many as the model has states should stand
+    out; `tried` root mean square of the simulation error on the data, over the outputs' sizes, for each
+    horizon that gave a stable model; `influence` (N, ny, n + levels) of each record: what noise in each
+    output at each sample adds to the estimate.
     """
 
     method: str
@@ -70,13 +51,7 @@ class Subspace:
     influence: list[NDArray[np.float64]]
 
     def to_dict(self) -> dict:
-        """Plain numbers.
-
-        Returns
-        -------
-        dict
-            Ready for JSON.
-        """
+        """Plain numbers."""
         return {
             "method": self.method,
             "horizon": self.horizon,
@@ -91,23 +66,7 @@ class Subspace:
 
 
 def range_of(factor: Factor, order: int, method: str) -> Range:
-    """Range of the observability matrix, and A and C from it.
-
-    Parameters
-    ----------
-    factor : Factor
-        The data.
-    order : int
-        Number of states n.
-    method : {"moesp", "n4sid", "cva"}
-        The weighting: moesp takes the past free of the future inputs as it is, cva divides the future outputs by the
-        root of their covariance, n4sid takes the past with its part along the future inputs.
-
-    Returns
-    -------
-    Range
-        InputError if the data show fewer states than n.
-    """
+    """Range of the observability matrix, and A and C from it."""
     _, L21, L22, _, L32, L33 = factor.blocks()
     rows, ny = len(L32), factor.n_outputs
     weight = unweight = np.eye(rows)

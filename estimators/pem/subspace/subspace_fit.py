@@ -32,29 +32,7 @@ MOST_TRIED = 41
 
 
 def check_subspace(form: Structure, method: str, horizon: int | None, given: dict[str, bool]) -> StateSpace:
-    """Refuse what does not go with a subspace method.
-
-    Parameters
-    ----------
-    form : Polynomial or StateSpace
-        The structure.
-    method : str
-        As in `identify`.
-    horizon : int, optional
-        As in `identify`.
-    given : dict of str to bool
-        Options of the prediction-error method, and whether they were asked for.
-
-    Returns
-    -------
-    StateSpace
-        The structure without K.
-
-    Raises
-    ------
-    InputError
-        If the method is unknown, the structure is no state-space model, or an option belongs to the other method.
-    """
+    """Refuse what does not go with a subspace method."""
     if method == "pem":
         raise InputError(
             f"a horizon of {horizon} is for a subspace method; choose one of {', '.join(METHODS)}."
@@ -81,37 +59,7 @@ def by_subspace(
     form: StateSpace, records: list[Record], method: str, horizon: int | None, *,
     offset: bool, centred: bool, initial: str,
 ) -> Fit:  # fmt: skip
-    """Subspace estimate of a state-space model without a noise model.
-
-    Parameters
-    ----------
-    form : StateSpace
-        The structure, without K.
-    records : list of Record
-        The data, complete.
-    method : {"moesp", "n4sid", "cva"}
-        The weighting.
-    horizon : int, optional
-        Block rows. By default those, from twice the order of the autoregression that Akaike's criterion takes (Bauer
-        2005, Automatica 41, 359) to three times as many, with which the simulation error on the data is least.
-    offset : bool
-        Whether output levels are estimated.
-    centred : bool
-        Whether the records hold deviations from levels, known or not.
-    initial : str
-        How the initial states are treated.
-
-    Returns
-    -------
-    Fit
-        In the user's units, with `subspace`; its parameters minimise no loss.
-
-    Raises
-    ------
-    InputError
-        If there are too few samples, the data show fewer states than were asked for, or no horizon gives a stable
-        model.
-    """
+    """Subspace estimate of a state-space model without a noise model."""
     problem = prepare(form, records, offset=offset, initial=initial != "zero")
     nu, ny = form.n_inputs, form.n_outputs
     signals = [(d[:, :nu], d[:, nu : nu + ny]) for d in problem.records()]

@@ -103,17 +103,7 @@ def amplitude_design(
 def slew_limited(u: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
     """Follow a signal as fast as a rate limit allows, from rest.
 
-    Parameters
-    ----------
-    u : ndarray
-        (N, nu).
-    rate : float
-        Largest absolute change per sample.
-
-    Returns
-    -------
-    ndarray
-        (N, nu); within the amplitude of u, for it moves towards u at every sample.
+    Shapes: u (N, nu), returns (N, nu).
     """
     out, last = np.empty_like(u), np.zeros(u.shape[1])
     for t, wanted in enumerate(u):

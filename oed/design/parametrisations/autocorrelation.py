@@ -36,18 +36,10 @@ __all__ = ["Autocorrelated", "autocorrelation_design", "conic", "moment_design"]
 class Autocorrelated:
     """The best spectrum of a parametrisation.
 
-    Attributes
-    ----------
-    spectrum : Spectrum
-        As lines: of a density, the nodes of a quadrature that is exact for the information.
-    coefficients : ndarray
-        (L + 1,) autocorrelation r_0 ... r_L, with several inputs (L + 1, nu, nu), E u(t + l) u(t)'; or moments m_0 ... m_d.
-    loss : float
-        Loss per sample at the stated power.
-    kind : str
-        "autocorrelation" or "moments".
-    power : float
-        Input power as the optimiser's own variables have it.
+    `spectrum` as lines: of a density, the nodes of a quadrature that is exact for the information;
+    `coefficients` (L + 1,) autocorrelation r_0 ... r_L, with several inputs (L + 1, nu, nu), E u(t + l)
+    u(t)'; or moments m_0 ... m_d; `loss` loss per sample at the stated power; `kind` "autocorrelation" or
+    "moments"; `power` input power as the optimiser's own variables have it.
     """
 
     spectrum: Spectrum
@@ -63,28 +55,7 @@ class Autocorrelated:
 def conic(criterion: Criterion, constraints: list, M: Any, accuracy: float = 1e-11) -> NDArray[np.float64]:
     """Solve for the best value of a criterion over a matrix expression in CVXPY, by Clarabel.
 
-    Parameters
-    ----------
-    criterion : Criterion
-        D of all parameters, A, c or E.
-    constraints : list
-        CVXPY's.
-    M : cvxpy.Expression
-        (n, n) information.
-    accuracy : float
-        Clarabel's tolerances.
-
-    Returns
-    -------
-    ndarray
-        X, the certificate direction at the solution.
-
-    Raises
-    ------
-    InputError
-        If the criterion has no such form.
-    SolverFailure
-        If Clarabel does.
+    Shapes: M (n, n).
     """
     import warnings
 
@@ -291,19 +262,10 @@ def moment_design(
 
 
 def caratheodory(moments: NDArray[np.float64], tolerance: float = 1e-6) -> NDArray[np.float64]:
-    """Frequencies in [0, pi] of the lines that have given cosine moments, from the Toeplitz matrix's null space.
+    """Frequencies in [0, pi] of the lines that have given cosine moments, from the Toeplitz matrix's null
+    space.
 
-    Parameters
-    ----------
-    moments : ndarray
-        (d + 1,) m_0 ... m_d of a symmetric positive measure.
-    tolerance : float
-        Relative size below which an eigenvalue counts as null.
-
-    Returns
-    -------
-    ndarray
-        Frequencies, increasing (V. F. Pisarenko's harmonic retrieval).
+    Shapes: moments (d + 1,).
     """
     d = len(moments) - 1
     T = moments[np.abs(np.subtract.outer(np.arange(d + 1), np.arange(d + 1)))]

@@ -30,27 +30,8 @@ Polynomial = dict[tuple[int, ...], float]
 def passed_power(num: ArrayLike, den: ArrayLike, *, degree: int = 8) -> float:
     """Certified bound on the mean square of a filter's output over all inputs with |u| <= 1.
 
-    Parameters
-    ----------
-    num, den : array_like
-        Coefficients of powers of z^-1, stable; num[0] = 0.
-    degree : int
-        Of V: 2, 4, 6 or 8.
-
-    Returns
-    -------
-    float
-        eta; the solver's rounding is added to it.
-
-    Raises
-    ------
-    InputError
-        If the filter has direct feedthrough, more than two states, or is not stable.
-
-    Notes
-    -----
-    Source: P. A. Parrilo, Mathematical Programming 96 (2003) 293-320, for sums of squares. Twin: simulated square waves
-    and greedy inputs stay below.
+    Source: P. A. Parrilo, Mathematical Programming 96 (2003) 293-320, for sums of squares. Twin: simulated
+    square waves and greedy inputs stay below.
     """
     import cvxpy as cp
 

@@ -16,24 +16,7 @@ __all__ = ["plot_autocorrelation"]
 def plot_autocorrelation(
     model: Any, criterion: str = "D", lags: Sequence[int] = (4, 8, 16, 24, 32, 48), axes: Axes | None = None
 ) -> Any:
-    """How fast the best finite moving average nears the optimum over all spectra.
-
-    Parameters
-    ----------
-    model : Plant, Model or InformationMap
-        One input.
-    criterion : str
-        As for `autocorrelation_design`.
-    lags : sequence of int
-        Numbers of lags; 64 take several seconds.
-    axes : matplotlib.axes.Axes, optional
-        Where to draw; a new figure by default.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-        With the relative excess of the loss over the certified bound, against the lags; both logarithmic.
-    """
+    """How fast the best finite moving average nears the optimum over all spectra."""
     from oed.design.parametrisations.autocorrelation import autocorrelation_design
     from oed.design.solve import solve_design
 

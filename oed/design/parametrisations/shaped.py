@@ -38,22 +38,11 @@ Density = Callable[[NDArray[np.float64]], NDArray]
 class Shaped:
     """The best spectrum of a shape.
 
-    Attributes
-    ----------
-    spectrum : Spectrum
-        Nodes of a quadrature that is exact for the information to about 1e-10.
-    coefficients : ndarray
-        Basis: (m,) power in each basis spectrum. Autoregressive: (p + 1,) A(z) in powers of z^-1, A[0] = 1.
-    loss : float
-        Loss per sample at the stated power.
-    bound : float
-        No spectrum at all of this power has a smaller loss.
-    own_bound : float
-        No spectrum of this shape has a smaller loss; NaN where the search is local (autoregressive).
-    power : float
-        Input power as the optimiser counts it.
-    kind : str
-        "basis" or "ar".
+    `spectrum` nodes of a quadrature that is exact for the information to about 1e-10; `coefficients` basis:
+    (m,) power in each basis spectrum. Autoregressive: (p + 1,) A(z) in powers of z^-1, A[0] = 1; `loss` loss
+    per sample at the stated power; `bound` no spectrum at all of this power has a smaller loss; `own_bound`
+    no spectrum of this shape has a smaller loss; NaN where the search is local (autoregressive); `power`
+    input power as the optimiser counts it; `kind` "basis" or "ar".
     """
 
     spectrum: Spectrum
@@ -325,18 +314,7 @@ def _starting_poles(spectrum: Spectrum, order: int, modulus: float) -> NDArray[n
 
 
 def step_up(reflection: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Monic polynomial of reflection coefficients (Levinson's recursion).
-
-    Parameters
-    ----------
-    reflection : ndarray
-        (p,) in (-1, 1).
-
-    Returns
-    -------
-    ndarray
-        (p + 1,) coefficients of powers of z^-1, all zeros within the unit circle.
-    """
+    """Monic polynomial of reflection coefficients (Levinson's recursion)."""
     a = np.ones(1)
     for k in reflection:
         longer = np.append(a, 0.0)
@@ -347,15 +325,7 @@ def step_up(reflection: NDArray[np.float64]) -> NDArray[np.float64]:
 def step_down(a: NDArray[np.float64]) -> NDArray[np.float64]:
     """Reflection coefficients of a monic polynomial.
 
-    Parameters
-    ----------
-    a : ndarray
-        (p + 1,) monic, zeros within the unit circle.
-
-    Returns
-    -------
-    ndarray
-        (p,) in (-1, 1).
+    Shapes: a (p + 1,), returns (p,).
     """
     reflection = np.zeros(len(a) - 1)
     for i in range(len(a) - 1, 0, -1):

@@ -21,28 +21,7 @@ def power_budgets(
 ) -> tuple[Budget, ...]:
     """The budgets of a design.
 
-    Parameters
-    ----------
-    information : InformationMap
-        The model.
-    input_power : float, optional
-        Limit on the power summed over the input channels; 1 where nothing is limited.
-    output_power : float, optional
-        Limit on the power of the noise-free outputs, summed.
-    channel_power : array_like, optional
-        (nu,) limits per input channel.
-    rate_power : array_like, optional
-        (nu,) limits per input channel on the mean square of the change from one sample to the next.
-
-    Returns
-    -------
-    tuple of Budget
-        At least one.
-
-    Raises
-    ------
-    InputError
-        If a limit is not a positive number.
+    Shapes: channel_power (nu,), rate_power (nu,).
     """
     nu = information.n_inputs
     budgets = []

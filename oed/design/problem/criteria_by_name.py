@@ -43,29 +43,7 @@ NAMES = ("D", "A", "E", "modified-E", "Ds", "hinf", "static-gain", "gain", "pole
 def criterion_of(
     criterion: str | Criterion, model: Any, information: InformationMap, *, over_a_band: bool = False
 ) -> Criterion:
-    """The criterion of a name, for a model.
-
-    Parameters
-    ----------
-    criterion : str or Criterion
-        One of `NAMES`, with its arguments after colons, or a criterion, which is checked to fit.
-    model : object
-        The plant or model.
-    information : InformationMap
-        Its map.
-    over_a_band : bool
-        Whether the caller maximises G between the lines of its sample; others must not be given it.
-
-    Returns
-    -------
-    Criterion
-        The criterion.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown or the criterion has another number of parameters.
-    """
+    """The criterion of a name, for a model."""
     if not over_a_band and (str(criterion).split(":")[0] == "G" or getattr(criterion, "family", None)):
         raise InputError(
             "the criterion G over a band is available in solve_design with its own solver only; give a "
@@ -113,24 +91,7 @@ def criterion_of(
 def scalar_criterion(
     model: Plant, function: Callable[[Plant], float], *, name: str = "c", step: float = 1e-6
 ) -> Criterion:
-    """The variance of any differentiable scalar of a plant, by central differences.
-
-    Parameters
-    ----------
-    model : Plant
-        The plant.
-    function : callable
-        Plant -> float.
-    name : str
-        What it is called in tables.
-    step : float
-        Relative step of the differences.
-
-    Returns
-    -------
-    Criterion
-        c-optimality with c the gradient.
-    """
+    """The variance of any differentiable scalar of a plant, by central differences."""
     theta = model.theta
     c = np.zeros(len(theta))
     for i, h in enumerate(step * np.maximum(np.abs(theta), 1e-2 * np.abs(theta).max())):

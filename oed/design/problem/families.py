@@ -18,12 +18,8 @@ CHUNK = 4096
 class Family:
     """V(w) over a band.
 
-    Attributes
-    ----------
-    at : callable
-        omega (K,) -> V (K, n, s), real.
-    grid : ndarray
-        (K,) increasing frequencies between which trace(V' C V) has at most one maximum for every C.
+    `at` omega (K,) -> V (K, n, s), real; `grid` (K,) increasing frequencies between which trace(V' C V) has
+    at most one maximum for every C.
     """
 
     at: Callable[[NDArray[np.float64]], NDArray[np.float64]]

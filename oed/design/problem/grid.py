@@ -28,20 +28,7 @@ def bands_of(
 ) -> tuple[tuple[float, float], ...]:
     """Bands in increasing order, checked.
 
-    Parameters
-    ----------
-    band : (low, high) or sequence of them, or None
-        rad/sample; None is [0, pi].
-
-    Returns
-    -------
-    tuple of (float, float)
-        Disjoint, increasing.
-
-    Raises
-    ------
-    InputError
-        If a band is empty, leaves [0, pi] or overlaps another.
+    Shapes: band (low, high), returns (float, float).
     """
     if band is None:
         return ((0.0, float(np.pi)),)
@@ -62,24 +49,7 @@ def frequency_grid(
 ) -> NDArray[np.float64]:
     """Grid in the bands: uniform, and fine near the resonances; or the frequencies that were given.
 
-    Parameters
-    ----------
-    information : InformationMap
-        With its resonances.
-    bands : tuple of (float, float)
-        Where lines are allowed.
-    points : int or array_like
-        Number of uniform points on [0, pi], or the frequencies themselves.
-
-    Returns
-    -------
-    ndarray
-        (K,) increasing.
-
-    Raises
-    ------
-    InputError
-        If there are too few points or none lies in a band.
+    Shapes: bands (float, float), returns (K,).
     """
     if np.ndim(points):
         omega = np.unique(np.asarray(points, dtype=float))

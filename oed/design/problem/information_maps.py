@@ -126,15 +126,7 @@ class InformationMap:
 def resonances_of(dens: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Frequencies and half widths of the poles of some denominators.
 
-    Parameters
-    ----------
-    dens : sequence of ndarray
-        Coefficients of powers of z^-1.
-
-    Returns
-    -------
-    ndarray
-        (R, 2): |angle| and distance from the unit circle of every distinct pole.
+    Shapes: returns (R, 2).
     """
     roots = [np.roots(den) for den in dens if len(den) > 1]
     poles = np.concatenate([*roots, np.zeros(0, complex)])
@@ -227,20 +219,7 @@ def _of_model(model: Model) -> InformationMap:
 
 
 def noise_information(model: Model, W: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Information that the noise carries about the parameters of H: (1/2pi) int tr of dH_i H^-1 terms.
-
-    Parameters
-    ----------
-    model : Model
-        With `noise_response`.
-    W : ndarray
-        (ny, ny) with W' W = Lambda^-1.
-
-    Returns
-    -------
-    ndarray
-        (n, n), to 1e-12.
-    """
+    """Information that the noise carries about the parameters of H: (1/2pi) int tr of dH_i H^-1 terms."""
     L = np.linalg.inv(W)
 
     def squares(omega: NDArray) -> NDArray[np.float64]:

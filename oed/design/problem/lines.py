@@ -28,14 +28,8 @@ __all__ = ["Budget", "Columns", "Problem", "Prices"]
 class Budget:
     """A limit on a power that is linear in the spectrum: sum_k tr(form(w_k) P_k) <= limit.
 
-    Attributes
-    ----------
-    name : str
-        What is limited, as in messages.
-    form : callable
-        omega (K,) -> (K, nu, nu) Hermitian, positive semidefinite.
-    limit : float
-        Positive.
+    `name` what is limited, as in messages; `form` omega (K,) -> (K, nu, nu) Hermitian, positive semidefinite;
+    `limit` positive.
     """
 
     name: str
@@ -47,16 +41,8 @@ class Budget:
 class Columns:
     """Lines of unit power: frequencies, directions, information factors and what they use of the budgets.
 
-    Attributes
-    ----------
-    omega : ndarray
-        (m,) rad/sample.
-    direction : ndarray
-        (m, nu) complex, unit length.
-    F : ndarray
-        (m, n, 2 r) real.
-    q : ndarray
-        (m, J) share of each budget per unit of power.
+    `omega` (m,) rad/sample; `direction` (m, nu) complex, unit length; `F` (m, n, 2 r) real; `q` (m, J) share
+    of each budget per unit of power.
     """
 
     omega: NDArray[np.float64]
@@ -72,32 +58,13 @@ class Columns:
         return Columns(pair("omega"), pair("direction"), pair("F"), pair("q"))
 
     def take(self, keep: NDArray) -> Columns:
-        """Some of the columns.
-
-        Parameters
-        ----------
-        keep : ndarray
-            Indices or a mask.
-
-        Returns
-        -------
-        Columns
-            Those.
-        """
+        """Some of the columns."""
         return Columns(self.omega[keep], self.direction[keep], self.F[keep], self.q[keep])
 
     def information(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum of the columns' information.
 
-        Parameters
-        ----------
-        w : ndarray
-            (m,) weights.
-
-        Returns
-        -------
-        ndarray
-            (n, n).
+        Shapes: w (m,), returns (n, n).
         """
         flat = np.moveaxis(self.F * np.sqrt(w)[:, None, None], 0, 1).reshape(self.F.shape[1], -1)
         return flat @ flat.T
@@ -105,17 +72,7 @@ class Columns:
     def prices(self, X: NDArray[np.float64], nu: NDArray[np.float64]) -> NDArray[np.float64]:
         """Price of every column against its cost.
 
-        Parameters
-        ----------
-        X : ndarray
-            (n, s) certificate direction.
-        nu : ndarray
-            (J,) multipliers of the budgets.
-
-        Returns
-        -------
-        ndarray
-            (m,).
+        Shapes: X (n, s), nu (J,), returns (m,).
         """
         worth = np.sum(np.einsum("mnr,ns->mrs", self.F, X) ** 2, axis=(1, 2))
         return worth / np.maximum(self.q @ nu, 1e-300)
@@ -125,12 +82,8 @@ class Columns:
 class Prices:
     """What each grid line is worth to a certificate direction, relative to its cost.
 
-    Attributes
-    ----------
-    ratio : ndarray
-        (K,) largest eigenvalue of S against Q_nu: at most 1 at the optimum.
-    direction : ndarray
-        (K, nu) input direction in which it is attained, unit length.
+    `ratio` (K,) largest eigenvalue of S against Q_nu: at most 1 at the optimum; `direction` (K, nu) input
+    direction in which it is attained, unit length.
     """
 
     ratio: NDArray[np.float64]
@@ -138,21 +91,7 @@ class Prices:
 
 
 class Problem:
-    """A design problem in scaled coordinates, with its grid.
-
-    Parameters
-    ----------
-    information : InformationMap
-        What the spectrum tells.
-    criterion : Criterion
-        What is wanted.
-    budgets : tuple of Budget
-        What it may cost; at least one.
-    omega : ndarray
-        (K,) frequencies of the grid, increasing.
-    bands : tuple of (float, float)
-        Where lines are allowed; the grid lies in them.
-    """
+    """A design problem in scaled coordinates, with its grid."""
 
     def __init__(
         self,
@@ -192,18 +131,7 @@ class Problem:
         return np.stack([b.form(omega) / b.limit for b in self.budgets], axis=1)
 
     def extended(self, omega: NDArray[np.float64]) -> Problem:
-        """The same problem on a grid with more frequencies.
-
-        Parameters
-        ----------
-        omega : ndarray
-            Frequencies in the bands.
-
-        Returns
-        -------
-        Problem
-            Shares the scaling.
-        """
+        """The same problem on a grid with more frequencies."""
         new = np.setdiff1d(omega, self.omega)
         both = np.concatenate([self.omega, new])
         order = np.argsort(both)
@@ -217,18 +145,7 @@ class Problem:
     def loss(self, columns: Columns, w: NDArray[np.float64]) -> float:
         """Scaled loss of the weights of some columns.
 
-        Parameters
-        ----------
-        columns : Columns
-            The lines.
-        w : ndarray
-            (m,) weights.
-
-        Returns
-        -------
-        float
-            The loss, from a factor of the information. Where it may be singular, in the model's own
-            parameters: scaling them would turn the rounding of R into information that is not there.
+        Shapes: w (m,).
         """
         if self.criterion.columns.shape[1] < self.map.n:
             D = np.einsum(
@@ -248,15 +165,7 @@ class Problem:
     def scaled_factor(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
         """D in scaled coordinates.
 
-        Parameters
-        ----------
-        omega : ndarray
-            (K,) rad/sample.
-
-        Returns
-        -------
-        ndarray
-            (K, n, r, nu).
+        Shapes: omega (K,), returns (K, n, r, nu).
         """
         flat = self._scaled(self.map.factor(omega))
         return np.moveaxis(flat[:, 0] + 1j * flat[:, 1], 0, 1)
@@ -264,30 +173,14 @@ class Problem:
     def forms_at(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
         """The budgets' forms over their limits.
 
-        Parameters
-        ----------
-        omega : ndarray
-            (K,) rad/sample.
-
-        Returns
-        -------
-        ndarray
-            (K, J, nu, nu).
+        Shapes: omega (K,), returns (K, J, nu, nu).
         """
         return self._forms(omega)
 
     def length_scale(self, omega: NDArray[np.float64]) -> NDArray[np.float64]:
         """Distance in frequency over which the plant changes: to the nearest resonance, at most 0.3.
 
-        Parameters
-        ----------
-        omega : ndarray
-            (K,) rad/sample.
-
-        Returns
-        -------
-        ndarray
-            (K,) rad/sample.
+        Shapes: omega (K,), returns (K,).
         """
         centres, widths = self.map.resonances[:, 0], self.map.resonances[:, 1]
         distance = np.hypot(omega[:, None] - centres, widths)
@@ -296,17 +189,7 @@ class Problem:
     def columns(self, omega: NDArray[np.float64], direction: NDArray[np.complex128]) -> Columns:
         """Columns at given frequencies and directions.
 
-        Parameters
-        ----------
-        omega : ndarray
-            (m,) rad/sample.
-        direction : ndarray
-            (m, nu), unit length.
-
-        Returns
-        -------
-        Columns
-            The columns.
+        Shapes: omega (m,), direction (m, nu).
         """
         D = self.map.factor(omega)
         G = np.moveaxis(np.einsum("knrq,kq->knr", D, direction), 1, 0)
@@ -321,17 +204,7 @@ class Problem:
     def prices(self, X: NDArray[np.float64], nu: NDArray[np.float64]) -> Prices:
         """Prices on the grid.
 
-        Parameters
-        ----------
-        X : ndarray
-            (n, s) certificate direction, scaled coordinates.
-        nu : ndarray
-            (J,) multipliers of the budgets.
-
-        Returns
-        -------
-        Prices
-            One per grid line.
+        Shapes: X (n, s), nu (J,).
         """
         return _price(self.grid, self.forms, X, nu)
 
@@ -340,19 +213,7 @@ class Problem:
     ) -> Prices:
         """Prices at any frequencies.
 
-        Parameters
-        ----------
-        omega : ndarray
-            (K,) rad/sample.
-        X : ndarray
-            (n, s) certificate direction, scaled coordinates.
-        nu : ndarray
-            (J,) multipliers of the budgets.
-
-        Returns
-        -------
-        Prices
-            One per frequency.
+        Shapes: omega (K,), X (n, s), nu (J,).
         """
         return _price(self._scaled(self.map.factor(omega)), self._forms(omega), X, nu)
 
@@ -364,26 +225,7 @@ class Problem:
         above: float,
         divisions: int = 13,
     ) -> tuple[NDArray[np.float64], Prices]:
-        """The local maxima of the price between grid lines, where the grid's own reach a level.
-
-        Parameters
-        ----------
-        prices : Prices
-            On the grid.
-        X, nu : ndarray
-            Certificate direction and multipliers.
-        above : float
-            Local maxima on the grid below this ratio are left out.
-        divisions : int
-            How often the interval between grid lines is cut to a quarter.
-
-        Returns
-        -------
-        omega : ndarray
-            Frequencies of the maxima.
-        prices : Prices
-            There.
-        """
+        """The local maxima of the price between grid lines, where the grid's own reach a level."""
         at = local_maxima(prices.ratio)
         at = at[prices.ratio[at] >= above]
         left, right = np.maximum(at - 1, 0), np.minimum(at + 1, len(self.omega) - 1)

@@ -39,14 +39,8 @@ CENTRED = 15
 class Masks:
     """Both masks of a plant, and a ceiling on the density where they leave it free.
 
-    Attributes
-    ----------
-    information : InformationMap
-        The plant.
-    on_input, on_output : callable or None
-        omega (K,) -> (K,) for one channel, or Hermitian matrices.
-    ceiling : float
-        Larger eigenvalues of the limit, infinite ones too, count as this.
+    `information` the plant; `on_input, on_output` omega (K,) -> (K,) for one channel, or Hermitian matrices;
+    `ceiling` larger eigenvalues of the limit, infinite ones too, count as this.
     """
 
     information: InformationMap

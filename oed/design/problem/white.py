@@ -51,47 +51,17 @@ def white_information(
 ) -> NDArray[np.float64]:
     """Information of white noise of a given total power, equal on all channels, with the constant part.
 
-    Parameters
-    ----------
-    information : InformationMap
-        The model.
-    limits : mapping
-        Budget name -> limit; the input power where it is limited.
-    used : mapping
-        Budget name -> what the design uses.
-    power : float
-        Total power where the limits do not state it.
-
-    Returns
-    -------
-    ndarray
-        (n, n).
+    Shapes: returns (n, n).
     """
     total = limits.get("input power", power)
     return information.constant + mean_information(information) * total / information.n_inputs
 
 
 def white_root(information: InformationMap, D: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Triangular R with R'R = constant + mean over the grid of the information of unit power in every channel.
+    """Triangular R with R'R = constant + mean over the grid of the information of unit power in every
+    channel.
 
-    Parameters
-    ----------
-    information : InformationMap
-        The model.
-    D : ndarray
-        (K, n, ..) factors of the information on the grid.
-
-    Returns
-    -------
-    ndarray
-        (n, n).
-
-    Raises
-    ------
-    InfeasibleDesign
-        The response is not finite on the grid.
-    NotIdentifiable
-        No input tells some combination of the parameters.
+    Shapes: D (K, n, ..), returns (n, n).
     """
     n = information.n
     flat = np.moveaxis(D, 1, 0).reshape(n, -1) / np.sqrt(len(D))

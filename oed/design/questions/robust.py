@@ -24,18 +24,7 @@ __all__ = ["robust_design", "stacked_map"]
 
 
 def stacked_map(models: Sequence[Any]) -> InformationMap:
-    """Block-diagonal information of several plants under the same input.
-
-    Parameters
-    ----------
-    models : sequence
-        Plants, models or maps with the same number of inputs.
-
-    Returns
-    -------
-    InformationMap
-        Parameters are named p1.b1, p1.b2, ..., p2.b1, ...
-    """
+    """Block-diagonal information of several plants under the same input."""
     maps = [information_map(model) for model in models]
     if not maps:
         raise InputError("a robust design needs at least one plant; none was given.")

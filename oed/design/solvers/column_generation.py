@@ -43,28 +43,11 @@ Master = Callable[[Problem, Columns, NDArray[np.float64] | None, float], Weights
 class Exchange:
     """Outcome of the loop, in the scaled coordinates of the problem.
 
-    Attributes
-    ----------
-    columns : Columns
-        The lines.
-    w : ndarray
-        (m,) their weights, within the budgets.
-    loss : float
-        Scaled loss of these weights.
-    X, nu : ndarray
-        The certificate of the best bound, with the prices divided out: no price exceeds 1.
-    bound : float
-        Scaled bound.
-    price : float
-        Largest price in the last round before it was divided out.
-    frequency : float
-        Where that was.
-    rounds : int
-        Number of rounds.
-    status : Status
-        CONVERGED, or why not.
-    problem : Problem
-        The problem on the grid as it has grown.
+    `columns` the lines; `w` (m,) their weights, within the budgets; `loss` scaled loss of these weights; `X,
+    nu` the certificate of the best bound, with the prices divided out: no price exceeds 1; `bound` scaled
+    bound; `price` largest price in the last round before it was divided out; `frequency` where that was;
+    `rounds` number of rounds; `status` CONVERGED, or why not; `problem` the problem on the grid as it has
+    grown.
     """
 
     columns: Columns
@@ -94,24 +77,7 @@ def solve_weights(
 ) -> Weights:
     """Optimal weights of some columns, by the method that suits the criterion.
 
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    columns : Columns
-        Candidate lines.
-    start : ndarray, optional
-        (m,) weights to start from.
-    accuracy : float
-        Relative accuracy of the loss.
-    ridge : float
-        Where the optimal information may be singular, this much of the information of white noise is added
-        for the weights: the bound, which leaves it out, is then off by its square only.
-
-    Returns
-    -------
-    Weights
-        Weights and multipliers.
+    Shapes: start (m,).
     """
     criterion, constant = problem.criterion, problem.constant
     if criterion.kind == "E":
@@ -157,30 +123,7 @@ def exchange(
     max_rounds: int = 40,
     accuracy: float = 1e-4,
 ) -> Exchange:
-    """Run the loop.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem with its grid.
-    master : callable, optional
-        Solver of the weights of given columns; by default by the criterion.
-    columns : Columns, optional
-        Lines to begin with.
-    refine : bool
-        Whether lines may lie between those of the grid; the grid then grows where lines are added.
-    tolerance : float
-        Relative gap at which to stop.
-    max_rounds : int
-        Limit of rounds.
-    accuracy : float
-        Of the weights in the first round; smaller where the columns come from an earlier loop.
-
-    Returns
-    -------
-    Exchange
-        The best weights and the best certificate seen.
-    """
+    """Run the loop."""
     master = master or solve_weights
     columns = seed_columns(problem) if columns is None else columns
     criterion, start = problem.criterion, None
@@ -238,22 +181,7 @@ def _level_of(values: NDArray[np.float64], count: int) -> float:
 
 
 def lower_bound(problem: Problem, X: NDArray[np.float64], nu: NDArray[np.float64], price: float) -> float:
-    """Bound on the scaled loss from a certificate and its largest price.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    X, nu : ndarray
-        The certificate.
-    price : float
-        Largest price over all frequencies.
-
-    Returns
-    -------
-    float
-        The bound.
-    """
+    """Bound on the scaled loss from a certificate and its largest price."""
     fixed = float(np.sum(X * (problem.constant @ X)))
     return problem.criterion.numerator(X) / (fixed + price * float(nu.sum()))
 
@@ -261,26 +189,7 @@ def lower_bound(problem: Problem, X: NDArray[np.float64], nu: NDArray[np.float64
 def evaluated_bound(
     problem: Problem, X: NDArray[np.float64], nu: NDArray[np.float64], *, refine: bool = True
 ) -> tuple[float, float, float]:
-    """Bound of a certificate from the beginning: its largest price over the grid and between the lines.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    X, nu : ndarray
-        The certificate.
-    refine : bool
-        Whether lines may lie between those of the grid.
-
-    Returns
-    -------
-    bound : float
-        On the scaled loss.
-    price : float
-        Largest price.
-    frequency : float
-        Where it lies.
-    """
+    """Bound of a certificate from the beginning: its largest price over the grid and between the lines."""
     prices = problem.prices(X, nu)
     top = int(np.argmax(prices.ratio))
     price, frequency = float(prices.ratio[top]), float(problem.omega[top])
@@ -330,18 +239,7 @@ def _with_new(
 
 
 def seed_columns(problem: Problem) -> Columns:
-    """Lines to begin with: quantiles of the information of white noise, every channel by itself.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-
-    Returns
-    -------
-    Columns
-        About 2 n + 10 frequencies.
-    """
+    """Lines to begin with: quantiles of the information of white noise, every channel by itself."""
     n, _, K, _, q = problem.grid.shape
     leverage = np.einsum("ncKrq->K", problem.grid**2)
     total = np.cumsum(leverage)

@@ -93,34 +93,7 @@ def condition_design(
 ) -> Design:
     """The spectrum with the least condition number; `solve_design` calls it for the criterion modified-E.
 
-    Parameters
-    ----------
-    information : InformationMap
-        The model.
-    criterion : Criterion
-        Of kind K.
-    input_power : float
-        Of the spectrum; without prior information the condition number does not depend on it.
-    omega : ndarray
-        (K,) first grid.
-    bands : tuple of (float, float)
-        Where lines are allowed.
-    refine : bool
-        Whether lines may lie between those of the grid.
-    tolerance : float
-        Relative gap to reach.
-    max_rounds : int
-        Limit of rounds of column generation.
-
-    Returns
-    -------
-    Design
-        Its loss is the condition number.
-
-    Raises
-    ------
-    NotIdentifiable
-        If every spectrum leaves the information singular.
+    Shapes: omega (K,), bands (float, float).
     """
     setting = _Setting(information, criterion, input_power)
     q = information.n_inputs

@@ -26,18 +26,7 @@ PATIENCE = 4
 
 
 def applies(problem: Problem) -> bool:
-    """Whether this method is the one for a problem.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-
-    Returns
-    -------
-    bool
-        True for A and c of a part of the parameters, several inputs, and budgets that limit every direction.
-    """
+    """Whether this method is the one for a problem."""
     criterion = problem.criterion
     if problem.map.n_inputs == 1 or criterion.kind != "A":
         return False
@@ -134,24 +123,7 @@ class _Dual:
 
 
 def direction_exchange(problem: Problem, *, refine: bool, tolerance: float, max_rounds: int = 25) -> Exchange:
-    """Frequencies are added where the price is high; their directions come by themselves.
-
-    Parameters
-    ----------
-    problem : Problem
-        For which `applies` is true.
-    refine : bool
-        Whether lines may lie between those of the grid.
-    tolerance : float
-        Relative gap at which to stop.
-    max_rounds : int
-        Limit of rounds.
-
-    Returns
-    -------
-    Exchange
-        The best weights and the best certificate seen.
-    """
+    """Frequencies are added where the price is high; their directions come by themselves."""
     grid, n = problem.omega, problem.map.n
     white = np.cumsum(np.einsum("ncKrq->K", problem.grid**2))
     count = 2 * n + 10

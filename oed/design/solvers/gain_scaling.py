@@ -22,22 +22,7 @@ __all__ = ["peak_sinusoid"]
 
 
 def peak_sinusoid(problem: Problem, model: Any, criterion: str | Criterion) -> Exchange | None:
-    """The sinusoid at the peak with the certificate of the theorem.
-
-    Parameters
-    ----------
-    problem : Problem
-        The design problem.
-    model : object
-        What was to be designed for.
-    criterion : str or Criterion
-        What was asked for.
-
-    Returns
-    -------
-    Exchange or None
-        None unless the peak gain of a plant is asked for, under a limit on one power and without prior.
-    """
+    """The sinusoid at the peak with the certificate of the theorem."""
     if not (isinstance(criterion, str) and criterion == "hinf" and isinstance(model, Plant)):
         return None
     if len(problem.budgets) > 1 or np.any(problem.constant):

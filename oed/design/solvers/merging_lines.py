@@ -16,18 +16,7 @@ __all__ = ["better", "collapsed", "evaluated"]
 
 
 def better(one: Exchange, other: Exchange) -> Exchange:
-    """The smaller loss and the larger bound of two outcomes.
-
-    Parameters
-    ----------
-    one, other : Exchange
-        Of the same problem.
-
-    Returns
-    -------
-    Exchange
-        Weights from one of them, certificate from one of them.
-    """
+    """The smaller loss and the larger bound of two outcomes."""
     weights = one if one.loss <= other.loss else other
     proof = one if one.bound >= other.bound else other
     return replace(
@@ -43,20 +32,7 @@ def better(one: Exchange, other: Exchange) -> Exchange:
 
 
 def collapsed(found: Exchange, tolerance: float) -> Exchange:
-    """One line per cluster, polished; what came in where that is worse by more than the tolerance.
-
-    Parameters
-    ----------
-    found : Exchange
-        Outcome of the loop.
-    tolerance : float
-        Relative gap that was asked for.
-
-    Returns
-    -------
-    Exchange
-        With few lines.
-    """
+    """One line per cluster, polished; what came in where that is worse by more than the tolerance."""
     problem = found.problem
     few = _merged(problem, found)
     if few is None:
@@ -75,21 +51,7 @@ def collapsed(found: Exchange, tolerance: float) -> Exchange:
 def evaluated(found: Exchange, columns: Columns, w: NDArray, X: NDArray, nu: NDArray) -> Exchange:
     """Loss and bound of a support and a certificate, from the beginning.
 
-    Parameters
-    ----------
-    found : Exchange
-        Of the same problem.
-    columns : Columns
-        The support.
-    w : ndarray
-        (m,) weights.
-    X, nu : ndarray
-        The certificate.
-
-    Returns
-    -------
-    Exchange
-        With these.
+    Shapes: w (m,).
     """
     problem = found.problem
     bound, price, frequency = evaluated_bound(problem, X, nu)

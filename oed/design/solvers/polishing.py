@@ -30,16 +30,8 @@ _STEP = 1e-6
 class Polished:
     """Support, weights and certificate after Newton's method.
 
-    Attributes
-    ----------
-    columns : Columns
-        One per line and direction.
-    w : ndarray
-        Weights within the budgets.
-    X, nu : ndarray
-        Certificate.
-    residual : float
-        Norm of the optimality conditions.
+    `columns` one per line and direction; `w` weights within the budgets; `X, nu` certificate; `residual` norm
+    of the optimality conditions.
     """
 
     columns: Columns
@@ -81,18 +73,7 @@ class _Conditions:
         self.sizes = np.cumsum([p.size for p in parts])[: 5 if self.eigen else 4]
 
     def unpack(self, x: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray | None]:
-        """Frequencies, amplitudes, multipliers and, where it is an unknown of its own, X.
-
-        Parameters
-        ----------
-        x : ndarray
-            The unknowns.
-
-        Returns
-        -------
-        tuple
-            omega, a, nu, X or None.
-        """
+        """Frequencies, amplitudes, multipliers and, where it is an unknown of its own, X."""
         omega, real, imag, nu, *rest = np.split(x, self.sizes)
         frequencies, multipliers = self.omega0.copy(), self.nu0.copy()
         frequencies[self.moves] = omega * self.unit[self.moves]
@@ -172,21 +153,7 @@ def polish(
 ) -> Polished | None:
     """Newton's method from a support that is nearly right.
 
-    Parameters
-    ----------
-    problem : Problem
-        The problem; its criterion of kind D, A or E.
-    columns : Columns
-        One per line and direction.
-    w : ndarray
-        (m,) positive weights.
-    X, nu : ndarray
-        The certificate so far.
-
-    Returns
-    -------
-    Polished or None
-        None where the method left the neighbourhood or the criterion is not smooth.
+    Shapes: w (m,).
     """
     if problem.criterion.kind not in ("D", "A", "E") or not len(columns):
         return None

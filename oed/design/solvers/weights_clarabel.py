@@ -50,24 +50,8 @@ def elfving(
 ) -> Weights:
     """Optimal weights for an A or c criterion through the dual second-order cone programme.
 
-    Parameters
-    ----------
-    columns : Columns
-        The candidate lines.
-    criterion : Criterion
-        Of kind A.
-    constant : ndarray
-        (n, n) information M_0.
-    tolerance : float
-        Clarabel's tolerance.
+    Shapes: constant (n, n).
 
-    Returns
-    -------
-    Weights
-        Weights, X and multipliers.
-
-    Notes
-    -----
     Source: G. Elfving, Annals of Mathematical Statistics 23 (1952) 255-262; G. Sagnol, Journal of Statistical
     Planning and Inference 141 (2011) 1684-1708, for A and several outputs.
     """
@@ -104,24 +88,7 @@ def elfving(
 def largest_eigenvalue(
     columns: Columns, criterion: Criterion, constant: NDArray[np.float64], *, tolerance: float = 1e-12
 ) -> Weights:
-    """Optimal weights for an E criterion: maximise t such that M(w) - t V V' is positive semidefinite.
-
-    Parameters
-    ----------
-    columns : Columns
-        The candidate lines.
-    criterion : Criterion
-        Of kind E.
-    constant : ndarray
-        (n, n) information M_0.
-    tolerance : float
-        Clarabel's tolerance.
-
-    Returns
-    -------
-    Weights
-        Weights, X with X X' = Z the multiplier of the inequality, and the budgets' multipliers.
-    """
+    """Optimal weights for an E criterion: maximise t such that M(w) - t V V' is positive semidefinite."""
     V, F, Q = criterion.columns, columns.F, columns.q.T
     (m, n, _), J = F.shape, len(Q)
     atoms = F @ np.swapaxes(F, 1, 2)
@@ -154,25 +121,7 @@ def linear_matrix_programme(
 ) -> tuple[Any, NDArray[np.float64], NDArray[np.float64], Status]:
     """Minimise objective' x subject to offset - block x in each cone, by Clarabel.
 
-    Parameters
-    ----------
-    objective : ndarray
-        (m,).
-    blocks, offsets : list of ndarray
-        First one per positive semidefinite cone, as `svec`; then one for the nonnegative orthant.
-    sizes : list of int
-        n of each semidefinite cone.
-    tolerance : float
-        Clarabel's.
-
-    Returns
-    -------
-    solution : object
-        Clarabel's.
-    x, z : ndarray
-        Solution and multipliers, those of the cones one after the other.
-    status : Status
-        CONVERGED or INACCURATE.
+    Shapes: objective (m,).
     """
     import clarabel
     from scipy import sparse
@@ -186,15 +135,7 @@ def linear_matrix_programme(
 def svec(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     """Upper triangles column by column, off-diagonal entries times sqrt 2.
 
-    Parameters
-    ----------
-    matrices : ndarray
-        (k, n, n) symmetric.
-
-    Returns
-    -------
-    ndarray
-        (k, n (n + 1) / 2).
+    Shapes: matrices (k, n, n).
     """
     n = matrices.shape[1]
     j, i = np.tril_indices(n)
@@ -204,17 +145,7 @@ def svec(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
 def smat(vector: NDArray[np.float64], n: int) -> NDArray[np.float64]:
     """The symmetric matrix of one row of `svec`.
 
-    Parameters
-    ----------
-    vector : ndarray
-        (n (n + 1) / 2,).
-    n : int
-        Size.
-
-    Returns
-    -------
-    ndarray
-        (n, n).
+    Shapes: returns (n, n).
     """
     j, i = np.tril_indices(n)
     matrix = np.zeros((n, n))

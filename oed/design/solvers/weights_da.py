@@ -25,18 +25,8 @@ __all__ = ["Weights", "blocks", "gathered", "inside", "interior_point", "reach"]
 class Weights:
     """Optimal weights of a set of columns, with their dual.
 
-    Attributes
-    ----------
-    w : ndarray
-        (m,) weights.
-    X : ndarray
-        (n, s) certificate direction.
-    nu : ndarray
-        (J,) multipliers of the budgets.
-    status : Status
-        How the solver ended.
-    steps : int
-        Iterations.
+    `w` (m,) weights; `X` (n, s) certificate direction; `nu` (J,) multipliers of the budgets; `status` how the
+    solver ended; `steps` iterations.
     """
 
     w: NDArray[np.float64]
@@ -57,25 +47,7 @@ def interior_point(
 ) -> Weights:
     """Optimal weights for a D or A criterion.
 
-    Parameters
-    ----------
-    columns : Columns
-        The candidate lines.
-    criterion : Criterion
-        Of kind D or A.
-    constant : ndarray
-        (n, n) information M_0.
-    start : ndarray, optional
-        (m,) weights to start from.
-    tolerance : float
-        Complementarity per column, relative to the budget's price, at which to stop.
-    max_steps : int
-        Iteration limit.
-
-    Returns
-    -------
-    Weights
-        Weights and multipliers.
+    Shapes: constant (n, n), start (m,).
     """
     m, n, r = columns.F.shape
     Q = columns.q.T
@@ -148,37 +120,14 @@ def _solved(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np
 def inside(w: NDArray[np.float64], Q: NDArray[np.float64]) -> NDArray[np.float64]:
     """A strictly feasible point near w.
 
-    Parameters
-    ----------
-    w : ndarray
-        (m,) weights, at least 0.
-    Q : ndarray
-        (J, m) shares of the budgets.
-
-    Returns
-    -------
-    ndarray
-        (m,) positive, Q w < 1.
+    Shapes: w (m,), Q (J, m), returns (m,).
     """
     w = np.maximum(w, 1e-3 * w.sum() / len(w))
     return w * (0.95 / (Q @ w).max())
 
 
 def reach(x: NDArray[np.float64], dx: NDArray[np.float64]) -> float:
-    """Largest step that keeps x + step dx at least 0.
-
-    Parameters
-    ----------
-    x : ndarray
-        Positive.
-    dx : ndarray
-        Direction.
-
-    Returns
-    -------
-    float
-        The step; infinite where nothing goes down.
-    """
+    """Largest step that keeps x + step dx at least 0."""
     lowest = float((dx / x).min(initial=0.0))
     return -1 / lowest if lowest < 0 else np.inf
 
@@ -226,17 +175,7 @@ def _squares(one: NDArray[np.float64], other: NDArray[np.float64], r: int) -> ND
 def blocks(flat: NDArray[np.float64], r: int) -> NDArray[np.float64]:
     """The columns apart.
 
-    Parameters
-    ----------
-    flat : ndarray
-        (n, m r).
-    r : int
-        Entries per column.
-
-    Returns
-    -------
-    ndarray
-        (m, n, r).
+    Shapes: flat (n, m r), returns (m, n, r).
     """
     return flat.reshape(len(flat), -1, r).swapaxes(0, 1)
 
@@ -254,17 +193,7 @@ def _inverse_root(M: NDArray[np.float64]) -> NDArray[np.float64]:
 def gathered(product: NDArray[np.float64], r: int) -> NDArray[np.float64]:
     """Sums over the r x r blocks of a Gram matrix: one entry per pair of columns.
 
-    Parameters
-    ----------
-    product : ndarray
-        (m r, m r).
-    r : int
-        Entries per column.
-
-    Returns
-    -------
-    ndarray
-        (m, m).
+    Shapes: product (m r, m r), returns (m, m).
     """
     # Strided slices are several times faster than a sum over two short axes.
     rows = product[0::r].copy()

@@ -42,25 +42,7 @@ def eigenvalue_weights(
 ) -> Weights:
     """Optimal weights for an E criterion.
 
-    Parameters
-    ----------
-    columns : Columns
-        The candidate lines.
-    criterion : Criterion
-        Of kind E.
-    constant : ndarray
-        (n, n) information M_0.
-    start : ndarray, optional
-        (m,) weights to start from.
-    tolerance : float
-        Relative complementarity at which to stop.
-    max_steps : int
-        Iteration limit.
-
-    Returns
-    -------
-    Weights
-        Weights, X with X X' = Z, and the budgets' multipliers.
+    Shapes: constant (n, n), start (m,).
     """
     m, n, r = columns.F.shape
     Q, V = columns.q.T, criterion.columns

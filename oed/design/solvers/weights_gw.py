@@ -32,25 +32,7 @@ def minimax_weights(
 ) -> Weights:
     """Optimal weights for a G or W criterion.
 
-    Parameters
-    ----------
-    columns : Columns
-        The candidate lines.
-    criterion : Criterion
-        Of kind G or W.
-    constant : ndarray
-        (n, n) information M_0.
-    start : ndarray, optional
-        (m,) weights to start from.
-    tolerance : float
-        Relative complementarity at which to stop.
-    max_steps : int
-        Iteration limit.
-
-    Returns
-    -------
-    Weights
-        Weights, X and the budgets' multipliers.
+    Shapes: constant (n, n), start (m,).
     """
     m, n, r = columns.F.shape
     K, _, size = criterion.V.shape

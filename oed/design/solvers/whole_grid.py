@@ -17,21 +17,8 @@ __all__ = ["cvxpy_weights", "reference_exchange", "solve_cvxpy"]
 
 
 def reference_exchange(problem: Problem, *, refine: bool, tolerance: float) -> Exchange:
-    """Designs on the whole grid, to which the maxima of the sensitivity function are added until the gap closes.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem with its grid.
-    refine : bool
-        Whether lines may lie between those of the grid.
-    tolerance : float
-        Relative gap.
-
-    Returns
-    -------
-    Exchange
-        Weights and certificate.
+    """Designs on the whole grid, to which the maxima of the sensitivity function are added until the gap
+    closes.
     """
     q = problem.map.n_inputs
     if q > 1 and not refine:
@@ -50,25 +37,7 @@ def reference_exchange(problem: Problem, *, refine: bool, tolerance: float) -> E
 
 
 def solve_cvxpy(problem: Any, accuracy: float) -> Status:
-    """Solve a CVXPY problem by Clarabel.
-
-    Parameters
-    ----------
-    problem : cvxpy.Problem
-        The problem.
-    accuracy : float
-        Clarabel's tolerances.
-
-    Returns
-    -------
-    Status
-        CONVERGED or INACCURATE.
-
-    Raises
-    ------
-    SolverFailure
-        If Clarabel ends without a solution.
-    """
+    """Solve a CVXPY problem by Clarabel."""
     import warnings
 
     import cvxpy as cp
@@ -90,21 +59,7 @@ def cvxpy_weights(
 ) -> Weights:
     """Optimal weights of given columns, modelled in CVXPY.
 
-    Parameters
-    ----------
-    columns : Columns
-        The candidate lines.
-    criterion : Criterion
-        Any kind.
-    constant : ndarray
-        (n, n) information M_0.
-    accuracy : float
-        Clarabel's tolerances.
-
-    Returns
-    -------
-    Weights
-        Weights and multipliers.
+    Shapes: constant (n, n).
     """
     import cvxpy as cp
 
