@@ -11,7 +11,7 @@ from estimators.pem.search.confirmation import confirmed, first_start
 from estimators.pem.search.problem import prepare
 from oed.data import Record
 from oed.models.model import bj, oe
-from tests.estimators.test_pem_global import random_case
+from tests.estimators.pem.test_pem_global import random_case
 
 B, F = [0.0, 0.5, 0.3], [1.0, -1.2, 0.6]
 

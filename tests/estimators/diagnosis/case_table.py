@@ -1,6 +1,6 @@
 """Every family of the case generator on two random plants: detected, named first, removed; as a table.
 
-`python -m tests.estimators.case_table SEED` prints it, row by row.
+`python -m tests.estimators.diagnosis.case_table SEED` prints it, row by row.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from estimators.diagnosis.cases import diagnose_files
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.measurement import held_samples
-from tests.estimators.case_beyond import BEYOND, draw_beyond
-from tests.estimators.case_generator import FAMILIES, write_case
+from tests.estimators.diagnosis.case_beyond import BEYOND, draw_beyond
+from tests.estimators.diagnosis.case_generator import FAMILIES, write_case
 
 __all__ = ["NAMES", "Row", "measured", "table"]
 

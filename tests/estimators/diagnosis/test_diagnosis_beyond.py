@@ -4,7 +4,7 @@ import pytest
 
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.policy import Setting
-from tests.estimators.case_beyond import BEYOND, draw_beyond
+from tests.estimators.diagnosis.case_beyond import BEYOND, draw_beyond
 
 pytestmark = pytest.mark.validate
 

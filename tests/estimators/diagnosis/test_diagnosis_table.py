@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.estimators.case_table import NAMES, measured, table
+from tests.estimators.diagnosis.case_table import NAMES, measured, table
 
 pytestmark = pytest.mark.validate
 

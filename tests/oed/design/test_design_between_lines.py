@@ -10,7 +10,7 @@ from oed.criteria import a_criterion, g_criterion
 from oed.design import robust_design, solve_design
 from oed.errors import InputError
 from oed.plants.named import named_plant
-from tests.oed.test_design_random import random_plant
+from tests.oed.design.test_design_random import random_plant
 
 
 def plant_of(name):

@@ -15,7 +15,7 @@ from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.selection import significance
-from tests.estimators.case_classes import CLASSES, LOOKALIKES, excitation
+from tests.estimators.diagnosis.case_classes import CLASSES, LOOKALIKES, excitation
 
 NOISE = 0.01  # of the output's standard deviation
 N = 700

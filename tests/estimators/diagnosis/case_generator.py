@@ -13,8 +13,15 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from tests.estimators.case_effects import after, draw_effect, static_input
-from tests.estimators.case_plants import KINDS, closed_loop, draw_input, draw_plant, order_of, run_plant
+from tests.estimators.diagnosis.case_effects import after, draw_effect, static_input
+from tests.estimators.diagnosis.case_plants import (
+    KINDS,
+    closed_loop,
+    draw_input,
+    draw_plant,
+    order_of,
+    run_plant,
+)
 
 FAMILIES = (
     "input_saturation", "input_deadzone", "output_nonlinearity", "hammerstein", "duffing", "coulomb_friction",

@@ -1,7 +1,7 @@
 """The same optimum as independent implementations: closed-form least squares, scipy, statsmodels; 50 seeded cases each.
 
 statsmodels is no dependency: `pip install statsmodels patsy --no-deps` in a copy of the environment, then
-`pytest -m validate tests/estimators/test_pem_twins.py`.
+`pytest -m validate tests/estimators/pem/test_pem_twins.py`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from estimators.pem import identify
 from estimators.pem.predictors.of_structure import predictor_is_stable
 from oed.data import Record
-from tests.estimators.test_pem_global import polynomial
+from tests.estimators.pem.test_pem_global import polynomial
 from tests.oracles import pem as oracle
 
 CASES, SAMPLES = 50, 600
