@@ -17,12 +17,13 @@ from estimators.diagnosis.baseline import Baseline, Options, best_linear
 from estimators.diagnosis.discovery import DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
-from estimators.diagnosis.ladder.steps import Kind, Step, climb, paired_gain
+from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, climb, paired_gain
 from estimators.diagnosis.ladder.verdicts import Outcome, verdict
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.measurement import held_samples, resting_samples
 from estimators.diagnosis.record.overlap import copied_rows
-from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, early
+from estimators.diagnosis.remainder import Limits, fit_remainder, linear_footing, spliced
+from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, RemainderAnswer, early
 from estimators.diagnosis.result.model import DiagnosedModel
 from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
@@ -182,7 +183,41 @@ def _outcome(
     if ladder.chosen.kind is Kind.DISCOVERED and not _confirmed(train, i, base, bench, setting):
         steps = [replace(s, admitted=s.kind is not Kind.DISCOVERED) for s in steps]
         ladder = climb([y], steps, [bench.counted], setting.policy, least=int(len(out) > 0))
+    rest = _remainder_step(
+        train, i, base, ladder, share if ladder.chosen.kind is Kind.LINEAR else left, setting
+    )
+    if rest is not None:
+        ladder = climb([y], [*steps, rest], [bench.counted], setting.policy, least=int(len(out) > 0))
     return Outcome(i, found, named, ladder, share, left, discovery)
+
+
+def _remainder_step(
+    train: Record, i: int, base: Baseline, ladder: Ladder, share: Share, setting: Setting
+) -> Step | None:
+    """What is still explainable above the ladder's answer, taken up where unused blocks admit it."""
+    below, window = ladder.chosen, base.blocks.window
+    if len(below.unused[0]) != len(train):
+        return None
+    if below is ladder.linear:
+        footing = linear_footing(base, [train])
+    else:
+        final, unused = base.y_model[0].copy(), base.unused[0].copy()
+        final[:, i], unused[:, i] = below.simulate(train, window), below.unused[0]
+        if not np.all(np.isfinite(final)):
+            return None
+        footing = spliced([final], [unused], base.blocks)
+    rest = fit_remainder(base, [train], footing, i, limits=Limits.of(setting.effort), policy=setting.policy,
+                         counts=list(ladder.counted), share=share)  # fmt: skip
+    if not rest.admitted:
+        return None
+    others = tuple(LinearAnswer(k, m.inputs, m.model, m.prior) for k, m in enumerate(base.outputs))
+    answer = RemainderAnswer(i, below.answer, others, rest)
+    return Step(Kind.REMAINDER, ("fading memory",), rest.unused, answer, below.size + MEMBER * len(rest.members),
+                sentences=(rest.why,), below=below, nature=share.nature)  # fmt: skip
+
+
+MEMBER = 20
+"""Parameters that a member of the remainder counts as in the noise floor: ridge regressions and networks are pulled to zero."""
 
 
 def _confirmed(train: Record, i: int, base: Baseline, bench: Bench, setting: Setting) -> bool:

@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.policy import Policy
-from estimators.diagnosis.result.answers import Answer
 from oed.data import Record
+
+if TYPE_CHECKING:
+    from estimators.diagnosis.result.answers import Answer
 
 __all__ = ["Gain", "Kind", "Ladder", "Rung", "Step", "climb", "paired_gain", "unused_error"]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from estimators.diagnosis.ladder import Gain
+from estimators.diagnosis.ladder.steps import Gain
 from estimators.diagnosis.remainder.members import Networks, Scale
 from estimators.diagnosis.remainder.mixture import Remainder
 from estimators.diagnosis.remainder.network import Network, Sizes

@@ -12,11 +12,21 @@ from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.discovery import DiscoveredModel
 from estimators.diagnosis.effects import CATALOGUE, Clock, Effect, named
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.remainder.mixture import Remainder
+from estimators.diagnosis.remainder.storage import from_json, to_json
 from estimators.diagnosis.search.free_runs import Start, on_record
 from oed.data import Record
 from oed.errors import InputError
 
-__all__ = ["Answer", "DiscoveredAnswer", "LinearAnswer", "NamedAnswer", "early", "read_answer"]
+__all__ = [
+    "Answer",
+    "DiscoveredAnswer",
+    "LinearAnswer",
+    "NamedAnswer",
+    "RemainderAnswer",
+    "early",
+    "read_answer",
+]
 
 Array = NDArray[Any]
 
@@ -124,6 +134,33 @@ class DiscoveredAnswer:
         return {"kind": "discovered", "output": self.output, "model": self.model.to_json()}
 
 
+@dataclass(frozen=True, eq=False)
+class RemainderAnswer:
+    """An earlier answer and the remainder on top of it; `others` are the linear answers of all outputs, which it may read."""
+
+    output: int
+    below: Answer
+    others: tuple[LinearAnswer, ...]
+    rest: Remainder
+
+    def simulate(self, record: Record, window: int) -> Array:
+        """(N,) free run; that of the answer below where the remainder's is not finite."""
+        own = self.below.simulate(record, window)
+        earlier = np.stack(
+            [own if a.output == self.output else a.simulate(record, window) for a in self.others], axis=1
+        )
+        if not np.all(np.isfinite(earlier)):
+            return own
+        run = self.rest.simulate(record, earlier)
+        return run if np.all(np.isfinite(run)) else own
+
+    def to_dict(self) -> dict[str, Any]:
+        """The answers that it stands on, and itself."""
+        others = [a.to_dict() for a in self.others]
+        return {"kind": "remainder", "output": self.output, "below": self.below.to_dict(), "others": others,
+                "rest": to_json(self.rest)}  # fmt: skip
+
+
 def _named(data: dict[str, Any], effects: tuple[Effect, ...]) -> NamedAnswer:
     form = data["structure"]
     parts = tuple(
@@ -146,6 +183,11 @@ def read_answer(data: dict[str, Any], effects: tuple[Effect, ...] = CATALOGUE) -
         return _named(data, effects)
     if data["kind"] == "discovered":
         return DiscoveredAnswer(data["output"], DiscoveredModel.from_json(data["model"]))
+    if data["kind"] == "remainder":
+        others = tuple(a for d in data["others"] if isinstance(a := read_answer(d), LinearAnswer))
+        return RemainderAnswer(
+            data["output"], read_answer(data["below"], effects), others, from_json(data["rest"])
+        )
     raise InputError(
-        f"the model of an output is of the kind {data['kind']!r}; known are linear, named and discovered."
+        f"the model of an output is of the kind {data['kind']!r}; known are linear, named, discovered and remainder."
     )
