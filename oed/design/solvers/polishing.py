@@ -186,7 +186,10 @@ def polish(
         pass
     if best is None:
         return None
-    return _outcome(problem, conditions, best, X, residual)
+    try:
+        return _outcome(problem, conditions, best, X, residual)
+    except np.linalg.LinAlgError:  # the lines that Newton's method ended with leave the information singular
+        return None
 
 
 def _outcome(
