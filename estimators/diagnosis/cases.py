@@ -42,25 +42,7 @@ META = keyed(
 
 
 def setting_of_meta(meta: dict[str, Any], n_outputs: int) -> Setting:
-    """What a meta.json says: structure, order, deviations.
-
-    Parameters
-    ----------
-    meta : dict
-        Its content.
-    n_outputs : int
-        Outputs of the record.
-
-    Returns
-    -------
-    Setting
-        For `diagnose`.
-
-    Raises
-    ------
-    InputError
-        If a field has a value that the suite does not know.
-    """
+    """What a meta.json says: structure, order, deviations."""
     structure = meta.get("structure", "full")
     if structure not in ("SISO", "diagonal", "full"):
         raise InputError(f"the structure in meta.json is {structure!r}; it is SISO, diagonal or full.")
@@ -86,14 +68,11 @@ def setting_of_meta(meta: dict[str, Any], n_outputs: int) -> Setting:
 
 @dataclass(frozen=True)
 class Columns:
-    """Which columns of the files are the inputs and outputs (names, separated by commas), and the sampling time in seconds.
+    """Which columns of the files are the inputs and outputs (names, separated by commas), and the sampling
+    time in seconds.
 
-    Attributes
-    ----------
-    inputs, outputs : str or None
-        Names; by default the columns that begin with u and y.
-    dt : float or None
-        By default from the column t or t_s.
+    `inputs, outputs` names; by default the columns that begin with u and y; `dt` by default from the column t
+    or t_s.
     """
 
     inputs: str | None = None
@@ -111,33 +90,7 @@ def diagnose_files(
     setting: Setting | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Diagnosis, list[str]]:
-    """Diagnose records in files.
-
-    Parameters
-    ----------
-    train, test : path
-        Records; `FILE[a:b]` takes rows a to b-1.
-    meta : path, optional
-        A meta.json: what is known of the structure and the signals.
-    skip : int
-        Test samples that may set the initial state.
-    columns : Columns, optional
-        Names of the columns, and the sampling time.
-    setting : Setting, optional
-        Orders, false-alarm rate and effort that the user wants.
-    progress : callable, optional
-        Told the name of each stage as it begins.
-
-    Returns
-    -------
-    tuple
-        The diagnosis, and notes on what was assumed.
-
-    Raises
-    ------
-    InputError
-        If the files or options cannot be used.
-    """
+    """Diagnose records in files."""
     from oed.files import read_record
 
     columns, wanted = columns or Columns(), setting or Setting()

@@ -49,27 +49,12 @@ class Policy:
 class Setting:
     """What the user knows and wants.
 
-    Attributes
-    ----------
-    orders : tuple of int
-        Suggested order per output; empty to choose.
-    structure : str
-        "SISO", "diagonal" or "full".
-    deviations : bool or None
-        True: signals are deviations from the operating point, where every record starts at rest. False: as logged.
-        None: the data decide.
-    skip : int
-        Test samples that may set the initial state and are left out of the error.
-    alpha : float
-        False-alarm rate over all tests together.
-    separate : bool
-        Whether the two records are on separate clocks.
-    effort : Effort
-        How much work it may be.
-    policy : Policy
-        Thresholds of the claims.
-    effects : tuple of Effect
-        What is looked for: the catalogue, and effects of one's own.
+    `orders` suggested order per output; empty to choose; `structure` "SISO", "diagonal" or "full";
+    `deviations` true: signals are deviations from the operating point, where every record starts at rest.
+    False: as logged. None: the data decide; `skip` test samples that may set the initial state and are left
+    out of the error; `alpha` false-alarm rate over all tests together; `separate` whether the two records are
+    on separate clocks; `effort` how much work it may be; `policy` thresholds of the claims; `effects` what is
+    looked for: the catalogue, and effects of one's own.
     """
 
     orders: tuple[int, ...] = ()

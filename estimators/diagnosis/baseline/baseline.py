@@ -24,19 +24,12 @@ REACH = 400
 class Options:
     """What the caller knows and wants of the linear model.
 
-    Attributes
-    ----------
-    deviations : bool or None
-        True: signals are deviations from a rest in which every record starts, so that there is no offset; else one is
-        fitted, and the data tell where a record starts.
-    diagonal : bool
-        Whether input i drives output i alone.
-    window : int
-        Samples that set the state of a free run and do not count; 20 is what the published benchmarks allow least.
-    blocks : int
-        Blocks of the cross-validation: each fit sees four fifths of the data, as a final fit nearly does.
-    guard : int
-        Samples beside a held-out block that no fit uses: above the largest order.
+    `deviations` true: signals are deviations from a rest in which every record starts, so that there is no
+    offset; else one is fitted, and the data tell where a record starts; `diagonal` whether input i drives
+    output i alone; `window` samples that set the state of a free run and do not count; 20 is what the
+    published benchmarks allow least; `blocks` blocks of the cross-validation: each fit sees four fifths of
+    the data, as a final fit nearly does; `guard` samples beside a held-out block that no fit uses: above the
+    largest order.
     """
 
     deviations: bool | None = None
@@ -50,16 +43,8 @@ class Options:
 class Pole:
     """A pole, or a pair of conjugate ones.
 
-    Attributes
-    ----------
-    frequency_hz : float
-        0 for a real pole.
-    damping : float
-        Ratio, 1 for a real stable pole.
-    time_constant : float
-        In seconds.
-    radius : float
-        Magnitude in the z plane.
+    `frequency_hz` 0 for a real pole; `damping` ratio, 1 for a real stable pole; `time_constant` in seconds;
+    `radius` magnitude in the z plane.
     """
 
     frequency_hz: float
@@ -72,30 +57,12 @@ class Pole:
 class OutputModel:
     """The linear model of one output and why it was taken.
 
-    Attributes
-    ----------
-    inputs : tuple of int
-        Which inputs drive it; the numerator has a row for each.
-    kind, orders : str
-        Structure ("ARX", "OE", ...) and its orders in words.
-    delays : tuple of int
-        Samples of delay of each input.
-    model : LinearModel
-        Fitted to all blocks.
-    prior : Prior
-        How its state is set.
-    noise : ndarray
-        AR coefficients (leading 1) of measured minus simulated output: its one-step noise model.
-    noise_std : float
-        Standard deviation of that model's innovations.
-    why : tuple of str
-        Sentences.
-    folds : tuple of LinearModel
-        Fitted without each block, in the order of the blocks.
-    tones : tuple of float
-        Frequencies in Hz of disturbances that were set aside before the order was chosen.
-    warnings : tuple of str
-        Where its free run is not to be trusted.
+    `inputs` which inputs drive it; the numerator has a row for each; `kind, orders` structure ("ARX", "OE",
+    ...) and its orders in words; `delays` samples of delay of each input; `model` fitted to all blocks;
+    `prior` how its state is set; `noise` AR coefficients (leading 1) of measured minus simulated output: its
+    one-step noise model; `noise_std` standard deviation of that model's innovations; `why` sentences; `folds`
+    fitted without each block, in the order of the blocks; `tones` frequencies in Hz of disturbances that were
+    set aside before the order was chosen; `warnings` where its free run is not to be trusted.
     """
 
     inputs: tuple[int, ...]
@@ -112,18 +79,7 @@ class OutputModel:
     warnings: tuple[str, ...] = ()
 
     def ill_posed(self, blocks: Blocks) -> bool:
-        """Whether a pole remembers the initial state for longer than the records are.
-
-        Parameters
-        ----------
-        blocks : Blocks
-            Of the training records.
-
-        Returns
-        -------
-        bool
-            Then a window of samples cannot set the state well enough.
-        """
+        """Whether a pole remembers the initial state for longer than the records are."""
         return 1.0 - self.model.radius < 1.0 / max(blocks.lengths)
 
 
@@ -131,20 +87,10 @@ class OutputModel:
 class Baseline:
     """The best linear model of some training records, by blocked cross-validation of its free run.
 
-    Attributes
-    ----------
-    outputs : tuple of OutputModel
-        One model per output.
-    blocks : Blocks
-        Which samples count, and the blocks that all later stages use.
-    y_model : tuple of ndarray
-        Per record (N, ny): free run of the final model.
-    unused : tuple of ndarray
-        Per record (N, ny): free run of every block by a model fitted to the others.
-    rmse_unused, rmse_unused_se : ndarray
-        (ny,) error of `unused` on the samples that count, and its standard error over parts of blocks.
-    dt : float
-        Sampling time.
+    `outputs` one model per output; `blocks` which samples count, and the blocks that all later stages use;
+    `y_model` per record (N, ny): free run of the final model; `unused` per record (N, ny): free run of every
+    block by a model fitted to the others; `rmse_unused, rmse_unused_se` (ny,) error of `unused` on the
+    samples that count, and its standard error over parts of blocks; `dt` sampling time.
     """
 
     outputs: tuple[OutputModel, ...]
@@ -176,18 +122,7 @@ class Baseline:
         return tuple(sentence for m in self.outputs for sentence in m.why)
 
     def poles(self, output: int = 0) -> tuple[Pole, ...]:
-        """Poles of one output's model, slowest first; a conjugate pair is one row.
-
-        Parameters
-        ----------
-        output : int
-            Which output, from 0.
-
-        Returns
-        -------
-        tuple of Pole
-            Delays, which are poles at 0, are left out.
-        """
+        """Poles of one output's model, slowest first; a conjugate pair is one row."""
         rows = []
         for z in self.outputs[output].model.poles:
             if z.imag < 0 or abs(z) < 1e-6:  # the other of a pair; a delay
@@ -206,17 +141,7 @@ class Baseline:
     def simulate(self, record: Record, window: int | None = None) -> Array:
         """Free run on a record.
 
-        Parameters
-        ----------
-        record : Record
-            Inputs, and outputs in the window.
-        window : int, optional
-            First samples that set the state; by default the blocks'.
-
-        Returns
-        -------
-        ndarray
-            (N, ny) simulated outputs.
+        Shapes: returns (N, ny).
         """
         w = self.blocks.window if window is None else window
         return np.stack(
@@ -228,35 +153,13 @@ class Baseline:
         )
 
     def opening(self, length: int) -> int:
-        """How many samples of a training record set its state.
-
-        Parameters
-        ----------
-        length : int
-            Samples of the record.
-
-        Returns
-        -------
-        int
-            The window; of an ill-posed free run as many as it needs, up to `REACH`.
-        """
+        """How many samples of a training record set its state."""
         return min(length, REACH) if self.ill_posed else self.blocks.window
 
     def k_step(self, record: Record, k: int) -> Array:
         """Every sample from outputs up to k samples earlier.
 
-        Parameters
-        ----------
-        record : Record
-            Inputs and outputs.
-        k : int
-            Samples ahead.
-
-        Returns
-        -------
-        ndarray
-            (N, ny); NaN before the first. Each prediction starts anew from a window and serves for the next k samples,
-            so that those of one start are 1 to k samples ahead.
+        Shapes: returns (N, ny).
         """
         out = np.full(record.y.shape, np.nan)
         for i, m in enumerate(self.outputs):

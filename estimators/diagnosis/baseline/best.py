@@ -34,24 +34,8 @@ LAGS = 64
 
 
 def best_linear(records: Sequence[Record], options: Options | None = None) -> Baseline:
-    """The linear model of each output with the least free-run error on unused blocks, and the simplest within its error.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Training records of one system; NaN outputs do not count.
-    options : Options, optional
-        What is known and wanted.
-
-    Returns
-    -------
-    Baseline
-        Models, their free runs, their errors on blocks that they did not see.
-
-    Raises
-    ------
-    InputError
-        If there is no record, or no stable model of an output.
+    """The linear model of each output with the least free-run error on unused blocks, and the simplest within
+    its error.
     """
     options = Options() if options is None else options
     if not records:

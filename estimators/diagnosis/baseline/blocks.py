@@ -18,12 +18,7 @@ __all__ = ["Block", "Blocks", "blocks_of"]
 class Block:
     """Consecutive samples of one record.
 
-    Attributes
-    ----------
-    record : int
-        Which record.
-    start, stop : int
-        First sample, and the one after the last.
+    `record` which record; `start, stop` first sample, and the one after the last.
     """
 
     record: int
@@ -38,20 +33,15 @@ class Block:
 
 @dataclass(frozen=True)
 class Blocks:
-    """A partition of the records into consecutive blocks, each to be simulated by a model fitted to the others.
+    """A partition of the records into consecutive blocks, each to be simulated by a model fitted to the
+    others.
 
-    A free run begins where the record begins and runs through to the block, with the parameters of the other blocks.
+    A free run begins where the record begins and runs through to the block, with the parameters of the other
+    blocks.
 
-    Attributes
-    ----------
-    lengths : tuple of int
-        Samples of each record.
-    window : int
-        First samples of a record: they set the state of its free run and do not count.
-    guard : int
-        Samples on both sides of a held-out block that no fit may use, as they are correlated with it.
-    blocks : tuple of Block
-        In the order of the records and of time; together they are all samples.
+    `lengths` samples of each record; `window` first samples of a record: they set the state of its free run
+    and do not count; `guard` samples on both sides of a held-out block that no fit may use, as they are
+    correlated with it; `blocks` in the order of the records and of time; together they are all samples.
     """
 
     lengths: tuple[int, ...]
@@ -60,53 +50,20 @@ class Blocks:
     blocks: tuple[Block, ...]
 
     def training(self, held_out: Block) -> list[NDArray[np.bool_]]:
-        """The samples that a fit may use while a block is held out.
-
-        Parameters
-        ----------
-        held_out : Block
-            One of the blocks.
-
-        Returns
-        -------
-        list of ndarray
-            Per record (N,) of bool: outside the block and its guard.
-        """
+        """The samples that a fit may use while a block is held out."""
         rows = [np.ones(n, dtype=bool) for n in self.lengths]
         rows[held_out.record][max(0, held_out.start - self.guard) : held_out.stop + self.guard] = False
         return rows
 
     def counting(self, records: Sequence[Record]) -> list[NDArray[np.bool_]]:
-        """The samples that count in an error.
-
-        Parameters
-        ----------
-        records : sequence of Record
-            The records of these blocks.
-
-        Returns
-        -------
-        list of ndarray
-            Per record (N, ny) of bool: measured, and after the record's window.
-        """
+        """The samples that count in an error."""
         out = [np.isfinite(record.y) for record in records]
         for counts in out:
             counts[: self.window] = False
         return out
 
     def batches(self, each: int) -> list[Block]:
-        """The units of standard errors.
-
-        Parameters
-        ----------
-        each : int
-            Parts of every block.
-
-        Returns
-        -------
-        list of Block
-            The counting samples of every block, cut into so many parts.
-        """
+        """The units of standard errors."""
         out = []
         for b in self.blocks:
             edges = np.linspace(max(b.start, self.window), b.stop, each + 1).astype(int)
@@ -115,24 +72,7 @@ class Blocks:
 
 
 def blocks_of(records: Sequence[Record], count: int, window: int, guard: int) -> Blocks:
-    """About `count` blocks of equal length over all records, at least one a record and two in all.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        The records.
-    count : int
-        Blocks wanted.
-    window : int
-        Samples that set a record's state.
-    guard : int
-        Samples beside a held-out block that no fit uses.
-
-    Returns
-    -------
-    Blocks
-        Window and guard are cut to a quarter and a half of the shortest block.
-    """
+    """About `count` blocks of equal length over all records, at least one a record and two in all."""
     lengths = tuple(len(record) for record in records)
     size = sum(lengths) / max(count, 2)
     blocks = []

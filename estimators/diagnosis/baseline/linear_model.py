@@ -37,20 +37,11 @@ def rest_level(u: Array, y: Array, variance: float) -> float:
 class Prior:
     """What is known of the output before a record begins, and how far its samples are off the simulation.
 
-    Attributes
-    ----------
-    mean : float
-        Of the output.
-    covariance : ndarray
-        (m,) autocovariance of the output at lags 0 to m - 1, m above the order of every model.
-    noise : float
-        Variance of measured minus simulated output, sample by sample.
-    rest : bool
-        Whether signals are deviations from a rest in which every record starts.
-    level : float
-        Output at which the training records rested under the inputs `held` before they were excited; NaN if they did not.
-    held : ndarray
-        (nu,) those inputs.
+    `mean` of the output; `covariance` (m,) autocovariance of the output at lags 0 to m - 1, m above the order
+    of every model; `noise` variance of measured minus simulated output, sample by sample; `rest` whether
+    signals are deviations from a rest in which every record starts; `level` output at which the training
+    records rested under the inputs `held` before they were excited; NaN if they did not; `held` (nu,) those
+    inputs.
     """
 
     mean: float
@@ -65,14 +56,8 @@ class Prior:
 class LinearModel:
     """y(k) + a1 y(k-1) + ... = sum_j b_j0 u_j(k) + b_j1 u_j(k-1) + ... + c.
 
-    Attributes
-    ----------
-    den : ndarray
-        (n + 1,) denominator, its first coefficient 1.
-    num : ndarray
-        (nu, m) numerators by lag from 0; delays are leading zeros.
-    constant : float
-        c, the drive of a constant level.
+    `den` (n + 1,) denominator, its first coefficient 1; `num` (nu, m) numerators by lag from 0; delays are
+    leading zeros; `constant` c, the drive of a constant level.
     """
 
     den: Array

@@ -29,18 +29,9 @@ STILL = 1e-4
 class OutputError:
     """Fits of one form to one output of some records.
 
-    Attributes
-    ----------
-    records : sequence of Record
-        The data, inputs of this output only.
-    output : int
-        Which output.
-    form : Arx
-        Orders: of A, of B, delays, offset.
-    prior : Prior
-        Of the outputs before each record.
-    whitener : ndarray
-        D: the loss is the sum of squares of D times the simulation error (1 for plain output error).
+    `records` the data, inputs of this output only; `output` which output; `form` orders: of A, of B, delays,
+    offset; `prior` of the outputs before each record; `whitener` D: the loss is the sum of squares of D times
+    the simulation error (1 for plain output error).
     """
 
     records: Sequence[Record]

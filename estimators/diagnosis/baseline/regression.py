@@ -48,20 +48,12 @@ class Arx:
 
 @dataclass(frozen=True, eq=False)
 class Lagged:
-    """Factors of all regressors: lags 1 to `na` of the output, `lags` of each input from its first on, a constant.
+    """Factors of all regressors: lags 1 to `na` of the output, `lags` of each input from its first on, a
+    constant.
 
-    Attributes
-    ----------
-    na : int
-        Output lags.
-    first : tuple of int
-        First lag of each input.
-    lags : int
-        Lags per input.
-    factors : list of ndarray
-        For each block, a triangular factor of the rows of all *other* blocks; the last is of all rows.
-    scale : ndarray
-        Sizes of the columns, in which the factors are expressed.
+    `na` output lags; `first` first lag of each input; `lags` lags per input; `factors` for each block, a
+    triangular factor of the rows of all *other* blocks; the last is of all rows; `scale` sizes of the
+    columns, in which the factors are expressed.
     """
 
     na: int

@@ -36,22 +36,12 @@ BATCHES = 4  # parts of every block: the units of the standard error of a differ
 class Discovery:
     """What was found, or that nothing was.
 
-    Attributes
-    ----------
-    model : DiscoveredModel or None
-        None where no model with terms is better on unused blocks than the linear one by more than the error.
-    terms : tuple of FoundTerm
-        The strongest first.
-    equation, nature : str
-        In the user's units; of the strongest term.
-    unused : tuple of ndarray
-        Per record (N, ny): every block predicted by the same form fitted to the others.
-    rmse_unused : ndarray
-        (ny,) on the samples that count.
-    gain : float
-        By how many standard errors the blocks got better than the baseline's.
-    considered : tuple of (str, float)
-        The models that were compared and their errors on unused blocks over the baseline's, simplest first.
+    `model` none where no model with terms is better on unused blocks than the linear one by more than the
+    error; `terms` the strongest first; `equation, nature` in the user's units; of the strongest term;
+    `unused` per record (N, ny): every block predicted by the same form fitted to the others; `rmse_unused`
+    (ny,) on the samples that count; `gain` by how many standard errors the blocks got better than the
+    baseline's; `considered` the models that were compared and their errors on unused blocks over the
+    baseline's, simplest first.
     """
 
     model: DiscoveredModel | None
@@ -70,22 +60,7 @@ class Discovery:
 
 
 def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget = "normal") -> Discovery:
-    """Terms that the linear model lacks, as an equation; nothing where unused blocks do not vouch for it.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Training records.
-    baseline : Baseline
-        The best linear model of the same records; its blocks are used.
-    budget : str or Budget
-        "quick", "normal" or "thorough": bounds the work.
-
-    Returns
-    -------
-    Discovery
-        With its model, equation, nature and predictions of unused blocks.
-    """
+    """Terms that the linear model lacks, as an equation; nothing where unused blocks do not vouch for it."""
     budget = BUDGETS[budget] if isinstance(budget, str) else budget
     delays = (
         np.max([m.delays for m in baseline.outputs], axis=0)

@@ -22,27 +22,11 @@ Array = NDArray[Any]
 def exact_columns(s: Structure, p: Array, u: Array, clock: Clock) -> Iterator[tuple[int, Array]]:
     """Derivatives of the simulated output that need no finite difference.
 
-    In layout "tf", y = sum B_j/F u_j gives dy/db_ji = z^-(1+delay+i) u_j/F and dy/df_i = -z^-i y/F; in a physical
-    layout y = C x gives dy/dC_i = x_i. Static curves at the output multiply by their slope.
+    In layout "tf", y = sum B_j/F u_j gives dy/db_ji = z^-(1+delay+i) u_j/F and dy/df_i = -z^-i y/F; in a
+    physical layout y = C x gives dy/dC_i = x_i. Static curves at the output multiply by their slope.
 
-    Parameters
-    ----------
-    s : Structure
-        The model's form.
-    p : ndarray
-        (s.size,) admissible parameters.
-    u : ndarray
-        (N, nu) inputs.
-    clock : Clock
-        Sample numbers.
+    Shapes: p (s.size,), u (N, nu).
 
-    Yields
-    ------
-    tuple
-        Index of the parameter, and its (N,) derivative. Nothing where an effect with memory acts on the output.
-
-    Notes
-    -----
     The finite differences of the fit are the twin that the tests compare with.
     """
     curved = [q for q in s.parts if q.effect.slot is Slot.OUTPUT]

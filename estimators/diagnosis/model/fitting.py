@@ -25,18 +25,8 @@ Array = NDArray[Any]
 class Channel:
     """One measured output with the inputs that may act on it.
 
-    Attributes
-    ----------
-    u : ndarray
-        (N, nu) inputs.
-    y : ndarray
-        (N,) output.
-    clock : Clock
-        Sample numbers.
-    keep : ndarray
-        (N,) True where the sample counts: not held, not an outlier.
-    step : float
-        Quantisation step, 0 where the output is not coarsely rounded.
+    `u` (N, nu) inputs; `y` (N,) output; `clock` sample numbers; `keep` (N,) True where the sample counts: not
+    held, not an outlier; `step` quantisation step, 0 where the output is not coarsely rounded.
     """
 
     u: Array
@@ -53,26 +43,11 @@ class Channel:
 class Fit:
     """A fitted structure.
 
-    Attributes
-    ----------
-    structure : Structure
-        Its form.
-    p : ndarray
-        Parameters.
-    noise : ndarray
-        AR coefficients of the noise, empty for white noise.
-    variance : float
-        Innovation variance.
-    deviance : float
-        n log(variance): minus twice the log-likelihood, up to a constant.
-    residual : ndarray
-        (N,) simulation error, 0 where a sample does not count.
-    n : int
-        Samples that count.
-    jacobian : ndarray
-        (N, size) derivatives of the residual at the solution.
-    scales : ndarray
-        (size,) typical sizes of the parameters.
+    `structure` its form; `p` parameters; `noise` AR coefficients of the noise, empty for white noise;
+    `variance` innovation variance; `deviance` n log(variance): minus twice the log-likelihood, up to a
+    constant; `residual` (N,) simulation error, 0 where a sample does not count; `n` samples that count;
+    `jacobian` (N, size) derivatives of the residual at the solution; `scales` (size,) typical sizes of the
+    parameters.
     """
 
     structure: Structure
@@ -103,38 +78,12 @@ def _innovation(r: Array, noise: Array) -> Array:
 
 
 def innovations(r: Array, noise: Array) -> Array:
-    """One-step-ahead errors A(q) r of a simulation error r.
-
-    Parameters
-    ----------
-    r : ndarray
-        (N,) simulation errors.
-    noise : ndarray
-        AR coefficients without the leading one.
-
-    Returns
-    -------
-    ndarray
-        (N,) one-step errors.
-    """
+    """One-step-ahead errors A(q) r of a simulation error r."""
     return _innovation(r, noise)
 
 
 def ar_model(r: Array, largest: int = 12) -> tuple[Array, float]:
-    """AR model of a residual by least squares, its order by Schwarz's criterion (0 is white).
-
-    Parameters
-    ----------
-    r : ndarray
-        (N,) residual.
-    largest : int
-        Highest order tried.
-
-    Returns
-    -------
-    tuple
-        Coefficients without the leading one, and n log(variance) of the choice without penalty.
-    """
+    """AR model of a residual by least squares, its order by Schwarz's criterion (0 is white)."""
     n = len(r)
     largest = int(min(largest, n // 20))
     best, best_value, best_deviance = np.zeros(0), np.inf, np.inf
@@ -173,30 +122,7 @@ def levenberg_marquardt(
     steps: Array | None = None,
     exact: Callable[[Array], Iterable[tuple[int, Array]]] | None = None,
 ) -> tuple[Array, float, Array]:
-    """Minimise the sum of squares of a residual by damped Gauss-Newton steps.
-
-    Parameters
-    ----------
-    residual : callable
-        p -> (N,) or None where p is not admissible.
-    p : ndarray
-        Start.
-    scales : ndarray
-        Typical sizes of the parameters.
-    iterations : int
-        Most Jacobians taken.
-    tolerance : float
-        Relative decrease below which to stop (twice in a row).
-    steps : ndarray, optional
-        Finite-difference steps; by default 1e-6 of the scales. A parameter with step 0 stays where it starts.
-    exact : callable, optional
-        p -> columns of the Jacobian that need no difference, each with its index.
-
-    Returns
-    -------
-    tuple
-        Parameters, sum of squares, Jacobian of the residual.
-    """
+    """Minimise the sum of squares of a residual by damped Gauss-Newton steps."""
     p = np.array(p, dtype=float)
     r = residual(p)
     if r is None or not np.all(np.isfinite(r)):
@@ -307,28 +233,7 @@ def fit(
     iterations: int = 30,
     colour: bool = True,
 ) -> Fit:
-    """Fit a structure to a channel from a start.
-
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    structure : Structure
-        Form.
-    p, scales : ndarray
-        Start and typical sizes.
-    noise : ndarray, optional
-        AR coefficients by which the simulation error is whitened.
-    iterations : int
-        Most Gauss-Newton steps.
-    colour : bool
-        Whether the noise model is chosen again from the residual at the end.
-
-    Returns
-    -------
-    Fit
-        The fit; its deviance is infinite where no admissible point was found.
-    """
+    """Fit a structure to a channel from a start."""
     shape = np.zeros(0) if noise is None else noise
     noise = shape
     keep = channel.keep

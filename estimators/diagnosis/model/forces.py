@@ -26,12 +26,8 @@ Array = NDArray[Any]
 class ForceBalance:
     """gain u = mass q'' + viscous q' + coulomb sign(q') + offset, each coefficient with its standard error.
 
-    Attributes
-    ----------
-    mass, viscous, coulomb, offset : tuple of float
-        Value and standard error, in units of gain times input per unit of the derivative of the output.
-    share : float
-        Share of the force's variance that the balance explains.
+    `mass, viscous, coulomb, offset` value and standard error, in units of gain times input per unit of the
+    derivative of the output; `share` share of the force's variance that the balance explains.
     """
 
     mass: tuple[float, float]
@@ -44,29 +40,8 @@ class ForceBalance:
 def force_balance(record: Record, *, gain: float = 1.0, cutoff: float | None = None) -> ForceBalance:
     """Inverse dynamics of one degree of freedom by least squares on filtered derivatives of the position.
 
-    Parameters
-    ----------
-    record : Record
-        Force (or what commands it) and position, one of each.
-    gain : float
-        Force per unit of the input.
-    cutoff : float, optional
-        Corner of the position's filter in hertz; by default a tenth of the sampling rate.
-
-    Returns
-    -------
-    ForceBalance
-        Coefficients; standard errors from the residual and its correlation time.
-
-    Raises
-    ------
-    InputError
-        If the record is too short or has more than one input or output.
-
-    Notes
-    -----
-    Both sides pass the same low-pass filter without delay, so that differentiation amplifies no noise. Valid in
-    closed loop as long as the force is known: the input is the regressand.
+    Both sides pass the same low-pass filter without delay, so that differentiation amplifies no noise. Valid
+    in closed loop as long as the force is known: the input is the regressand.
     """
     if record.n_inputs != 1 or record.n_outputs != 1:
         raise InputError(
@@ -98,22 +73,6 @@ def force_balance(record: Record, *, gain: float = 1.0, cutoff: float | None = N
 def balanced_fit(channel: Channel, dt: float, balance: ForceBalance) -> Fit | None:
     """Integrator with dry friction, its simulation error minimised from the force balance's parameters.
 
-    Parameters
-    ----------
-    channel : Channel
-        Data; the motion starts at rest near zero, where the first sample shows it.
-    dt : float
-        Sampling time in seconds.
-    balance : ForceBalance
-        Balance in units of the input (gain 1).
-
-    Returns
-    -------
-    Fit or None
-        None where the balance makes no physical sense.
-
-    Notes
-    -----
     The simulation error over a long run has corners (the axis sticks a sample earlier or later), so that
     Gauss-Newton is followed by a simplex search. The start is the measured one: left free, it would take up
     part of the drift, which no new record repeats.
@@ -154,15 +113,7 @@ def balanced_fit(channel: Channel, dt: float, balance: ForceBalance) -> Fit | No
 def effective_samples(r: Array) -> float:
     """Number of independent samples in a correlated residual, n over its integrated correlation time.
 
-    Parameters
-    ----------
-    r : ndarray
-        (N,) residual.
-
-    Returns
-    -------
-    float
-        Between 8 and N.
+    Shapes: r (N,).
     """
     n = len(r)
     e = r - np.mean(r)
@@ -175,22 +126,7 @@ def effective_samples(r: Array) -> float:
 
 
 def follows_output(channel: Channel, memory: int = 30, lags: int = 5) -> float:
-    """Share of the input's own innovation that past outputs explain: large only where a loop is closed.
-
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    memory : int
-        Past inputs that predict first.
-    lags : int
-        Past outputs.
-
-    Returns
-    -------
-    float
-        Between 0 and 1.
-    """
+    """Share of the input's own innovation that past outputs explain: large only where a loop is closed."""
     u, y = channel.u[:, 0], channel.y
     n = len(u)
     own = [np.concatenate((np.zeros(i), u[: n - i])) for i in range(1, memory + 1)] + [np.ones(n)]

@@ -17,28 +17,10 @@ Array = NDArray[Any]
 def between_samples(U: Array, b: Array, f: Array, delay: int, by: int) -> Array | None:
     """Values of B/F u at `by` equal steps per sample, exact for an input that is held over each interval.
 
-    Parameters
-    ----------
-    U : ndarray
-        (N, nu) inputs.
-    b : ndarray
-        (nu, taps) numerators.
-    f : ndarray
-        (n,) common denominator after the leading 1, stable.
-    delay : int
-        Whole samples of delay beyond the first.
-    by : int
-        Values per sample.
+    Shapes: U (N, nu), b (nu, taps), f (n,), returns (N, by).
 
-    Returns
-    -------
-    ndarray or None
-        (N, by), the first column at the samples. None where no continuous-time system has this sampled model
-        (a pole that is zero or negative, more taps than poles) or where its modes are too close to part.
-
-    Notes
-    -----
-    With x(k+1) = A x(k) + e u(k) in companion form, x(k+s) = A^s x(k) + (A^s - I)(A - I)^-1 e u(k), 0 <= s < 1.
+    With x(k+1) = A x(k) + e u(k) in companion form, x(k+s) = A^s x(k) + (A^s - I)(A - I)^-1 e u(k), 0 <= s <
+    1.
     """
     n, taps = len(f), b.shape[1]
     if taps > n or n == 0:

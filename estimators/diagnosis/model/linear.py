@@ -22,20 +22,7 @@ Array = NDArray[Any]
 
 
 def plant_scales(s: Structure, p: Array) -> Array:
-    """Typical sizes of the linear part's parameters, for finite differences.
-
-    Parameters
-    ----------
-    s : Structure
-        The structure.
-    p : ndarray
-        Parameters.
-
-    Returns
-    -------
-    ndarray
-        One size per parameter.
-    """
+    """Typical sizes of the linear part's parameters, for finite differences."""
     scale = np.ones(s.plant_size)
     head = s.order if s.layout == "tf" else LAYOUTS[s.layout][1]
     b = np.abs(p[head : s.plant_size])
@@ -66,23 +53,7 @@ def _regression(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) 
 def prefiltered_error(y: Array, U: Array, den: Array, s: Structure, rows: NDArray[np.bool_]) -> float:
     """Sum of squares of one Steiglitz-McBride step: equation error, prefiltered by a given denominator.
 
-    Parameters
-    ----------
-    y : ndarray
-        (N,) output.
-    U : ndarray
-        (N, nu) inputs.
-    den : ndarray
-        Denominator with its leading 1.
-    s : Structure
-        Order, taps and delay.
-    rows : ndarray of bool
-        (N,) samples that count.
-
-    Returns
-    -------
-    float
-        The smallest sum of squares.
+    Shapes: y (N,), U (N, nu), rows (N,).
     """
     v = np.asarray(lfilter([1.0], den, y))
     W = np.asarray(lfilter([1.0], den, U, axis=0))
@@ -104,23 +75,7 @@ def _reflected(f: Array) -> Array:
 def numerators(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Array) -> Array:
     """Numerators by least squares for a given denominator.
 
-    Parameters
-    ----------
-    y : ndarray
-        (N,) output.
-    U : ndarray
-        (N, nu) inputs.
-    f : ndarray
-        Denominator coefficients after the leading 1.
-    taps, delay : int
-        Coefficients per input, and samples of delay beyond the first.
-    keep : ndarray of bool
-        (N,) samples that count.
-
-    Returns
-    -------
-    ndarray
-        (nu * taps,).
+    Shapes: y (N,), U (N, nu), keep (N,), returns (nu * taps,).
     """
     X = _lagged(y, np.asarray(lfilter([1.0], np.concatenate(([1.0], f)), U, axis=0)), 0, taps, delay)
     return np.linalg.lstsq(X[keep], y[keep], rcond=None)[0]
@@ -182,26 +137,7 @@ def fit_linear(
     extra: list[Array] | None = None,
     rough: bool = False,
 ) -> Fit:
-    """Output-error fit of the linear model from several starts.
-
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    s : Structure
-        Linear structure in layout "tf", perhaps with an offset and an initial state.
-    noise : ndarray, optional
-        AR coefficients for whitening.
-    extra : list of ndarray, optional
-        Further denominators to start from.
-    rough : bool
-        For comparing errors by a quarter only: a few steps from the best start, and no noise model.
-
-    Returns
-    -------
-    Fit
-        The best of the fits.
-    """
+    """Output-error fit of the linear model from several starts."""
     y, U = channel.y, channel.u[:, list(s.inputs)]
     level, means = 0.0, np.zeros(U.shape[1])
     if any(p.effect is OFFSET for p in s.parts):  # both about their means: a start knows of no level
@@ -246,20 +182,7 @@ def _rates(f: Array) -> tuple[list[float], list[tuple[float, float]]]:
 
 
 def layout_starts(channel: Channel, base: Fit) -> list[tuple[Structure, Array, Array]]:
-    """The linear fit in each physical layout of its order, output map by least squares.
-
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    base : Fit
-        The linear fit in layout "tf".
-
-    Returns
-    -------
-    list of tuple
-        Structure, parameters and scales of each layout.
-    """
+    """The linear fit in each physical layout of its order, output map by least squares."""
     s = base.structure
     real, pairs = _rates(base.p[: s.order])
     options: list[tuple[str, list[float]]] = []

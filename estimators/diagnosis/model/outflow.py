@@ -18,20 +18,7 @@ Array = NDArray[Any]
 
 
 def tanks(channel: Channel, base: Fit) -> Fit | None:
-    """Fit two tanks with square-root outflow, without and with an overflow of the upper one.
-
-    Parameters
-    ----------
-    channel : Channel
-        Data: a level that is nowhere negative, filled by an input with positive mean.
-    base : Fit
-        Linear fit, whose time constants are the starts.
-
-    Returns
-    -------
-    Fit or None
-        The better of the fits, or None where the signals cannot be levels.
-    """
+    """Fit two tanks with square-root outflow, without and with an overflow of the upper one."""
     u, y = channel.u[:, base.structure.inputs[0]], channel.y
     mean = float(np.mean(y[channel.keep]))
     if base.structure.layout != "tf" or len(base.structure.inputs) != 1 or len(y) > 20000:

@@ -59,25 +59,7 @@ def plant_states(
 ) -> Array | None:
     """States of a physical layout with the effects inside it.
 
-    Parameters
-    ----------
-    s : Structure
-        The model's form, its layout neither "tf" nor "tanks".
-    p : ndarray
-        Its parameters.
-    U : ndarray
-        (N, inputs) what enters it.
-    clock : Clock
-        Sample numbers.
-    rest : bool
-        A second experiment: no initial state.
-    start : ndarray, optional
-        (s.order,) state at the start of a second experiment.
-
-    Returns
-    -------
-    ndarray or None
-        (N, s.order); None where they overflow.
+    Shapes: U (N, inputs), start (s.order,), returns (N, s.order).
     """
     n_rates = LAYOUTS[s.layout][1]
     parts = [(part, p[sl]) for part, sl in zip(s.parts, s.slices(), strict=True)]
@@ -126,23 +108,7 @@ def _within(at: float, n: int) -> bool:
 def acted(s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False) -> Array | None:
     """What enters the linear part: the inputs after the effects that act on them.
 
-    Parameters
-    ----------
-    s : Structure
-        The model's form.
-    p : ndarray
-        (s.size,) its parameters.
-    u : ndarray
-        (N, nu) all inputs of the record.
-    clock : Clock
-        Sample numbers.
-    rest : bool
-        A second experiment: changes may lie outside it.
-
-    Returns
-    -------
-    ndarray or None
-        (N, inputs of this output); None where the parameters are not admissible.
+    Shapes: p (s.size,), u (N, nu), returns (N, inputs of this output).
     """
     n = len(u)
     U = u[:, list(s.inputs)]  # a copy
@@ -167,25 +133,7 @@ def simulate(
 ) -> Array:
     """Output of a structure.
 
-    Parameters
-    ----------
-    s : Structure
-        The model's form.
-    p : ndarray
-        (s.size,) its parameters.
-    u : ndarray
-        (N, nu) all inputs of the record.
-    clock : Clock
-        Sample numbers on the common clock.
-    rest : bool
-        A second experiment: no initial state, and a disturbance that began earlier has settled.
-    start : ndarray, optional
-        (s.order,) state of a physical layout at the start of a second experiment.
-
-    Returns
-    -------
-    ndarray
-        (N,) simulated output; infinite where the parameters make no stable model.
+    Shapes: p (s.size,), u (N, nu), start (s.order,), returns (N,).
     """
     n = len(u)
     settle = 0
@@ -240,21 +188,10 @@ def _played(s: Structure, p: Array, U: Array, width: Array) -> Array | None:
 
 
 def free_responses(s: Structure, p: Array, n: int) -> Array:
-    """Responses to the parameters of an initial state, one column each, with the effects inside the plant left out.
+    """Responses to the parameters of an initial state, one column each, with the effects inside the plant
+    left out.
 
-    Parameters
-    ----------
-    s : Structure
-        The model's form.
-    p : ndarray
-        Its parameters.
-    n : int
-        Samples.
-
-    Returns
-    -------
-    ndarray
-        (n, s.order).
+    Shapes: returns (n, s.order).
     """
     if s.layout == "tf":
         impulse = np.zeros(n)

@@ -94,22 +94,10 @@ class Part:
 class Structure:
     """The linear part's order and layout, and the parts added to it.
 
-    Attributes
-    ----------
-    order : int
-        Order of the linear part.
-    inputs : tuple of int
-        Which inputs act on this output.
-    layout : str
-        "tf" or a key of LAYOUTS.
-    delay : int
-        Whole samples of delay beyond the first.
-    taps : int
-        Numerator coefficients per input.
-    parts : tuple of Part
-        Effects.
-    base : int
-        How many of the parts belong to the linear model itself (offset, initial state of real records).
+    `order` order of the linear part; `inputs` which inputs act on this output; `layout` "tf" or a key of
+    LAYOUTS; `delay` whole samples of delay beyond the first; `taps` numerator coefficients per input; `parts`
+    effects; `base` how many of the parts belong to the linear model itself (offset, initial state of real
+    records).
     """
 
     order: int
@@ -139,13 +127,7 @@ class Structure:
         return self.plant_size + sum(p.count(self.order) for p in self.parts)
 
     def slices(self) -> list[slice]:
-        """Where each part's parameters stand in the vector.
-
-        Returns
-        -------
-        list of slice
-            One per part.
-        """
+        """Where each part's parameters stand in the vector."""
         return self._slices
 
     @cached_property
@@ -157,20 +139,7 @@ class Structure:
         return out
 
     def keeping(self, wanted: Sequence[bool]) -> tuple[Structure, NDArray[np.int_]]:
-        """The structure with some of its parts only.
-
-        Parameters
-        ----------
-        wanted : sequence of bool
-            For every part, whether it stays.
-
-        Returns
-        -------
-        structure : Structure
-            With those parts.
-        places : ndarray of int
-            Where its parameters stand in the vector of this structure.
-        """
+        """The structure with some of its parts only."""
         parts = tuple(part for part, stays in zip(self.parts, wanted, strict=True) if stays)
         stays = np.ones(self.size, dtype=bool)
         for sl, kept in zip(self._slices, wanted, strict=True):
@@ -178,18 +147,7 @@ class Structure:
         return replace(self, parts=parts, base=sum(wanted[: self.base])), np.flatnonzero(stays)
 
     def adding(self, part: Part) -> Structure:
-        """The structure with one more part.
-
-        Parameters
-        ----------
-        part : Part
-            The effect to add.
-
-        Returns
-        -------
-        Structure
-            A new structure.
-        """
+        """The structure with one more part."""
         return replace(self, parts=(*self.parts, part))
 
     @property

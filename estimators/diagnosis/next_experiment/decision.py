@@ -24,18 +24,10 @@ Array = NDArray[Any]
 class Decision:
     """Right decisions by the length of the experiment.
 
-    Attributes
-    ----------
-    lengths : ndarray
-        (K,) samples of the experiment.
-    rates : ndarray
-        (K,) share of right decisions.
-    standard_errors : ndarray
-        (K,) of the shares, binomial.
-    samples : float
-        Length at which the share first reaches the wanted one, interpolated; infinite where it does not.
-    samples_error : float
-        Its standard error, by a bootstrap over the replicates; NaN where that is infinite.
+    `lengths` (K,) samples of the experiment; `rates` (K,) share of right decisions; `standard_errors` (K,) of
+    the shares, binomial; `samples` length at which the share first reaches the wanted one, interpolated;
+    infinite where it does not; `samples_error` its standard error, by a bootstrap over the replicates; NaN
+    where that is infinite.
     """
 
     lengths: Array
@@ -72,35 +64,8 @@ def decision_samples(
 ) -> Decision:
     """Samples of an input that decide between two models with a wanted probability.
 
-    Parameters
-    ----------
-    a, b : Fit
-        Models of the same single-input record; each is the truth in half of the replicates.
-    u : ndarray
-        (N,) input, at least as long as the longest length: its first samples are used.
-    lengths : tuple of int
-        Lengths tried, increasing.
-    noise : float
-        Standard deviation of the new experiment's white noise, output units.
-    replicates : int
-        Experiments per length.
-    rng : numpy.random.Generator
-        For the noise.
-    wanted : float
-        Probability of the right decision.
+    Shapes: u (N,).
 
-    Returns
-    -------
-    Decision
-        Shares and the length needed.
-
-    Raises
-    ------
-    InputError
-        If the input is shorter than the longest length, or a number is out of range.
-
-    Notes
-    -----
     Both models are fitted again to the old record and the new experiment together (Gauss-Newton steps on the
     new errors, the old record's information as a prior): the one with the smaller cost is decided for.
     """
@@ -149,25 +114,7 @@ def _cost(f: Fit, u: Array, y: Array, noise: float) -> float:
 def next_experiment(
     result: Diagnosis, *, length: int, rng: np.random.Generator, amplitude: float | None = None
 ) -> tuple[tuple[str, str], Discrimination] | None:
-    """The experiment that separates the first cause from the one that the record cannot tell it from.
-
-    Parameters
-    ----------
-    result : Diagnosis
-        What `diagnose` returned.
-    length : int
-        Samples of the new experiment.
-    rng : numpy.random.Generator
-        For the search.
-    amplitude : float, optional
-        Largest |u|; by default that of the training record.
-
-    Returns
-    -------
-    tuple or None
-        The two causes and the designed input; None where nothing is confusable, or where the model has several
-        inputs or was fitted to a thinned record.
-    """
+    """The experiment that separates the first cause from the one that the record cannot tell it from."""
     train = result.extra["train"]
     if not result.confusable or train.n_inputs != 1:
         return None

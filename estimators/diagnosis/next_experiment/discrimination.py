@@ -25,21 +25,11 @@ BANDS = 8
 class Discrimination:
     """A designed experiment that decides between two models.
 
-    Attributes
-    ----------
-    u : ndarray
-        (N,) input, within the limits.
-    distance : float
-        Squared distance of the models' outputs in noise variances, after each has been refitted: twice the
-        expected log-likelihood ratio.
-    power : float
-        Predicted probability of the right decision with this experiment, Phi(sqrt(distance)/2).
-    samples : float
-        Samples of this kind of input for the right decision with probability 0.99.
-    white, multisine : float
-        Distances of white noise and of a flat multisine of the same length and limits, for comparison.
-    white_input, multisine_input : ndarray
-        (N,) those inputs.
+    `u` (N,) input, within the limits; `distance` squared distance of the models' outputs in noise variances,
+    after each has been refitted: twice the expected log-likelihood ratio; `power` predicted probability of
+    the right decision with this experiment, Phi(sqrt(distance)/2); `samples` samples of this kind of input
+    for the right decision with probability 0.99; `white, multisine` distances of white noise and of a flat
+    multisine of the same length and limits, for comparison; `white_input, multisine_input` (N,) those inputs.
     """
 
     u: Array
@@ -74,20 +64,10 @@ def _jacobian(f: Fit, u: Array, clock: Clock, y: Array) -> Array:
 def distance(a: Fit, b: Fit, u: Array) -> float:
     """Squared distance of two models' outputs to an input, after refitting: the smaller of both directions.
 
-    min over delta of |y_a - y_b - J_b delta|^2/s^2 + |J_train delta|^2/s_train^2: each model may move as far as its
-    training record allows.
+    min over delta of |y_a - y_b - J_b delta|^2/s^2 + |J_train delta|^2/s_train^2: each model may move as far
+    as its training record allows.
 
-    Parameters
-    ----------
-    a, b : Fit
-        Models of the same output.
-    u : ndarray
-        (N,) or (N, nu) input.
-
-    Returns
-    -------
-    float
-        In noise variances; 0 where a model cannot be simulated with this input.
+    Shapes: u (N,).
     """
     u = u[:, None] if u.ndim == 1 else u
     clock = Clock(len(a.residual) + np.arange(len(u), dtype=float), len(a.residual))
@@ -143,33 +123,6 @@ def discriminate(
 ) -> Discrimination:
     """Input that tells two fitted single-input models apart best, under a rig's limits.
 
-    Parameters
-    ----------
-    a, b : Fit
-        Two models of the same record.
-    length : int
-        Samples of the new experiment.
-    amplitude : float
-        Largest |u|, in input units.
-    power : float, optional
-        Largest mean square of u; by default only the amplitude limits.
-    rng : numpy.random.Generator
-        For phases, levels and the search.
-    rounds, size : int
-        Rounds of the search and inputs per round.
-
-    Returns
-    -------
-    Discrimination
-        The input with its predicted power.
-
-    Raises
-    ------
-    InputError
-        If a limit is not positive or the experiment too short.
-
-    Notes
-    -----
     Multisines with free band powers and strengths, and random levels with free hold and distribution, are
     searched by mutation of the best; every input keeps the limits by construction.
     """

@@ -31,18 +31,9 @@ Array = NDArray[Any]
 class ModelErrorGain:
     """Gain of the model error P_model - P_rig, and where it is reached.
 
-    Attributes
-    ----------
-    gamma : float
-        Estimate of its norm at the input power used, outputs per input.
-    standard_error : float
-        From the scatter of the iterations after the first half.
-    frequency : float
-        Of the last input, rad/sample.
-    direction : ndarray
-        (nu,) complex unit vector, the last input at that frequency.
-    trace : Trace
-        All that was measured.
+    `gamma` estimate of its norm at the input power used, outputs per input; `standard_error` from the scatter
+    of the iterations after the first half; `frequency` of the last input, rad/sample; `direction` (nu,)
+    complex unit vector, the last input at that frequency; `trace` all that was measured.
     """
 
     gamma: float
@@ -66,20 +57,7 @@ def _models(fits: list[Fit]) -> Callable[[Array], Array]:
 def models_of(result: Diagnosis) -> Callable[[Array], Array]:
     """The augmented model of a diagnosis as a function u -> y, from rest and without noise.
 
-    Parameters
-    ----------
-    result : Diagnosis
-        What `diagnose` returned for a record that was not thinned.
-
-    Returns
-    -------
-    callable
-        (N, nu) -> (N, ny).
-
-    Raises
-    ------
-    InputError
-        If the model was fitted to a thinned record.
+    Shapes: returns (N, nu).
     """
     if any(
         out.thin_of(f) != 1 for out, f in zip(result.extra["outputs"], result.extra["finals"], strict=True)
@@ -93,20 +71,7 @@ def models_of(result: Diagnosis) -> Callable[[Array], Array]:
 def linear_models(result: Diagnosis) -> Callable[[Array], Array]:
     """The linear model before anything was added, as a function u -> y.
 
-    Parameters
-    ----------
-    result : Diagnosis
-        What `diagnose` returned for a record that was not thinned.
-
-    Returns
-    -------
-    callable
-        (N, nu) -> (N, ny).
-
-    Raises
-    ------
-    InputError
-        If the model was fitted to a thinned record.
+    Shapes: returns (N, nu).
     """
     if any(out.thin != 1 for out in result.extra["outputs"]):
         raise InputError(
@@ -118,17 +83,7 @@ def linear_models(result: Diagnosis) -> Callable[[Array], Array]:
 def error_experiment(rig: Experiment, model: Callable[[Array], Array]) -> Experiment:
     """The rig with the model in parallel: u -> P_model u - P_rig u, [M] Section V.
 
-    Parameters
-    ----------
-    rig : Experiment
-        The system; its limits and its count of experiments stay in force.
-    model : callable
-        (N, nu) -> (N, ny), from rest.
-
-    Returns
-    -------
-    Experiment
-        The model error as a system of its own.
+    Shapes: model (N, nu).
     """
     return Experiment(
         lambda u: model(u) - rig(u), rig.n_inputs, rig.n_outputs, dt=rig.dt, amplitude=rig.amplitude
@@ -147,35 +102,8 @@ def model_error_gain(
 ) -> ModelErrorGain:
     """Norm of the model error by power iterations on the rig itself.
 
-    Parameters
-    ----------
-    rig : Experiment
-        The system.
-    model : callable
-        (N, nu) -> (N, ny), from rest: `linear_models(result)` or `models_of(result)`.
-    samples : int
-        Length of every experiment.
-    iterations : int
-        Iterations; Procedure 2 needs 1 + nu ny experiments for each.
-    rng : numpy.random.Generator
-        For the first input.
-    power : float
-        Input power: the model error of a nonlinear rig depends on it.
-    amplitude : float, optional
-        Largest absolute input.
+    Shapes: model (N, nu).
 
-    Returns
-    -------
-    ModelErrorGain
-        Gain, frequency, direction.
-
-    Raises
-    ------
-    InputError
-        If fewer than 4 iterations are asked for.
-
-    Notes
-    -----
     [M] Section V with the estimator (12), [S] (7) for one channel. The mean of the squares is unbiased by the
     noise; where it is negative the model error is below what these experiments can see, and gamma is 0.
     """

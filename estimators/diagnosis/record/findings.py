@@ -65,18 +65,8 @@ class Fault(Enum):
 class Finding:
     """One finding about one output of one record.
 
-    Attributes
-    ----------
-    fault : Fault
-        What it is.
-    record, output : int
-        Where.
-    rows : ndarray of bool
-        (N,) the samples that show it.
-    size : float
-        Rounding step, distance of outliers, share of repeats or of the input's innovation.
-    sentence : str
-        What was seen.
+    `fault` what it is; `record, output` where; `rows` (N,) the samples that show it; `size` rounding step,
+    distance of outliers, share of repeats or of the input's innovation; `sentence` what was seen.
     """
 
     fault: Fault

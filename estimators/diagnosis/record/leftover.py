@@ -27,18 +27,9 @@ TERMS = 6  # most products taken together
 class Leftover:
     """One thing that a residual still depends on.
 
-    Attributes
-    ----------
-    nature : str
-        The kind of cause that would leave it.
-    sentence : str
-        The evidence.
-    p_value : float
-        Corrected for the number of tests.
-    gain : float
-        Likelihood ratio less Schwarz's price of its terms; 0 for the tests of the noise.
-    key : str
-        Key of the catalogue where what is left has a name there, else empty.
+    `nature` the kind of cause that would leave it; `sentence` the evidence; `p_value` corrected for the
+    number of tests; `gain` likelihood ratio less Schwarz's price of its terms; 0 for the tests of the noise;
+    `key` key of the catalogue where what is left has a name there, else empty.
     """
 
     nature: str
@@ -180,24 +171,9 @@ def _deviance(r: Array, X: Array, noise: Array, keep: NDArray[np.bool_]) -> floa
 def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover]:
     """What a fitted model's innovations still depend on, the most telling first.
 
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    f : Fit
-        Fitted model; its own parameters are projected out.
-    alpha : float
-        Rate at which anything at all is reported where nothing is left.
-
-    Returns
-    -------
-    list of Leftover
-        Empty where nothing is significant, or where the output is coarsely rounded.
-
-    Notes
-    -----
-    Each group of regressors is a likelihood-ratio test with the noise model chosen again, with and without it: a
-    noise model may have been fitted to what the model lacks. A line in the spectrum is Fisher's test; the noise is tested for a change of its size and for its tails. Bonferroni over all of them.
+    Each group of regressors is a likelihood-ratio test with the noise model chosen again, with and without
+    it: a noise model may have been fitted to what the model lacks. A line in the spectrum is Fisher's test;
+    the noise is tested for a change of its size and for its tails. Bonferroni over all of them.
     """
     if channel.step > 0 or not np.all(np.isfinite(f.residual)):
         return []

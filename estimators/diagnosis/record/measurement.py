@@ -18,18 +18,8 @@ Array = NDArray[Any]
 class Signature:
     """A fault of the measurement found in one output.
 
-    Attributes
-    ----------
-    key : str
-        Key of the catalogue: held, quantised or outliers.
-    output : int
-        Which output.
-    count : int
-        How many samples show it.
-    size : float
-        Step, share or amplitude.
-    sentence : str
-        The evidence.
+    `key` key of the catalogue: held, quantised or outliers; `output` which output; `count` how many samples
+    show it; `size` step, share or amplitude; `sentence` the evidence.
     """
 
     key: str
@@ -42,15 +32,7 @@ class Signature:
 def rounding_step(y: Array) -> float:
     """Step of the lattice on which all samples lie, 0 if there is none.
 
-    Parameters
-    ----------
-    y : ndarray
-        (N,) samples.
-
-    Returns
-    -------
-    float
-        The step, in units of y.
+    Shapes: y (N,).
     """
     y = y[np.isfinite(y)]
     values = np.unique(y)
@@ -76,15 +58,7 @@ def _longest(flags: NDArray[np.bool_]) -> int:
 def held_samples(y: Array) -> NDArray[np.bool_]:
     """Samples that repeat the one before exactly, where values do not recur by coarseness or at an end stop.
 
-    Parameters
-    ----------
-    y : ndarray
-        (N,) samples.
-
-    Returns
-    -------
-    ndarray of bool
-        (N,) True where a sample is a repeat.
+    Shapes: y (N,), returns (N,).
     """
     held, repeats = np.zeros((2, len(y)), dtype=bool)
     repeats[1:] = y[1:] == y[:-1]
@@ -130,18 +104,6 @@ def at_reversals(wild: NDArray[np.bool_], simulated: Array) -> bool:
     """Whether wild samples lie where a signal turns more often than chance lets them (p < 0.001).
 
     Faults do not know of the motion: the number of them within one sample of a turning point is binomial.
-
-    Parameters
-    ----------
-    wild : ndarray of bool
-        (N,) the samples in question.
-    simulated : ndarray
-        (N,) the signal; it may rest after a turn, as behind a play.
-
-    Returns
-    -------
-    bool
-        False also where it turns so often that nothing can be told.
     """
     direction = np.sign(np.diff(simulated, prepend=simulated[:1]))
     moving = np.flatnonzero(direction)
@@ -158,22 +120,10 @@ def wild_samples(residual: Array, keep: NDArray[np.bool_], limit: float = 5.0) -
     """Isolated samples whose residual stands out from its neighbours' by more than Gaussian noise could.
 
     The statistic is the residual minus the median of its six neighbours, in robust standard deviations of
-    that difference; it must also stand out from the residual's own spread. With limit 5 about one record of
-    a thousand with 1000 Gaussian samples shows one.
+    that difference; it must also stand out from the residual's own spread. With limit 5 about one record of a
+    thousand with 1000 Gaussian samples shows one.
 
-    Parameters
-    ----------
-    residual : ndarray
-        (N,) residual.
-    keep : ndarray of bool
-        Samples that count.
-    limit : float
-        In standard deviations.
-
-    Returns
-    -------
-    ndarray of bool
-        (N,) True where the sample is wild.
+    Shapes: residual (N,), returns (N,).
     """
     n = len(residual)
     r = np.where(keep, residual, np.nan)

@@ -16,20 +16,7 @@ FEWEST = 8
 
 
 def copied_rows(train: Record, test: Record) -> int:
-    """Length of the longest stretch of the test record that must have been copied from the training record.
-
-    Parameters
-    ----------
-    train, test : Record
-        Of the same channels.
-
-    Returns
-    -------
-    int
-        0 where there is none. A stretch counts where it is the whole test record, or more than twice as long as any that
-        either record repeats within itself, and than chance lets two repeats of one experiment agree: rounding and
-        periodic inputs repeat rows.
-    """
+    """Length of the longest stretch of the test record that must have been copied from the training record."""
     rows = np.concatenate([np.concatenate((r.u, r.y), axis=1) for r in (train, test)])
     rows = np.where(np.isnan(rows), np.inf, rows)  # missing samples are equal
     _, names = np.unique(rows, axis=0, return_inverse=True)

@@ -15,18 +15,8 @@ LIMIT = 2.0  # standard errors
 def paired_difference(f: Fit, g: Fit) -> tuple[float, float]:
     """By how much Schwarz's criterion of one model lies above another's, and the standard error of that.
 
-    The deviances are sums of e^2/v + log v over the samples; their paired difference has a standard error of its own,
-    from sums over blocks, as the differences are correlated (Vuong, Econometrica 57, 1989).
-
-    Parameters
-    ----------
-    f, g : Fit
-        Models of the same samples.
-
-    Returns
-    -------
-    tuple of float
-        criterion of g less that of f, and its standard error; infinite and 0 where a model failed.
+    The deviances are sums of e^2/v + log v over the samples; their paired difference has a standard error of
+    its own, from sums over blocks, as the differences are correlated (Vuong, Econometrica 57, 1989).
     """
     if len(f.residual) != len(g.residual) or not np.isfinite(f.criterion + g.criterion):
         return float("inf"), 0.0
@@ -39,21 +29,6 @@ def paired_difference(f: Fit, g: Fit) -> tuple[float, float]:
 
 
 def as_good(f: Fit, g: Fit, *, adequate: bool = True) -> bool:
-    """Whether the record cannot tell that a model is worse than another.
-
-    Parameters
-    ----------
-    f, g : Fit
-        The better model and the other.
-    adequate : bool
-        Whether f leaves nothing unexplained: the likelihood then decides. Where both are wrong, only a difference
-        beyond its own standard errors does.
-
-    Returns
-    -------
-    bool
-        True where g's criterion is within 6 of f's, or, where f is not adequate, within two standard errors of their
-        paired difference.
-    """
+    """Whether the record cannot tell that a model is worse than another."""
     difference, error = paired_difference(f, g)
     return difference < (CLOSE if adequate else max(CLOSE, LIMIT * error))

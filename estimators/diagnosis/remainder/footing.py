@@ -20,30 +20,15 @@ Array = NDArray[np.float64]
 class Footing:
     """Free runs of an earlier model on the training records.
 
-    Attributes
-    ----------
-    final : tuple of ndarray
-        Per record (N, ny), with the parameters fitted to all blocks.
-    without : tuple of tuple of ndarray
-        Per block, per record (N, ny): the run of parameters that did not see the block.
+    `final` per record (N, ny), with the parameters fitted to all blocks; `without` per block, per record (N,
+    ny): the run of parameters that did not see the block.
     """
 
     final: tuple[Array, ...]
     without: tuple[tuple[Array, ...], ...]
 
     def unused(self, blocks: Blocks) -> tuple[Array, ...]:
-        """Every block by the parameters that did not see it.
-
-        Parameters
-        ----------
-        blocks : Blocks
-            The blocks of `without`.
-
-        Returns
-        -------
-        tuple of ndarray
-            Per record (N, ny).
-        """
+        """Every block by the parameters that did not see it."""
         out = tuple(np.full_like(run, np.nan) for run in self.final)
         for runs, b in zip(self.without, blocks.blocks, strict=True):
             out[b.record][b.rows] = runs[b.record][b.rows]
@@ -51,20 +36,7 @@ class Footing:
 
 
 def linear_footing(base: Baseline, records: Sequence[Record]) -> Footing:
-    """The linear model's runs; each block's own model runs through the whole records.
-
-    Parameters
-    ----------
-    base : Baseline
-        The linear model.
-    records : sequence of Record
-        Its training records.
-
-    Returns
-    -------
-    Footing
-        What `fit_remainder` stands on.
-    """
+    """The linear model's runs; each block's own model runs through the whole records."""
     folds = [m.folds for m in base.outputs]
     if not all(folds):
         return spliced(base.y_model, base.unused, base.blocks)
@@ -85,21 +57,7 @@ def linear_footing(base: Baseline, records: Sequence[Record]) -> Footing:
 
 
 def spliced(final: Sequence[Array], unused: Sequence[Array], blocks: Blocks) -> Footing:
-    """A footing of a model of which only its final run and its unused blocks are known.
-
-    Parameters
-    ----------
-    final, unused : sequence of ndarray
-        Per record (N, ny): run of the final parameters, and every block by parameters that did not see it.
-    blocks : Blocks
-        The blocks.
-
-    Returns
-    -------
-    Footing
-        Outside the block stands the final run: what is fitted there and tried in the block is honest, though a little
-        pessimistic, as the two runs come from different parameters.
-    """
+    """A footing of a model of which only its final run and its unused blocks are known."""
     without = []
     for b in blocks.blocks:
         runs = [np.array(run) for run in final]

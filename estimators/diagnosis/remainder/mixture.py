@@ -22,32 +22,13 @@ Array = NDArray[np.float64]
 class Remainder:
     """A fading-memory model of what an earlier model of one output leaves.
 
-    Attributes
-    ----------
-    output : int
-        Which output it corrects.
-    members : tuple of Ridge or Networks
-        What is mixed.
-    weights : ndarray
-        Weight of each member; the rest of 1 stays with the earlier model.
-    low, high : ndarray
-        (nu,) training range of the inputs.
-    fade : tuple of float
-        Where, in spans beyond that range, the correction begins to fade and is gone.
-    unused : tuple of ndarray
-        Per record (N,): prediction of the output by parameters that did not see the sample's block.
-    rmse_unused : float
-        Its error there.
-    gain : Gain
-        What it gains over the earlier model there.
-    admitted : bool
-        Whether that is enough.
-    why : str
-        The same in words.
-    error : tuple of float
-        The 2.5 % and 97.5 % quantiles of measured minus predicted output on unused blocks.
-    feedback : bool
-        Whether the training input answered the noise: then inputs are taken one sample late.
+    `output` which output it corrects; `members` what is mixed; `weights` weight of each member; the rest of 1
+    stays with the earlier model; `low, high` (nu,) training range of the inputs; `fade` where, in spans
+    beyond that range, the correction begins to fade and is gone; `unused` per record (N,): prediction of the
+    output by parameters that did not see the sample's block; `rmse_unused` its error there; `gain` what it
+    gains over the earlier model there; `admitted` whether that is enough; `why` the same in words; `error`
+    the 2.5 % and 97.5 % quantiles of measured minus predicted output on unused blocks; `feedback` whether the
+    training input answered the noise: then inputs are taken one sample late.
     """
 
     output: int
@@ -67,17 +48,7 @@ class Remainder:
     def simulate(self, record: Record, earlier: Array) -> Array:
         """Simulated output of a record.
 
-        Parameters
-        ----------
-        record : Record
-            Its inputs count only.
-        earlier : ndarray
-            (N, ny) the earlier model's run on it.
-
-        Returns
-        -------
-        ndarray
-            (N,).
+        Shapes: earlier (N, ny), returns (N,).
         """
         own = earlier[:, self.output]
         record = delayed(record) if self.feedback else record
@@ -89,15 +60,7 @@ class Remainder:
     def inside(self, record: Record) -> Array:
         """How much of the correction applies.
 
-        Parameters
-        ----------
-        record : Record
-            Its inputs count only.
-
-        Returns
-        -------
-        ndarray
-            (N,) 1 where the inputs are in their training range, falling to 0 far outside.
+        Shapes: returns (N,).
         """
         span = np.maximum(self.high - self.low, 1e-300)
         beyond = (np.maximum(np.maximum(self.low - record.u, record.u - self.high), 0.0) / span).max(axis=1)
@@ -107,17 +70,7 @@ class Remainder:
     def predict(self, record: Record, earlier: Array) -> tuple[Array, Array, Array]:
         """Simulated output with a 95 % interval by the errors on unused blocks.
 
-        Parameters
-        ----------
-        record : Record
-            Its inputs count only.
-        earlier : ndarray
-            (N, ny) the earlier model's run on it.
-
-        Returns
-        -------
-        tuple of ndarray
-            (N,) each: the output, the lower end, the upper end.
+        Shapes: earlier (N, ny), returns (N,).
         """
         run = self.simulate(record, earlier)
         return run, run + self.error[0], run + self.error[1]

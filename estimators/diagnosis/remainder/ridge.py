@@ -61,18 +61,8 @@ def columns(which: Set, bank: Bank, record: Record, run: Array, output: int) -> 
 class Ridge:
     """A fitted regression: columns clipped to their training range, then scaled, then weighted.
 
-    Attributes
-    ----------
-    which : Set
-        Its columns.
-    bank : Bank
-        Filters and scales.
-    low, high, centre, spread : ndarray
-        (p,) training range and scale of the columns.
-    weights : ndarray
-        (p + 1,), the constant last.
-    bounds : tuple of float
-        What is predicted stays within them.
+    `which` its columns; `bank` filters and scales; `low, high, centre, spread` (p,) training range and scale
+    of the columns; `weights` (p + 1,), the constant last; `bounds` what is predicted stays within them.
     """
 
     which: Set

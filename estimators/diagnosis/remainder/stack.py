@@ -37,23 +37,14 @@ PIECES = 20
 class Limits:
     """How much work a remainder may be, and when it is taken.
 
-    Attributes
-    ----------
-    shapes : tuple of (int, int)
-        States and neurons of the networks: a second-order force and a curve; more is for the thorough.
-    starts : int
-        Of each shape: one in four ends within a tenth of the best on practice records.
-    reach : float
-        By how much of the training residual's span a correction may exceed it.
-    fade : tuple of float
-        Spans beyond an input's training range at which the correction begins to fade, and is gone.
-    errors, least : float
-        Gain on unused blocks that admits it: in standard errors, and as a share of the error there. With one standard
-        error coloured noise of linear systems was taken up, and did harm.
-    light : float
-        A member with less weight than this is left out.
-    pull : float
-        Of every weight to zero, relative to its member's own size: members are alike, their weights hardly known.
+    `shapes` states and neurons of the networks: a second-order force and a curve; more is for the thorough;
+    `starts` of each shape: one in four ends within a tenth of the best on practice records; `reach` by how
+    much of the training residual's span a correction may exceed it; `fade` spans beyond an input's training
+    range at which the correction begins to fade, and is gone; `errors, least` gain on unused blocks that
+    admits it: in standard errors, and as a share of the error there. With one standard error coloured noise
+    of linear systems was taken up, and did harm; `light` A member with less weight than this is left out;
+    `pull` of every weight to zero, relative to its member's own size: members are alike, their weights hardly
+    known.
     """
 
     shapes: tuple[tuple[int, int], ...] = ((2, 4),)
@@ -67,18 +58,7 @@ class Limits:
 
     @classmethod
     def of(cls, effort: Effort) -> Limits:
-        """Limits of an effort.
-
-        Parameters
-        ----------
-        effort : Effort
-            No networks, small ones, larger ones besides.
-
-        Returns
-        -------
-        Limits
-            The limits.
-        """
+        """Limits of an effort."""
         shapes = {Effort.QUICK: (), Effort.NORMAL: ((2, 4),), Effort.THOROUGH: ((2, 4), (3, 6))}
         return cls(shapes=shapes[effort])
 
@@ -187,32 +167,7 @@ def fit_remainder(
     counts: Sequence[NDArray[np.bool_]] | None = None,
     share: Share | None = None,
 ) -> Remainder:
-    """Fit a remainder to what an earlier model of one output leaves.
-
-    Parameters
-    ----------
-    base : Baseline
-        The linear model, for its blocks and time constants.
-    records : sequence of Record
-        The training records.
-    footing : Footing
-        The earlier model's runs: `linear_footing(base, records)`, or `spliced(...)` for any other step.
-    output : int
-        Which output.
-    limits : Limits, optional
-        Work and admission.
-    policy : Policy, optional
-        How paired errors are compared.
-    counts : sequence of ndarray, optional
-        Per record (N,) the samples that count; by default those of the baseline.
-    share : Share, optional
-        What could be explained: where that follows the clock, a model without a clock would only imitate it.
-
-    Returns
-    -------
-    Remainder
-        Its members' weights are those that predict unused blocks best, none negative, in sum at most 1.
-    """
+    """Fit a remainder to what an earlier model of one output leaves."""
     limits = Limits() if limits is None else limits
     policy = Policy() if policy is None else policy
     records = list(records)

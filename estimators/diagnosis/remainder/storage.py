@@ -24,18 +24,7 @@ FORM = "remainder 1"
 
 
 def to_json(rest: Remainder) -> str:
-    """The model itself; its predictions of the training records stay behind.
-
-    Parameters
-    ----------
-    rest : Remainder
-        What `fit_remainder` gave.
-
-    Returns
-    -------
-    str
-        JSON with every number to full precision.
-    """
+    """The model itself; its predictions of the training records stay behind."""
     head = {
         k: getattr(rest, k) for k in ("output", "fade", "rmse_unused", "admitted", "why", "error", "feedback")
     }
@@ -55,23 +44,7 @@ def _written(member: Ridge | Networks) -> dict[str, Any]:
 
 
 def from_json(text: str) -> Remainder:
-    """The model that `to_json` wrote; `unused` is empty.
-
-    Parameters
-    ----------
-    text : str
-        What `to_json` gave.
-
-    Returns
-    -------
-    Remainder
-        Its `simulate` and `predict` give the same numbers bit for bit.
-
-    Raises
-    ------
-    InputError
-        If the text is no remainder of this version.
-    """
+    """The model that `to_json` wrote; `unused` is empty."""
     try:
         told = json.loads(text)
         if told["form"] != FORM:

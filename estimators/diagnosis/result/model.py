@@ -29,20 +29,10 @@ SCHEMA = 1
 class DiagnosedModel:
     """The model that a diagnosis ends with.
 
-    Attributes
-    ----------
-    answers : tuple of Answer
-        One model per output.
-    errors : ndarray
-        (ny,) root mean square error of each on blocks that its parameters did not see: what it does not know of the
-        plant, its parameters' errors and the noise, all together.
-    dt : float
-        Sampling time in seconds.
-    inputs, outputs : tuple of str
-        Names of the channels.
+    `answers` one model per output; `errors` (ny,) root mean square error of each on blocks that its
+    parameters did not see: what it does not know of the plant, its parameters' errors and the noise, all
+    together; `dt` sampling time in seconds; `inputs, outputs` names of the channels.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from scipy.signal import lfilter
     >>> from estimators import diagnose
@@ -74,22 +64,7 @@ class DiagnosedModel:
     def simulate(self, given: Record | ArrayLike, window: int = 0) -> Array:
         """Free run.
 
-        Parameters
-        ----------
-        given : Record or array_like
-            A record, or (N, nu) inputs from a start as the training record's.
-        window : int
-            Measured samples of the record that may set the state.
-
-        Returns
-        -------
-        ndarray
-            (N, ny) simulated output.
-
-        Raises
-        ------
-        InputError
-            If the input has another number of channels.
+        Shapes: returns (N, ny).
         """
         record = self._record(given)
         return np.stack([a.simulate(record, window) for a in self.answers], axis=1)
@@ -97,36 +72,14 @@ class DiagnosedModel:
     def predict(self, given: Record | ArrayLike, window: int = 0) -> tuple[Array, Array, Array]:
         """Free run with a 95 % interval for the measured output.
 
-        Parameters
-        ----------
-        given : Record or array_like
-            As for `simulate`.
-        window : int
-            As for `simulate`.
-
-        Returns
-        -------
-        tuple of ndarray
-            (N, ny) simulated output, lower and upper end; the width is that of the errors on unused blocks, and holds
-            within the range that the training data cover.
-
-        Raises
-        ------
-        InputError
-            If the input has another number of channels.
+        Shapes: returns (N, ny).
         """
         y = self.simulate(given, window)
         half = NORMAL * self.errors
         return y, y - half, y + half
 
     def to_json(self) -> str:
-        """The model as text.
-
-        Returns
-        -------
-        str
-            What `from_json` reads.
-        """
+        """The model as text."""
         return json.dumps(
             {"schema": SCHEMA, "answers": [a.to_dict() for a in self.answers], "errors": self.errors.tolist(),
              "dt": self.dt, "inputs": list(self.inputs), "outputs": list(self.outputs)}
@@ -134,25 +87,7 @@ class DiagnosedModel:
 
     @classmethod
     def from_json(cls, text: str, effects: tuple[Effect, ...] = CATALOGUE) -> DiagnosedModel:
-        """The model that `to_json` wrote.
-
-        Parameters
-        ----------
-        text : str
-            Its text.
-        effects : tuple of Effect
-            Where the keys of its effects are looked up; give your own besides the catalogue where it has them.
-
-        Returns
-        -------
-        DiagnosedModel
-            The same model.
-
-        Raises
-        ------
-        InputError
-            If the text is no such model.
-        """
+        """The model that `to_json` wrote."""
         try:
             data = json.loads(text)
             if data["schema"] != SCHEMA:
@@ -171,34 +106,12 @@ class DiagnosedModel:
             ) from None
 
     def save(self, path: Path | str) -> None:
-        """Write the model to a file.
-
-        Parameters
-        ----------
-        path : path
-            A file of JSON; written whole or not at all.
-        """
+        """Write the model to a file."""
         write_whole(Path(path), self.to_json() + "\n")
 
     @classmethod
     def load(cls, path: Path | str) -> DiagnosedModel:
-        """Read the model from a file.
-
-        Parameters
-        ----------
-        path : path
-            What `save` wrote.
-
-        Returns
-        -------
-        DiagnosedModel
-            The same model.
-
-        Raises
-        ------
-        InputError
-            If the file cannot be read, or is no such model.
-        """
+        """Read the model from a file."""
         try:
             text = Path(path).read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
@@ -206,18 +119,7 @@ class DiagnosedModel:
         return cls.from_json(text)
 
     def to_control(self) -> Any:
-        """The model as a python-control transfer function, where it is linear.
-
-        Returns
-        -------
-        control.TransferFunction
-            Of the deviations from rest; levels are left out.
-
-        Raises
-        ------
-        InputError
-            If the answer for an output is no linear model.
-        """
+        """The model as a python-control transfer function, where it is linear."""
         import control
 
         linear = [a for a in self.answers if isinstance(a, LinearAnswer)]

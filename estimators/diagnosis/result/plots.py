@@ -30,21 +30,7 @@ def _binned(x: Any, r: Any, bins: int = 25) -> tuple[Any, Any, Any]:
 
 
 def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
-    """Residual on the test record before and after, six ways.
-
-    Parameters
-    ----------
-    result : Diagnosis
-        What `diagnose` returned.
-    output : int
-        Which output.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Time, spectrum, distribution, and the mean with its band against the simulated output, its velocity and the
-        input.
-    """
+    """Residual on the test record before and after, six ways."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -108,20 +94,7 @@ def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
 
 
 def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
-    """Characteristics of the nonlinear effects that were found, each with a band of 2 standard errors.
-
-    Parameters
-    ----------
-    result : Diagnosis
-        What `diagnose` returned.
-    output : int
-        Which output.
-
-    Returns
-    -------
-    matplotlib.figure.Figure or None
-        None where no effect of the output's final model is a curve.
-    """
+    """Characteristics of the nonlinear effects that were found, each with a band of 2 standard errors."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -161,21 +134,8 @@ def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
 
 
 def story_figure(result: Diagnosis, output: int = 0, *, start: int = 0, samples: int = 500) -> Figure:
-    """A piece of the test record with the residual before and after, and the spectra of both: small enough to print.
-
-    Parameters
-    ----------
-    result : Diagnosis
-        What `diagnose` returned.
-    output : int
-        Which output.
-    start, samples : int
-        The piece shown.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels.
+    """A piece of the test record with the residual before and after, and the spectra of both: small enough to
+    print.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -205,20 +165,7 @@ def story_figure(result: Diagnosis, output: int = 0, *, start: int = 0, samples:
 
 
 def save_figures(result: Diagnosis, folder: str | os.PathLike[str]) -> list[Path]:
-    """Write the figures of every output as PNG and PDF.
-
-    Parameters
-    ----------
-    result : Diagnosis
-        What `diagnose` returned.
-    folder : path
-        An existing folder.
-
-    Returns
-    -------
-    list of Path
-        The files.
-    """
+    """Write the figures of every output as PNG and PDF."""
     files = []
     figures = {}
     for i in range(result.yhat_before.shape[1]):

@@ -20,12 +20,7 @@ Array = NDArray[Any]
 class ErrorFigure:
     """A root mean square error with its bootstrap interval.
 
-    Attributes
-    ----------
-    value : float
-        In units of the output.
-    low, high : float
-        95 % interval from a block bootstrap.
+    `value` in units of the output; `low, high` 95 % interval from a block bootstrap.
     """
 
     value: float
@@ -40,62 +35,25 @@ class ErrorFigure:
 class Diagnosis:
     """What a linear model of a record lacks, and what adding it does to the error on data not used.
 
-    Attributes
-    ----------
-    detected : bool
-        Whether something is missing.
-    effect : str
-        The first cause, "none" or "unknown".
-    variant : str
-        A finer name of the cause.
-    nature : str
-        The kind of cause.
-    ranked : tuple of str
-        Causes, best first.
-    p_value : float
-        Smallest corrected p-value: false alarms over all tests together are at most this frequent.
-    rmse_before, rmse_after : ErrorFigure
-        Simulation errors on the test record, all outputs.
-    pred_rmse_before, pred_rmse_after : ErrorFigure
-        One-step-ahead errors.
-    difference : ErrorFigure
-        Paired difference before - after of the simulation error.
-    noise_floor : float
-        Estimated error of a perfect model.
-    room : ErrorFigure
-        Fraction of the removable error removed with the floor as it is, and its 95 % interval by the same bootstrap.
-    yhat_before, yhat_after : ndarray
-        (N, ny) simulated test output.
-    evidence : tuple of str
-        Sentences.
-    parameters : dict
-        Effect parameters: name -> (value, standard error, unit).
-    confusable : tuple of str
-        Causes that this record cannot tell from the first.
-    remaining : str
-        What the final residual still shows.
-    refinements : tuple of str
-        Causes that the search had put into the model and that are not claimed.
-    floor_is_bound : bool
-        Whether the noise floor may hold model error, as something remains or a noise model stands beside a nonlinearity.
-    held_out : str
-        What the errors were measured on.
-    system, data : str, tuple of str
-        The headline on the system, and the findings about the record, which are no answer to what is missing.
-    warnings : tuple of str
-        What limits the errors: a free run that explodes, a test record that leaves the range of the training data.
-    linear : dict
-        structure, orders, delay and poles of the linear model, and why it was taken.
-    ladder : tuple of dict
-        One row per kind of model: step, adds, rmse_unused with its interval low to high, rmse_test with its own.
-    explainable : dict
-        share of the linear model's residual that can be explained, low, high, by variable; empty where not asked.
-    model : DiagnosedModel
-        The answer as a model to be used.
-    equation : str
-        Terms that were discovered, in the units of the record.
-    extra : dict
-        Fits and tables for figures, not part of the JSON.
+    `detected` whether something is missing; `effect` the first cause, "none" or "unknown"; `variant` A finer
+    name of the cause; `nature` the kind of cause; `ranked` causes, best first; `p_value` smallest corrected
+    p-value: false alarms over all tests together are at most this frequent; `rmse_before, rmse_after`
+    simulation errors on the test record, all outputs; `pred_rmse_before, pred_rmse_after` one-step-ahead
+    errors; `difference` paired difference before - after of the simulation error; `noise_floor` estimated
+    error of a perfect model; `room` fraction of the removable error removed with the floor as it is, and its
+    95 % interval by the same bootstrap; `yhat_before, yhat_after` (N, ny) simulated test output; `evidence`
+    sentences; `parameters` effect parameters: name -> (value, standard error, unit); `confusable` causes that
+    this record cannot tell from the first; `remaining` what the final residual still shows; `refinements`
+    causes that the search had put into the model and that are not claimed; `floor_is_bound` whether the noise
+    floor may hold model error, as something remains or a noise model stands beside a nonlinearity; `held_out`
+    what the errors were measured on; `system, data` the headline on the system, and the findings about the
+    record, which are no answer to what is missing; `warnings` what limits the errors: a free run that
+    explodes, a test record that leaves the range of the training data; `linear` structure, orders, delay and
+    poles of the linear model, and why it was taken; `ladder` one row per kind of model: step, adds,
+    rmse_unused with its interval low to high, rmse_test with its own; `explainable` share of the linear
+    model's residual that can be explained, low, high, by variable; empty where not asked; `model` the answer
+    as a model to be used; `equation` terms that were discovered, in the units of the record; `extra` fits and
+    tables for figures, not part of the JSON.
     """
 
     detected: bool
@@ -144,13 +102,7 @@ class Diagnosis:
         return low, high
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON: the fields of the results file, and more.
-
-        Returns
-        -------
-        dict
-            Lists, numbers and strings.
-        """
+        """Plain data for JSON: the fields of the results file, and more."""
         one = self.yhat_before.shape[1] == 1
 
         def signal(y: Array) -> list:

@@ -16,25 +16,7 @@ __all__ = ["save"]
 
 
 def save(result: Diagnosis, folder: str | os.PathLike[str]) -> Path:
-    """Write a diagnosis to a new folder.
-
-    Parameters
-    ----------
-    result : Diagnosis
-        What `diagnose` returned.
-    folder : path
-        Must not exist, or be empty.
-
-    Returns
-    -------
-    Path
-        The folder.
-
-    Raises
-    ------
-    InputError
-        If the folder holds something already.
-    """
+    """Write a diagnosis to a new folder."""
     path = Path(folder)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(

@@ -44,22 +44,10 @@ MIDDLE = 20000
 class Examined:
     """All that was found for one output.
 
-    Attributes
-    ----------
-    channel : int
-        Which output, from 0.
-    attribution : Attribution
-        Causes and fits.
-    signatures : object
-        Traces of the measurement: outliers, quantisation, held samples.
-    naive : object
-        The linear fit before anything was added.
-    thin : int
-        By how much the record was thinned for screening.
-    final_channel : Channel or None
-        Data of the final model, where it was fitted to a record thinned less.
-    final_thin : int
-        By how much that was thinned; 0 where it is `thin`.
+    `channel` which output, from 0; `attribution` causes and fits; `signatures` traces of the measurement:
+    outliers, quantisation, held samples; `naive` the linear fit before anything was added; `thin` by how much
+    the record was thinned for screening; `final_channel` data of the final model, where it was fitted to a
+    record thinned less; `final_thin` by how much that was thinned; 0 where it is `thin`.
     """
 
     channel: Channel
@@ -132,24 +120,7 @@ def _thinning(y: Array, n_most: int = LONG) -> int:
 
 
 def examine(record: Record, i: int, setting: Setting, known: Known | None = None) -> Examined:
-    """Find what the linear model of one output lacks.
-
-    Parameters
-    ----------
-    record : Record
-        Training record.
-    i : int
-        Output.
-    setting : Setting
-        What the user knows.
-    known : Known, optional
-        What the best linear model says of the structure; chosen here without it.
-
-    Returns
-    -------
-    Examined
-        The outcome.
-    """
+    """Find what the linear model of one output lacks."""
     known = Known(PHYSICAL + 1) if known is None else known
     thin = _thinning(np.nan_to_num(record.y[:, i]))
     known = replace(known, delay=known.delay // thin)

@@ -69,18 +69,6 @@ def whole_delay(channel: Channel, f: Fit) -> Fit:
 
     A fraction of a sample mixes two taps, as free numerators do: near a whole delay the two are hard to tell
     apart, and a fit may end between samples at the same error.
-
-    Parameters
-    ----------
-    channel : Channel
-        Data.
-    f : Fit
-        A fitted model.
-
-    Returns
-    -------
-    Fit
-        The model at the whole delay, the derivative by the delay in its Jacobian, or `f`.
     """
     at = next(
         (

@@ -48,26 +48,12 @@ class Claim:
 class Attribution:
     """Outcome for one output.
 
-    Attributes
-    ----------
-    base : Fit
-        The linear model, fitted by least squares.
-    coloured : Fit
-        The linear model with the noise model that its residual asks for.
-    final : Fit
-        The augmented model.
-    claims : list of Claim
-        Single effects, best first.
-    chosen : list of str
-        Keys of the effects in `final`, most important first, noise effects included.
-    feedback : float
-        p-value of the innovations against the future input.
-    p_values : dict
-        Corrected p-values of the tests, by name.
-    rivals : dict
-        By the key of an effect of a model of several: causes that would do as well in its place.
-    refinements : dict
-        Effects that are weak beside the first one, by their key: what they explain as a share of what it explains.
+    `base` the linear model, fitted by least squares; `coloured` the linear model with the noise model that
+    its residual asks for; `final` the augmented model; `claims` single effects, best first; `chosen` keys of
+    the effects in `final`, most important first, noise effects included; `feedback` p-value of the
+    innovations against the future input; `p_values` corrected p-values of the tests, by name; `rivals` by the
+    key of an effect of a model of several: causes that would do as well in its place; `refinements` effects
+    that are weak beside the first one, by their key: what they explain as a share of what it explains.
     """
 
     base: Fit

@@ -40,14 +40,8 @@ best linear model too."""
 class Evidence:
     """What columns of one nature explain by themselves.
 
-    Attributes
-    ----------
-    nature : str
-        In the words of the catalogue.
-    share, low, high : float
-        Of the residual's variance on unused blocks, with a 95 % interval.
-    sentence : str
-        The same in words.
+    `nature` in the words of the catalogue; `share, low, high` of the residual's variance on unused blocks,
+    with a 95 % interval; `sentence` the same in words.
     """
 
     nature: str
@@ -61,22 +55,13 @@ class Evidence:
 class Share:
     """How much of one output's residual a fading-memory regression predicts on blocks that it did not see.
 
-    Attributes
-    ----------
-    share, low, high : float
-        Of the residual's variance, with a 95 % interval over blocks; below zero where the regression only harms.
-    by : dict of str to float
-        Variable -> what is lost of the share without it.
-    natures : tuple of Evidence
-        The most probable first.
-    noise_floor, noise_low, noise_high : float
-        Root mean square of what nothing here explains: an upper bound of the noise, with its interval.
-    unused : tuple of ndarray
-        Per record (N,): the regression's prediction of the residual with the sample's block unused; NaN where no
-        sample counts.
-    feedback : bool
-        Whether the input answers the noise: then residual and columns are whitened, and the shares are those of the
-        one-step prediction, which feedback leaves honest.
+    `share, low, high` of the residual's variance, with a 95 % interval over blocks; below zero where the
+    regression only harms; `by` variable -> what is lost of the share without it; `natures` the most probable
+    first; `noise_floor, noise_low, noise_high` root mean square of what nothing here explains: an upper bound
+    of the noise, with its interval; `unused` per record (N,): the regression's prediction of the residual
+    with the sample's block unused; NaN where no sample counts; `feedback` whether the input answers the
+    noise: then residual and columns are whitened, and the shares are those of the one-step prediction, which
+    feedback leaves honest.
     """
 
     share: float
@@ -127,22 +112,7 @@ def _batch_owner(counts: Sequence[NDArray[np.bool_]]) -> NDArray[np.int64]:
 
 
 def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0) -> Share:
-    """The explainable share of one output's residual, by variable and by nature.
-
-    Parameters
-    ----------
-    base : Baseline
-        The linear model and its blocks.
-    records : sequence of Record
-        The training records that it was fitted to.
-    output : int
-        Which output.
-
-    Returns
-    -------
-    Share
-        Shares of the variance of measured minus simulated output, all on blocks that the regression did not see.
-    """
+    """The explainable share of one output's residual, by variable and by nature."""
     records = list(records)
     counts = [c[:, output] for c in base.blocks.counting(records)]
     residual = [r.y[:, output] - y[:, output] for r, y in zip(records, base.y_model, strict=True)]
