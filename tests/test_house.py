@@ -19,9 +19,21 @@ WIDE = {
     "estimators/pem/estimation.py identify": "the options are the command's, each with a default; one call is what users expect",
     "benchmarks/comparison.py compare": "the settings of a campaign by name, as in its TOML file",
     "oed/design/solve.py solve_design": "each limit on the input is an argument with a default",
+    "estimators/montecarlo/additivity.py additivity_by_monte_carlo": "called from a user's test: each number by its name",
+    "estimators/montecarlo/engine.py batches": "hands the compiled loops their arrays",
+    "estimators/pem/search/levenberg_marquardt.py minimise": "the search of every engine: functions, start and its limits",
+    "estimators/diagnosis/discovery/fitting.py fit": "form, records, start and what bounds the work",
+    "oed/design/solvers/condition_number.py _as_design": "gathers the parts of one result",
+    "benchmarks/speed/campaign.py _columns": "the columns of a synthetic part",
 }
+# An effect starts its own fits, and the fits know effects: inside functions only, as `effects/__init__` says.
 CYCLES = {
-    # Packages whose members need each other inside functions only; each with its reason.
+    (
+        "estimators.diagnosis.effects.added",
+        "estimators.diagnosis.effects.input",
+        "estimators.diagnosis.model.linear",
+        "estimators.diagnosis.search.starts",
+    ),
 }
 
 

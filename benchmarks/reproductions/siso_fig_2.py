@@ -8,7 +8,8 @@ import numpy as np
 
 from benchmarks.tables.reproduced import row
 from oed.plants.named import named_plant
-from oed.theory.limit import limit_spectrum, limit_spectrum_on_grid
+from oed.theory.limit import limit_spectrum
+from oed.theory.limit_on_grid import limit_spectrum_on_grid
 
 __all__ = ["rows"]
 

@@ -18,7 +18,7 @@ from oed.plants.named import named_plant
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
 from oed.theory.finite import finite_norm, singular_values
-from oed.theory.limit import spectra_of_iterations
+from oed.theory.limit_on_grid import spectra_of_iterations
 
 __all__ = ["rows"]
 

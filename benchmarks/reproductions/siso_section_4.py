@@ -15,7 +15,8 @@ from oed.information import information_of_spectrum
 from oed.plants.named import named_plant
 from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant
-from oed.theory.limit import limit_spectrum, spectra_of_iterations
+from oed.theory.limit import limit_spectrum
+from oed.theory.limit_on_grid import spectra_of_iterations
 
 __all__ = ["rows"]
 

@@ -96,7 +96,7 @@ def against_scipy(order: int, samples: int, repeats: int = 15) -> dict:
 def against_casadi(order: int, samples: int) -> dict:
     """Our fit against the plain CasADi construction: mapaccum over the record, IPOPT with the exact Hessian."""
     from estimators.pem import identify
-    from estimators.pem.plain import plain_output_error
+    from estimators.pem.predictors.plain import plain_output_error
 
     record, start, _ = _case(order, samples)
     ours = lambda: identify(record, "oe", (order, order), start=start, offset=False)

@@ -27,6 +27,7 @@ from estimators.pem.search.extras import (
     without_outliers,
 )
 from estimators.pem.search.global_search import best_optimum
+from estimators.pem.search.joint_fit import fit_together
 from estimators.pem.search.levenberg_marquardt import Optimum
 from estimators.pem.search.problem import Problem, prepare
 from estimators.pem.search.starts import reflected
@@ -238,7 +239,7 @@ def _fitted(
         point = joint.evaluate(z) or found[0].point
         worst = max(found, key=lambda f: f.decrement)
         return joint, Optimum(point, worst.status, iterations, worst.decrement)
-    return _fit_together(joint, z, iterations, how)
+    return fit_together(joint, z, iterations, how)
 
 
 def _fit_with_gaps(
@@ -384,32 +385,3 @@ def _row_slice(form: Polynomial, i: int) -> slice:
 
 def _has_parameters(form: Polynomial, i: int) -> bool:
     return bool(form.na[i] + form.nb[i].sum() + form.nc[i] + form.nd[i])
-
-
-def _fit_together(problem: Problem, z: NDArray, iterations: int, how: Settings) -> tuple[Problem, Optimum]:
-    """All outputs together, weighted by the inverse of their residual covariance until that settles."""
-    ny = problem.structure.n_outputs
-    point = problem.evaluate(z)
-    if point is None:
-        raise InputError(
-            "the loss is not finite at the optimum of the single outputs; this should not happen."
-        )
-    optimum = Optimum(point, Status.MAX_ITERATIONS, iterations, np.inf)
-    for _ in range(max(how.max_iterations, 1)):
-        covariance = point.extra[1]
-        floor = 1e-12 * np.trace(covariance) / ny * np.eye(ny)
-        problem = problem.replace(weight=np.linalg.inv(covariance + floor))
-        before = problem.evaluate(point.z, point.extra[0])
-        if before is None:
-            break
-        optimum = problem.descend(
-            before,
-            max_iterations=4,
-            tolerance=how.tolerance,
-        )
-        iterations += optimum.iterations
-        moved = optimum.point.z - before.z
-        point = optimum.point
-        if optimum.status is Status.CONVERGED and float(moved @ point.hessian @ moved) < 1e-10:
-            break
-    return problem, Optimum(point, optimum.status, iterations, optimum.decrement)

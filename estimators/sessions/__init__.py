@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from estimators.sessions.missing import what_is_missing
     from estimators.sessions.session import FlaggedMeasurement, Session
     from estimators.sessions.settings import Settings
-    from estimators.sessions.stored import StoredSession, open_session, start_session
+    from estimators.sessions.starting import start_session
+    from estimators.sessions.stored import StoredSession, open_session
 
 __all__ = [
     "FlaggedMeasurement",
@@ -39,7 +40,7 @@ __getattr__, __dir__ = exporting(
         "Settings": "estimators.sessions.settings",
         "StoredSession": "estimators.sessions.stored",
         "open_session": "estimators.sessions.stored",
-        "start_session": "estimators.sessions.stored",
+        "start_session": "estimators.sessions.starting",
         "what_is_missing": "estimators.sessions.missing",
     },
 )

@@ -10,22 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from oed.criteria import Criterion
-from oed.data import Spectrum
+from oed.design.assembling import certified
 from oed.design.problem.budgets import power_budgets
-from oed.design.problem.certificate import Certificate
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
 from oed.design.problem.grid import bands_of, frequency_grid
 from oed.design.problem.information_maps import information_map
-from oed.design.problem.lines import Columns, Problem
+from oed.design.problem.lines import Problem
 from oed.design.solvers import elfving_barrier as directions
 from oed.design.solvers.column_generation import Exchange, evaluated_bound, exchange, seed_columns
 from oed.design.solvers.condition_number import condition_design
 from oed.design.solvers.gain_scaling import peak_sinusoid
 from oed.design.solvers.merging_lines import better, collapsed
-from oed.errors import InputError, Status
+from oed.errors import InputError
 
-__all__ = ["certified", "solve_design"]
+__all__ = ["solve_design"]
 
 
 def solve_design(
@@ -193,50 +192,3 @@ def _looked_at_again(found: Exchange) -> Exchange:
         price=max(found.price, price),
         frequency=frequency,
     )
-
-
-def certified(found: Exchange, *, tolerance: float, solver: str) -> Design:
-    """Make a Design of the outcome of the loop, in the model's own units."""
-    problem, spectrum = found.problem, _spectrum(found.columns, found.w)
-    loss, bound = found.loss * problem.scale, found.bound * problem.scale
-    X = np.asarray(np.linalg.solve(problem.R, found.X), dtype=np.float64)
-    numerator = problem.original.numerator(X)
-    used = found.columns.q.T @ found.w
-    certificate = Certificate(
-        X=X,
-        multipliers={b.name: float(v) for b, v in zip(problem.budgets, found.nu, strict=True)},
-        numerator=numerator,
-        value=numerator / bound,
-        bound=bound,
-        largest_price=found.price,
-        frequency=found.frequency,
-        price=lambda omega: problem.prices_at(omega, found.X, found.nu).ratio,
-    )
-    return Design(
-        spectrum=spectrum,
-        criterion=problem.original,
-        loss=loss,
-        bound=bound,
-        certificate=certificate,
-        status=Status.OK if loss - bound <= tolerance * bound else Status.INACCURATE,
-        information=problem.map.of_spectrum(spectrum),
-        map=problem.map,
-        power_used={b.name: float(v * b.limit) for b, v in zip(problem.budgets, used, strict=True)},
-        limits={b.name: b.limit for b in problem.budgets},
-        solver=solver,
-        rounds=found.rounds,
-    )
-
-
-def _spectrum(columns: Columns, w: NDArray[np.float64], threshold: float = 1e-9) -> Spectrum:
-    """Lines of the weights: equal frequencies together, those without power left out."""
-    lines, where = np.unique(columns.omega, return_inverse=True)
-    nu = columns.direction.shape[1]
-    power = np.zeros((len(lines), nu, nu), dtype=complex)
-    np.add.at(
-        power, where, w[:, None, None] * np.einsum("mq,mr->mqr", columns.direction, columns.direction.conj())
-    )
-    share = np.einsum("kii->k", power).real
-    keep = share > threshold * share.sum()
-    factor = share.sum() / share[keep].sum()
-    return Spectrum(lines[keep], power[keep] * factor)

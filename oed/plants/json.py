@@ -101,7 +101,9 @@ def plant_from_json(source: str | Path | Mapping[str, Any], *, noise_variance: f
             'for example Plant.from_control(system, dt=0.01, hold="zoh").'
         )
     if {"A", "B", "C"} <= set(content):
-        return Plant.from_state_space(*(content.get(name) for name in "ABCD"), dt=dt, **attributes)
+        return Plant.from_state_space(
+            content["A"], content["B"], content["C"], content.get("D"), dt=dt, **attributes
+        )
     if not {"num", "den"} <= set(content):
         raise InputError(
             f"{where} has the keys {sorted(content)}; a plant needs num and den, or A, B, C and D."

@@ -17,60 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.data import entry_name, frozen
 from oed.errors import InputError
+from oed.plants.checking import check_covariance, check_stable, matrix_of_polynomials, polynomial, scaled
 
 __all__ = ["Plant"]
 
 Coefficients = tuple[tuple[NDArray[np.float64], ...], ...]
-
-
-def _polynomial(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Coefficients of a polynomial in z^-1, checked to be finite real numbers."""
-    try:
-        array = np.atleast_1d(np.array(values, dtype=float))
-    except (TypeError, ValueError):
-        raise InputError(
-            f"{name} is {values!r}; give a list of real coefficients of powers of z^-1."
-        ) from None
-    if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
-        raise InputError(f"{name} is {values!r}; give a flat, non-empty list of finite coefficients.")
-    return array
-
-
-def _matrix_of_polynomials(values: Any, name: str) -> list[list[NDArray[np.float64]]]:
-    """num[i][j] as arrays; one flat list is read as a single entry."""
-    if not np.iterable(values[0]):
-        values = [[values]]
-    rows = [
-        [_polynomial(entry, f"{name}[{i}][{j}]") for j, entry in enumerate(row)]
-        for i, row in enumerate(values)
-    ]
-    if not rows or len({len(row) for row in rows}) != 1 or not rows[0]:
-        raise InputError(
-            f"{name} has rows of {[len(row) for row in rows]} entries; "
-            "it needs one row per output, each with one entry per input."
-        )
-    return rows
-
-
-def _scaled(p: NDArray[np.float64], lead: float, name: str) -> NDArray[np.float64]:
-    """A polynomial divided by a leading coefficient, which may be too small for that."""
-    with np.errstate(over="ignore"):
-        scaled = p / lead
-    if not np.isfinite(scaled).all():
-        raise InputError(
-            f"{name} begins with {float(lead)!r}, and coefficients divided by it are not finite; scale them."
-        )
-    return frozen(scaled)
-
-
-def _check_stable(den: NDArray[np.float64], name: str) -> None:
-    poles = np.roots(den)
-    if poles.size and np.abs(poles).max() >= 1:
-        worst = poles[np.argmax(np.abs(poles))]
-        raise InputError(
-            f"{name} has a pole at z = {worst:.6g} with modulus {abs(worst):.6g}; the plant must be stable "
-            "(all moduli below 1): stabilise it and give the closed loop, or experiment on the stable part."
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +55,7 @@ class Plant:
     name: str = "plant"
 
     def __post_init__(self) -> None:
-        num, den = _matrix_of_polynomials(self.num, "num"), _matrix_of_polynomials(self.den, "den")
+        num, den = matrix_of_polynomials(self.num, "num"), matrix_of_polynomials(self.den, "den")
         ny, nu = len(num), len(num[0])
         if (len(den), len(den[0])) != (ny, nu):
             raise InputError(
@@ -120,8 +71,8 @@ class Plant:
                         f"den[{i}][{j}] begins with 0, which makes the plant improper (it would know the future); "
                         "the coefficient of z^0 must not be zero: multiply num and den by a power of z."
                     )
-                num[i][j], den[i][j] = (_scaled(side[i][j], lead, f"den[{i}][{j}]") for side in (num, den))
-                _check_stable(den[i][j], f"den[{i}][{j}]")
+                num[i][j], den[i][j] = (scaled(side[i][j], lead, f"den[{i}][{j}]") for side in (num, den))
+                check_stable(den[i][j], f"den[{i}][{j}]")
         if not any(np.any(entry) for row in num for entry in row):
             raise InputError(
                 "every numerator coefficient is zero; a plant that does nothing has no gain to estimate."
@@ -133,16 +84,16 @@ class Plant:
                 f"the noise covariance is {self.noise_covariance!r}; give a number, or a row per output."
             ) from None
         covariance = covariance * np.eye(ny) if covariance.ndim == 0 else covariance
-        _check_covariance(covariance, ny)
+        check_covariance(covariance, ny)
         shape = []
         for side in ("noise_num", "noise_den"):
-            p = _polynomial(getattr(self, side), side)
+            p = polynomial(getattr(self, side), side)
             if p[0] == 0:
                 raise InputError(
                     f"{side} begins with 0; the noise filter must be monic up to scale (H = 1 + ...)."
                 )
-            shape.append(_scaled(p, p[0], side))
-        _check_stable(shape[1], "the noise filter's den")
+            shape.append(scaled(p, p[0], side))
+        check_stable(shape[1], "the noise filter's den")
         for field, value in (
             ("num", tuple(map(tuple, num))),
             ("den", tuple(map(tuple, den))),
@@ -409,17 +360,3 @@ class Plant:
             f"Plant {self.name}{shape}, {len(self.free)} unknown parameters, dt = {self.dt:g} s, "
             f"{colour} noise of variance {self.noise_variance:g}"
         )
-
-
-def _check_covariance(covariance: NDArray[np.float64], ny: int) -> None:
-    if covariance.shape != (ny, ny) or not np.isfinite(covariance).all():
-        raise InputError(
-            f"the noise covariance has shape {covariance.shape}; it must be a finite {ny} x {ny} matrix or one number."
-        )
-    scale = np.abs(covariance).max()
-    if not np.allclose(covariance, covariance.T, atol=1e-12 * scale):
-        raise InputError("the noise covariance is not symmetric; a covariance matrix must be.")
-    lowest = float(np.linalg.eigvalsh(covariance).min())
-    if lowest < -1e-12 * scale:
-        what = "variance is" if ny == 1 else "covariance has the eigenvalue"
-        raise InputError(f"the noise {what} {lowest:g}; it must be at least 0: check its sign.")

@@ -15,7 +15,7 @@ from oed.data import Spectrum
 from oed.information import whitened_gradient
 from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant
-from oed.theory.limit import spectra_of_iterations
+from oed.theory.limit_on_grid import spectra_of_iterations
 
 __all__ = ["Losses", "losses", "peak_gain_efficiency_by_experiments"]
 

@@ -186,7 +186,8 @@ def finite_moments(
     _check_samples(samples)
     variance = float(plant.noise_covariance[0, 0])
     if effect == "infinite":
-        from oed.theory.limit import limit_spectrum, spectra_of_iterations
+        from oed.theory.limit import limit_spectrum
+        from oed.theory.limit_on_grid import spectra_of_iterations
 
         nodes, Phi, mu2 = spectra_of_iterations(plant, iterations)
         gain2 = np.abs(plant.response(nodes.omega)[0][:, 0, 0]) ** 2

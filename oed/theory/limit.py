@@ -27,9 +27,9 @@ from oed.errors import InputError, SolverFailure
 from oed.plants.norms import Peak, peak
 from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
-from oed.theory.quadrature import Nodes, graded_nodes
+from oed.theory.quadrature import graded_nodes
 
-__all__ = ["LimitSpectrum", "limit_spectrum", "limit_spectrum_on_grid", "spectra_of_iterations"]
+__all__ = ["LimitSpectrum", "limit_spectrum"]
 
 SMALL = 1e-6
 """Of gamma^2: a smaller difference gamma^2 - |G|^2 is evaluated by its factors."""
@@ -67,7 +67,7 @@ class LimitSpectrum:
     @property
     def beta2_mean(self) -> float:
         """Limit of E beta_2^2 = mu^2 - lambda_e (1/2pi) int |H|^2 dw; [S] Lemma 11."""
-        noise = self.plant.noise_covariance[0, 0] * _noise_power(self.plant)
+        noise = self.plant.noise_covariance[0, 0] * noise_power(self.plant)
         return float(self.mu2 - noise)
 
     @property
@@ -99,7 +99,7 @@ class LimitSpectrum:
         nearest = tops[np.argmin(np.abs(omega[:, None] - tops), axis=1)]
         distance = gap(nearest, omega - nearest)
         return (
-            self.plant.noise_covariance[0, 0] * _noise_shape(self.plant, omega) / (self.mu2_excess + distance)
+            self.plant.noise_covariance[0, 0] * noise_shape(self.plant, omega) / (self.mu2_excess + distance)
         )
 
     def __repr__(self) -> str:
@@ -110,7 +110,7 @@ class LimitSpectrum:
         )
 
 
-def _check(plant: Plant) -> None:
+def check_limit(plant: Plant) -> None:
     if plant.n_inputs * plant.n_outputs != 1:
         raise InputError(
             f"the plant has {plant.n_outputs} outputs and {plant.n_inputs} inputs; this limit spectrum is that of "
@@ -168,17 +168,17 @@ class _Gap:
         return np.maximum(np.where(direct > SMALL * self.level, direct, near), 0.0)
 
 
-def _noise_shape(plant: Plant, omega: NDArray) -> NDArray:
+def noise_shape(plant: Plant, omega: NDArray) -> NDArray:
     """|H|^2."""
     return np.ones(len(omega)) if plant.white_noise else np.abs(plant.noise_response(omega)) ** 2
 
 
-def _noise_power(plant: Plant) -> float:
+def noise_power(plant: Plant) -> float:
     """(1/2pi) int |H|^2 dw."""
     if plant.white_noise:
         return 1.0
     nodes = graded_nodes(_pole_angles(plant.noise_den))
-    return float(nodes.weight @ _noise_shape(plant, nodes.omega))
+    return float(nodes.weight @ noise_shape(plant, nodes.omega))
 
 
 def _pole_angles(den: NDArray) -> list[float]:
@@ -186,7 +186,7 @@ def _pole_angles(den: NDArray) -> list[float]:
     return [float(abs(np.angle(root))) for root in roots if root.imag >= 0]
 
 
-def _centres(plant: Plant, top: Peak) -> list[float]:
+def centres(plant: Plant, top: Peak) -> list[float]:
     """Where the integrands have features: peaks (exact), local maxima, poles of G and of H."""
     others = [w for w, _ in top.local_maxima] + _pole_angles(plant.den[0][0]) + _pole_angles(plant.noise_den)
     exact = list(top.frequencies)
@@ -224,16 +224,16 @@ def limit_spectrum(plant: Any, *, method: str = "quadrature") -> LimitSpectrum:
     break down from about 1e-12 on, and says so. Twins: `limit_spectrum_on_grid`, and adaptive quadrature in tests/oracles.
     """
     plant = as_plant(plant)
-    _check(plant)
+    check_limit(plant)
     if method not in ("quadrature", "lyapunov"):
         raise InputError(
             f"there is no method {method!r} for the limit spectrum; choose quadrature or lyapunov."
         )
     top = peak(plant)
     variance = float(plant.noise_covariance[0, 0])
-    nodes = graded_nodes(_centres(plant, top))
+    nodes = graded_nodes(centres(plant, top))
     gap = _Gap(plant, top)(nodes.centre, nodes.offset)
-    shape = variance * _noise_shape(plant, nodes.omega)
+    shape = variance * noise_shape(plant, nodes.omega)
     if method == "lyapunov":
         if not plant.white_noise:
             raise InputError(
@@ -252,13 +252,13 @@ def limit_spectrum(plant: Any, *, method: str = "quadrature") -> LimitSpectrum:
                 "equation, which has lost its digits; use method='quadrature'."
             )
     else:
-        delta = _solve(power, upper)
+        delta = solve_excess(power, upper)
     return LimitSpectrum(
         plant, top, delta, Spectrum(nodes.omega, nodes.weight * shape / (delta + gap)), method
     )
 
 
-def _solve(power: Callable[[float], float], upper: float) -> float:
+def solve_excess(power: Callable[[float], float], upper: float) -> float:
     """The delta in (0, upper] with power(delta) = 1; power falls, and power(upper) <= 1."""
     from scipy.optimize import brentq
 
@@ -278,7 +278,7 @@ def _solve_lyapunov(power: Callable[[float], float], upper: float) -> float:
     with catch_warnings():
         simplefilter("ignore")  # what scipy warns of is decided by the caller's check
         try:
-            return _solve(power, upper)
+            return solve_excess(power, upper)
         except (ValueError, ArithmeticError):  # LinAlgError is a ValueError
             return float("nan")
 
@@ -371,76 +371,3 @@ def _minimum(limit: LimitSpectrum) -> float:
         options={"xatol": 1e-12},
     )
     return float(min(values[k], best.fun))
-
-
-def limit_spectrum_on_grid(plant: Plant, points: int = 1000) -> LimitSpectrum:
-    """Limit spectrum by the eigenvector of the matrix H_d, as [S] Sec. 5 prints it.
-
-    The grid is w_k = (k - 1/2) pi / n, k = 1..n. It fails where the spectrum is narrower than the grid (the
-    excess can even come out negative): it is here as the second, independent way.
-
-    Parameters
-    ----------
-    plant : Plant
-        One input, one output, white noise of positive variance.
-    points : int
-        n_omega.
-
-    Returns
-    -------
-    LimitSpectrum
-        With the grid as the lines of its spectrum.
-
-    Notes
-    -----
-    Source: [S] Sec. 5. H_d is diagonal plus one row and one column, so its largest eigenvalue L solves
-    1 = (1/n) sum_k lambda_e / (L - |G_k|^2) exactly; a dense eigensolver is the twin in the tests.
-    """
-    _check(plant)
-    if not plant.white_noise:
-        raise InputError("H_d of [S] is for white noise; use limit_spectrum for coloured noise.")
-    omega = (np.arange(points) + 0.5) * np.pi / points
-    gain2 = np.abs(plant.response(omega)[0][:, 0, 0]) ** 2
-    variance = float(plant.noise_covariance[0, 0])
-    top = float(gain2.max())
-    excess = _solve(lambda d: float(np.mean(variance / (d + (top - gain2)))), variance)
-    Phi = variance / (excess + (top - gain2))
-    found = peak(plant)
-    return LimitSpectrum(
-        plant, found, top + excess - found.value**2, Spectrum(omega, Phi / points), f"H_d on {points} lines"
-    )
-
-
-def spectra_of_iterations(
-    plant: Plant, experiments: int
-) -> tuple[Nodes, NDArray[np.float64], NDArray[np.float64]]:
-    """Input spectra of the first experiments from a white start, by the recursion of [S] Lemma 6.
-
-    Parameters
-    ----------
-    plant : Plant
-        One input, one output.
-    experiments : int
-        How many.
-
-    Returns
-    -------
-    nodes : Nodes
-        Frequencies and weights.
-    Phi : ndarray
-        (experiments, K) densities, each of unit power.
-    mu2 : ndarray
-        (experiments,) output power of each experiment, the square of [S] (3).
-    """
-    top = peak(plant)
-    nodes = graded_nodes(_centres(plant, top))
-    gain2 = np.abs(plant.response(nodes.omega)[0][:, 0, 0]) ** 2
-    noise = plant.noise_covariance[0, 0] * _noise_shape(plant, nodes.omega)
-    Phi = np.ones((experiments, len(gain2)))
-    mu2 = np.zeros(experiments)
-    for k in range(experiments):
-        output = gain2 * Phi[k] + noise
-        mu2[k] = nodes.weight @ output
-        if k + 1 < experiments:
-            Phi[k + 1] = output / mu2[k]
-    return nodes, Phi, mu2

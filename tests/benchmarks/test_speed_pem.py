@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.speed.pem import _case, against_scipy, against_sippy, memory, monte_carlo
 from estimators.pem import identify
-from estimators.pem.plain import plain_output_error
+from estimators.pem.predictors.plain import plain_output_error
 
 KEYS = {
     *("name", "size", "seconds", "baseline", "baseline_seconds", "ratio", "target", "holds", "peak_mb"),

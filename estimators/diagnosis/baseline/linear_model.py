@@ -143,6 +143,6 @@ class LinearModel:
         if n and len(seen):
             lead = np.concatenate((np.eye(n)[::-1], self.free(w)))
             spread = lead @ cov @ lead.T
-            inner = spread[np.ix_(seen, seen)] + prior.noise * np.eye(len(seen))
+            inner = spread[np.ix_(seen, seen)] + prior.noise * np.eye(len(seen))  # pyright: ignore[reportCallIssue]
             ahead += spread[:, seen] @ np.linalg.lstsq(inner, y[seen - n] - ahead[seen], rcond=1e-13)[0]
         return np.concatenate((ahead[n:], self.run(driven[w:], ahead[w:][::-1])))

@@ -115,7 +115,7 @@ class OutputError:
             where = np.concatenate(
                 (np.arange(f.size), np.arange(at, at + Z.shape[1] - 1 - f.size), [len(theta)])
             )
-            gram[np.ix_(where, where)] += Z.T @ Z
+            gram[np.ix_(where, where)] += Z.T @ Z  # pyright: ignore[reportCallIssue]
         loss, gradient, hessian = gram[-1, -1], gram[:-1, -1].copy(), gram[:-1, :-1]
         if n and not self.prior.rest:  # the outputs before the record, as the prior has them
             weight = max(loss, 1e-300) / max(count, 1) * np.linalg.pinv(toeplitz(self.prior.covariance[:n]))

@@ -122,7 +122,7 @@ def normal_equations(
         e = ((piece.y - got.y) * piece.weight).ravel()
         J = (got.dy * piece.weight[:, :, None]).reshape(len(e), -1)
         where = np.concatenate([np.arange(p), p + nx * r + np.arange(nx)])
-        H[np.ix_(where, where)] += J.T @ J
+        H[np.ix_(where, where)] += J.T @ J  # pyright: ignore[reportCallIssue]
         g[where] += J.T @ e
         sse += float(e @ e)
     return (H, g, sse) if np.isfinite(sse) and np.isfinite(H).all() else None
@@ -172,7 +172,7 @@ def fit(
     damping = DAMPING
     for _ in range(iterations):
         H, g, sse = here
-        H, g = H[np.ix_(move, move)], g[move]
+        H, g = H[np.ix_(move, move)], g[move]  # pyright: ignore[reportCallIssue]
         scale = np.sqrt(np.maximum(np.diag(H), 1e-12 * np.diag(H).max(initial=1e-300)))
         Hs, gs = H / np.outer(scale, scale), g / scale
         better = None

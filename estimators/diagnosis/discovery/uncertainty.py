@@ -41,8 +41,8 @@ def covariance(fitted: Fitted, pieces: Sequence[Piece]) -> Array:
         for k in range(1, lags + 1):
             cross = score[k:].T @ score[:-k]
             own += (1 - k / (lags + 1)) * (cross + cross.T)
-        H[np.ix_(where, where)] += flat.T @ flat
-        S[np.ix_(where, where)] += own
+        H[np.ix_(where, where)] += flat.T @ flat  # pyright: ignore[reportCallIssue]
+        S[np.ix_(where, where)] += own  # pyright: ignore[reportCallIssue]
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     inverse = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
     return (inverse @ S @ inverse)[:p, :p]

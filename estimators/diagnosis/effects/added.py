@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.input import after
+from estimators.diagnosis.effects.names import numbered
 
 __all__ = ["ADDED", "OFFSET"]
 

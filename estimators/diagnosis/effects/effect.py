@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from oed.errors import InputError
 
-__all__ = ["Clock", "Effect", "Grid", "Nature", "Sizes", "Slot", "level_before", "numbered"]
+__all__ = ["Clock", "Effect", "Grid", "Nature", "Sizes", "Slot", "level_before"]
 
 Array = NDArray[Any]
 TYPICAL = (
@@ -85,7 +85,7 @@ class Sizes:
     Attributes
     ----------
     u, y : ndarray
-        (N,) the input that the effect concerns, and the simulated output.
+        (N,) the effect's input, and the simulated output.
     clock : Clock
         Time of the samples.
     position, velocity : ndarray
@@ -170,11 +170,6 @@ class Sizes:
 def level_before(u: Array) -> float:
     """The input before a record began: its first value where the signal stands on a level, zero where it swings about zero."""
     return float(u[0]) if abs(np.mean(u)) > OPERATING * np.std(u) else 0.0
-
-
-def numbered(names: Mapping[str, str], count: int) -> list[tuple[str, str]]:
-    """Names and units of parameters that come several times over."""
-    return [(f"{name}{i + 1}", unit) for i in range(count) for name, unit in names.items()]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -94,10 +94,10 @@ class Regression:
         for penalty in PENALTIES:
             out = np.empty(len(self.target))
             for may, held, gram in zip(self.use, self.held, self.grams, strict=True):
-                left = gram[np.ix_(rows, rows)].copy()
+                left = gram[np.ix_(rows, rows)].copy()  # pyright: ignore[reportCallIssue]
                 left[np.arange(len(which)), np.arange(len(which))] += penalty * may.sum()
                 weights = np.linalg.solve(left, gram[rows, -1])
-                out[held] = self.columns[np.ix_(held, which)] @ weights[:-1] + weights[-1]
+                out[held] = self.columns[np.ix_(held, which)] @ weights[:-1] + weights[-1]  # pyright: ignore[reportCallIssue]
             error = float(np.mean((self.target - out) ** 2))
             if error < least:
                 best, least = out, error

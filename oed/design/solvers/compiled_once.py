@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from oed.criteria import Criterion
+from oed.design.assembling import certified
 from oed.design.problem.budgets import power_budgets
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
 from oed.design.problem.information_maps import information_map
 from oed.design.problem.lines import Problem
-from oed.design.solve import certified
 from oed.design.solvers.column_generation import Exchange, evaluated_bound
 from oed.design.solvers.whole_grid import solve_cvxpy
 from oed.errors import InputError

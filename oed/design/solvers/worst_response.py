@@ -37,7 +37,7 @@ EARLY = 0.05
 
 def worst_response_design(problem: Problem, family: Family, *, refine: bool, tolerance: float) -> Design:
     """The design for the largest variance over a family; `problem` holds the first sample."""
-    from oed.design.solve import certified
+    from oed.design.assembling import certified
 
     problem, columns = _started(problem, family, refine)
     asked, gap, stalled = 1e-2, np.inf, 0

@@ -9,7 +9,8 @@ from oed.plants.named import named_plant
 from oed.plants.norms import gain_gradient
 from oed.plants.plant import Plant
 from oed.theory.efficiency import losses, peak_gain_efficiency_by_experiments
-from oed.theory.limit import limit_spectrum, limit_spectrum_on_grid, spectra_of_iterations
+from oed.theory.limit import limit_spectrum
+from oed.theory.limit_on_grid import limit_spectrum_on_grid, spectra_of_iterations
 
 REFERENCE = named_plant("reference")
 TABLE_2 = {  # theory.md section 2: mu^2, E beta_2^2, max Phi, min Phi

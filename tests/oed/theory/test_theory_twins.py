@@ -13,7 +13,8 @@ from oed.plants.named import named_plant
 from oed.plants.norms import gain_gradient
 from oed.plants.plant import Plant
 from oed.theory.efficiency import losses, peak_gain_efficiency_by_experiments
-from oed.theory.limit import limit_spectrum, limit_spectrum_on_grid, spectra_of_iterations
+from oed.theory.limit import limit_spectrum
+from oed.theory.limit_on_grid import limit_spectrum_on_grid, spectra_of_iterations
 from tests.oracles import designs, information
 from tests.oracles import limit_spectrum as oracles
 

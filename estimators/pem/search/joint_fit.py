@@ -1,0 +1,44 @@
+"""All outputs fitted together, weighted by the inverse of their residual covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.pem.search.extras import (
+    Settings,
+)
+from estimators.pem.search.levenberg_marquardt import Optimum
+from estimators.pem.search.problem import Problem
+from oed.errors import InputError, Status
+
+__all__ = ["fit_together"]
+
+
+def fit_together(problem: Problem, z: NDArray, iterations: int, how: Settings) -> tuple[Problem, Optimum]:
+    """All outputs together, weighted by the inverse of their residual covariance until that settles."""
+    ny = problem.structure.n_outputs
+    point = problem.evaluate(z)
+    if point is None:
+        raise InputError(
+            "the loss is not finite at the optimum of the single outputs; this should not happen."
+        )
+    optimum = Optimum(point, Status.MAX_ITERATIONS, iterations, np.inf)
+    for _ in range(max(how.max_iterations, 1)):
+        covariance = point.extra[1]
+        floor = 1e-12 * np.trace(covariance) / ny * np.eye(ny)
+        problem = problem.replace(weight=np.linalg.inv(covariance + floor))
+        before = problem.evaluate(point.z, point.extra[0])
+        if before is None:
+            break
+        optimum = problem.descend(
+            before,
+            max_iterations=4,
+            tolerance=how.tolerance,
+        )
+        iterations += optimum.iterations
+        moved = optimum.point.z - before.z
+        point = optimum.point
+        if optimum.status is Status.CONVERGED and float(moved @ point.hessian @ moved) < 1e-10:
+            break
+    return problem, Optimum(point, optimum.status, iterations, optimum.decrement)

@@ -1,0 +1,88 @@
+"""The one function that makes a Design of what a solver found, with its certificate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oed.data import Spectrum
+from oed.design.problem.certificate import Certificate
+from oed.design.problem.design import Design
+from oed.design.problem.lines import Columns
+from oed.design.solvers.column_generation import Exchange
+from oed.errors import Status
+
+__all__ = ["certified"]
+
+TRIFLES = (1e-9, 1e-12, 1e-15, 0.0)
+"""Shares of the power below which a line is left out, the first at which the loss does not tell."""
+
+
+UNTOLD = 1e-9
+"""Relative rise of the loss that is not told."""
+
+
+def certified(found: Exchange, *, tolerance: float, solver: str) -> Design:
+    """Make a Design of the outcome of the loop, in the model's own units."""
+    problem = found.problem
+    found = _without_trifles(found)
+    spectrum = _spectrum(found.columns, found.w)
+    loss, bound = found.loss * problem.scale, found.bound * problem.scale
+    X = np.asarray(np.linalg.solve(problem.R, found.X), dtype=np.float64)
+    numerator = problem.original.numerator(X)
+    used = found.columns.q.T @ found.w
+    certificate = Certificate(
+        X=X,
+        multipliers={b.name: float(v) for b, v in zip(problem.budgets, found.nu, strict=True)},
+        numerator=numerator,
+        value=numerator / bound,
+        bound=bound,
+        largest_price=found.price,
+        frequency=found.frequency,
+        price=lambda omega: problem.prices_at(omega, found.X, found.nu).ratio,
+    )
+    return Design(
+        spectrum=spectrum,
+        criterion=problem.original,
+        loss=loss,
+        bound=bound,
+        certificate=certificate,
+        status=Status.OK if loss - bound <= tolerance * bound else Status.INACCURATE,
+        information=problem.map.of_spectrum(spectrum),
+        map=problem.map,
+        power_used={b.name: float(v * b.limit) for b, v in zip(problem.budgets, used, strict=True)},
+        limits={b.name: b.limit for b in problem.budgets},
+        solver=solver,
+        rounds=found.rounds,
+    )
+
+
+def _without_trifles(found: Exchange) -> Exchange:
+    """Without the lines of so little power that the loss does not tell; its loss is that of the lines that are left.
+
+    Beside a resonance of radius .9999 a billionth of the power may be all that a parameter is known by.
+    """
+    if found.problem.original.family is not None:  # what the problem holds of it is a sample, and tells less
+        keep = found.w > 0
+        return replace(found, columns=found.columns.take(keep), w=found.w[keep])
+    for threshold in TRIFLES:
+        keep = found.w > threshold * found.w.sum()
+        columns, w = found.columns.take(keep), found.w[keep]
+        w = w / (columns.q.T @ w).max()
+        loss = found.problem.loss(columns, w)
+        if loss <= found.loss * (1 + UNTOLD):
+            return replace(found, columns=columns, w=w, loss=loss)
+    return found
+
+
+def _spectrum(columns: Columns, w: NDArray[np.float64]) -> Spectrum:
+    """Lines of the weights: equal frequencies together."""
+    lines, where = np.unique(columns.omega, return_inverse=True)
+    nu = columns.direction.shape[1]
+    power = np.zeros((len(lines), nu, nu), dtype=complex)
+    np.add.at(
+        power, where, w[:, None, None] * np.einsum("mq,mr->mqr", columns.direction, columns.direction.conj())
+    )
+    return Spectrum(lines, power)
