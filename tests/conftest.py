@@ -31,8 +31,12 @@ settings.load_profile("oed")
 
 @pytest.fixture
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
-    """A generator seeded by the test's own name: the same draws alone, in any order and on any worker."""
-    return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
+    """A generator seeded by the test's package, file and name: the same draws alone, in any order, on any worker, and in
+    whatever folder of its package the file is."""
+    path, _, name = request.node.nodeid.partition("::")
+    parts = path.split("/")
+    key = "/".join([*parts[:2], *parts[2:][-1:]]) + "::" + name
+    return np.random.default_rng(zlib.crc32(key.encode()))
 
 
 @pytest.fixture

@@ -54,6 +54,7 @@ def scaled(p: NDArray[np.float64], lead: float, name: str) -> NDArray[np.float64
 
 
 def check_stable(den: NDArray[np.float64], name: str) -> None:
+    """InputError where a denominator has a pole on or outside the unit circle."""
     poles = np.roots(den)
     if poles.size and np.abs(poles).max() >= 1:
         worst = poles[np.argmax(np.abs(poles))]
@@ -64,6 +65,7 @@ def check_stable(den: NDArray[np.float64], name: str) -> None:
 
 
 def check_covariance(covariance: NDArray[np.float64], ny: int) -> None:
+    """InputError where the noise covariance is not a symmetric, positive semidefinite (ny, ny) matrix."""
     if covariance.shape != (ny, ny) or not np.isfinite(covariance).all():
         raise InputError(
             f"the noise covariance has shape {covariance.shape}; it must be a finite {ny} x {ny} matrix or one number."

@@ -28,6 +28,25 @@ CATALOGUE: tuple[Effect, ...] = (
 def named(key: str, among: tuple[Effect, ...] = CATALOGUE) -> Effect:
     """The effect of a key, for example "saturation".
 
+    Parameters
+    ----------
+    key : str
+        Name of the variant.
+    among : tuple of Effect
+        Where to look; the catalogue without it.
+
+    Returns
+    -------
+    Effect
+        The effect.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+
+    Examples
+    --------
     >>> named("saturation").cause
     'input_saturation'
     """

@@ -177,5 +177,5 @@ def test_the_fixture_of_the_plugin(pytester):
     done = pytester.runpytest_subprocess(*([] if registered else ["-p", plugin]), "-p", "no:cacheprovider")
     done.assert_outcomes(passed=1, failed=1)
     done.stdout.fnmatch_lines(["*Lemma 13 does not hold of reference*", "*information of an experiment*<-*"])
-    told = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    told = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())
     assert told["project"]["entry-points"]["pytest11"] == {"oed": plugin}
