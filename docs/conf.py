@@ -37,7 +37,6 @@ exclude_patterns = [
 html_theme = "furo"  # maintained, light, dark mode
 html_title = "oed"
 html_math_renderer = "mathml"
-html_static_path = ["_static"]
 html_show_sphinx = False
 
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
