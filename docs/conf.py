@@ -111,6 +111,8 @@ def _display(self, node) -> None:
 
 def setup(app) -> None:
     """Write the reference before Sphinx reads it; formulas are MathML, which needs no script and no network."""
-    write_reference(app)  # before the environment looks for documents: autosummary makes stubs of those it found
+    write_reference(
+        app
+    )  # before the environment looks for documents: autosummary makes stubs of those it found
     app.connect("autodoc-process-docstring", _escape, priority=900)
     app.add_html_math_renderer("mathml", (_inline, None), (_display, None))
