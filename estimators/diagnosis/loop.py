@@ -28,7 +28,7 @@ from estimators.diagnosis.result.model import DiagnosedModel
 from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.examination import Examined, Known, examine
-from estimators.diagnosis.search.named import Bench, Named, named_steps
+from estimators.diagnosis.search.named import Bench, Named, best_named, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from oed.data import Record
 from oed.errors import InputError
@@ -144,7 +144,8 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> tuple[Exa
         found.last, base, i, record, found.thin_of(found.attribution.final), rest, not setting.deviations,
         setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead,
     )  # fmt: skip
-    return found, bench, named_steps(bench, found.attribution)
+    same = found.last is found.channel  # other candidates were fitted to the screened record only
+    return found, bench, (best_named if same else named_steps)(bench, found.attribution)
 
 
 def _left(train: Record, i: int, base: Baseline, step: Step | None, share: Share) -> Share:

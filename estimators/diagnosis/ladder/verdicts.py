@@ -77,8 +77,8 @@ def verdict(outcomes: Sequence[Outcome], held: HeldOut, setting: Setting) -> dic
     ]
     system = [f for o in outcomes for f in _system(o, _tag(o, several), setting.policy)]
     withdrawn = bool(system) and not held.difference.low > 0.0
-    if withdrawn:
-        system = []
+    if withdrawn or not system:
+        system = [f for o in outcomes for f in _predictable(o, _tag(o, several), setting.policy)]
     for o, rest in zip(outcomes, rests, strict=True):
         if not any(f.cause == UNKNOWN for f in system):
             system += _unexplained(o, rest, setting.alpha / len(outcomes), _tag(o, several))
@@ -177,6 +177,15 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
         ]  # fmt: skip
     words = f"what is left{tag} can be predicted, but neither a name nor an equation was found for it"
     return [Finding("", UNKNOWN, o.share.nature, weight, 0.0, words)]
+
+
+def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
+    """What a regression predicts of the linear model's residual on unused blocks, where no model of it could be given."""
+    least = policy.searched[1]
+    if not o.share.low > least or o.share.nature in (Nature.LINEAR, Nature.NOISE) or o.examined.signatures:
+        return []
+    words = f"no model of it holds on unused blocks{tag}, but there is more than noise: {o.share.natures[0].sentence}"
+    return [Finding("", UNKNOWN, o.share.nature, o.share.share, 0.0, words)]
 
 
 def _percent(o: Outcome) -> float:

@@ -144,11 +144,13 @@ def _sensitivity(channel: Channel, f: Fit, y: Array) -> Array:
     """Derivatives of the simulated output by the model's parameters, (N, size)."""
     J = np.zeros((len(y), len(f.p)))
     for i in range(len(f.p)):
-        q = f.p.copy()
-        q[i] += 1e-6 * f.scales[i]
+        q, step = f.p.copy(), 1e-6 * f.scales[i]
+        if step == 0.0:  # a parameter that is held
+            continue
+        q[i] += step
         moved = simulate(f.structure, q, channel.u, channel.clock)
         if np.all(np.isfinite(moved)):
-            J[:, i] = (moved - y) / f.scales[i] * 1e6
+            J[:, i] = (moved - y) / step
     return J[:, np.any(J != 0, axis=0)]
 
 

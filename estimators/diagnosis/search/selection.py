@@ -53,7 +53,8 @@ class Attribution:
     the effects in `final`, most important first, noise effects included; `feedback` p-value of the
     innovations against the future input; `p_values` corrected p-values of the tests, by name; `rivals` by the
     key of an effect of a model of several: causes that would do as well in its place; `refinements` effects
-    that are weak beside the first one, by their key: what they explain as a share of what it explains.
+    that are weak beside the first one, by their key: what they explain as a share of what it explains;
+    `alternatives` the best single effect of each cause by the simulation error that it leaves, least first.
     """
 
     base: Fit
@@ -65,6 +66,7 @@ class Attribution:
     p_values: dict[str, float] = field(default_factory=dict)
     rivals: dict[str, list[str]] = field(default_factory=dict)
     refinements: dict[str, float] = field(default_factory=dict)
+    alternatives: tuple[Fit, ...] = ()
 
 
 def _noise_criterion(f: Fit) -> float:
@@ -168,6 +170,7 @@ def attribute(
     position = len(s.parts)
     fits = _finished(channel, list(augmented(channel, white, menu, iterations=FEW, top=menu.top)))
     simulated = _explained(white, fits, position) if s.base else {}
+    alternatives = _alternatives(fits, position) if s.base else ()
     fits = _settled(channel, fits, 6)
     if len(coloured.noise) and not s.base and (not fits or len(fits[0].noise)):
         more = list(augmented(channel, coloured, menu, best=1, iterations=15))
@@ -202,7 +205,7 @@ def attribute(
     chosen = _importance(final, claims, simulated)
     return Attribution(
         base, coloured, final, claims, chosen, _feedback(channel, final, s, feedback), p_values, rivals,
-        _refinements(final, rests, chosen),
+        _refinements(final, rests, chosen), alternatives,
     )  # fmt: skip
 
 
@@ -231,6 +234,14 @@ def _explained(base: Fit, fits: list[Fit], position: int) -> dict[str, float]:
         gain = f.n * float(np.log(rss / max(float(np.sum(f.residual**2)), 1e-300)))
         out[key] = max(gain, out.get(key, -np.inf))
     return out
+
+
+def _alternatives(fits: list[Fit], position: int) -> tuple[Fit, ...]:
+    """The best fit of each cause by its simulation error: a noise model may prefer another."""
+    best: dict[str, Fit] = {}
+    for f in sorted(fits, key=lambda f: float(np.sum(f.residual**2))):
+        best.setdefault(f.structure.parts[position].effect.cause, f)
+    return tuple(f for f in best.values() if np.isfinite(f.deviance))
 
 
 def _more_effects(
