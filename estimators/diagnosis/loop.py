@@ -145,7 +145,9 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> tuple[Exa
         setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead,
     )  # fmt: skip
     same = found.last is found.channel  # other candidates were fitted to the screened record only
-    return found, bench, (best_named if same else named_steps)(bench, found.attribution)
+    if not same:
+        return found, bench, named_steps(bench, found.attribution)
+    return found, bench, best_named(bench, found.attribution, Menu(setting.effects))
 
 
 def _left(train: Record, i: int, base: Baseline, step: Step | None, share: Share) -> Share:

@@ -17,6 +17,7 @@ Array = NDArray[Any]
 SWINGS = (0.7, 1.3, 2.2)  # largest angles in radian that a pendulum is started with
 SHAKEN = (-0.95, 0.0)  # zeros of the block before a pendulum: its pivot is accelerated, or its torque lags
 FEW = 4  # starts that are fitted
+DAMPED = 0.5  # damping ratio from which on nothing swings more than once: a sine is then any curve
 TURNS = 1500  # angles per record among which the period of a force is looked for
 PHASES = ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))  # of a periodic force, in sizes of the input
 LEAST_TURNS = 3  # in a record, for its force to repeat
@@ -84,7 +85,9 @@ def _swings(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
         starts = sorted((x for x in starts if np.isfinite(x.promise)), key=lambda x: -x.promise)[:FEW]
         quick = sorted(fitted(channel, base, starts, 5), key=lambda f: f.deviance)[:2]
         for f in quick:
-            yield fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=30)
+            g = fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=30)
+            if g.p[1] - 0.5 * g.p[0] < np.log(2.0 * DAMPED):  # logarithms of damping and stiffness
+                yield g
 
     return search
 

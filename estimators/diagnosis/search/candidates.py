@@ -21,6 +21,9 @@ Array = NDArray[Any]
 
 SHARE = 0.25  # of the best gain so far, that the simpler effect must have reached for one that refines it
 LEAST_PROMISE = 6.0  # of the score, for an effect to be fitted where only the most promising are
+BLIND = ("output_arctan", "output_exponential", "output_polynomial")
+# curves of a sensor that are fitted wherever any effect promises something: a score from a linear model that the curve has
+# spoilt says little of them; one saturates, one grows, one is general
 NEAR = 0.5  # of the best gain at the input, for an effect to be tried with other poles
 LAGGED = 3  # effects at the input that are tried behind a lag
 RENEWALS = 3  # rounds of fresh poles for the best effect at the input
@@ -107,8 +110,10 @@ def augmented(
                 tasks += _scan(channel, base, layout, Part(e, s.inputs[0]), best)
     tasks.sort(key=lambda task: -task.promise)
     chosen: list[Effect] = []
+    wide = bool(tasks) and tasks[0].promise > LEAST_PROMISE and not s.effects
     for task in tasks:
-        if task.effect not in chosen and (not top or (len(chosen) < top and task.promise > LEAST_PROMISE)):
+        promising = not top or (len(chosen) < top and task.promise > LEAST_PROMISE)
+        if task.effect not in chosen and (promising or (wide and task.effect.key in BLIND)):
             chosen.append(task.effect)
     found: list[Fit] = []
     most = 0.0  # that any effect gained so far

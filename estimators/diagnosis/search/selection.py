@@ -17,7 +17,7 @@ from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
 
-__all__ = ["Attribution", "Claim", "attribute", "feedback_test", "significance"]
+__all__ = ["Attribution", "Claim", "attribute", "feedback_test", "second", "significance"]
 
 Array = NDArray[Any]
 EVERYTHING = Menu()
@@ -262,7 +262,7 @@ def _more_effects(
                     causes.add(claim.cause)
                     bases.append(claim.fit)
         for start in bases:
-            found = _second(channel, start, menu, start is final)
+            found = second(channel, start, menu, start is final)
             limit = alpha * (1e-4 if len(found) and len(found[0].noise) else 1e-1)
             tried[id(start)] = found
             if found and significance(start, found[0]) < limit:
@@ -297,7 +297,8 @@ def _exchangeable(best: Fit, other: Fit, rivals: dict[str, list[str]]) -> None:
             names += [name for name in theirs if name not in (*mine, *names)]
 
 
-def _second(channel: Channel, f: Fit, menu: Menu, coloured: bool = True) -> list[Fit]:
+def second(channel: Channel, f: Fit, menu: Menu, coloured: bool = True) -> list[Fit]:
+    """The model with one more effect, the best by Schwarz's criterion first."""
     position = len(f.structure.parts)
     fits = list(augmented(channel, _white(f), menu, best=1, iterations=FEW, top=8))
     fits = _settled(channel, _per_key(fits, position), 3)
