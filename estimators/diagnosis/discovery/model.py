@@ -156,7 +156,7 @@ class DiscoveredModel:
                     term.chain,
                     nature(term),
                     meaning(term),
-                    same_as(term, k),
+                    same_as(term, self.form.orders[term.chain]),
                     self._parameters(number, term, k, error, unit),
                     self._curve(number, term, unit),
                 )

@@ -98,30 +98,29 @@ def nature(term: Term) -> str:
     return "dynamic nonlinearity"
 
 
-def same_as(term: Term, coefficient: float) -> str:
-    """The catalogue's name for a term that says the same, or nothing."""
+SAME = {
+    ("force", "v", Kind.SIGN): "coulomb_friction", ("force", "v", Kind.TANH): "coulomb_friction",
+    ("force", "v", Kind.BELL): "stribeck_friction", ("force", "v", Kind.SIGNED_SQUARE): "nonlinear_drag",
+    ("force", "v", Kind.CUBE): "nonlinear_drag", ("force", "v", Kind.SIGNED_ROOT): "nonlinear_drag",
+    ("force", "y", Kind.ROOT): "square_root_outflow",
+    ("force", "y", Kind.SIN): "pendulum", ("force", "y", Kind.COS): "pendulum", ("force", "u", Kind.TANH): "input_saturation",
+    ("output", "y", Kind.ABS): "magnitude_sensor",
+}  # fmt: skip
+"""What the catalogue calls a term of one factor: by slot, kind of signal and kind of function."""
+WHOLE = {("force", "u"): "hammerstein", ("output", "y"): "output_nonlinearity", ("force", "y"): "duffing",
+         ("force", "v"): "asymmetric_rise_and_fall"}  # fmt: skip
+"""The same for any other function of one signal; a force of the output is a spring only where there is a mass."""
+
+
+def same_as(term: Term, order: int = 2) -> str:
+    """The catalogue's name for a term that says the same in a chain of an order, or nothing."""
     if len(term.factors) == 2:
-        pair = {f.signal[0] for f in term.factors}
         plain = all(f.kind == Kind.LINEAR for f in term.factors)
-        return "bilinear" if plain and pair == {"u", "y"} else ""
+        return "bilinear" if plain and {f.signal[0] for f in term.factors} == {"u", "y"} else ""
     f = term.factors[0]
     side = f.signal[0] if not f.signal.startswith("du") else "d"
-    table = {
-        ("force", "v", Kind.SIGN): "coulomb_friction",
-        ("force", "v", Kind.SIGNED_SQUARE): "nonlinear_drag",
-        ("force", "y", Kind.CUBE): "duffing",
-        ("force", "u", Kind.TANH): "input_saturation",
-        ("force", "u", Kind.SQUARE): "hammerstein",
-        ("force", "u", Kind.CUBE): "hammerstein",
-        ("force", "u", Kind.EXP): "hammerstein",
-        ("output", "y", Kind.TANH): "output_nonlinearity",
-    }
-    found = table.get((term.slot, side, f.kind), "")
-    if not found and term.slot == "output" and side == "y":
-        found = "output_nonlinearity"
-    if not found and term.slot == "force" and side == "u":
-        found = "hammerstein"
-    return found
+    found = SAME.get((term.slot, side, f.kind)) or WHOLE.get((term.slot, side), "")
+    return "nonlinear_loss" if found in ("duffing", "pendulum") and order < 2 else found
 
 
 def _single(term: Term, f: Factor) -> str:

@@ -91,7 +91,7 @@ def verdict(outcomes: Sequence[Outcome], held: HeldOut, setting: Setting) -> dic
     said = _equations(outcomes)
     return {
         "detected": bool(found), "effect": chosen[0] if chosen else NONE,
-        "variant": ", ".join(dict.fromkeys((*(said if first else []), *(f.key for f in found if f.key)))),
+        "variant": ", ".join(dict.fromkeys((*(_meanings(outcomes) if first else []), *(f.key for f in found if f.key)))),
         "nature": found[0].nature if found else NONE,
         "ranked": (*chosen, *_tried(outcomes, chosen)) if chosen else (NONE,),
         "p_value": min((f.p_value for f in found), default=1.0),
@@ -134,6 +134,12 @@ def _equations(outcomes: Sequence[Outcome]) -> list[str]:
     return [s.equation for o in outcomes for s in o.ladder.chosen.chain if s.equation]
 
 
+def _meanings(outcomes: Sequence[Outcome]) -> list[str]:
+    """The equations with what their terms are in physical words."""
+    steps = [s for o in outcomes for s in o.ladder.chosen.chain if s.equation]
+    return [f"{s.equation} ({'; '.join(dict.fromkeys(s.sentences))})" for s in steps]
+
+
 def _explainable(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """The share of the first output's residual, as there is one share for one residual; the least sure where several."""
     s = min((o.share for o in outcomes), key=lambda s: -s.share)
@@ -168,7 +174,8 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
         return claimed
     weight = 1.0 - (o.ladder.rungs[o.ladder.answer].value / o.ladder.rungs[0].value) ** 2
     d = o.discovery
-    if Kind.DISCOVERED in kinds and (mine := [t for t in d.terms if t.output == o.index]):
+    mine = sorted((t for t in d.terms if t.output == o.index), key=lambda t: -float(np.ptp(t.curve.value)))
+    if Kind.DISCOVERED in kinds and mine:
         cause = mine[0].same_as or UNKNOWN
         words = f"blocks not used are simulated with {_percent(o):.3g} % less error with the terms{tag}: {d.equation}"
         return [Finding("", cause, mine[0].nature, weight, 0.0, words)] + [
@@ -176,7 +183,10 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
             for k, t in enumerate(mine[1:]) if t.same_as and t.same_as != cause
         ]  # fmt: skip
     words = f"what is left{tag} can be predicted, but neither a name nor an equation was found for it"
-    return [Finding("", UNKNOWN, o.share.nature, weight, 0.0, words)]
+    nature = (
+        o.share.nature if o.share.explainable else Nature.DYNAMIC
+    )  # it has memory, which the other natures need not
+    return [Finding("", UNKNOWN, nature, weight, 0.0, words)]
 
 
 def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:

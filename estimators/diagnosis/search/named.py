@@ -116,17 +116,20 @@ class Bench:
         )
 
     def gain(self, first: Array, second: Array, part: Part) -> Gain:
-        """Paired gain on the samples that count; for what changes with time, the least of all and of the last block.
+        """Paired gain on the samples that count; for what runs by the clock, the least of all and of the last block.
 
         Only there is time extrapolated, as it is on a later record.
         """
-        y, counted = np.nan_to_num(self.train.y[:, self.output]), self.counted
-        whole = paired_gain([y], [first], [second], [counted], self.policy)
-        if part.effect.nature is not Nature.TIME:
+        whole = self.over(second, first)
+        if part.effect.nature not in CLOCKED:
             return whole
-        late = counted.copy()
-        late[: self.base.blocks.blocks[-1].start] = False
-        return min(whole, paired_gain([y], [first], [second], [late], self.policy), key=lambda g: g.value)
+        return min(whole, self.over(second, first, self.base.blocks.blocks[-1].start), key=lambda g: g.value)
+
+    def over(self, second: Array, first: Array, start: int = 0) -> Gain:
+        """What one prediction (N,) of unused blocks gains over another from a sample on."""
+        y, counted = np.nan_to_num(self.train.y[:, self.output]), self.counted
+        counted[:start] = False
+        return paired_gain([y], [first], [second], [counted], self.policy)
 
 
 def named_steps(bench: Bench, a: Attribution) -> Named:
@@ -161,6 +164,8 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
     return Named(f, (), tuple(dropped), None)
 
 
+CLOCKED = (Nature.TIME, Nature.ADDED)
+"""Natures of causes that run by the clock: between two stretches of one record they can imitate anything."""
 TRIED = 8
 """Single effects that are put before unused blocks, least simulation error first: a tenth of a second each. On practice
 records the right one stood among the first five where the search, which goes by one-step errors, preferred another."""
@@ -178,17 +183,27 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     if not len(a.final.noise):
         return first
 
+    linear, (errors, least) = bench.base.unused[0][:, bench.output], bench.policy.searched
+
     def judged(fits: Iterable[Fit]) -> list[Named]:
         finals = [fit(bench.channel, f.structure, f.p, f.scales, iterations=40) for f in fits]
-        found = [named_steps(bench, replace(a, final=f, rivals={})) for f in finals if np.isfinite(f.deviance)]
-        return [n for n in found if n.step is not None]
+        found = [
+            named_steps(bench, replace(a, final=f, rivals={})) for f in finals if np.isfinite(f.deviance)
+        ]
+        gains = [(n, bench.over(n.step.unused[0], linear)) for n in found if n.step is not None]
+        return [n for n, gain in gains if gain.share > least and gain.beyond(errors)]
 
-    singles = sorted(judged(a.alternatives[:TRIED]), key=lambda n: n.step_error(bench))
-    pairs = judged(f for n in singles[:PAIRED] for f in second(bench.channel, n.fit, menu, coloured=False)[:PAIRED])
-    options = sorted((n for n in (first, *singles, *pairs) if n.step is not None), key=lambda n: n.step_error(bench))
+    others = [f for f in a.alternatives if f.structure.effects[-1].effect.nature is not Nature.ADDED]
+    singles = sorted(judged(others[:TRIED]), key=lambda n: n.step_error(bench))
+    pairs = judged(
+        f for n in singles[:PAIRED] for f in second(bench.channel, n.fit, menu, coloured=False)[:PAIRED]
+    )
+    options = sorted(
+        (n for n in (first, *singles, *pairs) if n.step is not None), key=lambda n: n.step_error(bench)
+    )
     if not options:
         return first
-    near = [n for n in options if not _worse(bench, n, options[0])]
+    near = [n for n in options if not _told_apart(bench, n, options[0])]
     best = min(near, key=lambda n: (len(n.claims), len(n.fit.p), n.step_error(bench)))
     head = best.claims[0]
     equal = [n.claims[0].cause for n in near if len(n.claims) <= len(best.claims)]
@@ -196,13 +211,11 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     return replace(best, claims=(replace(head, rivals=rivals), *best.claims[1:]))
 
 
-def _worse(bench: Bench, n: Named, best: Named) -> bool:
-    """Whether unused blocks tell that a model is worse than the best."""
-    y, counted = np.nan_to_num(bench.train.y[:, bench.output]), bench.counted
+def _told_apart(bench: Bench, n: Named, best: Named) -> bool:
+    """Whether unused blocks tell a model from the best: beyond an error, or by what even a search of many must gain."""
     if n.step is None or best.step is None:
-        return n.step is None
-    gain = paired_gain([y], list(n.step.unused), list(best.step.unused), [counted], bench.policy)
-    errors, least = bench.policy.claimed
+        return True
+    gain, (errors, least) = bench.over(best.step.unused[0], n.step.unused[0]), bench.policy.claimed
     return gain.share > least and (gain.beyond(errors) or gain.share > bench.policy.searched[1])
 
 

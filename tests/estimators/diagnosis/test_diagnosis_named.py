@@ -1,0 +1,74 @@
+"""Single effects that the search by one-step errors passes over are put before unused blocks; what swings is a pendulum."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.diagnosis.discovery.dictionary import Kind
+from estimators.diagnosis.discovery.form import Factor, Term
+from estimators.diagnosis.discovery.wording import same_as
+from estimators.diagnosis.effects import CATALOGUE, Clock
+from estimators.diagnosis.loop import Setting, diagnose
+from estimators.diagnosis.model.fitting import Channel, fit
+from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.structure import Structure
+from estimators.diagnosis.record.leftover import leftovers
+from oed.data import Record
+
+CAUSES = {e.cause for e in CATALOGUE}
+
+
+def logged(rng: np.random.Generator, n: int, bent: bool) -> Record:
+    """A second-order lag about an operating level behind a compressive sensor, in noise of a time constant of its own."""
+    u = 3.0 + np.repeat(rng.choice([-2.0, -0.5, 1.0, 2.0], n // 25 + 1), 25)[:n]
+    x = lfilter([0.03, 0.03], [1.0, -1.5, 0.56], u - u[0]) + u[0]
+    e = lfilter([1.0], [1.0, -0.9], 0.01 * rng.standard_normal(n))
+    return Record(u, (4.0 * np.arctan(0.6 * (x - 1.0)) if bent else x) + e)
+
+
+@pytest.mark.slow
+def test_a_compressive_sensor_is_named_beside_coloured_noise(rng) -> None:
+    train, test = logged(rng, 900, True), logged(rng, 500, True)
+    result = diagnose(train, test, Setting(deviations=False, skip=20))
+    assert result.effect == "output_nonlinearity"
+    assert result.rmse_after.value < 0.5 * result.rmse_before.value
+
+
+@pytest.mark.slow
+def test_nothing_is_claimed_of_a_linear_plant_in_the_same_noise(rng) -> None:
+    result = diagnose(logged(rng, 900, False), logged(rng, 500, False), Setting(deviations=False, skip=20))
+    assert result.effect in ("none", "coloured_noise")
+
+
+def test_residual_tests_skip_parameters_that_are_held(rng) -> None:
+    u = rng.standard_normal(400)
+    y = lfilter([0.0, 0.5], [1.0, -0.7], u) + 0.1 * rng.standard_normal(400)
+    channel = Channel(u[:, None], y, Clock(np.arange(400.0), 400), np.ones(400, dtype=bool))
+    free = fit_linear(channel, Structure(1, (0,)))
+    scales = free.scales.copy()
+    scales[0] = 0.0
+    held = fit(channel, free.structure, free.p, scales)
+    assert held.p[0] == free.p[0]
+    assert leftovers(channel, replace(held, scales=scales), alpha=1e-4) == []
+
+
+def test_terms_get_names_of_the_catalogue_where_they_say_the_same() -> None:
+    def named(kind: int, signal: str, slot: str, order: int = 2) -> str:
+        return same_as(Term((Factor(kind, signal, 0.0),), slot), order)
+
+    assert named(Kind.SIN, "y0", "force") == "pendulum"
+    assert named(Kind.SIN, "y0", "force", order=1) == "nonlinear_loss"  # nothing swings without a mass
+    assert named(Kind.BELL, "v0", "force") == "stribeck_friction"
+    assert named(Kind.LOG, "u0", "force") == "hammerstein"
+    assert named(Kind.ABS, "du0", "force") == ""
+    found = {
+        named(k, s, slot)
+        for k in range(16)
+        for s in ("y0", "v0", "u0", "du0")
+        for slot in ("force", "output")
+    }
+    assert found - {""} <= CAUSES
