@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -122,7 +123,10 @@ def diagnose(
     say("terms of no catalogue")
     discovery = discover([train], base, setting.effort.value)
     say("comparison on blocks not used")
-    outcomes = [_outcome(train, i, base, parts[i], discovery, setting) for i in range(train.n_outputs)]
+    again = cache(lambda: _without_the_last_block(train, base, setting))
+    outcomes = [
+        _outcome(train, i, base, parts[i], (discovery, again), setting) for i in range(train.n_outputs)
+    ]
     held = _held_out(train, test, outcomes, setting)
     return _diagnosis(train, test, base, outcomes, held, setting)
 
@@ -164,11 +168,12 @@ def _outcome(
     i: int,
     base: Baseline,
     parts: tuple[Examined, Bench, Named],
-    discovery: Discovery,
+    discovered: tuple[Discovery, Callable[[], tuple[Baseline, Discovery]]],
     setting: Setting,
 ) -> Outcome:
-    """The ladder of one output."""
+    """The ladder of one output; what was discovered comes with the same search made without the last block, on demand."""
     found, bench, named = parts
+    discovery, again = discovered
     steps = [_linear_step(base, i, bench.rest)]
     kept = np.repeat(found.last.keep, bench.thin)
     out = np.flatnonzero(np.isfinite(train.y[: len(kept), i]) & ~kept)
@@ -183,7 +188,7 @@ def _outcome(
     left = _left(train, i, base, named.step, share)
     y = np.nan_to_num(train.y[:, i])
     ladder = climb([y], steps, [bench.counted], setting.policy, least=int(len(out) > 0))
-    if ladder.chosen.kind is Kind.DISCOVERED and not _confirmed(train, i, base, bench, setting):
+    if ladder.chosen.kind is Kind.DISCOVERED and not _confirmed(train, i, base, bench, *again()):
         steps = [replace(s, admitted=s.kind is not Kind.DISCOVERED) for s in steps]
         ladder = climb([y], steps, [bench.counted], setting.policy, least=int(len(out) > 0))
     rest = _remainder_step(
@@ -223,22 +228,27 @@ MEMBER = 20
 """Parameters that a member of the remainder counts as in the noise floor: ridge regressions and networks are pulled to zero."""
 
 
-def _confirmed(train: Record, i: int, base: Baseline, bench: Bench, setting: Setting) -> bool:
-    """Whether a search that never saw the last block, nor what is beside it, finds terms that simulate it better.
+def _without_the_last_block(train: Record, base: Baseline, setting: Setting) -> tuple[Baseline, Discovery]:
+    """The linear model and what is discovered from the record without its last block and what is beside that."""
+    head = train[: base.blocks.blocks[-1].start - base.blocks.guard]
+    linear = best_linear([head], _options(head, setting))
+    return linear, discover([head], linear, setting.effort.value)
+
+
+def _confirmed(
+    train: Record, i: int, base: Baseline, bench: Bench, linear: Baseline, found: Discovery
+) -> bool:
+    """Whether a search that never saw the last block finds terms that simulate it better.
 
     The parameters of a discovered model did not see the blocks that vouch for it, but the search for its terms did.
     """
-    last = base.blocks.blocks[-1]
-    head = train[: last.start - base.blocks.guard]
-    linear = best_linear([head], _options(head, setting))
-    found = discover([head], linear, setting.effort.value)
     if found.model is None:
         return False
     window, counted = base.blocks.window, bench.counted.copy()
-    counted[: last.start] = False
+    counted[: base.blocks.blocks[-1].start] = False
     runs = [m.simulate(train, window)[:, i] for m in (linear, found.model)]
-    gain = paired_gain([np.nan_to_num(train.y[:, i])], runs[:1], runs[1:], [counted], setting.policy)
-    return gain.beyond(setting.policy.claimed[0]) and gain.share > setting.policy.claimed[1]
+    gain = paired_gain([np.nan_to_num(train.y[:, i])], runs[:1], runs[1:], [counted], bench.policy)
+    return gain.beyond(bench.policy.claimed[0]) and gain.share > bench.policy.claimed[1]
 
 
 def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:

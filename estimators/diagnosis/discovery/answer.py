@@ -16,7 +16,7 @@ from estimators.diagnosis.discovery.model import DiscoveredModel, FoundTerm
 from estimators.diagnosis.discovery.search import Budget, greedy_search
 from estimators.diagnosis.discovery.starts import Scales, pieces_of, scales_of
 from estimators.diagnosis.discovery.uncertainty import covariance, pruned
-from estimators.diagnosis.discovery.validation import ahead, start_prior, unused
+from estimators.diagnosis.discovery.validation import ahead, free_run, start_prior, unused
 from oed.data import Record
 
 __all__ = ["BUDGETS", "Discovery", "discover"]
@@ -73,7 +73,8 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     zeros = {f"y{i}": float(-scales.y[i] / scales.sy[i]) for i in range(records[0].n_outputs)}
     zeros |= {f"u{j}": float(-scales.u[j] / scales.su[j]) for j in range(records[0].n_inputs)}
     judge = _Judge(records, baseline, scales, pieces)
-    found = greedy_search(pieces, scales, smooth, zeros, budget, True)
+    own = tuple(m.model.order for m in baseline.outputs)
+    found = greedy_search(pieces, scales, smooth, zeros, budget, own)
     whole, gain, considered = _chosen(_pruned(_front(found), pieces, budget.rounds), judge)
     predictions = None if whole is None else judge.unused(whole, False)
     if whole is None or predictions is None or not judge.better(predictions):
@@ -137,6 +138,19 @@ class _Judge:
             out += [float(x.mean()) for x in np.array_split(e, 2 * BATCHES)]
         return np.array(out)
 
+    def through(self, f: Fitted) -> float:
+        """Mean square of runs through whole records from their windows, as on a new record; infinite where one explodes.
+
+        Blocks are short and start anew: where a model leaves its path only in a long run they do not see it.
+        """
+        asm, prior, window = Assembly(f.form), start_prior(f, self.pieces), self.blocks.window
+        runs = [free_run(asm, f.theta, prior, p, window) for p in self.pieces]
+        e = [((p.y - y) * p.weight)[window:] for p, y in zip(self.pieces, runs)]
+        total = sum(float((x**2).sum()) for x in e) / max(
+            sum(float(p.weight.sum()) for p in self.pieces), 1.0
+        )
+        return total if np.isfinite(total) else np.inf
+
     def rmse(self, predictions: Sequence[Array]) -> Array:
         """(ny,) over the samples that count."""
         ny = self.records[0].n_outputs
@@ -160,6 +174,8 @@ def _chosen(found: list[Fitted], judge: _Judge) -> tuple[Fitted | None, float, t
     m = len(base)
     considered = tuple((_short(f), float(np.sqrt(s[:m].mean() / base.mean()))) for f, s in tried)
     linear, nonlinear = [[t for t in tried if bool(t[0].form.terms) is k] for k in (False, True)]
+    lasting = min((judge.through(f) for f, _ in linear), default=np.inf)
+    nonlinear = [t for t in nonlinear if judge.through(t[0]) < lasting]
     if not nonlinear or not linear:
         return None, 0.0, considered
     best = min(nonlinear, key=lambda t: t[1].mean())
@@ -189,11 +205,13 @@ def _errors(a: Array, b: Array) -> float:
 
 
 def _front(found: list[Fitted], each: int = 2) -> list[Fitted]:
-    """The best few models of every number of terms."""
+    """The best few models of every number of terms, and of several outputs the best of every orders."""
     out, seen = [], {}
     for f in found:
-        k = sum(t.slot != "slow" for t in f.form.terms)
-        if k == 0 or seen.get(k, 0) < each:
+        several = len(f.form.orders) > 1
+        count = sum(t.slot != "slow" for t in f.form.terms)
+        k = (count, f.form.orders if several else ())
+        if count == 0 or seen.get(k, 0) < (1 if several else each):
             seen[k] = seen.get(k, 0) + 1
             out.append(f)
     return sorted(out, key=lambda f: f.free)

@@ -138,6 +138,11 @@ def candidates(
                 ]
                 out += [Candidate((Term((sign(a), centred(b))),))] if a[0] in "vu" and a in crossing else []
                 out += [Candidate((Term((sign(a), square(b))),))] if a[0] == "v" and a[1:] != b[1:] else []
+                out += (
+                    [Candidate((Term((square(a), square(b))),))]
+                    if a[0] == "v" and b in y and a[1:] != b[1:]
+                    else []
+                )
     for _i, name in enumerate(y):
         low, zero = float(signals[name].min()), zeros.get(name, 0.0)
         if zero < low:

@@ -107,27 +107,52 @@ def bends(f: Fitted, pieces: Sequence[Piece], count: int) -> bool:
 
 def greedy_search(
     pieces: Sequence[Piece], scales: Scales, outputs: Sequence[Array], zeros: dict[str, float], budget: Budget,
-    feedthrough: bool,
+    own: tuple[int, ...],
 ) -> list[Fitted]:  # fmt: skip
-    """All models fitted on the way, the best by the criterion first; linear ones among them."""
+    """All models fitted on the way, the best by the criterion first; linear ones among them.
+
+    `own` orders of the best linear model. Where several outputs are coupled, chains of these orders go a way of their own:
+    on the whole record longer chains mimic the coupling, and would crowd out the short ones that need more terms for it.
+    """
     ny = pieces[0].y.shape[1]
-    fits = [linear_fit((n,) * ny, pieces, scales, outputs, feedthrough=feedthrough) for n in budget.orders]
-    beam = [f for f in fits if f is not None and forgets(f, pieces)]
-    more = [linear_fit((n,) * ny, pieces, scales, outputs, feedthrough=feedthrough) for n in budget.rivals]
-    every = beam + [f for f in more if f is not None and forgets(f, pieces)]
-    for _ in range(budget.terms):
-        new = []
-        for f in beam:
-            for s in _ranked(f, pieces, zeros, budget.width):
-                g = grown(f, s, pieces, budget.rounds)
-                if g is not None:
-                    new.append(g)
+
+    def linear(orders: Sequence[tuple[int, ...]]) -> list[Fitted]:
+        fits = [linear_fit(n, pieces, scales, outputs, feedthrough=True) for n in orders]
+        return [f for f in fits if f is not None and forgets(f, pieces)]
+
+    beam, rivals = linear([(n,) * ny for n in budget.orders]), linear([(n,) * ny for n in budget.rivals])
+    every = [
+        *beam,
+        *rivals,
+        *_climbed(beam, budget.beam if ny == 1 else 1, budget.terms, pieces, zeros, budget),
+    ]
+    if ny > 1:
+        own = tuple(min(max(n, 1), max(budget.orders)) for n in own)
+        first = [f for f in beam if f.form.orders == own] or linear([own])
+        every += [f for f in first if f not in beam]
+        every += _climbed(first, 1, ny * budget.terms, pieces, zeros, budget)
+    return sorted(every, key=criterion)
+
+
+def _climbed(
+    beam: list[Fitted],
+    width: int,
+    terms: int,
+    pieces: Sequence[Piece],
+    zeros: dict[str, float],
+    budget: Budget,
+) -> list[Fitted]:
+    """Models with more and more terms; the best `width` of each number go on while the criterion falls."""
+    every: list[Fitted] = []
+    best = math.inf
+    for _ in range(terms):
+        trials = ((f, s) for f in beam for s in _ranked(f, pieces, zeros, budget.width))
+        new = [g for f, s in trials if (g := grown(f, s, pieces, budget.rounds)) is not None]
         if not new:
             break
         every += new
-        new.sort(key=criterion)
-        best = criterion(beam[0]) if _ else math.inf
-        beam = new[: budget.beam]
+        beam = sorted(new, key=criterion)[:width]
         if criterion(beam[0]) > best:
             break
-    return sorted(every, key=criterion)
+        best = criterion(beam[0])
+    return every

@@ -112,8 +112,19 @@ WHOLE = {("force", "u"): "hammerstein", ("output", "y"): "output_nonlinearity", 
 """The same for any other function of one signal; a force of the output is a spring only where there is a mass."""
 
 
+def _couples(term: Term) -> bool:
+    """Whether a force on one axis comes from rates and positions of others: centrifugal, Coriolis, an inertia they change."""
+    others = {f.signal[1:] for f in term.factors if f.signal[0] in "yv"} - {str(term.chain)}
+    rates = [f.kind for f in term.factors if f.signal[0] == "v"]
+    moving = bool(rates) and all(k in (Kind.LINEAR, Kind.SQUARE) for k in rates)
+    bent = len(term.factors) > 1 or rates == [Kind.SQUARE]
+    return term.slot == "force" and bool(others) and moving and bent and _letters(term, {}) <= {"y", "v"}
+
+
 def same_as(term: Term, order: int = 2) -> str:
     """The catalogue's name for a term that says the same in a chain of an order, or nothing."""
+    if _couples(term):
+        return "coriolis_coupling"
     if len(term.factors) == 2:
         plain = all(f.kind == Kind.LINEAR for f in term.factors)
         return "bilinear" if plain and {f.signal[0] for f in term.factors} == {"u", "y"} else ""
@@ -162,6 +173,9 @@ def _single(term: Term, f: Factor) -> str:
 
 def meaning(term: Term) -> str:
     """What a term is in physical words."""
+    coupling = "nonlinear coupling of the axes (product of their motions: centrifugal, Coriolis)"
+    if _couples(term):
+        return coupling
     if len(term.factors) == 1:
         return _single(term, term.factors[0])
     sides = ["d" if f.signal.startswith("du") else f.signal[0] for f in term.factors]
@@ -171,7 +185,7 @@ def meaning(term: Term) -> str:
     if "s" in sides:
         return "a slow hidden state changes a coefficient"
     if len(chains) > 1:
-        return "nonlinear coupling of the axes (product of their motions: centrifugal, Coriolis)"
+        return coupling
     pair = "".join(sorted(sides))
     return {
         "uy": "output-dependent gain (input times output; state-dependent gain or time constant)",

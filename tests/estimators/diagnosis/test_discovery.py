@@ -136,3 +136,37 @@ def test_a_hardening_spring_is_found_in_the_users_units() -> None:
 def test_a_linear_rig_yields_nothing(colour) -> None:
     record = rig(lambda x, v: 0.0, noise=0.1, seed=4, colour=colour)
     assert not discover([record], best_linear([record]), "quick").found
+
+
+def polar_arm(coupled: float, n=900, noise=0.02, seed=0) -> Record:
+    """An arm that turns and slides, each on a spring: 20 Euler-Cromer steps a sample; `coupled` 0 leaves two linear axes."""
+    rng = np.random.default_rng(seed)
+    u = np.column_stack([np.repeat(rng.uniform(-2, 2, n // k + 1), k)[:n] for k in (9, 7)])
+    a, va, r, vr = 0.0, 0.0, 0.0, 0.0
+    y = np.zeros((n, 2))
+    for k in range(n):
+        y[k] = a, r
+        for _ in range(20):
+            force_a = 2.5 * u[k, 0] - 5 * a - va - coupled * 0.8 * vr * va
+            va += 0.005 * force_a / (1 + coupled * (0.4 * r + 0.1 * r * r))
+            vr += 0.005 * (2 * u[k, 1] - 6 * r - 1.5 * vr + coupled * 0.4 * (1 + 0.5 * r) * va * va)
+            a, r = a + 0.005 * va, r + 0.005 * vr
+    return Record(u, y + noise * y.std(axis=0) * rng.standard_normal((n, 2)), 0.1)
+
+
+def test_axes_that_push_each_other_are_found_and_named() -> None:
+    record, other = polar_arm(1.0), polar_arm(1.0, seed=9)
+    base = best_linear([record])
+    found = discover([record], base, "quick")
+    assert found.found
+    assert np.all(found.rmse_unused < 0.8 * base.rmse_unused)
+    for r in (record, other):  # a run through the whole record, not only through blocks
+        errors = [np.sqrt(np.mean((m.simulate(r, 20) - r.y) ** 2, axis=0)) for m in (found.model, base)]
+        assert np.all(errors[0] < 0.8 * errors[1])
+    first = [next(t for t in found.terms if t.output == i) for i in range(2)]
+    assert {t.same_as for t in first} == {"coriolis_coupling"}
+
+
+def test_two_linear_axes_yield_nothing() -> None:
+    record = polar_arm(0.0, noise=0.1, seed=4)
+    assert not discover([record], best_linear([record]), "quick").found
