@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -81,7 +81,7 @@ class Columns:
 
 
 def diagnose_files(
-    train: Path | str,
+    train: Path | str | Sequence[Path | str],
     test: Path | str | None = None,
     *,
     meta: Path | str | None = None,
@@ -90,7 +90,7 @@ def diagnose_files(
     setting: Setting | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Diagnosis, list[str]]:
-    """Diagnose records in files."""
+    """Diagnose records in files, one or several for training."""
     from oed.files import read_record
 
     columns, wanted = columns or Columns(), setting or Setting()
@@ -105,7 +105,8 @@ def diagnose_files(
     def read(path: Path | str) -> Record:
         return read_record(path, **names, dt=columns.dt, missing=True, notes=notes)
 
-    first = read(train)
+    records = [read(path) for path in ([train] if isinstance(train, str | Path) else train)]
+    first = max(records, key=len)
     second = read(test) if test is not None else None
     stated = known.get("sampling_time")
     if isinstance(stated, int | float) and columns.dt is None and abs(first.dt - stated) > 1e-3 * stated:
@@ -126,7 +127,7 @@ def diagnose_files(
         )
         notes.append(f"{how}: they are taken as separate clocks")
         final = replace(final, separate=True)
-    return diagnose(first, second, final, progress=progress), list(dict.fromkeys(notes))
+    return diagnose(records, second, final, progress=progress), list(dict.fromkeys(notes))
 
 
 def _check(setting: Setting, skip: int) -> None:

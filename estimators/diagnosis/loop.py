@@ -6,7 +6,7 @@ remainder) -> the ladder on unused blocks -> the verdict. No stage calls back.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -37,19 +37,20 @@ from oed.errors import InputError
 __all__ = ["Setting", "diagnose"]
 
 Array = NDArray[Any]
+LEAST = 50
+"""Samples of a training record: five blocks of ten, below which no error on unused blocks says anything."""
 
 
 def _check(train: Record, test: Record | None) -> None:
-    for name, record in (("training", train), ("test", test)):
-        if record is None:
-            continue
+    pair = (("training", train),) if test is None else (("training", train), ("test", test))
+    for name, record in pair:
         if not np.isfinite(record.u).all():
             raise InputError(
                 f"the {name} input has missing samples; simulation needs every input: fill or cut them."
             )
-    if len(train) < 50:
+    if len(train) < LEAST:
         raise InputError(
-            f"the training record has {len(train)} samples; at least 50 are needed: measure longer."
+            f"the training record has {len(train)} samples; at least {LEAST} are needed: measure longer."
         )
     spread = np.std(train.u, axis=0)
     if np.any(spread <= 1e-12 * (np.abs(train.u).max(axis=0) + 1e-300)):
@@ -59,21 +60,36 @@ def _check(train: Record, test: Record | None) -> None:
         )
     if test is None:
         return
-    if (test.n_inputs, test.n_outputs) != (train.n_inputs, train.n_outputs):
-        raise InputError(f"the test record has {test.n_inputs} inputs and {test.n_outputs} outputs, the training record "
-                         f"{train.n_inputs} and {train.n_outputs}; they must be of the same system.")  # fmt: skip
-    if abs(test.dt - train.dt) > 1e-3 * train.dt:
-        raise InputError(
-            f"the sampling times are {train.dt:g} and {test.dt:g} s; resample one record to the other's."
-        )
+    _alike(train, test, "test record")
     shared = copied_rows(train, test)
     if shared:
         raise InputError(f"{shared} consecutive rows of the test record are also in the training record; the error on "
                          "them would prove nothing: give data that were not used.")  # fmt: skip
 
 
+def _alike(train: Record, other: Record, name: str) -> None:
+    if (other.n_inputs, other.n_outputs) != (train.n_inputs, train.n_outputs):
+        raise InputError(f"the {name} has {other.n_inputs} inputs and {other.n_outputs} outputs, the training record "
+                         f"{train.n_inputs} and {train.n_outputs}; they must be of the same system.")  # fmt: skip
+    if abs(other.dt - train.dt) > 1e-3 * train.dt:
+        raise InputError(
+            f"the sampling times are {train.dt:g} and {other.dt:g} s; resample one record to the other's."
+        )
+
+
+def _together(train: Record | Sequence[Record], test: Record | None) -> list[Record]:
+    """The training records, checked, the longest first: single effects are looked for there, and judged on all."""
+    records = [train] if isinstance(train, Record) else sorted(train, key=len, reverse=True)
+    if not records:
+        raise InputError("there is no training record; give at least one.")
+    for record in records:
+        _alike(records[0], record, "other training record")
+        _check(record, test)
+    return records
+
+
 def diagnose(
-    train: Record,
+    train: Record | Sequence[Record],
     test: Record | None = None,
     setting: Setting | None = None,
     *,
@@ -84,11 +100,12 @@ def diagnose(
 
     Parameters
     ----------
-    train : Record
-        Everything is chosen and fitted on this record.
+    train : Record or sequence of Record
+        Everything is chosen and fitted on these records, of one system: levels, days. Effects of the catalogue are
+        looked for on the longest, and must hold on all.
     test : Record, optional
         Held-out record on the same clock; without it the errors are those of blocked cross-validation: every
-        block of the training record is simulated with parameters fitted to the other blocks.
+        block of the longest training record is simulated with parameters fitted to the other blocks.
     setting : Setting, optional
         What is known of the system.
     effects : iterable of Effect, optional
@@ -112,23 +129,25 @@ def diagnose(
     """
     setting = Setting() if setting is None else setting
     setting = setting if effects is None else replace(setting, effects=tuple(effects))
-    _check(train, test)
+    records = _together(train, test)
+    first = records[0]
     if test is not None and setting.separate:
-        test = replace(test, t0=train.t0)
+        test = replace(test, t0=first.t0)
     say = progress if progress is not None else lambda stage: None
     say("the best linear model")
-    base = best_linear([train], _options(train, setting))
+    base = best_linear(records, _options(first, setting))
     say("effects of the catalogue")
-    parts = [_named(train, i, base, setting) for i in range(train.n_outputs)]
+    own = base if len(records) == 1 else best_linear([first], _options(first, setting))
+    parts = [_named(first, i, own, setting) for i in range(first.n_outputs)]
     say("terms of no catalogue")
-    discovery = discover([train], base, setting.effort.value)
+    discovery = discover(records, base, setting.effort.value)
     say("comparison on blocks not used")
-    again = cache(lambda: _without_the_last_block(train, base, setting))
+    again = cache(lambda: _without_the_last_block(records, base, setting))
     outcomes = [
-        _outcome(train, i, base, parts[i], (discovery, again), setting) for i in range(train.n_outputs)
+        _outcome(records, i, base, parts[i], (discovery, again), setting) for i in range(first.n_outputs)
     ]
-    held = _held_out(train, test, outcomes, setting)
-    return _diagnosis(train, test, base, outcomes, held, setting)
+    held = _held_out(first, test, outcomes, setting)
+    return _diagnosis(records, test, base, outcomes, held, setting)
 
 
 def _options(train: Record, setting: Setting) -> Options:
@@ -154,17 +173,22 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> tuple[Exa
     return found, bench, best_named(bench, found.attribution, Menu(setting.effects))
 
 
-def _left(train: Record, i: int, base: Baseline, step: Step | None, share: Share) -> Share:
+def _left(records: Sequence[Record], i: int, base: Baseline, step: Step | None, share: Share) -> Share:
     """The explainable share of what the named model leaves."""
-    if step is None:
-        return share
-    y = base.y_model[0].copy()
-    y[:, i] = step.simulate(train, base.blocks.window)
-    return explainable_share(replace(base, y_model=(y,)), [train], i) if np.all(np.isfinite(y)) else share
+    runs = None if step is None else _runs(step, records, i, base)
+    return share if runs is None else explainable_share(replace(base, y_model=runs), records, i)
+
+
+def _runs(step: Step, records: Sequence[Record], i: int, base: Baseline) -> tuple[Array, ...] | None:
+    """Simulated outputs of all records, output i by a step; None where one explodes."""
+    out = tuple(y.copy() for y in base.y_model)
+    for y, record in zip(out, records, strict=True):
+        y[:, i] = step.simulate(record, base.blocks.window)
+    return out if all(np.all(np.isfinite(y)) for y in out) else None
 
 
 def _outcome(
-    train: Record,
+    records: Sequence[Record],
     i: int,
     base: Baseline,
     parts: tuple[Examined, Bench, Named],
@@ -174,47 +198,56 @@ def _outcome(
     """The ladder of one output; what was discovered comes with the same search made without the last block, on demand."""
     found, bench, named = parts
     discovery, again = discovered
+    train, *others = records
     steps = [_linear_step(base, i, bench.rest)]
     kept = np.repeat(found.last.keep, bench.thin)
     out = np.flatnonzero(np.isfinite(train.y[: len(kept), i]) & ~kept)
     if len(out):  # samples that are no measurement: the best linear model without them
         y = train.y.copy()
         y[out, i] = np.nan
-        clean = best_linear([train.replace(y=y)], _options(train, setting))
+        clean = best_linear([train.replace(y=y), *others], _options(train, setting))
         steps.append(_linear_step(clean, i, bench.rest, tuple(sig.key for sig in found.signatures)))
+    if named.step is not None:  # no parameter of it saw the other records
+        window = base.blocks.window
+        unseen = [named.step.simulate(r, window) for r in others]
+        named = replace(named, step=replace(named.step, unused=(*named.step.unused, *unseen)))
     steps += [named.step] if named.step is not None else []
     steps += [_discovered_step(discovery, discovery.model, i)] if discovery.model is not None else []
-    share = explainable_share(base, [train], i)
-    left = _left(train, i, base, named.step, share)
-    y = np.nan_to_num(train.y[:, i])
-    ladder = climb([y], steps, [bench.counted], setting.policy, least=int(len(out) > 0))
-    if ladder.chosen.kind is Kind.DISCOVERED and not _confirmed(train, i, base, bench, *again()):
+    share = explainable_share(base, records, i)
+    left = _left(records, i, base, named.step, share)
+    y = [np.nan_to_num(r.y[:, i]) for r in records]
+    counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
+    least = int(len(out) > 0)
+    ladder = climb(y, steps, counted, setting.policy, least=least)
+    if ladder.chosen.kind is Kind.DISCOVERED and not _confirmed(records, i, base, counted, again(), setting):
         steps = [replace(s, admitted=s.kind is not Kind.DISCOVERED) for s in steps]
-        ladder = climb([y], steps, [bench.counted], setting.policy, least=int(len(out) > 0))
+        ladder = climb(y, steps, counted, setting.policy, least=least)
     rest = _remainder_step(
-        train, i, base, ladder, share if ladder.chosen.kind is Kind.LINEAR else left, setting
+        records, i, base, ladder, share if ladder.chosen.kind is Kind.LINEAR else left, setting
     )
     if rest is not None:
-        ladder = climb([y], [*steps, rest], [bench.counted], setting.policy, least=int(len(out) > 0))
+        ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     return Outcome(i, found, named, ladder, share, left, discovery)
 
 
 def _remainder_step(
-    train: Record, i: int, base: Baseline, ladder: Ladder, share: Share, setting: Setting
+    records: Sequence[Record], i: int, base: Baseline, ladder: Ladder, share: Share, setting: Setting
 ) -> Step | None:
     """What is still explainable above the ladder's answer, taken up where unused blocks admit it."""
-    below, window = ladder.chosen, base.blocks.window
-    if len(below.unused[0]) != len(train):
+    below = ladder.chosen
+    if any(len(u) != len(r) for u, r in zip(below.unused, records, strict=True)):
         return None
     if below is ladder.linear:
-        footing = linear_footing(base, [train])
+        footing = linear_footing(base, records)
     else:
-        final, unused = base.y_model[0].copy(), base.unused[0].copy()
-        final[:, i], unused[:, i] = below.simulate(train, window), below.unused[0]
-        if not np.all(np.isfinite(final)):
+        final = _runs(below, records, i, base)
+        if final is None:
             return None
-        footing = spliced([final], [unused], base.blocks)
-    rest = fit_remainder(base, [train], footing, i, limits=Limits.of(setting.effort), policy=setting.policy,
+        unused = [u.copy() for u in base.unused]
+        for u, own in zip(unused, below.unused, strict=True):
+            u[:, i] = own
+        footing = spliced(final, unused, base.blocks)
+    rest = fit_remainder(base, records, footing, i, limits=Limits.of(setting.effort), policy=setting.policy,
                          counts=list(ladder.counted), share=share)  # fmt: skip
     if not rest.admitted:
         return None
@@ -228,27 +261,34 @@ MEMBER = 20
 """Parameters that a member of the remainder counts as in the noise floor: ridge regressions and networks are pulled to zero."""
 
 
-def _without_the_last_block(train: Record, base: Baseline, setting: Setting) -> tuple[Baseline, Discovery]:
-    """The linear model and what is discovered from the record without its last block and what is beside that."""
-    head = train[: base.blocks.blocks[-1].start - base.blocks.guard]
-    linear = best_linear([head], _options(head, setting))
-    return linear, discover([head], linear, setting.effort.value)
+def _without_the_last_block(
+    records: Sequence[Record], base: Baseline, setting: Setting
+) -> tuple[Baseline, Discovery]:
+    """The linear model and what is discovered from the records without the last block and what is beside that."""
+    last = base.blocks.blocks[-1]
+    unseen = records[last.record]
+    head = unseen[: max(0, last.start - base.blocks.guard)]
+    heads = [*(r for r in records if r is not unseen), *([head] if len(head) >= LEAST else [])]
+    linear = best_linear(heads, _options(unseen, setting))
+    return linear, discover(heads, linear, setting.effort.value)
 
 
 def _confirmed(
-    train: Record, i: int, base: Baseline, bench: Bench, linear: Baseline, found: Discovery
-) -> bool:
+    records: Sequence[Record], i: int, base: Baseline, counted: Sequence[Array], again: tuple[Baseline, Discovery],
+    setting: Setting,
+) -> bool:  # fmt: skip
     """Whether a search that never saw the last block finds terms that simulate it better.
 
     The parameters of a discovered model did not see the blocks that vouch for it, but the search for its terms did.
     """
+    (linear, found), last = again, base.blocks.blocks[-1]
     if found.model is None:
         return False
-    window, counted = base.blocks.window, bench.counted.copy()
-    counted[: base.blocks.blocks[-1].start] = False
-    runs = [m.simulate(train, window)[:, i] for m in (linear, found.model)]
-    gain = paired_gain([np.nan_to_num(train.y[:, i])], runs[:1], runs[1:], [counted], bench.policy)
-    return gain.beyond(bench.policy.claimed[0]) and gain.share > bench.policy.claimed[1]
+    unseen, use = records[last.record], counted[last.record].copy()
+    use[: last.start] = False
+    runs = [m.simulate(unseen, base.blocks.window)[:, i] for m in (linear, found.model)]
+    gain = paired_gain([np.nan_to_num(unseen.y[:, i])], runs[:1], runs[1:], [use], setting.policy)
+    return gain.beyond(setting.policy.claimed[0]) and gain.share > setting.policy.claimed[1]
 
 
 def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:
@@ -265,7 +305,7 @@ def _linear_step(base: Baseline, i: int, rest: bool, adds: tuple[str, ...] = ())
     m = base.outputs[i]
     answer = LinearAnswer(i, m.inputs, m.model, replace(m.prior, rest=rest))
     size = m.model.order + m.model.num.size
-    return Step(Kind.LINEAR, adds, (base.unused[0][:, i],), answer, size, noise=m.noise[1:])
+    return Step(Kind.LINEAR, adds, tuple(u[:, i] for u in base.unused), answer, size, noise=m.noise[1:])
 
 
 def _starts_at_rest(train: Record, i: int, base: Baseline) -> bool:
@@ -304,13 +344,14 @@ def _floor(o: Outcome, train: Record) -> float:
 
 
 def _diagnosis(
-    train: Record,
+    records: Sequence[Record],
     test: Record | None,
     base: Baseline,
     outcomes: list[Outcome],
     held: HeldOut,
     setting: Setting,
 ) -> Diagnosis:
+    train = records[0]
     words = (
         "test record"
         if test is not None
@@ -318,7 +359,7 @@ def _diagnosis(
     )
     notes = [*held.warnings, *base.warnings]
     if test is not None:
-        notes += outside([train], test, setting.policy)
+        notes += outside(records, test, setting.policy)
     floor = float(np.sqrt(np.mean([_floor(o, train) ** 2 for o in outcomes])))
     return Diagnosis(
         rmse_before=held.rmse_before, rmse_after=held.rmse_after, pred_rmse_before=held.pred_before,

@@ -13,7 +13,12 @@ EXAMPLE = "oed diagnose train.csv --test test.csv --meta meta.json --json"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
-    parser.add_argument("train", metavar="TRAIN", help="training record; FILE[a:b] takes rows a to b-1")
+    parser.add_argument(
+        "train",
+        metavar="TRAIN",
+        nargs="+",
+        help="training record, or several of one system; FILE[a:b] takes rows a to b-1",
+    )
     parser.add_argument(
         "--test", metavar="TEST", help="held-out record; without it blocked cross-validation inside TRAIN"
     )
@@ -63,7 +68,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
         folder = save(result, args.out)
         made = {
-            "training record": args.train,
+            "training record": ", ".join(args.train),
             "test record": args.test or "none",
             "false-alarm rate": args.alpha,
         }

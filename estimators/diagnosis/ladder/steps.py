@@ -129,11 +129,12 @@ def paired_gain(
     measured: Sequence[Array], first: Sequence[Array], second: Sequence[Array],
     counted: Sequence[NDArray[np.bool_]], policy: Policy,
 ) -> Gain:  # fmt: skip
-    """What the second prediction gains over the first on the same samples; minus infinity where it is not finite."""
+    """What the second prediction gains over the first on the same samples; all or nothing where one is not finite."""
     before = [(y - a) ** 2 for y, a in zip(measured, first, strict=True)]
     after = [(y - b) ** 2 for y, b in zip(measured, second, strict=True)]
-    if not all(np.all(np.isfinite(s[use])) for s, use in zip(after, counted, strict=True)):
-        return Gain(-np.inf, 0.0, -np.inf)
+    for squares, nothing in ((after, Gain(-np.inf, 0.0, -np.inf)), (before, Gain(np.inf, 0.0, 1.0))):
+        if not all(np.all(np.isfinite(s[use])) for s, use in zip(squares, counted, strict=True)):
+            return nothing
     value, error = _mean(_pieces([a - b for a, b in zip(before, after, strict=True)], counted, policy.pieces))
     base, _ = _mean(_pieces(before, counted, policy.pieces))
     return Gain(value, error, 1.0 - float(np.sqrt(max(base - value, 0.0) / max(base, 1e-300))))

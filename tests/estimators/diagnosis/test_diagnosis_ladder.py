@@ -70,3 +70,10 @@ def test_what_is_refused_or_not_finite_is_never_the_answer() -> None:
     ladder = climb(y, [*steps, refused, broken], COUNTED, POLICY)
     assert ladder.chosen is ladder.linear
     assert not np.isfinite(ladder.rungs[1].value)
+
+
+def test_a_finite_prediction_gains_all_over_one_that_is_not() -> None:
+    y, steps = _case(4, 1.0)
+    broken = [np.full(N, np.inf)]
+    assert paired_gain(y, broken, steps[0].unused, COUNTED, POLICY).beyond(1.0)
+    assert not paired_gain(y, steps[0].unused, broken, COUNTED, POLICY).beyond(0.0)

@@ -18,6 +18,7 @@ from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Structure
 from estimators.diagnosis.record.leftover import leftovers
 from oed.data import Record
+from oed.errors import InputError
 
 CAUSES = {e.cause for e in CATALOGUE}
 
@@ -42,6 +43,24 @@ def test_a_compressive_sensor_is_named_beside_coloured_noise(rng) -> None:
 def test_nothing_is_claimed_of_a_linear_plant_in_the_same_noise(rng) -> None:
     result = diagnose(logged(rng, 900, False), logged(rng, 500, False), Setting(deviations=False, skip=20))
     assert result.effect in ("none", "coloured_noise")
+
+
+@pytest.mark.slow
+def test_several_training_records_are_one_diagnosis(rng) -> None:
+    records = [logged(rng, n, True) for n in (500, 700)]
+    test = logged(rng, 500, True)
+    result = diagnose(records, test, Setting(deviations=False, skip=20))
+    assert result.effect == "output_nonlinearity"
+    assert result.rmse_after.value < 0.5 * result.rmse_before.value
+    assert len(result.ladder) > 1
+
+
+def test_training_records_of_different_systems_are_refused(rng) -> None:
+    first = logged(rng, 200, False)
+    with pytest.raises(InputError, match="other training record has 1 inputs and 2 outputs"):
+        diagnose([first, Record(first.u, np.repeat(first.y, 2, axis=1))[:150]])
+    with pytest.raises(InputError, match="no training record"):
+        diagnose([])
 
 
 def test_residual_tests_skip_parameters_that_are_held(rng) -> None:
