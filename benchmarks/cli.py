@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import difflib
 import json
 import math
 import os
@@ -36,6 +37,10 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}; see {self.prog} --help.\n")
+
+    def options(self) -> list[str]:
+        """What may stand behind the command, to guess what was meant."""
+        return [word for action in self._actions for word in action.option_strings]
 
 
 def _modules() -> dict[str, str]:
@@ -70,7 +75,7 @@ def _parser() -> _Parser:
         sub.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
         sub.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
         sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
-        sub.set_defaults(run=module.run)
+        sub.set_defaults(run=module.run, options=sub.options())
     return parser
 
 
@@ -131,7 +136,15 @@ def main(argv: list[str] | None = None) -> int:
         except InputError as error:
             print(f"oed: {error}", file=sys.stderr)
             return 2
-    args = parser.parse_args(argv)
+    args, unknown = parser.parse_known_args(argv)
+    if unknown:
+        near = difflib.get_close_matches(unknown[0], args.options, 1)
+        hint = f" (did you mean {near[0]}?)" if near else ""
+        print(
+            f"oed {args.command}: {unknown[0]} is not understood{hint}; see oed {args.command} --help.",
+            file=sys.stderr,
+        )
+        return 2
     with _terminated_like_interrupted():
         return _run(args)
 

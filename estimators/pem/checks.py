@@ -60,15 +60,16 @@ def check_records(
     records: list[Record], form: Structure, offset: bool, missing: bool = False, regularised: bool = False
 ) -> None:
     """Refuse records that cannot determine the structure, before any work."""
-    total = (
-        sum(int(np.isfinite(r.y).all(axis=1).sum()) for r in records) if missing else sum(map(len, records))
-    )
+    delay = 0 if isinstance(form, StateSpace) else int(np.max(form.nk, where=form.nb > 0, initial=0))
+    seen = [r.y[max(delay - 1, 0) :] for r in records]  # before it no input has reached the output
+    total = sum(int(np.isfinite(y).all(axis=1).sum()) if missing else len(y) for y in seen)
     count = 5 * form.n_outputs * form.n_inputs if regularised else form.n
     count += form.n_outputs if offset else 0
     if total * form.n_outputs < 2 * count:
+        after = f" after the delay of {delay}" if delay > 1 else ""
         raise InputError(
-            f"{total} samples cannot determine {count} parameters; give at least {-(-2 * count // form.n_outputs)} "
-            "samples or lower the orders."
+            f"{total} samples{after} cannot determine {count} parameters; give at least "
+            f"{max(delay - 1, 0) + -(-2 * count // form.n_outputs)} samples or lower the {'delay' if after else 'orders'}."
         )
     for k, record in enumerate(records):
         which = f"record {k + 1}" if len(records) > 1 else "the record"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,10 +17,23 @@ from oed.files.objects import as_records
 if TYPE_CHECKING:
     from estimators.pem.fit import Fit
 
-__all__ = ["Choice", "Delay", "estimate_delay", "held_out_error", "select_orders"]
+__all__ = ["Choice", "Delay", "automatic", "estimate_delay", "held_out_error", "select_orders"]
 
 NEAR = 10.0
 """Difference of AIC up to which a delay is looked at closely: beyond it the best is 150 times as likely."""
+
+
+WORTH = 0.01
+"""What one more order must take off the error on blocks left out: less is within what five blocks can tell apart, and
+nobody would see it in a plot."""
+PATIENCE, MOST = 2, 8
+"""Orders tried without a gain before the climb ends (a resonance needs two), and where it ends at the latest."""
+FOLDS, OPENING = 5, 0.25
+"""Blocks left out in turn, and the share of each that sets its initial state and is left out of its error."""
+CLIMB = {"fir": (10,), "arx": (1, 1), "armax": (1, 1, 1), "oe": (1, 1), "bj": (1, 1, 1, 1), "ss": (1,)}
+"""What is added to the orders of a structure at each step of the climb."""
+LOOK, LATEST = 4, 12
+"""Order of the regression that gives a first delay, and the longest that it tries."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +188,81 @@ def select_orders(
         raise InputError(f"none of {len(tuples)} orders could be fitted; the first said: {first_error}")
     rows.sort(key=lambda row: (row["value"], row["n"]))
     return Choice(criterion, tuple(rows), fits[rows[0]["orders"], rows[0]["delay"]])
+
+
+def automatic(
+    records: Record | Sequence[Record], structure: str, orders: Any, delay: Any, **options: Any
+) -> Fit:
+    """The model whose orders, delay or both are "auto".
+
+    Orders climb together from the smallest while that lowers the simulation error on blocks left out; the smallest that is
+    nearly the best is taken. The delay is that of a linear regression first, and that of the model itself in the end.
+    """
+    from estimators.pem import identify
+
+    for name, value in (("orders", orders), ("delay", delay)):
+        if isinstance(value, str) and value != "auto":
+            raise InputError(f"{name} is {value!r}; give whole numbers, or 'auto'.")
+    if structure not in CLIMB:
+        raise InputError(f"the structure {structure!r} has no orders to choose; take {', '.join(CLIMB)}.")
+    given = as_records(records, missing=bool(options.get("missing")))
+    nk, notes = delay, []
+    if delay == "auto":
+        nk = 1 if structure == "ss" else _first_delay(given)
+    if orders == "auto":
+        rows = _climb(given, structure, nk, {**options, "search": "quick"})
+        best = min(error for _, error in rows)
+        orders = next(tried for tried, error in rows if error <= best * (1 + WORTH))
+        listed = ", ".join(f"{tried} {error:.4g}" for tried, error in rows)
+        notes = [f"orders {orders}, the fewest whose error on blocks left out is near the best: {listed}"]
+    if delay == "auto" and structure != "ss":
+        fit = estimate_delay(given, structure, orders, delays=range(max(nk - 1, 0), nk + 2), **options).fit
+    else:
+        fit = identify(given, structure, orders, nk, **options)
+    return replace(fit, notes=(*fit.notes, *notes))
+
+
+def _climb(
+    given: list[Record], structure: str, nk: int, options: dict
+) -> list[tuple[tuple[int, ...], float]]:
+    """Orders from the smallest, each with its simulation error on blocks left out, until no more is gained."""
+    rows: list[tuple[tuple[int, ...], float]] = []
+    window = int(OPENING * (len(given[0]) // FOLDS if len(given) == 1 else min(map(len, given))))
+    for k in range(1, MOST + 1):
+        orders = tuple(k * n for n in CLIMB[structure])
+        try:
+            error = held_out_error(given, structure, orders, nk, folds=FOLDS, window=window, **options)[0]
+        except OedError as said:  # too short a record, or more than it can tell
+            if not rows:
+                raise InputError(f"not even the smallest {structure} model can be fitted: {said}") from None
+            break
+        rows.append((orders, error))
+        if len(rows) - int(np.argmin([e for _, e in rows])) > PATIENCE:
+            break
+    return rows
+
+
+def _first_delay(given: list[Record]) -> int:
+    """The longest delay under which a linear regression on lagged signals is nearly as good as under any."""
+    first = LOOK + LATEST
+    now, past = [], []
+    for r in given:
+        now.append(r.y[first:])
+        lags = [r.y[first - k : len(r) - k] for k in range(1, LOOK + 1)]
+        past.append((np.hstack(lags), [r.u[first - k : len(r) - k] for k in range(first)]))
+    if sum(map(len, now)) < 2 * first:
+        raise InputError(
+            f"the record is too short to choose a delay; give it, or more than {3 * first} samples."
+        )
+    y, own = np.concatenate(now), np.concatenate([own for own, _ in past])
+    rest = []
+    for nk in range(LATEST + 1):
+        lagged = np.concatenate([np.hstack(inputs[nk : nk + LOOK]) for _, inputs in past])
+        A = np.hstack([own, lagged, np.ones((len(y), 1))])
+        good = np.isfinite(A).all(axis=1) & np.isfinite(y).all(axis=1)
+        e = y[good] - A[good] @ np.linalg.lstsq(A[good], y[good], rcond=None)[0]
+        rest.append(float(np.sqrt(np.mean(e**2))))
+    return max(nk for nk, value in enumerate(rest) if value <= min(rest) * (1 + WORTH))
 
 
 def _blocks(given: list[Record], folds: int) -> list[tuple[list[Record], Record]]:

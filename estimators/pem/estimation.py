@@ -80,9 +80,10 @@ def identify(
     structure : str or Polynomial or StateSpace
         fir, arx, armax, oe, bj, ss; or a structure, whose orders and delays then count.
     orders : sequence of int
-        fir nb; arx na nb; armax na nb nc; oe nb nf; bj nb nc nd nf; ss n. See `oed.models.model.polynomial`.
+        fir nb; arx na nb; armax na nb nc; oe nb nf; bj nb nc nd nf; ss n. See `oed.models.model.polynomial`. "auto": by
+        the error on blocks left out.
     delay : int or array_like
-        nk in samples, a number or (ny, nu).
+        nk in samples, a number or (ny, nu); "auto": the one under which the model fits best.
     diagonal : bool
         Whether input i drives output i alone.
     offset : bool or "mean"
@@ -144,6 +145,11 @@ def identify(
     NotIdentifiable
         If the information matrix is singular; the parameters in its null space are named.
     """
+    asked = dict(locals())
+    if isinstance(orders, str) or isinstance(delay, str):
+        from estimators.pem.choice import automatic
+
+        return automatic(**asked)
     experiments = as_records(records, missing=missing)
     form = structure_for(structure, orders, delay, diagonal, experiments)
     initial = initial or ("estimate" if offset else "zero")
@@ -155,6 +161,8 @@ def identify(
         raise InputError(f"search is {search!r}; choose auto, quick or thorough.")
     if robust not in (None, "huber", "student"):
         raise InputError(f"robust is {robust!r}; choose huber, student or None.")
+    if max_iterations < 1:
+        raise InputError(f"max_iterations is {max_iterations}; the search takes at least 1 step.")
     if missing and robust:
         raise InputError("missing samples are bridged with the squared loss; take the robust loss off.")
     if prefilter is not None:

@@ -65,6 +65,7 @@ def parquet_table(content: bytes, source: str) -> Table:
         check_limit("bytes", 8.0 * file.metadata.num_rows * len(schema.names), source)
         own = json.loads((schema.metadata or {}).get(KEY, b"null"))
         marks = {} if own is None else _marks(own, schema.names)
+        clock = None if any(map(seconds_per, schema.names)) else _dates(schema)
     except (pa.ArrowException, OSError, ValueError, OverflowError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
@@ -74,14 +75,23 @@ def parquet_table(content: bytes, source: str) -> Table:
 
     def load(wanted: Sequence[str]) -> list[NDArray[np.float64]]:
         try:
-            table = read_columns(file, wanted)
-            return [_values(table[name], name, source) for name in wanted]
+            stored = [clock if clock and name == "t" else name for name in wanted]
+            table = read_columns(file, stored)
+            return [_values(table[at], name, source) for at, name in zip(stored, wanted)]
         except (pa.ArrowException, OSError) as error:
             raise InputError(
                 f"{source} cannot be read ({first_line(error)}); it is damaged: write it again."
             ) from None
 
-    return Table(source, tuple(schema.names), load, **marks)
+    names = tuple("t" if name == clock else name for name in schema.names)
+    return Table(source, names, load, **marks)
+
+
+def _dates(schema: pa.Schema) -> str | None:
+    """The first column of dates: the clock, whatever it is called (pandas calls its index `__index_level_0__`)."""
+    import pyarrow as pa
+
+    return next((field.name for field in schema if pa.types.is_timestamp(field.type)), None)
 
 
 def _marks(own: Any, names: list[str]) -> dict[str, Any]:

@@ -23,7 +23,14 @@ from oed.files.text import csv_table
 
 __all__ = ["read_record", "read_table"]
 
-READERS = {".csv": csv_table, ".mat": mat_table, ".npz": npz_table, ".parquet": parquet_table}
+READERS = {
+    ".csv": csv_table,
+    ".txt": csv_table,
+    ".tsv": csv_table,
+    ".mat": mat_table,
+    ".npz": npz_table,
+    ".parquet": parquet_table,
+}
 
 
 def read_record(
@@ -99,12 +106,12 @@ def read_table(path: Path) -> Table:
     suffixes = [suffix.lower() for suffix in path.suffixes]
     zipped = suffixes[-1:] == [".gz"]
     suffix = "".join(suffixes[-2:-1] if zipped else suffixes[-1:])
+    content = _content(path) if suffix in READERS or not path.is_file() else b""
     if suffix not in READERS:
         raise InputError(
             f"{path.name!r} has the suffix {(suffix or 'none')!r}; files are read by suffix: "
-            f"{', '.join(READERS)}, each also with .gz."
+            f"{', '.join(READERS)}, each also with .gz: save the record as one of these, CSV for example."
         )
-    content = _content(path)
     if content[:2] == b"\x1f\x8b":
         content = _unzipped(content, path.name)
     elif zipped:

@@ -244,7 +244,7 @@ def _check_finite(columns: dict[str, NDArray], missing: bool, source: str, start
         remedy = (
             "mark missing samples by NaN"
             if missing
-            else "fill the gaps, or say that NaN marks missing samples (missing=True)"
+            else "fill the gaps, or say that NaN marks missing samples (--missing, in Python missing=True)"
         )
         raise InputError(
             f"{source} has {total} samples that are not finite, the first {columns[name][row]} in row {row + start} "

@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Sequence
+from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.limits import check_limit
-from oed.files.tables import Table, column_name
+from oed.files.tables import Table, column_name, seconds_per
 
 __all__ = ["csv_bytes", "csv_table"]
 
@@ -51,6 +53,10 @@ def csv_table(content: bytes, source: str) -> Table:
             )
         names = _fields(comment.lstrip("# "), delimiter)  # NumPy's savetxt marks its header as a comment
         body -= len(header)
+    first = _fields(text[body : body + 1000].lstrip("\r\n").partition("\n")[0], delimiter)
+    if not any(map(seconds_per, names)):  # a column of dates is the clock, whatever it is called
+        dates = [k for k, entry in enumerate(first[: len(names)]) if _is_date(entry)]
+        names = ["t" if [k] == dates[:1] else name for k, name in enumerate(names)]
     if not any(names):
         raise InputError(f"{source} is empty; a CSV file has a header row such as t,u,y and rows of numbers.")
 
@@ -99,6 +105,7 @@ def _parse_slowly(
     body: str, names: list[str], where: list[int], delimiter: str, source: str
 ) -> NDArray[np.float64]:
     rows: list[list[float]] = []
+    origin: list[datetime] = []
     for fields in csv.reader(io.StringIO(body, newline=""), delimiter=delimiter):
         if not any(field.strip() for field in fields):
             continue
@@ -108,8 +115,32 @@ def _parse_slowly(
                 f"row {row} (counting from 0) of {source} has {len(fields)} entries where the header has {len(names)} "
                 "columns; they must be equal: the file may be cut off, or have commas for decimal points."
             )
-        rows.append([_number(fields[k], row, names[k], source) for k in where])
+        dates = {k for k in where if seconds_per(names[k]) == 1 and (origin or _is_date(fields[k]))}
+        rows.append(
+            [
+                _seconds(fields[k], row, names[k], source, origin)
+                if k in dates
+                else _number(fields[k], row, names[k], source)
+                for k in where
+            ]
+        )
     return np.array(rows, dtype=float).reshape(len(rows), len(where))
+
+
+def _seconds(entry: str, row: int, column: str, source: str, origin: list[datetime]) -> float:
+    """A date of a column of times, in seconds from the first of them."""
+    try:
+        date = datetime.fromisoformat(entry.strip())
+        return (date - (origin or origin.append(date) or origin)[0]).total_seconds()
+    except (ValueError, TypeError):
+        raise InputError(
+            f"row {row} (counting from 0), column {column} of {source} is {entry[:40]!r}; times are numbers or dates like "
+            "2024-01-31 12:00:00.05, all of one kind and time zone: correct it or leave the column out."
+        ) from None
+
+
+def _is_date(entry: str) -> bool:
+    return re.match(r"\s*\d{4}-\d\d-\d\d", entry) is not None
 
 
 def _number(entry: str, row: int, column: str, source: str) -> float:

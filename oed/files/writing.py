@@ -18,13 +18,27 @@ from oed.files.mat import mat_bytes
 from oed.files.parquet import parquet_bytes
 from oed.files.text import csv_bytes
 
-__all__ = ["append_line", "tidy", "write_bytes", "write_figure", "write_record", "write_whole"]
+__all__ = ["append_line", "new_folder", "tidy", "write_bytes", "write_figure", "write_record", "write_whole"]
 
 WRITERS = {".csv": csv_bytes, ".mat": mat_bytes, ".npz": npz_bytes, ".parquet": parquet_bytes}
 
 MESSAGES = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
 KEPT = "What was there before is kept: make room or choose another place."
 _COUNT = itertools.count()
+
+
+def new_folder(path: str | os.PathLike[str], what: str = "the folder") -> Path:
+    """A new or empty folder, made before any work is done for it; one line if something is there or in the way."""
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not any(folder.iterdir()):
+            return folder
+    except OSError as error:
+        raise InputError(
+            f"{what} {path} cannot be made ({error.strerror}); give a new folder elsewhere."
+        ) from None
+    raise InputError(f"{what} {path} already holds something; give a new or empty folder.")
 
 
 def write_record(record: Record, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:

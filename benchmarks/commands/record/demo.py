@@ -41,13 +41,11 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     import json
     from importlib.resources import files
 
-    from benchmarks.commands.record.identify import new_folder
-    from oed.files.writing import write_whole
+    from oed.files.writing import new_folder, write_whole
     from oed.plants.json import plant_to_json
     from oed.plants.named import named_plant
 
     folder = new_folder(args.folder, "DIR")
-    folder.mkdir(parents=True, exist_ok=True)
     shipped = files("benchmarks") / "data"
     contents = {
         "record.csv": (shipped / "hair_dryer.csv").read_text(encoding="utf-8"),

@@ -52,7 +52,10 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Diagnose one pair of records."""
     from estimators.diagnosis.cases import Columns, diagnose_files
     from estimators.diagnosis.policy import Effort, Setting
+    from oed.files.writing import new_folder
 
+    if args.out:
+        new_folder(args.out, "--out")
     orders = () if args.order is None else (args.order,)
     result, notes = diagnose_files(
         args.train, args.test, meta=args.meta, skip=args.skip, columns=Columns(args.inputs, args.outputs, args.dt),

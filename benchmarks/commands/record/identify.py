@@ -23,8 +23,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--orders",
         nargs="+",
-        type=int,
-        help="; ".join(f"{k}: {v}" for k, v in ORDERS.items()) + " (default: 2)",
+        type=_order,
+        metavar="n",
+        help="; ".join(f"{k}: {v}" for k, v in ORDERS.items()) + " (default: 2); or auto, by blocks left out",
     )
     parser.add_argument("--delay", default="1", help="nk in samples, or auto (default 1)")
     parser.add_argument("--diagonal", action="store_true", help="input i drives output i alone")
@@ -85,10 +86,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> tuple[dict, str]:
     """Identify a model."""
     from estimators.pem import identify
-    from estimators.pem.choice import estimate_delay
     from estimators.pem.results import needed
     from estimators.residual.tests import residual_tests
     from oed.files import read_record
+    from oed.files.writing import new_folder
     from oed.inspection import defects
 
     notes: list[str] = []
@@ -102,6 +103,8 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     records = [read_record(spec, **reading) for spec in args.data]
     out = new_folder(args.out, "--out") if args.out else None
     orders = args.orders or DEFAULTS[args.structure]
+    if "auto" in orders:
+        orders = "auto"
     offset = "mean" if args.remove_means else not args.no_offset
     options = {
         "offset": offset,
@@ -116,12 +119,10 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         "method": args.method,
         "horizon": args.horizon,
     }
-    if args.delay == "auto":
-        found = estimate_delay(records, args.structure, orders, **options)
-        delay, fit = found.delay, found.fit
-    else:
-        delay = _whole(args.delay)
-        fit = identify(records, args.structure, orders, delay, **options)
+    fit = identify(
+        records, args.structure, orders, "auto" if args.delay == "auto" else _whole(args.delay), **options
+    )
+    orders, delay = _found(fit.model.structure)
     seen = defects(records, order=needed(fit.model.structure))
     complete = all(record.complete for record in records)
     tests = residual_tests(fit, records) if complete else {}
@@ -177,6 +178,17 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     return payload, "\n".join(lines)
 
 
+def _order(text: str) -> int | str:
+    return text if text == "auto" else int(text)
+
+
+def _found(form) -> tuple[list[int], int]:
+    """Orders, as the command line takes them, and delay of a structure."""
+    if form.kind == "ss":
+        return [form.order], 1 - form.feedthrough
+    return [int(getattr(form, name).max()) for name in ORDERS[form.kind].split()], int(form.nk.max())
+
+
 def _whole(text: str) -> int:
     from oed.errors import InputError
 
@@ -207,18 +219,6 @@ def _fresh(fit, record, skip: int) -> dict:
     }
 
 
-def new_folder(name: str, option: str):
-    """The folder of that name; InputError if something is there, or in the way."""
-    from pathlib import Path
-
-    from oed.errors import InputError
-
-    folder = Path(name)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{option} {name} already holds something; give a new or empty folder.")
-    return folder
-
-
 def _write(folder, fit, records) -> str:
     import json
 
@@ -226,7 +226,6 @@ def _write(folder, fit, records) -> str:
 
     from oed.files.writing import write_whole
 
-    folder.mkdir(parents=True, exist_ok=True)
     levels = {"input_level": fit.input_level.tolist(), "output_level": fit.output_level.tolist()}
     saved = fit.model.to_dict() | {"covariance": fit.covariance.tolist(), **levels, "status": fit.status.name}
     head = "record,t," + ",".join(f"e_{name}" for name in records[0].output_names)

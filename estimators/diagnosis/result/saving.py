@@ -9,21 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from estimators.diagnosis.result.report import Diagnosis
-from oed.errors import InputError
-from oed.files.writing import write_whole
+from oed.files.writing import new_folder, write_whole
 
 __all__ = ["save"]
 
 
 def save(result: Diagnosis, folder: str | os.PathLike[str]) -> Path:
     """Write a diagnosis to a new folder."""
-    path = Path(folder)
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise InputError(
-            f"{path} exists and is not an empty folder; nothing is overwritten: give another name."
-        )
-    path.mkdir(parents=True, exist_ok=True)
-
+    path = new_folder(folder)
     data = {k: v for k, v in result.to_dict().items() if k not in ("yhat_before", "yhat_after")}
 
     def clean(value: object) -> object:

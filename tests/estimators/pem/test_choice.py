@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from estimators import identify
 from estimators.pem.choice import estimate_delay, select_orders
 from oed.data import Record
 from oed.errors import InputError
@@ -50,3 +51,23 @@ def test_bad_input_is_told(rng) -> None:
         select_orders(record(rng), "oe", [(2, 2, 2)], offset=False)
     with pytest.raises(InputError, match="samples"):
         estimate_delay(record(rng)[:7], "oe", (2, 2), offset=False)
+
+
+def test_orders_and_delay_by_themselves(rng):
+    """Order 2 and delay 3 are found; without noise worth modelling in the way, no larger order is taken."""
+    u = rng.standard_normal(500)
+    y = lfilter([0, 0, 0, 0.5, 0.2], [1, -1.2, 0.6], u)
+    loud = Record(u, y + lfilter([1], [1, -1.2, 0.6], 0.1 * rng.standard_normal(500)))
+    fit = identify(loud, "arx", "auto", "auto", offset=False)
+    form = fit.model.structure
+    assert (form.na[0], form.nb[0, 0], form.nk[0, 0]) == (2, 2, 3)
+    assert "blocks left out" in fit.notes[-1]
+    for orders, delay in (("best", 1), ((2, 2), "any")):
+        with pytest.raises(InputError, match="'auto'"):
+            identify(loud, "arx", orders, delay)
+
+
+def test_an_order_must_be_worth_it(rng):
+    """Of an output that is noise alone the smallest order is taken."""
+    noise = Record(rng.standard_normal(400), rng.standard_normal(400))
+    assert identify(noise, "arx", "auto", offset=False).model.structure.na[0] == 1
