@@ -53,6 +53,7 @@ def test_bad_input_is_told(rng) -> None:
         estimate_delay(record(rng)[:7], "oe", (2, 2), offset=False)
 
 
+@pytest.mark.slow
 def test_orders_and_delay_by_themselves(rng):
     """Order 2 and delay 3 are found; without noise worth modelling in the way, no larger order is taken."""
     u = rng.standard_normal(500)
