@@ -119,10 +119,10 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         "method": args.method,
         "horizon": args.horizon,
     }
-    fit = identify(
-        records, args.structure, orders, "auto" if args.delay == "auto" else _whole(args.delay), **options
-    )
-    orders, delay = _found(fit.model.structure)
+    delay = "auto" if args.delay == "auto" else _whole(args.delay)
+    fit = identify(records, args.structure, orders, delay, **options)
+    if "auto" in (orders, delay):
+        orders, delay = _found(fit.model.structure)
     seen = defects(records, order=needed(fit.model.structure))
     complete = all(record.complete for record in records)
     tests = residual_tests(fit, records) if complete else {}
