@@ -33,8 +33,9 @@ class Policy:
     # the same for models whose terms or shape were searched for on the same blocks: the best of hundreds is lucky there
     carried: float = 0.9
     # share of what the answer explains that named effects must explain to lend their names to it
-    sane_reach: float = 8.0
-    # largest distance of a simulated output from the training output's middle, in half spans of it, that is no explosion
+    sane_reach: tuple[float, float] = (8.0, 3.0)
+    # largest distance of a simulated output from the training output's middle that is no explosion: in half spans of it,
+    # and in those of the linear model's run where that leaves the training output too
     constant: float = 1.0
     # a free run with more than this times the error of the record's own mean is never given without a warning
     outside: float = 0.01

@@ -55,27 +55,64 @@ def _highest_peaks(channel: Any, base: Any, count: int) -> tuple[Array, Array] |
     return p, np.tile([1.0 / n, size, size], count)
 
 
-def _ringing(channel: Any, base: Any) -> Iterator[Any]:
-    """A sinusoid in place of poles that ring through the whole record: a linear model may have taken it for a mode."""
+def _hidden(channel: Any, base: Any) -> Iterator[Any]:
+    """A sinusoid that the linear model has taken for dynamics: in place of poles that ring through the whole record, and a
+    slow swing beside an autoregression, as the residual of a model that was spoilt by it says little of it."""
     from estimators.diagnosis.model.fitting import fit
     from estimators.diagnosis.model.linear import fit_linear
     from estimators.diagnosis.model.structure import Part
 
-    s = base.structure
-    if s.layout != "tf" or s.effects or s.order < 3:
+    s, k, found = base.structure, channel.clock.k, []
+    if s.layout != "tf" or s.effects:
         return
     poles = np.roots(np.concatenate(([1.0], base.p[: s.order])))
     ringing = [z for z in poles if z.imag > 0 and abs(z) > 1.0 - 3.0 / len(channel)]
-    if not ringing:
-        return
-    w, k = float(np.angle(max(ringing, key=abs))), channel.clock.k
-    X = np.stack([np.cos(w * k), np.sin(w * k)], axis=1)
-    c = np.linalg.lstsq(X[channel.keep], channel.y[channel.keep], rcond=None)[0]
-    linear = fit_linear(replace(channel, y=channel.y - X @ c), s)
+    if ringing and s.order >= 3:
+        w = float(np.angle(max(ringing, key=abs)))
+        X = np.stack([np.cos(w * k), np.sin(w * k)], axis=1)
+        found.append((w, np.linalg.lstsq(X[channel.keep], channel.y[channel.keep], rcond=None)[0]))
+    if (swing := _swing(channel, s)) is not None:
+        found.append(swing)
     size = float(np.std(channel.y)) + 1e-300
-    p = np.concatenate((linear.p, [w], c))
-    scales = np.concatenate((linear.scales, [1.0 / len(channel), size, size]))
-    yield fit(channel, s.adding(Part(TONES)), p, scales, noise=base.noise, iterations=25)
+    for w, c in found:
+        X = np.stack([np.cos(w * k), np.sin(w * k)], axis=1)
+        linear = fit_linear(replace(channel, y=channel.y - X @ c), s)
+        p = np.concatenate((linear.p, [w], c))
+        scales = np.concatenate((linear.scales, [1.0 / len(channel), size, size]))
+        yield fit(channel, s.adding(Part(TONES)), p, scales, noise=base.noise, iterations=25)
+
+
+TURNS = np.arange(1.2, 8.0, 0.2)
+"""Turns of a slow swing in a record: fewer are a drift, more stand out of a linear model's residual."""
+FIRM = 60.0
+"""Likelihood ratio of a swing beside an autoregression from which on it is tried: far beyond the chance of 34 frequencies."""
+
+
+def _swing(channel: Any, s: Any) -> tuple[float, Array] | None:
+    """Angular frequency, cosine and sine of the slow sinusoid at the output that helps an autoregression most."""
+    n, lags = len(channel), range(1, s.order + 1)
+    late = lambda x, i: np.concatenate((np.repeat(x[:1], i), x[: n - i]))
+    columns = [late(channel.y, i) for i in lags] + [np.ones(n)]
+    columns += [late(channel.u[:, j], i + s.delay) for j in s.inputs for i in range(s.order + 1)]
+    use, k, Z = channel.keep, channel.clock.k, np.stack(columns, axis=1)
+    Q = np.linalg.qr(Z[use])[0]
+    rest = channel.y[use] - Q @ (Q.T @ channel.y[use])
+    left, best = float(rest @ rest), (FIRM, 0.0)
+    if n < 100 or left <= 0.0:
+        return None
+    for w in 2 * np.pi * TURNS / n:
+        C = np.stack([np.cos(w * k), np.sin(w * k)], axis=1)[use]
+        C = C - Q @ (Q.T @ C)
+        after = rest - C @ np.linalg.lstsq(C, rest, rcond=None)[0]
+        best = max(best, (len(rest) * float(np.log(left / max(float(after @ after), 1e-300))), float(w)))
+    w = best[1]
+    if w == 0.0:
+        return None
+    X = np.column_stack((Z, np.cos(w * k), np.sin(w * k)))[use]
+    theta = np.linalg.lstsq(X, channel.y[use], rcond=None)[0]
+    through = 1.0 - np.sum(theta[: s.order] * np.exp(-1j * w * np.array(lags)))
+    out = (theta[-2] - 1j * theta[-1]) / through
+    return w, np.array([out.real, -out.imag])
 
 
 def _tone_fits(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -99,7 +136,7 @@ def _tone_fits(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
             if f.criterion > before:
                 break
             before = f.criterion
-    yield from _ringing(channel, base)
+    yield from _hidden(channel, base)
 
 
 def _sweeping(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:

@@ -90,10 +90,15 @@ def removed(
     return ErrorFigure((value - _root(after)) / (value - level), float(low), float(high))
 
 
-def _sane(run: Array, y: Array, policy: Policy) -> bool:
+def _sane(run: Array, linear: Array, y: Array, policy: Policy) -> bool:
+    """Whether a run stays near the training outputs y (n,), or not much farther off than the linear model's run does."""
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
-    reach = policy.sane_reach * max(high - low, 1e-300) / 2.0
-    return bool(np.all(np.isfinite(run)) and np.max(np.abs(run - (low + high) / 2.0)) < reach)
+    half, middle = max(high - low, 1e-300) / 2.0, (low + high) / 2.0
+    if not np.all(np.isfinite(run)):
+        return False
+    asked = float(np.max(np.abs(linear - middle), initial=half)) if np.all(np.isfinite(linear)) else np.inf
+    most, beside = policy.sane_reach
+    return bool(np.max(np.abs(run - middle)) < min(most * half, beside * asked))
 
 
 def assess(
@@ -116,7 +121,9 @@ def assess(
     answers, warnings = [], []
     for i, ladder in enumerate(ladders):
         sane = [
-            j for j in range(ladder.answer, -1, -1) if _sane(runs[i][j][counts[:, i]], train.y[:, i], policy)
+            j
+            for j in range(ladder.answer, -1, -1)
+            if _sane(runs[i][j][counts[:, i]], runs[i][0][counts[:, i]], train.y[:, i], policy)
         ]
         answers.append(sane[0] if sane else 0)
         if answers[-1] != ladder.answer or not sane:

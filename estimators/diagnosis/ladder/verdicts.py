@@ -86,7 +86,15 @@ def verdict(outcomes: Sequence[Outcome], held: HeldOut, setting: Setting) -> dic
     data = sorted(
         (f for o in outcomes for f in _data(o, setting, effects, _tag(o, several))), key=lambda f: -f.weight
     )
-    found = [*first, *data, *(f for o in outcomes for f in _noise(o, effects, _tag(o, several)))]
+    found = [
+        *first,
+        *data,
+        *(
+            f
+            for o, rest in zip(outcomes, rests, strict=True)
+            for f in _noise(o, rest, effects, _tag(o, several))
+        ),
+    ]
     chosen = list(dict.fromkeys(f.cause for f in found))
     said = _equations(outcomes)
     return {
@@ -192,7 +200,8 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
 def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     """What a regression predicts of the linear model's residual on unused blocks, where no model of it could be given."""
     least = policy.searched[1]
-    if not o.share.low > least or o.share.nature in (Nature.LINEAR, Nature.NOISE) or o.examined.signatures:
+    known = o.share.feedback or bool(o.examined.signatures)
+    if known or not o.share.low > least or o.share.nature in (Nature.LINEAR, Nature.NOISE):
         return []
     words = f"no model of it holds on unused blocks{tag}, but there is more than noise: {o.share.natures[0].sentence}"
     return [Finding("", UNKNOWN, o.share.nature, o.share.share, 0.0, words)]
@@ -248,10 +257,14 @@ def _data(o: Outcome, setting: Setting, effects: dict[str, Effect], tag: str) ->
     return found
 
 
-def _noise(o: Outcome, effects: dict[str, Effect], tag: str) -> list[Finding]:
-    """Noise that is correlated in time, beyond what the search over its orders finds in white noise."""
+def _noise(o: Outcome, rest: list[Leftover], effects: dict[str, Effect], tag: str) -> list[Finding]:
+    """Noise that is correlated in time, beyond what the search over its orders finds in white noise.
+
+    Where the residual surely depends on something else, a noise model stands for that and is no cause.
+    """
     f = o.named.fit
-    if not len(f.noise):
+    plain = (Nature.NOISE, Nature.LINEAR)
+    if not len(f.noise) or any(x.p_value < SURE and x.nature not in plain for x in rest):
         return []
     plain = f.n * float(np.log(max(np.sum(f.residual**2) / f.n, 1e-300)))
     tail = float(chi2.sf(max(plain - f.deviance, 0.0), len(f.noise)))
@@ -275,8 +288,8 @@ def _dropped(outcomes: Sequence[Outcome], several: bool, effects: dict[str, Effe
 def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> list[Finding]:
     """What the tests of the residual still show, where it weighs more than all that was found."""
     a, f = o.examined.attribution, o.named.fit
-    if o.examined.signatures or o.ladder.chosen.kind in (Kind.DISCOVERED, Kind.REMAINDER):
-        return []
+    if o.examined.signatures or o.share.feedback or o.ladder.chosen.kind in (Kind.DISCOVERED, Kind.REMAINDER):
+        return []  # an input that knows the noise makes any residual depend on it
     explained = 0.0
     if (
         o.named.claims
@@ -291,7 +304,8 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
         noisy = item.nature == Nature.NOISE
         if item.p_value >= (SURE if noisy else limit) or item.nature == Nature.LINEAR:
             continue  # the linear model is the best there is on unused blocks: another is no cause
-        if not noisy and not o.left.explainable and item.gain < TELLING * f.n:
+        telling = item.gain > TELLING * f.n and item.p_value < FIRM
+        if not noisy and not o.left.explainable and not telling:
             continue  # a significant dependence that predicts nothing on unused blocks
         if (noisy and not o.named.claims and not len(f.noise)) or (
             not noisy and item.gain > max(0.5 * explained, LEAST)
@@ -308,9 +322,9 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
 
 SURE = 1e-6
 """Significance under a noise model or beside an effect is less sure than it says."""
-TELLING = 0.5
-"""Likelihood ratio per sample (two fifths of the innovations' variance) from which on a dependence is no accident of a
-noise model, though no regression predicts it on unused blocks."""
+TELLING, FIRM = 0.08, 1e-12
+"""Likelihood ratio per sample (a twelfth of the innovations' variance) and significance from which on a dependence is no
+accident of a noise model, though no regression predicts it on unused blocks. Practised linear rigs stay below both."""
 LEAST = 6.0
 """Of Schwarz's criterion: odds of twenty to one."""
 
