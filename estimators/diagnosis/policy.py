@@ -31,6 +31,9 @@ class Policy:
     # exactly linear, so that the smallest gains are no causes
     searched: tuple[float, float] = (2.0, 0.05)
     # the same for models whose terms or shape were searched for on the same blocks: the best of hundreds is lucky there
+    overwhelming: tuple[float, float] = (4.0, 0.1)
+    # a gain on unused blocks that needs no likelihood ratio beside it: under a noise model of high order the linear model's
+    # smooth error is predicted from its own past, and the ratio says nothing; four errors are one in 30000 by chance
     carried: float = 0.9
     # share of what the answer explains that named effects must explain to lend their names to it
     sane_reach: tuple[float, float] = (8.0, 3.0)

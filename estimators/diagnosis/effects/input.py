@@ -95,6 +95,14 @@ def _relay(x: Array, p: Array, clock: Clock) -> Array:
     return float(np.std(x)) * relay(np.ascontiguousarray(x - p[1]), abs(p[0]))
 
 
+def _sticky(x: Array, p: Array, clock: Clock) -> Array:
+    """A stem that stays until its command is half a width off, then jumps to within a share of that."""
+    from estimators.diagnosis.effects.recursion_kernels import sticky
+
+    half = abs(p[0])
+    return sticky(np.ascontiguousarray(x), half, half * float(np.clip(p[1], 0.0, 1.0)))
+
+
 def _rate_driven(x: Array, p: Array, clock: Clock) -> Array:
     """Where the input is a velocity: a share of it acts through a hysteretic element of the way that it has made."""
     from estimators.diagnosis.effects.plant_kernels import bouc_wen
@@ -278,6 +286,9 @@ INPUT = (
             starts=_rates),
     _moving("backlash_input", "backlash", "play in the actuator", parameters={"half_width": "u"}, trials=6, reversing=True,
             apply=_play, starts=_widths),
+    _moving("stiction", "stiction", "the actuator sticks until its command is far enough off, then jumps", trials=12,
+            parameters={"half_width": "u", "left": "1"}, reversing=True, apply=_sticky,
+            starts=lambda s: ([[f * s.su, r] for f in np.linspace(0.1, 1.4, 14) for r in (0.0, 0.4, 0.8)], [s.su, 1.0])),
     _moving("hysteresis", "backlash",
             "the input acts with hysteresis (Bouc-Wen): a share of it bends off and returns on another way",
             parameters={"share": "1", "width": "u"}, trials=10, reversing=True, apply=_hysteretic,

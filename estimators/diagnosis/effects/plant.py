@@ -50,6 +50,18 @@ def _gap(p, v, u, q, s, c):
     return c[0] * (np.maximum(p - np.abs(c[1]), 0.0) + np.minimum(p + np.abs(c[1]), 0.0))
 
 
+def _clearance(p, v, u, q, s, c):
+    return np.minimum(np.maximum(u - p, -np.abs(c[0])), np.abs(c[0]))
+
+
+def _clearance_driven(p, v, u, q, s, c):
+    return np.minimum(np.maximum(q - p, -np.abs(c[0])), np.abs(c[0]))
+
+
+def _gaps(s: Sizes) -> Grid:
+    return [[f * s.su] for f in (0.1, 0.25, 0.5, 0.9)], [s.su]
+
+
 def _upper(p, v, u, q, s, c):
     return c[0] * np.maximum(p - c[1], 0.0)
 
@@ -150,6 +162,10 @@ PLANT = (
     _spring("stiffness_gap", "a second spring beyond a gap on either side", parameters={"slope": "1", "gap": "u"}, trials=15,
             refines=SPRINGS, family="springs", force=_gap,
             starts=_corner(1.0, 0.3, 0.8, 1.5, slopes=(0.3, 2.0, 10.0, -0.3))),
+    _inside("clearance", "backlash", "play between the drive and what it moves: no force within a gap", trials=4,
+            parameters={"gap": "u"}, layouts=frozenset({"oscillator"}), against="position", force=_clearance, starts=_gaps),
+    _inside("clearance_driven", "backlash", "play between the drive, after a lag of its own, and what it moves", trials=4,
+            parameters={"gap": "u"}, layouts=DRIVEN, against="position", force=_clearance_driven, starts=_gaps),
     _spring("stiffness_upper", "another stiffness above a corner: a one-sided spring or an end stop", trials=15,
             parameters={"slope": "1", "corner": "u"}, refines=SPRINGS, family="springs", force=_upper,
             starts=_corner(1.0, 0.0, 0.7, 1.5)),

@@ -16,6 +16,7 @@ __all__ = [
     "rate_limited_mean",
     "rational",
     "relay",
+    "sticky",
     "tank_levels",
 ]
 
@@ -54,6 +55,21 @@ def relay(signal, half_width):  # pragma: no cover - compiled
         elif signal[k] < -half_width:
             state = -1.0
         out[k] = state
+    return out
+
+
+@compiled
+def sticky(signal, stays, left):  # pragma: no cover - compiled
+    """A stem that stays while its command is within `stays` of it, and then jumps to `left` short of the command."""
+    out = np.empty_like(signal)
+    m = 0.0
+    for k in range(signal.shape[0]):
+        gap = signal[k] - m
+        if gap > stays:
+            m = signal[k] - left
+        elif gap < -stays:
+            m = signal[k] + left
+        out[k] = m
     return out
 
 

@@ -154,8 +154,8 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             claims.append(Claim(part, gain, _significance(rest, f, part, bench.family)))
         weak = [i for i, c in enumerate(claims) if not _gains(c, bench)]
         if not weak:
-            held = sorted((c for c in claims if c.p_value < bench.alpha), key=lambda c: -c.gain.value)
-            dropped += [(c.key, _why(c, bench)) for c in claims if c.p_value >= bench.alpha]
+            held = sorted((c for c in claims if _holds(c, bench)), key=lambda c: -c.gain.value)
+            dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             step = _step(bench, f, held, unused) if held else None
             return Named(f, tuple(_with_rivals(held, a, f)), tuple(dropped), step)
         worst = min(weak, key=lambda i: claims[i].gain.value)
@@ -230,6 +230,12 @@ def _gains(c: Claim, bench: Bench) -> bool:
     """Whether unused blocks ask for it; of a record's own start they say nothing."""
     errors, share = bench.policy.claimed
     return c.key == "initial" or (c.gain.beyond(errors) and c.gain.share > share)
+
+
+def _holds(c: Claim, bench: Bench) -> bool:
+    """Whether it is significant in the joint fit, or what it gains on unused blocks needs no test."""
+    errors, share = bench.policy.overwhelming
+    return c.p_value < bench.alpha or (c.gain.beyond(errors) and c.gain.share > share)
 
 
 def _why(c: Claim, bench: Bench) -> str:

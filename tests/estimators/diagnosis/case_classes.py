@@ -87,6 +87,25 @@ def relay(u, a):
     return _linear(a * out + (1 - a) * u)
 
 
+def stuck(u, a):
+    stem, out = 0.0, np.empty(len(u))
+    for k, command in enumerate(u):
+        if abs(command - stem) > 0.5 * a:
+            stem = command - 0.2 * a * np.sign(command - stem)
+        out[k] = stem
+    return _linear(out)
+
+
+def loose(u, a):
+    """A mass that a spring pulls after the drive across a gap."""
+    return _swing(
+        lambda x, v, f, t: (
+            0.2 * (d := f - x) * (abs(d) > 0.4 * a) - 0.08 * a * np.sign(d) * (abs(d) > 0.4 * a) - 0.15 * v
+        ),
+        u,
+    )
+
+
 def dragged(u, a):
     z, out = 0.0, np.empty(len(u))
     for k, value in enumerate(u):
@@ -235,6 +254,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     # key of the effect: (record, order of the linear model, its input)
     "input_exponential": (exponential, 3, {"mean": 0.6, "size": 0.2}), "input_power": (power, 2, _LEVEL),
     "input_tanh": (saturating, 2, {}), "input_kink": (kink, 2, {}), "relay": (relay, 2, {}),
+    "stiction": (stuck, 2, {}), "clearance": (loose, 2, {}),
     "hysteresis_rate": (dragged, 2, {}), "output_sigmoid": (sigmoid, 2, {}), "output_exponential": (logarithm, 2, {}),
     "magnitude": (magnitude, 2, {}), "squared": (squared, 2, {}), "rectified": (rectified, 2, {}),
     "wrapped": (wrapped, 3, {}), "rise_and_fall": (rise_and_fall, 3, _LEVEL), "orifice": (orifice, 3, _LEVEL),
@@ -252,5 +272,5 @@ LOOKALIKES = {
     "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifice": "vessel",
     "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
     "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "sweep": "pendulum",
-    "gain_heat": "input_kink",
+    "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction",
 }  # fmt: skip
