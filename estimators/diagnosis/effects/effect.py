@@ -204,7 +204,7 @@ class Effect:
     inside : callable, optional
         parameters -> fields of `plant_kernels.Elements`: dry friction, hysteresis and stops, which a force cannot express.
     signal : callable, optional
-        (inputs (N, nu), channel, parameters, clock) -> (N,) the modulating signal s of `force`.
+        (inputs (N, nu), channel, parameters, clock) -> (N,) the modulating signal s of `force`, or what a path adds.
     change : mapping, optional
         By layout, how the logarithms of its rates move per unit of the first parameter, at the time of the second.
     layouts : frozenset of str, optional
@@ -379,6 +379,8 @@ def _needs(e: Effect) -> list[tuple[bool, str]]:
     on_signal = e.slot in (Slot.INPUT, Slot.OUTPUT, Slot.ADDED)
     found = e.starts is not None or e.search is not None or e.block
     acts = e.force is not None or e.inside is not None or e.change is not None
+    amplitude = e.amplitude is not None and e.amplitude >= len(e.parameters)
+    modulates = e.signal is not None and e.force is None and e.slot is not Slot.PATH
     return [
         (not e.key or not e.cause or not e.sentence, "a key, a cause and a sentence"),
         (on_signal and e.apply is None, "apply, what it makes of its signal"),
@@ -388,11 +390,8 @@ def _needs(e: Effect) -> list[tuple[bool, str]]:
             e.starts is not None and not e.parameters and e.shape is None,
             "the names and units of its parameters",
         ),
-        (
-            e.amplitude is not None and e.amplitude >= len(e.parameters),
-            "a parameter that is its linear amplitude",
-        ),
+        (amplitude, "a parameter that is its linear amplitude"),
         (e.slot is Slot.PATH and e.shape is None, "shape, its parameters by its size"),
         (e.trials <= 0, "a positive price"),
-        (e.signal is not None and e.force is None, "the force that its signal modulates"),
+        (modulates, "the force that its signal modulates"),
     ]

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
 from estimators.diagnosis.effects.names import numbered
 
-__all__ = ["INITIAL", "PATH", "STORE"]
+__all__ = ["INITIAL", "PATH", "PRODUCT", "STORE"]
 
 Array = NDArray[Any]
 
@@ -125,6 +127,72 @@ OUTFLOW = Effect(
 )  # fmt: skip
 
 PATH = (MODE, CROSS, DELAY_ORDER, ORDER_ONE, ORDER, INITIAL, OUTFLOW)
+
+
+LEAST_PRODUCT = 12.0
+"""Likelihood ratio that the lags of a product must promise over the linear model, for its path to be fitted."""
+HELD = ("other", "centre", "other_centre", "delay")
+"""Parameters of a product that are no unknowns: which input, from 1, what the two are counted from, samples of delay."""
+
+
+def _product(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+    """The product of two inputs, each about its centre, through a linear block of its own that had settled before."""
+    from estimators.diagnosis.model.structure import stable_polynomial
+
+    size = (len(p) - len(HELD)) // 2
+    b, f, (other, *centres, delay) = p[:size], p[size : 2 * size], p[2 * size :]
+    if not stable_polynomial(f):
+        return np.full(len(U), np.inf)
+    pair = U[:, channel], U[:, int(other) - 1]
+    before, product = (
+        (x - centres[0]) * (y - centres[1]) for x, y in ([level_before(x) for x in pair], pair)
+    )
+    num, den = np.concatenate((np.zeros(int(delay)), b)), np.concatenate(([1.0], f))
+    return before * num.sum() / den.sum() + np.asarray(lfilter(num, den, product - before))
+
+
+def _product_shape(size: int, order: int) -> list[tuple[str, str]]:
+    held = zip(HELD, ("1", "u", "u", "sample"), strict=True)
+    return numbered({"b": "y/u^2"}, size) + numbered({"f": "1"}, size) + list(held)
+
+
+def _promise(channel: Any, base: Any, x: Array) -> float:
+    """Likelihood ratio that a few lags of a signal promise behind the poles of the linear model, its parameters taken out."""
+    s, keep = base.structure, channel.keep
+    y = np.asarray(lfilter([1.0], np.concatenate(([1.0], base.p[: s.order])), x)) if s.layout == "tf" else x
+    X = np.stack([np.concatenate((np.zeros(i), y[: len(y) - i])) for i in range(1, s.order + 3)], axis=1)
+    Q = np.linalg.qr(base.jacobian[keep])[0] if base.jacobian.size else np.zeros((int(keep.sum()), 0))
+    r, X = (z[keep] - Q @ (Q.T @ z[keep]) for z in (base.residual, X))
+    left = r - X @ np.linalg.lstsq(X, r, rcond=1e-9)[0]
+    return base.n * float(np.log((r @ r + 1e-300) / (left @ left + 1e-300)))
+
+
+def _products(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Every two inputs whose product promises something, its path started from a linear fit to the residual."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.structure import Part, Structure
+
+    s = base.structure
+    for i, j in combinations(sorted(s.inputs), 2):
+        centres = np.mean(channel.u[channel.keep][:, [i, j]], axis=0)
+        x = np.prod(channel.u[:, [i, j]] - centres, axis=1)
+        if np.std(x) == 0.0 or _promise(channel, base, x - np.mean(x)) < LEAST_PRODUCT:
+            continue
+        residual = replace(channel, u=(x - np.mean(x))[:, None], y=base.residual, step=0.0)
+        for size in (1, 2):
+            f = fit_linear(residual, Structure(size, (0,), delay=s.delay), rough=True)
+            p = np.concatenate((base.p, f.p[size:], f.p[:size], [j + 1.0, *centres, 1.0 + s.delay]))
+            scales = np.concatenate((base.scales, f.scales[size:], f.scales[:size], np.zeros(len(HELD))))
+            yield fit(channel, s.adding(Part(PRODUCT, i, size)), p, scales, noise=base.noise)
+
+
+PRODUCT = Effect(
+    key="product_of_inputs", cause="product_of_inputs", nature=Nature.INPUT_STATIC, slot=Slot.PATH, trials=5,
+    sentence="two inputs act through their product: one is the gain of the other",
+    shape=_product_shape, signal=_product, search=_products,
+)  # fmt: skip
+PATH = (*PATH, PRODUCT)
 
 
 BENDS = ((4.0, 8.0), (8.0, 14.0), (12.0, 18.0), (16.0, 25.0), (8.0, 25.0), (16.0, 12.0))

@@ -154,6 +154,8 @@ def simulate(
     for part, sl in zip(s.parts, slices, strict=True):
         if part.effect.slot is Slot.PATH and part.effect.apply is not None:
             y = y + part.apply(u[:, part.channel], p[sl], clock)
+        elif part.effect.slot is Slot.PATH and part.effect.signal is not None:
+            y = y + part.effect.signal(u, part.channel, p[sl], clock)
         elif part.effect.slot is Slot.PATH:
             half = part.count(s.order) // 2
             b, f = p[sl][:half], p[sl][half:]

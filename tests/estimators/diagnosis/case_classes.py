@@ -18,9 +18,11 @@ PLANT = ([0.0, 0.12, 0.08], np.real(np.poly([0.85 * np.exp(0.25j), 0.85 * np.exp
 
 
 def excitation(
-    rng: np.random.Generator, n: int, mean: float = 0.0, size: float = 1.0, hold: int = 7
+    rng: np.random.Generator, n: int, mean: float = 0.0, size: float = 1.0, hold: int = 7, inputs: int = 1
 ) -> np.ndarray:
-    """Held levels about a mean, at rest on it for the first 15 samples."""
+    """Held levels about a mean, at rest on it for the first 15 samples; (n, inputs) where there are several."""
+    if inputs > 1:
+        return np.stack([excitation(rng, n, mean, size, hold) for _ in range(inputs)], axis=1)
     levels = rng.uniform(-1.7, 1.7, n)
     u = np.repeat(levels, rng.integers(max(hold // 2, 1), 2 * hold, n))[:n]
     u[:15] = 0.0
@@ -220,6 +222,12 @@ def heated_gain(u, a):
     return _linear(u * (1.0 + 0.4 * a * warm))
 
 
+def modulated_flow(u, a):
+    """The second input is a valve in the way of the first."""
+    flow = u[:, 0] * u[:, 1]
+    return _linear(u[:, 0]) - 0.5 * _linear(u[:, 1]) + a * 0.5 * _linear(_lag(flow, 0.6))
+
+
 def store(u, a):
     charge = np.concatenate(([0.0], np.cumsum(u)[:-1])) / 700.0
     curve = -0.5 * charge + a * (0.3 * np.expm1(-10.0 * charge) - 0.2 * np.exp(15.0 * (charge - 1.0)))
@@ -264,6 +272,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "gain_heat": (heated_gain, 2, {}),
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "sweep": (sweep, 2, {}),
+    "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
 }  # fmt: skip
 
 LOOKALIKES = {

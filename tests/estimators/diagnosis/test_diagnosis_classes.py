@@ -31,8 +31,9 @@ def record(key, strength):
     y = maker(u, strength)
     noise = NOISE * np.std(y)
     y = y + noise * rng.standard_normal(N)
-    channel = Channel(u[:, None], y, Clock(np.arange(float(N)), N), np.ones(N, dtype=bool))
-    s = replace(Structure(order).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2)
+    U = u.reshape(N, -1)
+    channel = Channel(U, y, Clock(np.arange(float(N)), N), np.ones(N, dtype=bool))
+    s = replace(Structure(order, tuple(range(U.shape[1]))).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2)
     f = fit_linear(channel, s)
     white = float(np.mean(f.residual**2))
     return channel, replace(f, noise=np.zeros(0), variance=white, deviance=N * np.log(white)), noise
