@@ -217,6 +217,8 @@ class Effect:
         (channel, fit, input) -> a further start, or None.
     search : callable, optional
         (channel, fit, inputs not in the model) -> fits, where starts are no grid of shapes.
+    each : bool
+        Whether it reads one input by itself inside the plant: it is tried with each of several; else all act as one.
     alone : bool
         Whether it is looked for in a linear model only, as it replaces its dynamics.
     lagged : bool
@@ -272,6 +274,7 @@ class Effect:
     amplitude: int | None = None
     more: Callable[[Any, Any, int], Any] | None = None
     search: Callable[[Any, Any, tuple[int, ...]], Iterator[Any]] | None = None
+    each: bool = False
     alone: bool = False
     lagged: bool = False
     block: bool = False

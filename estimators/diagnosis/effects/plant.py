@@ -150,7 +150,7 @@ PLANT = (
             force=_drag, against="velocity",
             starts=lambda s: _grid([0.02], [0.1], [0.3], sizes=[s.su / s.sv**2])),
     _inside("bilinear", "bilinear", "the input multiplies the state", parameters={"beta": "1/u"}, trials=2,
-            family="bilinear", force=_bilinear, starts=_bilinear_starts),
+            family="bilinear", force=_bilinear, each=True, starts=_bilinear_starts),
     _inside("bilinear_driven", "bilinear", "the input, after a lag of its own, multiplies the state", trials=2,
             parameters={"beta": "1/u"}, family="bilinear", layouts=DRIVEN, force=_bilinear_driven, starts=_bilinear_starts),
     _spring("stiffness_square", "a restoring force k |x| x", parameters={"k": "1/u"}, trials=4, refines=SPRINGS,

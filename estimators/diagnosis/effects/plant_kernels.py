@@ -44,7 +44,7 @@ class Elements(NamedTuple):
 
 
 class Held(NamedTuple):
-    """A linear plant over one integration step: transition, response to input and force, rows that read position and velocity."""
+    """A linear plant over one integration step: transition, response to inputs and force, rows that read position and velocity."""
 
     phi: Any
     gamma_u: Any
@@ -186,8 +186,8 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
     """States (N, n) of x' = A x + B u - E w, with `steps` exponential Heun steps per sample.
 
     w = f(p, v, u, q, s, c[0]) + g(..., c[1]) + spring z + dry friction, with p and v the position and velocity that
-    `held` reads off x, q the last state, z the hysteretic displacement. drive (N, 3): the input, and the signal that
-    modulates each force. c has a row per force, none where there is none; f and g are addresses. A stop takes the velocity
+    `held` reads off x, q the last state, z the hysteretic displacement. drive (N, inputs + 4): the inputs, then for each
+    force the signal s that modulates it and the input u that it reads. c has a row per force, none where there is none; f and g are addresses. A stop takes the velocity
     (second state).
 
     """
@@ -196,7 +196,8 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
     m = phi.shape[0]
     out = np.empty((n, m))
     x = x0.copy()
-    free = np.empty(m)
+    free, push = np.empty(m), np.empty(m)
+    nu = gamma_u.shape[1]
     dry = elements.coulomb != 0.0 or elements.static != 0.0
     bending = elements.spring != 0.0
     forces = c.shape[0]
@@ -209,12 +210,14 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
         forces == 0 and not dry and not bending and elements.stop == 0.0
     )  # linear: most fits of the screening
     for k in range(n):
-        u = drive[k, 0]
         for i in range(m):
             out[k, i] = x[i]
+            push[i] = 0.0
+            for j in range(nu):
+                push[i] += gamma_u[i, j] * drive[k, j]
         for _ in range(steps):
             for i in range(m):
-                total = gamma_u[i] * u
+                total = push[i]
                 for j in range(m):
                     total += phi[i, j] * x[j]
                 free[i] = total
@@ -229,9 +232,9 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
                 v += velocity[i] * x[i]
             w = elements.spring * z
             if forces > 0:
-                w += _called(f, p, v, u, x[m - 1], drive[k, 1], c[0])  # pyright: ignore[reportCallIssue]
+                w += _called(f, p, v, drive[k, nu + 1], x[m - 1], drive[k, nu], c[0])  # pyright: ignore[reportCallIssue]
             if forces > 1:
-                w += _called(g, p, v, u, x[m - 1], drive[k, 2], c[1])  # pyright: ignore[reportCallIssue]
+                w += _called(g, p, v, drive[k, nu + 3], x[m - 1], drive[k, nu + 2], c[1])  # pyright: ignore[reportCallIssue]
             p1 = 0.0
             v1 = 0.0
             e = 0.0
@@ -243,9 +246,9 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
                 z1 = hysteresis_step(z, p1 - p, elements.width)
             ahead = elements.spring * z1
             if forces > 0:
-                ahead += _called(f, p1, v1, u, e, drive[k, 1], c[0])  # pyright: ignore[reportCallIssue]
+                ahead += _called(f, p1, v1, drive[k, nu + 1], e, drive[k, nu], c[0])  # pyright: ignore[reportCallIssue]
             if forces > 1:
-                ahead += _called(g, p1, v1, u, e, drive[k, 2], c[1])  # pyright: ignore[reportCallIssue]
+                ahead += _called(g, p1, v1, drive[k, nu + 3], e, drive[k, nu + 2], c[1])  # pyright: ignore[reportCallIssue]
             w = 0.5 * (w + ahead)
             if dry and gv != 0.0:
                 v1 = 0.0

@@ -33,9 +33,10 @@ STEPS = 5
 
 @dataclass(frozen=True, eq=False)
 class Inside:
-    """What acts inside a plant: forces, each with its parameters and (N,) modulating signal or None, and elements with memory.
+    """What acts inside a plant: forces, each with its parameters and signals, and elements with memory.
 
-    `elements` are fields of `plant_kernels.Elements`.
+    A force's signals are None, (N,) the one that modulates it, or (N, 2) with its own input beside that. `elements` are
+    fields of `plant_kernels.Elements`.
     """
 
     forces: tuple[tuple[Callable[..., Any], Array, Array | None], ...] = ()
@@ -60,8 +61,11 @@ NOTHING = Inside()
 
 
 def layout_matrices(layout: str, r: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """A (n, n), B (n,), E (n,), position row and velocity row of a layout with rates r = log of positive rates."""
-    rate = np.exp(np.clip(r, -30, 5))
+    """A (n, n), B (n,), E (n,), position row and velocity row of a layout with rates r = log of positive rates.
+
+    What follows the rates in r are columns by which further inputs enter.
+    """
+    rate = np.exp(np.clip(r[: LAYOUTS[layout][1]], -30, 5))
     if layout == "first":
         a = rate[0]
         return np.array([[-a]]), np.array([a]), np.array([a]), np.ones(1), np.ones(1)
@@ -106,7 +110,10 @@ def layout_matrices(layout: str, r: Array) -> tuple[Array, Array, Array, Array, 
 def states(
     layout: str, rates: Array, u: Array, inside: Inside = NOTHING, x0: Array | None = None, steps: int = STEPS
 ) -> Array:
-    """States (N, order) of a layout with logarithms of rates, driven by u (N,), at rest without x0."""
+    """States (N, order) of a layout driven by u, (N,) or (N, inputs), at rest without x0.
+
+    `rates` logarithms of the rates, then for every further input the (order,) column by which it enters.
+    """
     from estimators.diagnosis.effects.plant_kernels import (
         MOST_FORCES,
         Elements,
@@ -116,13 +123,16 @@ def states(
 
     held = _held(layout, tuple(rates), steps if inside else 1)
     x0 = np.zeros(len(held.phi)) if x0 is None else x0
-    drive = np.zeros((len(u), 1 + MOST_FORCES))
-    drive[:, 0] = u
+    U = u.reshape(len(u), -1)
+    nu = U.shape[1]
+    drive = np.zeros((len(u), nu + 2 * MOST_FORCES))
+    drive[:, :nu], drive[:, nu + 1 :: 2] = U, U[:, :1]
     c = np.zeros((len(inside.forces), max((len(q) for _, q, _ in inside.forces), default=0)))
     for i, (_, q, s) in enumerate(inside.forces):
         c[i, : len(q)] = q
         if s is not None:
-            drive[:, 1 + i] = s
+            s = s.reshape(len(u), -1)
+            drive[:, nu + 2 * i : nu + 2 * i + s.shape[1]] = s
     forces = [pointer(f) for f, _, _ in inside.forces]
     forces += [0] * (MOST_FORCES - len(forces))
     return simulate_feedback(drive, held, Elements(**inside.elements), x0, steps if inside else 1, c, *forces)
@@ -134,8 +144,9 @@ def _held(layout: str, rates: tuple[float, ...], steps: int) -> Any:
     from estimators.diagnosis.effects.plant_kernels import Held, held_response
 
     A, B, E, position, velocity = layout_matrices(layout, np.array(rates))
-    phi, gamma = held_response(A, np.stack((B, E), axis=1), 1.0 / steps)
-    return Held(phi, gamma[:, 0].copy(), gamma[:, 1].copy(), position, velocity)
+    further = np.array(rates[LAYOUTS[layout][1] :]).reshape(-1, len(A))
+    phi, gamma = held_response(A, np.stack((B, *further, E), axis=1), 1.0 / steps)
+    return Held(phi, gamma[:, :-1].copy(), gamma[:, -1].copy(), position, velocity)
 
 
 def changed_states(

@@ -181,11 +181,31 @@ def _rates(f: Array) -> tuple[list[float], list[tuple[float, float]]]:
     return sorted(real), pairs
 
 
+def _alone(channel: Channel, s: Structure, p: Array) -> list[Array]:
+    """What each input of a transfer function does by itself."""
+    one = [replace(s, inputs=(j,), parts=()) for j in s.inputs]
+    b = p[s.order : s.plant_size].reshape(len(s.inputs), s.taps)
+    return [
+        simulate(q, np.concatenate((p[: s.order], row)), channel.u, channel.clock)
+        for q, row in zip(one, b, strict=True)
+    ]
+
+
+def _column(layout: str, r: Array, C: Array, u: Array, wanted: Array) -> Array:
+    """The (order,) column by which a further input u enters a layout, for its part of the output to be what is wanted."""
+    pair = np.stack((np.zeros(len(u)), u), axis=1)
+    X = np.stack([states(layout, np.concatenate((r, e)), pair) @ C for e in np.eye(len(C))], axis=1)
+    return np.linalg.lstsq(X, wanted, rcond=1e-9)[0]
+
+
 def layout_starts(channel: Channel, base: Fit) -> list[tuple[Structure, Array, Array]]:
     """The linear fit in each physical layout of its order, output map by least squares."""
     s = base.structure
     real, pairs = _rates(base.p[: s.order])
     options: list[tuple[str, list[float]]] = []
+    alone = _alone(channel, s, base.p)
+    main = int(np.argmax([np.std(y) for y in alone]))
+    order = [main, *(j for j in range(len(s.inputs)) if j != main)]
 
     def pair_of(a: float, b: float) -> tuple[float, float]:
         return a * b, a + b
@@ -219,23 +239,21 @@ def layout_starts(channel: Channel, base: Fit) -> list[tuple[Structure, Array, A
         if len(both) == 2:
             options += [("modes", [*both[0], *both[1]]), ("modes", [*both[1], *both[0]])]
     out = []
-    linear = simulate(s, base.p, channel.u, channel.clock)
-    free = simulate(replace(s, parts=()), base.p[: s.plant_size], channel.u, channel.clock)
+    target = channel.y - (simulate(s, base.p, channel.u, channel.clock) - alone[main])
+    U = channel.u[:, [s.inputs[j] for j in order]]
+    if s.delay:
+        U = np.concatenate((np.zeros((s.delay, U.shape[1])), U[: -s.delay]))
     for layout, rates in options:
         r = np.log(np.maximum(rates, 1e-6))
-        u = channel.u[:, s.inputs[0]]
-        if s.delay:
-            u = np.concatenate((np.zeros(s.delay), u[: -s.delay]))
-        X = states(layout, r, u)
+        X = states(layout, r, U[:, 0])
         if not np.all(np.isfinite(X)):
             continue
-        target = channel.y - (linear - free)
         C = np.linalg.lstsq(X[channel.keep], target[channel.keep], rcond=None)[0]
-        new = replace(s, layout=layout)
-        p = np.concatenate((r, C, base.p[s.plant_size :]))
-        scales = np.concatenate(
-            (np.ones(len(r)), np.full(len(C), np.abs(C).max() + 1e-300), base.scales[s.plant_size :])
-        )
+        new = replace(s, layout=layout, inputs=tuple(s.inputs[j] for j in order))
+        further = [_column(layout, r, C, u, alone[j]) for u, j in zip(U.T[1:], order[1:], strict=True)]
+        p = np.concatenate((r, C, *further, base.p[s.plant_size :]))
+        sizes = [np.full(len(b), np.abs(b).max() + 1e-300) for b in (C, *further)]
+        scales = np.concatenate((np.ones(len(r)), *sizes, base.scales[s.plant_size :]))
         for part, sl in zip(new.parts, new.slices(), strict=True):
             if part.effect.slot is Slot.START:  # the same free response, as a state of the layout
                 old = s.slices()[new.parts.index(part)]

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Slot
-from estimators.diagnosis.model.layouts import LAYOUTS, Inside, changed_states, states
+from estimators.diagnosis.model.layouts import LAYOUTS, Inside, changed_states, layout_matrices, states
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 
-__all__ = ["acted", "free_responses", "plant_states", "simulate"]
+__all__ = ["acted", "free_responses", "joined", "plant_states", "simulate"]
 
 Array = NDArray[Any]
 
@@ -61,40 +61,54 @@ def plant_states(
 
     Shapes: U (N, inputs), start (s.order,), returns (N, s.order).
     """
-    n_rates = LAYOUTS[s.layout][1]
+    rates = s.rates(p)
     parts = [(part, p[sl]) for part, sl in zip(s.parts, s.slices(), strict=True)]
-    inside = _inside(parts, U, clock)
+    u = U if s.delay == 0 else np.concatenate((np.zeros((s.delay, U.shape[1])), U[: -s.delay]))
+    inside = _inside(s, rates, parts, u, clock)
     if inside is None:
         return None
-    u = U[:, 0] if s.delay == 0 else np.concatenate((np.zeros(s.delay), U[: -s.delay, 0]))
     change = [(part.effect.change[s.layout], q) for part, q in parts if part.effect.change is not None]
     x0 = np.zeros(s.order) if start is None else np.array(start, dtype=float)
     if not rest:
         for part, q in parts:
             x0 = q.copy() if part.effect.slot is Slot.START else x0
     moved = () if not change else (change[0][0], change[0][1].tobytes(), float(clock.k[0]))
-    key = (s.layout, p[:n_rates].tobytes(), inside.mark, x0.tobytes(), moved, u.tobytes())
+    key = (s.layout, rates.tobytes(), inside.mark, x0.tobytes(), moved, u.tobytes())
     X = next((kept for known, kept in tuple(_recent) if known == key), None)
     if X is None:
         if change:
-            X = changed_states(s.layout, p[:n_rates], u, inside, *change[0], clock, x0)
+            X = changed_states(s.layout, rates, u, inside, *change[0], clock, x0)
         else:
-            X = states(s.layout, p[:n_rates], u, inside, x0)
+            X = states(s.layout, rates, u, inside, x0)
         _recent.append((key, X))
     if not math.isfinite(X[-1, 0]):
         return None
     return X
 
 
-def _inside(parts: list[tuple[Part, Array]], U: Array, clock: Clock) -> Inside | None:
+def joined(s: Structure, rates: Array, U: Array) -> Array:
+    """(N,) the inputs of a physical layout as one that moves its position as far as all of them do, held for long."""
+    if U.shape[1] == 1:
+        return U[:, 0]
+    A, B, _, position, _ = layout_matrices(s.layout, rates)
+    further = rates[LAYOUTS[s.layout][1] :].reshape(-1, s.order)
+    reach = np.stack((B, *further)) @ np.linalg.lstsq(A.T, position, rcond=None)[0]
+    return U @ (reach / (reach[0] or 1.0))
+
+
+def _inside(
+    s: Structure, rates: Array, parts: list[tuple[Part, Array]], U: Array, clock: Clock
+) -> Inside | None:
     """What the parts of a model make act inside its plant; None where it is more than the recursion takes."""
     forces, elements = [], {}
     for part, q in parts:
         if part.effect.force is not None:
             signal, own = part.effect.signal, q[part.own :]
-            forces.append(
-                (part.effect.force, own, None if signal is None else signal(U, part.channel, own, clock))
-            )
+            signals = None if signal is None else signal(U, part.channel, own, clock)
+            if U.shape[1] > 1:
+                u = U[:, s.inputs.index(part.channel)] if part.effect.each else joined(s, rates, U)
+                signals = np.stack((np.zeros(len(u)) if signals is None else signals, u), axis=1)
+            forces.append((part.effect.force, own, signals))
         if part.effect.inside is not None:
             elements |= part.effect.inside(q[part.own :])
     return Inside(tuple(forces), elements) if len(forces) <= MOST_FORCES else None

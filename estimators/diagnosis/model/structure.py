@@ -120,7 +120,12 @@ class Structure:
             return self.order + self.taps * len(self.inputs)
         if self.layout == "tanks":
             return LAYOUTS["tanks"][1]
-        return LAYOUTS[self.layout][1] + self.order + self.taps * (len(self.inputs) - 1)
+        return LAYOUTS[self.layout][1] + self.order * len(self.inputs)
+
+    def rates(self, p: Array) -> Array:
+        """Of a physical layout: its rates, and the columns by which inputs beyond the first enter."""
+        head = LAYOUTS[self.layout][1]
+        return np.concatenate((p[:head], p[head + self.order : self.plant_size]))
 
     @cached_property
     def size(self) -> int:

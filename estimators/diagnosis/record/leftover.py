@@ -87,8 +87,8 @@ def _through(f: Fit, j: int) -> Callable[[Array], Array]:
     if s.layout == "tanks":
         return lambda x: _late(x, 1)
     head = LAYOUTS[s.layout][1]
-    C = f.p[head : head + s.order]
-    return lambda x: np.nan_to_num(states(s.layout, f.p[:head], np.ascontiguousarray(x)) @ C)
+    C, only = f.p[head : head + s.order], np.eye(len(s.inputs))[s.inputs.index(j)]
+    return lambda x: np.nan_to_num(states(s.layout, s.rates(f.p), np.outer(x, only)) @ C)
 
 
 def _products(channel: Channel, f: Fit, y: Array) -> list[Array]:

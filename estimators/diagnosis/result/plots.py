@@ -75,14 +75,14 @@ def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
 def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
     """Values that the effect's argument takes in the record, and its name."""
     from estimators.diagnosis.effects import Slot
-    from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices, states
+    from estimators.diagnosis.model.layouts import layout_matrices, states
 
     u, slot = channel.u[:, part.channel], part.effect.slot
     if slot is Slot.PLANT:
-        head = LAYOUTS[f.structure.layout][1]
-        position, velocity = layout_matrices(f.structure.layout, f.p[:head])[3:]
+        rates, U = f.structure.rates(f.p), channel.u[:, list(f.structure.inputs)]
+        position, velocity = layout_matrices(f.structure.layout, rates)[3:]
         fast = part.effect.against == "velocity"
-        X = states(f.structure.layout, f.p[:head], u)
+        X = states(f.structure.layout, rates, U)
         # the linear part alone swings wider where a spring stiffens: the middle 99 % are shown
         return X @ (
             velocity if fast else position

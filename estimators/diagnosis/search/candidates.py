@@ -103,11 +103,14 @@ def augmented(
             for j in s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
                 tasks += _scan(channel, base, base, Part(e, j), best)
     plant = [e for e in wanted if e.slot is Slot.PLANT and e.search is None]
-    layouts = _layouts(channel, base) if plant and len(s.inputs) == 1 else []
+    if len(s.inputs) > 1:  # how the other inputs enter would change with the rates
+        plant = [e for e in plant if e.change is None]
+    layouts = _layouts(channel, base) if plant else []
     for layout in layouts:
         for e in plant:
             if not e.refines and e.fits(layout.structure.layout):
-                tasks += _scan(channel, base, layout, Part(e, s.inputs[0]), best)
+                for j in layout.structure.inputs if e.each else layout.structure.inputs[:1]:
+                    tasks += _scan(channel, base, layout, Part(e, j), best)
     tasks.sort(key=lambda task: -task.promise)
     chosen: list[Effect] = []
     wide = bool(tasks) and tasks[0].promise > LEAST_PROMISE and not s.effects

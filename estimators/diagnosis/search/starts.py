@@ -16,7 +16,7 @@ from estimators.diagnosis.model.derivatives import exact_columns
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices, states
 from estimators.diagnosis.model.linear import fresh_poles
-from estimators.diagnosis.model.simulation import acted, free_responses, simulate
+from estimators.diagnosis.model.simulation import acted, free_responses, joined, simulate
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 
 __all__ = ["Start", "fitted", "renewed", "scored", "sizes_of"]
@@ -45,8 +45,10 @@ def sizes_of(channel: Channel, base: Fit, part: Part) -> Sizes:
     if part.effect.slot is not Slot.PLANT:
         poles = np.roots(np.concatenate(([1.0], base.p[:order]))) if layout == "tf" else np.zeros(0)
         return Sizes(u, y, channel.clock, poles=poles)
-    rates = base.p[: LAYOUTS[layout][1]]
-    X = states(layout, rates, u)
+    s = base.structure
+    rates, U = s.rates(base.p), channel.u[:, list(s.inputs)]
+    u = u if part.effect.each else joined(s, rates, U)
+    X = states(layout, rates, U)
     position, velocity = layout_matrices(layout, rates)[3:]
     damping = float(np.exp(rates[1] - rates[0])) if len(rates) > 1 else 1.0
     return Sizes(u, y, channel.clock, X @ position, X @ velocity, damping=damping)

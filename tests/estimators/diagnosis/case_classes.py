@@ -228,6 +228,18 @@ def modulated_flow(u, a):
     return _linear(u[:, 0]) - 0.5 * _linear(u[:, 1]) + a * 0.5 * _linear(_lag(flow, 0.6))
 
 
+def carried_off(u, a):
+    """The second input also carries off what the first has filled in: it multiplies the state."""
+    slope = lambda x, v: 0.08 * (v[0] - 0.5 * v[1] - x - 0.5 * a * v[1] * x)
+    start = (u[0, 0] - 0.5 * u[0, 1]) / (1.0 + 0.5 * a * u[0, 1])
+    return _sensor(_process(slope, u, start), start)
+
+
+def pushed_twice(u, a):
+    """Two forces on one mass whose spring hardens."""
+    return _swing(lambda x, v, f, t: 0.06 * (f[0] - 0.7 * f[1] - x - 0.3 * a * x**3) - 0.03 * v, u)
+
+
 def store(u, a):
     charge = np.concatenate(([0.0], np.cumsum(u)[:-1])) / 700.0
     curve = -0.5 * charge + a * (0.3 * np.expm1(-10.0 * charge) - 0.2 * np.exp(15.0 * (charge - 1.0)))
@@ -273,6 +285,8 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "sweep": (sweep, 2, {}),
     "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
+    "bilinear": (carried_off, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
+    "stiffness_cubic": (pushed_twice, 2, {"inputs": 2}),
 }  # fmt: skip
 
 LOOKALIKES = {
@@ -282,4 +296,5 @@ LOOKALIKES = {
     "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
     "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "sweep": "pendulum",
     "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction",
+    "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
 }  # fmt: skip
