@@ -43,12 +43,10 @@ def _swings(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         from estimators.diagnosis.model.fitting import fit
-        from estimators.diagnosis.model.layouts import states
-        from estimators.diagnosis.model.simulation import simulate
         from estimators.diagnosis.model.structure import Part
-        from estimators.diagnosis.search.starts import Start, fitted, relinearised
+        from estimators.diagnosis.search.starts import fitted
 
-        s, j = base.structure, base.structure.inputs[0]
+        s = base.structure
         poles = np.roots(np.concatenate(([1.0], base.p[: s.order]))) if s.layout == "tf" else np.zeros(0)
         pairs = [(abs(np.log(z)) ** 2, -2.0 * np.log(z).real) for z in poles.astype(complex) if z.imag > 0]
         real = sorted((z.real for z in poles if abs(z.imag) < 1e-9 and 0.02 < z.real < 0.9995), reverse=True)
@@ -56,32 +54,16 @@ def _swings(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
             a, b = -np.log(real[0]), -np.log(real[1])
             pairs, real = [(a * b, a + b)], real[2:]
         real = [z for z in real if z < 0.995][:1]
-        if len(s.inputs) != 1 or s.effects or not pairs:
+        if s.effects or not pairs:
             return
         starts: list[Any] = []
-        for pair in pairs:
-            rates = np.log([max(pair[0], 1e-6), max(pair[1], 1e-3 * np.sqrt(pair[0]))])
-            for block in [[]] + [[-z, b] for z in real or [0.5] for b in SHAKEN]:
-                part = Part(effect(), j, first=1 if block else 0, free=bool(block))
-                new = replace(s, order=2, taps=2, layout="oscillator", delay=0).adding(part)
-                x = np.ascontiguousarray(part.blocked(channel.u[:, j], np.array(block)))
-                top = float(np.max(np.abs(states("oscillator", rates, x)[:, 0]))) + 1e-300
-                scales = np.ones(new.size)
-                for q, sl in zip(new.parts, new.slices(), strict=True):
-                    scales[sl] = 1.0 if q is part else float(np.std(channel.y)) + 1e-300
-                scales[-1] = 1.0 / top
-                for swing in SWINGS:
-                    p = np.zeros(new.size)
-                    p[:2], p[-1] = rates, swing / top
-                    p[new.slices()[-1].start : -1] = block
-                    p = relinearised(channel, new, p)
-                    if p is not None:
-                        gains = np.abs(p[2 : new.plant_size])
-                        scales[2 : new.plant_size] = gains + 0.1 * gains.max(initial=0.0) + 1e-300
-                        rest = np.where(
-                            channel.keep, channel.y - simulate(new, p, channel.u, channel.clock), 0.0
-                        )
-                        starts.append(Start(new, p, scales.copy(), -float(rest @ rest)))
+        for inputs, gains in _joint(channel, base)[: None if effect().each else 1]:
+            few = replace(s, order=2, taps=2, layout="oscillator", delay=0, inputs=inputs)
+            for pair in pairs:
+                rates = np.log([max(pair[0], 1e-6), max(pair[1], 1e-3 * np.sqrt(pair[0]))])
+                for block in [[]] + [[-z, b] for z in real or [0.5] for b in SHAKEN]:
+                    part = Part(effect(), inputs[0], first=1 if block else 0, free=bool(block))
+                    starts += _swung(channel, few.adding(part), rates, np.array(block), gains)
         starts = sorted((x for x in starts if np.isfinite(x.promise)), key=lambda x: -x.promise)[:FEW]
         quick = sorted(fitted(channel, base, starts, 5), key=lambda f: f.deviance)[:2]
         for f in quick:
@@ -92,14 +74,60 @@ def _swings(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
     return search
 
 
+def _joint(channel: Any, base: Any) -> list[tuple[tuple[int, ...], Array]]:
+    """The inputs of a transfer function, each first once and the one that does most before all; of the others what they do beside it."""
+    s = base.structure
+    b = base.p[s.order : s.plant_size].reshape(len(s.inputs), s.taps).sum(axis=1)
+    share = np.abs(b) * np.std(channel.u[:, list(s.inputs)], axis=0)
+    out = []
+    for j in np.argsort(-share):
+        rest = [i for i in range(len(b)) if i != j]
+        out.append((tuple(s.inputs[i] for i in (j, *rest)), b[rest] / (b[j] or 1.0)))
+    return out
+
+
+def _swung(channel: Any, new: Any, rates: Array, block: Array, gains: Array) -> list[Any]:
+    """Starts of several swings: the other inputs push where the first does, as far as in the linear model."""
+    from estimators.diagnosis.model.layouts import layout_matrices, states
+    from estimators.diagnosis.model.simulation import simulate
+    from estimators.diagnosis.search.starts import Start, relinearised
+
+    part, at = new.parts[-1], new.slices()[-1]
+    U = channel.u[:, list(new.inputs)]
+    U[:, 0] = part.blocked(np.ascontiguousarray(U[:, 0]), block)
+    push = layout_matrices(new.layout, rates)[1]
+    first = np.zeros(new.size)
+    first[:2], first[4 : new.plant_size] = rates, np.outer(gains, push).ravel()
+    first[at.start : at.stop - 1] = block
+    top = float(np.max(np.abs(states(new.layout, new.rates(first), U)[:, 0]))) + 1e-300
+    scales = np.ones(new.size)
+    for q, sl in zip(new.parts, new.slices(), strict=True):
+        scales[sl] = 1.0 if q is part else float(np.std(channel.y)) + 1e-300
+    scales[-1] = 1.0 / top
+    scales[4 : new.plant_size] = np.outer(np.abs(gains) + 0.1, push + push.max()).ravel()
+    starts = []
+    for swing in SWINGS:
+        p = first.copy()
+        p[-1] = swing / top
+        p = relinearised(channel, new, p)
+        if p is not None:
+            C = np.abs(p[2:4])
+            scales[2:4] = C + 0.1 * C.max() + 1e-300
+            rest = np.where(channel.keep, channel.y - simulate(new, p, channel.u, channel.clock), 0.0)
+            starts.append(Start(new, p, scales.copy(), -float(rest @ rest)))
+    return starts
+
+
 def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """A force of the angle of a turning part whose speed is measured: the angle from the output itself, then growing windows."""
     from estimators.diagnosis.model.fitting import fit
     from estimators.diagnosis.model.structure import Part
 
-    s, j = base.structure, base.structure.inputs[0]
-    if s.layout != "tf" or len(s.inputs) != 1 or s.effects:
+    s = base.structure
+    if s.layout != "tf" or s.effects:
         return
+    inputs, beside = _joint(channel, base)[0]
+    j, at_first = inputs[0], s.order + s.inputs.index(inputs[0]) * s.taps
     poles = np.roots(np.concatenate(([1.0], base.p[: s.order])))
     real = sorted((z.real for z in poles if abs(z.imag) < 1e-9 and 0.02 < z.real < 0.9995), reverse=True)
     slow = real[0] if real else float(np.abs(poles).max())
@@ -113,17 +141,18 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     turns = 2 * np.pi * np.arange(LEAST_TURNS, TURNS) / span
     power = np.array([abs(np.vdot(np.exp(1j * w * angle), force)) ** 2 for w in turns])
     peaks = [i for i in np.argsort(-power)[:2] if power[i] > PEAK * float(power.mean())]
-    size, gain = float(np.std(channel.u[:, j])) + 1e-300, float(np.sum(base.p[s.order : s.plant_size]))
+    size, gain = float(np.std(channel.u[:, j])) + 1e-300, float(np.sum(base.p[at_first : at_first + s.taps]))
     gain /= float(1.0 + np.sum(base.p[: s.order]))  # output per unit of input
     spread = float(np.std(channel.y)) + 1e-300
-    turning = replace(s, order=2, taps=2, layout="integrator", delay=0)
+    turning = replace(s, order=2, taps=2, layout="integrator", delay=0, inputs=inputs)
+    further = np.outer(beside, [0.0, rates[0]]).ravel()
     for w in turns[peaks]:
         found: list[tuple[float, Array, Array, Any]] = []
         for first in (0, 1):  # without and with a lag of the drive
             part = Part(POSITION, j, first=first)
             new = turning.adding(part)
             scales = np.full(new.size, spread)
-            scales[: new.plant_size] = 1.0, abs(gain), abs(gain)
+            scales[:3], scales[3 : new.plant_size] = (1.0, abs(gain), abs(gain)), rates[0]
             at = new.slices()[-1]
             scales[at] = [1.0] * first + [size, size, 1e-3 * abs(w * gain)]
             for q, sl in zip(new.parts, new.slices(), strict=True):
@@ -135,7 +164,7 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
                 begun = [p for _, p in sorted(trials, key=lambda trial: trial[0])[:1]]
                 for a, b in () if begun else PHASES:
                     p = np.zeros(new.size)
-                    p[:3] = np.log(rates[0]), 0.0, gain
+                    p[:3], p[3 : new.plant_size] = (np.log(rates[0]), 0.0, gain), further
                     p[at] = [-0.5] * first + [a * size, b * size, w * gain]
                     begun.append(p)
                 fits = [fit(few, new, p, scales, iterations=8, colour=False) for p in begun]
@@ -146,11 +175,18 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 
 
 def _turned(
-    key: str, cause: str, sentence: str, force: Any, parameters: dict[str, str], search: Any, trials: float
+    key: str,
+    cause: str,
+    sentence: str,
+    force: Any,
+    parameters: dict[str, str],
+    search: Any,
+    trials: float,
+    each: bool = False,
 ) -> Effect:
     return Effect(
         key=key, cause=cause, nature=Nature.DYNAMIC, slot=Slot.PLANT, sentence=sentence, force=force, trials=trials,
-        parameters=parameters, search=search, against="position",
+        parameters=parameters, search=search, against="position", each=each,
     )  # fmt: skip
 
 
@@ -160,7 +196,7 @@ PENDULUM = _turned(
 )  # fmt: skip
 PIVOT = _turned(
     "pendulum_pivot", "pendulum", "gravity pulls with the sine of the angle, and the moved pivot pushes with its cosine", _pivot,
-    {"angle": "1/u"}, _swings(lambda: PIVOT), 6,
+    {"angle": "1/u"}, _swings(lambda: PIVOT), 6, each=True,
 )  # fmt: skip
 POSITION = _turned(
     "position_periodic", "position_periodic_force", "a force that repeats with the angle: an eccentric, cogging",

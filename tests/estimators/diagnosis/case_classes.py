@@ -187,6 +187,11 @@ def through_flow(u, a):
     return _sensor(left, left[0], 0.6)
 
 
+def pendulum_of_two(u, a):
+    pull = lambda x: np.sin(0.7 * a * x) / 0.7 / a if a else x
+    return _swing(lambda x, v, f, t: 0.06 * (f[0] + 0.6 * f[1] - pull(x)) - 0.05 * v, u)
+
+
 def pendulum(u, a):
     pull = lambda x: np.sin(0.7 * a * x) / 0.7 / a if a else x
     return _swing(lambda x, v, f, t: 0.06 * (f - pull(x)) - 0.05 * v, u)
@@ -207,6 +212,10 @@ def eccentric(u, a):
             speed += 0.08 * (value - speed - 0.8 * a * np.sin(0.25 * angle)) / FINE
             angle += speed / FINE
     return out
+
+
+def eccentric_of_two(u, a):
+    return eccentric(u[:, 0] + 0.4 * u[:, 1], a)
 
 
 def filling(u, a):
@@ -286,7 +295,8 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "lost_samples": (lost_samples, 2, {}), "sweep": (sweep, 2, {}),
     "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "bilinear": (carried_off, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
-    "stiffness_cubic": (pushed_twice, 2, {"inputs": 2}),
+    "stiffness_cubic": (pushed_twice, 2, {"inputs": 2}), "pendulum of two": (pendulum_of_two, 2, {"size": 0.35, "inputs": 2}),
+    "position_periodic of two": (eccentric_of_two, 2, {"mean": 2.5, "size": 0.6, "inputs": 2}),
 }  # fmt: skip
 
 LOOKALIKES = {

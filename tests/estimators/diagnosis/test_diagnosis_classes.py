@@ -47,7 +47,7 @@ def error(f):
 
 def fits(key, of, strength=1.0):
     channel, base, noise = record(of, strength)
-    found = sorted(augmented(channel, base, Menu((named(key),))), key=error)
+    found = sorted(augmented(channel, base, Menu((named(key.split()[0]),))), key=error)
     return found, base, noise
 
 

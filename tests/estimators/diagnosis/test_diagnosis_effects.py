@@ -154,6 +154,24 @@ def test_feedback_recursion_agrees_with_casadi(parts):
         assert np.max(np.abs(ours - states("oscillator", rates, u))) > 1e-3
 
 
+def test_inputs_of_a_plant_add_up_and_a_force_reads_its_own():
+    """Without forces the sum of one input each; a product of the state with the second input is that of a plant whose rate follows it."""
+    rng = np.random.default_rng(8)
+    U, r, b = rng.standard_normal((200, 2)), np.log([0.2, 0.1]), np.array([0.3, -0.1])
+    own = states("oscillator", np.concatenate((r, b)), np.stack((0 * U[:, 1], U[:, 1]), axis=1))
+    np.testing.assert_allclose(
+        states("oscillator", np.concatenate((r, b)), U), states("oscillator", r, U[:, 0]) + own, atol=1e-12
+    )
+    s = Structure(1, (0, 1), layout="first").adding(Part(named("bilinear"), 1))
+    y = simulate(s, np.array([np.log(0.2), 1.0, 0.05, 0.4]), U, Clock(np.arange(200.0), 200))
+    x, exact = 0.0, []
+    for u, w in U:
+        exact.append(x)
+        rate = 0.2 * (1.0 - 0.4 * w)
+        x = x * np.exp(-rate) + (1 - np.exp(-rate)) * (0.2 * u + 0.05 * w) / rate
+    np.testing.assert_allclose(y, exact, atol=5e-4)  # five steps a sample
+
+
 def test_a_model_bears_as_many_forces_as_the_recursion_takes():
     assert simulation.MOST_FORCES == plant_kernels.MOST_FORCES
     s = Structure(2, layout="oscillator")
