@@ -180,11 +180,12 @@ def _products(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
         if np.std(x) == 0.0 or _promise(channel, base, x - np.mean(x)) < LEAST_PRODUCT:
             continue
         residual = replace(channel, u=(x - np.mean(x))[:, None], y=base.residual, step=0.0)
-        for size in (1, 2):
-            f = fit_linear(residual, Structure(size, (0,), delay=s.delay), rough=True)
-            p = np.concatenate((base.p, f.p[size:], f.p[:size], [j + 1.0, *centres, 1.0 + s.delay]))
-            scales = np.concatenate((base.scales, f.scales[size:], f.scales[:size], np.zeros(len(HELD))))
-            yield fit(channel, s.adding(Part(PRODUCT, i, size)), p, scales, noise=base.noise)
+        rough = [fit_linear(residual, Structure(n, (0,), delay=s.delay), rough=True) for n in (1, 2)]
+        f = min(rough, key=lambda f: f.criterion)
+        size = f.structure.order
+        p = np.concatenate((base.p, f.p[size:], f.p[:size], [j + 1.0, *centres, 1.0 + s.delay]))
+        scales = np.concatenate((base.scales, f.scales[size:], f.scales[:size], np.zeros(len(HELD))))
+        yield fit(channel, s.adding(Part(PRODUCT, i, size)), p, scales, noise=base.noise)
 
 
 PRODUCT = Effect(

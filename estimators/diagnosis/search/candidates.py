@@ -28,6 +28,7 @@ NEAR = 0.5  # of the best gain at the input, for an effect to be tried with othe
 LAGGED = 3  # effects at the input that are tried behind a lag
 RENEWALS = 3  # rounds of fresh poles for the best effect at the input
 QUICK = 5  # Gauss-Newton steps by which starts inside a plant are told apart
+FORMS = 2  # layouts that are tried with several inputs, which cost a column of parameters each; the inside is looked at first
 HOPELESS = (
     -30.0
 )  # gain after those steps below which a start is given up: a layout may fit worse than the linear model
@@ -103,9 +104,12 @@ def augmented(
             for j in s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
                 tasks += _scan(channel, base, base, Part(e, j), best)
     plant = [e for e in wanted if e.slot is Slot.PLANT and e.search is None]
-    if len(s.inputs) > 1:  # how the other inputs enter would change with the rates
-        plant = [e for e in plant if e.change is None]
+    several = len(s.inputs) > 1
+    if several:  # how the other inputs enter would change with the rates
+        plant = [e for e in plant if e.change is None and not s.effects]
     layouts = _layouts(channel, base) if plant else []
+    if several:
+        layouts = sorted(layouts, key=lambda f: f.deviance)[:FORMS]
     for layout in layouts:
         for e in plant:
             if not e.refines and e.fits(layout.structure.layout):
