@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Baseline, Options, best_linear
-from estimators.diagnosis.discovery import DiscoveredModel, Discovery, discover
+from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, climb, paired_gain
@@ -142,7 +142,7 @@ def diagnose(
     say("terms of no catalogue")
     discovery = discover(records, base, setting.effort.value)
     say("comparison on blocks not used")
-    again = cache(lambda: _without_the_last_block(records, base, setting))
+    again = cache(lambda: _without_the_last_block(records, base, discovery, setting))
     outcomes = [
         _outcome(records, i, base, parts[i], (discovery, again), setting) for i in range(first.n_outputs)
     ]
@@ -262,15 +262,21 @@ MEMBER = 20
 
 
 def _without_the_last_block(
-    records: Sequence[Record], base: Baseline, setting: Setting
+    records: Sequence[Record], base: Baseline, whole: Discovery, setting: Setting
 ) -> tuple[Baseline, Discovery]:
-    """The linear model and what is discovered from the records without the last block and what is beside that."""
+    """The linear model and what is discovered from the records without the last block and what is beside that.
+
+    The second search is as wide as the `whole` one's answer needs.
+    """
     last = base.blocks.blocks[-1]
     unseen = records[last.record]
     head = unseen[: max(0, last.start - base.blocks.guard)]
     heads = [*(r for r in records if r is not unseen), *([head] if len(head) >= LEAST else [])]
     linear = best_linear(heads, _options(unseen, setting))
-    return linear, discover(heads, linear, setting.effort.value)
+    budget = BUDGETS[setting.effort.value]
+    if whole.model is not None:
+        budget = budget.about(whole.model.form.orders, len(whole.terms))
+    return linear, discover(heads, linear, budget)
 
 
 def _confirmed(

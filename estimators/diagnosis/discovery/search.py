@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,8 @@ Array = NDArray[Any]
 BEND = (
     0.03  # share of a term's spread that is not linear in its signals: below it the term is linear dynamics
 )
+GAINED = 0.01
+"""By how much a further term must lower the criterion per sample for another to be looked for: half a percent of the error."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,13 @@ class Budget:
     beam: int = 3
     terms: int = 4
     rounds: int = 12
+
+    def about(self, orders: tuple[int, ...], terms: int) -> Budget:
+        """For a second search, of chains as long as those of a model and of no more terms; other lengths stay rivals."""
+        every = {*self.orders, *self.rivals}
+        return replace(
+            self, orders=tuple(sorted({*orders})), rivals=tuple(sorted(every - {*orders})), terms=terms
+        )
 
 
 def criterion(f: Fitted) -> float:
@@ -152,7 +161,7 @@ def _climbed(
             break
         every += new
         beam = sorted(new, key=criterion)[:width]
-        if criterion(beam[0]) > best:
+        if criterion(beam[0]) > best - GAINED * beam[0].count:
             break
         best = criterion(beam[0])
     return every

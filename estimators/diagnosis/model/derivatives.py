@@ -11,24 +11,29 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Slot
 from estimators.diagnosis.model.layouts import LAYOUTS
-from estimators.diagnosis.model.simulation import acted, plant_states
+from estimators.diagnosis.model.simulation import acted, free_responses, plant_states
 from estimators.diagnosis.model.structure import Structure
 
 __all__ = ["exact_columns"]
 
 Array = NDArray[Any]
+OFFSET = "offset"  # key of the effect; its module imports this one
 
 
 def exact_columns(s: Structure, p: Array, u: Array, clock: Clock) -> Iterator[tuple[int, Array]]:
     """Derivatives of the simulated output that need no finite difference.
 
     In layout "tf", y = sum B_j/F u_j gives dy/db_ji = z^-(1+delay+i) u_j/F and dy/df_i = -z^-i y/F; in a
-    physical layout y = C x gives dy/dC_i = x_i. Static curves at the output multiply by their slope.
+    physical layout y = C x gives dy/dC_i = x_i. Static curves at the output multiply by their slope. A constant that is
+    added gives ones, an initial state its free response.
 
     Shapes: p (s.size,), u (N, nu).
 
     The finite differences of the fit are the twin that the tests compare with.
     """
+    for part, sl in zip(s.parts, s.slices(), strict=True):
+        if part.key == OFFSET:
+            yield sl.start, np.ones(len(u))
     curved = [q for q in s.parts if q.effect.slot is Slot.OUTPUT]
     if s.layout == "tanks" or any(q.effect.memory for q in curved):
         return
@@ -69,6 +74,10 @@ def exact_columns(s: Structure, p: Array, u: Array, clock: Clock) -> Iterator[tu
     w = rational(np.ascontiguousarray(linear[:, None]), one, f, 0)  # one sample late already
     for i in range(s.order):
         yield i, -late(w, i)
+    for part, sl in zip(s.parts, s.slices(), strict=True):
+        if part.effect.slot is Slot.START:
+            for i, free in enumerate(free_responses(s, p, n).T, sl.start):
+                yield i, free if slope is None else free * slope
     for j in range(len(s.inputs)):
         w = rational(np.ascontiguousarray(U[:, j : j + 1]), one, f, 0)
         for i in range(s.taps):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock
 
-__all__ = ["LAYOUTS", "NOTHING", "Inside", "changed_states", "layout_matrices", "states"]
+__all__ = ["LAYOUTS", "NOTHING", "STEPS", "Inside", "changed_states", "layout_matrices", "states"]
 
 Array = NDArray[Any]
 
@@ -36,11 +36,12 @@ class Inside:
     """What acts inside a plant: forces, each with its parameters and signals, and elements with memory.
 
     A force's signals are None, (N,) the one that modulates it, or (N, 2) with its own input beside that. `elements` are
-    fields of `plant_kernels.Elements`.
+    fields of `plant_kernels.Elements`, `steps` integration steps per sample.
     """
 
     forces: tuple[tuple[Callable[..., Any], Array, Array | None], ...] = ()
     elements: Mapping[str, float] = field(default_factory=dict)
+    steps: int = STEPS
 
     def __bool__(self) -> bool:
         return bool(self.forces or self.elements)
@@ -107,9 +108,7 @@ def layout_matrices(layout: str, r: Array) -> tuple[Array, Array, Array, Array, 
     return A, B, E, np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0, 0.0])
 
 
-def states(
-    layout: str, rates: Array, u: Array, inside: Inside = NOTHING, x0: Array | None = None, steps: int = STEPS
-) -> Array:
+def states(layout: str, rates: Array, u: Array, inside: Inside = NOTHING, x0: Array | None = None) -> Array:
     """States (N, order) of a layout driven by u, (N,) or (N, inputs), at rest without x0.
 
     `rates` logarithms of the rates, then for every further input the (order,) column by which it enters.
@@ -121,7 +120,8 @@ def states(
         simulate_feedback,
     )
 
-    held = _held(layout, tuple(rates), steps if inside else 1)
+    steps = inside.steps if inside else 1  # linear dynamics are exact in one
+    held = _held(layout, tuple(rates), steps)
     x0 = np.zeros(len(held.phi)) if x0 is None else x0
     U = u.reshape(len(u), -1)
     nu = U.shape[1]
@@ -135,7 +135,7 @@ def states(
             drive[:, nu + 2 * i : nu + 2 * i + s.shape[1]] = s
     forces = [pointer(f) for f, _, _ in inside.forces]
     forces += [0] * (MOST_FORCES - len(forces))
-    return simulate_feedback(drive, held, Elements(**inside.elements), x0, steps if inside else 1, c, *forces)
+    return simulate_feedback(drive, held, Elements(**inside.elements), x0, steps, c, *forces)
 
 
 @lru_cache(maxsize=64)

@@ -73,7 +73,7 @@ def plant_states(
         for part, q in parts:
             x0 = q.copy() if part.effect.slot is Slot.START else x0
     moved = () if not change else (change[0][0], change[0][1].tobytes(), float(clock.k[0]))
-    key = (s.layout, rates.tobytes(), inside.mark, x0.tobytes(), moved, u.tobytes())
+    key = (s.layout, s.steps, rates.tobytes(), inside.mark, x0.tobytes(), moved, u.tobytes())
     X = next((kept for known, kept in tuple(_recent) if known == key), None)
     if X is None:
         if change:
@@ -111,7 +111,7 @@ def _inside(
             forces.append((part.effect.force, own, signals))
         if part.effect.inside is not None:
             elements |= part.effect.inside(q[part.own :])
-    return Inside(tuple(forces), elements) if len(forces) <= MOST_FORCES else None
+    return Inside(tuple(forces), elements, s.steps) if len(forces) <= MOST_FORCES else None
 
 
 def _within(at: float, n: int) -> bool:

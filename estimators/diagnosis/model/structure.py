@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, level_before
 from estimators.diagnosis.effects.names import numbered
-from estimators.diagnosis.model.layouts import LAYOUTS
+from estimators.diagnosis.model.layouts import LAYOUTS, STEPS
 
 __all__ = ["Part", "Structure", "stable_polynomial"]
 
@@ -98,7 +98,7 @@ class Structure:
     `order` order of the linear part; `inputs` which inputs act on this output; `layout` "tf" or a key of
     LAYOUTS; `delay` whole samples of delay beyond the first; `taps` numerator coefficients per input; `parts`
     effects; `base` how many of the parts belong to the linear model itself (offset, initial state of real
-    records).
+    records); `steps` integration steps per sample where effects act inside a layout.
     """
 
     order: int
@@ -108,6 +108,7 @@ class Structure:
     taps: int = 0
     parts: tuple[Part, ...] = ()
     base: int = 0
+    steps: int = STEPS
 
     def __post_init__(self) -> None:
         if self.taps == 0:

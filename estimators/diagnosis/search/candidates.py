@@ -24,6 +24,9 @@ LEAST_PROMISE = 6.0  # of the score, for an effect to be fitted where only the m
 BLIND = ("output_arctan", "output_exponential", "output_polynomial")
 # curves of a sensor that are fitted wherever any effect promises something: a score from a linear model that the curve has
 # spoilt says little of them; one saturates, one grows, one is general
+UNDERSTATED = (
+    3.0  # times what its score promises, that an effect may gain: scores are linear, effects are not
+)
 NEAR = 0.5  # of the best gain at the input, for an effect to be tried with other poles
 LAGGED = 3  # effects at the input that are tried behind a lag
 RENEWALS = 3  # rounds of fresh poles for the best effect at the input
@@ -77,12 +80,12 @@ def refit(channel: Channel, f: Fit, *, iterations: int = 15) -> Fit:
 
 
 def augmented(
-    channel: Channel, base: Fit, menu: Menu, *, best: int = 2, iterations: int = 25, top: int = 0
+    channel: Channel, base: Fit, menu: Menu, *, best: int = 2, iterations: int = 25, top: int = 0, needed: float = 0.0
 ) -> Iterator[Fit]:  # fmt: skip
     """Fits of a model with each further effect of a menu, one per effect and input, the best of its starts.
 
     `best` starts per effect and `iterations` Gauss-Newton steps per start; only the `top` effects whose scores promise
-    most, 0 for all.
+    most, 0 for all. Where a gain is `needed`, only effects whose scores promise a part of it, and none without a score.
     """
     s = base.structure
     causes = {p.effect.cause for p in s.effects}
@@ -99,7 +102,7 @@ def augmented(
     tasks: list[_Task] = []
     for e in wanted:
         if e.search is not None:
-            yield from _own(channel, base, e, menu)
+            yield from _own(channel, base, e, menu) if needed <= 0.0 else ()
         elif e.slot is not Slot.PLANT:
             for j in s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
                 tasks += _scan(channel, base, base, Part(e, j), best)
@@ -115,7 +118,7 @@ def augmented(
             if not e.refines and e.fits(layout.structure.layout):
                 for j in layout.structure.inputs if e.each else layout.structure.inputs[:1]:
                     tasks += _scan(channel, base, layout, Part(e, j), best)
-    tasks.sort(key=lambda task: -task.promise)
+    tasks = sorted((t for t in tasks if UNDERSTATED * t.promise >= needed), key=lambda task: -task.promise)
     chosen: list[Effect] = []
     wide = bool(tasks) and tasks[0].promise > LEAST_PROMISE and not s.effects
     for task in tasks:

@@ -262,7 +262,8 @@ def _more_effects(
                     causes.add(claim.cause)
                     bases.append(claim.fit)
         for start in bases:
-            found = second(channel, start, menu, start is final)
+            reached = min((f.criterion for f, _ in options), default=final.criterion)
+            found = second(channel, start, menu, start is final, start.criterion - reached)
             limit = alpha * (1e-4 if len(found) and len(found[0].noise) else 1e-1)
             tried[id(start)] = found
             if found and significance(start, found[0]) < limit:
@@ -297,10 +298,10 @@ def _exchangeable(best: Fit, other: Fit, rivals: dict[str, list[str]]) -> None:
             names += [name for name in theirs if name not in (*mine, *names)]
 
 
-def second(channel: Channel, f: Fit, menu: Menu, coloured: bool = True) -> list[Fit]:
-    """The model with one more effect, the best by Schwarz's criterion first."""
+def second(channel: Channel, f: Fit, menu: Menu, coloured: bool = True, needed: float = 0.0) -> list[Fit]:
+    """The model with one more effect, the best by Schwarz's criterion first; nothing where a gain `needed` is not in sight."""
     position = len(f.structure.parts)
-    fits = list(augmented(channel, _white(f), menu, best=1, iterations=FEW, top=8))
+    fits = list(augmented(channel, _white(f), menu, best=1, iterations=FEW, top=8, needed=needed))
     fits = _settled(channel, _per_key(fits, position), 3)
     if coloured and not f.structure.base and len(f.noise) and (not fits or len(fits[0].noise)):
         fits += list(augmented(channel, f, menu, best=1, iterations=10, top=5))

@@ -27,6 +27,9 @@ SHARES = (
     0.4,
 )  # of the amplitude that the score promises: the model bends more than the score, which is linear
 
+RENEWED = 4
+"""Shapes of an effect whose linear part is made anew before they are compared: those whose score is best."""
+
 
 @dataclass(frozen=True, eq=False)
 class Start:
@@ -87,13 +90,18 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
         promise = base.n * -np.log(max(1.0 - alpha**2 * power / rss, 1e-12))
         if amplitude is None and alpha < 0:
             promise *= 1e-3
-        if part.effect.slot in (Slot.INPUT, Slot.PLANT) and not base.structure.effects:
-            for q in renewed(channel, s, p):
+        found.append((promise, alpha, p, d))
+    found.sort(key=lambda x: -x[0])
+    fresh: dict[int, list[Array]] = {}  # by shape
+    if part.effect.slot in (Slot.INPUT, Slot.PLANT) and not base.structure.effects:
+        for k, (promise, alpha, p, d) in enumerate(found[:RENEWED]):
+            fresh[id(p)] = renewed(channel, s, p)
+            for q in fresh[id(p)]:
                 rest = white(channel.y - simulate(s, q, channel.u, channel.clock))
                 left = float(rest @ rest) / (float(r @ r) + 1e-300)
                 promise = max(promise, base.n * -np.log(max(left, 1e-12)))
-        found.append((promise, alpha, p, d))
-    found.sort(key=lambda x: -x[0])
+            found[k] = (promise, alpha, p, d)
+        found.sort(key=lambda x: -x[0])
     own = len(base.p)
     out = []
     for promise, alpha, p, d in found[:best]:
@@ -104,7 +112,7 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
                 move = np.linalg.solve(R, Q.T @ (r - step * d))
             except np.linalg.LinAlgError:
                 move = np.zeros(own)
-        options = renewed(channel, s, p)
+        options = fresh[id(p)] if id(p) in fresh else renewed(channel, s, p)
         for share in SHARES if amplitude is not None else (1.0,):
             trial = p.copy()
             if amplitude is not None:

@@ -1,6 +1,7 @@
 """The NumPy maps and compiled recursions of the catalogue against their CasADi definitions."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from estimators.diagnosis.effects.recursion_kernels import (
     rational,
 )
 from estimators.diagnosis.loop import Setting
-from estimators.diagnosis.model import simulation
+from estimators.diagnosis.model import fitting, simulation
 from estimators.diagnosis.model.derivatives import exact_columns
 from estimators.diagnosis.model.fitting import Channel
 from estimators.diagnosis.model.intersample import between_samples
@@ -138,7 +139,7 @@ def test_feedback_recursion_agrees_with_casadi(parts):
     effects = [(named(key), np.array(q)) for key, q in parts]
     forces = [(e.force, q) for e, q in effects if e.force is not None]
     elements = {k: v for e, q in effects if e.inside is not None for k, v in e.inside(q).items()}
-    ours = states("oscillator", rates, u, Inside(tuple((f, q, None) for f, q in forces), elements), steps=5)
+    ours = states("oscillator", rates, u, Inside(tuple((f, q, None) for f, q in forces), elements))
     A, B, E, position, velocity = layout_matrices("oscillator", rates)
     phi, gamma = held_response(A, np.stack((B, E), axis=1), 0.2)
     held = Held(phi, gamma[:, 0], gamma[:, 1], position, velocity)
@@ -185,7 +186,7 @@ def test_a_force_with_a_signal_is_a_plant_whose_rate_follows_it():
     """x' = a (u - x - s x) with s of time alone: exact between samples where s is held."""
     a, u, s = 0.2, np.random.default_rng(3).standard_normal(80), np.linspace(-0.5, 1.5, 80)
     force = lambda p, v, u, q, s, c: c[0] * s * p
-    ours = states("first", np.log([a]), u, Inside(((force, np.array([1.0]), s),)), steps=40)[:, 0]
+    ours = states("first", np.log([a]), u, Inside(((force, np.array([1.0]), s),), steps=40))[:, 0]
     x, exact = 0.0, []
     for value, level in zip(u, s):
         exact.append(x)
@@ -282,6 +283,8 @@ def test_play_at_the_output_is_fitted_to_the_noise_between_and_on_the_samples(ke
         (Structure(2).adding(Part(named("sandwich"), first=1, free=True)), [-1.2, 0.5, 0.3, 0.1, -0.5, 0.2, 0.3, 0.4]),
         (Structure(2, layout="oscillator", delay=1).adding(Part(named("stiffness_cubic"))).adding(Part(named("output_arctan"))),
          [-2.0, -1.0, 1.0, 0.3, 0.1, 0.3]),
+        (Structure(2).adding(Part(named("offset"))).adding(Part(named("initial"))).adding(Part(named("output_cubic"))),
+         [-1.2, 0.5, 0.3, 0.2, 0.4, 0.7, -0.3, 0.05]),
     ],
 )  # fmt: skip
 def test_exact_derivatives_agree_with_differences(structure, p):
@@ -295,6 +298,27 @@ def test_exact_derivatives_agree_with_differences(structure, p):
         behind[i] -= 1e-6
         twin = (simulate(structure, ahead, u, clock) - simulate(structure, behind, u, clock)) / 2e-6
         np.testing.assert_allclose(column, twin, atol=1e-5 * np.abs(twin).max())
+
+
+def test_coarse_differences_end_at_the_minimum_of_the_fine_ones(monkeypatch):
+    rng, clock = np.random.default_rng(6), Clock(np.arange(400.0), 400)
+    s = Structure(2, layout="oscillator").adding(Part(named("stiffness_cubic")))
+    p, u = np.array([-1.5, -1.5, 1.0, 0.0, 0.4]), 2.0 * rng.standard_normal((400, 1))
+    y = simulate(s, p, u, clock)
+    channel = Channel(u, y + 0.05 * np.std(y) * rng.standard_normal(400), clock, np.ones(400, dtype=bool))
+    fits = []
+    for steps in (fitting.COARSE, s.steps):
+        monkeypatch.setattr(fitting, "COARSE", steps)
+        fits.append(
+            fitting.fit(channel, s, p * np.array([1.1, 1.1, 0.8, 1.0, 0.5]), np.ones(5), iterations=40)
+        )
+    coarse, fine = fits
+    assert abs(coarse.deviance - fine.deviance) < 0.05
+    np.testing.assert_allclose(coarse.p, fine.p, atol=2e-3)
+    assert (
+        fine.deviance
+        < fitting.fit(channel, s, p * np.array([1.1, 1.1, 0.8, 1.0, 0.5]), np.ones(5), iterations=1).deviance
+    )
 
 
 def test_an_effect_with_memory_at_the_output_has_no_exact_derivatives():
@@ -331,7 +355,7 @@ def test_dry_friction_is_exact_to_second_order(tilt):
     assert np.sum(exact == 0.0) > 50  # it sticks
     assert np.sum(exact[1:] * exact[:-1] < 0) > 5  # and reverses
     rates, dry = np.log([0.16]), Inside(elements={"coulomb": level, "tilt": tilt})
-    errors = [np.abs(states("first", rates, u, dry, steps=n)[:, 0] - exact).max() for n in (5, 20)]
+    errors = [np.abs(states("first", rates, u, replace(dry, steps=n))[:, 0] - exact).max() for n in (5, 20)]
     assert errors[0] < 2e-3 * np.std(exact)
     assert errors[1] < errors[0] / 10
 
