@@ -167,6 +167,65 @@ class Criterion:
             worst = np.eye(K)[np.argmax(np.diag(covariance).reshape(K, s).sum(axis=1))]
         return Y * np.repeat(np.sqrt(np.clip(worst if weight is None else weight, 0, None)), s)
 
+    @property
+    def smooth(self) -> bool:
+        """Whether the loss has two derivatives wherever it is finite: D and A of combinations of full rank."""
+        return self.kind in ("D", "A") and self.V.shape[1] >= self.n
+
+    def second(
+        self, information: NDArray[np.float64], X: NDArray[np.float64], turned: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Second derivatives of a smooth criterion (D: of its logarithm times n) along changes dM of the information.
+
+        Shapes: turned (p, n, s), dM X of each, X being `direction`; returns (p, p).
+        """
+        from scipy.linalg import solve_triangular
+
+        L = np.linalg.cholesky(information)
+        flat = np.moveaxis(turned, 1, 0).reshape(self.n, -1)
+        half = solve_triangular(L, flat, lower=True).reshape(self.n, len(turned), -1).swapaxes(0, 1)
+        half = half.reshape(len(turned), -1)
+        H = 2 * half @ half.T
+        if self.kind == "D":
+            own = np.tensordot(turned, X, (1, 0)).reshape(len(turned), -1)
+            H -= own @ own.T
+        return H
+
+    def log_numerator(
+        self, X: NDArray[np.float64], second: bool = True
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Gradient (n, s) and second derivatives (n s, n s) of log numerator(X).
+
+        D and W are sums of det(V_k'X_k)^(2/s), A and G of trace(V_k'X_k)^2, of one term or several.
+        """
+        n, size = X.shape
+        if self.kind == "E":
+            rise = self.V @ (self.V.T @ X)
+            total = float(np.sum(X * rise))
+            rise *= 2 / total
+            bend = np.kron((2 / total) * self.V @ self.V.T, np.eye(size)) if second else None
+        else:
+            V = self.V[None] if self.V.ndim == 2 else self.V
+            K, _, s = V.shape
+            own = np.einsum("kns,nkt->kst", V, X.reshape(n, K, s))
+            if self.kind in ("D", "W"):
+                W = V @ np.linalg.inv(own).swapaxes(1, 2)
+                share = np.exp((2 / s) * np.linalg.slogdet(own)[1])
+                outer, crossed = 4 / s**2, 2 / s
+            else:
+                trace = np.einsum("kss->k", own)
+                W, share, outer, crossed = V / np.where(trace, trace, 1.0)[:, None, None], trace**2, 2.0, 0.0
+            share = share / share.sum()
+            rise = (2 / s if crossed else 2.0) * np.moveaxis(W * share[:, None, None], 0, 1).reshape(n, size)
+            bend = np.zeros((n, K, s, n, K, s)) if second else None
+            for k in range(K if second else 0):
+                bend[:, k, :, :, k, :] = share[k] * (
+                    outer * np.einsum("ia,jb->iajb", W[k], W[k])
+                    - crossed * np.einsum("ib,ja->iajb", W[k], W[k])
+                )
+            bend = bend.reshape(X.size, X.size) if second else None
+        return rise, None if bend is None else bend - np.outer(rise, rise)
+
     def transformed(self, R: NDArray[np.float64]) -> tuple[Criterion, float]:
         """The same criterion for parameters R theta, and the factor between the losses.
 

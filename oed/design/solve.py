@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,10 +19,10 @@ from oed.design.problem.grid import bands_of, frequency_grid
 from oed.design.problem.information_maps import information_map
 from oed.design.problem.lines import Problem
 from oed.design.solvers import elfving_barrier as directions
-from oed.design.solvers.column_generation import Exchange, evaluated_bound, exchange, seed_columns
+from oed.design.solvers.column_generation import Exchange, better, evaluated_bound, exchange, seed_columns
 from oed.design.solvers.condition_number import condition_design
 from oed.design.solvers.gain_scaling import peak_sinusoid
-from oed.design.solvers.merging_lines import better, collapsed
+from oed.design.solvers.merging_lines import collapsed
 from oed.errors import InputError
 
 __all__ = ["solve_design"]
@@ -124,6 +125,7 @@ def solve_design(
             refine=refine,
             tolerance=tolerance,
         )
+    finish = partial(collapsed, tolerance=tolerance)
     if solver == "clarabel":
         from oed.design.solvers.whole_grid import reference_exchange
 
@@ -135,9 +137,10 @@ def solve_design(
     elif directions.applies(problem):
         found = directions.direction_exchange(problem, refine=refine, tolerance=0.3 * tolerance)
     else:
-        found = exchange(problem, refine=refine, tolerance=max(tolerance, 1e-6) if refine else tolerance)
+        found = exchange(problem, refine=refine, tolerance=tolerance, finish=finish if refine else None)
     if refine:
-        found = collapsed(found, tolerance)
+        if found.gap > tolerance or len(found.columns) > problem.map.n:
+            found = finish(found)
         for _ in range(2):
             found = _looked_at_again(found)
             if found.gap <= tolerance or solver != "newton":
@@ -149,6 +152,7 @@ def solve_design(
                 tolerance=tolerance,
                 max_rounds=10,
                 accuracy=min(1e-4, 0.1 * before),
+                finish=finish,
             )
             found = collapsed(better(found, again), tolerance)
             if found.gap > 0.1 * before:

@@ -197,7 +197,7 @@ class Problem:
 
         both = np.stack([G.real, G.imag], axis=-1)
         F = solve_triangular(self.R, both.reshape(len(both), -1), trans=1).reshape(both.shape)
-        F = np.moveaxis(F, 0, 1).reshape(len(omega), len(both), -1)
+        F = np.moveaxis(F, 0, 1).reshape(len(omega), len(both), 2 * D.shape[2])
         q = np.einsum("kq,kjqr,kr->kj", direction.conj(), self._forms(omega), direction).real
         return Columns(omega, direction, F, q)
 

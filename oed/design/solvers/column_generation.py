@@ -7,7 +7,7 @@ which counts frequencies between the grid lines too, meets the loss.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from oed.errors import InputError, SolverFailure, Status
 __all__ = [
     "Exchange",
     "Master",
+    "better",
     "evaluated_bound",
     "exchange",
     "lower_bound",
@@ -36,7 +37,16 @@ MANY = 200
 PATIENCE = 6
 MOST_NEW = 40
 CONIC = 40_000
+KINKED = 1e-8
+"""Accuracy for E from the first round on: the rank of its X must show, and a looser X moves at random."""
+NEARLY = 3e-2
+"""Gap below which the support shows well enough to try Newton's method on it."""
+AGAIN = 0.8
+"""Share of the gap of the last trial at which the next is worth its time."""
 Master = Callable[[Problem, Columns, NDArray[np.float64] | None, float], Weights]
+
+
+Pair = tuple[Columns, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +57,8 @@ class Exchange:
     nu` the certificate of the best bound, with the prices divided out: no price exceeds 1; `bound` scaled
     bound; `price` largest price in the last round before it was divided out; `frequency` where that was;
     `rounds` number of rounds; `status` CONVERGED, or why not; `problem` the problem on the grid as it has
-    grown.
+    grown; `pair` lines, weights and certificate of one round: each shows which of the other's parts are spent;
+    `hints` lines that Newton's method ended with, whatever they are worth by themselves.
     """
 
     columns: Columns
@@ -61,6 +72,8 @@ class Exchange:
     rounds: int
     status: Status
     problem: Problem
+    pair: Pair | None = None
+    hints: Columns | None = None
 
     @property
     def gap(self) -> float:
@@ -81,7 +94,7 @@ def solve_weights(
     """
     criterion, constant = problem.criterion, problem.constant
     if criterion.kind == "E":
-        return _eigenvalue(problem, columns, start, max(accuracy, 1e-12))
+        return _eigenvalue(problem, columns, start, min(max(accuracy, 1e-12), KINKED))
     if criterion.kind in ("G", "W"):
         return minimax_weights(columns, criterion, constant, start=start, tolerance=max(accuracy, 1e-11))
     if criterion.columns.shape[1] < criterion.n:
@@ -122,13 +135,13 @@ def exchange(
     tolerance: float = 1e-9,
     max_rounds: int = 40,
     accuracy: float = 1e-4,
+    finish: Callable[[Exchange], Exchange] | None = None,
 ) -> Exchange:
-    """Run the loop."""
+    """Run the loop; `finish` makes the last digits of an outcome that is nearly right, and is tried on the way."""
     master = master or solve_weights
     columns = seed_columns(problem) if columns is None else columns
     criterion, start = problem.criterion, None
-    best_loss, best_bound, reference, stalled = np.inf, 0.0, np.inf, 0
-    kept, proof, final = None, None, None
+    best, reference, stalled, tried = None, np.inf, 0, NEARLY
     status, rounds = Status.MAX_ITERATIONS, 0
     # A singular optimum leaves X free in many directions: what holds it there must not be dropped.
     free = criterion.kind in ("E", "G", "W") or criterion.columns.shape[1] < criterion.n
@@ -140,38 +153,76 @@ def exchange(
         weights = master(problem, columns, start, accuracy)
         used = float((columns.q.T @ weights.w).max())
         w = weights.w / used if used > 0 else weights.w
-        loss = problem.loss(columns, w)
         prices = problem.prices(weights.X, weights.nu)
         omega, peaks = _maxima(problem, prices, weights, refine)
-        bound = lower_bound(problem, weights.X, weights.nu, float(peaks.ratio.max()))
-        if loss <= best_loss or kept is None:
-            best_loss, kept = loss, (columns, w)
-        if bound > best_bound or proof is None:
-            best_bound, proof = bound, (weights.X, weights.nu)
-        gap = (best_loss - best_bound) / best_bound
-        stalled = 0 if gap < 0.8 * reference else stalled + 1
-        reference = gap if stalled == 0 else reference
-        if gap <= tolerance or stalled >= PATIENCE:
+        price = float(peaks.ratio.max())
+        here = Exchange(
+            columns,
+            w,
+            problem.loss(columns, w),
+            weights.X,
+            weights.nu,
+            lower_bound(problem, weights.X, weights.nu, price),
+            price,
+            float(omega[np.argmax(peaks.ratio)]),
+            rounds,
+            status,
+            problem,
+            (columns, w, weights.X, weights.nu),
+        )
+        best = here if best is None else better(best, here)
+        hints = None
+        if finish is not None and tolerance < best.gap < tried:
+            best = finish(best)
+            tried, hints = AGAIN * best.gap, best.hints
+        stalled = 0 if best.gap < 0.8 * reference else stalled + 1
+        reference = best.gap if stalled == 0 else reference
+        if best.gap <= tolerance or stalled >= PATIENCE:
             # Bounds of early rounds may have missed a maximum that the grid did not show then.
-            final = evaluated_bound(problem, *proof, refine=refine)
-            best_bound = final[0]
-            gap = (best_loss - best_bound) / best_bound
-            if gap <= tolerance or stalled >= PATIENCE:
-                status = Status.CONVERGED if gap <= tolerance else Status.INACCURATE
+            bound, price, frequency = evaluated_bound(problem, best.X, best.nu, refine=refine)
+            best = replace(best, bound=bound, price=price, frequency=frequency)
+            if best.gap <= tolerance or stalled >= PATIENCE:
+                status = Status.CONVERGED if best.gap <= tolerance else Status.INACCURATE
                 break
-            proof, final = None if bound < best_bound else proof, None
-        accuracy = min(accuracy, max(centred * gap, 1e-2 * tolerance, 1e-13))
+            best = better(best, here)
+        accuracy = min(accuracy, max(centred * best.gap, 1e-2 * tolerance, 1e-13))
         own = columns.prices(weights.X, weights.nu)
         stay = (w > 1e-7 * w.max()) | (own > (keep_above if len(w) < MANY else 0.9))
         new = peaks.ratio > max(1 + 0.02 * tolerance, _level_of(peaks.ratio, MOST_NEW))
         if refine and new.any():
             problem = problem.extended(_around(problem, omega[new]))
-        columns, start = _with_new(problem, columns.take(stay), w[stay], omega[new], peaks.direction[new])
-    if kept is None or proof is None:  # not reached: the first round sets both
+        columns, w = columns.take(stay), w[stay]
+        fresh = problem.columns(omega[new], peaks.direction[new])
+        columns, start = _with_new(columns, w, fresh if hints is None else fresh + hints)
+    if best is None:  # not reached: the first round sets it
         raise InputError("the design was given no columns to begin with.")
-    best_bound, price, frequency = final or evaluated_bound(problem, *proof, refine=refine)
-    return Exchange(
-        *kept, best_loss, proof[0], proof[1] * price, best_bound, price, frequency, rounds, status, problem
+    bound, price, frequency = evaluated_bound(problem, best.X, best.nu, refine=refine)
+    return replace(
+        best,
+        nu=best.nu * price,
+        bound=bound,
+        price=price,
+        frequency=frequency,
+        rounds=rounds,
+        status=status,
+        problem=problem,
+    )
+
+
+def better(one: Exchange, other: Exchange) -> Exchange:
+    """The smaller loss and the larger bound of two outcomes."""
+    weights = one if one.loss <= other.loss else other
+    proof = one if one.bound >= other.bound else other
+    return replace(
+        weights,
+        X=proof.X,
+        nu=proof.nu,
+        bound=proof.bound,
+        price=proof.price,
+        frequency=proof.frequency,
+        rounds=max(one.rounds, other.rounds),
+        problem=one.problem if len(one.problem.omega) >= len(other.problem.omega) else other.problem,
+        pair=other.pair,
     )
 
 
@@ -229,12 +280,9 @@ def _maxima(
     return problem.omega[at], Prices(prices.ratio[at], prices.direction[at])
 
 
-def _with_new(
-    problem: Problem, columns: Columns, w: NDArray, omega: NDArray, direction: NDArray
-) -> tuple[Columns, NDArray[np.float64]]:
-    if not len(omega):
+def _with_new(columns: Columns, w: NDArray, new: Columns) -> tuple[Columns, NDArray[np.float64]]:
+    if not len(new):
         return columns, w
-    new = problem.columns(omega, direction)
     return columns + new, np.concatenate([w, np.full(len(new), 0.1 * w.sum() / (len(w) + len(new)))])
 
 

@@ -2,50 +2,83 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oed.design.problem.lines import Columns, Problem
-from oed.design.solvers.column_generation import Exchange, evaluated_bound, solve_weights
+from oed.design.solvers.column_generation import Exchange, better, evaluated_bound, solve_weights
 from oed.design.solvers.polishing import polish
 from oed.errors import SolverFailure
 
-__all__ = ["better", "collapsed", "evaluated"]
+__all__ = ["collapsed", "evaluated"]
 
-
-def better(one: Exchange, other: Exchange) -> Exchange:
-    """The smaller loss and the larger bound of two outcomes."""
-    weights = one if one.loss <= other.loss else other
-    proof = one if one.bound >= other.bound else other
-    return replace(
-        weights,
-        X=proof.X,
-        nu=proof.nu,
-        bound=proof.bound,
-        price=proof.price,
-        frequency=proof.frequency,
-        rounds=max(one.rounds, other.rounds),
-        problem=one.problem if len(one.problem.omega) >= len(other.problem.omega) else other.problem,
-    )
+LOW = 0.9
+"""Maxima of the price below this share of a line's cost have no line of the support beside them."""
+CLOSE = 0.5
+"""Lines nearer than this, in units of the distance over which the plant changes, are one line."""
+SPENT = 1e-4
+"""Share of the largest power below which a line is what an interior point leaves everywhere."""
+BALANCINGS = 3
+"""Corrections of the weights; the first gains most."""
+ENOUGH = 1e-10
+"""Accuracy of the weights that Newton's method starts from."""
 
 
 def collapsed(found: Exchange, tolerance: float) -> Exchange:
     """One line per cluster, polished; what came in where that is worse by more than the tolerance."""
+    best = replace(found, hints=None)
+    for gathered in (_at_peaks, _at_clusters):
+        best = _polished(best, gathered, tolerance)
+        if best.gap <= tolerance:
+            return best
+    return _balanced(best, tolerance) if best.hints is not None else best
+
+
+def _balanced(found: Exchange, tolerance: float) -> Exchange:
+    """The weights moved, each by a small share of itself, until M X is what the certificate's X says it must be.
+
+    Where the price is flat there are many optimal spectra, of many lines, and an interior point stops at rounding; the
+    certificate that Newton's method found is better than its weights.
+    """
+    problem, X = found.problem, found.X
+    if problem.criterion.smooth or found.pair is None:
+        return found
+    columns, w = found.columns, found.w
+    rise, _ = problem.criterion.log_numerator(X, False)
+    moved = np.einsum("mnr,mrs->mns", columns.F, np.einsum("mnr,ns->mrs", columns.F, X)).reshape(len(w), -1)
+    for _ in range(BALANCINGS):
+        M = problem.constant + columns.information(w)
+        size = 0.5 * float(np.sum(X * (M @ X)))
+        left = np.concatenate([(moved * w[:, None]).T, -size * rise.reshape(-1, 1)], axis=1)
+        share = np.linalg.lstsq(left, (size * rise - M @ X).ravel(), rcond=1e-12)[0][:-1]
+        w = w * np.clip(1 + share, 0.5, 2.0)
+        w = w / (columns.q.T @ w).max()
+        best = replace(found, w=w, loss=problem.loss(columns, w))
+        found = best if best.loss < found.loss else found
+        if found.gap <= tolerance:
+            break
+    return found
+
+
+def _polished(found: Exchange, gathered: Callable, tolerance: float) -> Exchange:
     problem = found.problem
-    few = _merged(problem, found)
+    few = _merged(found, gathered)
     if few is None:
         return found
-    columns, w = few
-    loss = problem.loss(columns, w)
-    best = replace(found, columns=columns, w=w, loss=loss)
-    polished = polish(problem, columns, w, found.X, found.nu) if best.gap > 1e-12 else None
+    columns, w, X, nu = few
+    best = replace(found, columns=columns, w=w, loss=problem.loss(columns, w))
+    polished = polish(problem, columns, w, X, nu) if best.gap > 1e-12 else None
     if polished is not None:
         best = better(evaluated(best, polished.columns, polished.w, polished.X, polished.nu), best)
+        told = polished.columns
+        best = replace(best, hints=told if found.hints is None else found.hints + told)
+    best = replace(best, pair=found.pair)
     if best.loss <= max(found.loss, best.bound * (1 + tolerance)):
         return best
-    return replace(found, X=best.X, nu=best.nu, bound=best.bound, price=best.price, frequency=best.frequency)
+    return replace(best, columns=found.columns, w=found.w, loss=found.loss)
 
 
 def evaluated(found: Exchange, columns: Columns, w: NDArray, X: NDArray, nu: NDArray) -> Exchange:
@@ -68,38 +101,41 @@ def evaluated(found: Exchange, columns: Columns, w: NDArray, X: NDArray, nu: NDA
     )
 
 
-def _merged(problem: Problem, found: Exchange) -> tuple[Columns, NDArray[np.float64]] | None:
-    """One line (and few directions) per peak of the price; every line goes to the peak nearest to it."""
-    prices = problem.prices(found.X, found.nu)
-    peaks, at_peaks = problem.refined_maxima(prices, found.X, found.nu, 0.9)
-    high = at_peaks.ratio > 1 - 1e-3
-    if not high.any():
+def _merged(
+    found: Exchange, gathered: Callable
+) -> tuple[Columns, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+    """One line (and few directions) per cluster, their weights and the certificate."""
+    problem = found.problem
+    lines, weights, X, nu = found.pair or (found.columns, found.w, found.X, found.nu)
+    used = weights > 1e-6 * weights.max()
+    columns = gathered(problem, lines.take(used), weights[used], X, nu)
+    if columns is None:
         return None
-    peaks, tops = peaks[high], at_peaks.direction[high]
-    used = found.w > 1e-6 * found.w.max()
-    near = np.argmin(np.abs(found.columns.omega[used][:, None] - peaks), axis=1)
-    keep = np.unique(near)
-    if problem.map.n_inputs == 1:
-        columns = problem.columns(peaks[keep], tops[keep])
-    else:
-        columns = _directions(problem, found, peaks, near, used)
+    X = _of_rank(problem, X, found.gap)
     try:
-        w = _weights_at_support(problem, columns, found)
+        w = _weights_at_support(problem, columns, X)
     except (np.linalg.LinAlgError, SolverFailure):
         return None
-    if w is None:
+    most = float((columns.q.T @ w).max())
+    if not most > 0:
         return None
     stay = w > 1e-7 * w.max()
-    return columns.take(stay), w[stay] / (columns.q[stay].T @ w[stay]).max()
+    return columns.take(stay), w[stay] / most, X, nu
 
 
-def _directions(problem: Problem, found: Exchange, peaks: NDArray, near: NDArray, used: NDArray) -> Columns:
-    """Principal directions of the power that gathers at each peak."""
-    v, w = found.columns.direction[used], found.w[used]
+def _at_peaks(problem: Problem, lines: Columns, w: NDArray, X: NDArray, nu: NDArray) -> Columns | None:
+    """Every line goes to the peak of the price nearest to it, with the principal directions of the power there."""
+    peaks, at_peaks = problem.refined_maxima(problem.prices(X, nu), X, nu, LOW)
+    if not len(peaks):
+        return None
+    near = np.argmin(np.abs(lines.omega[:, None] - peaks), axis=1)
+    if problem.map.n_inputs == 1:
+        keep = np.unique(near)
+        return problem.columns(peaks[keep], at_peaks.direction[keep])
     omega, directions = [], []
     for k in np.unique(near):
-        own = near == k
-        P = np.einsum("m,mq,mr->qr", w[own], v[own], v[own].conj())
+        v = lines.direction[near == k]
+        P = np.einsum("m,mq,mr->qr", w[near == k], v, v.conj())
         values, vectors = np.linalg.eigh(P.real if peaks[k] < 1e-9 or peaks[k] > np.pi - 1e-9 else P)
         for value, vector in zip(values, vectors.T, strict=True):
             if value > 1e-4 * values[-1]:
@@ -108,17 +144,43 @@ def _directions(problem: Problem, found: Exchange, peaks: NDArray, near: NDArray
     return problem.columns(np.array(omega), np.array(directions))
 
 
-def _weights_at_support(problem: Problem, columns: Columns, found: Exchange) -> NDArray[np.float64] | None:
+def _at_clusters(problem: Problem, lines: Columns, w: NDArray, X: NDArray, nu: NDArray) -> Columns | None:
+    """Neighbours of like direction at their centre of power: where the price is flat its peaks say nothing."""
+    from scipy.sparse.csgraph import connected_components
+
+    heavy = w > SPENT * w.max()
+    lines, w = lines.take(heavy), w[heavy]
+    close = np.abs(lines.omega[:, None] - lines.omega) < CLOSE * problem.length_scale(lines.omega)
+    alike = np.abs(lines.direction.conj() @ lines.direction.T) ** 2 > 0.5
+    count, label = connected_components(close & alike, directed=False)
+    omega, directions = np.empty(count), np.empty((count, lines.direction.shape[1]), dtype=complex)
+    for k in range(count):
+        own, v = label == k, lines.direction[label == k]
+        omega[k] = w[own] @ lines.omega[own] / w[own].sum()
+        directions[k] = np.linalg.eigh(np.einsum("m,mq,mr->qr", w[own], v, v.conj()))[1][:, -1]
+    return problem.columns(omega, directions)
+
+
+def _of_rank(problem: Problem, X: NDArray[np.float64], gap: float) -> NDArray[np.float64]:
+    """E: X without what is left of the eigenvalues that are not the largest, which an interior point has in it."""
+    if problem.criterion.kind != "E":
+        return X
+    values, vectors = np.linalg.eigh(X.T @ problem.criterion.V @ problem.criterion.V.T @ X)
+    return X @ vectors[:, values > np.sqrt(min(gap, 1.0)) / len(values) * values[-1]]
+
+
+def _weights_at_support(problem: Problem, columns: Columns, X: NDArray) -> NDArray[np.float64]:
     """Weights on the lines of the support alone."""
     criterion = problem.criterion
-    if criterion.kind == "A" and criterion.columns.shape[1] < criterion.n:
-        # The information may be singular there: M X = V holds at the optimum with the dual's own X.
-        from scipy.optimize import nnls
+    if criterion.smooth:
+        return solve_weights(problem, columns, None, ENOUGH).w
+    # The information may be singular there, or the loss have a kink: at the optimum M X is what the numerator's slope says.
+    from scipy.optimize import nnls
 
-        moved = np.einsum("mnr,mrs->nsm", columns.F, np.einsum("mnr,ns->mrs", columns.F, found.X))
-        target = criterion.columns - problem.constant @ found.X
-        w, _ = nnls(moved.reshape(-1, len(columns)), target.ravel())
-    else:
-        w = solve_weights(problem, columns, None).w
-    most = float((columns.q.T @ w).max())
-    return w / most if most > 0 else None
+    rise, _ = criterion.log_numerator(X, False)
+    moved = np.einsum("mnr,mrs->nsm", columns.F, np.einsum("mnr,ns->mrs", columns.F, X))
+    fixed = problem.constant @ X
+    # X as a whole has no length: the slope is scaled so that the parts along X agree.
+    used = float((columns.q.T @ np.ones(len(columns))).max())
+    size = np.sum(X * moved.sum(axis=2)) / used + np.sum(X * fixed)
+    return nnls(moved.reshape(-1, len(columns)), (0.5 * size * rise - fixed).ravel())[0]

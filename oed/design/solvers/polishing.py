@@ -1,12 +1,12 @@
 """The last digits: Newton's method on the optimality conditions of the support itself.
 
-Unknowns are the frequencies w_i, the complex amplitudes a_i (power a_i a_i^*) and the multipliers nu; where the
-information may be singular (c) or the loss is not smooth (E) also the certificate direction X. With S = D^* X X' D:
+Every loss is max over X of numerator(X) / tr(X' M X), so that the optimum is a saddle point of
 
-    (S(w_i) - Q_nu(w_i)) a_i = 0,   d/dw a_i^* (S - Q_nu) a_i = 0,   active budgets used up,
-    c: M X = V;   E, with t = 1 / loss: M X = t V V' X, |V'X|_F = 1.
+    L = log numerator(X) - tr(X' M X) + sum_j nu_j (sum_i a_i^* Q_j(w_i) a_i - 1),   M = M_0 + sum_i Re D_i a_i (D_i a_i)^*
 
-The system is solved in the least-squares sense (phases are free, X may be), so it converges quadratically.
+in the frequencies w_i, the complex amplitudes a_i, the multipliers nu and the certificate direction X. Where M is
+nonsingular and the loss smooth (D, A of all parameters) X is solved for beforehand. Each step solves with the exact
+second derivatives in the least-squares sense (phases are free, X may be), so that it converges quadratically.
 """
 
 from __future__ import annotations
@@ -23,7 +23,23 @@ __all__ = ["Polished", "polish"]
 _STENCIL = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 _FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12
 _SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12
-_STEP = 1e-6
+LARGEST = 1200
+"""Unknowns: beyond them a step takes longer than a round of column generation."""
+STEPS = 15
+"""Newton steps; from a support that is right it takes three to six."""
+STRIDE = 0.3
+"""Most that a line moves in a step, in units of the distance over which the plant changes."""
+DEPENDENT = 1e-11
+"""Combinations of unknowns that move the conditions by less than this share are left alone: phases and rotations."""
+HALVINGS = 6
+AT_EDGES = 3
+"""Times that lines which Newton's method drove out of the band are put at its end."""
+BESIDE = 1e-5
+"""Distance from an end of a band, in the same units, at which a line is put there: what it is worth is off by the square."""
+OUTSIDE = 1e-12
+SPENT = 1e-15
+ROUNDING = 1e-9
+"""Norm of the conditions below which a step that gains no digit is the last: rounding is all that is left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,107 +57,144 @@ class Polished:
     residual: float
 
 
-class _Conditions:
-    """Residual of the optimality conditions as a function of one real vector."""
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Frequencies (m,), amplitudes as reals (m, 2 q), multipliers (J,) and X (n, s)."""
+
+    omega: NDArray[np.float64]
+    z: NDArray[np.float64]
+    nu: NDArray[np.float64]
+    X: NDArray[np.float64]
+
+    @property
+    def power(self) -> NDArray[np.float64]:
+        return np.sum(self.z**2, axis=1)
+
+
+class _System:
+    """The optimality conditions and their derivatives, in units in which a relative change of anything is a number."""
 
     def __init__(self, problem: Problem, columns: Columns, w: NDArray, X: NDArray, nu: NDArray) -> None:
-        criterion = problem.criterion
-        self.problem, self.shape_X = problem, X.shape
-        self.eigen = criterion.kind == "E"
-        self.own_X = self.eigen or (criterion.kind == "A" and criterion.columns.shape[1] < criterion.n)
-        self.lines, self.channels = columns.direction.shape
+        self.problem, self.criterion = problem, problem.criterion
+        self.reduced = self.criterion.smooth
         self.unit = problem.length_scale(columns.omega)
         edges = np.array(problem.bands).ravel()
-        at_edge = np.abs(columns.omega[:, None] - edges).min(axis=1) < 1e-9
         real = (columns.omega < 1e-12) | (columns.omega > np.pi - 1e-12)
-        self.moves = ~at_edge
-        self.complex = ~real
         self.active = (nu > 1e-9 * nu.sum()) & (columns.q.T @ w > 1 - 1e-6)
-        self.omega0, self.nu0 = columns.omega, np.where(self.active, nu, 0.0)
+        m, q = columns.direction.shape
+        free = np.ones((m, 1 + 2 * q), dtype=bool)
+        free[:, 0] = np.abs(columns.omega[:, None] - edges).min(axis=1) >= 1e-9
+        free[real, 1 + q :] = False
+        s = 0 if self.reduced else X.size
+        self.free = np.concatenate([free.ravel(), self.active, np.ones(s, dtype=bool)])
         a = columns.direction * np.sqrt(w)[:, None]
-        parts = [
-            columns.omega[self.moves] / self.unit[self.moves],
-            a.real.ravel(),
-            a.imag[self.complex].ravel(),
-            nu[self.active],
-        ]
-        if self.own_X:
-            parts.append(X.ravel())
-        if self.eigen:
-            parts.append(np.array([nu.sum()]))
-        self.start = np.concatenate(parts)
-        self.sizes = np.cumsum([p.size for p in parts])[: 5 if self.eigen else 4]
+        told = columns.information(w)
+        M = problem.constant + told
+        X = self.criterion.direction(M) if self.reduced else X / np.sqrt(np.sum(X * (M @ X)))
+        nu = np.where(self.active, nu, 0.0)
+        self.start = _Point(
+            columns.omega,
+            np.concatenate([a.real, a.imag], axis=1),
+            nu * (np.sum(X * (told @ X)) / max(nu.sum(), 1e-300)),
+            X,
+        )
 
-    def unpack(self, x: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray | None]:
-        """Frequencies, amplitudes, multipliers and, where it is an unknown of its own, X."""
-        omega, real, imag, nu, *rest = np.split(x, self.sizes)
-        frequencies, multipliers = self.omega0.copy(), self.nu0.copy()
-        frequencies[self.moves] = omega * self.unit[self.moves]
-        a = real.reshape(self.lines, self.channels).astype(complex)
-        a[self.complex] += 1j * imag.reshape(-1, self.channels)
-        multipliers[self.active] = nu
-        return frequencies, a, multipliers, rest[0].reshape(self.shape_X) if self.own_X else None
+    def moved(self, point: _Point, step: NDArray[np.float64]) -> _Point:
+        """The point after a step in the scaled unknowns, all of them."""
+        m, J = len(point.omega), len(point.nu)
+        lines, nu, X = np.split(step, [step.size - J - self.sizeX, step.size - self.sizeX])
+        lines = lines.reshape(m, -1)
+        return _Point(
+            point.omega + lines[:, 0] * self.unit,
+            point.z + lines[:, 1:] * np.sqrt(point.power)[:, None],
+            point.nu + nu,
+            point.X + X.reshape(point.X.shape) if self.sizeX else point.X,
+        )
 
-    def expansion(self, omega: NDArray) -> tuple[NDArray, ...]:
-        """D, dD/dw, d2D/dw2 (lines, n, r, nu) and the same of the forms, around given frequencies."""
-        h = 1e-3 * self.unit
-        points = (omega[:, None] + h[:, None] * _STENCIL).ravel()
-        D = self.problem.scaled_factor(points)
-        Q = self.problem.forms_at(points)
+    @property
+    def sizeX(self) -> int:
+        return 0 if self.reduced else self.start.X.size
+
+    def _expansion(self, omega: NDArray) -> tuple[list[NDArray], list[NDArray]]:
+        """D, dD/dw, d2D/dw2 (m, n, r, q) and the same of the forms (m, J, q, q); frequencies in units."""
+        h = 1e-3
+        points = (omega[:, None] + h * self.unit[:, None] * _STENCIL).ravel()
         out = []
-        for values in (D, Q):
+        for values in (self.problem.scaled_factor(points), self.problem.forms_at(points)):
             rows = values.reshape(len(omega), 5, *values.shape[1:])
-            lift = (slice(None),) + (None,) * (values.ndim - 1)
-            out += [
-                rows[:, 2],
-                np.tensordot(_FIRST, rows, (0, 1)) / h[lift],
-                np.tensordot(_SECOND, rows, (0, 1)) / (h**2)[lift],
-            ]
-        return tuple(out)
+            first, second = (np.tensordot(rule, rows, (0, 1)) for rule in (_FIRST, _SECOND))
+            out.append([rows[:, 2], first / h, second / h**2])
+        return out[0], out[1]
 
-    def information(self, D: NDArray, a: NDArray) -> NDArray[np.float64]:
-        flat = np.moveaxis(np.einsum("knrq,kq->knr", D, a), 1, 0).reshape(D.shape[1], -1)
-        return self.problem.constant + flat.real @ flat.real.T + flat.imag @ flat.imag.T
-
-    def _directed(self, D: NDArray, X: NDArray) -> NDArray[np.complex128]:
-        """X' D, (lines, s r, nu)."""
-        flat = X.T @ D.reshape(*D.shape[:2], -1)
-        return flat.reshape(len(D), -1, self.channels)
-
-    def residual(self, x: NDArray, centre: NDArray, taylor: tuple[NDArray, ...]) -> NDArray[np.float64]:
-        omega, a, nu, X = self.unpack(x)
-        d = omega - centre
-        lift = lambda p, ndim: p.reshape(-1, *(1,) * (ndim - 1))
-        D0, D1, D2, Q0, Q1, Q2 = taylor
-        dD, dQ = lift(d, D0.ndim), lift(d, Q0.ndim)
-        D, slope_D = D0 + dD * D1 + dD**2 / 2 * D2, D1 + dD * D2
-        Q = np.einsum("j,kjqr->kqr", nu, Q0 + dQ * Q1 + dQ**2 / 2 * Q2)
-        slope_Q = np.einsum("j,kjqr->kqr", nu, Q1 + dQ * Q2)
-        M = self.information(D, a)
-        parts = []
-        V = self.problem.criterion.columns
-        if X is None:
-            X = self.problem.criterion.direction(M)
-        elif self.eigen:
-            turned = V.T @ X
-            parts += [(M @ X - x[-1] * (V @ turned)).ravel(), np.array([np.sum(turned**2) - 1]) * x[-1]]
+    def conditions(
+        self, point: _Point, derivatives: bool = True
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Residual and Jacobian in the scaled unknowns that are free; the rows of a line over its power."""
+        z, nu, m = point.z, point.nu, len(point.omega)
+        root = np.sqrt(point.power)
+        (D0, D1, D2), (Q0, Q1, Q2) = self._expansion(point.omega)
+        T0, T1, T2 = (_real_factor(part) for part in (D0, D1, D2))  # (m, n, 2 r, 2 q)
+        along = [np.einsum("mnrz,mz->mnr", part, z) for part in (T0, T1, T2)]
+        G = along[0]
+        T = np.concatenate([along[1][:, None], np.moveaxis(T0, 3, 1) * root[:, None, None, None]], axis=1)
+        flat = np.moveaxis(G, 1, 0).reshape(G.shape[1], -1)
+        M = self.problem.constant + flat @ flat.T
+        X = self.criterion.direction(M) if self.reduced else point.X
+        E, F = (np.moveaxis(np.tensordot(X, part, (0, axis)), 0, axis) for part, axis in ((G, 1), (T, 2)))
+        forms = [_real_form(part) for part in (Q0, Q1, Q2)]  # (m, J, 2 q, 2 q)
+        steep = np.empty((m, len(nu), T.shape[1]))  # what every unknown changes of every budget
+        Qz = [np.einsum("mjyz,mz->mjy", part, z) for part in forms]
+        steep[:, :, 0] = np.einsum("mjy,my->mj", Qz[1], z)
+        steep[:, :, 1:] = 2 * Qz[0] * root[:, None, None]
+        slope = np.einsum("mjp,j->mp", steep, nu) - 2 * np.einsum("msr,mpsr->mp", E, F)
+        used = np.einsum("mjy,my->j", Qz[0], z)
+        weigh = np.repeat(1 / point.power, T.shape[1])
+        parts = [slope.ravel() * weigh, (used - 1) * nu.sum()]
+        rise, bend = (None, None) if self.reduced else self.criterion.log_numerator(X, derivatives)
+        if rise is not None:
+            parts.append((rise - 2 * M @ X).ravel())
+        residual = np.concatenate(parts)[self.free]
+        if not derivatives:
+            return residual, None
+        # Second derivatives within a line: (m, p, p).
+        own = -2 * np.einsum("mpsr,mqsr->mpq", F, F)
+        EX = np.moveaxis(np.tensordot(X, E, (1, 1)), 0, 1)  # X E, (m, n, 2 r)
+        own[:, 0, 0] -= 2 * np.sum(EX * along[2], axis=(1, 2))
+        own[:, 0, 0] += np.einsum("mjy,my,j->m", Qz[2], z, nu)
+        mixed = 2 * np.einsum("j,mjy->my", nu, Qz[1]) - 2 * np.einsum("mnr,mnry->my", EX, T1)
+        own[:, 0, 1:] += mixed * root[:, None]
+        own[:, 1:, 0] += mixed * root[:, None]
+        own[:, 1:, 1:] += 2 * np.einsum("j,mjyz->myz", nu, forms[0]) * point.power[:, None, None]
+        p, J = T.shape[1], len(nu)
+        size = m * p + J + self.sizeX
+        H = np.zeros((size, size))
+        for k in range(m):
+            H[k * p : (k + 1) * p, k * p : (k + 1) * p] = own[k]
+        lines = slice(0, m * p)
+        budgets = slice(m * p, m * p + J)
+        steep = np.moveaxis(steep, 1, 0).reshape(J, m * p)
+        H[lines, budgets], H[budgets, lines] = steep.T, steep * nu.sum()
+        turned = (T @ E.swapaxes(1, 2)[:, None]) + G[:, None] @ F.swapaxes(2, 3)  # dM X, (m, p, n, s)
+        if self.reduced:
+            H[lines, lines] += self.criterion.second(M, X, turned.reshape(m * p, *X.shape))
         else:
-            parts.append((M @ X - V).ravel())
-        E, slope_E = (self._directed(y, X) for y in (D, slope_D))
-        Ea, slope_Ea = (np.einsum("kmq,kq->km", y, a) for y in (E, slope_E))
-        priced = np.einsum("kmq,km->kq", E.conj(), Ea) - np.einsum("kqr,kr->kq", Q, a)
-        power = np.einsum("kq,kq->k", a.conj(), a).real
-        slope = 2 * np.einsum("km,km->k", Ea.conj(), slope_Ea).real
-        slope -= np.einsum("kq,kqr,kr->k", a.conj(), slope_Q, a).real
-        shares = np.einsum("kq,kjqr,kr->j", a.conj(), Q0 + dQ * Q1 + dQ**2 / 2 * Q2, a).real
-        root = np.sqrt(power)[:, None]
-        parts += [
-            (priced / root).real.ravel(),
-            (priced / root).imag[self.complex].ravel(),
-            (slope * self.unit / power)[self.moves],
-            (shares - 1)[self.active] * nu.sum(),
-        ]
-        return np.concatenate(parts)
+            cross = -2 * turned.reshape(m * p, -1)
+            H[lines, m * p + J :], H[m * p + J :, lines] = cross, cross.T
+            H[m * p + J :, m * p + J :] = bend - 2 * np.kron(M, np.eye(X.shape[1]))
+        H[lines] *= weigh[:, None]
+        return residual, H[np.ix_(self.free, self.free)]
+
+
+def _real_factor(D: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """D a as reals, for a as reals: (m, n, 2 r, 2 q)."""
+    above, below = np.concatenate([D.real, -D.imag], axis=3), np.concatenate([D.imag, D.real], axis=3)
+    return np.concatenate([above, below], axis=2)
+
+
+def _real_form(Q: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """The Hermitian form for a as reals: (m, J, 2 q, 2 q)."""
+    above, below = np.concatenate([Q.real, -Q.imag], axis=3), np.concatenate([Q.imag, Q.real], axis=3)
+    return np.concatenate([above, below], axis=2)
 
 
 def polish(
@@ -155,55 +208,70 @@ def polish(
 
     Shapes: w (m,).
     """
-    if problem.criterion.kind not in ("D", "A", "E") or not len(columns):
-        return None
-    if problem.criterion.kind == "E":
-        # Z has the rank of the multiplicity of the eigenvalue; what is below that is the solver's rounding.
-        U, values, _ = np.linalg.svd(X, full_matrices=False)
-        rank = int(np.count_nonzero(values > 1e-2 * values[0]))
-        X = U[:, :rank] * values[:rank]
-    conditions = _Conditions(problem, columns, w, X, nu)
-    if len(conditions.start) > 400:
-        return None
-    x, best, residual = conditions.start, None, np.inf
     try:
-        for _ in range(12):
-            centre = conditions.unpack(x)[0]
-            taylor = conditions.expansion(centre)
-            now = conditions.residual(x, centre, taylor)
-            norm = float(np.linalg.norm(now)) / float(nu.sum())
-            if not norm < 0.9 * residual:
-                break
-            best, residual = x, norm
-            if norm < 1e-15:
-                break
-            steps = _STEP * np.maximum(np.abs(x), 1e-2 * np.abs(x).max())
-            ahead = [conditions.residual(x + dx, centre, taylor) for dx in np.diag(steps)]
-            behind = [conditions.residual(x - dx, centre, taylor) for dx in np.diag(steps)]
-            J = (np.array(ahead) - np.array(behind)).T / 2
-            x = x - steps * np.linalg.lstsq(J, now, rcond=1e-9)[0]
-    except np.linalg.LinAlgError:
+        for _ in range(AT_EDGES):
+            columns = _snapped(problem, columns)
+            system = _System(problem, columns, w, X, nu)
+            if np.count_nonzero(system.free) > LARGEST:
+                return None
+            point, residual = _newton(system)
+            if not (point.power > 0).all() or (point.nu < 0).any():
+                return None
+            q, w, X, nu = point.z.shape[1] // 2, point.power, point.X, point.nu
+            omega = _within(problem, point.omega)
+            columns = problem.columns(omega, (point.z[:, :q] + 1j * point.z[:, q:]) / np.sqrt(w)[:, None])
+            w = w / (columns.q.T @ w).max()
+            if np.abs(omega - point.omega).max() < OUTSIDE:
+                if system.reduced:
+                    X = problem.criterion.direction(problem.constant + columns.information(w))
+                return Polished(columns, w, X, nu, residual)
+    except np.linalg.LinAlgError:  # the lines that Newton's method led to leave the information singular
         pass
-    if best is None:
-        return None
-    try:
-        return _outcome(problem, conditions, best, X, residual)
-    except np.linalg.LinAlgError:  # the lines that Newton's method ended with leave the information singular
-        return None
+    return None
 
 
-def _outcome(
-    problem: Problem, conditions: _Conditions, x: NDArray, X: NDArray, residual: float
-) -> Polished | None:
-    omega, a, nu, own_X = conditions.unpack(x)
-    inside = np.zeros(len(omega), dtype=bool)
-    for low, high in problem.bands:
-        inside |= (omega >= low - 1e-12) & (omega <= high + 1e-12)
-    w = np.einsum("kq,kq->k", a.conj(), a).real
-    if not inside.all() or not (w > 0).all() or (nu < 0).any():
-        return None
-    columns = problem.columns(np.clip(omega, 0, np.pi), a / np.sqrt(w)[:, None])
-    w = w / (columns.q.T @ w).max()
-    if own_X is None:
-        own_X = problem.criterion.direction(problem.constant + columns.information(w))
-    return Polished(columns, w, own_X, nu, residual)
+def _within(problem: Problem, omega: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Frequencies moved to the nearest in the bands."""
+    edges = np.array(problem.bands)
+    near = np.clip(omega[:, None], edges[:, 0], edges[:, 1])
+    return near[np.arange(len(omega)), np.argmin(np.abs(near - omega[:, None]), axis=1)]
+
+
+def _snapped(problem: Problem, columns: Columns) -> Columns:
+    """Lines beside an end of a band moved to it; at 0 and pi an amplitude is real."""
+    edges = np.unique(np.array(problem.bands).ravel())
+    nearest = edges[np.argmin(np.abs(columns.omega[:, None] - edges), axis=1)]
+    at = np.abs(nearest - columns.omega) < BESIDE * problem.length_scale(columns.omega)
+    if not at.any():
+        return columns
+    omega, direction = np.where(at, nearest, columns.omega), columns.direction.copy()
+    for k in np.flatnonzero((omega == 0) | (omega == np.pi)):
+        turned = direction[k] * np.exp(-0.5j * np.angle(np.sum(direction[k] ** 2)))
+        direction[k] = turned.real / np.linalg.norm(turned.real)
+    return problem.columns(omega, direction)
+
+
+def _newton(system: _System) -> tuple[_Point, float]:
+    """The point where Newton's method ends, and the norm of the conditions there."""
+    from scipy.linalg import lstsq
+
+    point, step = system.start, np.zeros(len(system.free))
+    lines = point.omega.size * (1 + point.z.shape[1])
+    residual, J = system.conditions(point)
+    before, norm = np.inf, float(np.linalg.norm(residual))
+    for _ in range(STEPS):
+        if norm < SPENT or not np.isfinite(norm) or (norm < ROUNDING and norm > 0.1 * before):
+            break
+        step[system.free] = -lstsq(J, residual, cond=DEPENDENT, lapack_driver="gelsy", check_finite=False)[0]
+        length = min(1.0, STRIDE / max(float(np.abs(step[:lines]).max()), 1e-300))
+        for _ in range(HALVINGS):
+            trial = system.moved(point, length * step)
+            after = float(np.linalg.norm(system.conditions(trial, False)[0]))
+            if after < norm * (1 - 0.1 * length):
+                break
+            length /= 3
+        else:
+            break
+        point, before, norm = trial, norm, after
+        residual, J = system.conditions(point)
+    return point, norm
