@@ -71,7 +71,6 @@ def against_scipy(order: int, samples: int, repeats: int = 15) -> dict:
     from scipy.signal import lfilter
 
     from estimators.pem import identify
-    from estimators.pem.predictors.kernel import compiler
 
     record, start, _ = _case(order, samples)
     u, y = record.u[:, 0], record.y[:, 0]
@@ -86,7 +85,7 @@ def against_scipy(order: int, samples: int, repeats: int = 15) -> dict:
         seconds, solution = _times(theirs, 1)
         other.append(seconds)
     same = fit.loss <= (2 * solution.cost / samples if solution is not None else np.inf) * (1 + 1e-6)
-    target = (2.0 if samples >= 10_000 else 0.0) if compiler() else 1.0
+    target = 2.0 if samples >= 10_000 else 0.0
     return _row(
         "pem-oe", f"order {order}, N = {samples}", statistics.median(taken),
         "scipy least_squares with lfilter", statistics.median(other), target, same=same,

@@ -1,4 +1,4 @@
-"""Compile the loops of campaigns ahead, so that no run waits for them: `python -m estimators.montecarlo.compiled`.
+"""Compile the loops ahead, so that no run waits for them: `python -m estimators.montecarlo.compiled`.
 
 Numba compiles a function when it first meets its arguments, and keeps the result in NUMBA_CACHE_DIR until the file changes.
 `make setup` calls this once; without it, two workers that begin together would both compile the same.
@@ -33,10 +33,21 @@ def _iterations() -> None:
     noise_of_replicates((1, 2), 0, 1, 20)
 
 
+def _predictors() -> None:
+    from estimators.pem import identify
+    from oed.data import Record
+
+    rng = np.random.default_rng(0)
+    u, e = rng.normal(size=(2, 200))
+    record = Record(u, np.convolve(u, [0.0, 1.0, 0.5])[:200] + e)
+    for structure, orders in (("oe", (1, 1)), ("ss", (1,))):
+        identify(record, structure, orders, search="quick")
+
+
 def compile_all() -> None:
     """Compile on two processes what is not yet in the cache."""
     with ProcessPoolExecutor(2) as pool:
-        for task in [pool.submit(_local_models), pool.submit(_iterations)]:
+        for task in [pool.submit(part) for part in (_local_models, _iterations, _predictors)]:
             task.result()
 
 

@@ -3,7 +3,7 @@
     x' = f(x, u, p)   or   x(t+1) = f(x, u, p),      y = h(x, u, p) + e
 
 The input is held between samples; continuous time is integrated by Runge-Kutta of order 4 in substeps, its error
-O((dt / substeps)^4). Sensitivities are propagated by the same compiled step that every other model uses.
+O((dt / substeps)^4). Sensitivities are propagated forwards, sample by sample.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.pem.predictors.kernel import Kernel, kernel_of
-from estimators.pem.predictors.statespace import differentiated
+from estimators.pem.predictors.recursion import differentiated
 from estimators.pem.search.levenberg_marquardt import Point, minimise
 from estimators.residual.measures import fit_percent
 from oed.data import Record, as_signal
@@ -148,7 +148,7 @@ def identify_grey_box(
     kernel, one = _prepared(model, tuple(model.start.items()), nu, ny, dt, bool(m))
     scale = np.sqrt(np.mean(np.concatenate([r.y for r in given]) ** 2, axis=0))
     scale = np.where(scale > 0, scale, 1.0)
-    weight = np.diag(scale**-2.0)
+    weight = np.diag(scale**-2.0) if ny > 1 else np.eye(1)
     blocks = [np.column_stack([r.u, r.y, np.eye(len(r), 1)]) for r in given]
     data, lengths = np.ascontiguousarray(np.concatenate(blocks)), np.array([len(r) for r in given])
     width, per = n + m, model.n_states if m else 0

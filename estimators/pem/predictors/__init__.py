@@ -1,1 +1,1 @@
-"""Predictors of the model structures and their sensitivities, compiled where a compiler is there."""
+"""Predictors of the model structures and their sensitivities, compiled once for all orders."""

@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from estimators.pem.predictors.recursion import Recursion
-from estimators.pem.predictors.statespace import differentiated
+from estimators.pem.predictors.recursion import Recursion, differentiated
 from oed.models.model import Polynomial, StateSpace
 
 __all__ = ["kalman_recursion", "state_space_kalman_recursion"]

@@ -7,11 +7,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.predictors.filtering import filter_kernel
+from estimators.pem.predictors.compiled import polynomial_kernel, state_space_kernel
 from estimators.pem.predictors.kalman import kalman_recursion, state_space_kalman_recursion
-from estimators.pem.predictors.kernel import Kernel, compiler, kernel_of
-from estimators.pem.predictors.recursion import polynomial_recursion, weighted
-from estimators.pem.predictors.statespace import state_space_recursion
+from estimators.pem.predictors.kernel import Kernel, kernel_of
 from estimators.pem.search.starts import is_stable, reflected
 from oed.models.model import Polynomial, StateSpace
 
@@ -31,30 +29,27 @@ EDGE = 1e-7
 
 
 @lru_cache(maxsize=128)
-def _cached_kernel(structure: tuple, levels: bool, initial: bool, variant: str, tool: str | None) -> Kernel:
+def _cached_kernel(structure: tuple, levels: bool, initial: bool, variant: str) -> Kernel:
     kind, *rest = structure
-    if kind == "ss":
-        build_ss = state_space_kalman_recursion if variant == "missing" else state_space_recursion
-        recursion = build_ss(StateSpace(*rest), levels, initial)
-    else:
-        na, nb, nc, nd, nf, nk = map(np.array, rest)
-        made = Polynomial(na, nb, nc, nd, nf, nk, kind)
-        if tool is None and variant != "missing":
-            return filter_kernel(made, levels, initial, variant == "weighted")
-        build = kalman_recursion if variant == "missing" else polynomial_recursion
-        recursion = build(made, levels, initial)
-    return kernel_of(weighted(recursion) if variant == "weighted" else recursion)
+    made = StateSpace(*rest) if kind == "ss" else Polynomial(*map(np.array, rest), kind)
+    if isinstance(made, StateSpace):
+        if variant == "missing":
+            return kernel_of(state_space_kalman_recursion(made, levels, initial))
+        return state_space_kernel(made, levels, initial, variant == "weighted")
+    if variant == "missing":
+        return kernel_of(kalman_recursion(made, levels, initial))
+    return polynomial_kernel(made, levels, initial, variant == "weighted")
 
 
 def kernel_for(structure: Structure, levels: bool, initial: bool, variant: str = "") -> Kernel:
     """The kernel of a structure; made once per process."""
     if isinstance(structure, StateSpace):
         key = ("ss", structure.blocks, structure.n_inputs, structure.feedthrough, structure.noise)
-        return _cached_kernel(key, levels, initial, variant, compiler())
+        return _cached_kernel(key, levels, initial, variant)
     frozen = lambda a: tuple(map(tuple, a.tolist())) if a.ndim == 2 else tuple(a.tolist())
     nk = structure.nk if initial and variant != "missing" else np.ones_like(structure.nk)
     orders = [*(getattr(structure, x) for x in ("na", "nb", "nc", "nd", "nf")), nk]
-    return _cached_kernel((structure.kind, *map(frozen, orders)), levels, initial, variant, compiler())
+    return _cached_kernel((structure.kind, *map(frozen, orders)), levels, initial, variant)
 
 
 def predictor_is_stable(structure: Structure, z: NDArray) -> bool:

@@ -1,4 +1,4 @@
-"""One sample of the predictor of a state-space model, and where the search for its parameters begins."""
+"""Where the search for the parameters of a state-space model begins."""
 
 from __future__ import annotations
 
@@ -7,66 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.predictors.recursion import Recursion
 from estimators.pem.subspace.hankel import lagged
 from oed.errors import InputError
 from oed.models.model import Polynomial, StateSpace
 
 __all__ = [
-    "differentiated",
     "state_space_of_armax",
-    "state_space_recursion",
     "subspace_candidates",
     "subspace_start",
 ]
-
-
-def differentiated(
-    state: Any, sample: Any, parameters: Any, next_state: Any, residual: Any, start: Any = None
-) -> Recursion:
-    """A predictor with its sensitivities, propagated forwards: S+ = f_x S + f_p, J = h_x S + h_p."""
-    import casadi as ca
-
-    nx, n = state.numel(), parameters.numel()
-    S = ca.SX.sym("S", nx, n)
-    x, at, slope = state, state, S
-    if start is not None:
-        pulse = sample[-1]
-        at = state + pulse * start
-        slope = S + pulse * ca.jacobian(start, parameters)
-    f_x, f_p = ca.jacobian(next_state, x), ca.jacobian(next_state, parameters)
-    h_x, h_p = ca.jacobian(residual, x), ca.jacobian(residual, parameters)
-    function = ca.Function("parts", [x, sample, parameters], [next_state, residual, f_x, f_p, h_x, h_p])
-    after, e, f_x, f_p, h_x, h_p = function(at, sample, parameters)
-    return Recursion(
-        state=ca.vertcat(x, ca.vec(S)),
-        sample=sample,
-        parameters=parameters,
-        next_state=ca.vertcat(after, ca.vec(ca.densify(f_x @ slope + f_p))),
-        residual=e,
-        jacobian=h_x @ slope + h_p,
-    )
-
-
-def state_space_recursion(structure: StateSpace, levels: bool, initial: bool) -> Recursion:
-    """The predictor x+ = A x + B u + K e, e = y - C x - D u, of an innovations model."""
-    import casadi as ca
-
-    n, nu, ny = structure.order, structure.n_inputs, structure.n_outputs
-    theta, level = ca.SX.sym("theta", structure.n), ca.SX.sym("level", ny if levels else 0)
-    x0 = ca.SX.sym("x0", n if initial else 0)
-    fixed = structure.matrices(np.zeros(structure.n))
-    m = {letter: ca.SX(value) for letter, value in fixed.items()}
-    for k, (letter, i, j) in enumerate(structure.entries()):
-        m[letter][i, j] = theta[k]
-    m = {letter: ca.sparsify(value) for letter, value in m.items()}
-    x, sample = ca.SX.sym("x", n), ca.SX.sym("sample", nu + ny + 1)
-    u, y = sample[:nu], sample[nu : nu + ny]
-    e = y - m["C"] @ x - m["D"] @ u - (level if levels else 0)
-    after = m["A"] @ x + m["B"] @ u + m["K"] @ e
-    parameters = ca.vertcat(theta, level, x0)
-    start = x0 if initial else None
-    return differentiated(x, sample, parameters, ca.densify(after), ca.densify(e), start)
 
 
 def subspace_start(

@@ -7,9 +7,14 @@
    Sylvester matrix is zero where they have one, and is many of its standard errors here. So the map from parameters to responses is one to one there.
 
 A rival would have to fit as well with another response (1) or another pair of B and F for the same response (2).
+
+Where nothing is left but B and F, or C and D, have a root in common as far as the data tell, the order is too high: the
+optimum lies in a valley, and rivals differ by where a mode that is not there fits the noise best.
 """
 
 from __future__ import annotations
+
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +23,7 @@ from estimators.pem.search.levenberg_marquardt import Optimum
 from estimators.pem.search.problem import Problem
 from estimators.pem.search.starts import lagged_gram, low_order_fits
 
-__all__ = ["LAGS", "confirmed", "first_start"]
+__all__ = ["LAGS", "Standing", "confirmed", "first_start", "standing"]
 
 LAGS = 20
 """Of the residual and of each input."""
@@ -27,6 +32,16 @@ SPREAD = 4.0
 RADIUS = 20.0
 """Standard errors from a common root of B and F. Its square is more than the statistic can hide from 8 on; that is to first
 order, and with 10 an optimum was seen whose likelihood a rival's exceeded by a factor of 3."""
+COMMON = 5.0
+"""Standard errors up to which two roots may be one: a mode that only fits noise is seldom told by more than 3."""
+
+
+class Standing(Enum):
+    """What is known of an optimum: whether rivals can be better, and whether that would mean anything."""
+
+    CONFIRMED = "no rival fits better"
+    OVER_ORDERED = "rivals differ by modes that the data do not tell from nothing"
+    OPEN = "another optimum may be better"
 
 
 def _channels(problem: Problem) -> list[NDArray[np.float64]]:
@@ -45,9 +60,7 @@ def first_start(problem: Problem) -> NDArray[np.float64] | None:
     if problem.lower is not None or problem.prior_precision is not None:
         return None
     present = [j for j in range(form.n_inputs) if form.nb[0, j]]
-    if problem.n_samples < 10 * LAGS * (1 + len(present)) or min(problem.lengths) < 3 * LAGS:
-        return None
-    if max(form.nb.max(), form.nf.max()) >= LAGS:
+    if not _long_enough(problem) or max(form.nb.max(), form.nf.max()) >= LAGS:
         return None
     gram = lagged_gram(_channels(problem), LAGS + 1)
     bs, fs = low_order_fits(
@@ -59,44 +72,61 @@ def first_start(problem: Problem) -> NDArray[np.float64] | None:
     return z
 
 
-def confirmed(problem: Problem, optimum: Optimum) -> bool:
-    """Whether an optimum needs no rival."""
-    point = optimum.point
-    if not optimum.status.ok:
-        return False
+def _long_enough(problem: Problem) -> bool:
+    """Whether the records hold enough samples for the test of what is left."""
+    channels = problem.data.shape[1] - 1  # all but the pulse
+    return problem.n_samples >= 10 * LAGS * channels and min(problem.lengths) >= 3 * LAGS
+
+
+def standing(problem: Problem, optimum: Optimum) -> Standing:
+    """What is known of an optimum of one output, whose noise model is free of A."""
+    point, form = optimum.point, problem.structure
+    if not optimum.status.ok or form.na[0] or problem.variant or not _long_enough(problem):
+        return Standing.OPEN
     try:
         spread = np.linalg.inv(point.hessian) * (point.loss / problem.n_samples)
     except np.linalg.LinAlgError:
-        return False
-    return _told(problem, point.z, spread) and _nothing_left(problem, optimum)
+        return Standing.OPEN
+    place = form.places()[0]
+    pairs = [(place["b"][j], place["f"][j], False) for j in range(form.n_inputs) if form.nb[0, j]]
+    if form.nc[0] and form.nd[0]:
+        pairs.append((place["c"][0], place["d"][0], True))
+    told = [_told(point.z, spread, *pair) for pair in pairs]
+    if any(COMMON < t <= RADIUS for t in told) or not _nothing_left(problem, optimum):
+        return Standing.OPEN
+    if min(told) <= COMMON:
+        return Standing.OVER_ORDERED
+    return Standing.OPEN if form.nc[0] or form.nd[0] else Standing.CONFIRMED
 
 
-def _told(problem: Problem, z: NDArray, spread: NDArray) -> bool:
-    form, place = problem.structure, problem.structure.places()[0]
-    for j in range(form.n_inputs):
-        nb, nf = int(form.nb[0, j]), int(form.nf[0, j])
-        if not nb:
-            continue
-        at = np.r_[place["b"][j], place["f"][j]]
-        b, f = z[place["b"][j]], np.concatenate([[1.0], z[place["f"][j]]])
-        if not b.any():
-            return False
-        b = b / np.linalg.norm(b)
-        order = nf + nb - 1
-        sylvester = np.zeros((order, order))
-        for k in range(nb - 1):
-            sylvester[k, k : k + nf + 1] = f
-        for k in range(nf):
-            sylvester[nb - 1 + k, k : k + nb] = b
-        left, singular, right = np.linalg.svd(sylvester)
-        # Its change with a coefficient, to first order: that of u' S v for the smallest singular value's vectors.
-        u, v = left[:, -1], right[-1]
-        by_b = np.array([u[nb - 1 :] @ v[i : i + nf] for i in range(nb)]) / np.linalg.norm(z[place["b"][j]])
-        by_f = [u[: nb - 1] @ v[i : i + nb - 1] for i in range(1, nf + 1)]
-        slope = np.concatenate([by_b, by_f])
-        if not singular[-1] > RADIUS * np.sqrt(slope @ spread[np.ix_(at, at)] @ slope):
-            return False
-    return True
+def confirmed(problem: Problem, optimum: Optimum) -> bool:
+    """Whether an optimum needs no rival."""
+    return standing(problem, optimum) is Standing.CONFIRMED
+
+
+def _told(z: NDArray, spread: NDArray, top: slice, bottom: slice, monic: bool) -> float:
+    """How many standard errors two polynomials are from a common root; infinite where one has no roots."""
+    b, f = np.concatenate([[1.0] * monic, z[top]]), np.concatenate([[1.0], z[bottom]])
+    nb, nf = len(b), len(f) - 1
+    size = float(np.linalg.norm(b))
+    if not size:
+        return 0.0
+    order = nf + nb - 1
+    if not order:
+        return np.inf
+    sylvester = np.zeros((order, order))
+    for k in range(nb - 1):
+        sylvester[k, k : k + nf + 1] = f
+    for k in range(nf):
+        sylvester[nb - 1 + k, k : k + nb] = b / size
+    left, singular, right = np.linalg.svd(sylvester)
+    # Its change with a coefficient, to first order: that of u' S v for the smallest singular value's vectors.
+    u, v = left[:, -1], right[-1]
+    by_b = np.array([u[nb - 1 :] @ v[i : i + nf] for i in range(int(monic), nb)]) / size
+    by_f = [u[: nb - 1] @ v[i : i + nb - 1] for i in range(1, nf + 1)]
+    slope, at = np.concatenate([by_b, by_f]), np.r_[top, bottom]
+    error = np.sqrt(max(slope @ spread[np.ix_(at, at)] @ slope, 0.0))
+    return float(singular[-1] / max(error, 1e-300))
 
 
 def _nothing_left(problem: Problem, optimum: Optimum) -> bool:

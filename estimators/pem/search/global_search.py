@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.search.confirmation import LAGS, confirmed, first_start
+from estimators.pem.search.confirmation import LAGS, Standing, confirmed, first_start, standing
 from estimators.pem.search.extras import Settings
 from estimators.pem.search.levenberg_marquardt import Optimum, Point
 from estimators.pem.search.moving_modes import drawn, integrating, relocations
@@ -89,12 +89,18 @@ def _explored(problem: Problem, best: Optimum, how: Settings) -> Optimum:
     modes, hard = int(form.nf[0].sum() + form.nc[0] + form.nd[0]), how.search == "thorough"
     if modes <= 2 and problem.n_samples > FEW and not hard:
         return best
-    closely = hard or (problem.n_samples <= SOME and modes <= MOST)
+    known = Standing.OPEN if hard else standing(problem, best)
+    if known is Standing.CONFIRMED:
+        return best
+    real = (
+        known is not Standing.OVER_ORDERED
+    )  # else the modes that are too many fit noise, wherever they are put
+    closely = hard or (problem.n_samples <= SOME and modes <= MOST and real)
     draws = int(modes * DRAWS * min(1.0, 1000 / problem.n_samples)) * closely * (4 if hard else 1)
     rng, width = np.random.default_rng(0), 3 if closely else 1
     for _ in range(4):
         before = best.point.loss
-        for _ in range(6):
+        for _ in range(6 if real else 1):
             start = best.point.loss
             points = relocations(problem, best.point, width, closely)
             points += _other_noise_models(problem, best.point)

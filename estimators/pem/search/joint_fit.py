@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.search.extras import (
-    Settings,
-)
-from estimators.pem.search.levenberg_marquardt import Optimum
+from estimators.pem.search.extras import Settings
+from estimators.pem.search.levenberg_marquardt import NEGLIGIBLE, Optimum
 from estimators.pem.search.problem import Problem
 from oed.errors import InputError, Status
 
 __all__ = ["fit_together"]
+
+ROUNDS = 4
+"""Rounds of new weights over which the determinant has to fall, as the loss has to in a search of one output."""
 
 
 def fit_together(problem: Problem, z: NDArray, iterations: int, how: Settings) -> tuple[Problem, Optimum]:
@@ -24,8 +25,13 @@ def fit_together(problem: Problem, z: NDArray, iterations: int, how: Settings) -
             "the loss is not finite at the optimum of the single outputs; this should not happen."
         )
     optimum = Optimum(point, Status.MAX_ITERATIONS, iterations, np.inf)
+    sizes: list[float] = []
     for _ in range(max(how.max_iterations, 1)):
         covariance = point.extra[1]
+        sizes.append(float(np.linalg.slogdet(covariance)[1]))
+        if len(sizes) > ROUNDS and sizes[-1] > sizes[-1 - ROUNDS] - NEGLIGIBLE:
+            optimum = Optimum(point, Status.CONVERGED, iterations, optimum.decrement)
+            break
         floor = 1e-12 * np.trace(covariance) / ny * np.eye(ny)
         problem = problem.replace(weight=np.linalg.inv(covariance + floor))
         before = problem.evaluate(point.z, point.extra[0])

@@ -140,7 +140,7 @@ class Problem:
             states = initial
             follow = lambda d: states - pull - cross @ d
         loss = float(sums.loss.sum())
-        if sums.log_variance.size:
+        if sums.log_variance is not None:
             total = sums.log_variance.sum(axis=0)
             slope, growth = total[1 : 1 + n] / (2 * self.n_values), np.exp(total[0] / self.n_values)
             cross_term = np.outer(gradient, slope)

@@ -19,8 +19,7 @@ class Range:
 
     `A, C` (n, n), (ny, n) in some coordinates; `basis` (i ny, n) its columns; `singular_values` (i ny,) all
     of them; n should stand out; `factor` the data; `weight, unweight` (i ny, i ny) what the future outputs
-    were multiplied by before the decomposition, and its inverse; `instruments` (i (nu + ny), n): the past,
-    free of the future inputs, times this is the state, each over its singular value squared.
+    were multiplied by before the decomposition, and its inverse; `method` how; `right` (n, ...) its right vectors.
     """
 
     A: NDArray[np.float64]
@@ -30,7 +29,20 @@ class Range:
     factor: Factor
     weight: NDArray[np.float64]
     unweight: NDArray[np.float64]
-    instruments: NDArray[np.float64]
+    method: str
+    right: NDArray[np.float64]
+
+    @property
+    def instruments(self) -> NDArray[np.float64]:
+        """(i (nu + ny), n): the past, free of the future inputs, times this is the state, each over its singular value
+        squared."""
+        _, L21, L22, *_ = self.factor.blocks()
+        inverse, size = np.linalg.pinv(L22, rcond=1e-11), self.singular_values[: len(self.A)]
+        # the state is q = left' weight Theta S S|u^-1 (past given the future inputs); moesp and cva have S = S|u
+        if self.method != "n4sid":
+            return inverse.T @ (self.right.T * size) / size**2
+        past = inverse.T @ (self.right.T * size)[L21.shape[1] :]
+        return (past + inverse.T @ inverse @ L21 @ (self.right.T * size)[: L21.shape[1]]) / size**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +82,15 @@ def range_of(factor: Factor, order: int, method: str) -> Range:
     _, L21, L22, _, L32, L33 = factor.blocks()
     rows, ny = len(L32), factor.n_outputs
     weight = unweight = np.eye(rows)
-    inverse = np.linalg.pinv(L22, rcond=1e-11)
     if method == "cva":
         values, vectors = np.linalg.eigh(L32 @ L32.T + L33 @ L33.T)
         kept = values > 1e-14 * values[-1]
         root = np.sqrt(np.where(kept, values, 1.0))
         weight = (vectors * np.where(kept, 1 / root, 0.0)) @ vectors.T
         unweight = (vectors * np.where(kept, root, 0.0)) @ vectors.T
-    along = L32 @ inverse @ np.hstack([L21, L22]) if method == "n4sid" else weight @ L32
+    along = weight @ L32
+    if method == "n4sid":
+        along = L32 @ np.linalg.pinv(L22, rcond=1e-11) @ np.hstack([L21, L22])
     left, singular, right = np.linalg.svd(along, full_matrices=False)
     if singular[order - 1] <= 1e-11 * singular[0]:
         shown = int(np.sum(singular > 1e-11 * singular[0]))
@@ -85,13 +98,6 @@ def range_of(factor: Factor, order: int, method: str) -> Range:
             f"the data show {shown} states, of {order} asked for: singular value {order} of the future given the past is "
             f"{singular[order - 1] / max(singular[0], 1e-300):.1e} of the first; lower the order, or excite more."
         )
-    left, right, size = left[:, :order], right[:order], singular[:order]
-    basis = unweight @ left
+    basis = unweight @ left[:, :order]
     A = np.linalg.lstsq(basis[:-ny], basis[ny:], rcond=None)[0].astype(float)
-    # the state is q = left' weight Theta S S|u^-1 (past given the future inputs); moesp and cva have S = S|u
-    if method == "n4sid":
-        past = inverse.T @ (right.T * size)[L21.shape[1] :]
-        past = past + inverse.T @ inverse @ L21 @ (right.T * size)[: L21.shape[1]]
-    else:
-        past = inverse.T @ (right.T * size)
-    return Range(A, basis[:ny], basis, singular, factor, weight, unweight, past / size**2)
+    return Range(A, basis[:ny], basis, singular, factor, weight, unweight, method, right[:order])

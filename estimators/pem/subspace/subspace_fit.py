@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.pem.fit import Fit
 from estimators.pem.predictors.of_structure import Structure
@@ -28,7 +29,8 @@ from oed.models.model import StateSpace
 __all__ = ["by_subspace", "check_subspace"]
 
 METHODS = ("moesp", "n4sid", "cva")
-MOST_TRIED = 41
+MOST_TRIED = 9
+"""Horizons, evenly spaced: neighbours differ by less than the noise makes any of them differ from the best."""
 
 
 def check_subspace(form: Structure, method: str, horizon: int | None, given: dict[str, bool]) -> StateSpace:
@@ -96,7 +98,7 @@ def _errors_by_horizon(
     for i in candidates:
         try:
             found = range_of(longest.shorter(i), form.order, method)
-            tried[i] = _relative_error(_completed(form, problem, found))
+            tried[i] = _foretold(form, problem, found)
         except InputError as error:
             reason = error
     if not tried:
@@ -160,24 +162,41 @@ def _horizons(form: StateSpace, signals: list, centred: bool) -> list[int]:
     return np.unique(np.linspace(low, high, MOST_TRIED).round().astype(int)).tolist()
 
 
-def _completed(form: StateSpace, problem: Problem, found: Range) -> Point:
-    """B, D, levels and initial states by least squares on the simulation error; the residual is linear in them."""
+def _begun(form: StateSpace, problem: Problem, found: Range) -> Point:
+    """The loss with A and C alone."""
     n, nu, ny = form.order, form.n_inputs, form.n_outputs
-    free = linear_entries(form, problem.n_parameters)
     z = np.zeros(problem.n_parameters)
     z[: form.n] = form.theta_of(found.A, np.zeros((n, nu)), found.C, np.zeros((ny, nu)), np.zeros((n, ny)))
     point = problem.evaluate(z)
+    if point is None:
+        pole = np.abs(np.linalg.eigvals(found.A)).max()
+        raise InputError(
+            f"with {found.factor.horizon} block rows the model is unstable (a pole of size {pole:.6g}); choose another "
+            'horizon or order, or take method="pem".'
+        )
+    return point
+
+
+def _solved(form: StateSpace, point: Point) -> tuple[NDArray, float]:
+    """The best B, D and levels at given A and C, in which the residual is linear, and the loss they promise."""
+    free = linear_entries(form, len(point.z))
+    at, z = np.flatnonzero(free), point.z.copy()
+    step = np.linalg.lstsq(point.hessian[at[:, None], at], point.gradient[free], rcond=1e-14)[0]
+    z[free] -= step
+    return z, max(point.loss - float(point.gradient[free] @ step), 0.0)
+
+
+def _foretold(form: StateSpace, problem: Problem, found: Range) -> float:
+    """Root mean square of the simulation error that B, D, levels and initial states will leave, in scaled units."""
+    loss = _solved(form, _begun(form, problem, found))[1]
+    return float(np.sqrt(loss / (problem.n_observed * form.n_outputs)))
+
+
+def _completed(form: StateSpace, problem: Problem, found: Range) -> Point:
+    """B, D, levels and initial states by least squares on the simulation error; the residual is linear in them."""
+    point: Point | None = _begun(form, problem, found)
     for _ in range(2):  # once more, for what the normal equations lose
-        if point is None:
-            pole = np.abs(np.linalg.eigvals(found.A)).max()
-            raise InputError(
-                f"with {found.factor.horizon} block rows the model is unstable (a pole of size {pole:.6g}); choose another "
-                'horizon or order, or take method="pem".'
-            )
-        at = np.flatnonzero(free)
-        z = point.z.copy()
-        z[free] -= np.linalg.lstsq(point.hessian[at[:, None], at], point.gradient[free], rcond=1e-14)[0]
-        point = problem.evaluate(z)
+        point = problem.evaluate(_solved(form, point)[0]) if point is not None else None
     if point is None:
         raise InputError("the simulation error is not finite; check the units of the records.")
     return point

@@ -8,16 +8,16 @@ from scipy.signal import lfilter
 
 from benchmarks.campaign.plants import hair_dryer_record
 from estimators.pem import identify
-from estimators.pem.predictors import recursion as recursions
-from estimators.pem.predictors.filtering import filter_kernel
+from estimators.pem.predictors import filter_kernels, state_kernels
+from estimators.pem.predictors.compiled import polynomial_kernel, state_space_kernel
 from estimators.pem.predictors.kernel import kernel_of
-from estimators.pem.predictors.recursion import polynomial_recursion
 from estimators.residual.measures import fit_percent
 from oed.data import Record
 from oed.errors import InputError, NotIdentifiable, Status
 from oed.files import to_control, to_pandas, to_xarray
-from oed.models.model import armax, arx, bj, fir, model_from_json, oe, polynomial
+from oed.models.model import StateSpace, armax, arx, bj, fir, model_from_json, oe, polynomial
 from tests.oracles import pem as oracle
+from tests.oracles import predictors
 
 B, A = [0.0, 0.2155, 0.2012], [1.0, -0.9854, 0.8187]
 THETA = np.array([0.2155, 0.2012, -0.9854, 0.8187])
@@ -44,12 +44,11 @@ def power_records(rng, count, length, deviation):
 
 @pytest.mark.parametrize("structure", [oe(2, 2), arx(2, 2), armax(2, 2, 2), bj(2, 2, 1, 2), fir(4)])
 @pytest.mark.parametrize("initial", [False, True])
-def test_sensitivities_are_the_derivatives_of_the_residual(structure, initial, rng, monkeypatch) -> None:
+def test_sensitivities_are_the_derivatives_of_the_residual(structure, initial, rng) -> None:
     """Central differences; error O(h^2) = 1e-10, times rounding 1e-16 / h = 1e-10."""
-    recursion = polynomial_recursion(structure, levels=True, initial=initial)
-    monkeypatch.setenv("OED_CC", "none")
-    kernel = kernel_of(recursion)
+    kernel = polynomial_kernel(structure, levels=True, initial=initial)
     data = np.ascontiguousarray(rng.normal(size=(60, 3)))
+    data[:, 2] = np.eye(60)[0]
     p, h = 0.1 * rng.normal(size=kernel.n), 1e-5
     e, jacobian = kernel.trace(data, p, True)
     for k, step in enumerate(h * np.eye(kernel.n)):
@@ -156,56 +155,52 @@ def test_full_two_by_two(rng) -> None:
     assert np.allclose(fit.noise_covariance, root @ root.T, rtol=0.15)
 
 
-def test_interpreted_and_compiled_agree(rng, monkeypatch) -> None:
-    from estimators.pem.predictors import kernel
-
-    if kernel.compiler() is None:
-        pytest.skip("no C compiler here")
-    structure = polynomial("bj", [2, 1, 1, 2])
-    recursion = polynomial_recursion(structure, levels=True, initial=True)
-    fast = kernel_of(recursion)
-    monkeypatch.setenv("OED_CC", "none")
-    slow = kernel_of(recursion)
-    assert fast.compiled
-    assert not slow.compiled
-    data, p = np.ascontiguousarray(rng.normal(size=(1103, 3))), 0.1 * rng.normal(size=fast.n)
-    lengths, both = np.array([600, 503]), np.vstack([p, p])
-    a, b = (k.sums(data, lengths, both, np.eye(1)) for k in (fast, slow))
-    for one, other in ((a.loss, b.loss), (a.gradient, b.gradient), (a.hessian, b.hessian)):
-        assert np.allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(one).max())
-
-
-@pytest.mark.parametrize("weighted", [False, True])
-@pytest.mark.parametrize("initial", [False, True])
-def test_filters_are_the_twin_of_the_recursion(initial, weighted, rng, monkeypatch) -> None:
-    """Two outputs, two inputs, every polynomial; to 1e-9 of the largest entry."""
-    monkeypatch.setenv("OED_CC", "none")
-    structure = polynomial(
-        "bj", [[[2, 1], [0, 3]], [1, 2], [2, 1], [[1, 2], [0, 1]]], 1, n_outputs=2, n_inputs=2
-    )
-    recursion = polynomial_recursion(structure, levels=True, initial=initial)
-    slow = kernel_of(recursions.weighted(recursion) if weighted else recursion)
-    fast = filter_kernel(structure, True, initial, weighted)
-    assert fast.n == slow.n
-    data = np.ascontiguousarray(np.abs(rng.normal(size=(90, 3 + 2 + 1 + 2 * weighted))))
-    p = 0.2 * rng.normal(size=(2, slow.n))
+def agree(fast, slow, data, lengths, p):
+    """Sums and traces of two kernels, to 1e-9 of the largest entry."""
     weight = np.array([[2.0, 0.5], [0.5, 1.0]])
-    lengths = np.array([50, 40])
+    assert fast.n == slow.n
     ours, theirs = fast.sums(data, lengths, p, weight), slow.sums(data, lengths, p, weight)
     for name in ("loss", "gradient", "hessian", "covariance"):
         one, other = getattr(ours, name), getattr(theirs, name)
         assert np.allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
-    for one, other in zip(fast.trace(data[:50], p[0], True), slow.trace(data[:50], p[0], True), strict=True):
-        assert np.allclose(one, other, rtol=1e-9, atol=1e-9)
+    first = data[: lengths[0]]
+    for one, other in zip(fast.trace(first, p[0], True), slow.trace(first, p[0], True), strict=True):
+        assert np.allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
 
 
-def test_fit_without_a_compiler_is_the_same(rng, monkeypatch) -> None:
-    data = records(rng, 2, 300)
-    how = {"initial": "estimate", "offset": True, "search": "quick"}
-    ours = identify(data, "bj", (2, 1, 1, 2), **how)
-    monkeypatch.setenv("OED_CC", "none")
-    other = identify(data, "bj", (2, 1, 1, 2), **how)
-    assert other.theta == pytest.approx(ours.theta, abs=1e-5 * ours.standard_errors.min())
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize("initial", [False, True])
+def test_filter_kernels_are_the_recursion_in_casadi(initial, weighted, rng) -> None:
+    """Two outputs, two inputs, every polynomial, some of degree above two; records of 70 and 2 samples."""
+    structure = polynomial(
+        "bj", [[[2, 1], [0, 3]], [1, 2], [3, 1], [[1, 4], [0, 1]]], 1, n_outputs=2, n_inputs=2
+    )
+    recursion = predictors.polynomial_recursion(structure, levels=True, initial=initial)
+    slow = kernel_of(predictors.weighted(recursion) if weighted else recursion)
+    data = np.ascontiguousarray(np.abs(rng.normal(size=(72, 3 + 2 + 1 + 2 * weighted))))
+    data[:, 5], lengths = np.isin(np.arange(72), (0, 70)), np.array([70, 2])
+    fast = polynomial_kernel(structure, True, initial, weighted)
+    agree(fast, slow, data, lengths, 0.2 * rng.normal(size=(2, slow.n)))
+    assert np.finfo(float).eps ** 2 > filter_kernels.TINY
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize("initial", [False, True])
+def test_state_kernels_are_the_recursion_in_casadi(initial, weighted, rng) -> None:
+    """With feedthrough; a record longer than the block of the sums, and one shorter."""
+    structure = StateSpace((2, 1), 2, feedthrough=True)
+    recursion = predictors.state_space_recursion(structure, levels=True, initial=initial)
+    slow = kernel_of(predictors.weighted(recursion) if weighted else recursion)
+    N = state_kernels.BLOCK + 9
+    data = np.ascontiguousarray(np.abs(rng.normal(size=(N + 5, 2 + 2 + 1 + 2 * weighted))))
+    data[:, 4], lengths = np.isin(np.arange(N + 5), (0, N)), np.array([N, 5])
+    agree(
+        state_space_kernel(structure, True, initial, weighted),
+        slow,
+        data,
+        lengths,
+        0.1 * rng.normal(size=(2, slow.n)),
+    )
 
 
 def test_model_survives_json_bit_for_bit(rng) -> None:
