@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 HELP = "speed benchmarks: ours against a baseline, same work, medians"
@@ -18,6 +19,9 @@ COLUMNS = {
     "target": "target",
     "holds": "holds",
     "peak_mb": "peak MB",
+    "exponent": "grows as",
+    "baseline_exponent": "its growth",
+    "memory_exponent": "memory",
 }
 
 
@@ -26,6 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "names", nargs="*", metavar="NAME", help="which files of benchmarks/speed (default all)"
     )
+    parser.add_argument("--figure", metavar="FILE.svg", help="draw how cost grows (of `growth`), log-log")
     parser.add_argument("--strict", action="store_true", help="exit 1 where a target is missed")
 
 
@@ -46,8 +51,14 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         if not args.quiet:
             print(f"oed speed: {name} ...", file=sys.stderr, flush=True)
         rows += import_module(f"benchmarks.speed.{name}").rows()
+    if args.figure:
+        from benchmarks.page.figures_growth import growth_figure
+        from oed.files.writing import write_figure
+
+        write_figure(Path(args.figure), growth_figure([row for row in rows if "points" in row]))
     missed = [row["name"] for row in rows if row.get("holds") is False]
-    text = to_text(rows, COLUMNS)
+    shown = {key: name for key, name in COLUMNS.items() if any(key in row for row in rows)}
+    text = to_text(rows, shown)
     if missed and args.strict:
         raise OedError(f"{len(missed)} targets are missed: {', '.join(missed)}.\n{text}")
     return {"rows": rows}, text

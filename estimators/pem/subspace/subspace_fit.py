@@ -29,8 +29,7 @@ from oed.models.model import StateSpace
 __all__ = ["by_subspace", "check_subspace"]
 
 METHODS = ("moesp", "n4sid", "cva")
-MOST_TRIED = 9
-"""Horizons, evenly spaced: neighbours differ by less than the noise makes any of them differ from the best."""
+MOST_TRIED = 41
 
 
 def check_subspace(form: Structure, method: str, horizon: int | None, given: dict[str, bool]) -> StateSpace:

@@ -1,0 +1,37 @@
+"""What is said of growth: the exponent is that of the work, and every verb does its work at its smallest size."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from benchmarks.page.figures_growth import growth_figure
+from benchmarks.speed.growth import Verb, exponent, measured, verbs
+
+
+def test_exponent_is_that_of_a_power() -> None:
+    sizes = (100, 400, 1600)
+    assert exponent(sizes, [3e-4 * n**1.5 for n in sizes]) == pytest.approx(1.5)
+    assert exponent(sizes, [7.0] * 3) == pytest.approx(0.0)  # the negative control: what does not grow
+
+
+def test_memory_of_a_list_grows_as_its_length() -> None:
+    verb = Verb(
+        "list", "entries", (20_000, 80_000, 320_000), lambda n: (lambda: [0.5 * k for k in range(n)], None)
+    )
+    row = measured(verb)
+    assert row["memory_exponent"] == pytest.approx(1.0, abs=0.1)
+    assert row["baseline_exponent"] is None
+    assert math.isfinite(row["exponent"])
+    both = [
+        row,
+        row | {"baseline": "peer", "baseline_exponent": 1.0, "points": row["points"] | {"peer": [1.0, 2, 3]}},
+    ]
+    assert [len(ax.get_lines()) for ax in growth_figure(both).axes] == [1, 2]
+
+
+def test_every_verb_works_at_its_smallest_size() -> None:
+    for verb in verbs():
+        for call in verb.made(verb.sizes[0]):
+            assert call is None or call() is not None
