@@ -99,7 +99,9 @@ def identify(
     search : {"auto", "quick", "thorough"}
         How hard the global optimum is looked for: quick tries the starts got by linear algebra; auto also moves
         modes to other frequencies, where there are more than two (on up to 400 samples always) and up to 30000
-        samples, and on up to 3000 samples draws random starts; thorough always does, with four times as many.
+        samples, and on up to 3000 samples draws random starts; thorough always does, with four times as many. Where the
+        orders are seen to be too high (nothing is left in the residual, and modes cancel as far as the data tell), auto
+        moves modes once and coarsely: other optima only fit the noise better.
     fixed : mapping of str to float, optional
         Known parameters by name: {"f1": -0.9}.
     bounds : mapping of str to tuple, optional

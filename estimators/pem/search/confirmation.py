@@ -19,7 +19,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.search.levenberg_marquardt import Optimum
+from estimators.pem.search.levenberg_marquardt import Optimum, units
 from estimators.pem.search.problem import Problem
 from estimators.pem.search.starts import lagged_gram, low_order_fits
 
@@ -81,20 +81,23 @@ def _long_enough(problem: Problem) -> bool:
 def standing(problem: Problem, optimum: Optimum) -> Standing:
     """What is known of an optimum of one output, whose noise model is free of A."""
     point, form = optimum.point, problem.structure
-    if not optimum.status.ok or form.na[0] or problem.variant or not _long_enough(problem):
+    free = problem.lower is None and problem.prior_precision is None and not problem.variant
+    if not optimum.status.ok or form.na[0] or not free or not _long_enough(problem):
         return Standing.OPEN
+    scale = units(point.hessian)
     try:
-        spread = np.linalg.inv(point.hessian) * (point.loss / problem.n_samples)
+        spread = np.linalg.inv(point.hessian * np.outer(scale, scale)) * np.outer(scale, scale)
     except np.linalg.LinAlgError:
         return Standing.OPEN
     place = form.places()[0]
     pairs = [(place["b"][j], place["f"][j], False) for j in range(form.n_inputs) if form.nb[0, j]]
     if form.nc[0] and form.nd[0]:
         pairs.append((place["c"][0], place["d"][0], True))
+    spread = spread * (point.loss / problem.n_samples)
     told = [_told(point.z, spread, *pair) for pair in pairs]
     if any(COMMON < t <= RADIUS for t in told) or not _nothing_left(problem, optimum):
         return Standing.OPEN
-    if min(told) <= COMMON:
+    if min(told, default=np.inf) <= COMMON:
         return Standing.OVER_ORDERED
     return Standing.OPEN if form.nc[0] or form.nd[0] else Standing.CONFIRMED
 
@@ -125,8 +128,12 @@ def _told(z: NDArray, spread: NDArray, top: slice, bottom: slice, monic: bool) -
     by_b = np.array([u[nb - 1 :] @ v[i : i + nf] for i in range(int(monic), nb)]) / size
     by_f = [u[: nb - 1] @ v[i : i + nb - 1] for i in range(1, nf + 1)]
     slope, at = np.concatenate([by_b, by_f]), np.r_[top, bottom]
-    error = np.sqrt(max(slope @ spread[np.ix_(at, at)] @ slope, 0.0))
-    return float(singular[-1] / max(error, 1e-300))
+    variance = float(slope @ spread[np.ix_(at, at)] @ slope)
+    if variance == 0.0:  # no coefficient moves it
+        return np.inf
+    return (
+        float(singular[-1] / np.sqrt(variance)) if variance > 0 else 0.0
+    )  # below zero the information is singular
 
 
 def _nothing_left(problem: Problem, optimum: Optimum) -> bool:
