@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.pem.search.extras import Settings
-from estimators.pem.search.levenberg_marquardt import NEGLIGIBLE, Optimum
+from estimators.pem.search.levenberg_marquardt import FLAT, NEGLIGIBLE, Optimum
 from estimators.pem.search.problem import Problem
 from oed.errors import InputError, Status
 
@@ -30,7 +30,8 @@ def fit_together(problem: Problem, z: NDArray, iterations: int, how: Settings) -
         covariance = point.extra[1]
         sizes.append(float(np.linalg.slogdet(covariance)[1]))
         if len(sizes) > ROUNDS and sizes[-1] > sizes[-1 - ROUNDS] - NEGLIGIBLE:
-            optimum = Optimum(point, Status.CONVERGED, iterations, optimum.decrement)
+            status = Status.CONVERGED if optimum.decrement < FLAT else Status.INACCURATE
+            optimum = Optimum(point, status, iterations, optimum.decrement)
             break
         floor = 1e-12 * np.trace(covariance) / ny * np.eye(ny)
         problem = problem.replace(weight=np.linalg.inv(covariance + floor))
