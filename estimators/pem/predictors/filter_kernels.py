@@ -18,8 +18,10 @@ from numba import njit
 
 __all__ = ["fold", "signals"]
 
-TINY = 1e-40
-"""What has decayed this far is zero: subnormal numbers cost a hundred times a normal operation."""
+TINY = 1e-290
+"""What has decayed this far is zero: subnormal numbers cost a hundred times a normal operation. Records may be small: 1e-75."""
+CUT = 1e-30
+"""Of a signal's largest value: what comes after its last sample above this share adds nothing to a sum of doubles."""
 
 
 @njit(error_model="numpy", cache=True)
@@ -142,11 +144,11 @@ def _product(x, y, i, j, end):
 
 @njit(error_model="numpy", cache=True)
 def _ends(found):
-    """After how many samples each signal is zero."""
+    """After how many samples each signal has died away."""
     ends = np.empty(len(found), np.int64)
     for s in range(len(found)):
-        t = found.shape[1]
-        while t > 0 and found[s, t - 1] == 0.0:
+        t, least = found.shape[1], CUT * np.abs(found[s]).max()
+        while t > 0 and abs(found[s, t - 1]) <= least:
             t -= 1
         ends[s] = t
     return ends

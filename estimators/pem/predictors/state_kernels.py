@@ -12,7 +12,7 @@ from numba import njit
 
 __all__ = ["fold", "run"]
 
-TINY = 1e-40
+TINY = 1e-290
 """What has decayed this far is zero: subnormal numbers cost a hundred times a normal operation."""
 BLOCK = 64
 """Samples whose sensitivities are kept before they go into the sums: they stay in the nearest cache."""
