@@ -17,6 +17,7 @@ Array = NDArray[Any]
 SWINGS = (0.7, 1.3, 2.2)  # largest angles in radian that a pendulum is started with
 SHAKEN = (-0.95, 0.0)  # zeros of the block before a pendulum: its pivot is accelerated, or its torque lags
 FEW = 4  # starts that are fitted
+FAR = 3.0  # times the linear model's squares, beyond which a start is given up where several inputs make many of them
 DAMPED = 0.5  # damping ratio from which on nothing swings more than once: a sine is then any curve
 TURNS = 1500  # angles per record among which the period of a force is looked for
 PHASES = ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))  # of a periodic force, in sizes of the input
@@ -64,7 +65,8 @@ def _swings(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
                 for block in [[]] + [[-z, b] for z in real or [0.5] for b in SHAKEN]:
                     part = Part(effect(), inputs[0], first=1 if block else 0, free=bool(block))
                     starts += _swung(channel, few.adding(part), rates, np.array(block), gains)
-        starts = sorted((x for x in starts if np.isfinite(x.promise)), key=lambda x: -x.promise)[:FEW]
+        most = FAR * float(base.residual @ base.residual) if len(s.inputs) > 1 else np.inf
+        starts = sorted((x for x in starts if -x.promise < most), key=lambda x: -x.promise)[:FEW]
         quick = sorted(fitted(channel, base, starts, 5), key=lambda f: f.deviance)[:2]
         for f in quick:
             g = fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=30)
