@@ -37,6 +37,9 @@ from oed.errors import InputError
 __all__ = ["Setting", "diagnose"]
 
 Array = NDArray[Any]
+Parts = tuple[
+    Examined, Bench, Named
+]  # of one output: what its samples show, what its trials share, the effects that hold
 LEAST = 50
 """Samples of a training record: five blocks of ten, below which no error on unused blocks says anything."""
 
@@ -140,12 +143,11 @@ def diagnose(
     own = base if len(records) == 1 else best_linear([first], _options(first, setting))
     parts = [_named(first, i, own, setting) for i in range(first.n_outputs)]
     say("terms of no catalogue")
-    discovery = discover(records, base, setting.effort.value)
+    done = all(_exhausted(records, i, base, part) for i, part in enumerate(parts))
+    discovery = Discovery(None, sought=False) if done else discover(records, base, setting.effort.value)
     say("comparison on blocks not used")
     again = cache(lambda: _without_the_last_block(records, base, discovery, setting))
-    outcomes = [
-        _outcome(records, i, base, parts[i], (discovery, again), setting) for i in range(first.n_outputs)
-    ]
+    outcomes = [_outcome(records, i, base, part, (discovery, again), setting) for i, part in enumerate(parts)]
     held = _held_out(first, test, outcomes, setting)
     return _diagnosis(records, test, base, outcomes, held, setting)
 
@@ -155,7 +157,7 @@ def _options(train: Record, setting: Setting) -> Options:
     return Options(deviations=setting.deviations, diagonal=diagonal)
 
 
-def _named(train: Record, i: int, base: Baseline, setting: Setting) -> tuple[Examined, Bench, Named]:
+def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
     """The named stage of one output: what its samples show, and the effects that hold."""
     delay = min(base.outputs[i].delays)
     ahead = delay == 0 and not setting.orders
@@ -167,10 +169,16 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> tuple[Exa
         found.last, base, i, record, found.thin_of(found.attribution.final), rest, not setting.deviations,
         setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead,
     )  # fmt: skip
-    same = found.last is found.channel  # other candidates were fitted to the screened record only
-    if not same:
+    if found.last is not found.channel:  # other candidates were fitted to the screened record only
         return found, bench, named_steps(bench, found.attribution)
     return found, bench, best_named(bench, found.attribution, Menu(setting.effects))
+
+
+def _exhausted(records: Sequence[Record], i: int, base: Baseline, parts: Parts) -> bool:
+    """Whether what one output leaves is white and nothing in it is explainable: no term and no remainder is there."""
+    noise = parts[2].fit.noise if parts[2].step is not None else parts[0].attribution.coloured.noise
+    share = explainable_share(base, records, i)
+    return not len(noise) and not _left(records, i, base, parts[2].step, share).explainable
 
 
 def _left(records: Sequence[Record], i: int, base: Baseline, step: Step | None, share: Share) -> Share:
@@ -188,13 +196,9 @@ def _runs(step: Step, records: Sequence[Record], i: int, base: Baseline) -> tupl
 
 
 def _outcome(
-    records: Sequence[Record],
-    i: int,
-    base: Baseline,
-    parts: tuple[Examined, Bench, Named],
-    discovered: tuple[Discovery, Callable[[], tuple[Baseline, Discovery]]],
-    setting: Setting,
-) -> Outcome:
+    records: Sequence[Record], i: int, base: Baseline, parts: Parts,
+    discovered: tuple[Discovery, Callable[[], tuple[Baseline, Discovery]]], setting: Setting,
+) -> Outcome:  # fmt: skip
     """The ladder of one output; what was discovered comes with the same search made without the last block, on demand."""
     found, bench, named = parts
     discovery, again = discovered
@@ -208,8 +212,7 @@ def _outcome(
         clean = best_linear([train.replace(y=y), *others], _options(train, setting))
         steps.append(_linear_step(clean, i, bench.rest, tuple(sig.key for sig in found.signatures)))
     if named.step is not None:  # no parameter of it saw the other records
-        window = base.blocks.window
-        unseen = [named.step.simulate(r, window) for r in others]
+        unseen = [named.step.simulate(r, base.blocks.window) for r in others]
         named = replace(named, step=replace(named.step, unused=(*named.step.unused, *unseen)))
     steps += [named.step] if named.step is not None else []
     steps += [_discovered_step(discovery, discovery.model, i)] if discovery.model is not None else []
@@ -222,10 +225,8 @@ def _outcome(
     if ladder.chosen.kind is Kind.DISCOVERED and not _confirmed(records, i, base, counted, again(), setting):
         steps = [replace(s, admitted=s.kind is not Kind.DISCOVERED) for s in steps]
         ladder = climb(y, steps, counted, setting.policy, least=least)
-    rest = _remainder_step(
-        records, i, base, ladder, share if ladder.chosen.kind is Kind.LINEAR else left, setting
-    )
-    if rest is not None:
+    above = share if ladder.chosen.kind is Kind.LINEAR else left
+    if discovery.sought and (rest := _remainder_step(records, i, base, ladder, above, setting)) is not None:
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     return Outcome(i, found, named, ladder, share, left, discovery)
 

@@ -41,7 +41,7 @@ class Discovery:
     `unused` per record (N, ny): every block predicted by the same form fitted to the others; `rmse_unused`
     (ny,) on the samples that count; `gain` by how many standard errors the blocks got better than the
     baseline's; `considered` the models that were compared and their errors on unused blocks over the
-    baseline's, simplest first.
+    baseline's, simplest first; `sought` false where what is left is noise, so that no search was made.
     """
 
     model: DiscoveredModel | None
@@ -52,6 +52,7 @@ class Discovery:
     rmse_unused: Array = field(default_factory=lambda: np.zeros(0))
     gain: float = 0.0
     considered: tuple[tuple[str, float], ...] = ()
+    sought: bool = True
 
     @property
     def found(self) -> bool:

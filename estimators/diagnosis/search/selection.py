@@ -173,7 +173,7 @@ def attribute(
     alternatives = _alternatives(fits, position) if s.base else ()
     fits = _settled(channel, fits, 6)
     if len(coloured.noise) and not s.base and (not fits or len(fits[0].noise)):
-        more = list(augmented(channel, coloured, menu, best=1, iterations=15))
+        more = list(augmented(channel, coloured, menu, best=1, iterations=15, top=menu.top))
         fits = _settled(channel, _per_key(fits + more, position), 4)
     fits = _per_key(fits, position)
     claims = [
