@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Baseline
-from estimators.diagnosis.discovery.fitting import Fitted, Piece, run_piece
+from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, run_piece
 from estimators.diagnosis.discovery.form import Assembly
 from estimators.diagnosis.discovery.model import DiscoveredModel, FoundTerm
 from estimators.diagnosis.discovery.search import Budget, greedy_search
@@ -29,6 +29,7 @@ BUDGETS = {
 }
 ADMITTED = 1.0  # standard errors by which unused blocks must get better than with the best linear model: the usual rule
 LEAST = 0.02  # share of the error below which what was found is as good as nothing, among so many candidates
+SEARCHED = 2000  # samples on which terms are looked for; what is found is fitted to all and judged on all
 BATCHES = 4  # parts of every block: the units of the standard error of a difference
 
 
@@ -75,8 +76,13 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     zeros |= {f"u{j}": float(-scales.u[j] / scales.su[j]) for j in range(records[0].n_inputs)}
     judge = _Judge(records, baseline, scales, pieces)
     own = tuple(m.model.order for m in baseline.outputs)
-    found = greedy_search(pieces, scales, smooth, zeros, budget, own)
-    whole, gain, considered = _chosen(_pruned(_front(found), pieces, budget.rounds), judge)
+    most = max(SEARCHED // len(pieces), 1)
+    short = [Piece(q.d[:most], q.y[:most], q.weight[:most]) for q in pieces]
+    front = _front(greedy_search(short, scales, [y[:most] for y in smooth], zeros, budget, own))
+    if any(len(q.y) > most for q in pieces):
+        again = (fit(f.form, f.theta, f.starts, pieces, iterations=budget.rounds) for f in front)
+        front = [f for f in again if f is not None and forgets(f, pieces)]
+    whole, gain, considered = _chosen(_pruned(front, pieces, budget.rounds), judge)
     predictions = None if whole is None else judge.unused(whole, False)
     if whole is None or predictions is None or not judge.better(predictions):
         return Discovery(None, considered=considered, gain=gain)

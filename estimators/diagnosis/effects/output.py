@@ -122,6 +122,7 @@ OUTPUT = (
 SHIFTS = (0.5, 1.0, 1.8, 2.8, 4.0, 5.5)  # samples by which the clocks are apart in the end
 JUMPS = (1.0, 2.0, 3.0, 5.0)  # samples lost at once
 TIMES = 12  # of a jump, over the record
+NOTHING = 1.02  # of the linear model's squared error, that the best shape may leave before it is fitted
 
 
 def _read(y: Array, at: Array) -> Array:
@@ -175,7 +176,9 @@ def _mended(
 
         for shape in shapes(n):
             mended(shape)
-        if not found:
+        if min((entry[0] for entry in found), default=np.inf) > NOTHING * float(
+            base.residual @ base.residual
+        ):
             return
         for shape in closer(n, min(found, key=lambda entry: entry[0])[1]):
             mended(shape)

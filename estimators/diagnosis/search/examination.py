@@ -92,6 +92,9 @@ class Known:
 FITTED = {Effort.QUICK: 6, Effort.NORMAL: 14, Effort.THOROUGH: 0}
 """Effects whose scores promise most that are fitted at first; 0 for all. A score is a linearised gain: among fourteen the
 right one has not been missed where all were fitted."""
+PAID, LEAST_FITTED = 2000, 4
+"""Samples of a record from which on fewer effects are fitted, so that the work does not grow with it, and the fewest: the
+scores of a long record are sharp."""
 PHYSICAL = 4
 """Poles from which on a linear model is no plant that effects could sit in, but an approximation of one."""
 
@@ -228,7 +231,8 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
     order = setting.orders[i] if setting.orders else _order(channel, record, setting, i, known)
     s, others = _structure(setting, record, i, order)
     s = s if setting.orders else replace(s, delay=known.delay)
-    menu = Menu(setting.effects, others, FITTED[setting.effort])
+    few = FITTED[setting.effort] * min(1.0, PAID / n)
+    menu = Menu(setting.effects, others, max(LEAST_FITTED, round(few)) if few else 0)
     first = fit_linear(channel, s)
     naive = fit_linear(replace(channel, keep=~missing), s) if not np.array_equal(keep, ~missing) else first
     if step > 0.0:

@@ -123,6 +123,9 @@ def _white(f: Fit) -> Fit:
 
 FEW = 8
 """Gauss-Newton steps after which candidates are compared: what is far behind then does not win with more."""
+PLAIN = 1.0
+"""Gain that a second effect must promise beside one that leaves white noise: tones, delays, modes and whatever else has a
+search of its own in place of a score would colour it."""
 FINISHED = 6
 """Candidates that are fitted to the end."""
 
@@ -263,7 +266,8 @@ def _more_effects(
                     bases.append(claim.fit)
         for start in bases:
             reached = min((f.criterion for f, _ in options), default=final.criterion)
-            found = second(channel, start, menu, start is final, start.criterion - reached)
+            plain = start.criterion - reached if len(start.noise) else max(start.criterion - reached, PLAIN)
+            found = second(channel, start, menu, start is final, plain)
             limit = alpha * (1e-4 if len(found) and len(found[0].noise) else 1e-1)
             tried[id(start)] = found
             if found and significance(start, found[0]) < limit:
