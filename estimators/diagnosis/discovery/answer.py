@@ -79,9 +79,8 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     most = max(SEARCHED // len(pieces), 1)
     short = [Piece(q.d[:most], q.y[:most], q.weight[:most]) for q in pieces]
     front = _front(greedy_search(short, scales, [y[:most] for y in smooth], zeros, budget, own))
-    if any(len(q.y) > most for q in pieces):
-        again = (fit(f.form, f.theta, f.starts, pieces, iterations=budget.rounds) for f in front)
-        front = [f for f in again if f is not None and forgets(f, pieces)]
+    again = (fit(f.form, f.theta, f.starts, pieces, iterations=budget.rounds) for f in front)
+    front = [f for f in again if f is not None and forgets(f, pieces)]
     whole, gain, considered = _chosen(_pruned(front, pieces, budget.rounds), judge)
     predictions = None if whole is None else judge.unused(whole, False)
     if whole is None or predictions is None or not judge.better(predictions):

@@ -22,6 +22,8 @@ Array = NDArray[Any]
 BEND = (
     0.03  # share of a term's spread that is not linear in its signals: below it the term is linear dynamics
 )
+ROUGH = 1e-3
+"""Share of the squared error that a round must gain for another: enough to rank candidates, the few that are left are ended."""
 GAINED = 0.01
 """By how much a further term must lower the criterion per sample for another to be looked for: half a percent of the error."""
 
@@ -82,7 +84,14 @@ def grown(fitted: Fitted, s: Screened, pieces: Sequence[Piece], rounds: int) -> 
         start = theta.copy()
         first = len(start) - form.size(terms[-1])
         start[first : first + taps] *= share
-        f = fit(form, np.concatenate([fitted.theta, start]), fitted.starts, pieces, iterations=rounds)
+        f = fit(
+            form,
+            np.concatenate([fitted.theta, start]),
+            fitted.starts,
+            pieces,
+            iterations=rounds,
+            tolerance=ROUGH,
+        )
         if (
             f is not None
             and f.sse < fitted.sse * (1 + 1e-9)
