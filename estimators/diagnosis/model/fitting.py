@@ -306,7 +306,7 @@ def fit(
         rough = partial(errors, structure=replace(structure, steps=COARSE)) if inside else None
         p, cost, J = levenberg_marquardt(
             errors, p, scales, iterations=iterations, steps=steps, rough=rough, exact=exact,
-            ends=ROUGH if iterations < WHOLE else ENDS,
+            ends=ROUGH if iterations < WHOLE and structure.effects else ENDS,
         )  # fmt: skip
     if not np.isfinite(cost):
         empty = np.zeros((0, len(p)))
