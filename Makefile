@@ -8,6 +8,7 @@
 #   make fuzz      hostile files and documents, $(FUZZ) of them (100000; `make test` has a fixed thousand)
 #   make mutants   which changes of the code its tests would not notice, by mutmut (hours; FILES="oed/criteria.py" for some)
 #   make campaign, make speed, make report    the large campaign, the speed benchmarks, the HTML report again
+#   make peers     other people's tools beside ours on the records in $(OED_DATA), in results/peers (PEERS_ARGS="--only emps")
 #   make docs      the documentation site in build/docs, warnings as errors
 #   make readme    the README's headline table and picture again, from the comparison
 #   make lock      requirements.lock again from pyproject.toml (asks the package index)
@@ -19,6 +20,7 @@ VENV        ?= .venv
 JOBS        ?= 2
 FUZZ        ?= 100000
 PYTEST_ARGS ?=
+PEERS_ARGS  ?=
 
 BIN   := $(VENV)/bin
 STAMP := $(VENV)/.installed
@@ -50,7 +52,7 @@ PYTHON_IS = $(or $(shell $(PYTHON) -V 2>/dev/null),nothing that runs here)
 
 .DEFAULT_GOAL := help
 
-.PHONY: help map readme setup compare test lint validate fuzz mutants campaign speed report docs lock clean
+.PHONY: help map readme setup compare test lint validate fuzz mutants campaign speed report peers docs lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p;/^$$/q' $(firstword $(MAKEFILE_LIST))
@@ -101,6 +103,16 @@ speed: $(STAMP)
 
 report: $(STAMP)
 	$(BIN)/oed report results/compare
+
+# The tools live beside ours, never among ours.
+$(VENV)-peers/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)-peers
+	$(VENV)-peers/bin/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(VENV)-peers/bin/python -m pip install --quiet --group peers
+	@touch $@
+
+peers: $(STAMP) $(VENV)-peers/.installed
+	$(BIN)/python -m benchmarks.peers --data "$(OED_DATA)" --out results/peers --python $(VENV)-peers/bin/python $(PEERS_ARGS)
 
 # The versions already locked are kept where pyproject.toml still allows them; delete requirements.lock first to renew all.
 lock:
