@@ -107,8 +107,8 @@ report: $(STAMP)
 # The tools live beside ours, never among ours.
 $(VENV)-peers/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)-peers
-	$(VENV)-peers/bin/python -m pip install --quiet --upgrade "pip>=25.1"
-	$(VENV)-peers/bin/python -m pip install --quiet --group peers
+	$(VENV)-peers/bin/python -m pip install --quiet uv
+	$(VENV)-peers/bin/uv pip install --quiet --python $(VENV)-peers/bin/python --group peers
 	@touch $@
 
 peers: $(STAMP) $(VENV)-peers/.installed

@@ -105,6 +105,7 @@ def run(case: Case, peer: str, python: str, limit: int) -> dict[str, Any]:
     )
     threads["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
     call = ["-m", "benchmarks.peers_runner"] if peer == "oed" else ["-P", str(Path(peers_runner.__file__))]
+    threads["JAX_TRACEBACK_FILTERING"] = "off"  # the last line is then the error
     failed: dict[str, Any] = {"rmse": None, "parameters": None, "cpu_s": None, "explains": False, "what": ""}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "case.npz"
