@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-LAGS = 2  # of output and input: the number in the tools' own first examples
+LAGS = 10  # of output and input where a tool leaves them to its user (the first examples have 2, too few for a delay)
 STATES, HIDDEN = (
     3,
     5,
@@ -68,9 +68,9 @@ def scikit_learn(s: Split, ensemble: Any) -> Found:
 
 
 def sysidentpy(s: Split, selection: Any, basis: Any) -> Found:
-    """FROLS with a polynomial of degree 2 and the order by information criterion, as in the quick start."""
+    """FROLS with a polynomial of degree 2 and the number of terms by information criterion, as in the quick start."""
     model = selection.FROLS(
-        order_selection=True, ylag=LAGS, xlag=LAGS if s.u.shape[1] == 1 else [[1, 2]] * s.u.shape[1],
+        order_selection=True, ylag=LAGS, xlag=LAGS if s.u.shape[1] == 1 else [list(range(1, LAGS + 1))] * s.u.shape[1],
         basis_function=basis.Polynomial(degree=2),
     )  # fmt: skip
     model.fit(X=s.u, y=s.y)
@@ -96,11 +96,13 @@ def jax_sysid(s: Split, jax: Any, models: Any) -> Found:
     start = [0.5 * np.eye(STATES), *(0.3 * rng.standard_normal(shape) for shape in shapes.values())]
     start += [np.zeros(n) for n in (HIDDEN, STATES, HIDDEN, 1)]
 
-    def state(x: Any, u: Any, p: Any) -> Any:
+    def state(x: Any, u: Any, params: Any) -> Any:
+        p = params
         hidden = jax.nn.sigmoid(p[3] @ jax.numpy.concatenate((x, u)) + p[7])
         return p[0] @ x + p[1] @ u + p[4] @ hidden + p[8]
 
-    def output(x: Any, u: Any, p: Any) -> Any:
+    def output(x: Any, u: Any, params: Any) -> Any:
+        p = params
         return p[2] @ x + p[6] @ jax.nn.sigmoid(p[5] @ x + p[9]) + p[10]
 
     model = models.Model(STATES, 1, nu, state_fcn=jax.jit(state), output_fcn=jax.jit(output))
@@ -114,8 +116,8 @@ def jax_sysid(s: Split, jax: Any, models: Any) -> Found:
 
 
 def sippy(s: Split, tool: Any) -> Found:
-    """N4SID at its defaults; the initial state by least squares on the first samples."""
-    model = tool.system_identification(s.y.T, s.u.T, "N4SID")
+    """N4SID with the order, 1 to 10, by information criterion; the initial state by least squares on the first samples."""
+    model = tool.system_identification(s.y.T, s.u.T, "N4SID", IC="AICc")
     A, B, C, D = (np.asarray(getattr(model, name)) for name in "ABCD")
 
     def run(x: Any, u: Any) -> Any:
