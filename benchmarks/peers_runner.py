@@ -28,7 +28,7 @@ NEEDS = {
     "jax-sysid": ("jax", "jax_sysid.models"),
     "scikit-learn": ("sklearn.ensemble",),
     "sippy": ("sippy_unipi",),
-    "oed": ("estimators.diagnosis", "estimators.diagnosis.loop", "oed.data"),
+    "oed": ("estimators.diagnosis.loop", "oed.data"),
 }
 
 
@@ -146,12 +146,12 @@ def size_of(answer: dict[str, Any]) -> int | None:
     return None
 
 
-def oed(s: Split, diagnosis: Any, loop: Any, data: Any, clocks: Any) -> Found:
+def oed(s: Split, loop: Any, data: Any, clocks: Any) -> Found:
     """Our own, as `oed diagnose` runs it, told nothing."""
     (dt, t0), (_, t2) = clocks
     train, test = data.Record(s.u, s.y, dt=dt, t0=t0), data.Record(s.u2, s.y2, dt=dt, t0=t2)
     separate = bool(t2 < t0 + dt * (len(train) - 1))
-    result = diagnosis.diagnose(train, test, loop.Setting(skip=s.skip, separate=separate))
+    result = loop.diagnose(train, test, loop.Setting(skip=s.skip, separate=separate))
     sizes = [size_of(answer.to_dict()) for answer in result.model.answers]
     step = next((row["step"] for row in result.ladder if row["answer"]), "linear")
     said = {"named": f"cause: {result.effect}", "discovered": f"equation: {result.equation}"}.get(step, "")
