@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
@@ -19,6 +20,7 @@ from benchmarks.tables.formats import to_text
 from benchmarks.tables.tabulation import tabulate
 from oed.errors import CampaignError, InputError
 from oed.files.lock import locked
+from oed.files.writing import write_whole
 
 __all__ = ["Comparison", "compare"]
 
@@ -57,13 +59,15 @@ class Comparison:
 
 
 class _Progress:
-    """A line on standard error with the time left."""
+    """A line on standard error with the time left, and progress.json for `oed report --serve`."""
 
-    def __init__(self, quiet: bool) -> None:
+    def __init__(self, quiet: bool, folder: Path) -> None:
         self.quiet = quiet
+        self.file = folder / "progress.json"
         self.bar: Any = None
 
     def __call__(self, done: int, total: int) -> None:
+        write_whole(self.file, json.dumps({"done": done, "total": total}) + "\n", error=CampaignError)
         if self.quiet:
             return
         if self.bar is None:
@@ -132,11 +136,11 @@ def compare(
         folder,
         jobs=jobs,
         scheduler=scheduler,
-        progress=_Progress(quiet),
+        progress=_Progress(quiet, folder),
         **options,
     )
     workers = jobs or os.cpu_count() or 1
-    from benchmarks.page.compare_report import write_comparison
+    from benchmarks.page.comparison import write_comparison
 
     try:
         with locked(folder / "lock", f"the campaign {folder}"):

@@ -2,7 +2,7 @@
 spectrum, an optimal experiment for the peak gain? Every row carries its certificate.
 
     rows = claim_rows()              for `benchmarks.tables.formats`, with the headings COLUMNS
-    figure = claim_figure(rows)      c-efficiencies, case by case (`benchmarks.page.figures_claim`)
+    figure = claim_figure(rows)      c-efficiencies, case by case (`benchmarks.page.comparison_figures`)
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from benchmarks.campaign.run import Part
 from benchmarks.campaign.running import fill_store, run_campaign, stored_runs
 from benchmarks.campaign.settings import Settings
 from benchmarks.cli import main
-from benchmarks.page.report import file_name
+from benchmarks.page.skeleton import file_name
 from benchmarks.tables.statistics import targets
 from oed.errors import CampaignError, InputError
 from oed.files.lock import locked

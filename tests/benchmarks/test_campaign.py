@@ -342,7 +342,7 @@ def test_inputs_for_one_channel_are_left_out_on_several(tmp_path):
 def test_a_disk_that_fills_while_the_report_is_written(tmp_path, monkeypatch):
     """The figures hit the end of the disk: one line, all runs kept, and the next call writes the report."""
     from benchmarks.comparison import compare
-    from benchmarks.page import compare_report
+    from benchmarks.page import comparison
 
     def full(*args, **kwargs):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -356,7 +356,7 @@ def test_a_disk_that_fills_while_the_report_is_written(tmp_path, monkeypatch):
     }
     options |= {"experiments": 2, "replicates": 3, "jobs": 1, "quiet": True, "out": tmp_path}
     with monkeypatch.context() as patch:
-        patch.setattr(compare_report, "save_figure", full)
+        patch.setattr(comparison, "save_page", full)
         with pytest.raises(CampaignError, match=r"No space left on device.*all runs are kept: make room"):
             compare(**options)
     kept = {p: p.stat().st_mtime_ns for p in (tmp_path / "parts").iterdir()}

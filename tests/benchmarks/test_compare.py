@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-from functools import partial
 from html import escape
 
 import numpy as np
 import pytest
 
+from benchmarks.cli import main
 from benchmarks.comparison import compare
-from benchmarks.page import compare_report, comparison_sections
-from benchmarks.page.report import save_table, write_report
+from benchmarks.page import comparison
+from benchmarks.page.skeleton import write_report
 from benchmarks.readme import END, START, with_headline, write_readme
-from benchmarks.tables.claim_map import claim_rows
 from benchmarks.tables.formats import from_parquet
 from benchmarks.tables.hair_dryer import hair_dryer_story
 from oed.errors import CampaignError, InputError
@@ -36,7 +35,7 @@ SIZE = {
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compare")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compare_report, "HEAD_TO_HEAD_PLANTS", 6)
+        patch.setattr(comparison, "HEAD_TO_HEAD_PLANTS", 6)
         yield folder, compare(**SIZE, out=folder, jobs=1)
 
 
@@ -78,6 +77,7 @@ def test_files_of_a_comparison(finished):
         "answer-where",
         "answer-advice",
         "profiles",
+        "profiles-data",
         "head-to-head",
         "rho",
         "efficiency-reference",
@@ -88,11 +88,32 @@ def test_files_of_a_comparison(finished):
         assert (folder / "figures" / f"{name}.svg").read_text().startswith("<?xml")
         assert (folder / "figures" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
     page = (folder / "report.html").read_text()
-    assert page.count("<svg") == 9
-    assert not re.findall(r'(?:src|href)="(?!data:|#)[^"]+"', page)  # it opens offline
-    identifiers = re.findall(r'\bid="([^"]+)"', page)
+    head = page[: page.index("<script")]
+    assert head.count("<figure") == 10
+    assert "connect-src 'none'" in head
+    assert not re.findall(r'(?:src|href)="(?!data:|#)[^"]+"', head)  # it opens offline
+    identifiers = re.findall(r'\bid="([^"]+)"', head)
     assert len(identifiers) == len(set(identifiers))
     assert all(escape(sentence) in page for sentence in result.sentences)
+    assert len(page.encode()) < 2e6
+
+
+@pytest.mark.slow
+def test_a_row_is_repeated_by_its_command(finished, tmp_path):
+    """What the button of a row shows is a command that makes the same numbers."""
+    folder, result = finished
+    content = json.loads((folder / "report.json").read_text())
+    row = next(
+        r for r in result.rows if (r["noise_variance"], r["method"], r["estimator"]) == (9.0, "white", "pem")
+    )
+    words = f"--plant {row['plant']} --noise-variance 9 --methods white --estimators pem {content['repeat']['rest']}"
+    words = words.replace("results/again", str(tmp_path / "again")).split()
+    assert main(["compare", *words, "--quiet"]) == 0
+    (again,) = from_parquet(tmp_path / "again/tables/comparison.parquet")[0]
+    assert {key: again[key] for key in ("rho", "bias", "c_efficiency", "n")} == {
+        key: row[key] for key in ("rho", "bias", "c_efficiency", "n")
+    }
+    assert (folder / content["runs"]["reference|9|white"].replace("*", "0000000-0000006")).exists()
 
 
 @pytest.mark.slow
@@ -173,15 +194,3 @@ def test_hair_dryer_story():
     assert abs(after["simulation_rmse"] - 0.116) < 0.003
     assert after["one_step_rmse"] < 0.5 * before["one_step_rmse"]
     assert before["smallest_p_value"] < 1e-20
-
-
-def test_the_map_of_the_claim_has_its_place(tmp_path):
-    """Three of its cases, as table and figure of the page."""
-    from oed.theory.cases import claim_cases
-
-    rows = claim_rows(claim_cases()[:3])
-    section = comparison_sections.claim_section(tmp_path, partial(save_table, tmp_path), rows)
-    rows, _ = from_parquet(tmp_path / section["tables"][0]["file"])
-    assert len(rows) == 3
-    assert set(section["tables"][0]["columns"]) <= set(rows[0])
-    assert (tmp_path / section["figures"][0]["file"]).read_text().startswith("<?xml")

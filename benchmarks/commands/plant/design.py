@@ -49,7 +49,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--signal", choices=("multisine", "realise", "filtered-noise", "binary"), default="multisine"
     )
-    parser.add_argument("--out", metavar="FILE", help="write the signal (.csv) or the design (.json)")
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        help="write the signal (.csv), the design (.json), or both with a page into a new folder",
+    )
 
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
@@ -114,7 +118,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         }
         text += f"\n{made!r}"
     if writer is not None:
-        writer(payload, u)
+        writer(payload, u, design, plant)
         payload["out"] = args.out
     return payload, text
 
@@ -192,21 +196,45 @@ def _writer(out: str | None, samples: int | None):
     from oed.files.writing import write_whole
 
     path = Path(out)
+    if not path.suffix:
+        return _page_writer(out)
     if path.exists():
         raise InputError(f"{out} exists already; choose another name or remove it.")
     if not path.parent.is_dir():
         raise InputError(f"the folder of {out} does not exist; create it first.")
     if path.suffix not in (".csv", ".json"):
-        raise InputError(f"--out is {out}; name it .csv (the signal) or .json (the design).")
+        raise InputError(f"--out is {out}; name it .csv (the signal), .json (the design), or a folder.")
     if path.suffix == ".csv" and samples is None:
         raise InputError("--out with .csv writes the signal; say its length with --realise N.")
 
-    def write(payload: dict[str, Any], u: Any) -> None:
-        if path.suffix == ".json":
-            text = json.dumps(payload, indent=1)
-        else:
-            names = ["u"] if u.shape[1] == 1 else [f"u{j + 1}" for j in range(u.shape[1])]
-            text = "\n".join([",".join(names), *(",".join(map(repr, row)) for row in u.tolist())])
-        write_whole(path, text + "\n")
+    def write(payload: dict[str, Any], u: Any, design: Any, plant: Any) -> None:
+        write_whole(path, (json.dumps(payload, indent=1) if path.suffix == ".json" else _csv(u)) + "\n")
+
+    return write
+
+
+def _csv(u: Any) -> str:
+    names = ["u"] if u.shape[1] == 1 else [f"u{j + 1}" for j in range(u.shape[1])]
+    return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in u.tolist())])
+
+
+def _page_writer(out: str):
+    """Writes the design, its signal and its page into a new folder."""
+    import json
+
+    from benchmarks.commands.record.identify import new_folder
+    from oed.files.writing import write_whole
+
+    folder = new_folder(out, "--out")
+
+    def write(payload: dict[str, Any], u: Any, design: Any, plant: Any) -> None:
+        from benchmarks.page.design import write_design
+
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / "design.json", json.dumps(payload, indent=1) + "\n")
+        if u is not None:
+            write_whole(folder / "input.csv", _csv(u) + "\n")
+        made = {"criterion": payload["criterion"], "plant": plant.name, "solver": design.solver}
+        write_design(folder, design, plant, payload, u, made)
 
     return write

@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if args.meta:
         payload["case"] = Path(args.meta).parent.name
     if args.out:
-        from benchmarks.page.diagnosis_report import write_diagnosis_report
+        from benchmarks.page.diagnosis import write_diagnosis_report
         from estimators.diagnosis.result.saving import save
 
         folder = save(result, args.out)

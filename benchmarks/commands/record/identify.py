@@ -79,7 +79,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--outputs", help="output columns, with commas (default: those that begin with y)")
     parser.add_argument("--dt", type=float, help="sampling time in seconds")
     parser.add_argument(
-        "--out", metavar="DIR", help="write model.json and residuals.csv into this new folder"
+        "--out", metavar="DIR", help="write model.json, residuals.csv and report.html into this new folder"
     )
 
 
@@ -173,7 +173,11 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         )
     lines += [f"note: {note}" for note in notes]
     if out:
+        from benchmarks.page.identification import write_identification
+
         payload["out"] = _write(out, fit, records)
+        made = {"data": " ".join(args.data), "structure": args.structure, "orders": orders, "delay": delay}
+        write_identification(out, fit, records, tests, made, payload | {"options": options})
         lines.append(f"written to {payload['out']}")
     return payload, "\n".join(lines)
 

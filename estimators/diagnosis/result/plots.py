@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +16,18 @@ if TYPE_CHECKING:
 
     from estimators.diagnosis.result.report import Diagnosis
 
-__all__ = ["nonlinearity_figure", "residual_figure", "save_figures", "story_figure"]
+__all__ = [
+    "Characteristic",
+    "binned",
+    "characteristics",
+    "nonlinearity_figure",
+    "residual_figure",
+    "save_figures",
+    "story_figure",
+]
 
 
-def _binned(x: Any, r: Any, bins: int = 25) -> tuple[Any, Any, Any]:
+def binned(x: Any, r: Any, bins: int = 25) -> tuple[Any, Any, Any]:
     """Mean of r in bins of equal count of x, and its standard error."""
     order = np.argsort(x)
     groups = np.array_split(order, min(bins, max(2, len(x) // 20)))
@@ -53,7 +62,7 @@ def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
         )
         spread.hist(r, 60, density=True, histtype="step", color=colour, label=label)
         for axis, x in ((level, simulated), (velocity, np.gradient(simulated) / test.dt), (drive, u)):
-            centre, mean, error = _binned(x, r)
+            centre, mean, error = binned(x, r)
             axis.errorbar(centre, mean, 2 * error, color=colour, fmt=".-", lw=0.8, label=label)
     time.set(xlabel="time [s]", ylabel=f"residual of {name}", title="in time")
     spectrum.set(xlabel="frequency [Hz]", ylabel="power", title="in frequency")
@@ -93,28 +102,33 @@ def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
     return channel.y - f.residual, "output before the sensor"
 
 
-def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
-    """Characteristics of the nonlinear effects that were found, each with a band of 2 standard errors."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+@dataclass(frozen=True, eq=False)
+class Characteristic:
+    """How an effect acts over the values (K,) that its argument takes in the record: `y` with its `band` of 2 standard errors."""
 
+    sentence: str
+    argument: str
+    x: Any
+    y: Any
+    band: Any
+    identity: bool  # whether y = x would be linear
+
+
+def characteristics(result: Diagnosis, output: int = 0) -> list[Characteristic]:
+    """The curves of the effects that were found; the middle 99 % of the values are shown."""
     out, f = result.extra["outputs"][output], result.extra["finals"][output]
     channel = out.last if f is out.attribution.final else out.channel
     found = [(q, sl) for q, sl in zip(f.structure.parts, f.structure.slices(), strict=True)]
     drawn = [(q, sl) for q, sl in found if q.drawn(np.linspace(-1.0, 1.0, 3), f.p[sl]) is not None]
     if not drawn or not f.jacobian.size:
-        return None
-    J = f.jacobian
-    norms = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
-    covariance = np.linalg.pinv((J / norms).T @ (J / norms)) * f.variance
+        return []
+    norms = np.sqrt(np.sum(f.jacobian**2, axis=0)) + 1e-300
+    covariance = np.linalg.pinv((f.jacobian / norms).T @ (f.jacobian / norms)) * f.variance
     covariance = covariance / np.outer(norms, norms).clip(1e-290)
-    figure = Figure(figsize=(4.6 * len(drawn), 3.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    for axis, (part, sl) in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
+    curves = []
+    for part, sl in drawn:
         values, name = _range_of(part, f, channel)
-        values = values[np.isfinite(values)]
-        low, high = np.quantile(values, (0.005, 0.995))
-        x = np.linspace(low, high, 121)
+        x = np.linspace(*np.quantile(values[np.isfinite(values)], (0.005, 0.995)), 121)
         y = part.drawn(x, f.p[sl])
         slopes = np.zeros((len(x), sl.stop - sl.start))
         for i in range(sl.stop - sl.start):
@@ -123,11 +137,28 @@ def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
             q[i] += step
             slopes[:, i] = (part.drawn(x, q) - y) / step
         band = 2 * np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", slopes, covariance[sl, sl], slopes), 0.0))
-        axis.fill_between(x, y - band, y + band, color="C0", alpha=0.3, lw=0)
-        axis.plot(x, y, color="C0", label="with its band, 2 s.e.")
-        if part.effect.against != "velocity":
-            axis.plot(x, x, color="0.5", lw=0.8, ls="--", label="linear")
-        axis.set(xlabel=name, ylabel="acts as", title=part.effect.sentence)
+        curves.append(
+            Characteristic(part.effect.sentence, name, x, y, band, part.effect.against != "velocity")
+        )
+    return curves
+
+
+def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
+    """Characteristics of the nonlinear effects that were found, each with a band of 2 standard errors."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    curves = characteristics(result, output)
+    if not curves:
+        return None
+    figure = Figure(figsize=(4.6 * len(curves), 3.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axis, c in zip(figure.subplots(1, len(curves), squeeze=False)[0], curves, strict=True):
+        axis.fill_between(c.x, c.y - c.band, c.y + c.band, color="C0", alpha=0.3, lw=0)
+        axis.plot(c.x, c.y, color="C0", label="with its band, 2 s.e.")
+        if c.identity:
+            axis.plot(c.x, c.x, color="0.5", lw=0.8, ls="--", label="linear")
+        axis.set(xlabel=c.argument, ylabel="acts as", title=c.sentence)
         axis.title.set_fontsize(9)
         axis.legend()
     return figure

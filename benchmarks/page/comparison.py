@@ -1,0 +1,296 @@
+"""The page of a comparison: the answer plant by noise, what to do, and every table and figure behind it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.campaign.processes import at_once
+from benchmarks.campaign.run import parts
+from benchmarks.campaign.settings import Settings
+from benchmarks.page import comparison_figures as figures
+from benchmarks.page.comparison_words import (
+    CAPTIONS,
+    DATA,
+    HEADLINE,
+    NAMES,
+    PAIRS,
+    PERFORMANCE,
+    advice_sentences,
+    details,
+    short_answer,
+)
+from benchmarks.page.content import Figure, Page, Section, Table
+from benchmarks.page.skeleton import save_page
+from benchmarks.tables.answer import ADVICE, ANSWER, KNOWS_ORDER, advice_rows, answer_rows, answer_sentences
+from benchmarks.tables.claim_map import COLUMNS as CLAIM
+from benchmarks.tables.claim_map import claim_tasks
+from benchmarks.tables.columns import COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
+from benchmarks.tables.formats import to_markdown
+from benchmarks.tables.hair_dryer import hair_dryer_story
+from benchmarks.tables.head_to_head import (
+    HEAD_TO_HEAD,
+    head_to_head_rows,
+    head_to_head_sentence,
+    head_to_head_tasks,
+)
+from benchmarks.tables.statistics import Target
+from benchmarks.tables.tabulation import Tables
+from oed.theory.efficiency import losses, peak_gain_efficiency_by_experiments
+
+__all__ = ["headline_rows", "write_comparison"]
+
+Row = dict[str, Any]
+Targets = Mapping[tuple[str, float], Target]
+FIG3_ITERATIONS = 50
+FIG3_REPLICATES = 1000
+HEAD_TO_HEAD_PLANTS = 40
+FILTERS = {"plant": "plant", "noise_variance": "noise", "method": "input", "known": "what is known"}
+
+
+def write_comparison(
+    folder: Path, settings: Settings, replicates: int, tables: Tables, jobs: int = 1
+) -> tuple[list[str], Path]:
+    """Write tables, figures and the page of a comparison."""
+    known, information = tables.known, [r | {"known": known_of(r)} for r in tables.information]
+    rows = [r | {"known": known_of(r)} for r in tables.rows]
+    answer = answer_rows(tables)
+    best, sentences = headline_rows(rows), answer_sentences(answer, settings)
+    said = details(rows, information, settings)
+    siso = [p for p in settings.plants if known[p, settings.noise_variances[0]].channels == "1 x 1"]
+    tasks: dict[str, Callable[[], Any]] = {
+        f"theory of {p}": partial(_theory, settings, known, p) for p in siso
+    }
+    if "hair-dryer" in settings.plants:
+        tasks["hair dryer"] = hair_dryer_story
+    # The map of the claim is about all plants, so not for a look at one.
+    claims = claim_tasks() if len(settings.plants) > 1 and answer else []
+    duels = head_to_head_tasks(HEAD_TO_HEAD_PLANTS) if answer else []
+    done = iter(at_once([*claims, *tasks.values(), *duels], jobs))
+    mapped = [row for found in islice(done, len(claims)) for row in found]
+    found = dict(zip(tasks, islice(done, len(tasks)), strict=True))
+    sections = [*_answer(tables, answer, settings), *_inputs(best, said), *_comparison(rows, settings, replicates),
+                *_profiles(tables), *_information(information, known, settings, siso)]  # fmt: skip
+    if answer:
+        head = head_to_head_rows(list(done))
+        sentences.append(head_to_head_sentence(head))
+        sections.append(Section("The public head-to-head, settled", [sentences[-1], CAPTIONS["protocol"]],
+                                [Table("head_to_head", CAPTIONS["head_to_head"], HEAD_TO_HEAD, head, ["median"])],
+                                [figures.head_to_head_figure(head)]))  # fmt: skip
+    if claims:
+        sections.append(Section("In theory: the map of the claim", [CAPTIONS["map"]],
+                                [Table("claim_map", CAPTIONS["claim_map"], CLAIM, mapped)], [figures.claim_figure(mapped)]))  # fmt: skip
+    theory = [figure for p in siso for figure in found[f"theory of {p}"]]
+    sections += [Section("The theory beside it", figures=theory)] if theory else []
+    sections += [_hair_dryer(found["hair dryer"])] if "hair dryer" in found else []
+    words = sentences or said
+    sections.append(Section("In words", words))
+    save_summary(folder, [*words, *said], to_markdown(best, HEADLINE))
+    used = {*settings.methods, *settings.estimators}
+    page = Page(
+        "comparison", "Which input is worth applying for the H-infinity norm?", short_answer(answer, best, settings),
+        [f"{replicates} runs of {settings.experiments} experiments of {settings.samples} samples each, everything on the same "
+         "plants and the same noise; every value has its Monte-Carlo standard error, every optimum its certificate.",
+         "Differences are tested in pairs and corrected for how many there are (Holm): see 'Who is better, and is it chance?'."],
+        advice_sentences(answer, best), sections=sections, made=made(settings, replicates, folder), filters=FILTERS,
+        matrix="headline" if information else "", repeat=_repeat(settings, replicates), runs=_runs(settings, replicates),
+        names={name: text for name, text in NAMES.items() if name in used},
+    )  # fmt: skip
+    return words, save_page(folder, page, static=True)
+
+
+def known_of(row: Row) -> str:
+    """What whoever applies the input and the estimator must know beforehand."""
+    if row["method"].startswith("oracle"):
+        return "the plant"
+    needs = row["method"] in ("sequential", "two-stage") or row.get("estimator") in KNOWS_ORDER
+    return "its order" if needs else "nothing"
+
+
+def _repeat(settings: Settings, replicates: int) -> dict[str, str]:
+    rest = ["--samples", settings.samples, "--experiments", settings.experiments, "--replicates", replicates,
+            "--profile-replicates", settings.profile_replicates, "--seed", settings.seed, "--out", "results/again"]  # fmt: skip
+    return {
+        "estimators": shlex.join(["--estimators", *settings.estimators]),
+        "rest": shlex.join(map(str, rest)),
+    }
+
+
+def _runs(settings: Settings, replicates: int) -> dict[str, str]:
+    """By plant, noise and input, the file of the first part, with a star for the others."""
+    found: dict[str, str] = {}
+    for part in parts(settings, replicates):
+        name = part.key.rsplit("-", 2)[0]
+        found[f"{part.plant}|{part.noise_variance:g}|{part.method}"] = f"parts/{name}-*.parquet"
+    return found
+
+
+def _predicted(target: Target, row: Row) -> float:
+    """Efficiency that theory predicts for the iterations with the same budget; NaN where it has no number."""
+    if row["iterations"] == "power":
+        return float(peak_gain_efficiency_by_experiments(target.plant, row["experiments"])[-1])
+    from oed.information import information_of_spectrum
+    from oed.theory.mimo import mimo_limit_spectrum
+
+    limit = mimo_limit_spectrum(target.plant, scaling="each")
+    together = losses(information_of_spectrum(target.plant, limit.spectrum), target.c)
+    return float(together.efficiency(target.optimum).c)
+
+
+def _answer(tables: Tables, rows: list[Row], settings: Settings) -> list[Section]:
+    if not rows:
+        return []
+    key = lambda r: (r["plant"], r["noise_variance"])
+    white = {key(r): r["c_efficiency"] for r in tables.information
+             if r["method"] == "white" and r["experiments"] == settings.experiments}  # fmt: skip
+    theory = {key(r): _predicted(tables.known[key(r)], r) for r in rows}
+    advice = advice_rows(tables)
+    return [Section(
+        "The answer to [S] Sec. 4.2: are the iterations optimal experiment design?", [],
+        [Table("answer", CAPTIONS["answer"], ANSWER, rows, ["c_efficiency", "d_efficiency"]),
+         Table("advice", CAPTIONS["advice"], ADVICE, advice, ["c_efficiency"])] if advice else [],
+        [figures.where_figure(rows, white, theory), figures.advice_figure(rows, tables.rows)],
+    )]  # fmt: skip
+
+
+def _inputs(best: list[Row], said: list[str]) -> list[Section]:
+    caption = CAPTIONS["headline"]
+    return [Section("What each input carries, and the estimator that made most of it", said,
+                    [Table("headline", caption, HEADLINE, best, ["c_efficiency", "d_efficiency"], repeat=True)])]  # fmt: skip
+
+
+def _comparison(rows: list[Row], settings: Settings, replicates: int) -> list[Section]:
+    fewer = " or as often as the column runs says" if settings.limits else ""
+    text = [CAPTIONS["budget"].format(s=settings, replicates=replicates, fewer=fewer), CAPTIONS["oracle"]]
+    table = Table("comparison", "Bias, RMSE and rho, each with its Monte-Carlo standard error.", COLUMNS, rows,
+                  ["c_efficiency", "d_efficiency"], repeat=True)  # fmt: skip
+    return [Section("The comparison", text, [table], [figures.rho_figure(rows)])]
+
+
+def _profiles(tables: Tables) -> list[Section]:
+    saved = [Table("pairs", CAPTIONS["pairs"], PAIRS, tables.pairs)] if tables.pairs else []
+    saved += (
+        [
+            Table(
+                "performance",
+                CAPTIONS["performance"],
+                PERFORMANCE,
+                _summary(tables.performance),
+                ["within_2"],
+            )
+        ]
+        if tables.performance
+        else []
+    )
+    saved += [Table("data_profiles", CAPTIONS["data"], DATA, tables.data, ["share"])] if tables.data else []
+    drawn = figures.profile_figures(tables.performance, tables.data) if tables.performance else []
+    return [Section("Who is better, and is it chance?", [], saved, [f for f in drawn if f.rows])]
+
+
+def _summary(performance: Sequence[Row]) -> list[Row]:
+    """The performance profiles at a few ratios, one row per solver."""
+    wanted = {1.0: "within_1", 2.0: "within_2", 10.0: "within_10"}
+    rows: dict[tuple[str, str], Row] = {}
+    for r in performance:
+        name = wanted.get(r["ratio"])
+        if name:
+            row = rows.setdefault(
+                (r["method"], r["estimator"]), {key: r[key] for key in PERFORMANCE if key in r}
+            )
+            row |= {name: r["share"], f"{name}_se": (r["high"] - r["low"]) / (2 * 1.96), "n": r["n"]}
+    return sorted(rows.values(), key=lambda row: -row["within_2"])
+
+
+def _information(
+    information: list[Row], known: Targets, settings: Settings, siso: Sequence[str]
+) -> list[Section]:
+    """Efficiencies against the number of experiments."""
+    if not information:  # no run ended: there are no inputs to speak of
+        return []
+    predicted = lambda plant: {
+        v: peak_gain_efficiency_by_experiments(known[plant, v].plant, settings.experiments) for v in settings.noise_variances
+    } if "power" in settings.methods else {}  # fmt: skip
+    drawn = [figures.efficiency_figure(information, plant, predicted(plant))
+             for plant in siso if any(row["plant"] == plant for row in information)]  # fmt: skip
+    table = Table(
+        "information",
+        CAPTIONS["information"],
+        INFORMATION_COLUMNS,
+        information,
+        ["c_efficiency", "d_efficiency"],
+    )
+    return [Section("What each input carries, by budget", [CAPTIONS["efficiency"]], [table], drawn)]
+
+
+def headline_rows(rows: Sequence[Row]) -> list[Row]:
+    """One row per plant, noise and input: what it carries, and its best estimator."""
+    table: list[Row] = []
+    keys = list(dict.fromkeys((r["plant"], r["noise_variance"], r["method"]) for r in rows))
+    for key in keys:
+        mine = [r for r in rows if (r["plant"], r["noise_variance"], r["method"]) == key]
+        best = min(mine, key=lambda r: r["rho"] if is_number(r["rho"]) else np.inf)
+        predicted = next((r["rho_predicted"] for r in mine if is_number(r["rho_predicted"])), float("nan"))
+        more = {"best_estimator": best["estimator"], "rho_predicted": predicted, "known": known_of(best)}
+        table.append({k: v for k, v in best.items() if k != "estimator"} | more)
+    return table
+
+
+def _theory(settings: Settings, known: Targets, plant: str) -> list[Figure]:
+    """[S] Fig. 2 and 3 for a plant, and the limit spectra beside the optimal ones."""
+    from oed.design import solve_design
+
+    variances = settings.noise_variances
+    absolute = [known[plant, v].plant.noise_variance for v in variances]
+    base = known[plant, variances[0]].plant
+    optima = {
+        name: solve_design(base, key).spectrum
+        for name, key in (("peak gain", "hinf"), ("D", "D"))
+        if key != "hinf" or known[plant, variances[0]].peak.unique
+    }
+    return [*figures.limit_spectrum_figures(base, plant, absolute), figures.spectra_figure(base, plant, absolute, optima),
+            _estimated_gain(settings, known, plant)]  # fmt: skip
+
+
+def _estimated_gain(settings: Settings, known: Targets, plant: str) -> Figure:
+    """[S] Fig. 3 for a plant."""
+    from estimators.montecarlo.engine import monte_carlo
+    from estimators.norm.gains import gain
+    from estimators.rules.power import power_iterations
+    from estimators.rules.trace import run
+    from oed.experiments import simulated
+    from oed.theory.finite import finite_norm
+
+    plants = {v: known[plant, v].plant for v in settings.noise_variances}
+    size: dict[str, Any] = {
+        "samples": settings.samples,
+        "iterations": FIG3_ITERATIONS,
+        "replicates": FIG3_REPLICATES,
+        "seed": settings.seed,
+    }
+    means = {v: monte_carlo(p, **size).mean["gain"] for v, p in plants.items()}
+    loudest = max(plants)
+    rng, noisy = np.random.default_rng(settings.seed), simulated(plants[loudest], seed=settings.seed)
+    trace = run(power_iterations, noisy, samples=settings.samples, experiments=FIG3_ITERATIONS, rng=rng)
+    norm = finite_norm(plants[loudest], settings.samples)
+    return figures.estimated_gain_figure(plant, means, gain(trace).values, loudest, norm,
+                                         f"{FIG3_REPLICATES} runs of {settings.samples} samples")  # fmt: skip
+
+
+def _hair_dryer(story: Any) -> Section:
+    columns = {"model": "model", "delay": "nk", "simulation_rmse": "simulation error (V)", "one_step_rmse": "one-step error (V)",
+               "fit_percent": "fit of the simulation (%)", "smallest_p_value": "p, input-residual lags 1-10"}  # fmt: skip
+    table = Table(
+        "hair_dryer", "Errors on the second half of the record, which no model has seen.", columns, story.rows
+    )
+    return Section(
+        "The loop closed on a real record: the hair dryer",
+        story.sentences,
+        [table],
+        figures.hair_dryer_figures(story),
+    )

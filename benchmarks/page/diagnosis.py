@@ -1,0 +1,308 @@
+"""The page of a diagnosis: what is missing, the ladder of errors, the effect's curve, what was tried, what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks.page.content import Figure, Page, Section, Table, thinned
+from benchmarks.page.skeleton import save_page
+from benchmarks.tables.formats import format_value
+
+if TYPE_CHECKING:
+    from estimators.diagnosis.result.report import Diagnosis
+
+__all__ = ["write_diagnosis_report"]
+
+Row = dict[str, Any]
+NEXT = 200
+"""Samples of the experiment that is proposed."""
+TRIED = 20
+"""Effects listed as tried, the best first."""
+RUNGS = {
+    "linear": "linear model",
+    "named": "+ named effect",
+    "discovered": "+ discovered terms",
+    "remainder": "+ remainder",
+}
+
+
+def _capital(sentence: str) -> str:
+    return f"{sentence[:1].upper()}{sentence[1:]}".rstrip(".") + "."
+
+
+def _unit(result: Diagnosis) -> str:
+    units = {u for u in result.extra["test"].output_units if u}
+    return f" {units.pop()}" if len(units) == 1 else ""
+
+
+def _ladder(result: Diagnosis) -> tuple[Figure, Table]:
+    points, rows = [], []
+    for row in result.ladder:
+        name = RUNGS.get(row["step"], row["step"])
+        for series, value, low, high in (("unused blocks of the training record", "rmse_unused", "low", "high"),
+                                         (f"the {result.held_out}", "rmse_test", "low_test", "high_test")):  # fmt: skip
+            points.append({"x": row[value], "y": name, "low": row[low], "high": row[high], "series": series,
+                           "text": format_value(row[value])})  # fmt: skip
+        why = "the answer" if row["answer"] else "the start" if row["step"] == "linear" else ""
+        rows.append({k: v for k, v in row.items() if k not in ("answer", "adds")}
+                    | {"step": name, "adds": ", ".join(row["adds"]) or "–", "verdict": why})  # fmt: skip
+    best = min((r["rmse_unused"] for r in result.ladder if r["answer"]), default=float("nan"))
+    for row in rows:
+        row["verdict"] = row["verdict"] or (
+            "no better than the answer beyond its standard errors"
+            if row["rmse_unused"] >= 0.98 * best
+            else "a gain that its own check on data not used did not confirm"
+        )
+    floor = f"noise floor ({'at most' if result.floor_is_bound else 'estimated'})"
+    points.append(
+        {"x": result.noise_floor, "y": floor, "series": floor, "text": format_value(result.noise_floor)}
+    )
+    marks = {p["series"]: "points" for p in points}
+    unit = _unit(result).strip()
+    caption = "The ladder: root mean square error of the free run on data not used, step by step, with 95 % intervals."
+    figure = Figure("ladder", caption, "Error of every step of the ladder, from the linear model down to the noise floor.",
+                    points, f"error ({unit or 'output units'})", "", marks, sideways=True, rules=(0.0, result.noise_floor))  # fmt: skip
+    columns = {"step": "step", "adds": "adds", "rmse_unused": "error, unused blocks", "low": "from", "high": "to",
+               "rmse_test": f"error, {result.held_out}", "low_test": "from ", "high_test": "to ", "verdict": "why"}  # fmt: skip
+    return figure, Table(
+        "ladder", "Every step that was tried, on the same data that it did not see.", columns, rows
+    )
+
+
+def _errors(result: Diagnosis) -> Table:
+    figures = {
+        "simulation, linear model": result.rmse_before, "simulation, whole answer": result.rmse_after,
+        "paired difference": result.difference, "one step ahead, linear model": result.pred_rmse_before,
+        "one step ahead, whole answer": result.pred_rmse_after,
+    }  # fmt: skip
+    rows: list[Row] = [
+        {"error": k, "value": f.value, "low": f.low, "high": f.high} for k, f in figures.items()
+    ]
+    floor = "noise floor (at most)" if result.floor_is_bound else "noise floor (estimated)"
+    rows.append({"error": floor, "value": result.noise_floor, "low": None, "high": None})
+    if result.detected and result.removed == result.removed:  # NaN where there is nothing to remove
+        low, high = result.removed_interval
+        rows.append(
+            {
+                "error": "share of the removable error removed",
+                "value": result.removed,
+                "low": low,
+                "high": high,
+            }
+        )
+    columns = {"error": "error", "value": "value", "low": "2.5 %", "high": "97.5 %"}
+    return Table(
+        "errors",
+        "Root mean square errors with intervals of a block bootstrap, in units of the output.",
+        columns,
+        rows,
+    )
+
+
+def _runs(result: Diagnosis, i: int) -> Figure:
+    test = result.extra["test"]
+    name, unit = test.output_names[i], test.output_units[i]
+    rows = thinned(test.t, {"measured": np.asarray(test.y[:, i]), "linear model": result.yhat_before[:, i],
+                            "whole answer": result.yhat_after[:, i]})  # fmt: skip
+    return Figure(f"simulated-{i + 1}", f"{name}, measured and simulated before and after, on the {result.held_out}; simulated.csv "
+                  "has every sample.", f"Measured {name} with the free runs of the linear model and of the whole answer over time.",
+                  [r for r in rows if np.isfinite(r["y"])], "time (s)", f"{name} ({unit})" if unit else name, zoom=True)  # fmt: skip
+
+
+def _residuals(result: Diagnosis, i: int) -> list[Figure]:
+    """The residual against the variable that reveals most of it, and over frequency, before and after."""
+    from scipy.signal import welch
+
+    from estimators.diagnosis.result.plots import binned
+
+    test = result.extra["test"]
+    y, name = np.nan_to_num(test.y[:, i]), test.output_names[i]
+    level = result.yhat_before[:, i]
+    drive = min(i, test.n_inputs - 1)
+    against = {f"simulated {name}": level, f"velocity of {name} (1/s)": np.gradient(level) / test.dt,
+               f"input {test.input_names[drive]}": test.u[:, drive]}  # fmt: skip
+    pairs = {"before": y - level, "after": y - result.yhat_after[:, i]}
+    told = lambda x: float(
+        np.sum((binned(x, pairs["before"])[1] / np.maximum(binned(x, pairs["before"])[2], 1e-300)) ** 2)
+    )
+    best = max(against, key=lambda key: told(against[key]))
+    points, spectra = [], []
+    for label, r in pairs.items():
+        centre, mean, error = binned(against[best], r)
+        points += [{"x": float(x), "y": float(m), "low": float(m - 2 * e), "high": float(m + 2 * e), "series": label}
+                   for x, m, e in zip(centre, mean, error, strict=True)]  # fmt: skip
+        frequency, power = welch(r, 1 / test.dt, nperseg=min(256, len(r)))
+        spectra += [
+            {"x": float(f), "y": float(np.sqrt(p)), "series": label}
+            for f, p in zip(frequency[1:], power[1:], strict=True)
+            if p > 0
+        ]
+    return [
+        Figure(f"residual-{i + 1}", f"Mean residual of {name} against the variable that reveals most of it: {best} (bars: two "
+               "standard errors). A flat line at zero has nothing left to explain.", f"Mean residual against {best}, before and after.",
+               points, best, "mean residual", {"before": "both", "after": "both"}, rules=(0.0,)),
+        Figure(f"spectrum-{i + 1}", f"Residual of {name} over frequency, before and after.", "Spectral density of the residual.",
+               spectra, "frequency (Hz)", "per root hertz", log="y"),
+    ]  # fmt: skip
+
+
+def _curves(result: Diagnosis, i: int) -> list[Figure]:
+    from estimators.diagnosis.result.plots import characteristics
+
+    drawn = []
+    for k, c in enumerate(characteristics(result, i)):
+        rows = [{"x": float(a), "y": float(b), "low": float(b - e), "high": float(b + e), "series": "found, with its 95 % band"}
+                for a, b, e in zip(c.x, c.y, c.band, strict=True) if np.isfinite([a, b, e]).all()]  # fmt: skip
+        rows += (
+            [{"x": float(a), "y": float(a), "series": "linear"} for a in c.x[[0, -1]]] if c.identity else []
+        )
+        drawn.append(Figure(f"curve-{i + 1}-{k + 1}", _capital(c.sentence), f"The effect's curve: {c.sentence}.", rows,
+                            c.argument, "acts as"))  # fmt: skip
+    return drawn
+
+
+def _tried(result: Diagnosis) -> list[Table]:
+    taken, confusable, rows = set(result.variant.split(", ")), set(result.confusable), []
+    claims = [(i, c) for i, out in enumerate(result.extra["outputs"]) for c in out.attribution.claims]
+    best = max((float(c.gain) for _, c in claims if c.key in taken), default=0.0)
+    for i, c in sorted(claims, key=lambda pair: -float(pair[1].gain))[:TRIED]:
+        if c.key in taken:
+            why = "taken"
+        elif c.cause in confusable:
+            why = "this record cannot tell it from the answer"
+        elif float(c.gain) <= 0:
+            why = "gains nothing over the linear model"
+        else:
+            why = (
+                f"explains less: {100 * float(c.gain) / best:.0f} % of the best one's gain"
+                if best > c.gain
+                else "did not hold on unused blocks"
+            )
+        rows.append({"cause": c.cause.replace("_", " "), "variant": c.key, "output": i + 1, "gain": float(c.gain),
+                     "p_value": float(c.p_value), "why": why})  # fmt: skip
+    columns = {
+        "cause": "cause",
+        "variant": "variant",
+        "output": "output",
+        "gain": "gain",
+        "p_value": "corrected p",
+        "why": "why",
+    }
+    caption = ("Each effect by itself: gain of Schwarz's criterion over the linear model, and its p-value corrected for the shapes "
+               "and effects tried.")  # fmt: skip
+    return [Table("causes", caption, columns, rows, ["gain"])] if rows else []
+
+
+def _linear(result: Diagnosis) -> list[Section]:
+    if not result.linear:
+        return []
+    rows = [
+        {"pole": k + 1, "frequency": f or None, "damping": d if f else None, "time_constant": t}
+        for k, (f, d, t) in enumerate(result.linear["poles"])
+    ]
+    columns = {
+        "pole": "pole",
+        "frequency": "frequency (Hz)",
+        "damping": "damping",
+        "time_constant": "time constant (s)",
+    }
+    orders = f"{result.linear['structure']}, orders {result.linear['orders']}, delay {result.linear['delay']} samples"
+    tables = (
+        [Table("poles", "Poles of the linear model; a real pole has a time constant only.", columns, rows)]
+        if rows
+        else []
+    )
+    return [
+        Section("The linear model", [_capital(orders), *map(_capital, result.linear.get("why", ()))], tables)
+    ]
+
+
+def _next(result: Diagnosis) -> tuple[list[Section], list[str], dict[str, str]]:
+    """What to measure next, with its input."""
+    from estimators.diagnosis.next_experiment.decision import next_experiment
+
+    designed = next_experiment(result, length=NEXT, rng=np.random.default_rng(0))
+    if designed is None:
+        return [], [], {}
+    (first, second), experiment = designed
+    words = (f"Apply the input of next_input.csv to tell {first.replace('_', ' ')} from {second.replace('_', ' ')}, within the "
+             f"amplitude of the training record: {experiment}.")  # fmt: skip
+    rows = [{"x": k, "y": float(u)} for k, u in enumerate(experiment.u)]
+    figure = Figure(
+        "next-input",
+        "The input to apply next.",
+        "The proposed input over its samples.",
+        rows,
+        "sample",
+        "u",
+        zoom=True,
+    )
+    text = "u\n" + "".join(f"{v:.9g}\n" for v in experiment.u)
+    return [Section("What to measure next", [words], figures=[figure])], [words], {"next_input.csv": text}
+
+
+def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
+    unit = _unit(result)
+    before, after = result.rmse_before, result.rmse_after
+    if result.detected:
+        what = result.system.split("; error on fresh data")[0] or result.effect.replace("_", " ")
+        answer = f"The linear model lacks {what} ({result.nature}); the simulation error falls from {before.value:.3g} to {after.value:.3g}{unit}."
+    else:
+        answer = f"Nothing is missing from the linear model that these data could show; its simulation error is {before.value:.3g}{unit}."
+    low, high = result.difference.low, result.difference.high
+    sure = [f"Error on the {result.held_out}: {before}{unit} before, {after}{unit} after (95 % intervals); the difference is "
+            f"{result.difference.value:.3g} [{low:.3g}, {high:.3g}]."]  # fmt: skip
+    sure += [f"Corrected p-value {result.p_value:.2g}, all tests together."] if result.detected else []
+    sure += (
+        [f"This record cannot tell it from: {', '.join(c.replace('_', ' ') for c in result.confusable)}."]
+        if result.confusable
+        else []
+    )
+    sure += [_capital(w) for w in result.warnings]
+    todo = [f"What the final residual still shows: {result.remaining}."] if result.remaining else []
+    return answer, sure, todo
+
+
+def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, Any] | None = None) -> Path:
+    """Write report.json, its tables and the page."""
+    ladder, steps = _ladder(result) if result.ladder else (None, None)
+    outputs = range(result.yhat_before.shape[1])
+    answer, sure, todo = _words(result)
+    following, what, downloads = _next(result)
+    if result.model is not None:
+        todo.append(
+            "Use the whole answer: model.json simulates any record (DiagnosedModel.load) and every command takes it where it is linear."
+        )
+    curves = [figure for i in outputs for figure in _curves(result, i)]
+    parameters = [
+        {"parameter": k, "value": v, "value_se": se, "unit": unit}
+        for k, (v, se, unit) in result.parameters.items()
+    ]
+    table = Table("parameters", "Parameters of the effects; u and y stand for the units of the input and the output.",
+                  {"parameter": "parameter", "value": "value ± standard error", "unit": "unit"}, parameters)  # fmt: skip
+    evidence = [_capital(s) for s in result.evidence] + (
+        [f"In the units of the record: {result.equation}"] if result.equation else []
+    )
+    share = result.explainable
+    if share:
+        evidence.append(f"Of the linear model's residual {100 * share['share']:.0f} % [{100 * share['low']:.0f}, {100 * share['high']:.0f}] "
+                        "can be explained by what was measured.")  # fmt: skip
+    sections = [
+        Section("Before and after", [], [_errors(result)], [_runs(result, i) for i in outputs]),
+        Section("The effect", evidence, [table] if parameters else [], curves),
+        Section("Residual", figures=[f for i in outputs for f in _residuals(result, i)]),
+        Section("What was tried, and why it lost", [], [*([steps] if steps else []), *_tried(result)]),
+        *following,
+        *_linear(result),
+        Section(
+            "The data",
+            [_capital(w) for w in result.data] or ["The checks of the record found nothing to report."],
+        ),
+    ]
+    page = Page("diagnosis", "What the linear model lacks", answer, sure, [*what, *todo], [ladder] if ladder else [], sections,
+                {k: str(v) for k, v in (made or {}).items()}, downloads=downloads)  # fmt: skip
+    return save_page(folder, page)

@@ -1,0 +1,132 @@
+"""A declared figure with matplotlib, for papers: the same rows as on the page, as SVG and PDF."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.page.charts import DASHES, style
+from benchmarks.page.content import Figure, series_of
+from oed.files.writing import write_figure
+
+__all__ = ["drawn", "save_figure"]
+
+LINES = ("-", "--", ":", "-.")
+MARKERS = {
+    "circle": "o",
+    "square": "s",
+    "triangle-up": "^",
+    "diamond": "D",
+    "cross": "P",
+    "triangle-down": "v",
+}
+ACROSS = 4
+"""Panels in a row."""
+
+
+def drawn(figure: Figure) -> Any:
+    """The figure, one axes per panel, scales shared."""
+    from matplotlib.figure import Figure as Sheet
+
+    panels = list(dict.fromkeys(str(row.get("panel") or "") for row in figure.rows))
+    names, across = series_of(figure), min(len(panels), ACROSS)
+    down = -(-len(panels) // across)
+    height = 0.9 + 0.26 * len({row["y"] for row in figure.rows}) if figure.sideways else 3.0
+    sheet = Sheet(figsize=(max(5.5, 2.8 * across + 0.8), 0.6 + height * down), layout="constrained")
+    axes = sheet.subplots(down, across, squeeze=False, sharex=figure.shared, sharey=figure.shared)
+    for ax, panel in zip(axes.flat, panels, strict=False):
+        mine = [row for row in figure.rows if str(row.get("panel") or "") == panel]
+        _panel(ax, figure, mine, names)
+        ax.set_title(panel, fontsize=10, loc="left")
+    for ax in axes.flat[len(panels) :]:
+        ax.remove()
+    sheet.supxlabel(figure.x, fontsize=10)
+    sheet.supylabel("" if figure.sideways else figure.y, fontsize=10)
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    if len(names) > 1:
+        sheet.legend(
+            handles, labels, loc="outside upper center", ncols=min(len(labels), 4), frameon=False, fontsize=8
+        )
+    return sheet
+
+
+def _numbers(rows: list[dict[str, Any]], key: str) -> Any:
+    return np.array([np.nan if row.get(key) is None else row[key] for row in rows], dtype=float)
+
+
+def _panel(ax: Any, figure: Figure, rows: list[dict[str, Any]], names: list[str]) -> None:
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(True, color="#e3e6e8", linewidth=0.7)
+    ax.set_axisbelow(True)
+    order = list(dict.fromkeys(row["y"] for row in figure.rows)) if figure.sideways else []
+    for value in figure.rules:
+        (ax.axvline if figure.sideways else ax.axhline)(value, color="#5b6770", linewidth=1)
+    for k, name in enumerate(names):
+        mine = [row for row in rows if str(row.get("series") or "") == name]
+        number = partial(_numbers, mine)
+        x = number("x")
+        y = np.array([-float(order.index(row["y"])) for row in mine]) if figure.sideways else number("y")
+        _series(
+            ax,
+            figure,
+            figure.marks.get(name, "line"),
+            x,
+            y,
+            (number("low"), number("high")),
+            style(k) | {"label": name},
+        )
+    for key in figure.log:
+        (ax.set_xscale if key == "x" else ax.set_yscale)("log")
+    if figure.square:
+        ax.set_aspect("equal")
+    if figure.sideways:
+        ax.set_yticks([-k for k in range(len(order))], order, fontsize=8)
+
+
+def _series(
+    ax: Any, figure: Figure, mark: str, x: Any, y: Any, ends: tuple[Any, Any], look: dict[str, Any]
+) -> None:
+    low, high = ends
+    colour = look["colour"]
+    line = {
+        "color": colour,
+        "linewidth": 1.2,
+        "linestyle": LINES[DASHES.index(tuple(look["dash"]))],
+    }
+    if mark in ("line", "step", "both"):
+        how = {"drawstyle": "steps-post"} if mark == "step" else {}
+        ax.plot(x, y, label=look["label"], **line, **how)
+    if mark in ("line", "step") and np.isfinite(low).any():
+        ax.fill_between(
+            x, low, high, color=colour, alpha=0.15, linewidth=0, step="post" if mark == "step" else None
+        )
+    elif np.isfinite(low).any():
+        (ax.hlines if figure.sideways else ax.vlines)(
+            y if figure.sideways else x, low, high, color=colour, linewidth=1
+        )
+    label = {} if mark == "both" else {"label": look["label"]}
+    if mark in ("points", "both", "stems"):
+        ax.plot(x, y, MARKERS[look["shape"]], color=colour, markersize=4, **label)
+    if mark == "stems":
+        ax.vlines(x, 0, y, color=colour, linewidth=1.2)
+    if mark == "ticks":
+        ax.plot(
+            x, y, "|" if figure.sideways else "_", color=colour, markersize=11, markeredgewidth=1.8, **label
+        )
+    if mark == "bars":
+        ax.barh(y, x, height=0.6, color=colour, alpha=0.75, **label)
+
+
+def save_figure(folder: Path, figure: Figure, name: str) -> None:
+    """Save a figure as SVG and PDF, the same bytes for the same figure."""
+    import matplotlib
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "none", "font.family": "sans-serif"}):
+        sheet = drawn(figure)
+        write_figure(folder / f"{name}.svg", sheet, metadata={"Date": None})
+        sheet.set_layout_engine("none")  # everything has its place by now, and finding it takes half the time
+        write_figure(folder / f"{name}.pdf", sheet, metadata={"CreationDate": None})

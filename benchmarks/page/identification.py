@@ -1,0 +1,217 @@
+"""The page of an identification: measured and simulated, the frequency response with its band, poles, step, residual, orders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks.page.content import Figure, Page, Row, Section, Table, thinned
+from benchmarks.page.skeleton import save_page
+from oed.data import Record
+
+if TYPE_CHECKING:
+    from estimators.pem.fit import Fit
+    from estimators.residual.tests import ResidualTest
+
+__all__ = ["write_identification"]
+
+LEVEL = 1.96
+"""Standard errors to either side of a 95 % interval."""
+ELLIPSE = float(np.sqrt(-2 * np.log(0.05)))
+"""Radius of a 95 % ellipse in standard deviations: chi-squared with two degrees of freedom."""
+SUSPECT = 0.01
+"""p-value below which a residual test is named on top of the page."""
+FREQUENCIES = 250
+STEP = 80
+"""Points of the frequency response and samples of the step response: enough for lines some 600 pixels wide."""
+ORDERS = 5
+"""Largest order of the order curve: each is one more fit."""
+
+
+def _banded(x: Any, value: Any, error: Any, series: str, factor: float = 1.0) -> list[Row]:
+    value, error = factor * np.asarray(value), factor * LEVEL * np.asarray(error)
+    return [{"x": float(a), "y": float(v), "low": float(v - e), "high": float(v + e), "series": series}
+            for a, v, e in zip(x, value, error, strict=True) if np.isfinite([v, e]).all()]  # fmt: skip
+
+
+def _entries(fit: Fit) -> list[tuple[int, int, str]]:
+    form = fit.model.structure
+    several = form.n_outputs * form.n_inputs > 1
+    return [(i, j, f"input {j + 1} to output {i + 1}" if several else "")
+            for i in range(form.n_outputs) for j in range(form.n_inputs)]  # fmt: skip
+
+
+def _response(fit: Fit) -> list[Figure]:
+    from estimators.pem.uncertainty import bode_band, step_band
+
+    omega = np.geomspace(0.01, np.pi, FREQUENCIES)
+    turn, unit = (1.0, "rad/sample") if fit.model.dt == 1 else (2 * np.pi * fit.model.dt, "Hz")
+    gain, phase = bode_band(fit, omega)
+    step = step_band(fit, STEP)
+    rows: dict[str, list[Row]] = {"gain": [], "phase": [], "step": []}
+    for i, j, name in _entries(fit):
+        sizes = _banded(omega / turn, gain.value[:, i, j], gain.standard_error[:, i, j], name)
+        rows["gain"] += [
+            r | {"low": max(r["low"], 1e-2 * r["y"])} for r in sizes if r["y"] > 0
+        ]  # an absent entry has no logarithm
+        rows["phase"] += _banded(
+            omega / turn, phase.value[:, i, j], phase.standard_error[:, i, j], name, 180 / np.pi
+        )
+        rows["step"] += _banded(
+            step.x * fit.model.dt, step.value[:, i, j], step.standard_error[:, i, j], name
+        )
+    where, when = f"frequency ({unit})", "time (s)" if fit.model.dt != 1 else "sample"
+    return [
+        Figure("gain", "Gain with pointwise 95 % bands.", "Gain over frequency with its band.", rows["gain"], where, "gain", log="xy"),
+        Figure("phase", "Phase with pointwise 95 % bands.", "Phase over frequency with its band.", rows["phase"], where,
+               "phase (degrees)", log="x"),
+        Figure("step", "Step response with pointwise 95 % bands.", "Step response over time with its band.", rows["step"], when,
+               "step response"),
+    ]  # fmt: skip
+
+
+def _poles(fit: Fit) -> tuple[Figure, Table]:
+    from estimators.pem.uncertainty import pole_covariances
+
+    turn = np.linspace(0, 2 * np.pi, 61)
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    points = [{"x": float(a), "y": float(b), "series": "unit circle"} for a, b in circle.T]
+    rows = []
+    for k, (pole, covariance) in enumerate(pole_covariances(fit)):
+        values, vectors = np.linalg.eigh(covariance)
+        ring = (vectors * (ELLIPSE * np.sqrt(np.maximum(values, 0)))) @ circle
+        points += [
+            {"x": pole.real + float(a), "y": pole.imag + float(b), "series": "95 % ellipse", "ring": k}
+            for a, b in ring.T
+        ]
+        points.append({"x": pole.real, "y": pole.imag, "series": "pole", "text": f"{pole:.4g}"})
+        continuous = np.log(pole) / fit.model.dt if pole else complex(-np.inf)
+        real = abs(pole.imag) < 1e-12
+        rows.append({
+            "pole": f"{pole:.5g}", "size": abs(pole), "frequency_hz": None if real else abs(continuous) / (2 * np.pi),
+            "damping": None if real else -continuous.real / abs(continuous),
+            "time_constant": -1 / continuous.real if continuous.real < 0 else None,
+            "error": float(np.sqrt(np.trace(covariance))),
+        })  # fmt: skip
+    broken = [p for k, p in enumerate(points) if p["series"] != "95 % ellipse" or k % 1 == 0]
+    columns = {"pole": "pole", "size": "size", "frequency_hz": "frequency (Hz)", "damping": "damping",
+               "time_constant": "time constant (s)", "error": "standard error"}  # fmt: skip
+    figure = Figure("poles", "Poles with 95 % ellipses and the unit circle.", "Poles in the complex plane.", broken, "real", "imaginary",
+                    {"pole": "points", "95 % ellipse": "line", "unit circle": "line"}, square=True)  # fmt: skip
+    return figure, Table("poles", "Poles; frequencies in Hz where the sampling time is known.", columns, rows)
+
+
+def _residual(tests: Mapping[str, ResidualTest]) -> tuple[list[Figure], list[Table]]:
+    points, rows = [], []
+    for name, test in tests.items():
+        panel = f"{name}: p = {test.p_value:.2g}"
+        points += [{"x": int(k), "y": float(r), "series": "correlation", "panel": panel}
+                   for k, r in zip(test.lags, test.correlation, strict=True)]  # fmt: skip
+        points += [{"x": int(k), "y": 0.0, "low": float(-2.576 * d), "high": float(2.576 * d), "series": "99 % where nothing is missing",
+                    "panel": panel} for k, d in zip(test.lags, test.deviation, strict=True)]  # fmt: skip
+        rows.append({"test": name, "p_value": test.p_value, "lags": ", ".join(map(str, test.significant())) or "none",
+                     "verdict": "something is missing" if test.p_value < SUSPECT else "nothing to see"})  # fmt: skip
+    if not rows:
+        return [], []
+    columns = {"test": "test", "p_value": "p", "lags": "significant lags", "verdict": "so"}
+    figure = Figure("residuals", "Correlations of the residual over their lags.", "Correlations of the residual, one panel per test.",
+                    points, "lag (samples)", "correlation", {"correlation": "stems"}, shared=False)  # fmt: skip
+    return [figure], [
+        Table("residual_tests", "Residual tests: whiteness, against the input, and feedback.", columns, rows)
+    ]
+
+
+def _orders(
+    fit: Fit, records: Sequence[Record], structure: str, orders: Sequence[int], options: Mapping[str, Any]
+) -> list[Figure]:
+    """The singular values of a subspace method; of a search for one channel, Schwarz's criterion of neighbouring orders."""
+    from estimators.pem.choice import select_orders
+
+    if fit.subspace is not None:
+        values = fit.subspace.singular_values
+        taken = fit.model.structure.order  # type: ignore[union-attr]
+        rows = [
+            {"x": k + 1, "y": float(v), "series": "taken" if k < taken else "left"}
+            for k, v in enumerate(values)
+            if v > 0
+        ]
+        return [Figure("orders", "Singular values of the subspace method.", "Singular values by number.", rows, "number",
+                       "singular value", {"taken": "points", "left": "points"}, log="y")]  # fmt: skip
+    if structure not in ("oe", "arx") or len(_entries(fit)) > 1 or not all(r.complete for r in records):
+        return []
+    given = {k: v for k, v in options.items() if k in ("offset", "initial", "robust")} | {"search": "quick"}
+    choice = select_orders(
+        records, structure, [(n, n) for n in range(1, ORDERS + 1)], delays=(options["delay"],), **given
+    )
+    rows = sorted(
+        ({"x": r["orders"][0], "y": r["value"], "series": "order n, n"} for r in choice.rows),
+        key=lambda r: r["x"],
+    )
+    here = [{"x": max(orders), "y": fit.bic, "series": "this model"}]
+    return [Figure("orders", "Schwarz's criterion (BIC) of neighbouring orders with the quick search: lower is better.",
+                   "Criterion against the order.", [*rows, *here], "order", "BIC",
+                   {"order n, n": "both", "this model": "points"})]  # fmt: skip
+
+
+def _measured(fit: Fit, record: Record) -> list[Figure]:
+    simulated = fit.simulate_record(record, window=0 if fit.initial == "zero" else len(record))
+    drawn = []
+    for i, name in enumerate(record.output_names):
+        unit = f" ({record.output_units[i]})" if record.output_units[i] else ""
+        rows = thinned(record.t, {"measured": np.asarray(record.y[:, i]), "simulated": simulated[:, i]})
+        drawn.append(Figure(f"compare-{i + 1}", f"{name}: measured, and simulated from the input alone.",
+                            f"Measured and simulated {name} over time.", [r for r in rows if np.isfinite(r["y"])],
+                            "time (s)" if record.dt != 1 else "sample", name + unit, zoom=True))  # fmt: skip
+    return drawn
+
+
+def write_identification(
+    folder: Path, fit: Fit, records: Sequence[Record], tests: Mapping[str, ResidualTest], made: Mapping[str, Any],
+    payload: Mapping[str, Any],
+) -> Path:  # fmt: skip
+    """Write report.json, its tables and the page of an identified model."""
+    gamma, error, omega = fit.hinf_norm
+    hertz = "" if fit.model.dt == 1 else f" ({omega / (2 * np.pi * fit.model.dt):.4g} Hz)"
+    wrong = [name for name, test in tests.items() if test.p_value < SUSPECT]
+    suffices = (
+        "nothing is left in the residual"
+        if not wrong
+        else f"the residual still shows something ({', '.join(wrong)})"
+    )
+    if not tests:
+        suffices = "no residual test was made"
+    answer = (f"A model of structure {payload['structure']} with orders {' '.join(map(str, payload['orders']))} simulates "
+              f"{fit.simulation_fit_percent:.1f} % of the output; {suffices}.")  # fmt: skip
+    sure = [f"Peak gain {gamma:.4g} ± {error:.2g} at {omega:.4g} rad/sample{hertz}; standard errors hold if the model can describe the data.",
+            f"{fit.n_samples} samples; {fit.status.value}."]  # fmt: skip
+    if "test" in payload:
+        sure.append(
+            f"On fresh data it simulates {payload['test']['simulation_fit_percent']:.1f} % of the output."
+        )
+    todo = ["Find what is missing: oed diagnose with the same record."] if wrong else []
+    todo += [
+        f"Data: {defect['message']}" for defect in payload.get("data_defects", ()) if "message" in defect
+    ]
+    todo.append(
+        "Use the model: every command takes model.json as a plant, such as oed design --plant model.json."
+    )
+    drawn, tables = _residual(tests)
+    figure, poles = _poles(fit)
+    parameters = [{"parameter": k, "value": float(v), "value_se": float(s)}
+                  for k, v, s in zip(fit.names, fit.theta, fit.standard_errors, strict=True)]  # fmt: skip
+    measured = _measured(fit, records[0]) if fit.model.stable and records[0].complete else []
+    sections = [
+        Section("Frequency and step response", figures=_response(fit) if fit.model.stable else []),
+        Section("Poles", [], [poles] if poles.rows else [], [figure] if poles.rows else []),
+        Section("What the residual says", list(payload.get("notes", ())), tables, drawn),
+        Section("Orders", figures=_orders(fit, records, payload["structure"], payload["orders"], payload["options"] | {"delay": payload["delay"]})),
+        Section("Parameters", [], [Table("parameters", "Parameters with their standard errors.",
+                                         {"parameter": "parameter", "value": "value ± standard error"}, parameters)]),
+    ]  # fmt: skip
+    page = Page("identification", "A model of measured data", answer, sure, todo, measured[:1],
+                [Section("Further outputs", figures=measured[1:])] * bool(measured[1:]) + sections,
+                {k: str(v) for k, v in made.items()})  # fmt: skip
+    return save_page(folder, page)

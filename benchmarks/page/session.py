@@ -1,0 +1,131 @@
+"""The page of a session: how far it is, the estimate with its interval after every experiment, the records, the limits."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.page.content import Figure, Page, Section, Table, thinned
+
+__all__ = ["session_page"]
+
+MOST = 25
+"""Experiments whose estimate is computed again for the curve: the last of a long session are taken, evenly thinned."""
+
+
+def _curve(session: Any) -> list[dict[str, Any]]:
+    """The estimate after every experiment, as the session gave it then."""
+    from estimators.sessions.estimates import estimate_of
+
+    s = session.session
+    trace, own = s.trace, s.own_trace
+    ends = [part.stop for part in own.iterations]
+    keep = (
+        sorted({ends[k] for k in np.unique(np.linspace(0, len(ends) - 1, MOST).astype(int))}) if ends else []
+    )
+    points = []
+    for k in keep:
+        found = estimate_of(session.settings, trace.first(k), own.first(k))
+        low, high = found.interval
+        if np.isfinite(found.value):
+            point = {"x": k, "y": found.value, "series": "estimate, with its 95 % interval"}
+            points.append(point | ({"low": low, "high": high} if np.isfinite([low, high]).all() else {}))
+    gains = session.estimate().gains
+    if len(gains) == len(ends):
+        points += [
+            {"x": e, "y": g, "series": "the method's own gain"}
+            for e, g in zip(ends, gains, strict=True)
+            if np.isfinite(g)
+        ]
+    return points
+
+
+def session_page(folder: Path) -> Page:
+    """The page of a session's folder, as it stands; nothing in the folder changes."""
+    from estimators.sessions import open_session
+
+    session = open_session(folder)
+    s, status, found = session.settings, session.status(), session.estimate()
+    done, budget = status["experiments"], status["budget"]
+    records = session.session.rig_records
+    rows = [
+        {"experiment": k + 1, "rows": len(r), "input_rms": float(np.sqrt(np.mean(r.u**2))), "input_peak": float(np.abs(r.u).max()),
+         "output_rms": float(np.sqrt(np.mean(r.y**2))), "output_peak": float(np.abs(r.y).max())}
+        for k, r in enumerate(records)
+    ]  # fmt: skip
+    columns = {"experiment": "experiment", "rows": "samples", "input_rms": "input, rms", "input_peak": "input, peak",
+               "output_rms": "output, rms", "output_peak": "output, peak"}  # fmt: skip
+    signals = []
+    if records:
+        last = records[-1]
+        for name, side in (("input", last.u), ("output", last.y)):
+            names = last.input_names if name == "input" else last.output_names
+            signals.append(Figure(f"last-{name}", f"The {name} of the last experiment.", f"The {name} over time.",
+                                  thinned(last.t, dict(zip(names, side.T, strict=True))), "time (s)", name, zoom=True))  # fmt: skip
+    named = ("power", "amplitude", "rate", "energy", "level", "abort", "sensor_range")
+    limits = [
+        {"limit": key.replace("_", " "), "value": str(v)}
+        for key, v in asdict(s).items()
+        if key in named and v not in (None, ())
+    ]
+    used = {
+        "energy used": f"{status['energy']:.6g}",
+        "largest input": f"{status['peak']:.6g}",
+        "samples": str(status["samples"]),
+    }
+    limits += [{"limit": key, "value": value} for key, value in used.items()]
+    step = {"READY": f"Ask for the next input: oed session next {folder.name}.",
+            "WAITING": f"Apply {Path(status['input']).name if status['input'] else 'the input'} and hand over what was measured: "
+            f"oed session record {folder.name} FILE."}.get(status["status"], f"The session has ended: {status['message']}.")  # fmt: skip
+    where = ""
+    if np.isfinite(found.frequency_error):
+        where = f" at {found.frequency / (2 * np.pi * s.dt):.4g} Hz"
+    answer = (f"The peak gain is {found.value:.4g}{where} after {done} of {budget} experiments." if np.isfinite(found.value)
+              else f"There is no estimate yet: {done} of {budget} experiments are recorded.")  # fmt: skip
+    sure = [str(found)[:1].upper() + str(found)[1:] + "."]
+    sure += [f"Flagged and not used: {Path(name).name}." for name in status["flagged"]]
+    curve = Figure("estimate", "The estimate over the experiments.", "Estimated peak gain against the number of experiments.",
+                   _curve(session) if done else [], "experiments", "peak gain",
+                   {"estimate, with its 95 % interval": "both", "the method's own gain": "points"})  # fmt: skip
+    sections = [
+        Section(
+            "Records",
+            [],
+            [Table("records", "Every experiment that is used.", columns, rows)] if rows else [],
+            signals,
+        ),
+        Section(
+            "Limits",
+            [],
+            [
+                Table(
+                    "limits",
+                    "What the rig allows and what was used.",
+                    {"limit": "limit", "value": "value"},
+                    limits,
+                )
+            ],
+        ),
+    ]
+    title = f"A session of {s.method}"
+    made = {
+        "method": s.method,
+        "samples": str(s.samples),
+        "sampling time (s)": f"{s.dt:g}",
+        "seed": str(s.seed),
+        "state": status["status"],
+    }
+    return Page(
+        "session",
+        title,
+        answer,
+        sure,
+        [step],
+        [curve] if curve.rows else [],
+        sections,
+        made,
+        progress=(done, budget),
+    )
