@@ -274,9 +274,7 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, A
     answer, sure, todo = _words(result)
     following, what, downloads = _next(result)
     if result.model is not None:
-        todo.append(
-            "Use the whole answer: model.json simulates any record (DiagnosedModel.load) and every command takes it where it is linear."
-        )
+        todo.append("Use the whole answer: DiagnosedModel.load of model.json simulates any record with it.")
     curves = [figure for i in outputs for figure in _curves(result, i)]
     parameters = [
         {"parameter": k, "value": v, "value_se": se, "unit": unit}

@@ -80,13 +80,14 @@ def _poles(fit: Fit) -> tuple[Figure, Table]:
     circle = np.stack([np.cos(turn), np.sin(turn)])
     points = [{"x": float(a), "y": float(b), "series": "unit circle"} for a, b in circle.T]
     rows = []
-    for k, (pole, covariance) in enumerate(pole_covariances(fit)):
+    for pole, covariance in pole_covariances(fit):
         values, vectors = np.linalg.eigh(covariance)
         ring = (vectors * (ELLIPSE * np.sqrt(np.maximum(values, 0)))) @ circle
         points += [
-            {"x": pole.real + float(a), "y": pole.imag + float(b), "series": "95 % ellipse", "ring": k}
+            {"x": pole.real + float(a), "y": pole.imag + float(b), "series": "95 % ellipse"}
             for a, b in ring.T
         ]
+        points.append({"x": None, "y": None, "series": "95 % ellipse"})  # the next ring is a line of its own
         points.append({"x": pole.real, "y": pole.imag, "series": "pole", "text": f"{pole:.4g}"})
         continuous = np.log(pole) / fit.model.dt if pole else complex(-np.inf)
         real = abs(pole.imag) < 1e-12
@@ -96,10 +97,9 @@ def _poles(fit: Fit) -> tuple[Figure, Table]:
             "time_constant": -1 / continuous.real if continuous.real < 0 else None,
             "error": float(np.sqrt(np.trace(covariance))),
         })  # fmt: skip
-    broken = [p for k, p in enumerate(points) if p["series"] != "95 % ellipse" or k % 1 == 0]
     columns = {"pole": "pole", "size": "size", "frequency_hz": "frequency (Hz)", "damping": "damping",
                "time_constant": "time constant (s)", "error": "standard error"}  # fmt: skip
-    figure = Figure("poles", "Poles with 95 % ellipses and the unit circle.", "Poles in the complex plane.", broken, "real", "imaginary",
+    figure = Figure("poles", "Poles with 95 % ellipses and the unit circle.", "Poles in the complex plane.", points, "real", "imaginary",
                     {"pole": "points", "95 % ellipse": "line", "unit circle": "line"}, square=True)  # fmt: skip
     return figure, Table("poles", "Poles; frequencies in Hz where the sampling time is known.", columns, rows)
 
@@ -157,7 +157,8 @@ def _orders(
 
 
 def _measured(fit: Fit, record: Record) -> list[Figure]:
-    simulated = fit.simulate_record(record, window=0 if fit.initial == "zero" else len(record))
+    whole = fit.initial != "zero" and fit.regularisation is None
+    simulated = fit.simulate_record(record, window=len(record) if whole else 0)
     drawn = []
     for i, name in enumerate(record.output_names):
         unit = f" ({record.output_units[i]})" if record.output_units[i] else ""
@@ -183,8 +184,12 @@ def write_identification(
     )
     if not tests:
         suffices = "no residual test was made"
-    answer = (f"A model of structure {payload['structure']} with orders {' '.join(map(str, payload['orders']))} simulates "
-              f"{fit.simulation_fit_percent:.1f} % of the output; {suffices}.")  # fmt: skip
+    share = fit.simulation_fit_percent
+    does = (
+        f"simulates {share:.1f}" if np.isfinite(share) else f"predicts, one step ahead, {fit.fit_percent:.1f}"
+    )
+    orders = " ".join(map(str, payload["orders"]))
+    answer = f"A model of structure {payload['structure']} with orders {orders} {does} % of the output; {suffices}."
     sure = [f"Peak gain {gamma:.4g} ± {error:.2g} at {omega:.4g} rad/sample{hertz}; standard errors hold if the model can describe the data.",
             f"{fit.n_samples} samples; {fit.status.value}."]  # fmt: skip
     if "test" in payload:

@@ -279,7 +279,7 @@ function figure(root, content) {
       view = (await vegaEmbed(plot, spec, {renderer: 'svg', actions: false, ast: true, tooltip: false, loader: {http: {}}})).view;
       views.push(view); named(); panel.dataset.drawn = 'yes'; read();
     };
-    const places = () => [...new Set(mine.map(row => row[along]))].sort((a, b) => content.sideways ? 0 : a - b);
+    const places = () => [...new Set(mine.map(row => row[along]))].filter(value => value !== null).sort((a, b) => content.sideways ? 0 : a - b);
     const origin = () => { const svg = $('svg', plot).getBoundingClientRect(), outer = panel.getBoundingClientRect(), [x, y] = view.origin();
       return [svg.left - outer.left + x, svg.top - outer.top + y]; };
     const pixel = value => { const scale = view.scale(along); return scale(value) + (scale.bandwidth ? scale.bandwidth() / 2 : 0); };
@@ -288,7 +288,7 @@ function figure(root, content) {
     const show = at => {
       const all = places(); if (!all.length || !view?.scale) return;
       index = Math.min(Math.max(at, 0), all.length - 1);
-      const here = mine.filter(row => row[along] === all[index]), [ox, oy] = origin(), px = pixel(all[index]);
+      const here = mine.filter(row => row[along] === all[index] && row.y !== null), [ox, oy] = origin(), px = pixel(all[index]);
       const title = content.sideways ? all[index] : `${content.x.replace(/ \(.*/, '')} ${digits(all[index])}`;
       const lines = here.map(row => `${row.series ? row.series + ': ' : ''}${row.text ?? digits(content.sideways ? row.x : row.y)}${
         typeof row.low === 'number' && typeof row.high === 'number' ? ` (${digits(row.low)} to ${digits(row.high)})` : ''}`);

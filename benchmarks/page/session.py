@@ -12,8 +12,8 @@ from benchmarks.page.content import Figure, Page, Section, Table, thinned
 
 __all__ = ["session_page"]
 
-MOST = 25
-"""Experiments whose estimate is computed again for the curve: the last of a long session are taken, evenly thinned."""
+MOST, MOST_FITTED = 25, 6
+"""Estimates that are computed again for the curve, evenly thinned, and how many of them where each is a fit."""
 
 
 def _curve(session: Any) -> list[dict[str, Any]]:
@@ -22,9 +22,10 @@ def _curve(session: Any) -> list[dict[str, Any]]:
 
     s = session.session
     trace, own = s.trace, s.own_trace
+    most = MOST_FITTED if session.settings.method in ("two-stage", "sequential") else MOST
     ends = [part.stop for part in own.iterations]
     keep = (
-        sorted({ends[k] for k in np.unique(np.linspace(0, len(ends) - 1, MOST).astype(int))}) if ends else []
+        sorted({ends[k] for k in np.unique(np.linspace(0, len(ends) - 1, most).astype(int))}) if ends else []
     )
     points = []
     for k in keep:

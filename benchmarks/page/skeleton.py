@@ -247,9 +247,7 @@ def _head(page: Page, filters: Any) -> list[str]:
     for title, lines in (("What to do", page.todo), ("How sure", page.sure)):
         if lines:
             items = "".join(f"<li>{escape(line)}</li>" for line in lines)
-            right.append(
-                f"<h2 class='first' style='border:0;margin:4px 0;padding:0'>{title}</h2><ul>{items}</ul>"
-            )
+            right.append(f"<h2 class='first'>{title}</h2><ul>{items}</ul>")
     right += [
         f'<p><button type="button" data-download="{escape(name)}">save {escape(name)}</button></p>'
         for name in page.downloads

@@ -1,0 +1,126 @@
+"""The pages that commands write: identification, design and session, each with its answer and the numbers of the result."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from benchmarks.cli import main
+from benchmarks.page.serve import page_of
+from estimators.sessions import Settings, start_session
+from oed.errors import InputError
+from oed.experiments import simulated
+from oed.plants.named import named_plant
+
+
+def told(folder) -> tuple[dict, dict]:
+    """What report.json holds, and its tables by name."""
+    content = json.loads((folder / "report.json").read_text())
+    assert (folder / "report.html").read_text().startswith("<!doctype html>")
+    return content, {t["name"]: t["rows"] for s in content["sections"] for t in s["tables"]}
+
+
+@pytest.mark.slow
+def test_identification(tmp_path, capfd):
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal(300)
+    y = lfilter([0, 0.5, 0.2], [1, -1.2, 0.6], u) + 0.1 * rng.standard_normal(300)
+    np.savetxt(
+        tmp_path / "r.csv",
+        np.column_stack([np.arange(300) * 0.1, u, y]),
+        delimiter=",",
+        header="t,u,y",
+        comments="",
+    )
+    assert (
+        main(
+            [
+                "identify",
+                str(tmp_path / "r.csv"),
+                "--out",
+                str(tmp_path / "out"),
+                "--json",
+                "--search",
+                "quick",
+            ]
+        )
+        == 0
+    )
+    found = json.loads(capfd.readouterr().out)
+    content, tables = told(tmp_path / "out")
+    assert f"{found['simulation_fit_percent']:.1f} % of the output" in content["answer"]
+    assert {r["parameter"]: r["value"] for r in tables["parameters"]} == {
+        k: v for k, (v, _) in found["parameters"].items()
+    }
+    pole = np.roots([1, -1.2, 0.6])[0]
+    assert tables["poles"][0]["frequency_hz"] == pytest.approx(abs(np.log(pole)) / (0.2 * np.pi), rel=0.1)
+    figures = {f["name"]: f["rows"] for s in content["sections"] for f in s["figures"]}
+    assert set(figures) == {"gain", "phase", "step", "poles", "residuals", "orders"}
+    gain = max(figures["gain"], key=lambda r: r["y"])
+    assert gain["y"] == pytest.approx(found["hinf_norm"][0], rel=0.01)
+    assert gain["x"] == pytest.approx(found["hinf_frequency_hz"], rel=0.05)
+    best = min((r for r in figures["orders"] if r["series"] != "this model"), key=lambda r: r["y"])
+    assert best["x"] == 2
+
+
+def test_design(tmp_path, capfd):
+    words = [
+        "design",
+        "--plant",
+        "reference",
+        "--criterion",
+        "hinf",
+        "--realise",
+        "200",
+        "--out",
+        str(tmp_path / "new"),
+    ]
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    content, tables = told(tmp_path / "new")
+    assert len(np.loadtxt(tmp_path / "new" / "input.csv", skiprows=1)) == 200
+    assert json.loads((tmp_path / "new" / "design.json").read_text())["loss"] == found["loss"]
+    share = {r["input"]: r["efficiency"] for r in tables["alternatives"]}
+    assert share["white noise"] == pytest.approx(found["efficiency_white"])
+    assert share["one sinusoid at the peak"] == pytest.approx(
+        1, abs=1e-6
+    )  # the optimum for the peak gain, by theory
+    assert share["white noise"] < share["power iterations, in the limit"] < 1
+    sensitivity = [
+        r for s in content["sections"] for f in s["figures"] if f["name"] == "sensitivity" for r in f["rows"]
+    ]
+    assert max(r["y"] for r in sensitivity) <= 1 + 1e-9
+    assert all(r["y"] == pytest.approx(1, abs=1e-6) for r in sensitivity if r["series"] == "support")
+    assert main([*words, "--quiet"]) == 2  # nothing is overwritten
+
+
+def test_session(tmp_path):
+    session = start_session(tmp_path / "rig", Settings("power", samples=200, experiments=3, dt=0.01))
+    assert "no estimate yet: 0 of 3" in page_of(tmp_path / "rig").answer
+    rig = simulated(named_plant("reference", 0.01), seed=1)
+    session.run(rig)
+    before = sorted(p.name for p in (tmp_path / "rig").iterdir())
+    page = page_of(tmp_path / "rig")
+    assert sorted(p.name for p in (tmp_path / "rig").iterdir()) == before
+    assert page.progress == (3, 3)
+    found = session.estimate()
+    assert f"{found.value:.4g}" in page.answer
+    (last,) = [r for r in page.hero[0].rows if r["series"].startswith("estimate") and r["x"] == 3]
+    assert (last["y"], last["low"], last["high"]) == (found.value, *found.interval)
+    assert [r["experiment"] for r in page.tables[0].rows] == [1, 2, 3]
+    assert main(["report", str(tmp_path / "rig")]) == 0
+    assert "after 3 of 3 experiments" in (tmp_path / "rig" / "report.html").read_text()
+
+
+def test_a_campaign_that_runs_is_followed_and_no_result_is_refused(tmp_path):
+    (tmp_path / "campaign.json").write_text("{}")
+    (tmp_path / "progress.json").write_text(json.dumps({"done": 3, "total": 10}))
+    page = page_of(tmp_path)
+    assert page.progress == (3, 10)
+    assert "3 of 10 parts" in page.answer
+    (tmp_path / "campaign.json").unlink()
+    with pytest.raises(InputError, match=r"has no report.json"):
+        page_of(tmp_path)
