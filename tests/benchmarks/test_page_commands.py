@@ -97,6 +97,7 @@ def test_design(tmp_path, capfd):
     assert main([*words, "--quiet"]) == 2  # nothing is overwritten
 
 
+@pytest.mark.slow
 def test_session(tmp_path):
     session = start_session(tmp_path / "rig", Settings("power", samples=200, experiments=3, dt=0.01))
     assert "no estimate yet: 0 of 3" in page_of(tmp_path / "rig").answer
