@@ -262,7 +262,7 @@ function figure(root, content) {
   const draws = panels.map(name => {
     const plot = make('div', {class: 'plot'}), cursor = make('div', {class: 'cursor', hidden: true}), tip = make('div', {class: 'tip', hidden: true});
     const panel = make('div', {class: 'panel', role: 'group', tabindex: 0, 'aria-label': `${name ? name + ', ' : ''}figure: arrow keys read the values`},
-      name ? make('h4', {}, name) : null, plot, cursor, tip);
+      name ? make('h3', {}, name) : null, plot, cursor, tip);
     box.append(panel);
     let view = null, mine = [];
     const along = content.sideways ? 'y' : 'x';

@@ -127,7 +127,7 @@ def test_filters_act_on_every_table_figure_and_the_matrix_and_are_in_the_address
     run(browser, f"{check}.click()", "the plant")
     assert set(column(browser, "table-comparison", 2)) == {m for m in METHODS if m.startswith("oracle")}
     drawn(browser, "figure-rho")
-    panels = "return [...document.querySelectorAll('#figure-rho .panel')].filter(p => !p.hidden).map(p => p.querySelector('h4').textContent)"
+    panels = "return [...document.querySelectorAll('#figure-rho .panel')].filter(p => !p.hidden).map(p => p.querySelector('h3').textContent)"
     assert run(browser, panels) == ["hair-dryer"]
     assert run(
         browser, "return [...document.querySelectorAll('.matrix tbody th')].map(t => t.textContent)"
