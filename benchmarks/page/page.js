@@ -270,7 +270,12 @@ function figure(root, content) {
       mine = visible().filter(row => (row.panel ?? '') === name); panel.hidden = !mine.length;
       if (view) { view.data('rows', mine); await view.runAsync(); named(); }
     };
-    const named = () => { const svg = $('svg', plot); if (svg) { svg.setAttribute('role', 'img'); svg.setAttribute('aria-label', `${name ? name + '. ' : ''}${content.alt}`); } };
+    const named = () => {
+      const svg = $('svg', plot); if (!svg) return;
+      // one image with one text: what is inside says nothing that the text, the cursor and the table of values do not
+      ['role', 'aria-roledescription', 'aria-label'].forEach(key => svg.querySelectorAll(`[${key}]`).forEach(part => part.removeAttribute(key)));
+      svg.setAttribute('role', 'img'); svg.setAttribute('aria-label', `${name ? name + '. ' : ''}${content.alt}`);
+    };
     const start = async () => {
       if (view) return;
       const spec = structuredClone(content.spec);

@@ -48,7 +48,8 @@ def page_of(folder: Path) -> Page:
 
 def version_of(folder: Path) -> str:
     """Changes when there is something new to show."""
-    found = blake2b(digest_size=8)
+    done, total = progress_of(folder)
+    found = blake2b(str(done < total).encode(), digest_size=8)
     for path in [
         *(folder / name for name in WATCHED),
         *sorted(folder.glob("output-*.csv")),
