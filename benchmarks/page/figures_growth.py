@@ -7,7 +7,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from benchmarks.page.figures import COLOURS, panels
+from benchmarks.page.charts import COLOURS
+from benchmarks.page.figures_static import panels
 
 __all__ = ["growth_figure"]
 

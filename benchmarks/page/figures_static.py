@@ -12,7 +12,7 @@ from benchmarks.page.charts import DASHES, style
 from benchmarks.page.content import Figure, series_of
 from oed.files.writing import write_figure
 
-__all__ = ["drawn", "save_figure"]
+__all__ = ["drawn", "panels", "save_figure"]
 
 LINES = ("-", "--", ":", "-.")
 MARKERS = {
@@ -53,14 +53,29 @@ def drawn(figure: Figure) -> Any:
     return sheet
 
 
+def panels(count: int, *, width: float, height: float, columns: int) -> tuple[Any, list[Any]]:
+    """A figure with so many panels, in the style of all figures here."""
+    from matplotlib.figure import Figure as Sheet
+
+    sheet = Sheet(figsize=(width, height), layout="constrained")
+    axes = [sheet.add_subplot(-(-count // columns), min(columns, count), k + 1) for k in range(count)]
+    for ax in axes:
+        _plain(ax)
+    return sheet, axes
+
+
+def _plain(ax: Any) -> None:
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(True, color="#e3e6e8", linewidth=0.7)
+    ax.set_axisbelow(True)
+
+
 def _numbers(rows: list[dict[str, Any]], key: str) -> Any:
     return np.array([np.nan if row.get(key) is None else row[key] for row in rows], dtype=float)
 
 
 def _panel(ax: Any, figure: Figure, rows: list[dict[str, Any]], names: list[str]) -> None:
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.grid(True, color="#e3e6e8", linewidth=0.7)
-    ax.set_axisbelow(True)
+    _plain(ax)
     order = list(dict.fromkeys(row["y"] for row in figure.rows)) if figure.sideways else []
     for value in figure.rules:
         (ax.axvline if figure.sideways else ax.axhline)(value, color="#5b6770", linewidth=1)

@@ -93,7 +93,7 @@ def _bundle() -> str:
 
 
 def _source(name: str) -> str:
-    return (Path(__file__).parent / name).read_text(encoding="utf-8")
+    return (Path(__file__).parent / "assets" / name).read_text(encoding="utf-8")
 
 
 def _short(value: Any, digits: int) -> Any:
