@@ -222,8 +222,7 @@ def _page_writer(out: str):
     """Writes the design, its signal and its page into a new folder."""
     import json
 
-    from benchmarks.commands.record.identify import new_folder
-    from oed.files.writing import write_whole
+    from oed.files.writing import new_folder, write_whole
 
     folder = new_folder(out, "--out")
 
