@@ -106,10 +106,10 @@ def write_design(
         runs = [Figure("signal", "The signal to apply; input.csv has every sample.", "The input over time.", rows,
                        "time (s)" if plant.dt != 1 else "sample", "input", zoom=True)]  # fmt: skip
     binding = [r["limit"] for r in limits if r["binds"] == "yes"]
-    answer = (f"The {design.criterion.name}-optimal input puts its power on {len(design.spectrum)} lines; white noise of the same "
+    answer = (f"The {design.criterion.name}-optimal input puts its power on {len(design.spectrum)} line{'s' * (len(design.spectrum) > 1)}; white noise of the same "
               f"power reaches {100 * design.efficiency_white:.3g} % of it.")  # fmt: skip
     sure = [f"Loss {design.loss:.6g}, and no admissible spectrum has less than {design.bound:.6g}: a certified gap of {design.gap:.1e}.",
-            f"{design.status.name}: {design.status.value}."]  # fmt: skip
+            f"{design.status.name}: {design.status.value}"]  # fmt: skip
     todo = ["Apply input.csv."] if runs else ["Make a signal of it: the same command with --realise N."]
     if "realised_efficiency" in payload:
         sure.append(

@@ -191,7 +191,7 @@ def write_identification(
     orders = " ".join(map(str, payload["orders"]))
     answer = f"A model of structure {payload['structure']} with orders {orders} {does} % of the output; {suffices}."
     sure = [f"Peak gain {gamma:.4g} ± {error:.2g} at {omega:.4g} rad/sample{hertz}; standard errors hold if the model can describe the data.",
-            f"{fit.n_samples} samples; {fit.status.value}."]  # fmt: skip
+            f"{fit.n_samples} samples; {fit.status.value}"]  # fmt: skip
     if "test" in payload:
         sure.append(
             f"On fresh data it simulates {payload['test']['simulation_fit_percent']:.1f} % of the output."
