@@ -10,8 +10,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from scipy.integrate import quad, quad_vec
 
 from oed.data import Spectrum
@@ -25,6 +23,7 @@ from oed.design import (
 from oed.design.problem.grid import frequency_grid
 from oed.design.problem.information_maps import information_map
 from oed.design.problem.white import mean_information
+from oed.errors import OedError
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
 from oed.theory.limit import limit_spectrum
@@ -70,17 +69,52 @@ def test_lines_of_a_billionth_of_the_power_count():
     assert design.criterion.loss(design.map.of_spectrum(heavy)) > design.loss * (1 + 1e-4)
 
 
+def verdict(plant, criterion):
+    """What the dense sums say of a design: "above" (the bound), "below" (the loss), "open" (not closed, and it says so)."""
+    oracle = Challenge(plant)
+    try:
+        design = solve_design(plant, criterion)
+    except OedError:
+        return "refused"
+    if criterion == "G":
+        # Kiefer and Wolfowitz: with one input the worst variance is n times the noise's, and no bound lies above it.
+        dense = oracle.worst_variance(oracle.information(design.spectrum))
+        truth = (
+            oracle.n * plant.noise_covariance[0, 0] if plant.n_inputs * plant.n_outputs == 1 else design.loss
+        )
+        if design.loss < max(dense, truth) * (1 - WITHIN):
+            return "below"
+        if design.bound > truth * (1 + WITHIN):
+            return "above"
+        return "closed" if design.status.ok else "open"
+    told = criterion in "DAE" and np.linalg.cond(oracle.R) < 1e9
+    if told and design.loss < oracle.loss(criterion, oracle.information(design.spectrum)) * (1 - WITHIN):
+        return "below"
+    if criterion != "modified-E" and design.bound > oracle.bound(design) * (1 + WITHIN):
+        return "above"
+    if criterion == "modified-E" and design.certificate.check(points=20_001) > 1 + WITHIN:
+        return "above"
+    return "closed" if design.status.ok else "open"
+
+
+@pytest.mark.parametrize("criterion", ["D", "G"])
+def test_verdicts_of_a_few_hard_plants(criterion):
+    found = [verdict(hard_plant(np.random.default_rng(seed), most=4), criterion) for seed in (11, 12)]
+    assert not {"above", "below"} & set(found)
+
+
 @pytest.mark.validate
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
-@given(
-    st.integers(0, 2**32 - 1),
-    st.sampled_from(["D", "A", "E", "hinf", "I"]),
-    st.sampled_from([1, 1, 1, 2, 3, 4]),
-)
-def test_designs_of_hard_plants_at_length(seed, criterion, channels):
-    challenged(
-        hard_plant(np.random.default_rng(seed), channels, {1: 12, 2: 4, 3: 2, 4: 1}[channels]), criterion
-    )
+@pytest.mark.parametrize("criterion", ["D", "A", "E", "hinf", "I", "G", "modified-E"])
+def test_two_hundred_hard_plants(criterion, record_figure):
+    """No bound above the truth, no loss below it; how many are not closed (they say so in their first line) is recorded."""
+    rng = np.random.default_rng(24)
+    counts = dict.fromkeys(["closed", "open", "refused", "above", "below"], 0)
+    for _ in range(200):
+        channels = int(rng.choice([1, 1, 1, 2, 3, 4]))
+        counts[verdict(hard_plant(rng, channels, {1: 20, 2: 4, 3: 2, 4: 1}[channels]), criterion)] += 1
+    for name, count in counts.items():
+        record_figure(f"designs of 200 hard plants: {name}", count, criterion=criterion)
+    assert counts["above"] == counts["below"] == 0, counts
 
 
 @pytest.mark.parametrize("radius", [0.99, 0.9999, 0.999999])

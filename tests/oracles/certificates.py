@@ -98,6 +98,12 @@ class Challenge:
         half = np.linalg.inv(np.linalg.cholesky(M)) @ np.linalg.inv(self.R).T
         return float(np.sum(half**2) if kind == "A" else np.linalg.norm(half, 2) ** 2)
 
+    def worst_variance(self, M: np.ndarray) -> float:
+        """Largest variance of the frequency response on the dense grid."""
+        half = np.linalg.solve(np.linalg.cholesky(M), np.moveaxis(self.D, 1, 0).reshape(self.n, -1))
+        told = np.sum(np.abs(half.reshape(self.n, len(self.D), -1)) ** 2, axis=(0, 2))
+        return float(told.max()) * self.plant.noise_covariance[0, 0]
+
     def bound(self, design) -> float:
         """The certificate's bound, its prices maximised over the dense grid: power limited only, no prior."""
         X = self.R @ design.certificate.X

@@ -149,9 +149,10 @@ class Design:
         }
 
     def __str__(self) -> str:
+        closed = "" if self.status.ok else ", not closed"
         lines = [
             f"{self.criterion.name}-optimal input: loss {self.loss:.12g}, at least {self.bound:.12g} "
-            f"for every admissible spectrum (gap {self.gap:.1e})",
+            f"for every admissible spectrum (gap {self.gap:.1e}{closed})",
             f"white noise of the same power reaches {100 * self.efficiency_white:.4g} % of the optimum",
         ]
         share = np.einsum("kii->k", self.spectrum.power).real

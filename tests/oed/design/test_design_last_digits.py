@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from oed.criteria import a_criterion, c_criterion, d_criterion, e_criterion, g_criterion, worst_d_criterion
 from oed.design import solve_design
+from oed.errors import Status
 from tests.oed.design.test_design_random import random_plant
 
 RNG = np.random.default_rng(0)
@@ -53,3 +56,10 @@ def test_several_inputs_to_nine_digits_by_a_line_per_peak(criterion):
     assert design.gap <= 1e-9
     assert len(design.spectrum) <= design.map.n
     assert design.certificate.check(points=20_001) <= 1 + 1e-8
+
+
+def test_a_design_that_is_not_closed_says_so_first():
+    design = solve_design(random_plant(np.random.default_rng(3)), "D")
+    assert "not closed" not in str(design)
+    open_one = replace(design, status=Status.INACCURATE)
+    assert "not closed" in str(open_one).splitlines()[0]
