@@ -123,6 +123,8 @@ def _white(f: Fit) -> Fit:
 
 FEW = 8
 """Gauss-Newton steps after which candidates are compared: what is far behind then does not win with more."""
+BASES = 3
+"""Single effects of different causes that a second one is looked for beside: the best, and two in its place."""
 PLAIN = 1.0
 """Gain that a second effect must promise beside one that leaves white noise: tones, delays, modes and whatever else has a
 search of its own in place of a score would colour it."""
@@ -261,7 +263,7 @@ def _more_effects(
             causes = {good[0].cause}
             for claim in good[1:]:
                 near = claim.gain > 0.15 * good[0].gain
-                if claim.cause not in causes and len(causes) < 5 and near:
+                if claim.cause not in causes and len(causes) < BASES and near:
                     causes.add(claim.cause)
                     bases.append(claim.fit)
         for start in bases:

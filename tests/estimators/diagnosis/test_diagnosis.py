@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from estimators.diagnosis import loop
 from estimators.diagnosis.cases import diagnose_files
+from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import ar_model
 from estimators.diagnosis.record.measurement import held_samples, resting_samples, rounding_step, wild_samples
@@ -36,6 +38,23 @@ def test_nothing_is_found_in_a_linear_record():
     assert not result.detected
     assert result.ranked == ("none",)
     np.testing.assert_array_equal(result.yhat_before, result.yhat_after)
+
+
+def test_terms_are_looked_for_only_where_something_is_left(monkeypatch):
+    asked = []
+
+    def spy(*arguments):
+        asked.append(arguments)
+        return Discovery(None)
+
+    monkeypatch.setattr(loop, "discover", spy)
+    rng = np.random.default_rng(11)
+    diagnose(linear_record(rng, 500), None, SETTING)
+    assert not asked
+    late = linear_record(rng, 500)
+    coloured = lfilter([1.0], [1.0, -0.9], 0.1 * rng.standard_normal(500))
+    diagnose(late.replace(y=late.y + coloured[:, None]), None, SETTING)
+    assert len(asked) == 1  # noise that is not white could be a term
 
 
 def test_a_planted_nonlinearity_is_found_and_removed():
