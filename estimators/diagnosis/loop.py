@@ -31,6 +31,7 @@ from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.examination import Examined, Known, examine
 from estimators.diagnosis.search.named import Bench, Named, best_named, named_steps
 from estimators.diagnosis.share import Share, explainable_share
+from estimators.diagnosis.share.feedback import has_feedback
 from oed.data import Record
 from oed.errors import InputError
 
@@ -76,7 +77,7 @@ def _alike(train: Record, other: Record, name: str) -> None:
                          f"{train.n_inputs} and {train.n_outputs}; they must be of the same system.")  # fmt: skip
     if abs(other.dt - train.dt) > 1e-3 * train.dt:
         raise InputError(
-            f"the sampling times are {train.dt:g} and {other.dt:g} s; resample one record to the other's."
+            f"the sampling times are {train.dt:g} and {other.dt:g} s; resample one to the other's."
         )
 
 
@@ -159,15 +160,16 @@ def _options(train: Record, setting: Setting) -> Options:
 
 def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
     """The named stage of one output: what its samples show, and the effects that hold."""
-    delay = min(base.outputs[i].delays)
-    ahead = delay == 0 and not setting.orders
+    delay, left = min(base.outputs[i].delays), train.y[:, i] - base.y_model[0][:, i]
+    echo = has_feedback([train], [left], [base.blocks.counting([train])[0][:, i]])
+    ahead = delay == 0 and not setting.orders and not echo  # else the input holds the noise of its own sample
     known = Known(base.outputs[i].model.order, max(delay - 1, 0))
     record = early(train) if ahead else train
     found = examine(record, i, setting, known)
     rest = bool(setting.deviations) or (setting.deviations is None and _starts_at_rest(train, i, base))
     bench = Bench(
         found.last, base, i, record, found.thin_of(found.attribution.final), rest, not setting.deviations,
-        setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead,
+        setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead, echo,
     )  # fmt: skip
     if found.last is not found.channel:  # other candidates were fitted to the screened record only
         return found, bench, named_steps(bench, found.attribution)
@@ -203,6 +205,8 @@ def _outcome(
     found, bench, named = parts
     discovery, again = discovered
     train, *others = records
+    # the present input answers the present noise: a model of it is the controller's inverse, whatever is added to it
+    inverse = bench.feedback and min(base.outputs[i].delays) == 0
     steps = [_linear_step(base, i, bench.rest)]
     kept = np.repeat(found.last.keep, bench.thin)
     out = np.flatnonzero(np.isfinite(train.y[: len(kept), i]) & ~kept)
@@ -215,7 +219,11 @@ def _outcome(
         unseen = [named.step.simulate(r, base.blocks.window) for r in others]
         named = replace(named, step=replace(named.step, unused=(*named.step.unused, *unseen)))
     steps += [named.step] if named.step is not None else []
-    steps += [_discovered_step(discovery, discovery.model, i)] if discovery.model is not None else []
+    if discovery.model is not None:
+        step = _discovered_step(discovery, discovery.model, i)
+        gain = bench.over(step.unused[0], base.unused[0][:, i])
+        echoes = bench.feedback and (inverse or not gain.beyond(setting.policy.searched[0]))
+        steps.append(replace(step, admitted=not echoes))
     share = explainable_share(base, records, i)
     left = _left(records, i, base, named.step, share)
     y = [np.nan_to_num(r.y[:, i]) for r in records]
@@ -226,7 +234,10 @@ def _outcome(
         steps = [replace(s, admitted=s.kind is not Kind.DISCOVERED) for s in steps]
         ladder = climb(y, steps, counted, setting.policy, least=least)
     above = share if ladder.chosen.kind is Kind.LINEAR else left
-    if discovery.sought and (rest := _remainder_step(records, i, base, ladder, above, setting)) is not None:
+    rest = None
+    if discovery.sought and not inverse:
+        rest = _remainder_step(records, i, base, ladder, above, setting)
+    if rest is not None:
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     return Outcome(i, found, named, ladder, share, left, discovery)
 

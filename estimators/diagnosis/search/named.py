@@ -26,6 +26,7 @@ from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.exchange import without
 from estimators.diagnosis.search.free_runs import blocked, start_of
 from estimators.diagnosis.search.selection import Attribution, second
+from estimators.diagnosis.share.feedback import autoregression, whitened
 from oed.data import Record
 
 __all__ = ["Bench", "Claim", "Named", "best_named", "named_steps", "parameters_of"]
@@ -84,9 +85,10 @@ class Bench:
     policy: Policy
     alpha: float
     family: int  # effects that the record is tested for
-    ahead: bool = (
-        False  # the input acts in the sample in which it is measured: it is taken one sample earlier
-    )
+    # the input acts in the sample in which it is measured: it is taken one sample earlier
+    ahead: bool = False
+    # the input answers the noise: a model may then gain by hearing that echo, and one-step errors must fall too
+    feedback: bool = False
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -129,7 +131,14 @@ class Bench:
         """What one prediction (N,) of unused blocks gains over another from a sample on."""
         y, counted = np.nan_to_num(self.train.y[:, self.output]), self.counted
         counted[:start] = False
-        return paired_gain([y], [first], [second], [counted], self.policy)
+        gain = paired_gain([y], [first], [second], [counted], self.policy)
+        if not self.feedback or not np.isfinite(gain.value):
+            return gain
+        errors = [np.where(counted, y - run, 0.0) for run in (first, second)]
+        noise = autoregression(errors[:1], [counted])
+        steps = [whitened(noise, e) for e in errors]
+        one_step = paired_gain([0.0 * y], steps[:1], steps[1:], [counted], self.policy)
+        return min(gain, one_step, key=lambda g: g.share)
 
 
 def named_steps(bench: Bench, a: Attribution) -> Named:
@@ -183,7 +192,11 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     if not len(a.final.noise):
         return first
 
-    linear, (errors, least) = bench.base.unused[0][:, bench.output], bench.policy.searched
+    linear = bench.base.unused[0][:, bench.output]
+    errors, least = (
+        bench.policy.searched[0],
+        bench.policy.claimed[1],
+    )  # each is significant in its own fit besides
 
     def judged(fits: Iterable[Fit]) -> list[Named]:
         finals = [fit(bench.channel, f.structure, f.p, f.scales, iterations=40) for f in fits]
