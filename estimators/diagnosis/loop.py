@@ -22,7 +22,7 @@ from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, climb, paired_
 from estimators.diagnosis.ladder.verdicts import Outcome, verdict
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.measurement import held_samples, resting_samples
-from estimators.diagnosis.record.overlap import copied_rows
+from estimators.diagnosis.record.together import LEAST, together
 from estimators.diagnosis.remainder import Limits, fit_remainder, linear_footing, spliced
 from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, RemainderAnswer, early
 from estimators.diagnosis.result.model import DiagnosedModel
@@ -33,63 +33,12 @@ from estimators.diagnosis.search.named import Bench, Named, best_named, named_st
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback
 from oed.data import Record
-from oed.errors import InputError
 
 __all__ = ["Setting", "diagnose"]
 
 Array = NDArray[Any]
-Parts = tuple[
-    Examined, Bench, Named
-]  # of one output: what its samples show, what its trials share, the effects that hold
-LEAST = 50
-"""Samples of a training record: five blocks of ten, below which no error on unused blocks says anything."""
-
-
-def _check(train: Record, test: Record | None) -> None:
-    pair = (("training", train),) if test is None else (("training", train), ("test", test))
-    for name, record in pair:
-        if not np.isfinite(record.u).all():
-            raise InputError(
-                f"the {name} input has missing samples; simulation needs every input: fill or cut them."
-            )
-    if len(train) < LEAST:
-        raise InputError(
-            f"the training record has {len(train)} samples; at least {LEAST} are needed: measure longer."
-        )
-    spread = np.std(train.u, axis=0)
-    if np.any(spread <= 1e-12 * (np.abs(train.u).max(axis=0) + 1e-300)):
-        j = int(np.argmin(spread))
-        raise InputError(
-            f"the input {train.input_names[j]} is constant: there is no excitation; excite it and measure again."
-        )
-    if test is None:
-        return
-    _alike(train, test, "test record")
-    shared = copied_rows(train, test)
-    if shared:
-        raise InputError(f"{shared} consecutive rows of the test record are also in the training record; the error on "
-                         "them would prove nothing: give data that were not used.")  # fmt: skip
-
-
-def _alike(train: Record, other: Record, name: str) -> None:
-    if (other.n_inputs, other.n_outputs) != (train.n_inputs, train.n_outputs):
-        raise InputError(f"the {name} has {other.n_inputs} inputs and {other.n_outputs} outputs, the training record "
-                         f"{train.n_inputs} and {train.n_outputs}; they must be of the same system.")  # fmt: skip
-    if abs(other.dt - train.dt) > 1e-3 * train.dt:
-        raise InputError(
-            f"the sampling times are {train.dt:g} and {other.dt:g} s; resample one to the other's."
-        )
-
-
-def _together(train: Record | Sequence[Record], test: Record | None) -> list[Record]:
-    """The training records, checked, the longest first: single effects are looked for there, and judged on all."""
-    records = [train] if isinstance(train, Record) else sorted(train, key=len, reverse=True)
-    if not records:
-        raise InputError("there is no training record; give at least one.")
-    for record in records:
-        _alike(records[0], record, "other training record")
-        _check(record, test)
-    return records
+# of one output: what its samples show, what its trials share, the effects that hold
+Parts = tuple[Examined, Bench, Named]
 
 
 def diagnose(
@@ -133,7 +82,7 @@ def diagnose(
     """
     setting = Setting() if setting is None else setting
     setting = setting if effects is None else replace(setting, effects=tuple(effects))
-    records = _together(train, test)
+    records = together(train, test)
     first = records[0]
     if test is not None and setting.separate:
         test = replace(test, t0=first.t0)

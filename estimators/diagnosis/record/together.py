@@ -1,0 +1,63 @@
+"""Records of one system that can be diagnosed together, and a test record that proves something."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimators.diagnosis.record.overlap import copied_rows
+from oed.data import Record
+from oed.errors import InputError
+
+__all__ = ["LEAST", "together"]
+
+LEAST = 50
+"""Samples of a training record: five blocks of ten, below which no error on unused blocks says anything."""
+
+
+def _check(train: Record, test: Record | None) -> None:
+    pair = (("training", train),) if test is None else (("training", train), ("test", test))
+    for name, record in pair:
+        if not np.isfinite(record.u).all():
+            raise InputError(
+                f"the {name} input has missing samples; simulation needs every input: fill or cut them."
+            )
+    if len(train) < LEAST:
+        raise InputError(
+            f"the training record has {len(train)} samples; at least {LEAST} are needed: measure longer."
+        )
+    spread = np.std(train.u, axis=0)
+    if np.any(spread <= 1e-12 * (np.abs(train.u).max(axis=0) + 1e-300)):
+        j = int(np.argmin(spread))
+        raise InputError(
+            f"the input {train.input_names[j]} is constant: there is no excitation; excite it and measure again."
+        )
+    if test is None:
+        return
+    _alike(train, test, "test record")
+    shared = copied_rows(train, test)
+    if shared:
+        raise InputError(f"{shared} consecutive rows of the test record are also in the training record; the error on "
+                         "them would prove nothing: give data that were not used.")  # fmt: skip
+
+
+def _alike(train: Record, other: Record, name: str) -> None:
+    if (other.n_inputs, other.n_outputs) != (train.n_inputs, train.n_outputs):
+        raise InputError(f"the {name} has {other.n_inputs} inputs and {other.n_outputs} outputs, the training record "
+                         f"{train.n_inputs} and {train.n_outputs}; they must be of the same system.")  # fmt: skip
+    if abs(other.dt - train.dt) > 1e-3 * train.dt:
+        raise InputError(
+            f"the sampling times are {train.dt:g} and {other.dt:g} s; resample one to the other's."
+        )
+
+
+def together(train: Record | Sequence[Record], test: Record | None) -> list[Record]:
+    """The training records, checked, the longest first: single effects are looked for there, and judged on all."""
+    records = [train] if isinstance(train, Record) else sorted(train, key=len, reverse=True)
+    if not records:
+        raise InputError("there is no training record; give at least one.")
+    for record in records:
+        _alike(records[0], record, "other training record")
+        _check(record, test)
+    return records
