@@ -21,8 +21,8 @@ from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, climb, paired_gain
 from estimators.diagnosis.ladder.verdicts import Outcome, verdict
 from estimators.diagnosis.policy import Setting
+from estimators.diagnosis.record.admission import LEAST, together
 from estimators.diagnosis.record.measurement import held_samples, resting_samples
-from estimators.diagnosis.record.together import LEAST, together
 from estimators.diagnosis.remainder import Limits, fit_remainder, linear_footing, spliced
 from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, RemainderAnswer, early
 from estimators.diagnosis.result.model import DiagnosedModel
