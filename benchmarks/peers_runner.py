@@ -142,7 +142,7 @@ def size_of(answer: dict[str, Any]) -> int | None:
         case "named":
             return len(answer["p"])
         case "discovered":
-            return len(answer["model"]["theta"])
+            return len(json.loads(answer["model"])["theta"])  # its model is a text of its own
     return None
 
 
