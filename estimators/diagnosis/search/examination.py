@@ -248,18 +248,15 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
         np.sum(wild[: max(20, n // 50)]) > 0.7 * wild.sum()
     ):  # a transient from the start, not faults: asked again
         wild[:] = False
-    if wild.any():
-        found = attribute(replace(channel, keep=keep & ~wild), s, menu, alpha=setting.alpha)
+    if wild.any():  # what stands out from the best single effect too
+        found = attribute(replace(channel, keep=keep & ~wild), s, menu, alpha=setting.alpha, most=1)
         residual = y - simulate(found.final.structure, found.final.p, channel.u, clock)
-        again = _enough(
+        wild = _enough(
             wild_samples(residual, keep) & wild_samples(innovations(residual, found.final.noise), keep), n
         )
-        explained = not again.any() and not len(found.final.noise)
-        if np.sum(again & wild) >= 0.5 * wild.sum() or explained:
-            wild = again
+        if not wild.any() and not len(found.final.noise):
             found = _refitted(replace(channel, keep=keep & ~wild), found)
         else:
-            wild = again
             found = attribute(replace(channel, keep=keep & ~wild), s, menu, alpha=setting.alpha)
     else:
         found = attribute(channel, s, menu, alpha=setting.alpha)

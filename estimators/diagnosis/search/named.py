@@ -25,7 +25,7 @@ from estimators.diagnosis.result.answers import NamedAnswer
 from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.exchange import without
 from estimators.diagnosis.search.free_runs import blocked, start_of
-from estimators.diagnosis.search.selection import Attribution, second
+from estimators.diagnosis.search.selection import FULL, Attribution, second
 from estimators.diagnosis.share.feedback import autoregression, whitened
 from oed.data import Record
 
@@ -208,8 +208,11 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
 
     others = [f for f in a.alternatives if f.structure.effects[-1].effect.nature is not Nature.ADDED]
     singles = sorted(judged(others[:TRIED]), key=lambda n: n.step_error(bench))
+    few = max(
+        1, round(PAIRED * min(1.0, FULL / len(bench.channel)))
+    )  # longer records tell more of them apart
     pairs = judged(
-        f for n in singles[:PAIRED] for f in second(bench.channel, n.fit, menu, coloured=False)[:PAIRED]
+        f for n in singles[:few] for f in second(bench.channel, n.fit, menu, coloured=False)[:PAIRED]
     )
     options = sorted(
         (n for n in (first, *singles, *pairs) if n.step is not None), key=lambda n: n.step_error(bench)

@@ -17,7 +17,7 @@ from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
 
-__all__ = ["Attribution", "Claim", "attribute", "feedback_test", "second", "significance"]
+__all__ = ["FULL", "Attribution", "Claim", "attribute", "feedback_test", "second", "significance"]
 
 Array = NDArray[Any]
 EVERYTHING = Menu()
@@ -123,8 +123,9 @@ def _white(f: Fit) -> Fit:
 
 FEW = 8
 """Gauss-Newton steps after which candidates are compared: what is far behind then does not win with more."""
-BASES = 3
-"""Single effects of different causes that a second one is looked for beside: the best, and two in its place."""
+BASES, FULL = 3, 1500
+"""Single effects of different causes that a second one is looked for beside, the best and two in its place; fewer beside
+longer records, whose criteria tell the best from the others."""
 PLAIN = 1.0
 """Gain that a second effect must promise beside one that leaves white noise: tones, delays, modes and whatever else has a
 search of its own in place of a score would colour it."""
@@ -258,12 +259,12 @@ def _more_effects(
     for depth in range(1, most):
         options: list[tuple[Fit, Fit]] = []
         tried: dict[int, list[Fit]] = {}
-        bases = [final]
+        bases, several = [final], max(1, round(BASES * min(1.0, FULL / len(channel))))
         if depth == 1:
             causes = {good[0].cause}
             for claim in good[1:]:
                 near = claim.gain > 0.15 * good[0].gain
-                if claim.cause not in causes and len(causes) < BASES and near:
+                if claim.cause not in causes and len(causes) < several and near:
                     causes.add(claim.cause)
                     bases.append(claim.fit)
         for start in bases:
@@ -307,7 +308,9 @@ def _exchangeable(best: Fit, other: Fit, rivals: dict[str, list[str]]) -> None:
 def second(channel: Channel, f: Fit, menu: Menu, coloured: bool = True, needed: float = 0.0) -> list[Fit]:
     """The model with one more effect, the best by Schwarz's criterion first; nothing where a gain `needed` is not in sight."""
     position = len(f.structure.parts)
-    fits = list(augmented(channel, _white(f), menu, best=1, iterations=FEW, top=8, needed=needed))
+    fits = list(
+        augmented(channel, _white(f), menu, best=1, iterations=FEW, top=min(8, menu.top or 8), needed=needed)
+    )
     fits = _settled(channel, _per_key(fits, position), 3)
     if coloured and not f.structure.base and len(f.noise) and (not fits or len(fits[0].noise)):
         fits += list(augmented(channel, f, menu, best=1, iterations=10, top=5))
