@@ -62,19 +62,20 @@ def cases(data: Path, only: Sequence[str] = (), short: int | None = None) -> Ite
         dt = float(options["--dt"]) if "--dt" in options else None
         names = {"inputs": options.get("--inputs"), "outputs": options.get("--outputs"), "dt": dt}
         read = [read_record(path, **names, missing=True, notes=[]) for path in (train, test)]  # type: ignore[arg-type]
-        return Case(name, *(r[: short // n] if short else r for r, n in zip(read, (1, 2))), skip)
+        first, second = (r[: short // n] if short else r for r, n in zip(read, (1, 2)))
+        return Case(name, first, second, skip)
 
     for name, known in (RECORDS | HALVES).items():
         paths = [(part, sorted(data.rglob(part.partition("[")[0]))) for part in (known.train, known.test)]
         if all(found for _, found in paths) and (not only or name in only):
-            files = (f"{found[0].parent / part}" for part, found in paths)
+            train, test = (f"{found[0].parent / part}" for part, found in paths)
             words = known.options.split()
-            yield case(name, known.skip, *files, dict(zip(words[::2], words[1::2])))
+            yield case(name, known.skip, train, test, dict(zip(words[::2], words[1::2])))
     for meta in sorted(data.rglob("meta.json")):
         files = sorted(meta.parent.glob("train.csv*")) + sorted(meta.parent.glob("test.csv*"))
         if len(files) == 2 and (not only or meta.parent.name in only):
             skip = json.loads(meta.read_text(encoding="utf-8")).get("skip", 20)
-            yield case(meta.parent.name, skip, *map(str, files), {})
+            yield case(meta.parent.name, skip, str(files[0]), str(files[1]), {})
 
 
 def installed(python: str) -> str:
@@ -100,7 +101,7 @@ def signals(case: Case) -> dict[str, Any]:
 
 def run(case: Case, peer: str, python: str, limit: int) -> dict[str, Any]:
     """The row of one record and one tool, from a process of its own; a failure is a row with its last line as the reason."""
-    threads = dict.fromkeys(
+    threads: dict[str, str] = dict.fromkeys(
         ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
     )
     threads["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"

@@ -169,7 +169,7 @@ def ran(peer: str, held: dict[str, Any]) -> dict[str, Any]:
     modules = [importlib.import_module(name) for name in NEEDS[peer]]
     began = time.process_time()
     if peer == "oed":
-        found, mean, spread = oed(s, *modules, held["clocks"].tolist()), 0.0, 1.0
+        found, mean, spread = oed(s, modules[0], modules[1], held["clocks"].tolist()), 0.0, 1.0
     else:
         mean, spread, middle, width = s.y.mean(), s.y.std(), s.u.mean(axis=0), s.u.std(axis=0)
         u, u2, y, y2 = (

@@ -217,7 +217,7 @@ class Criterion:
                 W, share, outer, crossed = V / np.where(trace, trace, 1.0)[:, None, None], trace**2, 2.0, 0.0
             share = share / share.sum()
             rise = (2 / s if crossed else 2.0) * np.moveaxis(W * share[:, None, None], 0, 1).reshape(n, size)
-            bend = np.zeros((n, K, s, n, K, s)) if second else None
+            bend = np.zeros((n, K, s, n, K, s) if second else (0,) * 6)
             for k in range(K if second else 0):
                 bend[:, k, :, :, k, :] = share[k] * (
                     outer * np.einsum("ia,jb->iajb", W[k], W[k])

@@ -66,10 +66,16 @@ def chart(figure: Figure) -> dict[str, Any]:
         group = [name for name in names if figure.marks.get(name, "line") == mark]
         part = base.transform_filter(alt.FieldOneOfPredicate(field="series", oneOf=group))
         sure = part.transform_filter("isValid(datum.low) && isValid(datum.high)")
-        line = {"strokeWidth": 1.6, "clip": True, "interpolate": "step-after" if mark == "step" else "linear"}
+        line: dict[str, Any] = {
+            "strokeWidth": 1.6,
+            "clip": True,
+            "interpolate": "step-after" if mark == "step" else "linear",
+        }
         if any(row.get("low") is not None and str(row.get("series") or "") in group for row in figure.rows):
             band = mark in ("line", "step")
-            curve = {"opacity": 0.18, "interpolate": line["interpolate"]} if band else {"strokeWidth": 1.4}
+            curve: dict[str, Any] = (
+                {"opacity": 0.18, "interpolate": line["interpolate"]} if band else {"strokeWidth": 1.4}
+            )
             drawn = (sure.mark_area if band else sure.mark_rule)(clip=True, **curve)
             layers.append(drawn.encode(**{place: axis[place], "color": colour}, **ends))
         if mark in ("line", "step", "both"):
@@ -91,9 +97,9 @@ def chart(figure: Figure) -> dict[str, Any]:
     if figure.rules:
         at = axis[value].copy()
         at.shorthand = f"{value}:Q"
-        line = alt.Chart(alt.InlineData([{value: v} for v in figure.rules]))
+        ruled = alt.Chart(alt.InlineData([{value: v} for v in figure.rules]))
         layers.insert(
-            0, line.mark_rule(color="currentColor", opacity=0.45, strokeDash=[4, 3]).encode(**{value: at})
+            0, ruled.mark_rule(color="currentColor", opacity=0.45, strokeDash=[4, 3]).encode(**{value: at})
         )
     whole = alt.layer(*layers).properties(width="container", height=_height(figure))
     if figure.zoom:

@@ -111,7 +111,7 @@ def write_design(
     sure = [f"Loss {design.loss:.6g}, and no admissible spectrum has less than {design.bound:.6g}: a certified gap of {design.gap:.1e}.",
             f"{design.status.name}: {design.status.value}"]  # fmt: skip
     todo = ["Apply input.csv."] if runs else ["Make a signal of it: the same command with --realise N."]
-    if "realised_efficiency" in payload:
+    if signal is not None and "realised_efficiency" in payload:
         sure.append(
             f"The signal of {len(signal)} samples keeps {100 * payload['realised_efficiency']:.3g} % of it, crest factor {payload['crest_factor']:.3g}."
         )

@@ -142,7 +142,9 @@ def _orders(
                        "singular value", {"taken": "points", "left": "points"}, log="y")]  # fmt: skip
     if structure not in ("oe", "arx") or len(_entries(fit)) > 1 or not all(r.complete for r in records):
         return []
-    given = {k: v for k, v in options.items() if k in ("offset", "initial", "robust")} | {"search": "quick"}
+    given: dict[str, Any] = {k: v for k, v in options.items() if k in ("offset", "initial", "robust")} | {
+        "search": "quick"
+    }
     choice = select_orders(
         records, structure, [(n, n) for n in range(1, ORDERS + 1)], delays=(options["delay"],), **given
     )

@@ -75,7 +75,7 @@ def server(folder: Path) -> ThreadingHTTPServer:
         """Answers two addresses, and only to whoever asked for this machine by its own name."""
 
         def do_GET(self) -> None:  # the name that http.server calls
-            port = self.server.server_address[1]
+            port = self.server.server_address[1]  # pyright: ignore[reportIndexIssue]
             if self.headers.get("Host") not in (
                 f"{HOST}:{port}",
                 f"localhost:{port}",

@@ -83,7 +83,8 @@ def _bundle() -> str:
     try:
         return file.read_text(encoding="utf-8")
     except OSError:
-        text = vl_convert.javascript_bundle().replace("</script", "<\\/script")
+        whole = vl_convert.javascript_bundle()  # pyright: ignore[reportCallIssue]
+        text = whole.replace("</script", "<\\/script")
     try:
         home.mkdir(parents=True, exist_ok=True)
         write_whole(file, text)

@@ -128,7 +128,8 @@ def characteristics(result: Diagnosis, output: int = 0) -> list[Characteristic]:
     curves = []
     for part, sl in drawn:
         values, name = _range_of(part, f, channel)
-        x = np.linspace(*np.quantile(values[np.isfinite(values)], (0.005, 0.995)), 121)
+        low, high = np.quantile(values[np.isfinite(values)], (0.005, 0.995))
+        x = np.linspace(low, high, 121)
         y = part.drawn(x, f.p[sl])
         slopes = np.zeros((len(x), sl.stop - sl.start))
         for i in range(sl.stop - sl.start):

@@ -77,7 +77,7 @@ def polynomial_kernel(structure: Polynomial, levels: bool, initial: bool, weight
         return Sums(*fold(*given, weight, orders, entries, levels, copies))
 
     # weights of single samples leave no shift structure: the sensitivities are multiplied out
-    by_trace = summed(lambda data, parameters: trace(data, parameters, True))
+    by_trace = summed(lambda data, parameters: trace(data, parameters, True))  # pyright: ignore[reportArgumentType]
     return Kernel(by_trace if weighted else sums, trace, n)
 
 

@@ -31,7 +31,7 @@ EDGE = 1e-7
 @lru_cache(maxsize=128)
 def _cached_kernel(structure: tuple, levels: bool, initial: bool, variant: str) -> Kernel:
     kind, *rest = structure
-    made = StateSpace(*rest) if kind == "ss" else Polynomial(*map(np.array, rest), kind)
+    made = StateSpace(*rest) if kind == "ss" else Polynomial(*map(np.array, rest), kind)  # pyright: ignore[reportCallIssue]
     if isinstance(made, StateSpace):
         if variant == "missing":
             return kernel_of(state_space_kalman_recursion(made, levels, initial))

@@ -12,6 +12,7 @@ second derivatives in the least-squares sense (phases are free, X may be), so th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -262,7 +263,8 @@ def _newton(system: _System) -> tuple[_Point, float]:
     for _ in range(STEPS):
         if norm < SPENT or not np.isfinite(norm) or (norm < ROUNDING and norm > 0.1 * before):
             break
-        step[system.free] = -lstsq(J, residual, cond=DEPENDENT, lapack_driver="gelsy", check_finite=False)[0]
+        solved: Any = lstsq(J, residual, cond=DEPENDENT, lapack_driver="gelsy", check_finite=False)
+        step[system.free] = -solved[0]
         length = min(1.0, STRIDE / max(float(np.abs(step[:lines]).max()), 1e-300))
         for _ in range(HALVINGS):
             trial = system.moved(point, length * step)
