@@ -20,6 +20,9 @@ LAGS = (
     3.0  # of the Bartlett window, in the model's own time constants: errors of the model last about as long
 )
 ALPHA, SEARCHED = 0.01, 1500  # rate of false terms in a model, and how many candidates it was the best of
+MISSED = 0.05
+"""Share by which the error may rise without a term. A coefficient beside a width of its own may be uncertain, as a tanh that
+is nearly a cube is, where the term itself is beyond doubt: unused blocks judge it then."""
 DIFFERENCE = 1e-5  # relative step of the delta method
 
 
@@ -71,7 +74,7 @@ def pruned(fitted: Fitted, pieces: Sequence[Piece], rounds: int) -> Fitted:
         if p_values[weakest] < ALPHA / SEARCHED:
             return fitted
         less = _without(fitted, weakest, pieces, rounds)
-        if less is None:
+        if less is None or less.sse > (1.0 + MISSED) * fitted.sse:
             return fitted
         fitted = less
     return fitted

@@ -212,9 +212,10 @@ def test_bad_csv_gets_one_clear_line(tmp_path: Path, content: bytes, message: st
 
 def test_bad_requests_get_one_clear_line(tmp_path: Path) -> None:
     path = write(tmp_path, "t,u1,u2,y_V\n" + "".join(f"{k / 2},1,2,3\n" for k in range(6)))
+    (tmp_path / "data.xlsx").write_bytes(b"PK")
     for spec, options, message in (
         (tmp_path / "absent.csv", {}, "does not exist"),
-        (tmp_path, {}, "suffix 'none'"),
+        (tmp_path, {}, "is a folder; give a file"),
         (tmp_path / "data.xlsx", {}, "suffix '.xlsx'; files are read by suffix: .csv, .mat, .npz, .parquet"),
         (f"{path}[3:9]", {}, r"rows \[3:9\] are not in data.csv, which has 6 rows"),
         (f"{path}[4:4]", {}, r"rows \[4:4\]"),
