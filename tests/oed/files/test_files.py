@@ -216,7 +216,7 @@ def test_bad_requests_get_one_clear_line(tmp_path: Path) -> None:
     for spec, options, message in (
         (tmp_path / "absent.csv", {}, "does not exist"),
         (tmp_path, {}, "is a folder; give a file"),
-        (tmp_path / "data.xlsx", {}, "suffix '.xlsx'; files are read by suffix: .csv, .mat, .npz, .parquet"),
+        (tmp_path / "data.xlsx", {}, "suffix '.xlsx'; files are read by suffix: .csv"),
         (f"{path}[3:9]", {}, r"rows \[3:9\] are not in data.csv, which has 6 rows"),
         (f"{path}[4:4]", {}, r"rows \[4:4\]"),
         (f"{path}[-2:]", {}, r"rows \[-2:\] are not in"),
