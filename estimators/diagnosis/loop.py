@@ -25,7 +25,7 @@ from estimators.diagnosis.record.admission import LEAST, together
 from estimators.diagnosis.record.measurement import held_samples, resting_samples
 from estimators.diagnosis.remainder import Limits, fit_remainder, linear_footing, spliced
 from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, RemainderAnswer, early
-from estimators.diagnosis.result.model import DiagnosedModel
+from estimators.diagnosis.result.model import diagnosed_model
 from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.examination import Examined, Known, examine
@@ -332,7 +332,7 @@ def _diagnosis(
         rmse_before=held.rmse_before, rmse_after=held.rmse_after, pred_rmse_before=held.pred_before,
         pred_rmse_after=held.pred_after, difference=held.difference, noise_floor=floor, room=held.room,
         yhat_before=held.before, yhat_after=held.after, held_out=words,
-        warnings=tuple(notes), model=_model(train, outcomes, held), linear=_linear(base), ladder=held.rungs,
+        warnings=tuple(notes), model=diagnosed_model(records, held.answered, [o.ladder for o in outcomes]), linear=_linear(base), ladder=held.rungs,
         extra={"outputs": [o.examined for o in outcomes], "finals": [o.named.fit for o in outcomes], "train": train,
                "test": train if test is None else test},
         **verdict(outcomes, held, setting),
@@ -348,13 +348,3 @@ def _linear(base: Baseline) -> dict[str, Any]:
         "structure": base.structure, "orders": [m.orders for m in base.outputs],
         "delay": [list(m.delays) for m in base.outputs], "poles": poles, "why": list(base.why),
     }  # fmt: skip
-
-
-def _model(train: Record, outcomes: list[Outcome], held: HeldOut) -> DiagnosedModel:
-    """The answers of all outputs, each with its error on unused blocks."""
-    errors = [
-        next(r.value for r in o.ladder.rungs if r.step is step)
-        for o, step in zip(outcomes, held.answered, strict=True)
-    ]
-    return DiagnosedModel(tuple(step.answer for step in held.answered), np.array(errors), train.dt, train.input_names,
-                          train.output_names)  # fmt: skip

@@ -122,11 +122,14 @@ class LinearModel:
             return level, prior.covariance[0] * np.ones((n, n)) + REST * anywhere
         if np.isfinite(y).sum() >= FEWEST:
             return prior.mean, anywhere
-        # nothing is measured: where the training records rested, or at rest under the first input if there is such a rest
-        level = prior.level if np.array_equal(u[0], prior.held) else np.nan
-        if not np.isfinite(level):
-            level = self.level(u[0]) if self.radius < FAR else prior.mean
-        return level, REST * anywhere
+        return self.expected(prior, u[0]), REST * anywhere
+
+    def expected(self, prior: Prior, u: Array) -> float:
+        """Output before an unmeasured record: where the training records rested, or at rest under inputs (nu,) if there is such a rest."""
+        level = prior.level if np.array_equal(u, prior.held) else np.nan
+        if np.isfinite(level):
+            return level
+        return self.level(u) if self.radius < FAR else prior.mean
 
     def free_run(self, prior: Prior, u: Array, y: Array, window: int) -> Array:
         """(N,) simulated output; the first `window` samples of y (N,) set the state, and are smoothed by it.

@@ -16,7 +16,7 @@ from estimators.diagnosis.discovery.fitting import Piece
 from estimators.diagnosis.discovery.form import LAST, Assembly, Factor, Form, Term
 from estimators.diagnosis.discovery.starts import Scales, drive
 from estimators.diagnosis.discovery.uncertainty import error_of
-from estimators.diagnosis.discovery.validation import StartPrior, free_run
+from estimators.diagnosis.discovery.validation import STILL, StartPrior, expected_state, free_run
 from estimators.diagnosis.discovery.wording import (
     DEGREE,
     Axis,
@@ -84,6 +84,11 @@ class DiscoveredModel:
         fine = np.isfinite(y)
         piece = Piece(drive(record.u, self.scales), np.where(fine, y, 0.0), fine.astype(float))
         return free_run(self.assembly, self.theta, self.prior, piece, window) * self.scales.sy + self.scales.y
+
+    def start(self, level: Array) -> Array:
+        """Whole state from which a record starts whose inputs stay at `level` (nu,) at first and whose outputs are not known."""
+        d, none = drive(np.tile(level, (STILL, 1)), self.scales), np.zeros((STILL, len(self.scales.y)))
+        return expected_state(self.assembly, self.theta, self.prior, Piece(d, none, none), 0)[0]
 
     def resolved(self, theta: Array | None = None) -> list[tuple[Term, Array]]:
         """Every term with its fitted constants, and its coefficients."""

@@ -13,7 +13,18 @@ from estimators.diagnosis.baseline import Block, Blocks
 from estimators.diagnosis.discovery.fitting import REACH, Fitted, Piece, fit, run_piece, start_state
 from estimators.diagnosis.discovery.form import NOTHING, Assembly, Filled
 
-__all__ = ["StartPrior", "ahead", "first_level", "free_run", "predicted", "rest", "start_prior", "unused"]
+__all__ = [
+    "StartPrior",
+    "STILL",
+    "ahead",
+    "expected_state",
+    "first_level",
+    "free_run",
+    "predicted",
+    "rest",
+    "start_prior",
+    "unused",
+]
 
 Array = NDArray[Any]
 FIRM = 1.0  # error variances by which a carried or resting state is off
@@ -104,14 +115,10 @@ def free_run(
     of the whole state `before` (where known) the slow states are taken, or all of it where it is `carried`.
     """
     filled = asm.fill(theta)
-    firm = True
     if before is not None and carried:
-        expected = before
+        expected, firm = before, True
     else:
-        expected = rest(asm, theta, first_level(piece, window), piece.d[0])
-        firm = _rests(asm, filled, expected, piece, prior.mse)
-        if not firm:
-            expected, _ = start_state(asm, filled, prior.mean, piece.d[0])
+        expected, firm = expected_state(asm, theta, prior, piece, window)
     if before is not None:
         slow = asm.chain_states + len(asm.form.orders)
         expected[slow:] = before[slow:]
@@ -126,6 +133,17 @@ def free_run(
     run = filled.run(x, piece.d)
     fine = run.fine and np.abs(run.y).max() < REACH
     return run.y if fine else np.full_like(run.y, np.nan)
+
+
+def expected_state(
+    asm: Assembly, theta: Array, prior: StartPrior, piece: Piece, window: int
+) -> tuple[Array, bool]:
+    """Whole state before any output is looked at, and whether it is one of rest."""
+    filled = asm.fill(theta)
+    expected = rest(asm, theta, first_level(piece, window), piece.d[0])
+    if _rests(asm, filled, expected, piece, prior.mse):
+        return expected, True
+    return start_state(asm, filled, prior.mean, piece.d[0])[0], False
 
 
 def _rests(asm: Assembly, filled: Filled, x: Array, piece: Piece, mse: float) -> bool:

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
 from estimators.diagnosis.effects.names import numbered
 
-__all__ = ["INITIAL", "PATH", "PRODUCT", "STORE"]
+__all__ = ["INITIAL", "PATH", "PRODUCT", "STORE", "curve_of_charge"]
 
 Array = NDArray[Any]
 
@@ -214,10 +214,14 @@ def _charge(u: Array, scale: float) -> Array:
 
 def _curved(u: Array, p: Array, clock: Clock) -> Array:
     """slope x + first (exp(-a x) - 1) + last (exp(b (x - 1)) - exp(-b)): a store is full at one end and empty at the other."""
-    slope, first, a, last, b, scale = p
-    if scale == 0.0 or a < 0.0 or b < 0.0:
+    if p[5] == 0.0 or p[2] < 0.0 or p[4] < 0.0:
         return np.full(len(u), np.inf)
-    x = _charge(u, scale)
+    return curve_of_charge(_charge(u, p[5]), p)
+
+
+def curve_of_charge(x: Any, p: Array) -> Any:
+    """The curve over the charge in ranges of the training record, numbers or symbols."""
+    slope, first, a, last, b, _ = p
     low = np.expm1(np.clip(-a * x, -STEEPEST, STEEPEST))
     high = np.exp(np.clip(b * (x - 1.0), -STEEPEST, STEEPEST)) - np.exp(-b)
     return slope * x + first * low + last * high

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
 
-__all__ = ["PROCESS"]
+__all__ = ["PROCESS", "Passing"]
 
 Array = NDArray[Any]
 _recent: deque[tuple[tuple[Any, ...], Array]] = deque(
@@ -93,10 +94,25 @@ def passed(force: Callable[..., Any], u: Array, p: Array, *, start: float | None
     return out
 
 
+@dataclass(frozen=True)
+class Passing:
+    """What the input becomes when it passes a process with this force."""
+
+    force: Callable[..., Any]
+
+    def __call__(self, x: Array, p: Array, clock: Clock) -> Array:
+        """(N,) state of the process at the end of each sample."""
+        return passed(self.force, x, p)
+
+    def start(self, level: float, p: Array) -> float:
+        """Its state at rest under a constant input."""
+        return _rest(self.force, level, np.array(p[1:], dtype=float), level)
+
+
 def _process(
     key: str, cause: str, sentence: str, force: Callable[..., Any], parameters: dict[str, str], starts: Any, **fields: Any
 ) -> Effect:  # fmt: skip
-    known: dict[str, Any] = {"apply": lambda x, p, clock: passed(force, x, p)} | fields
+    known: dict[str, Any] = {"apply": Passing(force)} | fields
     return Effect(
         key=key, cause=cause, nature=Nature.DYNAMIC, slot=Slot.INPUT, sentence=sentence, lagged=True, alone=True,
         parameters={"rate": "1/sample"} | parameters, trials=15, starts=starts, **known,

@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock
 
-__all__ = ["LAYOUTS", "NOTHING", "STEPS", "Inside", "changed_states", "layout_matrices", "states"]
+__all__ = [
+    "LAYOUTS",
+    "NOTHING",
+    "STEPS",
+    "Inside",
+    "changed_states",
+    "held_plant",
+    "layout_matrices",
+    "states",
+]
 
 Array = NDArray[Any]
 
@@ -121,7 +130,7 @@ def states(layout: str, rates: Array, u: Array, inside: Inside = NOTHING, x0: Ar
     )
 
     steps = inside.steps if inside else 1  # linear dynamics are exact in one
-    held = _held(layout, tuple(rates), steps)
+    held = held_plant(layout, tuple(rates), steps)
     x0 = np.zeros(len(held.phi)) if x0 is None else x0
     U = u.reshape(len(u), -1)
     nu = U.shape[1]
@@ -139,7 +148,7 @@ def states(layout: str, rates: Array, u: Array, inside: Inside = NOTHING, x0: Ar
 
 
 @lru_cache(maxsize=64)
-def _held(layout: str, rates: tuple[float, ...], steps: int) -> Any:
+def held_plant(layout: str, rates: tuple[float, ...], steps: int) -> Any:
     """Transition and held responses over one step; kept, since most derivatives are by other parameters."""
     from estimators.diagnosis.effects.plant_kernels import Held, held_response
 

@@ -26,6 +26,8 @@ Array = NDArray[Any]
 
 AHEAD = 64  # samples beyond the record, the input held, for a clock that runs ahead
 MOST_FORCES = 2  # as many as `plant_kernels` takes; a test holds the two together
+SETTLE = 2000
+"""Samples at rest in which what began before a record has settled."""
 FINE = 8
 """Values per sample that a play at the output follows: leaves 0.1 % of the output at 0.6 rad per sample."""
 
@@ -152,7 +154,7 @@ def simulate(
     n = len(u)
     settle = 0
     if rest and any(part.effect.settles for part in s.parts):
-        settle = 2000
+        settle = SETTLE
         u = np.concatenate((np.zeros((settle, u.shape[1])), u))
         clock = Clock(np.concatenate((np.full(settle, clock.k[0]), clock.k)), clock.length)
     if any(part.effect.ahead for part in s.parts):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,12 @@ from estimators.diagnosis.effects import CATALOGUE, Clock, Effect, named
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.remainder.mixture import Remainder
 from estimators.diagnosis.remainder.storage import from_json, to_json
-from estimators.diagnosis.search.free_runs import Start, on_record
+from estimators.diagnosis.search.free_runs import Start, lead_in, on_record
 from oed.data import Record
 from oed.errors import InputError
+
+if TYPE_CHECKING:
+    from estimators.diagnosis.effects.symbols.wiring import Wiring
 
 __all__ = [
     "Answer",
@@ -41,6 +44,10 @@ class Answer(Protocol):
 
     def simulate(self, record: Record, window: int) -> Array:
         """(N,) free run; the first `window` measured samples may set the state."""
+        ...
+
+    def symbols(self, w: Wiring) -> Any:
+        """Its output at sample k as a CasADi expression, its states added to the wiring."""
         ...
 
     def to_dict(self) -> dict[str, Any]:
@@ -76,6 +83,12 @@ class LinearAnswer:
         u, y = record.u[:, list(self.inputs)], record.y[:, self.output]
         return self.model.free_run(self.prior, u, y, window)
 
+    def symbols(self, w: Wiring) -> Any:
+        """A filter whose states are those of the transposed direct form."""
+        from estimators.diagnosis.effects.symbols import models
+
+        return models.linear(w, self.inputs, self.model, self.prior)
+
     def to_dict(self) -> dict[str, Any]:
         """Coefficients and how the state is set."""
         m = {"den": self.model.den.tolist(), "num": self.model.num.tolist(), "constant": self.model.constant}
@@ -105,10 +118,24 @@ class NamedAnswer:
         run = on_record(self, moved, self.output, clock, window, self.start, self.thin)
         return np.round(run / self.step) * self.step if self.step > 0 else run
 
+    def symbols(self, w: Wiring) -> Any:
+        """Its parts one after another; a sensor's rounding is left out, as it has no slope."""
+        from estimators.diagnosis.effects.symbols import models
+
+        if self.thin > 1:
+            w.refuse(f"it is a model of every {self.thin}th sample, and its values between them follow from later ones",
+                     "diagnose the record sampled as slowly, its inputs averaged over the samples")  # fmt: skip
+        t0, dt, length = self.clock
+        clock = round(-t0 / dt), length
+        return models.structured(w, self.structure, self.p, clock, lead_in(self, self.start), self.ahead)
+
     def to_dict(self) -> dict[str, Any]:
         """Structure by the keys of its effects, parameters, start and clock."""
         s = self.structure
-        parts = [{"effect": q.key, "channel": q.channel, "size": q.size, "first": q.first} for q in s.parts]
+        parts = [
+            {"effect": q.key, "channel": q.channel, "size": q.size, "first": q.first, "free": q.free}
+            for q in s.parts
+        ]
         form = {"order": s.order, "inputs": list(s.inputs), "layout": s.layout, "delay": s.delay, "taps": s.taps,
                 "base": s.base, "parts": parts}  # fmt: skip
         return {
@@ -128,6 +155,15 @@ class DiscoveredAnswer:
     def simulate(self, record: Record, window: int) -> Array:
         """(N,) free run."""
         return self.model.simulate(record, window)[:, self.output]
+
+    def symbols(self, w: Wiring) -> Any:
+        """One output of the model, whose states stand once for all outputs that read it."""
+        from estimators.diagnosis.effects.symbols import models
+
+        key = self.model.to_json()
+        if key not in w.shared:
+            w.shared[key] = models.discovered(w, self.model)
+        return w.shared[key][self.output]
 
     def to_dict(self) -> dict[str, Any]:
         """The whole model, as its outputs may drive one another."""
@@ -154,6 +190,10 @@ class RemainderAnswer:
         run = self.rest.simulate(record, earlier)
         return run if np.all(np.isfinite(run)) else own
 
+    def symbols(self, w: Wiring) -> Any:
+        """None: neither its regressions nor its networks have a twin."""
+        w.refuse("the remainder is a black box without a twin in CasADi", "take `model.without_remainder()`")
+
     def to_dict(self) -> dict[str, Any]:
         """The answers that it stands on, and itself."""
         others = [a.to_dict() for a in self.others]
@@ -164,7 +204,8 @@ class RemainderAnswer:
 def _named(data: dict[str, Any], effects: tuple[Effect, ...]) -> NamedAnswer:
     form = data["structure"]
     parts = tuple(
-        Part(named(q["effect"], effects), q["channel"], q["size"], q["first"]) for q in form["parts"]
+        Part(named(q["effect"], effects), q["channel"], q["size"], q["first"], q["free"])
+        for q in form["parts"]
     )
     structure = Structure(**(form | {"inputs": tuple(form["inputs"]), "parts": parts}))
     t0, dt, length = data["clock"]

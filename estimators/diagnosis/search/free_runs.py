@@ -19,7 +19,7 @@ from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Structure
 from oed.data import Record
 
-__all__ = ["Start", "blocked", "free_run", "lengthened", "on_record", "start_of", "thinned"]
+__all__ = ["Start", "blocked", "free_run", "lead_in", "lengthened", "on_record", "start_of", "thinned"]
 
 Array = NDArray[Any]
 
@@ -76,8 +76,11 @@ def denominator(f: Shaped) -> Array:
     return np.real(np.poly(np.linalg.eigvals(expm(A))))
 
 
-def _lead(f: Shaped, den: Array) -> int:
-    """Samples of constant input that bring the linear part to rest; 0 where it has none."""
+def lead_in(f: Shaped, start: Start) -> int:
+    """Samples of constant input before a record that bring the linear part to rest; 0 where it has none, or is at rest."""
+    if start.rest:
+        return 0
+    den = denominator(f)
     radius = float(np.abs(np.roots(den)).max(initial=0.0))
     if radius >= FAR:
         return 0
@@ -93,7 +96,7 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
     if f.structure.layout == "tanks":
         return _tanks(f, u, clock, y, window)
     den = denominator(f)
-    lead = 0 if start.rest else _lead(f, den)
+    lead = lead_in(f, start)
     padded = np.concatenate((np.repeat(u[:1], lead, axis=0), u))
     early = Clock(np.concatenate((clock.k[0] - np.arange(lead, 0.0, -1.0), clock.k)), clock.length)
     run = simulate(f.structure, f.p, padded, early, rest=True)[lead:]

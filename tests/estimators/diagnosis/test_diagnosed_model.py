@@ -86,7 +86,7 @@ def test_the_interval_covers_as_often_as_it_says():
     assert np.mean((low < record.y) & (record.y < high)) < 0.75
 
 
-def test_a_linear_answer_is_a_transfer_function_and_a_dead_zone_is_none():
+def test_a_linear_answer_is_a_linear_system_and_a_dead_zone_is_none():
     model = DiagnosedModel(
         (LinearAnswer(0, (0,), LinearModel(A, B), PRIOR),), np.array([0.1]), 0.5, ("u",), ("y",)
     )
@@ -94,7 +94,7 @@ def test_a_linear_answer_is_a_transfer_function_and_a_dead_zone_is_none():
     z = np.exp(0.3j)
     expected = np.polyval(B[0], z) / np.polyval(A, z)
     assert complex(plant(z)) == pytest.approx(expected)
-    with pytest.raises(InputError, match="no transfer function"):
+    with pytest.raises(InputError, match="no linear system"):
         replace(model, answers=(_named(),)).to_control()
 
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import cont2discrete, ss2tf
 
 from estimators import diagnose
-from estimators.diagnosis.effects import CATALOGUE, Clock, Effect, Nature, Slot, named, plant_kernels, terms
+from estimators.diagnosis.effects import CATALOGUE, Clock, Effect, Nature, Slot, named, plant_kernels
 from estimators.diagnosis.effects.plant_kernels import Elements, Held, bouc_wen, held_response
 from estimators.diagnosis.effects.recursion_kernels import (
     hinges,
@@ -17,6 +17,7 @@ from estimators.diagnosis.effects.recursion_kernels import (
     rate_limited_mean,
     rational,
 )
+from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.loop import Setting
 from estimators.diagnosis.model import fitting, simulation
 from estimators.diagnosis.model.derivatives import exact_columns
@@ -62,8 +63,8 @@ def test_a_static_map_is_its_formula_in_numbers_and_in_casadi_symbols(key):
     expected = [CURVES[key](v, p[0], p[-1]) for v in x]
     clock = Clock(np.arange(200.0), 200)
     np.testing.assert_allclose(e.apply(x, p, clock), expected, rtol=1e-9, atol=1e-12)
-    term = terms.map_term(e.apply, p)
-    np.testing.assert_allclose(np.array(term(x[None, :])).ravel(), expected, rtol=1e-9, atol=1e-12)
+    term = terms.map_term(e.apply, p, 200)
+    np.testing.assert_allclose(np.array(term(x[None, :], 0)).ravel(), expected, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("key", TIMED)

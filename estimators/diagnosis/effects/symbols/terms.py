@@ -8,20 +8,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from estimators.diagnosis.effects.effect import Clock
 
 __all__ = [
     "bouc_wen_step",
     "delay_term",
     "dry_friction_term",
+    "factor_term",
     "feedback_step",
     "hinges_term",
     "lag_step",
     "map_term",
     "play_step",
     "rate_step",
+    "with_numpy",
 ]
 
 
@@ -29,7 +29,7 @@ def _clip(ca: Any, x: Any, low: Any, high: Any) -> Any:
     return ca.fmin(ca.fmax(x, low), high)
 
 
-def _with_numpy() -> Any:
+def with_numpy() -> Any:
     """CasADi, told to take NumPy functions of its symbols without a notice."""
     import casadi as ca
 
@@ -37,11 +37,22 @@ def _with_numpy() -> Any:
     return ca
 
 
-def map_term(apply: Callable[[Any, Any, Clock], Any], p: Any) -> Any:
-    """CasADi function x -> out of a static map with given parameters."""
-    ca = _with_numpy()
-    x = ca.SX.sym("x")
-    return ca.Function("map", [x], [apply(x, p, Clock(np.zeros(1), 1))])
+def map_term(apply: Callable[[Any, Any, Clock], Any], p: Any, length: int) -> Any:
+    """CasADi function (x, k) -> out of a map of one sample and its time with given parameters."""
+    ca = with_numpy()
+    x, k = ca.SX.sym("x"), ca.SX.sym("k")
+    return ca.Function("map", [x, k], [apply(x, p, Clock(k, length))])
+
+
+def factor_term(kind: int, s: Any, p: float, q: float) -> Any:
+    """A factor of a discovered term, as `discovery.recursion_kernels.factor`."""
+    ca, d = with_numpy(), s - p
+    return (
+        lambda: d, lambda: d**2, lambda: d**3, lambda: ca.fabs(d), lambda: ca.tanh(d / q), lambda: q * ca.tanh(d / q),
+        lambda: ca.fmax(d, 0), lambda: d * ca.fabs(d), lambda: ca.sin(q * d), lambda: ca.cos(q * d),
+        lambda: ca.exp(ca.fmin(d / q, 30)), lambda: ca.sqrt(ca.fmax(d, 1e-6)), lambda: ca.log(ca.fmax(d, 1e-6)),
+        lambda: 1 / ca.fmax(d, 1e-2), lambda: d / ca.sqrt(ca.fabs(d) + 1e-3), lambda: ca.exp(-((d / q) ** 2)),
+    )[kind]()  # fmt: skip
 
 
 def play_step() -> Any:
@@ -139,7 +150,7 @@ def feedback_step(order: int, held: Any, elements: Any, forces: list[tuple[Any, 
     The same as one step of `plant_kernels.simulate_feedback`: `held` and `elements` as there, forces with their parameters
     evaluated with symbols, no modulating signal.
     """
-    ca = _with_numpy()
+    ca = with_numpy()
 
     x, u, z = ca.SX.sym("x", order), ca.SX.sym("u"), ca.SX.sym("z")
     phi, gu, gw, position, velocity = (ca.DM(a) for a in held)

@@ -1,0 +1,201 @@
+"""Effects as parts of a step: what each keeps from sample to sample, in the terms that the recursions are held to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects import named
+from estimators.diagnosis.effects.effect import Clock, Effect
+from estimators.diagnosis.effects.path import curve_of_charge
+from estimators.diagnosis.effects.process import Passing
+from estimators.diagnosis.effects.symbols import terms
+from estimators.diagnosis.effects.symbols.wiring import Wiring
+
+__all__ = ["acted", "inside_plant"]
+
+Array = NDArray[Any]
+REMEDY = "simulate it, or diagnose without this effect"
+SAMPLES = 64
+"""On which a map of one's own is held to its symbols: one that looks at other samples or at the whole record differs in some."""
+SIZES = (0.01, 0.1, 1.0, 10.0)
+
+
+def _play(w: Wiring, x: Any, p: Array) -> Any:
+    s = w.state()
+    s.after = terms.play_step()(s.x, x, abs(p[0]))
+    return s.after
+
+
+def _rate(which: int) -> Callable[[Wiring, Any, Array], Any]:
+    def limited(w: Wiring, x: Any, p: Array) -> Any:
+        s = w.state()
+        out = terms.rate_step()(s.x, x, abs(p[0]))
+        s.after = out[0]
+        return out[which]
+
+    return limited
+
+
+def _stiction(w: Wiring, x: Any, p: Array) -> Any:
+    s, half = w.state(), abs(p[0])
+    left, gap = half * float(np.clip(p[1], 0.0, 1.0)), x - s.x
+    s.after = w.ca.if_else(gap > half, x - left, w.ca.if_else(gap < -half, x + left, s.x))
+    return s.after
+
+
+def _bouc_wen(w: Wiring, x: Any, width: float) -> Any:
+    z, before = w.state(), w.state()
+    z.after, before.after = terms.bouc_wen_step()(z.x, before.x, x, width), x
+    return z.after
+
+
+def _hysteresis(w: Wiring, x: Any, p: Array) -> Any:
+    share = float(np.clip(p[0], -2.0, 1.0))
+    return (1.0 - share) * x + share * _bouc_wen(w, x, abs(p[1]))
+
+
+def _rate_driven(w: Wiring, x: Any, p: Array) -> Any:
+    way, width = w.state(), abs(p[1]) + 1e-12
+    way.after = way.x + x
+    return x + p[0] * _bouc_wen(w, way.after, width) / width
+
+
+def _delay(w: Wiring, x: Any, p: Array) -> Any:
+    whole = int(np.floor(p[0]))
+    past = w.state(np.zeros(whole + 1))
+    seen = w.ca.vertcat(x, past.x)
+    past.after = seen[:-1]
+    return terms.delay_term(whole)(seen, p[0])
+
+
+def _lag(w: Wiring, x: Any, p: Array) -> Any:
+    s = w.state()
+    s.after = terms.lag_step()(s.x, x, p[0])
+    return s.after
+
+
+def _heated(w: Wiring, x: Any, p: Array) -> Any:
+    pole = float(np.exp(-1.0 / max(abs(p[1]), 0.5)))
+    s = w.state(w.value(x) ** 2)
+    s.after = pole * s.x + (1.0 - pole) * x**2
+    return x * (1.0 + p[0] * s.after)
+
+
+def _store(w: Wiring, x: Any, p: Array) -> Any:
+    charge = w.state()
+    charge.after = charge.x + x
+    return curve_of_charge(charge.x / p[5], p)
+
+
+def _line(w: Wiring, x: Any, p: Array) -> Any:
+    return terms.hinges_term(len(p) // 2)(x, p)
+
+
+def _line_from_origin(w: Wiring, x: Any, p: Array) -> Any:
+    return _line(w, x, p) - _line(w, 0.0, p)
+
+
+TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
+    "backlash_input": _play, "backlash_sampled": _play, "rate_limit": _rate(1), "rate_limit_sampled": _rate(0),
+    "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
+    "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
+    "output_lines": _line_from_origin,
+}  # fmt: skip
+"""Of the catalogue's effects that are no map of one sample and its time."""
+
+
+def _tones(w: Wiring, y: Any, p: Array, k: Any) -> Any:
+    return y + sum(a * np.cos(f * k) + b * np.sin(f * k) for f, a, b in p.reshape(-1, 3))
+
+
+def _process(w: Wiring, x: Any, p: Array, passing: Passing) -> Any:
+    from estimators.diagnosis.effects.plant_kernels import Elements
+    from estimators.diagnosis.model.layouts import STEPS, held_plant
+
+    s = w.state(passing.start(w.value(x), p))
+    held = held_plant("first", (float(np.log(abs(p[0]))),), STEPS)
+    step = terms.feedback_step(1, held, Elements(), [(passing.force, p[1:])])
+    s.after = s.x
+    for _ in range(STEPS):
+        s.after, _ = step(s.after, x, 0.0)
+    return s.after
+
+
+def _map(w: Wiring, effect: Effect, x: Any, p: Array, k: Any, length: int) -> Any:
+    """A map of one sample and its time, held to the effect on numbers: what has a memory, or asks for more, is refused."""
+    apply: Any = effect.apply
+    rng = np.random.default_rng(0)
+    given = rng.standard_normal(SAMPLES) * np.repeat(SIZES, SAMPLES // len(SIZES))
+    at = np.arange(float(SAMPLES))
+    try:
+        term = terms.map_term(apply, p, length)
+        same = np.allclose(np.array(term(given[None, :], at[None, :])).ravel(), apply(given, p, Clock(at, length)),
+                           rtol=1e-9, atol=1e-12)  # fmt: skip
+    except Exception:  # CasADi, NumPy and numba each have their own error for what no symbol can pass
+        same = False
+    if not same:
+        w.refuse(f"the effect {effect.key!r} ({effect.sentence}) has no CasADi twin", REMEDY)
+    return term(x, k)
+
+
+def acted(w: Wiring, part: Any, x: Any, p: Array, k: Any, length: int) -> Any:
+    """A signal after a part of a structure, its own linear block first."""
+    x, q, effect = blocked(w, part, x, p), p[part.own :], part.effect
+    if effect.apply is None:
+        return x
+    if isinstance(effect.apply, Passing):
+        return _process(w, x, q, effect.apply)
+    known = effect in _known()
+    if known and effect.key == "tones":
+        return _tones(w, x, q, k)
+    return TWINS[effect.key](w, x, q) if known else _map(w, effect, x, q, k, length)
+
+
+def _known() -> tuple[Effect, ...]:
+    """The catalogue's own: an effect of the same key from elsewhere may be another one."""
+    return tuple(named(key) for key in (*TWINS, "tones"))
+
+
+def blocked(w: Wiring, part: Any, x: Any, p: Array) -> Any:
+    """A signal after the linear block of a part, which has a gain of 1 and starts settled, or zeros of its own and starts at rest."""
+    if not part.first:
+        return x
+    f = np.concatenate(([1.0], p[: part.first]))
+    if part.free:
+        return w.rational([np.concatenate(([1.0], p[part.first : part.own]))], f, [x])
+    level = w.value(x)
+    return level + w.rational([f[:1] * f.sum()], f, [x - level])
+
+
+def inside_plant(w: Wiring, s: Any, p: Array, u: Any) -> Any:
+    """Output of a physical layout with the effects inside it, driven by u."""
+    from estimators.diagnosis.effects.plant_kernels import Elements
+    from estimators.diagnosis.model.layouts import LAYOUTS, held_plant
+
+    if len(s.inputs) > 1:
+        w.refuse(f"several inputs ({len(s.inputs)}) drive a plant with effects inside it", REMEDY)
+    forces, elements = [], {}
+    for part, sl in zip(s.parts, s.slices(), strict=True):
+        effect, q = part.effect, p[sl][part.own :]
+        if effect.signal is not None or effect.change is not None:
+            w.refuse(f"the effect {effect.key!r} changes a coefficient of the plant while it runs", REMEDY)
+        forces += [] if effect.force is None else [(effect.force, q)]
+        elements |= {} if effect.inside is None else effect.inside(q)
+    if s.layout == "tanks":
+        w.refuse("two tanks that overflow have no CasADi twin", "simulate it, or diagnose without 'outflow'")
+    n, head = s.order, LAYOUTS[s.layout][1]
+    x, u = w.state(np.zeros(n)), w.late(u, s.delay)
+    steps = s.steps if forces or elements else 1
+    held = held_plant(s.layout, tuple(s.rates(p)), steps)
+    step = terms.feedback_step(n, held, Elements(**elements), forces)
+    z = w.state() if elements.get("spring") else None
+    x.after, bent = x.x, 0.0 if z is None else z.x
+    for _ in range(steps):
+        x.after, bent = step(x.after, u, bent)
+    if z is not None:
+        z.after = bent
+    return w.ca.dot(x.x, w.ca.DM(p[head : head + n]))
