@@ -137,7 +137,7 @@ class NamedAnswer:
             for q in s.parts
         ]
         form = {"order": s.order, "inputs": list(s.inputs), "layout": s.layout, "delay": s.delay, "taps": s.taps,
-                "base": s.base, "parts": parts}  # fmt: skip
+                "base": s.base, "steps": s.steps, "parts": parts}  # fmt: skip
         return {
             "kind": "named", "output": self.output, "structure": form, "p": self.p.tolist(),
             "prior": _plain(asdict(self.start.prior)), "rest": self.start.rest, "clock": list(self.clock),
