@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
@@ -17,13 +16,12 @@ __all__ = ["State", "Wiring", "linear_matrices"]
 Array = NDArray[Any]
 
 
-@dataclass(eq=False)
 class State:
     """States of one part: symbols `x`, numbers `start`, and the expression `after` of the next sample, set once it is known."""
 
-    x: Any
-    start: Array
-    after: Any = None
+    def __init__(self, x: Any, start: Array):
+        self.x, self.start = x, start
+        self.after: Any = None
 
 
 class Wiring:
