@@ -14,9 +14,11 @@ import json
 import math
 import os
 import pkgutil
+import re
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Iterator
 from importlib import import_module
@@ -25,6 +27,7 @@ from typing import Any, NoReturn
 import benchmarks.commands
 import oed
 from oed.errors import CampaignError, InfeasibleDesign, InputError, NotIdentifiable, OedError, check_names
+from oed.lazily import extra_named
 
 __all__ = ["main"]
 
@@ -36,6 +39,7 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are one line."""
 
     def error(self, message: str) -> NoReturn:
+        message = re.sub(r"invalid \w+ value: (.*)", r"\1 is not a value that it takes", message)
         self.exit(2, f"{self.prog}: {message}; see {self.prog} --help.\n")
 
     def options(self) -> list[str]:
@@ -145,8 +149,40 @@ def main(argv: list[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-    with _terminated_like_interrupted():
+    with _terminated_like_interrupted(), _clock(args):
         return _run(args)
+
+
+QUIET = 2.0
+"""Seconds after which a command shows that it is at work."""
+OWN_PROGRESS = ("compare", "diagnose-folder", "reproduce", "speed", "session")
+"""Commands that show more than the time by themselves, or wait for somebody."""
+
+
+@contextlib.contextmanager
+def _clock(args: argparse.Namespace) -> Iterator[None]:
+    """On a terminal, the seconds so far of a command that takes long, on a line of its own that goes when it ends."""
+    if args.quiet or args.command in OWN_PROGRESS or not sys.stderr.isatty():
+        yield
+        return
+    ended, begin = threading.Event(), time.monotonic()
+
+    def tell() -> None:
+        wait = QUIET
+        while not ended.wait(wait):
+            wait = 1.0
+            sys.stderr.write(f"\roed {args.command}: {time.monotonic() - begin:.0f} s \r")
+            sys.stderr.flush()
+
+    thread = threading.Thread(target=tell, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        if time.monotonic() - begin > QUIET:
+            sys.stderr.write("\r\033[K")
 
 
 class _Terminated(KeyboardInterrupt):
@@ -192,7 +228,11 @@ def _run(args: argparse.Namespace) -> int:
         what = "ended from outside" if ended else "interrupted"
         print(f"oed {args.command}: {what}; what was finished is kept.", file=sys.stderr)
         return 128 + (signal.SIGTERM if ended else signal.SIGINT)
-    except Exception:
+    except Exception as error:
+        remedy = extra_named(error) if isinstance(error, ModuleNotFoundError) else ""
+        if remedy:
+            print(f"oed {args.command}: {remedy}.", file=sys.stderr)
+            return 2
         traceback.print_exc()
         print(
             f"oed {args.command}: this is a defect of oed {oed.__version__}, not of your input.",

@@ -30,6 +30,10 @@ def entry_name(i: int, j: int, n_outputs: int, n_inputs: int) -> str:
     return f"{i + 1}{'_' * (max(n_outputs, n_inputs) > 9)}{j + 1}"
 
 
+MOST_CHANNELS = 64
+"""Channels that one sample alone may have: more in a single row are a signal that lies on its side."""
+
+
 def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray[np.float64]:
     """Read-only copy of a signal as (N, channels), checked to be finite."""
     try:
@@ -45,6 +49,10 @@ def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray
     if array.ndim != 2:
         raise InputError(
             f"{name} has {array.ndim} axes; a signal is (N,) or (N, channels) with time on axis 0."
+        )
+    if len(array) == 1 and array.shape[1] > MOST_CHANNELS:
+        raise InputError(
+            f"{name} is one row of {array.shape[1]} values; time is on axis 0: transpose it, or give (N,) values."
         )
     if array.size == 0:
         raise InputError(f"{name} is empty (shape {array.shape}); give at least one sample and one channel.")
@@ -106,7 +114,7 @@ class Record:
                 f"the input has {len(u)} samples and the output {len(y)}; they must be equal: "
                 "cut both to the time in which both were recorded."
             )
-        if not (isfinite(self.dt) and self.dt > 0):
+        if isinstance(self.dt, str) or not (isfinite(self.dt) and self.dt > 0):
             raise InputError(f"the sampling time is {self.dt}; it must be a positive number of seconds.")
         object.__setattr__(self, "u", u)
         object.__setattr__(self, "y", y)

@@ -6,7 +6,20 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-__all__ = ["exporting"]
+__all__ = ["exporting", "extra_named"]
+
+EXTRAS = {
+    "pandas": "files", "pyarrow": "files", "h5py": "files", "xarray": "files", "control": "control", "cvxpy": "convex",
+    "matplotlib": "report", "jinja2": "report", "altair": "report", "vl_convert": "report", "joblib": "compare", "tqdm": "compare", "distributed": "dask",
+}  # fmt: skip
+"""What a light install does not have, and the extra that brings it."""
+
+
+def extra_named(error: ModuleNotFoundError) -> str:
+    """What to install where an import failed; empty where it is no extra of ours."""
+    package = (error.name or "").partition(".")[0]
+    remedy = f"{package} is not installed; pip install 'oed[{EXTRAS.get(package)}]' brings it"
+    return remedy if package in EXTRAS else ""
 
 
 def exporting(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:

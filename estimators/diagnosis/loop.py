@@ -33,6 +33,7 @@ from estimators.diagnosis.search.named import Bench, Named, best_named, named_st
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback
 from oed.data import Record
+from oed.files.objects import as_records
 
 __all__ = ["Setting", "diagnose"]
 
@@ -42,8 +43,8 @@ Parts = tuple[Examined, Bench, Named]
 
 
 def diagnose(
-    train: Record | Sequence[Record],
-    test: Record | None = None,
+    train: Any,
+    test: Any = None,
     setting: Setting | None = None,
     *,
     effects: Iterable[Effect] | None = None,
@@ -53,10 +54,10 @@ def diagnose(
 
     Parameters
     ----------
-    train : Record or sequence of Record
+    train : Record or DataFrame or Dataset or TimeResponseData or (u, y, dt), or a sequence of them
         Everything is chosen and fitted on these records, of one system: levels, days. Effects of the catalogue are
         looked for on the longest, and must hold on all.
-    test : Record, optional
+    test : Record or the like, optional
         Held-out record on the same clock; without it the errors are those of blocked cross-validation: every
         block of the longest training record is simulated with parameters fitted to the other blocks.
     setting : Setting, optional
@@ -80,6 +81,7 @@ def diagnose(
     -----
     The test record is never used to choose or to fit anything.
     """
+    test = None if test is None else as_records(test, missing=True)[0]
     setting = Setting() if setting is None else setting
     setting = setting if effects is None else replace(setting, effects=tuple(effects))
     records = together(train, test)

@@ -28,8 +28,10 @@ initial=None, start=None, ...) -> Fit`
 (N, ny)), `iterations`, `hinf_norm`, `subspace`, `input_level`, `output_level`; verbs `simulate(u)`, `predict(record)`,
 `simulate_record(record, window=n)`, `residuals_of(record)`, `linearised(record)`, `to_plant()`, `to_dict()`.
 
+`identify_response`: the same of a measured frequency response, its lines weighted by their variance; a `ResponseFit`.
+
 Beside it: `pem.uncertainty` (sandwich, profile_interval, bode_band, step_band, pole_covariances), `pem.greybox`
-(physically parametrised models), `pem.plots`, `estimators.residual.tests`, `estimators.pem.choice`, `estimators.pem.fractional_delay`.
+(physically parametrised models), `pem.plots`, `estimators.residual.tests`, `estimators.pem.choice`, `estimators.pem.search.fractional_delay`.
 """
 
 from __future__ import annotations
@@ -41,16 +43,21 @@ from oed.lazily import exporting
 if TYPE_CHECKING:
     from estimators.pem.estimation import identify
     from estimators.pem.fit import Fit
+    from estimators.pem.frequency_response import ResponseFit, identify_response
 
 __all__ = [
     "Fit",
+    "ResponseFit",
     "identify",
+    "identify_response",
 ]
 
 __getattr__, __dir__ = exporting(
     __name__,
     {
         "Fit": "estimators.pem.fit",
+        "ResponseFit": "estimators.pem.frequency_response",
+        "identify_response": "estimators.pem.frequency_response",
         "identify": "estimators.pem.estimation",
     },
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["fit_percent"]
+__all__ = ["fit_percent", "p_stated"]
 
 
 def fit_percent(y: NDArray, y_hat: NDArray) -> float:
@@ -23,3 +23,8 @@ def fit_percent(y: NDArray, y_hat: NDArray) -> float:
         if size > 0:
             values.append(100 * (1 - np.sqrt(float(error @ error) / size)))
     return float(np.mean(values)) if values else float("nan")
+
+
+def p_stated(p: float, digits: int = 2) -> str:
+    """A p-value as it is printed: "p = 0.03"; what has left the range of doubles is not called 0."""
+    return f"p = {p:.{digits}g}" if p else "p < 1e-300"

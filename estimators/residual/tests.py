@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.residual.algebra import Parts, delayed, inverse, spread_of, taken_up
+from estimators.residual.measures import p_stated
 from oed.data import Record, entry_name, frozen
 from oed.errors import InputError
 from oed.files.objects import as_records
@@ -90,7 +91,7 @@ class ResidualTest:
     def __repr__(self) -> str:
         lags = self.significant()
         where = f"; significant at lags {', '.join(map(str, lags))}" if lags.size else ""
-        return f"{self.name}: chi2({self.freedom}) = {self.statistic:.4g}, p = {self.p_value:.3g}{where}"
+        return f"{self.name}: chi2({self.freedom}) = {self.statistic:.4g}, {p_stated(self.p_value, 3)}{where}"
 
 
 def whiteness(

@@ -14,6 +14,7 @@ came between a file and its line.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import os
 import re
 from datetime import UTC, datetime
@@ -31,6 +32,7 @@ README = """A session of experiments on a rig. To go on, in this folder's parent
   oed session next DIR                 writes the next input-NNNN.csv (time in seconds, one column per input)
   oed session record DIR output.csv    stores what was measured (columns: the outputs' names, one row per input row;
                                        with the inputs' names too, they are compared with what was asked for)
+  oed session undo DIR                 takes the last output back; its file is kept aside as undone-output-NNNN-1.csv
   oed session status DIR               where the session stands
   oed session estimate DIR             the estimate so far with its uncertainty
 
@@ -83,6 +85,14 @@ class Folder:
             kept=KEPT,
         )
 
+    def set_aside(self, step: int, file: Path) -> Path:
+        """Rename a file so that it is no longer of the session; the journal says so, and forgets its fingerprint."""
+        names = (self.path / f"undone-{file.stem}-{k}.csv" for k in itertools.count(1))
+        aside = next(name for name in names if not name.exists())
+        file.rename(aside)
+        self.note(step, "undone", aside, file.name)
+        return aside
+
     def fingerprints(self) -> dict[str, str]:
         """What the journal says of each file."""
         journal = self.path / "journal.txt"
@@ -93,6 +103,8 @@ class Folder:
             words = line.split()
             if len(words) >= 5 and NAME.fullmatch(words[3]) and re.fullmatch(r"[0-9a-f]{16}", words[4]):
                 found[words[3]] = words[4]
+            elif words[2:3] == ["undone"]:
+                found.pop(words[-1], None)
         return found
 
     def check_unchanged(self, file: Path, content: bytes) -> None:

@@ -227,6 +227,35 @@ class StoredSession:
                 )
             return step, self._store(step, reading.y, reading.u, accept)
 
+    def undo(self) -> tuple[int, Path]:
+        """Take the last output back, and the inputs that were made from it; all are kept aside.
+
+        Returns
+        -------
+        step : int
+            Which step waits again for its output.
+        file : Path
+            Where the output is kept.
+
+        Raises
+        ------
+        InputError
+            If nothing is recorded.
+        """
+        with locked(self.path / "lock", f"the session {self.path}"):
+            self.folder.tidy()
+            self.refresh()
+            done = len(self.session.rig_records)
+            if not done:
+                raise InputError("nothing is recorded yet, so that nothing can be taken back.")
+            for (step, _), file in self.folder.find("input").items():
+                if step > done:  # first: without them the session stands where it stood before it asked
+                    self.folder.set_aside(step, file)
+            aside = self.folder.set_aside(done, self.folder.output_path(done))
+            self.session, self._halved = Session(self.settings, self._known()), 0
+            self.refresh()
+            return done, aside
+
     def _store(self, step: int, y: Array, u: Array | None, accept: bool) -> Path:
         asked = self.session.asked()
         names, units = self.settings.outputs, self.settings.output_units

@@ -299,7 +299,7 @@ def to_control(record: Record) -> Any:
 
 
 def as_records(given: Any, *, missing: bool = False) -> list[Record]:
-    """Records of whatever holds them: records, DataFrames, Datasets, time responses, or a sequence of these."""
+    """Records of whatever holds them: records, DataFrames, Datasets, time responses, (u, y, dt), or a sequence of these."""
     one = _record_of_object(given, missing)
     if one is not None:
         return [one]
@@ -313,8 +313,8 @@ def as_records(given: Any, *, missing: bool = False) -> list[Record]:
 
 
 _WANTED = (
-    "give a Record, a pandas DataFrame, an xarray Dataset or a control TimeResponseData, or a list of these "
-    "(arrays: oed.Record(u, y, dt))"
+    "give a Record, a pandas DataFrame, an xarray Dataset or a control TimeResponseData, (u, y, dt), or a list of "
+    "these (a file: oed.read_record)"
 )
 
 
@@ -322,6 +322,8 @@ def _record_of_object(item: Any, missing: bool) -> Record | None:
     """The record of one object, told by the names of its classes: none of the libraries is imported for it."""
     if isinstance(item, Record):
         return item
+    if isinstance(item, tuple) and len(item) in (2, 3) and isinstance(item[0], np.ndarray):
+        return Record(*item[:2], *(float(dt) for dt in item[2:]))
     kinds = {(c.__module__.partition(".")[0], c.__name__) for c in type(item).__mro__}
     if ("pandas", "DataFrame") in kinds:
         return from_pandas(item, missing=missing)

@@ -20,6 +20,7 @@ from oed.files.mat import mat_table
 from oed.files.parquet import parquet_table
 from oed.files.tables import Table, record_of
 from oed.files.text import csv_table
+from oed.lazily import extra_named
 
 __all__ = ["read_record", "read_table"]
 
@@ -129,6 +130,8 @@ def _understood(name: str, read: Callable[[], Any]) -> Any:
         return read()
     except OedError:
         raise
+    except ModuleNotFoundError as error:
+        raise InputError(f"{name} cannot be read here: {extra_named(error) or error}.") from None
     except MemoryError:
         raise InputError(
             f"{name} needs more memory than there is; read fewer columns or rows of it."

@@ -56,7 +56,7 @@ def as_plant(system: Any) -> Plant:
     if ("control", "FrequencyResponseData") in kinds:
         raise InputError(
             "a FrequencyResponseData is given where a plant is needed; its gain between the lines is not known: identify a "
-            "model of it first."
+            "model of it first (estimators.pem.identify_response)."
         )
     if ("scipy", "dlti") in kinds:
         import control
@@ -67,6 +67,6 @@ def as_plant(system: Any) -> Plant:
         raise InputError(
             "a continuous-time scipy.signal.lti is given; sample it first, for example system.to_discrete(0.01)."
         )
-    if ("estimators", "Fit") in kinds:
+    if kinds & {("estimators", "Fit"), ("estimators", "ResponseFit")}:
         return system.to_plant()
     raise InputError(f"a system is given as {type(system).__name__}; {WANTED}.")

@@ -80,7 +80,7 @@ def test_design_of_the_reference_plant(capfd, criterion, loss):
     [
         (("theory", "--plant", "referense"), "did you mean reference"),
         (("theory", "--plant", "reference", "--noise-variance", "-1"), "noise variance is -1"),
-        (("theory", "--plant", "reference", "--noise-variance", "x"), "invalid float value"),
+        (("theory", "--plant", "reference", "--noise-variance", "x"), "not a value that it takes"),
         (("theory", "--plant", "nowhere.json"), "nowhere.json cannot be read"),
         (("theory",), "--plant"),
         (("design", "--plant", "reference", "--criterion", "D", "--input-power", "0"), "power"),

@@ -182,3 +182,31 @@ def without_the_mode(avis: Plant, hertz: float) -> Plant:
         num.append(row_num)
         den.append(row_den)
     return Plant(num, den, dt=avis.dt, noise_covariance=0.0, name="model")
+
+
+def test_undo_keeps_what_it_takes_back_and_watch_goes_on(capfd, tmp_path):
+    """After undo the same output leads to the same next input, bit for bit; a watched folder ends the session, and a file
+    that is no output is refused in a line."""
+    folder, inbox = str(tmp_path / "rig"), tmp_path / "inbox"
+    inbox.mkdir()
+    apply = simulated(named_plant("reference", 0.01), seed=1)
+    oed(capfd, "start", folder, "--method", "power", "--samples", "100", "--dt", "0.01", "--experiments", "2")
+    assert "nothing is recorded" in refused(capfd, "undo", folder)
+    first = oed(capfd, "next", folder)["input"]
+    measured = rig(first, tmp_path / "m.csv", apply)
+    oed(capfd, "record", folder, measured)
+    second = Path(oed(capfd, "next", folder)["input"])
+    content = second.read_bytes()
+    assert oed(capfd, "undo", folder)["undone"] == 1
+    assert (tmp_path / "rig" / "undone-output-0001-1.csv").read_bytes()
+    assert oed(capfd, "status", folder)["status"] == "WAITING"
+    (inbox / "notes.csv").write_text("a,b\n1,2\n")
+    Path(measured).rename(inbox / "one.csv")
+    taken = oed(capfd, "watch", folder, str(inbox), "--once")["events"]
+    assert sum("is not used" in words for words in taken) == 1
+    assert second.read_bytes() == content
+    rig(str(second), inbox / "two.csv", apply)
+    assert oed(capfd, "watch", folder, str(inbox), "--once", "--quiet")["status"] == "BUDGET"
+    assert main(["session", "next", folder]) == 0
+    assert "finished" in capfd.readouterr().out
+    assert "no folder" in refused(capfd, "watch", folder, str(tmp_path / "none"))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
+from pathlib import Path
 
 import pytest
 
@@ -47,9 +49,16 @@ def test_the_demo_can_be_copied_line_by_line(tmp_path, monkeypatch, capfd):
     quick = [shlex.split(line)[1:] for line in commands if line.startswith("oed")]
     quick = [words for words in quick if words[0] in ("identify", "design", "theory", "session")]
     assert len(quick) >= 6
+    pasted = (Path(__file__).parents[2] / "docs" / "start.md").read_text()
+    shown = dict(re.findall(r"^\$ oed (.*)\n(?:\.\.\.\n)?(.*)", pasted, re.M))
+    for line in shown:  # what is pasted is what the demo says to run
+        assert any(shlex.split(line) == shlex.split(command)[1:] for command in commands if command)
     for words in quick:
         capfd.readouterr()
         assert main(words) == 0, (words, capfd.readouterr().err)
+        said = capfd.readouterr().out
+        for line, answer in shown.items():
+            assert shlex.split(line) != words or answer in said, (line, said)
 
 
 def test_data_says_what_is_missing(tmp_path, capfd):

@@ -121,3 +121,10 @@ def test_every_status_says_a_sentence():
         assert status.value.endswith(".")
     assert Status.OK.ok
     assert not Status.NEGATIVE_SQUARE.ok
+
+
+def test_a_signal_on_its_side_is_refused():
+    """A 1 x N array is never one sample of N channels; one sample of a few channels is."""
+    with pytest.raises(InputError, match="transpose"):
+        Record(np.ones((1, 65)), np.ones((1, 65)))
+    assert len(Record(np.ones((1, 3)), np.ones((1, 2)))) == 1

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -60,12 +62,15 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     result, notes = diagnose_files(
         args.train, args.test, meta=args.meta, skip=args.skip, columns=Columns(args.inputs, args.outputs, args.dt),
         setting=Setting(orders=orders, alpha=args.alpha, effort=Effort(args.effort)),
-        progress=None if args.quiet else _shown,
+        progress=None if args.quiet else _shown(),
     )  # fmt: skip
     payload = result.to_dict() | {"notes": notes}
     if args.meta:
         payload["case"] = Path(args.meta).parent.name
+    text = "\n".join([*notes, str(result)])
     if args.out:
+        if not args.json:  # the answer first: figures take their time
+            print(text, flush=True)
         from benchmarks.page.diagnosis import write_diagnosis_report
         from estimators.diagnosis.result.saving import save
 
@@ -77,8 +82,11 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         }
         write_diagnosis_report(result, folder, made)
         payload |= {"out": str(folder), "model": str(folder / "model.json")}
-    return payload, "\n".join([*notes, str(result)])
+        text = f"written to {folder}"
+    return payload, text
 
 
-def _shown(stage: str) -> None:
-    print(f"{stage} ...", file=sys.stderr, flush=True)
+def _shown() -> Callable[[str], None]:
+    """Each stage as it begins, with the time that went before it."""
+    begin = time.monotonic()
+    return lambda stage: print(f"{time.monotonic() - begin:4.0f} s  {stage} ...", file=sys.stderr, flush=True)

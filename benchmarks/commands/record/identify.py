@@ -141,7 +141,10 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         import numpy as np
 
         payload["hinf_frequency_hz"] = payload["hinf_frequency"] / (2 * np.pi * records[0].dt)
-    lines = [repr(fit)]
+    fresh = read_record(args.test, **reading) if args.test else None
+    if fresh is not None:
+        payload["test"] = _fresh(fit, fresh, args.skip)
+    lines = [_headline(fit, records[0], payload), repr(fit)]
     unanswered = [defect for defect in seen if not (offset and defect.kind == "offset")]
     if unanswered:
         lines += ["seen in the data, and left as it is:", *(f"  {defect}" for defect in unanswered)]
@@ -164,9 +167,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         error, spread = held_out_error(records, args.structure, orders, delay, **how, **options)
         payload["held_out"] = {"simulation_rmse": error, "standard_error": spread}
         lines.append(f"on what was left out in turn: simulation error {error:.6g} +- {spread:.2g}")
-    if args.test:
-        fresh = read_record(args.test, **reading)
-        payload["test"] = _fresh(fit, fresh, args.skip)
+    if fresh is not None:
         lines.append(
             "on fresh data: simulation error {simulation_rmse:.6g} (fit {simulation_fit_percent:.2f} %), "
             "one-step error {prediction_rmse:.6g}".format(**payload["test"])
@@ -180,6 +181,21 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         write_identification(out, fit, records, tests, made, payload | {"options": options})
         lines.append(f"written to {payload['out']}")
     return payload, "\n".join(lines)
+
+
+def _headline(fit, record, payload: dict) -> str:
+    """What an engineer asks first: the gain with its unit, the error and where it was measured, the noise."""
+    import numpy as np
+
+    u, y = (units[0] or names[0] for units, names in (
+        (record.input_units, record.input_names), (record.output_units, record.output_names)))  # fmt: skip
+    gain, error, omega = fit.hinf_norm
+    said = f"largest gain {gain:.4g} +- {error:.2g} {y}/{u} at {omega / (2 * np.pi * record.dt):.4g} Hz"
+    if "test" in payload:
+        said += f"; simulation error on fresh data {payload['test']['simulation_rmse']:.4g} {y}"
+    else:
+        said += f"; simulated, {fit.simulation_fit_percent:.1f} % of the data fitted is explained (fresh data: --test)"
+    return f"{said}; noise {np.sqrt(fit.noise_covariance[0, 0]):.4g} {y}"
 
 
 def _order(text: str) -> int | str:

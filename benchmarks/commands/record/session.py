@@ -13,6 +13,11 @@ STEPS = {
     "start": ("start a session in a folder", EXAMPLE),
     "next": ("write the next input for the rig", "oed session next rig"),
     "record": ("check and store what was measured", "oed session record rig output.csv"),
+    "undo": ("take the last output back; it is kept aside", "oed session undo rig"),
+    "watch": (
+        "take the files of a folder as they come, until the session ends",
+        "oed session watch rig inbox",
+    ),
     "status": ("where the session stands", "oed session status rig"),
     "estimate": ("the estimate so far, with its uncertainty", "oed session estimate rig --json"),
 }
@@ -43,6 +48,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
             sub.add_argument(
                 "--accept", action="store_true", help="use it although it looks saturated or held"
             )
+        elif name == "watch":
+            sub.add_argument("inbox", metavar="INBOX", help="where the rig writes its outputs")
+            sub.add_argument(
+                "--every", type=float, default=1.0, metavar="s", help="look that often (default 1)"
+            )
+            sub.add_argument("--once", action="store_true", help="take what is there, and end")
         elif name == "estimate":
             sub.add_argument(
                 "--diagnose", action="store_true", help="say what is missing (in the model, if given)"
@@ -124,11 +135,21 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             "rows": len(asked.whole),
         }
         scaled = f", times {asked.factor:.4g} ({asked.limit})" if asked.limit else ""
-        return payload, f"step {asked.step}: apply {file} ({asked.kind}{scaled})"
+        return (
+            payload,
+            f"step {asked.step}: apply {file} ({asked.kind}{scaled})\n{_time_left(session, payload)}",
+        )
     if args.action == "record":
         step, file = session.record(args.file, accept=args.accept)
         payload = _payload(session) | {"recorded": step}
-        return payload, f"step {step}: stored as {file}\n{session.estimate()}"
+        return payload, f"step {step}: stored as {file}\n{_estimate(session, payload)}"
+    if args.action == "undo":
+        step, file = session.undo()
+        return _payload(session) | {
+            "undone": step
+        }, f"step {step} waits again for its output; the one taken back is {file}"
+    if args.action == "watch":
+        return _watch(args, session)
     payload = _payload(session)
     if args.action == "status":
         left = (
@@ -137,12 +158,67 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             else payload["message"] or "ask for the next input"
         )
         flagged = f"; {len(payload['flagged'])} flagged measurements" if payload["flagged"] else ""
-        return payload, f"{session}: {left}{flagged}\n{session.estimate()}"
-    text = str(session.estimate())
+        return (
+            payload,
+            f"{session}: {left}{flagged}\n{_time_left(session, payload)}\n{_estimate(session, payload)}",
+        )
+    text = _estimate(session, payload)
     if args.diagnose:
         found, words = _diagnosis(session)
         payload, text = payload | found, f"{text}\n{words}"
     return payload, text
+
+
+def _estimate(session: Any, payload: dict[str, Any]) -> str:
+    hertz = payload["frequency_hz"]
+    return f"{session.estimate()}" + (f" ({hertz:.4g} Hz)" if hertz is not None else "")
+
+
+def _time_left(session: Any, payload: dict[str, Any]) -> str:
+    """The rate, and what the experiments that are left take at the least."""
+    from estimators.sessions.layout import rig_samples
+
+    rows, dt = rig_samples(session.settings), session.settings.dt
+    left = payload["budget"] - payload["experiments"]
+    return f"{rows} rows at {1 / dt:.6g} Hz, {rows * dt:.4g} s each; at most {left} left, {left * rows * dt:.4g} s"
+
+
+def _watch(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
+    """Record each new file of a folder once it no longer grows, and ask for the next input."""
+    import sys
+    import time
+    from pathlib import Path
+
+    from oed.errors import InputError
+
+    inbox = Path(args.inbox)
+    if not inbox.is_dir():
+        raise InputError(f"{inbox} is no folder; make it, and let the rig write its outputs there.")
+    sizes: dict[tuple[str, int], int] = {}
+    taken: set[tuple[str, int]] = set()
+    said = []
+    while session.next_input() is not None:
+        found = {(p.name, p.stat().st_mtime_ns): p for p in inbox.iterdir() if p.is_file()}
+        whole = [k for k, p in found.items() if args.once or sizes.get(k) == p.stat().st_size]
+        new = sorted(set(whole) - taken, key=lambda key: key[1])
+        sizes = {k: p.stat().st_size for k, p in found.items()}
+        for key in new:
+            taken.add(key)
+            try:
+                step, _ = session.record(found[key])
+                words = f"step {step}: {key[0]} is stored; next: {session.next_input() or 'nothing, the session is finished'}"
+            except InputError as error:
+                words = f"{key[0]} is not used: {error}"
+            said.append(words)
+            if not args.quiet:
+                print(words, file=sys.stderr, flush=True)
+            if session.step is None:
+                break
+        if args.once:
+            break
+        time.sleep(args.every)
+    payload = _payload(session)
+    return payload | {"events": said}, _estimate(session, payload)
 
 
 def _start(args: argparse.Namespace) -> tuple[dict[str, Any], str]:

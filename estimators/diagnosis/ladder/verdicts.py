@@ -25,6 +25,7 @@ from estimators.diagnosis.search.examination import Examined
 from estimators.diagnosis.search.named import Claim, Named
 from estimators.diagnosis.search.selection import FAMILY
 from estimators.diagnosis.share import Share
+from estimators.residual.measures import p_stated
 
 __all__ = ["Outcome", "verdict"]
 
@@ -229,7 +230,7 @@ def _claimed(o: Outcome, tag: str) -> list[Finding]:
         Finding(
             c.key, c.cause, c.part.effect.nature.value, c.gain.value / max(o.ladder.rungs[0].value ** 2, 1e-300), c.p_value,
             f"{c.part.effect.sentence}{tag}: the error on unused blocks is {100 * c.gain.share:.3g} % less with it, "
-            f"corrected p = {c.p_value:.2g}{_assumed(o, c.key)}{_or(c)}",
+            f"corrected {p_stated(c.p_value)}{_assumed(o, c.key)}{_or(c)}",
         )
         for c in o.named.claims
     ]  # fmt: skip
@@ -250,9 +251,7 @@ def _data(o: Outcome, setting: Setting, effects: dict[str, Effect], tag: str) ->
     order = {"held": 4.0, "quantised": 3.0, "outliers": 1.0}
     found = [_seen(effects, s.key, order.get(s.key, 0.0), 0.0, s.sentence) for s in o.examined.signatures]
     if p < setting.alpha / 100:
-        words = (
-            f"past innovations help to predict the input{tag} (p = {p:.2g}): the data are from a closed loop"
-        )
+        words = f"past innovations help to predict the input{tag} ({p_stated(p)}): the data are from a closed loop"
         found.append(_seen(effects, "feedback", 2.0, p, words))
     return found
 
@@ -269,7 +268,7 @@ def _noise(o: Outcome, rest: list[Leftover], effects: dict[str, Effect], tag: st
     plain = f.n * float(np.log(max(np.sum(f.residual**2) / f.n, 1e-300)))
     tail = float(chi2.sf(max(plain - f.deviance, 0.0), len(f.noise)))
     p = min(1.0, FAMILY * effects["coloured"].trials * tail)
-    words = f"the noise is correlated in time{tag}: corrected p = {p:.2g}"
+    words = f"the noise is correlated in time{tag}: corrected {p_stated(p)}"
     return [_seen(effects, "coloured", 0.0, p, words)] if p < LEVEL else []
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from estimators.diagnosis.record.overlap import copied_rows
 from oed.data import Record
 from oed.errors import InputError
+from oed.files.objects import as_records
 
 __all__ = ["LEAST", "together"]
 
@@ -52,11 +53,9 @@ def _alike(train: Record, other: Record, name: str) -> None:
         )
 
 
-def together(train: Record | Sequence[Record], test: Record | None) -> list[Record]:
+def together(train: Any, test: Record | None) -> list[Record]:
     """The training records, checked, the longest first: single effects are looked for there, and judged on all."""
-    records = [train] if isinstance(train, Record) else sorted(train, key=len, reverse=True)
-    if not records:
-        raise InputError("there is no training record; give at least one.")
+    records = sorted(as_records(train, missing=True), key=len, reverse=True)
     for record in records:
         _alike(records[0], record, "other training record")
         _check(record, test)

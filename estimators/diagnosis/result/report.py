@@ -147,8 +147,11 @@ class Diagnosis:
         }
 
     def __str__(self) -> str:
+        # what the residual still shows, or a noise model has taken, counts as noise in the floor
+        bound = "at most " if self.floor_is_bound else ""
+        floor = f"noise floor {bound}{self.noise_floor:.4g}"
         lines = [
-            self.system,
+            f"{self.system}; {floor}",
             *(f"the data: {words}" for words in self.data),
             *(f"WARNING: {w}" for w in self.warnings),
         ]
@@ -164,11 +167,7 @@ class Diagnosis:
             mark = " <- the answer" if row["answer"] else ""
             lines.append(f"  {row['step']}{adds}: {row['rmse_unused']:.4g} [{row['low']:.4g}, {row['high']:.4g}] on unused "
                          f"blocks, {row['rmse_test']:.4g} on the {self.held_out}{mark}")  # fmt: skip
-        # what the residual still shows, or a noise model has taken, counts as noise in the floor
-        bound = "at most " if self.floor_is_bound else ""
-        lines.append(
-            f"one-step error: {self.pred_rmse_before} -> {self.pred_rmse_after}; noise floor {bound}{self.noise_floor:.4g}"
-        )
+        lines.append(f"one-step error: {self.pred_rmse_before} -> {self.pred_rmse_after}; {floor}")
         if np.isfinite(self.removed):
             low, high = self.removed_interval
             if self.floor_is_bound:

@@ -59,7 +59,7 @@ def test_training_records_of_different_systems_are_refused(rng) -> None:
     first = logged(rng, 200, False)
     with pytest.raises(InputError, match="other training record has 1 inputs and 2 outputs"):
         diagnose([first, Record(first.u, np.repeat(first.y, 2, axis=1))[:150]])
-    with pytest.raises(InputError, match="no training record"):
+    with pytest.raises(InputError, match="sequence of data is empty"):
         diagnose([])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.pem.fractional_delay import estimate_fractional_delay, shifted
+from estimators.pem.search.fractional_delay import estimate_fractional_delay, shifted
 from oed.data import Record
 from oed.errors import InputError
 

@@ -11,8 +11,8 @@ from scipy.signal import lfilter
 
 from estimators.pem import identify
 from estimators.pem.choice import estimate_delay
-from estimators.pem.fractional_delay import estimate_fractional_delay
 from estimators.pem.greybox import GreyBox, identify_grey_box
+from estimators.pem.search.fractional_delay import estimate_fractional_delay
 from estimators.pem.uncertainty import sandwich
 from oed.data import Record
 from oed.models.model import state_space
