@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
-__all__ = ["exporting", "extra_named"]
+__all__ = ["exporting", "extra_named", "where_installed"]
 
 EXTRAS = {
     "pandas": "files", "pyarrow": "files", "h5py": "files", "xarray": "files", "control": "control", "cvxpy": "convex",
@@ -31,3 +32,14 @@ def exporting(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], A
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
     return attribute, lambda: sorted(homes)
+
+
+@contextmanager
+def where_installed(notes: list[str], what: str) -> Iterator[None]:
+    """What is written only where its extra is installed; else a note that names the extra."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if not extra_named(error):
+            raise
+        notes.append(f"note: {what} is not written: {extra_named(error)}.")

@@ -55,6 +55,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from estimators.diagnosis.cases import Columns, diagnose_files
     from estimators.diagnosis.policy import Effort, Setting
     from oed.files.writing import new_folder
+    from oed.lazily import where_installed
 
     if args.out:
         new_folder(args.out, "--out")
@@ -71,18 +72,21 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if args.out:
         if not args.json:  # the answer first: figures take their time
             print(text, flush=True)
-        from benchmarks.page.diagnosis import write_diagnosis_report
         from estimators.diagnosis.result.saving import save
 
-        folder = save(result, args.out)
+        folder, said = Path(args.out), list[str]()
         made = {
             "training record": ", ".join(args.train),
             "test record": args.test or "none",
             "false-alarm rate": args.alpha,
         }
-        write_diagnosis_report(result, folder, made)
+        with where_installed(said, "the page or its figures"):
+            save(result, folder)
+            from benchmarks.page.diagnosis import write_diagnosis_report
+
+            write_diagnosis_report(result, folder, made)
         payload |= {"out": str(folder), "model": str(folder / "model.json")}
-        text = f"written to {folder}"
+        text = "\n".join([*said, f"written to {folder}"])
     return payload, text
 
 

@@ -91,6 +91,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     from oed.files import read_record
     from oed.files.writing import new_folder
     from oed.inspection import defects
+    from oed.lazily import where_installed
 
     notes: list[str] = []
     reading = {
@@ -174,11 +175,12 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         )
     lines += [f"note: {note}" for note in notes]
     if out:
-        from benchmarks.page.identification import write_identification
-
         payload["out"] = _write(out, fit, records)
         made = {"data": " ".join(args.data), "structure": args.structure, "orders": orders, "delay": delay}
-        write_identification(out, fit, records, tests, made, payload | {"options": options})
+        with where_installed(lines, "the page"):
+            from benchmarks.page.identification import write_identification
+
+            write_identification(out, fit, records, tests, made, payload | {"options": options})
         lines.append(f"written to {payload['out']}")
     return payload, "\n".join(lines)
 
