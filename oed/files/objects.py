@@ -325,12 +325,13 @@ def _record_of_object(item: Any, missing: bool) -> Record | None:
     if isinstance(item, tuple) and len(item) in (2, 3) and isinstance(item[0], np.ndarray):
         return Record(*item[:2], *(float(dt) for dt in item[2:]))
     kinds = {(c.__module__.partition(".")[0], c.__name__) for c in type(item).__mro__}
+    other: Any = item  # what it is, is known by name only
     if ("pandas", "DataFrame") in kinds:
-        return from_pandas(item, missing=missing)
+        return from_pandas(other, missing=missing)
     if ("xarray", "Dataset") in kinds:
-        return from_xarray(item, missing=missing)
+        return from_xarray(other, missing=missing)
     if ("xarray", "DataArray") in kinds:
-        return from_xarray(_channels_of(item), missing=missing)
+        return from_xarray(_channels_of(other), missing=missing)
     if ("control", "TimeResponseData") in kinds:
         return from_control(item, missing=missing)
     return None
