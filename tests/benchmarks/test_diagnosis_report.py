@@ -26,6 +26,7 @@ def test_the_page_tells_the_cause_and_both_errors(tmp_path):
     command.configure(parser)
     out = tmp_path / "out"
     parser.add_argument("--quiet", action="store_true")
+    parser.add_argument("--json", action="store_true")
     args = parser.parse_args(
         [str(files[0]), "--quiet", "--test", str(files[1]), "--meta", str(meta), "--out", str(out)]
     )
