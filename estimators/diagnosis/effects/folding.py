@@ -7,7 +7,7 @@ unfolded (signs of segments, turns counted), or dynamics are drawn at random and
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,20 +22,33 @@ DRAWS = 24  # random sets of poles
 ROUNDS = 12  # of signs from the model, and the model from the signs
 SEED = 1987  # of the poles: the same record has the same answer
 NEAR_ZERO = 0.35  # of the mean magnitude: below it a minimum may be a change of sign
-LAGS = (0.0, 0.2, 0.4, 0.55, 0.7, 0.82)  # poles of a filter behind the fold that are tried
+LAGS = np.arange(0.0, 0.96, 0.05)  # poles of a filter behind the fold: a jump is one of the angle only where it is undone
+SMOOTHEST, FORMS = 2, 2  # of them whose angle, unrolled, moves least; linear models of it that are fitted with the fold
 LEAST_TURNS = 2  # jumps of a record that make it one of an angle
-COUNTS = 4  # rounds of turns from the model, and the model from the turns
+COUNTS = 3  # rounds of turns from the model, and the model from the turns
 CLEAR, TAIL = 3, 10  # samples before and after a jump that say little: a filter keeps them
+ORDERS_TURNED = (1, 2, 3, 4)  # of the angle
+MOVED = 0.2  # of a turn, from sample to sample, beyond which an angle is in the middle of a jump
 
 
 def _wrapped(x: Array, p: Array, clock: Clock) -> Array:
+    """The angle on straight lines between samples, its turns taken off where it passes their end, through the filter.
+
+    A jump takes part of a sample, and the errors are smooth in the parameters.
+    """
     from scipy.signal import lfilter
 
     modulus, offset, centre, pole = p
     if abs(modulus) < 1e-12 * (np.ptp(x) + 1e-300) or not 0.0 <= pole < 1.0:
         return np.full(len(x), np.inf)
-    turned = x + offset - centre
-    y = centre + turned - modulus * np.floor(turned / modulus + 0.5)
+    t = x + (offset - centre)
+    turns = np.floor(t / modulus + 0.5)
+    before, count = np.concatenate((t[:1], t[:-1])), np.concatenate((turns[:1], turns[:-1]))
+    moved = np.where(turns != count, t - before, 1.0)
+    when = np.clip((0.5 * modulus * (turns + count) - before) / moved, 0.0, 1.0)
+    late = (1.0 - pole ** (1.0 - when)) / (1.0 - pole)  # the filter's weight of what comes after the jump
+    mean = 1.0 / (1.0 - pole) + 1.0 / np.log(pole) if pole > 0.0 else 1.0  # where in the sample its weight lies
+    y = centre + before + mean * (t - before) - modulus * (count + (turns - count) * late)
     return y[0] + np.asarray(lfilter([1.0 - pole], [1.0, -pole], y - y[0]))
 
 
@@ -154,10 +167,32 @@ def _behind(effect: Callable[[], Effect], fold: _Fold) -> Callable[..., Iterator
     return search
 
 
-def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """An angle of one turn: its jumps counted, behind filters of several lags, and a linear model of the angle unrolled."""
-    from dataclasses import replace
+def _unrolled(y: Array, pole: float) -> tuple[float, Array, Array, tuple[float, float]] | None:
+    """(how far it moves, angle, samples clear of jumps, (turn, middle)) of a reading without its filter and its turns."""
+    seen = np.concatenate((y[:1], (y[1:] - pole * y[:-1]) / (1.0 - pole)))
+    low, high = (float(v) for v in np.quantile(seen, (0.002, 0.998)))
+    turn, step = high - low, np.abs(np.diff(seen))
+    sure = np.ones(len(y), dtype=bool)
+    sure[1:] &= step < MOVED * turn
+    sure[:-1] &= step < MOVED * turn
+    if sure.sum() < len(y) // 2:
+        return None
+    at = np.flatnonzero(sure)
+    jumps = at[1:][np.abs(np.diff(seen[sure])) > 0.5 * turn]
+    if not LEAST_TURNS <= len(jumps) <= len(y) // 8:
+        return None
+    angle = np.interp(np.arange(len(y)), at, np.unwrap(seen[sure], period=turn))
+    clear = np.ones(len(y), dtype=bool)
+    for d in range(-CLEAR, TAIL + 1):
+        clear[np.clip(jumps + d, 0, len(y) - 1)] = False
+    return float(np.sum(np.diff(angle) ** 2)) * (1.0 - pole) ** 2, angle, clear, (turn, 0.5 * (low + high))
 
+
+def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """An angle of one turn: its jumps counted, behind filters of several lags, and a linear model of the angle unrolled.
+
+    The model before it was fitted to the jumps: neither its order nor its delay need hold for the angle.
+    """
     from estimators.diagnosis.effects.added import OFFSET
     from estimators.diagnosis.model.fitting import fit
     from estimators.diagnosis.model.linear import fit_linear
@@ -167,45 +202,31 @@ def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     s, y, keep = base.structure, channel.y, channel.keep
     if s.layout != "tf" or s.effects or not keep.all():
         return
-    found: list[tuple[float, float, tuple[float, float], Any, Array]] = []
-
-    def unrolled(pole: float) -> None:
-        """The reading without its filter and its turns, and a linear model of it; then the turn's size from both."""
+    tried = [(found, float(pole)) for pole in LAGS if (found := _unrolled(y, float(pole))) is not None]
+    for (_, angle, clear, (turn, centre)), pole in sorted(tried, key=lambda t: t[0][0])[:SMOOTHEST]:
         seen = np.concatenate((y[:1], (y[1:] - pole * y[:-1]) / (1.0 - pole)))
-        low, high = (float(v) for v in np.quantile(seen, (0.002, 0.998)))
-        turn = high - low
-        jumps = np.flatnonzero(np.abs(np.diff(seen)) > 0.5 * turn) + 1
-        if not LEAST_TURNS <= len(jumps) <= len(y) // 8:
-            return
-        clear = np.ones(len(y), dtype=bool)
-        for d in range(-CLEAR, TAIL + 1):
-            clear[np.clip(jumps + d, 0, len(y) - 1)] = False
-        angle = np.unwrap(seen, period=turn)
-        for _ in range(COUNTS):
-            f = fit_linear(replace(channel, y=angle, keep=clear), s, rough=True)
-            found.append(
-                (float(np.sum(f.residual**2)) * (1.0 - pole) ** 2, pole, (turn, 0.5 * (low + high)), f, clear)
-            )
-            away = simulate(f.structure, f.p, channel.u, channel.clock) - seen
-            count = np.round(away / turn)
-            turn = float(away[clear] @ count[clear] / max(float(count[clear] @ count[clear]), 1.0))
-            angle = seen + turn * count
-            if not 0.5 * (high - low) < turn < 3.0 * (high - low):
-                return
-
-    for pole in LAGS:
-        unrolled(pole)
-    for _, pole, (turn, centre), f, clear in sorted(found, key=lambda entry: entry[0])[:2]:
-        new = f.structure.adding(Part(WRAPPED, s.inputs[0]))
-        p = np.concatenate((f.p, [turn, 0.0, centre, pole]))
-        scales = np.concatenate((f.scales, [turn, turn, turn, 1.0]))
-        for q, sl in zip(new.parts, new.slices(), strict=True):
-            if q.effect is OFFSET:  # inside the fold
-                p[-3], p[sl], scales[sl] = p[sl.start], 0.0, 0.0
-        smooth = fit(
-            replace(channel, keep=clear), new, p, scales, iterations=30, colour=False
-        )  # no jump misplaced by a sample
-        yield fit(channel, new, smooth.p, scales, noise=base.noise, iterations=20)
+        forms = [replace(s, order=n, taps=n, delay=d) for n in ORDERS_TURNED for d in {0, s.delay}]
+        fits = [fit_linear(replace(channel, y=angle, keep=clear), form, rough=True) for form in forms]
+        for f in sorted(fits, key=lambda f: f.criterion)[:FORMS]:
+            size = turn
+            for _ in range(COUNTS):  # the turn and their number from the model, and the model from them
+                away = simulate(f.structure, f.p, channel.u, channel.clock) - seen
+                count = np.round(away / size)
+                if not np.any(count[clear]):
+                    break
+                size = float(away[clear] @ count[clear] / (count[clear] @ count[clear]))
+                f = fit_linear(replace(channel, y=seen + size * count, keep=clear), f.structure, rough=True)
+            new = f.structure.adding(Part(WRAPPED, s.inputs[0]))
+            p = np.concatenate((f.p, [size, 0.0, centre, pole]))
+            scales = np.concatenate((f.scales, [turn, turn, turn, 1.0]))
+            for q, sl in zip(new.parts, new.slices(), strict=True):
+                if q.effect is OFFSET:  # inside the fold
+                    p[-3], p[sl], scales[sl] = p[sl.start], 0.0, 0.0
+            for _ in range(COUNTS):  # a jump that comes samples early or late says nothing of the parameters yet
+                e = y - simulate(new, p, channel.u, channel.clock)
+                near = replace(channel, keep=np.abs(e) < MOVED * size)
+                p = fit(near, new, p, scales, iterations=10, colour=False).p
+            yield fit(channel, new, p, scales, noise=base.noise, iterations=30)
 
 
 def _folded(

@@ -145,8 +145,9 @@ def rectified(u, a):
 
 def wrapped(u, a):
     x = 45.0 * _linear(u)
-    turned = (x + 40.0 + 180.0) % 360.0 - 180.0 if a else x
-    return _lag(turned, 0.5)
+    fine = np.interp(np.arange((len(x) - 1) * FINE + 1) / FINE, np.arange(len(x)), x)
+    turned = (fine + 40.0 + 180.0) % 360.0 - 180.0 if a else fine
+    return _lag(turned, 0.5 ** (1.0 / FINE))[::FINE]
 
 
 def rise_and_fall(u, a):
