@@ -117,5 +117,5 @@ def test_a_wrapped_angle_passes_the_end_of_its_turn_between_samples(pole):
 def test_a_wrapped_angle_is_found_under_a_delay_and_an_order_that_were_fitted_to_its_jumps():
     channel, _, noise = record("wrapped", 1.0)
     late = replace(Structure(1, delay=7).adding(Part(OFFSET)), base=1)
-    found = [f for f in named("wrapped").search(channel, fit_linear(channel, late), ())]
+    found = named("wrapped").search(channel, fit_linear(channel, late), ())
     assert min(error(f) for f in found) < 1.35 * noise
