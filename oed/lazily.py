@@ -11,7 +11,7 @@ __all__ = ["exporting", "extra_named", "where_installed"]
 
 EXTRAS = {
     "pandas": "files", "pyarrow": "files", "h5py": "files", "xarray": "files", "control": "control", "cvxpy": "convex",
-    "matplotlib": "report", "jinja2": "report", "altair": "report", "vl_convert": "report", "joblib": "compare", "tqdm": "compare", "distributed": "dask",
+    "matplotlib": "report", "altair": "report", "vl_convert": "report", "joblib": "compare", "tqdm": "compare", "distributed": "dask",
 }  # fmt: skip
 """What a light install does not have, and the extra that brings it."""
 

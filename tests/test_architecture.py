@@ -10,11 +10,7 @@ import abc
 import ast
 import importlib
 import inspect
-import json
 import re
-import subprocess
-import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -23,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("oed", "estimators", "benchmarks")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
-MOST_LINES = 450
+MOST_LINES = 400
 
 # What a package may import of the project: one way, oed <- estimators <- benchmarks.
 LAYERS = {
@@ -31,7 +27,6 @@ LAYERS = {
     "estimators": {"oed", "estimators"},
     "benchmarks": {"oed", "estimators", "benchmarks"},
 }
-HEAVY = ("casadi", "clarabel", "control", "cvxpy", "matplotlib", "numba", "pandas", "scipy.signal", "xarray")
 
 
 def dotted(path: Path) -> str:
@@ -297,46 +292,6 @@ def test_no_concrete_method_is_overridden(path: Path) -> None:
                 if ours and theirs is not None and not getattr(theirs, "__isabstractmethod__", False):
                     wrong.append(f"{name}.{method} overrides {base.__name__}.{method}")
     assert not wrong, wrong
-
-
-def loaded_by(*arguments: str) -> list[str]:
-    """Which of the heavy modules a fresh interpreter has loaded once it has run the arguments."""
-    script = (
-        "import json, runpy, sys\n"
-        "try:\n"
-        f"    {'; '.join(arguments)}\n"
-        "except SystemExit:\n"
-        "    pass\n"
-        f"sys.stderr.write('\\n' + json.dumps([name for name in {HEAVY!r} if name in sys.modules]))\n"
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 0, run.stderr
-    return json.loads(run.stderr.splitlines()[-1])
-
-
-@pytest.mark.parametrize("package", [name for name in PACKAGES if (ROOT / name / "__init__.py").exists()])
-def test_import_is_light(package: str) -> None:
-    assert loaded_by(f"import {package}") == []
-
-
-@pytest.mark.skipif(not (ROOT / "benchmarks" / "cli.py").exists(), reason="no command line yet")
-@pytest.mark.parametrize("flag", ["--help", "--version"])
-def test_help_is_light(flag: str) -> None:
-    assert (
-        loaded_by("from benchmarks.cli import main", f"sys.argv = ['oed', '{flag}']", "sys.exit(main())")
-        == []
-    )
-
-
-def test_versions_agree() -> None:
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert version in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    if (ROOT / "oed" / "__init__.py").exists():
-        oed = importlib.import_module("oed")
-        assert getattr(oed, "__version__", version) == version
 
 
 def planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, text: str) -> Path:

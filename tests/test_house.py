@@ -12,7 +12,7 @@ import pytest
 from tests.architecture_map import ROOT, written
 from tests.test_architecture import FILES, PACKAGES, dotted, imports
 
-MOST_ENTRIES, MOST_LINES, MOST_ARGUMENTS = 14, 400, 8
+MOST_ENTRIES, MOST_ARGUMENTS = 14, 8
 
 # Kernels are compiled: what travels in one object elsewhere travels as arrays there. The others say why.
 WIDE = {
@@ -22,7 +22,6 @@ WIDE = {
     "estimators/montecarlo/additivity.py additivity_by_monte_carlo": "called from a user's test: each number by its name",
     "estimators/montecarlo/engine.py batches": "hands the compiled loops their arrays",
     "estimators/pem/search/levenberg_marquardt.py minimise": "the search of every engine: functions, start and its limits",
-    "estimators/diagnosis/discovery/fitting.py fit": "form, records, start and what bounds the work",
     "oed/design/solvers/condition_number.py _as_design": "gathers the parts of one result",
     "benchmarks/speed/campaign.py _columns": "the columns of a synthetic part",
 }
@@ -45,11 +44,6 @@ def test_no_folder_is_too_wide() -> None:
     folders = {path.parent for path in FILES}
     wide = {str(f.relative_to(ROOT)): len(entries(f)) for f in folders if len(entries(f)) > MOST_ENTRIES}
     assert not wide, wide
-
-
-def test_no_file_is_too_long() -> None:
-    long = {str(p.relative_to(ROOT)): n for p in FILES if (n := p.read_text().count("\n")) > MOST_LINES}
-    assert not long, long
 
 
 def wide_functions(path: Path) -> list[str]:

@@ -95,11 +95,15 @@ def diagnose(
     own = base if len(records) == 1 else best_linear([first], _options(first, setting))
     parts = [_named(first, i, own, setting) for i in range(first.n_outputs)]
     say("terms of no catalogue")
-    done = all(_exhausted(records, i, base, part) for i, part in enumerate(parts))
+    shares = [_shares(records, i, base, part[2].step) for i, part in enumerate(parts)]
+    done = all(_exhausted(part, left) for part, (_, left) in zip(parts, shares, strict=True))
     discovery = Discovery(None, sought=False) if done else discover(records, base, setting.effort.value)
     say("comparison on blocks not used")
     again = cache(lambda: _without_the_last_block(records, base, discovery, setting))
-    outcomes = [_outcome(records, i, base, part, (discovery, again), setting) for i, part in enumerate(parts)]
+    outcomes = [
+        _outcome(records, i, base, part, shares[i], (discovery, again), setting)
+        for i, part in enumerate(parts)
+    ]
     held = _held_out(first, test, outcomes, setting)
     return _diagnosis(records, test, base, outcomes, held, setting)
 
@@ -127,17 +131,17 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
     return found, bench, best_named(bench, found.attribution, Menu(setting.effects))
 
 
-def _exhausted(records: Sequence[Record], i: int, base: Baseline, parts: Parts) -> bool:
+def _exhausted(parts: Parts, left: Share) -> bool:
     """Whether what one output leaves is white and nothing in it is explainable: no term and no remainder is there."""
     noise = parts[2].fit.noise if parts[2].step is not None else parts[0].attribution.coloured.noise
+    return not len(noise) and not left.explainable
+
+
+def _shares(records: Sequence[Record], i: int, base: Baseline, step: Step | None) -> tuple[Share, Share]:
+    """The explainable shares of what the linear model leaves of one output, and of what the named model leaves."""
     share = explainable_share(base, records, i)
-    return not len(noise) and not _left(records, i, base, parts[2].step, share).explainable
-
-
-def _left(records: Sequence[Record], i: int, base: Baseline, step: Step | None, share: Share) -> Share:
-    """The explainable share of what the named model leaves."""
     runs = None if step is None else _runs(step, records, i, base)
-    return share if runs is None else explainable_share(replace(base, y_model=runs), records, i)
+    return share, share if runs is None else explainable_share(replace(base, y_model=runs), records, i)
 
 
 def _runs(step: Step, records: Sequence[Record], i: int, base: Baseline) -> tuple[Array, ...] | None:
@@ -149,12 +153,12 @@ def _runs(step: Step, records: Sequence[Record], i: int, base: Baseline) -> tupl
 
 
 def _outcome(
-    records: Sequence[Record], i: int, base: Baseline, parts: Parts,
+    records: Sequence[Record], i: int, base: Baseline, parts: Parts, shares: tuple[Share, Share],
     discovered: tuple[Discovery, Callable[[], tuple[Baseline, Discovery]]], setting: Setting,
 ) -> Outcome:  # fmt: skip
     """The ladder of one output; what was discovered comes with the same search made without the last block, on demand."""
     found, bench, named = parts
-    discovery, again = discovered
+    (share, left), (discovery, again) = shares, discovered
     train, *others = records
     # the present input answers the present noise: a model of it is the controller's inverse, whatever is added to it
     inverse = bench.feedback and min(base.outputs[i].delays) == 0
@@ -175,8 +179,6 @@ def _outcome(
         gain = bench.over(step.unused[0], base.unused[0][:, i])
         echoes = bench.feedback and (inverse or not gain.beyond(setting.policy.searched[0]))
         steps.append(replace(step, admitted=not echoes))
-    share = explainable_share(base, records, i)
-    left = _left(records, i, base, named.step, share)
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     least = int(len(out) > 0)

@@ -9,7 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-if TYPE_CHECKING:
     from oed.design.problem.design import Design
 
 __all__ = ["plot_design", "plot_sensitivity", "plot_with_certificate"]

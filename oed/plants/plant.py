@@ -21,8 +21,6 @@ from oed.plants.checking import check_covariance, check_stable, matrix_of_polyno
 
 __all__ = ["Plant"]
 
-Coefficients = tuple[tuple[NDArray[np.float64], ...], ...]
-
 
 @dataclass(frozen=True, eq=False)
 class Plant:

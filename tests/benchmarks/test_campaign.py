@@ -30,32 +30,7 @@ from benchmarks.campaign.settings import Limit
 from benchmarks.tables.statistics import mean_with_error
 from benchmarks.tables.tabulation import tabulate
 from oed.errors import CampaignError, InputError
-
-SMALL = Settings(
-    plants=("reference",),
-    noise_variances=(1.0,),
-    methods=("white", "power"),
-    estimators=("gain", "mu", "frf"),
-    samples=100,
-    experiments=3,
-    profile_replicates=2,
-)
-
-
-def plain(runs: list) -> str:
-    """Every bit of the runs of a campaign as text; NaN equals NaN."""
-    return repr(
-        [
-            (r.key, [(k, [c.tolist() for c in vars(e).values() if isinstance(c, np.ndarray)], e.statuses, e.messages)
-             for k, e in [*r.final.items(), *r.earlier.items()]], r.information)
-            for r in runs
-        ]
-    )  # fmt: skip
-
-
-def same(a: list, b: list) -> bool:
-    """Bit-identical runs."""
-    return plain(a) == plain(b)
+from tests.benchmarks.small_campaign import SMALL, same
 
 
 def test_serial_and_processes_agree_bit_for_bit(tmp_path):
@@ -412,32 +387,3 @@ def test_one_replicate_is_refused(tmp_path):
     with pytest.raises(InputError, match="replicates is 1"):
         run_campaign(SMALL, 1, tmp_path)
     assert not list(Path(tmp_path).iterdir())
-
-
-@pytest.mark.slow
-def test_a_dask_cluster_agrees_bit_for_bit_and_loses_nothing_when_a_worker_dies(tmp_path):
-    """Two real worker processes, one of them killed while the campaign runs."""
-    distributed = pytest.importorskip("distributed", reason="the extra `dask` is not installed")
-    serial = run_campaign(SMALL, 30, tmp_path / "serial", jobs=1)
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs=50
-    ) as cluster:
-        victims = [worker.process.pid for worker in cluster.workers.values()]
-        killed = []
-
-        def progress(done: int, total: int) -> None:
-            if done >= 2 and not killed:
-                killed.append(victims[0])
-                os.kill(victims[0], signal.SIGKILL)
-
-        spread = run_campaign(
-            SMALL, 30, tmp_path / "dask", scheduler=cluster.scheduler_address, progress=progress
-        )
-    assert killed
-    assert same(serial, spread)
-
-
-def test_a_scheduler_that_is_not_there(tmp_path):
-    pytest.importorskip("distributed", reason="the extra `dask` is not installed")
-    with pytest.raises(InputError, match=r"no Dask scheduler answers at tcp://127.0.0.1:9"):
-        run_campaign(SMALL, 2, tmp_path, scheduler="tcp://127.0.0.1:9")

@@ -12,6 +12,10 @@ import numpy as np
 REFERENCE_NUM = [[[0.0, 0.2155, 0.2012]]]
 REFERENCE_DEN = [[[1.0, -0.9854, 0.8187]]]
 REFERENCE = (REFERENCE_NUM, REFERENCE_DEN)
+TWO_BY_TWO = (
+    [[[0, 0.5], [0, 0.2, 0.1]], [[0, -0.3], [0, 0.4]]],
+    [[[1, -0.6], [1, -0.5]], [[1, 0.4], [1, -0.2, 0.5]]],
+)
 
 
 def response(plant, omega) -> np.ndarray:

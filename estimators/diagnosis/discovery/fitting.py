@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.discovery.form import Assembly, Filled, Form, Injection, Run
+from estimators.diagnosis.discovery.form import Assembly, Filled, Form, Run
 
 __all__ = ["REACH", "Fitted", "Piece", "fit", "forgets", "run_piece", "sensitivities", "start_state"]
 
@@ -135,26 +135,18 @@ def fit(
     pieces: Sequence[Piece],
     *,
     iterations: int = 20,
-    injection: Injection | None = None,
     tolerance: float = 1e-4,
-    held: Array | None = None,
     anchor: float = 0.0,
 ) -> Fitted | None:
     """Least simulation error from theta and start states on; None where already the start explodes.
 
-    `held` marks parameters that stay; `anchor` is the weight that holds the start states where they were. With an
-    injection, measured outputs steer the states.
+    `anchor` is the weight that holds the start states where they were.
     """
-    asm = Assembly(form, injection)
-    if injection is not None:
-        pieces = [Piece(np.hstack([q.d, q.y]), q.y, q.weight) for q in pieces]
+    asm = Assembly(form)
     p, nx = len(theta), asm.chain_states
     point = np.concatenate([theta, *states]) if len(states) else theta.copy()
     split = lambda v: (v[:p], [v[p + nx * r : p + nx * (r + 1)] for r in range(len(pieces))])
-    move = np.ones(len(point), bool)
-    if held is not None:
-        move[:p] = ~held
-    first = point.copy()
+    first = point
 
     def equations(at: Array) -> tuple[Array, Array, float] | None:
         found = normal_equations(asm, *split(at), pieces)
@@ -172,14 +164,12 @@ def fit(
     damping = DAMPING
     for _ in range(iterations):
         H, g, sse = here
-        H, g = H[np.ix_(move, move)], g[move]  # pyright: ignore[reportCallIssue]
         scale = np.sqrt(np.maximum(np.diag(H), 1e-12 * np.diag(H).max(initial=1e-300)))
         Hs, gs = H / np.outer(scale, scale), g / scale
         better = None
         while damping < HIGHEST:
             step = np.linalg.lstsq(Hs + damping * np.eye(len(Hs)), gs, rcond=None)[0] / scale
-            trial = point.copy()
-            trial[move] += step
+            trial = point + step
             there = equations(trial)
             if there is not None and there[2] < sse:
                 better = there

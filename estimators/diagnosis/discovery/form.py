@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.discovery.recursion_kernels import evaluate, recursion
 
-__all__ = ["Assembly", "Factor", "Filled", "Form", "Injection", "Run", "Term"]
+__all__ = ["Assembly", "Factor", "Filled", "Form", "Run", "Term"]
 
 Array = NDArray[Any]
 MOST = 1e4  # in standard deviations of the output: a state that gets there has exploded
@@ -45,13 +45,6 @@ class Term:
     rate: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Injection:
-    """Measured outputs fed back into the states, so that a free run that explodes can be fitted: gains (sum of orders,)."""
-
-    gains: Array
-
-
 @dataclass(frozen=True)
 class Form:
     """Structure: `orders` of the chains (one per output), inputs, pace of the delta operator per chain, terms.
@@ -66,7 +59,6 @@ class Form:
     steps: tuple[float, ...]
     terms: tuple[Term, ...] = ()
     feedthrough: bool = False
-    inner: bool = False  # whether chain 0 has a free signal z = h x + g u
     bounds: tuple[tuple[float, float], ...] = ()  # of y, v, u, du of all channels inside terms; () for none
 
     def taps(self, term: Term) -> int:
@@ -81,10 +73,9 @@ class Form:
 
     @cached_property
     def linear_size(self) -> int:
-        """Number of parameters of the chains and of the free signal."""
+        """Number of parameters of the chains."""
         own = sum(n * (1 + self.inputs) + 1 for n in self.orders)
-        own += len(self.orders) * self.inputs * self.feedthrough
-        return own + (self.orders[0] + self.inputs if self.inner else 0)
+        return own + len(self.orders) * self.inputs * self.feedthrough
 
     @cached_property
     def blocks(self) -> list[slice]:
@@ -108,7 +99,7 @@ class Form:
 class Assembly:
     """The matrices of a form and where its parameters sit in them; built once per form, filled for each theta."""
 
-    def __init__(self, form: Form, injection: Injection | None = None):
+    def __init__(self, form: Form):
         self.form = form
         ny, nu = len(form.orders), form.inputs
         self.first = np.concatenate([[0], np.cumsum(form.orders)])
@@ -117,27 +108,23 @@ class Assembly:
         self.signals = (
             [f"y{i}" for i in range(ny)] + [f"v{i}" for i in range(ny)] + [f"u{j}" for j in range(nu)]
         )
-        self.signals += (
-            [f"du{j}" for j in range(nu)] + [f"s{m}" for m in range(len(slow))] + ["z"] * form.inner
-        )
+        self.signals += [f"du{j}" for j in range(nu)] + [f"s{m}" for m in range(len(slow))]
         self.bounds = np.tile([-np.inf, np.inf], (len(self.signals), 1))
         self.bounds[: len(form.bounds)] = np.array(form.bounds).reshape(-1, 2)
         n, ns, nt = nx + ny + len(slow), len(self.signals), len(form.terms)
-        nd = (
-            1 + 2 * nu + (ny if injection is not None else 0)
-        )  # constant, inputs, their changes, measured outputs
+        nd = 1 + 2 * nu  # constant, inputs, their changes
         self.shapes = [(n, n), (n, nd), (n, nt), (ns, n), (ns, nd), (ny, n), (ny, nd), (ny, nt)]
         self.base = [np.zeros(s) for s in self.shapes]
         self._linear: list[tuple[int, int, int, int, float]] = []  # parameter, matrix, row, column, factor
         self._products: list[tuple[int, int, int, int, int, float]] = []
         self.slow_rows = {t: nx + ny + m for m, t in enumerate(slow)}
-        self._chains(ny, nu, nx, injection)
+        self._chains(ny, nu, nx)
         self._signals(ny, nu, nx, len(slow))
         self._terms()
         self._tables()
 
-    def _chains(self, ny: int, nu: int, nx: int, injection: Injection | None) -> None:
-        A, B, C = self.base[0], self.base[1], self.base[5]
+    def _chains(self, ny: int, nu: int, nx: int) -> None:
+        A, C = self.base[0], self.base[5]
         at = 0
         self.alphas: list[slice] = []
         self.betas: list[Array] = []  # (nu, n) parameter numbers
@@ -166,19 +153,6 @@ class Assembly:
                     self._linear += [(int(feed[j]), 6, i, 1 + j, 1.0), (int(feed[j]), 1, nx + i, 1 + j, 1.0)]
                 at += nu
             self.feeds.append(feed)
-            if injection is not None:
-                gains = injection.gains[f : f + n]
-                A[f : f + n, f] -= gains
-                B[f : f + n, 1 + 2 * nu + i] += gains
-                if len(feed):
-                    self._linear += [
-                        (int(feed[j]), 1, f + m, 1 + j, -gains[m]) for j in range(nu) for m in range(n)
-                    ]
-        if self.form.inner:
-            z = len(self.signals) - 1
-            self._linear += [(at + m, 3, z, m, 1.0) for m in range(self.form.orders[0])]
-            at += self.form.orders[0]
-            self._linear += [(at + j, 4, z, 1 + j, 1.0) for j in range(nu)]
 
     def _signals(self, ny: int, nu: int, nx: int, slow: int) -> None:
         S, T = self.base[3], self.base[4]

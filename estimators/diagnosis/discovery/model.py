@@ -252,7 +252,6 @@ class DiscoveredModel:
             tuple(f["steps"]),
             terms,
             f["feedthrough"],
-            f["inner"],
             tuple(tuple(b) for b in f["bounds"]),
         )
         s = d["scales"]

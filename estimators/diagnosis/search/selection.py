@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, named
+from estimators.diagnosis.effects import Effect, Nature, named
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Structure
@@ -361,9 +361,3 @@ def _feedback(channel: Channel, final: Fit, s: Structure, wanted: bool) -> float
     if any(_follows_input(channel.u[:, j], e) for j in s.inputs):
         return 1.0  # what is left is model error, not noise: the input would seem to follow it
     return min(1.0, min(feedback_test(channel.u[:, j], e) * len(s.inputs) for j in s.inputs))
-
-
-def causes_of(keys: list[str], effects: tuple[Effect, ...] = CATALOGUE) -> list[str]:
-    """Causes of a list of keys, each once."""
-    known = {e.key: e.cause for e in effects}
-    return list(dict.fromkeys(known.get(key, key) for key in keys))

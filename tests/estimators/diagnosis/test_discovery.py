@@ -37,7 +37,7 @@ def rich_form() -> Form:
         Term((Factor(Kind.CUBE, "y0", 0.0),), "output", 1),
         Term((Factor(Kind.SIN, "z", 0.0, 1.3, (False, True)),), chain=1, along=-2),
     )
-    return Form((2, 1), 1, (0.3, 0.2), (0.15, 0.1), terms, True, True)
+    return Form((2, 1), 1, (0.3, 0.2), (0.15, 0.1), terms, feedthrough=True)
 
 
 def rich_theta(form: Form) -> np.ndarray:
