@@ -28,7 +28,7 @@ from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, 
 from estimators.diagnosis.result.model import diagnosed_model
 from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.examination import Examined, Known, examine
+from estimators.diagnosis.search.examination import Examined, Known, as_motion, examine
 from estimators.diagnosis.search.named import Bench, Named, best_named, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback
@@ -120,15 +120,29 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
     ahead = delay == 0 and not setting.orders and not echo  # else the input holds the noise of its own sample
     known = Known(base.outputs[i].model.order, max(delay - 1, 0))
     record = early(train) if ahead else train
-    found = examine(record, i, setting, known)
     rest = bool(setting.deviations) or (setting.deviations is None and _starts_at_rest(train, i, base))
-    bench = Bench(
-        found.last, base, i, record, found.thin_of(found.attribution.final), rest, not setting.deviations,
-        setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead, echo,
-    )  # fmt: skip
-    if found.last is not found.channel:  # other candidates were fitted to the screened record only
-        return found, bench, named_steps(bench, found.attribution)
+
+    def bench_of(found: Examined) -> Bench:
+        return Bench(
+            found.last, base, i, record, found.thin_of(found.attribution.final), rest, not setting.deviations,
+            setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead, echo and delay > 0,
+            echo and delay == 0,
+        )  # fmt: skip
+
+    motion = as_motion(record, i, setting, known)
+    if motion is not None:
+        bench = bench_of(motion)
+        named = named_steps(bench, motion.attribution)
+        gain = None if named.step is None else bench.over(named.step.unused[0], base.unused[0][:, i])
+        if gain is not None and gain.share > MOST and gain.beyond(setting.policy.searched[0]):
+            return motion, bench, named
+    found = examine(record, i, setting, known)
+    bench = bench_of(found)
     return found, bench, best_named(bench, found.attribution, Menu(setting.effects))
+
+
+MOST = 0.5
+"""Share of the linear model's error that dry friction alone must explain for nothing else to be looked for in the catalogue."""
 
 
 def _exhausted(parts: Parts, left: Share) -> bool:
@@ -160,8 +174,6 @@ def _outcome(
     found, bench, named = parts
     (share, left), (discovery, again) = shares, discovered
     train, *others = records
-    # the present input answers the present noise: a model of it is the controller's inverse, whatever is added to it
-    inverse = bench.feedback and min(base.outputs[i].delays) == 0
     steps = [_linear_step(base, i, bench.rest)]
     kept = np.repeat(found.last.keep, bench.thin)
     out = np.flatnonzero(np.isfinite(train.y[: len(kept), i]) & ~kept)
@@ -177,7 +189,7 @@ def _outcome(
     if discovery.model is not None:
         step = _discovered_step(discovery, discovery.model, i)
         gain = bench.over(step.unused[0], base.unused[0][:, i])
-        echoes = bench.feedback and (inverse or not gain.beyond(setting.policy.searched[0]))
+        echoes = bench.feedback and not gain.beyond(setting.policy.searched[0])
         steps.append(replace(step, admitted=not echoes))
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
@@ -188,11 +200,11 @@ def _outcome(
         ladder = climb(y, steps, counted, setting.policy, least=least)
     above = share if ladder.chosen.kind is Kind.LINEAR else left
     rest = None
-    if discovery.sought and not inverse:
+    if discovery.sought:
         rest = _remainder_step(records, i, base, ladder, above, setting)
     if rest is not None:
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
-    return Outcome(i, found, named, ladder, share, left, discovery)
+    return Outcome(i, found, named, ladder, share, left, discovery, bench.inverse)
 
 
 def _remainder_step(

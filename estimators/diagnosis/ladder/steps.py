@@ -72,10 +72,13 @@ class Gain:
     value: float
     error: float
     share: float  # of the first model's root mean square error
+    steady: float = 0.0
+    # mean of the pieces' own relative gains in its standard errors: where one stretch has nearly all of the squares, their
+    # sum says as little of the others as its standard error does
 
     def beyond(self, errors: float) -> bool:
-        """Whether it is larger than so many of its standard errors."""
-        return self.value > errors * self.error and self.value > 0.0
+        """Whether it is larger than so many of its standard errors, in squares or stretch by stretch."""
+        return self.value > 0.0 and (self.value > errors * self.error or self.steady > errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,9 +138,13 @@ def paired_gain(
     for squares, nothing in ((after, Gain(-np.inf, 0.0, -np.inf)), (before, Gain(np.inf, 0.0, 1.0))):
         if not all(np.all(np.isfinite(s[use])) for s, use in zip(squares, counted, strict=True)):
             return nothing
-    value, error = _mean(_pieces([a - b for a, b in zip(before, after, strict=True)], counted, policy.pieces))
-    base, _ = _mean(_pieces(before, counted, policy.pieces))
-    return Gain(value, error, 1.0 - float(np.sqrt(max(base - value, 0.0) / max(base, 1e-300))))
+    first_pieces, second_pieces = (_pieces(squares, counted, policy.pieces) for squares in (before, after))
+    gained = first_pieces - second_pieces * [1.0, 0.0]
+    (value, error), (base, _) = _mean(gained), _mean(first_pieces)
+    relative = gained[:, 0] / np.maximum(first_pieces[:, 0] + second_pieces[:, 0], 1e-300)
+    spread = float(np.std(relative)) / np.sqrt(max(len(relative) - 1, 1))
+    share = 1.0 - float(np.sqrt(max(base - value, 0.0) / max(base, 1e-300)))
+    return Gain(value, error, share, float(np.mean(relative)) / max(spread, 1e-300))
 
 
 def unused_error(

@@ -31,6 +31,8 @@ __all__ = ["Outcome", "verdict"]
 
 UNKNOWN, NONE = "unknown", "none"
 UNCLAIMED = "no cause found that holds on unused data"
+NOTHING = "nothing is missing from the linear model that data not used could show"
+ECHO = "the input answers the noise of its own sample: no cause can be told from the controller's answer"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,8 @@ class Outcome:
     share: Share
     left: Share  # of what the named model leaves
     discovery: Discovery
+    # the present input answers the present noise: a model may predict better by being the controller's inverse as well
+    inverse: bool = False
 
     def value(self, kind: Kind) -> float:
         """Least error on unused blocks of the steps of a kind; infinite where there is none."""
@@ -123,11 +127,7 @@ def _headline(first: list[Finding], withdrawn: bool, outcomes: Sequence[Outcome]
     """The first line: what is missing from the system, and what that is worth on fresh data."""
     errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g}"
     if not first:
-        words = (
-            UNCLAIMED
-            if withdrawn
-            else "nothing is missing from the linear model that data not used could show"
-        )
+        words = UNCLAIMED if withdrawn else ECHO if any(o.inverse for o in outcomes) else NOTHING
         return f"{words}; {errors}"
     top = first[0]
     said = "; ".join(_equations(outcomes))
@@ -171,8 +171,9 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
 
     Where a discovered model is the answer, the named effects keep their names if they explain nearly all that it does.
     """
-    chain = o.ladder.chosen.chain
-    kinds = {s.kind for s in chain}
+    kinds = {s.kind for s in o.ladder.chosen.chain}
+    if o.inverse:
+        return []
     claimed = _claimed(o, tag)
     if Kind.NAMED in kinds:
         gained = sum(f.weight for f in claimed)
@@ -287,7 +288,12 @@ def _dropped(outcomes: Sequence[Outcome], several: bool, effects: dict[str, Effe
 def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> list[Finding]:
     """What the tests of the residual still show, where it weighs more than all that was found."""
     a, f = o.examined.attribution, o.named.fit
-    if o.examined.signatures or o.share.feedback or o.ladder.chosen.kind in (Kind.DISCOVERED, Kind.REMAINDER):
+    if (
+        o.examined.signatures
+        or o.inverse
+        or o.share.feedback
+        or o.ladder.chosen.kind in (Kind.DISCOVERED, Kind.REMAINDER)
+    ):
         return []  # an input that knows the noise makes any residual depend on it
     explained = 0.0
     if (

@@ -11,13 +11,14 @@ from scipy.optimize import minimize
 from scipy.signal import butter, sosfiltfilt
 
 from estimators.diagnosis.effects import named
+from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from oed.data import Record
 from oed.errors import InputError
 
-__all__ = ["ForceBalance", "balanced_fit", "effective_samples", "follows_output", "force_balance"]
+__all__ = ["ForceBalance", "balanced_fit", "effective_samples", "force_balance"]
 
 Array = NDArray[Any]
 
@@ -78,22 +79,22 @@ def balanced_fit(channel: Channel, dt: float, balance: ForceBalance) -> Fit | No
     part of the drift, which no new record repeats.
     """
     m, f, c, o = balance.mass[0], balance.viscous[0], balance.coulomb[0], balance.offset[0]
-    y = channel.y
-    if min(m, f, c) <= 0 or abs(y[0]) > 0.01 * float(np.ptp(y)) or channel.u.shape[1] != 1:
+    if min(m, f, c) <= 0 or channel.u.shape[1] != 1:
         return None
     rate = f / m * dt
     gain = dt * dt / m / rate
-    s = Structure(2, (0,), layout="integrator").adding(Part(named("coulomb_asymmetric")))
-    p = np.array([np.log(rate), gain, 0.0, c, np.clip(o / c, -0.9, 0.9)])
-    scales = np.array([1.0, gain, gain, c, 1.0])
+    s = replace(Structure(2, (0,), layout="integrator").adding(Part(OFFSET)), base=1)
+    s = s.adding(Part(named("coulomb_asymmetric")))
+    p = np.array([np.log(rate), gain, 0.0, channel.y[0], c, np.clip(o / c, -0.9, 0.9)])
+    scales = np.array([1.0, gain, gain, 0.0, c, 1.0])
     few = fit(channel, s, p, scales, iterations=30, colour=False)
-    free = np.array([0, 1, 3, 4])
+    free = np.array([0, 1, 4, 5])
 
     def error(z: Array) -> float:
         q = p.copy()
         q[free] = z * scales[free]
         out = simulate(s, q, channel.u, channel.clock)
-        return float(np.mean((y - out)[channel.keep] ** 2)) if np.all(np.isfinite(out)) else 1e30
+        return float(np.mean((channel.y - out)[channel.keep] ** 2)) if np.all(np.isfinite(out)) else 1e30
 
     best = p
     for start in (p, few.p):
@@ -123,18 +124,3 @@ def effective_samples(r: Array) -> float:
     negative = np.flatnonzero(rho < 0)
     last = int(negative[0]) if len(negative) else n
     return float(np.clip(n / (2.0 * np.sum(rho[:last]) - 1.0), 8.0, n))
-
-
-def follows_output(channel: Channel, memory: int = 30, lags: int = 5) -> float:
-    """Share of the input's own innovation that past outputs explain: large only where a loop is closed."""
-    u, y = channel.u[:, 0], channel.y
-    n = len(u)
-    own = [np.concatenate((np.zeros(i), u[: n - i])) for i in range(1, memory + 1)] + [np.ones(n)]
-    past = [np.concatenate((np.zeros(i), y[: n - i])) for i in range(lags + 1)]
-    rests = []
-    for columns in (own, own + past):
-        X = np.stack(columns, axis=1)[memory:]
-        X = X / (np.sqrt(np.mean(X**2, axis=0)) + 1e-300)
-        r = u[memory:] - X @ np.linalg.lstsq(X, u[memory:], rcond=1e-10)[0]
-        rests.append(float(r @ r))
-    return 1.0 - rests[1] / max(rests[0], 1e-300)

@@ -13,7 +13,7 @@ from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.input import LINES, SANDWICH
 from estimators.diagnosis.effects.path import INITIAL, OUTFLOW
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
-from estimators.diagnosis.model.forces import balanced_fit, effective_samples, follows_output, force_balance
+from estimators.diagnosis.model.forces import balanced_fit, force_balance
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
@@ -29,15 +29,16 @@ from estimators.diagnosis.record.measurement import (
 from estimators.diagnosis.search.blocks import curved, grown, sandwich
 from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.free_runs import thinned
-from estimators.diagnosis.search.selection import Attribution, attribute
+from estimators.diagnosis.search.selection import Attribution, attribute, feedback_of
 from oed.data import Record
 
-__all__ = ["Examined", "Known", "examine"]
+__all__ = ["Examined", "Known", "as_motion", "examine"]
 
 Array = NDArray[Any]
 LONG = 8000
 SCREEN = 4096
 MIDDLE = 20000
+LEAST_MOTION = 400  # samples of a force balance
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,50 +128,39 @@ def examine(record: Record, i: int, setting: Setting, known: Known | None = None
     known = Known(PHYSICAL + 1) if known is None else known
     thin = _thinning(np.nan_to_num(record.y[:, i]))
     known = replace(known, delay=known.delay // thin)
-    full, record = record, thinned(record, thin)
+    record = thinned(record, thin)
     if len(record) > LONG:
         short = _examined(record[:SCREEN], i, setting, known)
         return replace(_lengthened(record, i, short, setting), thin=thin)
-    return _with_forces(full, i, replace(_examined(record, i, setting, known), thin=thin), setting)
+    return replace(_examined(record, i, setting, known), thin=thin)
 
 
-FRICTION = ("coulomb", "coulomb_asymmetric", "stribeck")
+BALANCED, DRY = 0.9, 5.0
+"""Of the force's variance, that a balance must explain for the record to be a motion, and standard errors of its dry friction."""
 
 
-def _with_forces(record: Record, i: int, found: Examined, setting: Setting) -> Examined:
-    """Where dry friction was found in a motion: the model that starts from the force balance, if it does as well.
+def as_motion(record: Record, i: int, setting: Setting, known: Known) -> Examined | None:
+    """The output as a motion under dry friction, where its force balance shows one; None otherwise. Nothing else is tried.
 
-    The simulation error of an integrator is correlated over most of the record, so that Schwarz's criterion is
-    taken with the number of independent samples, not with all of them.
+    The search thins a long record, and a linear model of it takes poles to imitate what sticks: the balance needs neither.
     """
-    a = found.attribution
-    if setting.deviations or record.n_inputs != 1 or not set(a.chosen) & set(FRICTION):
-        return found
-    fine = max(1, found.thin // 4)
-    short = thinned(record.replace(y=np.nan_to_num(record.y[:, i : i + 1])), fine)
-    if len(short) < 400:
-        return found
-    n = len(short)
+    if setting.deviations or setting.orders or record.n_inputs != 1 or len(record) < LEAST_MOTION:
+        return None
+    one = record.replace(y=np.nan_to_num(record.y[:, i : i + 1]), output_names=(), output_units=())
+    balance = force_balance(one)
+    if balance.share < BALANCED or balance.coulomb[0] < DRY * balance.coulomb[1]:
+        return None
+    found = examine(record, i, replace(setting, effects=()), known)
+    fine = max(1, found.thin // 2)  # where the motion sticks shows; what drifts has few independent samples
+    short = thinned(one, fine)
     keep = np.isfinite(thinned(record, fine).y[:, i])
-    channel = Channel(short.u, short.y[:, 0], Clock(np.arange(n, dtype=float), n), keep)
-    balance = force_balance(record.replace(y=np.nan_to_num(record.y[:, i : i + 1])))
+    channel = Channel(short.u, short.y[:, 0], Clock(np.arange(len(short), dtype=float), len(short)), keep)
     f = balanced_fit(channel, short.dt, balance)
     if f is None or not np.isfinite(f.deviance):
-        return found
-    count = effective_samples(f.residual)
-
-    def cost(g: Fit, rows: NDArray[np.bool_]) -> float:
-        return count * float(np.log(np.mean(g.residual[rows] ** 2))) + len(g.p) * float(np.log(count))
-
-    if cost(f, keep) > cost(a.final, found.channel.keep):
-        return found
-    chosen = ["coulomb_asymmetric"]
-    p_values = {"coulomb_asymmetric": min((a.p_values.get(key, 1.0) for key in FRICTION), default=0.0)}
-    if follows_output(found.channel) > 0.1:
-        chosen.append("feedback")
-        p_values["feedback"] = 0.0
-    chosen += ["coloured"] if len(f.noise) else []
-    again = replace(a, final=f, chosen=chosen, p_values=p_values, rivals={})
+        return None
+    again = replace(
+        found.attribution, final=f, chosen=["coulomb_asymmetric"], feedback=feedback_of(channel, f)
+    )
     return replace(found, attribution=again, final_channel=channel, final_thin=fine)
 
 

@@ -23,6 +23,8 @@ __all__ = ["Start", "blocked", "free_run", "lead_in", "lengthened", "on_record",
 
 Array = NDArray[Any]
 
+OPENING = 20
+"""Samples at the start of a record that say how far off its initial state was: as many as set the state of a free run."""
 SETTLED = 1e-4
 """What may be left of a wrong state after the constant input that is put before a record."""
 LONGEST = 3000
@@ -55,12 +57,27 @@ class Start:
     rest: bool  # no input before the record; else the first one, for ever
 
 
-def start_of(f: Fit, prior: Prior, rest: bool) -> Start:
-    """The start of a fit's free runs: its own simulation error says how far off the state may be."""
-    r = f.residual
-    lags = min(len(prior.covariance), len(r))
-    covariance = np.array([r[: len(r) - k] @ r[k:] for k in range(lags)]) / max(len(r), 1)
-    return Start(replace(prior, mean=0.0, covariance=covariance, rest=False), rest)
+def start_of(f: Fit, channel: Channel, prior: Prior, rest: bool) -> Start:
+    """The start of a fit's free runs: its own simulation error says how far off the state may be.
+
+    Beside it, as far as the fit's initial state was off the start that is taken for granted: another record may start alike;
+    and what integrates may start at any level.
+    """
+    r, start = f.residual, Start(prior, rest)
+    run = free_run(f, channel.u, channel.clock, channel.y, 0, start)
+    covariance, own = _products(r, len(prior.covariance), len(r)), np.zeros(len(r))
+    if f.structure.layout != "tanks" and np.all(np.isfinite(run)):
+        own = np.where(channel.keep, channel.y - run - r, 0.0)
+    first = prior.covariance[0] * (np.abs(np.roots(denominator(f))).max(initial=0.0) >= FAR)
+    first += _products(own[: OPENING + len(covariance)], len(covariance), OPENING)
+    noise = min(prior.noise, float(np.mean(r**2)))
+    return Start(replace(prior, mean=0.0, covariance=covariance + first, noise=noise, rest=False), rest)
+
+
+def _products(x: Array, lags: int, count: int) -> Array:
+    """(lags,) mean of x(k) x(k - lag) over the first `count` samples."""
+    lags = min(lags, len(x))
+    return np.array([x[: min(count, len(x) - k)] @ x[k:][:count] for k in range(lags)]) / max(count, 1)
 
 
 def denominator(f: Shaped) -> Array:
@@ -105,7 +122,7 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
 
 def _corrected(den: Array, error: Array, window: int, start: Start) -> Array:
     """(N,) free response that the error in the window asks for."""
-    if window <= 0 or len(den) < 2 or np.abs(np.roots(den)).max(initial=0.0) > 1.0:
+    if window <= 0 or len(den) < 2 or np.abs(np.roots(den)).max(initial=0.0) > 1.0 + SETTLED:
         return np.zeros(len(error))
     model = LinearModel(den, np.zeros((1, 1)))
     return model.free_run(start.prior, np.zeros((len(error), 1)), error, window)

@@ -18,6 +18,7 @@ from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.effects import Nature, Slot
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
+from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.paired import as_good
@@ -89,6 +90,9 @@ class Bench:
     ahead: bool = False
     # the input answers the noise: a model may then gain by hearing that echo, and one-step errors must fall too
     feedback: bool = False
+    # the present input answers the present noise: a model may also be the controller's inverse, so that it gets no claims;
+    # its free runs are judged as any other's, as one-step errors would be in favour of the inverse
+    inverse: bool = False
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -100,7 +104,7 @@ class Bench:
 
     def unused(self, f: Fit) -> Array:
         """(N,) free run of every block by parameters that did not see it."""
-        start = start_of(f, self.base.outputs[self.output].prior, self.rest)
+        start = start_of(f, self.channel, self.base.outputs[self.output].prior, self.rest)
         run = blocked(self.channel, f, self.base.blocks, self.thin, start, white=self.white)
         return self.rounded(run)
 
@@ -111,7 +115,7 @@ class Bench:
 
     def answer(self, f: Fit) -> NamedAnswer:
         """A fit as the model of the output; its clock is the training record's."""
-        start = start_of(f, self.base.outputs[self.output].prior, self.rest)
+        start = start_of(f, self.channel, self.base.outputs[self.output].prior, self.rest)
         clock = (self.train.t0, self.train.dt, len(self.train))
         return NamedAnswer(
             self.output, f.structure, f.p, start, clock, self.thin, self.channel.step, self.ahead
@@ -236,15 +240,29 @@ def _told_apart(bench: Bench, n: Named, best: Named) -> bool:
 
 
 def _significance(rest: Fit, f: Fit, part: Part, family: int) -> float:
-    """Corrected p-value of a part in the joint fit: its likelihood ratio, each side under the noise model that it asks for."""
-    cost = [g.deviance + len(g.noise) * float(np.log(g.n)) for g in (rest, f)]
+    """Corrected p-value of a part in the joint fit: the better of two likelihood ratios, at twice its value.
+
+    One takes each side under the noise model that it asks for. Such a model predicts a smooth error from its own past,
+    whatever causes it, so that the other takes the simulation errors for as many samples as are independent among them.
+    """
+    costs = [g.deviance + len(g.noise) * float(np.log(g.n)) for g in (rest, f)]
+    ratio = max(costs[0] - costs[1], 0.0)
+    if np.isfinite(costs).all():
+        left = [max(float(np.mean(g.residual**2)), 1e-300) for g in (rest, f)]
+        ratio = max(
+            ratio, min(effective_samples(g.residual) for g in (rest, f)) * float(np.log(left[0] / left[1]))
+        )
     degrees = max(1, len(f.p) - len(rest.p))
-    return float(min(1.0, family * part.effect.tries(f.n) * chi2.sf(max(cost[0] - cost[1], 0.0), degrees)))
+    return float(min(1.0, 2 * family * part.effect.tries(f.n) * chi2.sf(ratio, degrees)))
 
 
 def _gains(c: Claim, bench: Bench) -> bool:
-    """Whether unused blocks ask for it; of a record's own start they say nothing."""
-    errors, share = bench.policy.claimed
+    """Whether unused blocks ask for it; of a record's own start they say nothing.
+
+    The linear model is the best of a search on the same blocks: another must be better by what a search asks.
+    """
+    linear = c.part.effect.nature is Nature.LINEAR
+    errors, share = bench.policy.searched if linear else bench.policy.claimed
     return c.key == "initial" or (c.gain.beyond(errors) and c.gain.share > share)
 
 

@@ -10,14 +10,23 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimators.diagnosis.effects import Effect, Nature, named
-from estimators.diagnosis.model.fitting import Channel, Fit, fit
+from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Structure
 from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
 
-__all__ = ["FULL", "Attribution", "Claim", "attribute", "feedback_test", "second", "significance"]
+__all__ = [
+    "FULL",
+    "Attribution",
+    "Claim",
+    "attribute",
+    "feedback_of",
+    "feedback_test",
+    "second",
+    "significance",
+]
 
 Array = NDArray[Any]
 EVERYTHING = Menu()
@@ -129,6 +138,8 @@ longer records, whose criteria tell the best from the others."""
 PLAIN = 1.0
 """Gain that a second effect must promise beside one that leaves white noise: tones, delays, modes and whatever else has a
 search of its own in place of a score would colour it."""
+SIBLINGS = 2
+"""Fits of one cause that are put before unused blocks: the closest, and a simpler one."""
 FINISHED = 6
 """Candidates that are fitted to the end."""
 
@@ -210,7 +221,7 @@ def attribute(
         rivals = {key: names for key, names in rivals.items() if key in present}
     chosen = _importance(final, claims, simulated)
     return Attribution(
-        base, coloured, final, claims, chosen, _feedback(channel, final, s, feedback), p_values, rivals,
+        base, coloured, final, claims, chosen, feedback_of(channel, final) if feedback else 1.0, p_values, rivals,
         _refinements(final, rests, chosen), alternatives,
     )  # fmt: skip
 
@@ -243,11 +254,18 @@ def _explained(base: Fit, fits: list[Fit], position: int) -> dict[str, float]:
 
 
 def _alternatives(fits: list[Fit], position: int) -> tuple[Fit, ...]:
-    """The best fit of each cause by its simulation error: a noise model may prefer another."""
-    best: dict[str, Fit] = {}
+    """The best fit of each cause by its simulation error, as a noise model may prefer another, and the best with fewer parameters.
+
+    The more parameters of one cause fit the record itself better, whatever the cause.
+    """
+    best: dict[str, list[Fit]] = {}
     for f in sorted(fits, key=lambda f: float(np.sum(f.residual**2))):
-        best.setdefault(f.structure.parts[position].effect.cause, f)
-    return tuple(f for f in best.values() if np.isfinite(f.deviance))
+        known = best.setdefault(f.structure.parts[position].effect.cause, [])
+        if np.isfinite(f.deviance) and (not known or (len(known) < SIBLINGS and len(f.p) < len(known[0].p))):
+            known.append(f)
+    return tuple(
+        sorted((f for known in best.values() for f in known), key=lambda f: float(np.sum(f.residual**2)))
+    )
 
 
 def _more_effects(
@@ -352,12 +370,11 @@ def _follows_input(u: Array, e: Array, lags: int = 20) -> bool:
     return bool(chi2.sf(n * np.log(float(e @ e) / max(float(r @ r), 1e-300)), 2 * lags) < 1e-8)
 
 
-def _feedback(channel: Channel, final: Fit, s: Structure, wanted: bool) -> float:
-    if not wanted or channel.step > 0:
+def feedback_of(channel: Channel, final: Fit) -> float:
+    """p-value of 'no input follows the noise' by the innovations of a model; 1 where they are model error, not noise."""
+    if channel.step > 0:
         return 1.0
-    from estimators.diagnosis.model.fitting import innovations
-
-    e = innovations(final.residual, final.noise)
-    if any(_follows_input(channel.u[:, j], e) for j in s.inputs):
-        return 1.0  # what is left is model error, not noise: the input would seem to follow it
-    return min(1.0, min(feedback_test(channel.u[:, j], e) * len(s.inputs) for j in s.inputs))
+    e, inputs = innovations(final.residual, final.noise), final.structure.inputs
+    if any(_follows_input(channel.u[:, j], e) for j in inputs):
+        return 1.0  # the input would seem to follow it
+    return min(1.0, min(feedback_test(channel.u[:, j], e) * len(inputs) for j in inputs))

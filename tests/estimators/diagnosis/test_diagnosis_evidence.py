@@ -1,0 +1,142 @@
+"""What is evidence for an effect: starts off rest, gains stretch by stretch, smooth errors, loops, the balance of forces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.diagnosis.baseline.linear_model import Prior
+from estimators.diagnosis.effects import Clock, named
+from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.path import INITIAL
+from estimators.diagnosis.ladder import paired_gain
+from estimators.diagnosis.loop import Setting, diagnose
+from estimators.diagnosis.model.fitting import Channel, Fit, fit
+from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.policy import Policy
+from estimators.diagnosis.search.examination import Known, as_motion
+from estimators.diagnosis.search.free_runs import free_run, start_of
+from estimators.diagnosis.search.named import _significance
+from oed.data import Record
+
+N = 600
+
+
+def channel_of(u: np.ndarray, y: np.ndarray) -> Channel:
+    """Samples that all count."""
+    return Channel(u[:, None], y, Clock(np.arange(len(u), dtype=float), len(u)), np.ones(len(u), dtype=bool))
+
+
+def slow(rng: np.random.Generator, start: float) -> Channel:
+    """A lag of 100 samples that begins where no constant input has brought it."""
+    u = np.repeat(rng.choice([4.0, 8.0, 9.0], N // 60), 60)
+    y = lfilter([0.0, 0.2], [1.0, -0.99], u, zi=[0.99 * start])[0]
+    return channel_of(u, y + 0.05 * rng.standard_normal(N))
+
+
+def test_a_free_run_of_a_record_that_begins_off_rest_takes_its_state_from_the_window(rng) -> None:
+    s = replace(Structure(1, (0,)).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2)
+    prior = Prior(0.0, np.zeros(64), 100.0)
+    for start, factor in ((20.0, 0.02), (None, 1.0)):
+        level = 20.0 * 4.0 if start is None else start
+        train = slow(rng, level)
+        train.u[:60], train.y[:] = (4.0, train.y) if start is None else (train.u[:60], train.y)
+        found = start_of(fit_linear(train, s), train, prior, False)
+        assert found.prior.noise < 0.01  # the fit's own error, not the linear model's
+        other = slow(rng, 20.0)
+        run = free_run(fit_linear(train, s), other.u, other.clock, other.y, 20, found)
+        off = np.sqrt(np.mean((other.y - run)[20:] ** 2))
+        if start is None:
+            assert np.sqrt(found.prior.covariance[0]) < 5.0  # what began settled is expected to do so again
+        else:
+            assert off < factor * np.sqrt(np.mean((other.y - other.y.mean()) ** 2))
+
+
+def test_a_gain_of_every_stretch_counts_where_one_of_them_has_nearly_all_squares(rng) -> None:
+    policy, counted = Policy(), [np.ones(N, dtype=bool)]
+    size = np.where(np.arange(N) < N // 20, 30.0, 1.0)
+    e = size * rng.standard_normal(N)
+    gain = paired_gain([e], [np.zeros(N)], [0.4 * e], counted, policy)
+    assert not gain.value > policy.searched[0] * gain.error  # the first stretch alone says all of it
+    assert gain.beyond(policy.overwhelming[0])
+    passed = 0
+    for _ in range(
+        200
+    ):  # negative control: another model of the same error, at the one-sided rate of two errors, 2.3 %
+        a, b = (size * rng.standard_normal(N) for _ in range(2))
+        passed += paired_gain([0.0 * e], [a], [b], counted, policy).beyond(2.0)
+    assert passed < 16
+
+
+def bent(rng: np.random.Generator, curve: float, pole: float) -> tuple[Fit, Fit, Part]:
+    """A lag with and without a square at its input, fitted to a record with it, and noise of a pole."""
+    u = np.repeat(rng.standard_normal(N // 10), 10)
+    e = lfilter([1.0], [1.0, -pole], rng.standard_normal(N))
+    y = lfilter([0.0, 0.03], [1.0, -0.9], lfilter([0.1], [1.0, -0.9], u + curve * u**2)) + 0.02 * e / e.std()
+    part, channel = Part(named("input_quadratic")), channel_of(u, y)
+    f = fit_linear(channel, Structure(2, (0,)))
+    return f, fit(channel, f.structure.adding(part), np.append(f.p, 0.01), np.append(f.scales, 1.0)), part
+
+
+def test_an_effect_is_significant_though_a_noise_model_predicts_the_error_without_it(rng) -> None:
+    f, g, part = bent(rng, 0.0, 0.95)
+    smooth = lfilter([0.3], [1.0, -0.97], rng.standard_normal(N))
+    for share, told in ((0.2, True), (0.9, False)):  # noise models predict both errors as well as one another
+        rest, whole = (
+            replace(f, residual=smooth, deviance=0.0),
+            replace(g, residual=share * smooth, deviance=0.0),
+        )
+        rest, whole = (replace(h, noise=np.array([-0.97])) for h in (rest, whole))
+        assert (_significance(rest, whole, part, 90) < 1e-3) is told
+    assert _significance(replace(f, deviance=np.inf, residual=np.full(N, np.inf)), g, part, 90) == 0.0
+    # negative control: 60 linear plants in slow noise at 1 %, before the correction for the family
+    alarms = sum(_significance(*bent(rng, 0.0, 0.95), 1) < 0.01 for _ in range(60))
+    assert alarms <= 3
+
+
+def looped(rng: np.random.Generator, n: int) -> Record:
+    """A linear plant whose input answers the output's noise in the sample in which it is measured."""
+    r = np.repeat(rng.standard_normal(n // 15 + 1), 15)[:n]
+    u, y, x = np.zeros(n), np.zeros(n), 0.0
+    for k in range(n):
+        y[k] = x + 0.1 * rng.standard_normal()
+        u[k] = 2.0 * (r[k] - y[k])
+        x = 0.8 * x + 0.15 * u[k]
+    return Record(u, y)
+
+
+@pytest.mark.slow
+def test_nothing_is_claimed_of_a_linear_plant_in_a_loop_without_delay() -> None:
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        result = diagnose(looped(rng, 800), looped(rng, 500), Setting(deviations=False, skip=20))
+        assert result.effect in ("none", "closed_loop", "coloured_noise")
+
+
+def sliding(rng: np.random.Generator, n: int, dry: float, start: float) -> Record:
+    """A mass on a slide under a force, from any position; the slide's friction is viscous, and dry where it is asked."""
+    force = np.repeat(rng.choice([-2.0, -1.2, 1.2, 2.0], n // 40 + 1), 40)[:n]
+    q, v, fine, y = start, 0.0, 20, np.empty(n)
+    for k in range(n):
+        y[k] = q
+        for _ in range(fine):
+            push = force[k] - 0.5 * v
+            a = 0.0 if v == 0.0 and abs(push) < dry else push - dry * np.sign(v or push)
+            w = v + a * 0.01 / fine / 0.3
+            v = 0.0 if v * w < 0.0 else w
+            q += v * 0.01 / fine
+    return Record(force, y + 1e-4 * rng.standard_normal(n), 0.01)
+
+
+@pytest.mark.slow
+def test_a_motion_with_dry_friction_is_found_from_its_force_balance_wherever_it_begins(rng) -> None:
+    train, setting = sliding(rng, 1500, 0.5, 0.7), Setting(deviations=False, skip=20)
+    result = diagnose(train, sliding(rng, 1000, 0.5, -0.2), setting)
+    assert result.effect == "coulomb_friction"
+    assert result.rmse_after.value < 0.1 * result.rmse_before.value
+    assert as_motion(sliding(rng, 1500, 0.0, 0.7), 0, setting, Known(2)) is None  # negative control
+    assert as_motion(train[:300], 0, setting, Known(2)) is None
