@@ -111,10 +111,15 @@ def information_of_spectrum(model: Responding, spectrum: Spectrum) -> NDArray[np
     -----
     Source: [S] Lemma 13. Twin: brute-force integration with finite differences in tests/oracles.
     """
-    root = power_root(spectrum)
-    psi = np.einsum("knpq,kqr->knpr", whitened_gradient(model, spectrum.omega), root)
-    flat = np.moveaxis(psi, 1, 0).reshape(psi.shape[1], -1)
-    return flat.real @ flat.real.T + flat.imag @ flat.imag.T
+    rows = information_rows(model, spectrum)
+    return rows.T @ rows
+
+
+def information_rows(model: Responding, spectrum: Spectrum) -> NDArray[np.float64]:
+    """R (K, n) with R'R the information of a spectrum: half of its condition, for what needs every digit."""
+    psi = np.einsum("knpq,kqr->nkpr", whitened_gradient(model, spectrum.omega), power_root(spectrum))
+    flat = psi.reshape(len(psi), -1)
+    return np.concatenate([flat.real, flat.imag], axis=1).T
 
 
 def power_root(spectrum: Spectrum) -> NDArray[np.complex128]:

@@ -12,6 +12,10 @@ from oed.theory.limit import LimitSpectrum, limit_spectrum
 __all__ = ["mimo_prediction", "optimal_loss", "optimal_losses", "siso_prediction"]
 
 CRITERIA = ("c", "D", "A", "E")
+MOST_PARAMETERS = 64
+"""Of a plant whose optima are looked for here: four certified designs of so many take some ten seconds, of a hundred minutes."""
+PLAIN = 1e-3
+"""An efficiency below this is printed by its digits, not by its decimals."""
 
 
 def optimal_loss(plant: Plant, criterion: str) -> float:
@@ -32,13 +36,14 @@ def optimal_losses(plant: Plant) -> Any:
 
 
 def _efficiencies(plant: Plant, spectrum: Any) -> dict[str, float]:
-    from oed.information import information_of_spectrum
     from oed.plants.norms import gain_gradient, peak
-    from oed.theory.efficiency import losses
+    from oed.theory.efficiency import losses_of_spectrum
 
+    if len(plant.free) > MOST_PARAMETERS:
+        return {f"{k.lower()}_efficiency": float("nan") for k in CRITERIA}
     top = peak(plant)
     c = gain_gradient(plant, top) if top.unique else None
-    share = losses(information_of_spectrum(plant, spectrum), c).efficiency(optimal_losses(plant))
+    share = losses_of_spectrum(plant, spectrum, c).efficiency(optimal_losses(plant))
     return {f"{k.lower()}_efficiency": getattr(share, k) for k in CRITERIA}
 
 
@@ -85,13 +90,23 @@ def _siso_text(plant: Plant, limit: LimitSpectrum, payload: dict[str, Any]) -> s
         f"  limit of E beta_2^2  {payload['beta2_mean']:.10g} (beta_2 is biased by {bias:+.4g})",
         f"  limit spectrum       from {payload['spectrum_min']:.6g} to {payload['spectrum_max']:.6g}",
         "  efficiency of the limit spectrum against certified optima:",
-        "    " + ", ".join(f"{k} {payload[f'{k.lower()}_efficiency']:.5f}" for k in CRITERIA),
+        "    " + _efficiencies_text(plant, payload),
         "  peak-gain efficiency of the first n experiments together:",
         "    " + ", ".join(f"n={k + 1}: {together[k]:.4f}" for k in _some(len(together))),
     ]
     if "finite_norm" in payload:
         lines.append(_finite_text(payload))
     return "\n".join(lines)
+
+
+def _efficiencies_text(plant: Plant, payload: dict[str, Any]) -> str:
+    if len(plant.free) > MOST_PARAMETERS:
+        return (
+            f"left out: the plant has {len(plant.free)} unknown parameters, and optima are computed for at most {MOST_PARAMETERS}; "
+            "name the ones that matter in `free`"
+        )
+    values = {k: payload[f"{k.lower()}_efficiency"] for k in CRITERIA}
+    return ", ".join(f"{k} {v:.5f}" if v >= PLAIN or v != v else f"{k} {v:.3g}" for k, v in values.items())
 
 
 def _finite_text(payload: dict[str, Any]) -> str:
@@ -135,7 +150,7 @@ def mimo_prediction(
         f"  limit of mu^2        {payload['mu2']:.12g} = gamma^4 + {payload['mu2_excess']:.6g}",
         f"  limit of E gamma_2^2 {payload['beta2_mean']:.10g}",
         "  efficiency of the limit spectrum against certified optima:",
-        "    " + ", ".join(f"{k} {payload[f'{k.lower()}_efficiency']:.5f}" for k in CRITERIA),
+        "    " + _efficiencies_text(plant, payload),
     ]
     if samples is not None:
         from oed.theory.finite_mimo import finite_mimo_prediction

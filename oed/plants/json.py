@@ -48,7 +48,11 @@ PLANT = keyed(
                 "filter": keyed({name: _polynomials(LONGEST_DEN) for name in ("num", "den")}, ("num", "den")),
             }
         ),
-        "free": {"type": "array", "items": {"type": "string"}, "description": "a list of parameters' names"},
+        "free": {
+            "type": "array",
+            "items": {"type": "string", "description": "the name of a parameter"},
+            "description": "a list of parameters' names",
+        },
         "name": {"type": "string", "minLength": 1, "description": "a text"},
         "schema_version": {"type": "integer", "description": "a whole number"},
     }

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.errors import SolverFailure
+from oed.errors import InputError, SolverFailure
 from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 
@@ -33,6 +33,8 @@ EQUAL = 1e-10
 """Relative difference below which two local maxima count as equal peaks."""
 NEAR = 1e-4
 """Distance in rad/sample up to which rounding may split a flat top in two (a quartic one: eps^(1/4))."""
+LARGEST = 400
+"""States of a plant whose level-set test is made: its pencil is twice that size, a minute of one core."""
 FLAT = 1e-13
 """Relative range of the squared gain below which it is constant (an all-pass plant)."""
 
@@ -270,8 +272,13 @@ def _crossings(plant: Plant, level: float) -> NDArray[np.float64]:
     """Frequencies in [0, pi] where some singular value of G may equal the level (empty certifies a bound)."""
     from oed.plants.realisations import state_space
 
-    A, B, C, D = state_space(plant)
+    A, B, C, D = state_space(plant, delays=False)
     n, nu = len(A), plant.n_inputs
+    if n > LARGEST:
+        raise InputError(
+            f"the plant has {n} states, and the certificate of its largest gain is computed for at most {LARGEST} (delays "
+            "that all entries of a row or column share do not count): lower its order, or cut its impulse response."
+        )
     M = np.block(
         [
             [A, np.zeros((n, n)), B],
@@ -334,13 +341,19 @@ def peak(plant: Any, *, tolerance: float = 1e-9) -> Peak:
     ------
     SolverFailure
         If the level-set test keeps contradicting the refined grid.
+    InputError
+        If the plant has more states than the test is made for.
 
     Notes
     -----
     Twin: dense grid and `control.system_norm` in the tests. Source: N. A. Bruinsma, M. Steinbuch, Systems &
     Control Letters 14 (1990) 287-293.
     """
-    plant = as_plant(plant)
+    return _peak(as_plant(plant), tolerance)
+
+
+@lru_cache(maxsize=32)  # plants do not change, and one command asks for the same peak many times
+def _peak(plant: Plant, tolerance: float) -> Peak:
     omega = _grid(plant, 512)
     maxima = _local_maxima(plant, omega)
     for _ in range(30):

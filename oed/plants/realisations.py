@@ -17,15 +17,19 @@ __all__ = ["entries_of_control", "entries_of_state_space", "state_space"]
 StateSpace = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
-def state_space(plant: Plant) -> StateSpace:
+def state_space(plant: Plant, *, delays: bool = True) -> StateSpace:
     """State-space realisation of a plant's G: one companion block per entry.
+
+    Without `delays` those that a whole row or column has are left out: no singular value of the response changes.
 
     x_(t+1) = A x_t + B u_t, y_t = C x_t + D u_t. Entries with a common denominator are realised apart, so the
     realisation of a plant with several entries is in general not minimal (the response is exact).
     """
     blocks = []
+    left_out = np.zeros((plant.n_outputs, plant.n_inputs), int) if delays else _common_delays(plant)
     for i, row in enumerate(plant.num):
-        for j, num in enumerate(row):
+        for j, entry in enumerate(row):
+            num = entry[left_out[i, j] :] if np.any(entry) else entry[:1]
             order = max(len(num), len(plant.den[i][j])) - 1
             b = np.concatenate([num, np.zeros(order + 1 - len(num))])
             a = np.concatenate([plant.den[i][j], np.zeros(order + 1 - len(plant.den[i][j]))])
@@ -44,6 +48,16 @@ def state_space(plant: Plant) -> StateSpace:
             C[i, rows] = b[1:] - b[0] * a[1:]
             at += order
     return A, B, C, D
+
+
+def _common_delays(plant: Plant) -> NDArray[np.int64]:
+    """(ny, nu): the delay of each row, and what its columns then have in common."""
+    most = max(len(entry) for row in plant.num for entry in row)
+    first = np.array(
+        [[np.flatnonzero(entry)[0] if np.any(entry) else most for entry in row] for row in plant.num]
+    )
+    rows = first.min(axis=1, keepdims=True)
+    return np.where(first < most, rows + (first - rows).min(axis=0, keepdims=True), 0)
 
 
 def entries_of_state_space(

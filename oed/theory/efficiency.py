@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.data import Spectrum
-from oed.information import whitened_gradient
+from oed.information import Responding, information_rows, whitened_gradient
 from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant
 from oed.theory.limit_on_grid import spectra_of_iterations
 
-__all__ = ["Losses", "losses", "peak_gain_efficiency_by_experiments"]
+__all__ = ["Losses", "losses", "losses_of_spectrum", "peak_gain_efficiency_by_experiments"]
+
+LOST = 1e-13
+"""Share of the largest diagonal entry of a triangular factor below which an entry is rounding."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +53,42 @@ def losses(information: NDArray[np.float64], c: NDArray[np.float64] | None = Non
         factor = np.linalg.cholesky(information / np.outer(scale, scale))
     except np.linalg.LinAlgError:
         return Losses(_singular_c(information, c), np.inf, np.inf, np.inf)
-    root = np.linalg.inv(factor) / scale  # I^-1 = root' root
-    logdet = 2 * (np.log(np.diag(factor)).sum() + np.log(scale).sum())
-    inverse = root.T @ root
+    return _losses(factor.T, scale, c)
+
+
+def losses_of_spectrum(model: Responding, spectrum: Spectrum, c: NDArray[np.float64] | None = None) -> Losses:
+    """Losses of a spectrum's information, by its rows and not their products: a peak that outweighs all other lines by
+    1e18 in power leaves half of the digits, where the information matrix would have lost them all."""
+    from scipy.linalg import qr
+
+    rows = information_rows(model, spectrum)
+    scale = np.linalg.norm(rows, axis=0)
+    if not np.all(scale > 0):
+        return losses(rows.T @ rows, c)
+    rows = rows / scale
+    rows = rows[
+        np.argsort(-np.linalg.norm(rows, axis=1), kind="stable")
+    ]  # large first: small ones keep theirs
+    triangle, order = qr(rows, mode="r", pivoting=True, check_finite=False)
+    triangle = triangle[: len(scale)]
+    sizes = np.abs(np.diag(triangle))
+    if not sizes.min() > LOST * sizes.max():
+        return Losses(_singular_c(rows.T @ rows * np.outer(scale, scale), c), np.inf, np.inf, np.inf)
+    return _losses(triangle, scale[order], None if c is None else c[order])
+
+
+def _losses(triangle: NDArray, scale: NDArray, c: NDArray | None) -> Losses:
+    """Losses of I = S T'T S with T (n, n) upper triangular and S the diagonal matrix of `scale`."""
+    from scipy.linalg import solve_triangular
+
+    root = solve_triangular(triangle, np.eye(len(scale)), trans="T") / scale  # I^-1 = root' root
+    logdet = 2 * (np.log(np.abs(np.diag(triangle))).sum() + np.log(scale).sum())
+    sizes = np.linalg.svd(root, compute_uv=False)
     return Losses(
         c=float(np.sum((root @ c) ** 2)) if c is not None else np.nan,
         D=float(np.exp(-logdet / len(scale))),
-        A=float(np.trace(inverse)),
-        E=float(np.linalg.eigvalsh(inverse)[-1]),
+        A=float(np.sum(sizes**2)),
+        E=float(sizes[0] ** 2),
     )
 
 

@@ -27,9 +27,16 @@ from oed.errors import InputError, SolverFailure
 from oed.plants.norms import Peak, peak
 from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
-from oed.theory.quadrature import graded_nodes
+from oed.theory.quadrature import SMALLEST, graded_nodes
 
 __all__ = ["LimitSpectrum", "limit_spectrum"]
+
+RESOLVED = 1e-4
+"""Of the width of the limit spectrum's peak: where the panels stop shrinking; what is nearer holds that share of the power."""
+NARROWEST = 1e-140
+"""Rad/sample: the squares of smaller distances are not representable."""
+LITTLE = 1e-300
+"""An excess below this is none that a double could hold beside the gains."""
 
 SMALL = 1e-6
 """Of gamma^2: a smaller difference gamma^2 - |G|^2 is evaluated by its factors."""
@@ -193,6 +200,13 @@ def centres(plant: Plant, top: Peak) -> list[float]:
     return exact + [w for w in others if min(abs(w - e) for e in exact) > 1e-9]
 
 
+def resolution(plant: Plant, top: Peak) -> float:
+    """Where panels may stop: near a peak Phi is lambda |H|^2 / (delta + H_mu w^2 / 2), about lambda |H|^2 / H_mu wide."""
+    noise = np.diag(plant.noise_covariance).min() * np.abs(plant.noise_response(top.frequencies)).min() ** 2
+    width = float(noise / max(*top.curvatures, top.value**2))
+    return max(min(SMALLEST, RESOLVED * width), NARROWEST)
+
+
 def limit_spectrum(plant: Any, *, method: str = "quadrature") -> LimitSpectrum:
     """Limit of the input spectrum under Algorithm 1 with noise, [S] Theorem 7.
 
@@ -219,9 +233,9 @@ def limit_spectrum(plant: Any, *, method: str = "quadrature") -> LimitSpectrum:
 
     Notes
     -----
-    Source: [S] (9)-(10), solved as theory.md section 2 advises. The quadrature keeps at least 9 digits down to
-    delta / gamma^2 = 1e-12, and 7 where gamma^2 - |G|^2 itself keeps its digits, to 1e-19; the Lyapunov way may
-    break down from about 1e-12 on, and says so. Twins: `limit_spectrum_on_grid`, and adaptive quadrature in tests/oracles.
+    Source: [S] (9)-(10), solved as theory.md section 2 advises. The quadrature keeps 10 digits however
+    little the noise, since its panels shrink with the peak; the Lyapunov way may break down from delta / gamma^2 of about
+    1e-12 on, and says so. Twins: `limit_spectrum_on_grid`, and adaptive quadrature in tests/oracles.
     """
     plant = as_plant(plant)
     check_limit(plant)
@@ -231,7 +245,7 @@ def limit_spectrum(plant: Any, *, method: str = "quadrature") -> LimitSpectrum:
         )
     top = peak(plant)
     variance = float(plant.noise_covariance[0, 0])
-    nodes = graded_nodes(centres(plant, top))
+    nodes = graded_nodes(centres(plant, top), resolution(plant, top))
     gap = _Gap(plant, top)(nodes.centre, nodes.offset)
     shape = variance * noise_shape(plant, nodes.omega)
     if method == "lyapunov":
@@ -265,6 +279,11 @@ def solve_excess(power: Callable[[float], float], upper: float) -> float:
     lower = upper
     while power(lower) < 1:
         lower *= 1e-2
+        if lower < LITTLE:
+            raise SolverFailure(
+                "the noise is too little beside the gains for the limit spectrum to be told from sinusoids at the peaks; "
+                "give a larger noise variance, or scale the plant."
+            )
     f = lambda log_delta: power(float(np.exp(log_delta))) - 1
     if lower == upper:
         return float(upper)
@@ -279,7 +298,7 @@ def _solve_lyapunov(power: Callable[[float], float], upper: float) -> float:
         simplefilter("ignore")  # what scipy warns of is decided by the caller's check
         try:
             return solve_excess(power, upper)
-        except (ValueError, ArithmeticError):  # LinAlgError is a ValueError
+        except (ValueError, ArithmeticError, SolverFailure):  # LinAlgError is a ValueError
             return float("nan")
 
 

@@ -9,7 +9,7 @@ from oed.data import Spectrum
 from oed.errors import InputError
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
-from oed.theory.limit import LimitSpectrum, centres, check_limit, noise_shape, solve_excess
+from oed.theory.limit import LimitSpectrum, centres, check_limit, noise_shape, resolution, solve_excess
 from oed.theory.quadrature import Nodes, graded_nodes
 
 __all__ = ["limit_spectrum_on_grid", "spectra_of_iterations"]
@@ -75,7 +75,7 @@ def spectra_of_iterations(
         (experiments,) output power of each experiment, the square of [S] (3).
     """
     top = peak(plant)
-    nodes = graded_nodes(centres(plant, top))
+    nodes = graded_nodes(centres(plant, top), resolution(plant, top))
     gain2 = np.abs(plant.response(nodes.omega)[0][:, 0, 0]) ** 2
     noise = plant.noise_covariance[0, 0] * noise_shape(plant, nodes.omega)
     Phi = np.ones((experiments, len(gain2)))

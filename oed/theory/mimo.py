@@ -27,6 +27,7 @@ from oed.data import Spectrum
 from oed.errors import InputError, check_names
 from oed.plants.norms import Peak, peak
 from oed.plants.plant import Plant
+from oed.theory.limit import resolution
 from oed.theory.quadrature import Nodes, graded_nodes
 
 __all__ = ["MimoLimitSpectrum", "mimo_limit_spectrum", "mimo_recursion"]
@@ -124,7 +125,9 @@ def _terms(plant: Plant, top: Peak) -> _Terms:
     poles += [r for r in np.roots(plant.noise_den) if r.imag >= 0]
     others = [w for w, _ in top.local_maxima] + [float(abs(np.angle(r))) for r in poles]
     exact = list(top.frequencies)
-    nodes = graded_nodes(exact + [w for w in others if min(abs(w - e) for e in exact) > 1e-9])
+    nodes = graded_nodes(
+        exact + [w for w in others if min(abs(w - e) for e in exact) > 1e-9], resolution(plant, top)
+    )
     G = plant.response(nodes.omega)[0]
     M = np.conj(np.swapaxes(G, 1, 2)) @ G
     s2, V = np.linalg.eigh(M)

@@ -14,7 +14,7 @@ __all__ = ["Nodes", "graded_edges", "graded_nodes", "integral", "panel_nodes", "
 POINTS = 16
 """Gauss-Legendre nodes per panel: a pole half a panel away is resolved to rounding."""
 SMALLEST = 1e-15
-"""Distance in rad/sample from a centre at which the panels stop shrinking."""
+"""Distance in rad/sample from a centre at which the panels stop shrinking, unless narrower peaks are to be resolved."""
 
 PANEL_POINTS = 10
 """Gauss-Legendre nodes per panel: exact for polynomials of degree 19; a pole one panel away costs 1e-10."""
@@ -44,15 +44,15 @@ class Nodes:
         return self.centre + self.offset
 
 
-def graded_nodes(centres: Sequence[float]) -> Nodes:
-    """Gauss-Legendre nodes on panels that halve towards every centre."""
+def graded_nodes(centres: Sequence[float], smallest: float = SMALLEST) -> Nodes:
+    """Gauss-Legendre nodes on panels that halve towards every centre, down to a distance of `smallest`."""
     points = np.unique(np.concatenate([[0.0, np.pi], np.asarray(centres, dtype=float)]))
     points = points[np.concatenate([[True], np.diff(points) > 1e-12])]
     x, w = np.polynomial.legendre.leggauss(POINTS)
     centre, offset, weight = [], [], []
     for left, right in pairwise(points):
         half = (right - left) / 2
-        levels = max(int(np.ceil(np.log2(half / SMALLEST))), 1)
+        levels = max(int(np.ceil(np.log2(half / smallest))), 1)
         edges = np.concatenate([[0.0], half * 0.5 ** np.arange(levels, -1, -1.0)])
         middle, radius = (edges[1:] + edges[:-1]) / 2, np.diff(edges) / 2
         t = (middle[:, None] + radius[:, None] * x).ravel()

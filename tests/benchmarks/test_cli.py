@@ -56,6 +56,16 @@ def test_theory_of_the_reference_plant(capfd):
     assert abs(found["d_efficiency"] - 0.033674015758 / 0.093712276) < 1e-8
 
 
+def test_theory_prints_small_efficiencies_by_their_digits_and_leaves_none_out_silently(tmp_path, capfd):
+    plants = {"flat": np.poly([0.9] * 4), "long": np.r_[1.0, np.zeros(99), 0.5]}
+    for name, den in plants.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps({"num": [0, 1], "den": list(den)}))
+    assert main(["theory", "--plant", str(tmp_path / "flat.json"), "--experiments", "1"]) == 0
+    assert "D 9.42e-08, A 7.06e-10" in capfd.readouterr().out
+    assert main(["theory", "--plant", str(tmp_path / "long.json"), "--experiments", "1"]) == 0
+    assert "left out: the plant has 101 unknown parameters" in capfd.readouterr().out
+
+
 def test_theory_at_vanishing_noise_keeps_its_digits(capfd):
     found = payload(capfd, "theory", "--plant", "reference", "--noise-variance", "1e-4", "--experiments", "1")
     assert np.isclose(found["mu2_excess"], 2e-8 / 1148.953609, rtol=1e-4)

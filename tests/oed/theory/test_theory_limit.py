@@ -8,7 +8,7 @@ from oed.information import information_of_spectrum
 from oed.plants.named import named_plant
 from oed.plants.norms import gain_gradient
 from oed.plants.plant import Plant
-from oed.theory.efficiency import losses, peak_gain_efficiency_by_experiments
+from oed.theory.efficiency import losses, losses_of_spectrum, peak_gain_efficiency_by_experiments
 from oed.theory.limit import limit_spectrum
 from oed.theory.limit_on_grid import limit_spectrum_on_grid, spectra_of_iterations
 
@@ -185,3 +185,38 @@ def test_refusals(plant, words):
         limit_spectrum(plant)
     for word in words:
         assert word in str(caught.value)
+
+
+@pytest.mark.parametrize("gain", [1e3, 1e6, 1e7, 1e9, 1e12])
+def test_little_noise_beside_any_gain(gain):
+    """g / (z - 0.5): delta = lambda^2 / (2 H) and efficiencies that fall by powers of g, from where they can be computed plainly."""
+    first, plant = (Plant([0.0, g], [1.0, -0.5]) for g in (1e3, gain))
+    limit = limit_spectrum(plant)
+    next_term = 0.5 / gain**2
+    assert np.isclose(limit.mu2_excess, (1 + next_term) * 0.5 / limit.peak.curvature, rtol=1e-10, atol=0)
+    # away from the peak Phi falls as 1 / g^2, and the gradient with respect to the pole grows as g
+    plain, found = (losses_of_spectrum(p, limit_spectrum(p).spectrum) for p in (first, plant))
+    for k, power in (("A", 2), ("E", 2), ("D", 0)):
+        assert np.isclose(getattr(found, k), getattr(plain, k) * (gain / 1e3) ** power, rtol=1e-5)
+
+
+def test_rows_and_products_give_the_same_losses():
+    limit = limit_spectrum(REFERENCE)
+    c = gain_gradient(REFERENCE)
+    rows, products = (
+        losses_of_spectrum(REFERENCE, limit.spectrum, c),
+        losses(information_of_spectrum(REFERENCE, limit.spectrum), c),
+    )
+    assert np.allclose(
+        [rows.c, rows.D, rows.A, rows.E], [products.c, products.D, products.A, products.E], rtol=1e-9
+    )
+    # at little noise the products have lost what the rows keep: the control that the test above can fail
+    little = Plant([0.0, 1e9], [1.0, -0.5])
+    spectrum = limit_spectrum(little).spectrum
+    lost, kept = losses(information_of_spectrum(little, spectrum)).A, losses_of_spectrum(little, spectrum).A
+    assert not np.isclose(lost, kept, rtol=0.5)
+
+
+def test_noise_that_no_double_holds_beside_the_gain():
+    with pytest.raises(SolverFailure, match="too little beside the gains"):
+        limit_spectrum(Plant([0.0, 1e150], [1.0, -0.5], noise_covariance=1e-80))
