@@ -77,11 +77,7 @@ class Peak:
 
 
 def largest_gain(G: NDArray) -> NDArray[np.float64]:
-    """Largest singular value of every matrix of a stack; without a decomposition where it is a number or a
-    vector.
-
-    Shapes: G (..., ny, nu), returns (...,).
-    """
+    """Largest singular value of every matrix of a stack (..., ny, nu), without a decomposition where it is a vector."""
     if G.shape[-2:] == (1, 1):
         return np.abs(G[..., 0, 0])
     if 1 in G.shape[-2:]:
@@ -276,8 +272,8 @@ def _crossings(plant: Plant, level: float) -> NDArray[np.float64]:
     n, nu = len(A), plant.n_inputs
     if n > LARGEST:
         raise InputError(
-            f"the plant has {n} states, and the certificate of its largest gain is computed for at most {LARGEST} (delays "
-            "that all entries of a row or column share do not count): lower its order, or cut its impulse response."
+            f"the plant has {n} states, and the certificate of its largest gain is computed for at most {LARGEST}: lower "
+            "its order, or cut its impulse response."
         )
     M = np.block(
         [

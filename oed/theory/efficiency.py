@@ -69,8 +69,8 @@ def losses_of_spectrum(model: Responding, spectrum: Spectrum, c: NDArray[np.floa
     rows = rows[
         np.argsort(-np.linalg.norm(rows, axis=1), kind="stable")
     ]  # large first: small ones keep theirs
-    triangle, order = qr(rows, mode="r", pivoting=True, check_finite=False)
-    triangle = triangle[: len(scale)]
+    found = qr(rows, mode="r", pivoting=True, check_finite=False)
+    triangle, order = np.asarray(found[0])[: len(scale)], np.asarray(found[-1])
     sizes = np.abs(np.diag(triangle))
     if not sizes.min() > LOST * sizes.max():
         return Losses(_singular_c(rows.T @ rows * np.outer(scale, scale), c), np.inf, np.inf, np.inf)
@@ -81,7 +81,7 @@ def _losses(triangle: NDArray, scale: NDArray, c: NDArray | None) -> Losses:
     """Losses of I = S T'T S with T (n, n) upper triangular and S the diagonal matrix of `scale`."""
     from scipy.linalg import solve_triangular
 
-    root = solve_triangular(triangle, np.eye(len(scale)), trans="T") / scale  # I^-1 = root' root
+    root = solve_triangular(triangle, np.eye(len(scale)), trans=1) / scale  # I^-1 = root' root
     logdet = 2 * (np.log(np.abs(np.diag(triangle))).sum() + np.log(scale).sum())
     sizes = np.linalg.svd(root, compute_uv=False)
     return Losses(
