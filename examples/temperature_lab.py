@@ -28,8 +28,8 @@ import numpy as np
 from estimators import diagnose, identify
 from estimators.diagnosis.loop import Setting
 from estimators.sessions import Session, Settings
+from estimators.sessions.checking import check_input
 from estimators.sessions.layout import measured, placed
-from estimators.sessions.rig_limits import check_input
 from oed import solve_design
 from oed.data import Record
 from oed.information import information_of_records

@@ -12,7 +12,7 @@ from benchmarks.page.charts import DASHES, style
 from benchmarks.page.content import Figure, series_of
 from oed.files.writing import write_figure
 
-__all__ = ["drawn", "panels", "save_figure"]
+__all__ = ["drawn", "panels", "save_figure", "stacked"]
 
 LINES = ("-", "--", ":", "-.")
 MARKERS = {
@@ -62,6 +62,20 @@ def panels(count: int, *, width: float, height: float, columns: int) -> tuple[An
     for ax in axes:
         _plain(ax)
     return sheet, axes
+
+
+def stacked(figures: list[Figure]) -> Any:
+    """Several figures one below the other, each with its caption and its own axes."""
+    sheet, axes = panels(len(figures), width=7.0, height=2.7 * len(figures), columns=1)
+    for ax, figure in zip(axes, figures, strict=True):
+        names = series_of(figure)
+        _panel(ax, figure, list(figure.rows), names)
+        ax.set_title(figure.caption, fontsize=10, loc="left")
+        ax.set_xlabel(figure.x)
+        ax.set_ylabel(figure.y)
+        if len(names) > 1:
+            ax.legend(frameon=False, fontsize=8)
+    return sheet
 
 
 def _plain(ax: Any) -> None:

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.page.content import Figure, Page, Section, Table, thinned
+from oed.errors import InputError
+from oed.files.writing import write_figure, write_whole
 
-__all__ = ["session_page"]
+__all__ = ["draw_session", "session_page"]
 
 MOST, MOST_FITTED = 25, 6
 """Estimates that are computed again for the curve, evenly thinned, and how many of them where each is a fit."""
@@ -47,6 +49,7 @@ def _curve(session: Any) -> list[dict[str, Any]]:
 def session_page(folder: Path) -> Page:
     """The page of a session's folder, as it stands; nothing in the folder changes."""
     from estimators.sessions import open_session
+    from estimators.sessions.rest import rest_of
 
     session = open_session(folder)
     s, status, found = session.settings, session.status(), session.estimate()
@@ -63,9 +66,14 @@ def session_page(folder: Path) -> Page:
     if records:
         last = records[-1]
         for name, side in (("input", last.u), ("output", last.y)):
-            names = last.input_names if name == "input" else last.output_names
+            names, units = (
+                (last.input_names, last.input_units)
+                if name == "input"
+                else (last.output_names, last.output_units)
+            )
+            column = lambda channel, unit: f"{channel} ({unit})" if unit else channel
             signals.append(Figure(f"last-{name}", f"The {name} of the last experiment.", f"The {name} over time.",
-                                  thinned(last.t, dict(zip(names, side.T, strict=True))), "time (s)", name, zoom=True))  # fmt: skip
+                                  thinned(last.t, dict(zip(names, side.T, strict=True))), "time (s)", ", ".join(map(column, names, units)), zoom=True))  # fmt: skip
     named = ("power", "amplitude", "rate", "energy", "level", "abort", "sensor_range")
     limits = [
         {"limit": key.replace("_", " "), "value": str(v)}
@@ -78,6 +86,12 @@ def session_page(folder: Path) -> Page:
         "samples": str(status["samples"]),
     }
     limits += [{"limit": key, "value": value} for key, value in used.items()]
+    rest = rest_of(session)
+    tested = (
+        [*rest.sentences(s), *(f"Warning: {w}." for w in rest.warnings(s))]
+        if rest
+        else ["There is no rest test."]
+    )
     step = {"READY": f"Ask for the next input: oed session next {folder.name}.",
             "WAITING": f"Apply {Path(status['input']).name if status['input'] else 'the input'} and hand over what was measured: "
             f"oed session record {folder.name} FILE."}.get(status["status"], f"The session has ended: {status['message']}.")  # fmt: skip
@@ -98,6 +112,7 @@ def session_page(folder: Path) -> Page:
             [Table("records", "Every experiment that is used.", columns, rows)] if rows else [],
             signals,
         ),
+        Section("The rig at rest", tested),
         Section(
             "Limits",
             [],
@@ -130,3 +145,22 @@ def session_page(folder: Path) -> Page:
         made,
         progress=(done, budget),
     )
+
+
+def draw_session(folder: Path, file: Path) -> Path:
+    """The session as a page (.html), or its estimates and last signals as a figure (.svg, .png, .pdf)."""
+    kind = file.suffix.lower()
+    if kind not in (".html", ".svg", ".png", ".pdf"):
+        raise InputError(f"--picture is {file.name!r}; its name ends in .html, .svg, .png or .pdf.")
+    page = session_page(folder)
+    if kind == ".html":
+        from benchmarks.page.skeleton import html
+
+        return write_whole(file, html(page))
+    if not page.figures:
+        raise InputError(
+            "nothing is recorded yet, so that there is nothing to draw; the page (.html) has the limits."
+        )
+    from benchmarks.page.figures_static import stacked
+
+    return write_figure(file, stacked([f for f in page.figures if f.rows]))

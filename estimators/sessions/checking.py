@@ -1,9 +1,9 @@
-"""What a rig handed back: read it, and say in one line what is wrong with it."""
+"""What protects a rig and its records: an input against the limits before anybody sees it, an output when it comes back."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
@@ -17,10 +17,68 @@ from oed.files.clock import sampling_time
 from oed.files.reading import read_table
 from oed.files.tables import Table, split_unit
 
-__all__ = ["Reading", "check_output", "check_reference", "faults", "read_output"]
+__all__ = [
+    "Reading",
+    "check_input",
+    "check_output",
+    "check_reference",
+    "faults",
+    "fitting_factor",
+    "read_output",
+]
 
 Array = NDArray[np.float64]
 HELD = 5
+ROUNDING = 1e-9
+
+
+def check_input(u: Array, settings: Settings) -> None:
+    """Raise if a rig's input violates a limit, naming the limit, the channel and the sample.
+
+    Shapes: u (samples, nu).
+    """
+    if not np.isfinite(u).all():
+        raise InputError("the input has samples that are not finite; nothing was written.")
+    for name, unit, values, limits in _demands(u, settings):
+        over = values.max(axis=0) > np.asarray(limits) * (1 + ROUNDING)
+        if over.any():
+            j = int(np.argmax(over))
+            t = int(np.argmax(values[:, j]))
+            where = "" if name == "energy" else f" at sample {t}"
+            raise InputError(
+                f"the input violates the limit {name} of {settings.inputs[j]}: {values[t, j]:.6g}{where}, allowed are "
+                f"{limits[j]:.6g} {unit}; lower the power or widen the limit. Nothing was written."
+            )
+
+
+def fitting_factor(u: Array, settings: Settings) -> tuple[float, str]:
+    """By what the deviation from the levels must be multiplied so that every limit is met.
+
+    Shapes: u (samples, nu).
+    """
+    factor, binding = 1.0, ""
+    for name, _, values, limits in _demands(u, settings):
+        largest = values.max(axis=0)
+        for j, limit in enumerate(limits):
+            if largest[j] > limit * (1 + ROUNDING):
+                share = limit / largest[j]
+                share = float(np.sqrt(share)) if name == "energy" else float(share)
+                if share < factor:
+                    factor, binding = share, f"{name} of {settings.inputs[j]}"
+    return factor, binding
+
+
+def _demands(u: Array, settings: Settings) -> Iterator[tuple[str, str, Array, tuple[float, ...]]]:
+    """Name, unit, values (rows, nu) and limit per channel of every limit that is set."""
+    level = np.asarray(settings.level)
+    deviation = u - level
+    if settings.amplitude is not None:
+        yield "amplitude", "about the level", np.abs(deviation), settings.amplitude
+    if settings.rate is not None:  # the rig is at its level before and after
+        around = np.vstack([level, u, level])
+        yield "rate", "per second", np.abs(np.diff(around, axis=0)) / settings.dt, settings.rate
+    if settings.energy is not None:
+        yield "energy", "in all", np.sum(np.square(deviation), axis=0)[None, :], settings.energy
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,10 +227,7 @@ def faults(y: Array, u: Array, settings: Settings, *, silent: bool = False) -> s
             return f"{int(bad.sum())} samples of {name} are missing or not finite, the first at {int(np.argmax(bad))}"
         if settings.abort is not None and np.abs(signal).max() > settings.abort[i]:
             t = int(np.argmax(np.abs(signal) > settings.abort[i]))
-            return (
-                f"{name} went beyond its abort level {settings.abort[i]:g} ({signal[t]:.6g} at sample {t}); "
-                "halve the input with `oed session next DIR --reduce`"
-            )
+            return f"{name} went beyond its abort level {settings.abort[i]:g} ({signal[t]:.6g} at sample {t})"
         if settings.sensor_range is not None:
             low, high = settings.sensor_range[i]
             at = (signal <= low) | (signal >= high)

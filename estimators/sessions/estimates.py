@@ -27,7 +27,7 @@ class SessionEstimate:
     estimator the numbers are from; `status` whether they can be trusted; `gains` the method's own estimate
     after every iteration, where it has one; `noise_floor` standard deviation of the noise on one sample of
     each output, after averaging; from the scatter of the periods where there are several, otherwise from the
-    estimator, the same for all outputs; `message` what a reader should know.
+    estimator, the same for all outputs; `message` what a reader should know; `dt` sampling time in seconds.
     """
 
     value: float
@@ -41,14 +41,16 @@ class SessionEstimate:
     gains: tuple[float, ...] = ()
     noise_floor: tuple[float, ...] = ()
     message: str = ""
+    dt: float = 1.0
 
     def __str__(self) -> str:
         if not np.isfinite(self.value):
             return self.message or self.status.value
         tail = "" if self.status.ok else f" ({self.message or self.status.value})"
         known = np.isfinite(self.frequency_error)
+        turns = 2 * np.pi * self.dt
         where = (
-            f"at {self.frequency:.6g} +- {self.frequency_error:.2g} rad/sample"
+            f"at {self.frequency / turns:.6g} +- {self.frequency_error / turns:.2g} Hz"
             if known
             else "at no sure frequency"
         )
@@ -69,7 +71,7 @@ def estimate_of(
     if not len(records):
         return SessionEstimate(
             nan, nan, (nan, nan), nan, nan, np.zeros(settings.n_inputs, complex), "none", Status.SINGULAR,
-            message="there is no estimate yet: nothing is recorded.",
+            message="there is no estimate yet: nothing is recorded.", dt=settings.dt,
         )  # fmt: skip
     found, name, why = _peak(settings, records)
     gains = _gains(own)
@@ -84,7 +86,7 @@ def estimate_of(
     return SessionEstimate(
         found.value, found.standard_error, (max(low, 0.0), high), found.frequency,
         found.frequency_error if found.located else float("inf"), direction, name, found.status, gains,
-        tuple(float(np.sqrt(v)) if v >= 0 else nan for v in noise), why,
+        tuple(float(np.sqrt(v)) if v >= 0 else nan for v in noise), why, settings.dt,
     )  # fmt: skip
 
 
@@ -131,7 +133,7 @@ def _against_rival(records: Trace, found: PeakEstimate) -> tuple[PeakEstimate, s
     if rival.value + 2 * rival.standard_error < found.value:
         return found, ""
     doubt = (
-        f"a peak of {rival.value:.4g} +- {rival.standard_error:.2g} at {rival.frequency:.4g} rad/sample may be larger: "
+        f"a peak of {rival.value:.4g} +- {rival.standard_error:.2g} at {rival.frequency / (2 * np.pi * records.records[0].dt):.4g} Hz may be larger: "
         "more experiments will tell, or another seed."
     )
     return replace(found, status=Status.INACCURATE), doubt

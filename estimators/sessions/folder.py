@@ -5,6 +5,7 @@
     input-0007.csv        what the rig is to apply in step 7; input-0007-2.csv the same at half the size, and so on
     output-0007.csv       what was measured, as it is used
     flagged-0007-1.csv    a measurement that was not used
+    rest-input-0001.csv   the input of a rest test, and rest-output-0001.csv what it gave
     journal.txt           one line per event: time, step, file, fingerprint
 
 The state is `session.json` and the inputs and outputs; the journal adds their fingerprints and is mended where a kill
@@ -25,10 +26,12 @@ from oed.files.writing import append_line, tidy
 
 __all__ = ["KEPT", "Folder"]
 
-NAME = re.compile(r"(input|output|flagged)-(\d{4,})(?:-(\d+))?\.csv")
+NAME = re.compile(r"(input|output|flagged|rest-input|rest-output)-(\d{4,})(?:-(\d+))?\.csv")
 KEPT = "The session is unharmed; make room and repeat."
 README = """A session of experiments on a rig. To go on, in this folder's parent:
 
+  oed session rest DIR                 writes rest-input-NNNN.csv: the input at rest, then a small pulse; then
+  oed session rest DIR output.csv      says noise, drift, gain and delay of the rig, and warns
   oed session next DIR                 writes the next input-NNNN.csv (time in seconds, one column per input)
   oed session record DIR output.csv    stores what was measured (columns: the outputs' names, one row per input row;
                                        with the inputs' names too, they are compared with what was asked for)
@@ -70,7 +73,7 @@ class Folder:
         """Remove what a killed process left half written, and add the journal lines it could not add."""
         tidy(self.path)
         known = self.fingerprints()
-        for kind in ("input", "output", "flagged"):
+        for kind in ("input", "output", "flagged", "rest-input", "rest-output"):
             for (step, _), file in self.find(kind).items():
                 if file.name not in known:
                     self.note(step, kind, file)

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.rules.trace import Step, Trace
-from estimators.sessions.checking import check_output, check_reference, faults
+from estimators.sessions.checking import check_input, check_output, check_reference, faults, fitting_factor
 from estimators.sessions.estimates import SessionEstimate, estimate_of
 from estimators.sessions.layout import measured, placed, rig_samples, taper
 from estimators.sessions.methods import rule_of
-from estimators.sessions.rig_limits import check_input, fitting_factor
 from estimators.sessions.settings import Settings
 from oed.data import Record, frozen
 from oed.errors import ExperimentError, InputError, Status
@@ -185,7 +184,7 @@ class Session:
         if fault and (not accept or not np.isfinite(values).all()):
             raise FlaggedMeasurement(
                 f"the measurement of step {asked.step} is flagged and not used: {fault}. Apply the same input again "
-                "and record that; the session waits."
+                "(after an abort halved by `oed session next DIR --reduce`) and record that; the session waits."
             )
         return values
 

@@ -23,7 +23,7 @@ from oed.files.tables import column_name
 from oed.files.text import csv_table
 from oed.files.writing import write_whole
 
-__all__ = ["StoredSession", "open_session"]
+__all__ = ["StoredSession", "open_session", "read_signal", "signal_csv"]
 
 Array = NDArray[np.float64]
 AGREE = 1e-9
@@ -81,7 +81,7 @@ class StoredSession:
         inputs = self.folder.find("input")
         if s.method != "diagnose-next" or altered or any(version > 1 for _, version in inputs):
             return []
-        return [_read(file, s.inputs)[: s.samples] for file in inputs.values()]
+        return [read_signal(file, s.inputs)[: s.samples] for file in inputs.values()]
 
     @property
     def step(self) -> int | None:
@@ -114,7 +114,7 @@ class StoredSession:
             self._check_input(file)
             content = outputs[step, 1].read_bytes()
             self.folder.check_unchanged(outputs[step, 1], content)
-            y = _read(outputs[step, 1], self.settings.outputs)
+            y = read_signal(outputs[step, 1], self.settings.outputs)
             self.session.use(self.session.asked(), y)
         if self.session.step is not None:
             self._current_input(self.session.step, inputs)
@@ -133,10 +133,12 @@ class StoredSession:
     def _check_input(self, file: Path) -> None:
         asked = self.session.asked()
         content = file.read_bytes()
-        if content == self._content(asked.whole, self.settings.inputs, self.settings.input_units):
+        if content == signal_csv(
+            asked.whole, self.settings.inputs, self.settings.input_units, self.settings.dt
+        ):
             return
         self.folder.check_unchanged(file, content)
-        u = _read(file, self.settings.inputs)
+        u = read_signal(file, self.settings.inputs)
         size = np.abs(asked.whole).max()
         if u.shape != asked.whole.shape or np.abs(u - asked.whole).max() > AGREE * max(size, 1e-300):
             raise CampaignError(
@@ -181,7 +183,9 @@ class StoredSession:
                 return written
             asked = self.session.asked()
             version = 1 + sum(at == step for at, _ in self.folder.find("input"))
-            content = self._content(asked.whole, self.settings.inputs, self.settings.input_units)
+            content = signal_csv(
+                asked.whole, self.settings.inputs, self.settings.input_units, self.settings.dt
+            )
             file = write_whole(self.folder.input_path(step, version), content, kept=KEPT)
             words = f"{asked.kind}" + (f", times {asked.factor:.6g}: {asked.limit}" if asked.limit else "")
             self.folder.note(step, "input", file, words)
@@ -261,30 +265,21 @@ class StoredSession:
         names, units = self.settings.outputs, self.settings.output_units
         if u is not None:
             names, units = (*self.settings.inputs, *names), (*self.settings.input_units, *units)
-        content = lambda: self._content(y if u is None else np.column_stack([u, y]), names, units)
+        stored = signal_csv(y if u is None else np.column_stack([u, y]), names, units, self.settings.dt)
         try:
             values = self.session.checked(y, u, accept=accept)
         except FlaggedMeasurement as fault:
             flagged = [file for (at, _), file in self.folder.find("flagged").items() if at == step]
-            if not any(file.read_bytes() == content() for file in flagged):
+            if not any(file.read_bytes() == stored for file in flagged):
                 name = f"flagged-{step:04d}-{len(flagged) + 1}.csv"
                 self.folder.note(
-                    step, "flagged", write_whole(self.path / name, content(), kept=KEPT), str(fault)
+                    step, "flagged", write_whole(self.path / name, stored, kept=KEPT), str(fault)
                 )
             raise
-        file = write_whole(self.folder.output_path(step), content(), kept=KEPT)
+        file = write_whole(self.folder.output_path(step), stored, kept=KEPT)
         self.folder.note(step, "output", file)
         self.session.use(asked, values)
         return file
-
-    def _content(self, signal: Array, names: tuple[str, ...], units: tuple[str, ...]) -> bytes:
-        """A signal as CSV with the time in seconds, every number with all its digits."""
-        stream = io.StringIO(newline="")
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["t_s", *map(column_name, names, units)])
-        t = np.arange(len(signal), dtype=float) * self.settings.dt
-        writer.writerows(np.column_stack([t, signal]).tolist())
-        return stream.getvalue().encode()
 
     def ask(self) -> Array:
         """The input to apply next, as `Session.ask`; its file is written.
@@ -377,7 +372,17 @@ class StoredSession:
         return f"{self.session!r} in {self.path}"
 
 
-def _read(file: Path, names: tuple[str, ...]) -> Array:
+def signal_csv(signal: Array, names: tuple[str, ...], units: tuple[str, ...], dt: float) -> bytes:
+    """A signal (rows, channels) as CSV with the time in seconds, every number with all its digits."""
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["t_s", *map(column_name, names, units)])
+    t = np.arange(len(signal), dtype=float) * dt
+    writer.writerows(np.column_stack([t, signal]).tolist())
+    return stream.getvalue().encode()
+
+
+def read_signal(file: Path, names: tuple[str, ...]) -> Array:
     """The last columns of a file that the session wrote: those of the channels named."""
     try:
         table = csv_table(file.read_bytes(), file.name)

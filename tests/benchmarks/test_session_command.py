@@ -99,7 +99,55 @@ def test_bad_input_is_one_line_and_nothing_is_written(words, sentence, tmp_path,
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("step", ["start", "next", "record", "status", "estimate"])
+def test_the_rest_test_warns_at_every_step_and_status_draws(capfd, tmp_path):
+    folder, out = str(tmp_path / "rig"), tmp_path / "measured.csv"
+    apply = simulated(named_plant("reference", 1e-4), seed=1)
+    offset = lambda u: apply(u) + 5
+    start = [
+        "start",
+        folder,
+        "--method",
+        "power",
+        "--samples",
+        "300",
+        "--dt",
+        "0.01",
+        "--amplitude",
+        "2",
+        "--range=-9:9",
+    ]
+    assert main(["session", *start, "--experiments", "5"]) == 0
+    assert "no rest test yet: oed session rest" in capfd.readouterr().out
+    assert main(["session", "next", folder]) == 0
+    assert "no rest test yet" in capfd.readouterr().out
+    given = oed(capfd, "rest", folder)["rest_input"]
+    found = oed(capfd, "rest", folder, rig(given, out, offset))
+    assert found["rest"]["level"][0] == pytest.approx(5, abs=0.01)
+    assert any("rests at" in words for words in found["warnings"])
+    drawn = "\n".join(_told(capfd, "status", folder))
+    assert "rests at" in drawn
+    assert "own gain" not in drawn
+    for step in range(1, 5):
+        asked = oed(capfd, "next", folder)
+        assert (asked["rows"], asked["rate_hz"], asked["seconds_left"]) == (300, 100.0, 3.0 * (6 - step))
+        assert not asked["warnings"]
+        oed(capfd, "record", folder, rig(asked["input"], out, apply))
+    told = _told(capfd, "status", folder, "--picture", str(tmp_path / "s.svg"))
+    assert "300 rows at 100 Hz, 3 s each; at most 1 left, 3 s" in told
+    assert any(line.endswith("*") for line in told)
+    assert " Hz, by " in "".join(told)
+    assert (tmp_path / "s.svg").read_text().count("<svg") == 1
+    page = oed(capfd, "status", folder, "--picture", str(tmp_path / "s.html"))["picture"]
+    assert "rests at" in Path(page).read_text()
+    assert "ends in .html" in refused(capfd, "status", folder, "--picture", "s.doc")
+
+
+def _told(capfd, *words: str) -> list[str]:
+    assert main(["session", *words]) == 0
+    return capfd.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize("step", ["start", "rest", "next", "record", "status", "estimate"])
 def test_every_step_has_help_with_an_example(step, capfd):
     with pytest.raises(SystemExit) as stopped:
         main(["session", step, "--help"])

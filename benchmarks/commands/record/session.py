@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import json
+import sys
+import time
 from math import isfinite, pi
+from pathlib import Path
 from typing import Any
 
-HELP = "experiments on a rig by files: start, next, record, status, estimate"
+HELP = "experiments on a rig by files: start, rest, next, record, status, estimate"
 EXAMPLE = "oed session start rig --method power --samples 1000 --dt 0.001 --amplitude 2"
 METHODS = ("power", "procedure-2", "two-stage", "sequential", "bandit", "diagnose-next")
-STEPS = {
-    "start": ("start a session in a folder", EXAMPLE),
-    "next": ("write the next input for the rig", "oed session next rig"),
-    "record": ("check and store what was measured", "oed session record rig output.csv"),
-    "undo": ("take the last output back; it is kept aside", "oed session undo rig"),
-    "watch": (
-        "take the files of a folder as they come, until the session ends",
-        "oed session watch rig inbox",
-    ),
-    "status": ("where the session stands", "oed session status rig"),
-    "estimate": ("the estimate so far, with its uncertainty", "oed session estimate rig --json"),
-}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the steps of a session, each with its options."""
     steps = parser.add_subparsers(dest="action", metavar="STEP", required=True)
-    for name, (words, example) in STEPS.items():
+    for name, (words, example, _) in STEPS.items():
         sub = steps.add_parser(
             name,
             help=words,
@@ -37,6 +29,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
         sub.add_argument("folder", metavar="DIR", help="the session's folder")
         if name == "start":
             _configure_start(sub)
+        elif name == "rest":
+            sub.add_argument(
+                "file", metavar="FILE", nargs="?", help="what the rig wrote; without it the input is written"
+            )
+            sub.add_argument(
+                "--share",
+                type=float,
+                metavar="s",
+                help="height of the pulses over the largest input (default 0.1)",
+            )
+        elif name == "status":
+            sub.add_argument(
+                "--picture", metavar="FILE", help="draw it: .html (the page), .svg, .png or .pdf"
+            )
         elif name == "next":
             sub.add_argument(
                 "--reduce", action="store_true", help="halve it and all that follow (after an abort)"
@@ -118,77 +124,133 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     if args.action == "start":
         return _start(args)
-    session = open_session(args.folder)
-    if args.action == "next":
-        file = session.next_input(reduce=args.reduce)
-        payload = _payload(session)
-        if file is None:
-            return (
-                payload,
-                f"the session is finished: {payload['message']} See `oed session estimate {args.folder}`.",
-            )
-        asked = session.session.asked()
-        payload |= {
-            "kind": asked.kind,
-            "factor": asked.factor,
-            "limit": asked.limit,
-            "rows": len(asked.whole),
-        }
-        scaled = f", times {asked.factor:.4g} ({asked.limit})" if asked.limit else ""
-        return (
-            payload,
-            f"step {asked.step}: apply {file} ({asked.kind}{scaled})\n{_time_left(session, payload)}",
+    return STEPS[args.action][2](args, open_session(args.folder))
+
+
+def _rest(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
+    from estimators.sessions.rest import ask_rest, record_rest
+
+    if args.file is None:
+        file = ask_rest(session, args.share)
+        return _payload(session) | {"rest_input": str(file)}, (
+            f"rest test: apply {file} (the input at its level, then a small pulse of each input)\n"
+            f"then: oed session rest {args.folder} FILE"
         )
-    if args.action == "record":
-        step, file = session.record(args.file, accept=args.accept)
-        payload = _payload(session) | {"recorded": step}
-        return payload, f"step {step}: stored as {file}\n{_estimate(session, payload)}"
-    if args.action == "undo":
-        step, file = session.undo()
-        return _payload(session) | {
-            "undone": step
-        }, f"step {step} waits again for its output; the one taken back is {file}"
-    if args.action == "watch":
-        return _watch(args, session)
+    record_rest(session, Path(args.file))
     payload = _payload(session)
-    if args.action == "status":
-        left = (
-            f"waits for the output of {payload['input']}"
-            if payload["input"]
-            else payload["message"] or "ask for the next input"
-        )
-        flagged = f"; {len(payload['flagged'])} flagged measurements" if payload["flagged"] else ""
+    return payload, f"{_rest_words(session, payload)}\nnext: oed session next {args.folder}"
+
+
+def _rest_words(session: Any, payload: dict[str, Any]) -> str:
+    from estimators.sessions.rest import rest_of
+
+    found = rest_of(session)
+    if found is None:
+        return f"no rest test yet: oed session rest {session.path} (noise, drift, gain and delay of the rig)"
+    return "\n".join([*found.sentences(session.settings), *(f"warning: {w}." for w in payload["warnings"])])
+
+
+def _next(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
+    from estimators.sessions.rest import next_warnings, rest_of
+
+    file = session.next_input(reduce=args.reduce)
+    payload = _payload(session)
+    if file is None:
         return (
             payload,
-            f"{session}: {left}{flagged}\n{_time_left(session, payload)}\n{_estimate(session, payload)}",
+            f"the session is finished: {payload['message']} See `oed session estimate {args.folder}`.",
         )
-    text = _estimate(session, payload)
+    asked, found = session.session.asked(), rest_of(session)
+    payload |= {"kind": asked.kind, "factor": asked.factor, "limit": asked.limit, "rows": len(asked.whole)}
+    scaled = f", times {asked.factor:.4g} ({asked.limit})" if asked.limit else ""
+    lines = [f"step {asked.step}: apply {file} ({asked.kind}{scaled})", _time_left(payload)]
+    if found is not None:
+        payload["warnings"] = next_warnings(found, session.settings, asked.whole)
+        lines += [f"warning: {words}." for words in payload["warnings"]]
+    elif asked.step == 1:
+        lines.append(_rest_words(session, payload))
+    return payload, "\n".join(lines)
+
+
+def _record(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
+    step, file = session.record(args.file, accept=args.accept)
+    payload = _payload(session) | {"recorded": step}
+    return payload, f"step {step}: stored as {file}\n{session.estimate()}\n{_time_left(payload)}"
+
+
+def _undo(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
+    step, file = session.undo()
+    return _payload(session) | {
+        "undone": step
+    }, f"step {step} waits again for its output; the one taken back is {file}"
+
+
+def _status(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
+    payload = _payload(session)
+    waits = f"waits for the output of {payload['input']}" if payload["input"] else ""
+    flagged = f"; {len(payload['flagged'])} flagged measurements" if payload["flagged"] else ""
+    lines = [
+        f"{session}: {waits or payload['message'] or 'ask for the next input'}{flagged}",
+        _time_left(payload),
+    ]
+    lines += [str(session.estimate()), _rest_words(session, payload), *_sketch(payload["gains"])]
+    if args.picture:
+        from benchmarks.page.session import draw_session
+
+        payload["picture"] = str(draw_session(session.path, Path(args.picture)))
+        lines.append(f"picture: {payload['picture']}")
+    return payload, "\n".join(lines)
+
+
+def _estimate(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
+    payload, text = _payload(session), str(session.estimate())
     if args.diagnose:
-        found, words = _diagnosis(session)
-        payload, text = payload | found, f"{text}\n{words}"
+        from estimators.sessions.diagnosis import diagnosis_of
+
+        found = diagnosis_of(session.session)
+        payload, text = payload | {"diagnosis": found.to_dict()}, f"{text}\n{found}"
     return payload, text
 
 
-def _estimate(session: Any, payload: dict[str, Any]) -> str:
-    hertz = payload["frequency_hz"]
-    return f"{session.estimate()}" + (f" ({hertz:.4g} Hz)" if hertz is not None else "")
-
-
-def _time_left(session: Any, payload: dict[str, Any]) -> str:
+def _time_left(payload: dict[str, Any]) -> str:
     """The rate, and what the experiments that are left take at the least."""
-    from estimators.sessions.layout import rig_samples
-
-    rows, dt = rig_samples(session.settings), session.settings.dt
     left = payload["budget"] - payload["experiments"]
-    return f"{rows} rows at {1 / dt:.6g} Hz, {rows * dt:.4g} s each; at most {left} left, {left * rows * dt:.4g} s"
+    return (
+        f"{payload['rows']} rows at {payload['rate_hz']:.6g} Hz, {_clock(payload['seconds_each'])} each; "
+        f"at most {left} left, {_clock(payload['seconds_left'])}"
+    )
+
+
+def _clock(seconds: float) -> str:
+    whole = round(seconds)
+    if whole < 60:
+        return f"{seconds:.3g} s"
+    minutes = f"{whole // 60 % 60} min"
+    return f"{minutes} {whole % 60} s" if whole < 3600 else f"{whole // 3600} h {minutes}"
+
+
+HEIGHT, WIDTH = 5, 60
+"""Lines and columns of the sketch."""
+
+
+def _sketch(values: list[float]) -> list[str]:
+    """The method's own gains over the experiments, in characters that every terminal has."""
+    known = [v for v in values[-WIDTH:] if isfinite(v)]
+    if len(known) < 2:
+        return []
+    low, high = min(known), max(known)
+    step = (high - low) / (HEIGHT - 1) or 1.0
+    at = [round((v - low) / step) if isfinite(v) else -1 for v in values[-WIDTH:]]
+    ends = {0: f"{low:.4g}", HEIGHT - 1: f"{high:.4g}"}
+    lines = [
+        f"{ends.get(k, ''):>10} |{''.join('*' if a == k else ' ' for a in at)}".rstrip()
+        for k in range(HEIGHT)[::-1]
+    ]
+    return ["the method's own gain after every iteration, the last to the right:", *lines]
 
 
 def _watch(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
     """Record each new file of a folder once it no longer grows, and ask for the next input."""
-    import sys
-    import time
-    from pathlib import Path
-
     from oed.errors import InputError
 
     inbox = Path(args.inbox)
@@ -217,14 +279,10 @@ def _watch(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]
         if args.once:
             break
         time.sleep(args.every)
-    payload = _payload(session)
-    return payload | {"events": said}, _estimate(session, payload)
+    return _payload(session) | {"events": said}, str(session.estimate())
 
 
 def _start(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    import json
-    from pathlib import Path
-
     from estimators.sessions import Settings, start_session
     from oed.errors import InputError
     from oed.files.tables import split_unit
@@ -248,13 +306,23 @@ def _start(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         criterion=args.criterion, scaling=args.scaling, seed=args.seed, model=model,
     )  # fmt: skip
     session = start_session(args.folder, settings)
-    return _payload(session), f"{session}\nnext: oed session next {args.folder}"
+    return _payload(session), f"{session}\n{_rest_words(session, {})}\nnext: oed session next {args.folder}"
 
 
 def _payload(session: Any) -> dict[str, Any]:
     """The keys of every step."""
-    estimate = session.estimate()
-    return session.status() | {
+    from estimators.sessions.layout import rig_samples
+    from estimators.sessions.rest import rest_of
+
+    estimate, s, status, rest = session.estimate(), session.settings, session.status(), rest_of(session)
+    rows = rig_samples(s)
+    return status | {
+        "rows": rows,
+        "rate_hz": 1 / s.dt,
+        "seconds_each": rows * s.dt,
+        "seconds_left": rows * s.dt * (status["budget"] - status["experiments"]),
+        "rest": None if rest is None else rest.to_dict(),
+        "warnings": [] if rest is None else rest.warnings(s),
         "estimate": estimate.value,
         "standard_error": estimate.standard_error,
         "interval": list(estimate.interval),
@@ -278,13 +346,6 @@ def _frequency(estimate: Any, per_hertz: float) -> dict[str, Any]:
     }
 
 
-def _diagnosis(session: Any) -> tuple[dict[str, Any], str]:
-    from estimators.sessions.diagnosis import diagnosis_of
-
-    found = diagnosis_of(session.session)
-    return {"diagnosis": found.to_dict()}, str(found)
-
-
 def _numbers(text: str) -> tuple[float, ...]:
     return tuple(float(part) for part in text.split(","))
 
@@ -296,3 +357,23 @@ def _names(text: str) -> tuple[str, ...]:
 def _ranges(text: str) -> tuple[tuple[float, float], ...]:
     low_high = [part.split(":") for part in text.split(",")]
     return tuple((float(low), float(high)) for low, high in low_high)
+
+
+STEPS = {
+    "start": ("start a session in a folder", EXAMPLE, None),
+    "rest": (
+        "test the rig at rest and by a small pulse: noise, drift, gain, delay; with FILE store what was measured",
+        "oed session rest rig measured.csv",
+        _rest,
+    ),
+    "next": ("write the next input for the rig", "oed session next rig", _next),
+    "record": ("check and store what was measured", "oed session record rig output.csv", _record),
+    "undo": ("take the last output back; it is kept aside", "oed session undo rig", _undo),
+    "watch": (
+        "take the files of a folder as they come, until the session ends",
+        "oed session watch rig inbox",
+        _watch,
+    ),
+    "status": ("where the session stands", "oed session status rig --picture status.svg", _status),
+    "estimate": ("the estimate so far, with its uncertainty", "oed session estimate rig --json", _estimate),
+}

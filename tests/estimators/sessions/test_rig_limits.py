@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimators.sessions import FlaggedMeasurement, Session, Settings
-from estimators.sessions.rig_limits import check_input, fitting_factor
+from estimators.sessions.checking import check_input, fitting_factor
 from oed.errors import InputError
 from oed.experiments import simulated
 from oed.plants.named import named_plant
