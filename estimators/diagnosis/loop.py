@@ -115,10 +115,11 @@ def _options(train: Record, setting: Setting) -> Options:
 
 def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
     """The named stage of one output: what its samples show, and the effects that hold."""
-    delay, left = min(base.outputs[i].delays), train.y[:, i] - base.y_model[0][:, i]
+    order, delays = base.outputs[i].shared
+    delay, left = min(delays), train.y[:, i] - base.y_model[0][:, i]
     echo = has_feedback([train], [left], [base.blocks.counting([train])[0][:, i]])
     ahead = delay == 0 and not setting.orders and not echo  # else the input holds the noise of its own sample
-    known = Known(base.outputs[i].model.order, max(delay - 1, 0))
+    known = Known(order, max(delay - 1, 0))
     record = early(train) if ahead else train
     rest = bool(setting.deviations) or (setting.deviations is None and _starts_at_rest(train, i, base))
 

@@ -62,7 +62,8 @@ class OutputModel:
     `prior` how its state is set; `noise` AR coefficients (leading 1) of measured minus simulated output: its
     one-step noise model; `noise_std` standard deviation of that model's innovations; `why` sentences; `folds`
     fitted without each block, in the order of the blocks; `tones` frequencies in Hz of disturbances that were
-    set aside before the order was chosen; `warnings` where its free run is not to be trusted.
+    set aside before the order was chosen; `warnings` where its free run is not to be trusted; `together` order and
+    delays of the best model in which all inputs share their poles, where this one's have poles of their own.
     """
 
     inputs: tuple[int, ...]
@@ -77,6 +78,12 @@ class OutputModel:
     folds: tuple[LinearModel, ...] = ()
     tones: tuple[float, ...] = ()
     warnings: tuple[str, ...] = ()
+    together: tuple[int, tuple[int, ...]] | None = None
+
+    @property
+    def shared(self) -> tuple[int, tuple[int, ...]]:
+        """Order and delays of a model in which all inputs share their poles: what effects inside a plant start from."""
+        return (self.model.order, self.delays) if self.together is None else self.together
 
     def ill_posed(self, blocks: Blocks) -> bool:
         """Whether a pole remembers the initial state for longer than the records are."""

@@ -108,9 +108,12 @@ def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options)
     if lines:
         listed = ", ".join(f"{w / (2 * np.pi * records[0].dt):.4g} Hz" for w in lines)
         why.append(f"Tones that no input drives were set aside before the order was chosen: {listed}.")
+    joint = [t for t in trials if not len(t.candidate.models[-1].moved)] if len(c.models[-1].moved) else []
+    shared = simplest(joint).candidate if joint else None
     noise = QUIET * prior.covariance[0] if chosen.slow else chosen.rmse**2
     model = OutputModel(inputs, c.kind, c.orders, c.form.delay, c.models[-1], replace(prior, noise=noise), np.ones(1),
-                        chosen.rmse, tuple(why), tuple(c.models[:-1]), tuple(w / (2 * np.pi * records[0].dt) for w in lines))  # fmt: skip
+                        chosen.rmse, tuple(why), tuple(c.models[:-1]), tuple(w / (2 * np.pi * records[0].dt) for w in lines),
+                        together=None if shared is None else (shared.form.na, shared.form.delay))  # fmt: skip
     return model, chosen
 
 

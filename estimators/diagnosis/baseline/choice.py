@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,7 @@ class Candidate:
     size: int
     models: list[LinearModel]
     form: Arx
+    noise: float = 0.0  # variance of its error where that is known: so far the window's samples may be off
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +73,7 @@ def tried(
     if any(model.radius > 1.0 for model in candidate.models):
         return None
     unused = [np.full(n, np.nan) for n in blocks.lengths]
+    prior = replace(prior, noise=max(prior.noise, candidate.noise))
     for block, model in zip(blocks.blocks, candidate.models, strict=False):
         record = records[block.record]
         run = model.free_run(prior, record.u[: block.stop], record.y[: block.stop, output], blocks.window)

@@ -19,6 +19,8 @@ REST = 1e-6
 """Variance of a state about rest, of that of the signal: rest is not exact, and a singular prior is no prior."""
 FAR = 0.999
 """Radius from which on a pole forgets too slowly (over 1000 samples) for a steady state to say where a record starts."""
+FORGOTTEN, LONGEST = 1e-2, 500
+"""Share of a response after which an input before a record no longer counts, and most samples of it."""
 FEWEST = 5
 """Samples from which on an output is known to rest, or a state is set by measurement."""
 STILL = 0.05
@@ -57,12 +59,14 @@ class LinearModel:
     """y(k) + a1 y(k-1) + ... = sum_j b_j0 u_j(k) + b_j1 u_j(k-1) + ... + c.
 
     `den` (n + 1,) denominator, its first coefficient 1; `num` (nu, m) numerators by lag from 0; delays are
-    leading zeros; `constant` c, the drive of a constant level.
+    leading zeros; `constant` c, the drive of a constant level; `moved` (nu,) standard deviations of the inputs before a
+    record, where its state is what they left: of many poles, a state in past outputs is beyond what samples can set.
     """
 
     den: Array
     num: Array
     constant: float = 0.0
+    moved: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def order(self) -> int:
@@ -139,6 +143,8 @@ class LinearModel:
         """
         n, w = self.order, min(window, len(y))
         driven = self.driven(u, np.zeros((1, u.shape[1])) if prior.rest else None)
+        if len(self.moved) and not prior.rest and np.isfinite(y[:w]).any():
+            return self._after_inputs(prior, u, y[:w])
         mean, cov = self._before(prior, u, y[:w])
         past = np.full(n, mean)
         ahead = np.concatenate((past, self.run(driven[:w], past)))
@@ -149,3 +155,26 @@ class LinearModel:
             inner = spread[np.ix_(seen, seen)] + prior.noise * np.eye(len(seen))  # pyright: ignore[reportCallIssue]
             ahead += spread[:, seen] @ np.linalg.lstsq(inner, y[seen - n] - ahead[seen], rcond=1e-13)[0]
         return np.concatenate((ahead[n:], self.run(driven[w:], ahead[w:][::-1])))
+
+    def _after_inputs(self, prior: Prior, u: Array, window: Array) -> Array:
+        """(N,) simulated output after unknown inputs, as far as the samples of the window (w,) tell of them."""
+        n, w = len(u), len(window)
+        long = min(LONGEST, 1 + int(np.log(FORGOTTEN) / np.log(max(min(self.radius, FAR), 0.1))))
+        run = self.run(self.driven(u), np.full(self.order, self.level(u[0])))
+        seen = np.flatnonzero(np.isfinite(window))
+        pulses = np.asarray(lfilter([1.0], self.den, _padded(self.num, w + long), axis=1))
+        H = np.concatenate(
+            [np.lib.stride_tricks.sliding_window_view(g[1:], long)[:w] for g in pulses], axis=1
+        )
+        S, H = np.repeat(self.moved**2, long), H[seen]
+        inner = (H * S) @ H.T + max(prior.noise, 1e-300) * np.eye(len(seen))
+        past = (S * (H.T @ np.linalg.solve(inner, (window - run[:w])[seen]))).reshape(-1, long)[:, ::-1]
+        late = LinearModel(self.den, self.num).driven(np.concatenate((past, np.zeros((len(past), n))), axis=1).T,
+                                                      np.zeros((1, len(past))))  # fmt: skip
+        return run + np.asarray(lfilter([1.0], self.den, late))[long:]
+
+
+def _padded(rows: Array, width: int) -> Array:
+    out = np.zeros((len(rows), max(width, rows.shape[1])))
+    out[:, : rows.shape[1]] = rows
+    return out

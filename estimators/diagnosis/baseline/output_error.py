@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.regression import Arx, lagged_inputs
 from oed.data import Record
 
-__all__ = ["OutputError", "realised"]
+__all__ = ["OutputError", "descended", "realised"]
 
 Array = NDArray[Any]
 
@@ -23,6 +23,40 @@ DAMPING = (1e-6, 10.0, 1e6)
 """Levenberg's first damping in units of each parameter's information, its factor, and where a search gives up."""
 STILL = 1e-4
 """Relative decrease of the loss below which a search has arrived: a tenth of what the choice between models can tell."""
+
+
+class Problem(Protocol):
+    """What a descent needs: the model of some parameters, and their loss on rows (N,) per record with its derivatives."""
+
+    def model(self, theta: Array) -> LinearModel: ...
+
+    def local(self, theta: Array, rows: Sequence[NDArray[np.bool_]]) -> tuple[float, Array, Array]: ...
+
+
+def descended(
+    problem: Problem, theta: Array, rows: Sequence[NDArray[np.bool_]], steps: int
+) -> tuple[Array, float]:
+    """The best parameters within so many Gauss-Newton steps, and their mean square; every model on the way is stable."""
+    loss, gradient, hessian = problem.local(theta, rows)
+    damping, factor, most = DAMPING
+    for _ in range(steps):
+        scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+        while damping < most:
+            H = hessian / np.outer(scale, scale) + damping * np.eye(len(theta))
+            step = np.linalg.solve(H, gradient / scale) / scale
+            if problem.model(theta + step).radius < 1.0:
+                new = problem.local(theta + step, rows)
+                if new[0] < loss:
+                    break
+            damping *= factor
+        else:
+            break
+        gained = loss - new[0]
+        theta, (loss, gradient, hessian) = theta + step, new
+        damping /= factor
+        if gained < STILL * loss:
+            break
+    return theta, loss
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,27 +78,8 @@ class OutputError:
         self, start: LinearModel, rows: Sequence[NDArray[np.bool_]], steps: int
     ) -> tuple[LinearModel, float]:
         """The best model within so many steps of `start` and its mean square on the rows, (N,) per record."""
-        theta = self._vector(start)
-        loss, gradient, hessian = self._local(theta, rows)
-        damping, factor, most = DAMPING
-        for _ in range(steps):
-            scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-            while damping < most:
-                H = hessian / np.outer(scale, scale) + damping * np.eye(len(theta))
-                step = np.linalg.solve(H, gradient / scale) / scale
-                if self._model(theta + step).radius < 1.0:
-                    new = self._local(theta + step, rows)
-                    if new[0] < loss:
-                        break
-                damping *= factor
-            else:
-                break
-            gained = loss - new[0]
-            theta, (loss, gradient, hessian) = theta + step, new
-            damping /= factor
-            if gained < STILL * loss:
-                break
-        return self._model(theta), loss
+        theta, loss = descended(self, self._vector(start), rows, steps)
+        return self.model(theta), loss
 
     def _vector(self, model: LinearModel) -> Array:
         """(p,) parameters: a, b by input, c, then the outputs before each record."""
@@ -81,12 +96,13 @@ class OutputError:
                 past.append(np.full(f.na, run[0]))
         return np.concatenate((model.den[1:], *b, [model.constant] if f.offset else [], *past))
 
-    def _model(self, theta: Array) -> LinearModel:
+    def model(self, theta: Array) -> LinearModel:
+        """The model of these parameters."""
         return self.form.model(theta)
 
-    def _local(self, theta: Array, rows: Sequence[NDArray[np.bool_]]) -> tuple[float, Array, Array]:
+    def local(self, theta: Array, rows: Sequence[NDArray[np.bool_]]) -> tuple[float, Array, Array]:
         """Mean square, half its negative gradient and the Gauss-Newton matrix."""
-        f, model, n = self.form, self._model(theta), self.form.na
+        f, model, n = self.form, self.model(theta), self.form.na
         gram = np.zeros((len(theta) + 1, len(theta) + 1))
         count = 0
         for k, (record, used) in enumerate(zip(self.records, rows, strict=True)):

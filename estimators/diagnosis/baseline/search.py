@@ -13,8 +13,9 @@ from scipy.signal import lfilter
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.choice import Candidate, Trial, tried
 from estimators.diagnosis.baseline.disturbances import noise_model
+from estimators.diagnosis.baseline.individual import Individual
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
-from estimators.diagnosis.baseline.output_error import OutputError, realised
+from estimators.diagnosis.baseline.output_error import OutputError, descended, realised
 from estimators.diagnosis.baseline.regression import Arx, Lagged, lagged
 from oed.data import Record
 
@@ -36,6 +37,9 @@ STEPS = (4, 8, 4)
 """Gauss-Newton steps from each start, on from the best of them, and without one block from the optimum on all data."""
 EARLY = 2
 """Samples before the onset of an impulse response at which its model may begin: the first of them drown in noise."""
+OWN, SPARE, LONGER = (1, 2, 3, 4, 5, 6), 3, 40
+"""Poles that each of several inputs may have to itself, coefficients beyond them (delays up to three samples), and steps:
+such a fit starts from a model with poles in common, which is far."""
 LATEST = 400
 """Longest delay looked for, in samples, and at most a quarter of a record."""
 ONSET = (5.0, 0.2)
@@ -157,6 +161,9 @@ class Search:
             if fits:
                 _, problem, model = min(fits, key=lambda f: f[0])
                 found.append(self._tried(self._oe(problem, model, "OE")))
+        if self.inputs > 1:
+            known = sorted((*known, *(t for t in found if t is not None)), key=lambda t: t.rmse)
+            found += self._of_each(known)
         return [t for t in found if t is not None]
 
     def _fitted(self, form: Arx, best: Sequence[Trial]) -> tuple[float, OutputError, LinearModel] | None:
@@ -172,6 +179,29 @@ class Search:
         model, loss = problem.fit(model, rows, STEPS[1])
         count = sum(self.blocks.lengths)
         return count * np.log(max(loss, 1e-300)) + form.size * np.log(count), problem, model
+
+    def _of_each(self, known: Sequence[Trial]) -> list[Trial | None]:
+        """Models with poles of its own for each input, from reductions of the best model known and of the best ARX, then one another."""
+        best = known[0].candidate
+        arx = next((t.candidate for t in known if t.candidate.kind == "ARX"), best)
+        delay = tuple(d if d > max(DELAYS) else 1 for d in best.form.delay)
+        rows, found = [np.ones(count, dtype=bool) for count in self.blocks.lengths], []
+        theta: Array | None = None
+        for n in OWN:
+            problem = Individual(self.records, self.output, Arx(n, n + SPARE, delay, self.offset), self.prior)
+            starts = [problem.start(c.models[-1], REALISED) for c in (best, arx)]
+            starts += [] if theta is None else [problem.grown(theta)]
+            ends = [descended(problem, s, rows, STEPS[1]) for s in starts if problem.model(s).radius < 1.0]
+            if not ends:
+                break
+            theta, loss = descended(problem, min(ends, key=lambda end: end[1])[0], rows, LONGER)
+            parts = [
+                descended(problem, theta, self.blocks.training(b), STEPS[2])[0] for b in self.blocks.blocks
+            ]
+            words = f"{n} poles of its own for each input, {n + SPARE} coefficients, delay {min(delay)}"
+            models = [problem.model(t) for t in (*parts, theta)]
+            found.append(self._tried(Candidate("OE", words, problem.size, models, problem.common, loss)))
+        return found
 
     def _oe(self, problem: OutputError, model: LinearModel, kind: str) -> Candidate:
         models = [problem.fit(model, self.blocks.training(b), STEPS[2])[0] for b in self.blocks.blocks]

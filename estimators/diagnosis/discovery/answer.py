@@ -65,7 +65,7 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     """Terms that the linear model lacks, as an equation; nothing where unused blocks do not vouch for it."""
     budget = BUDGETS[budget] if isinstance(budget, str) else budget
     delays = (
-        np.max([m.delays for m in baseline.outputs], axis=0)
+        np.max([m.shared[1] for m in baseline.outputs], axis=0)
         if _same_inputs(baseline, records[0])
         else np.zeros(records[0].n_inputs, int)
     )
@@ -75,7 +75,7 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     zeros = {f"y{i}": float(-scales.y[i] / scales.sy[i]) for i in range(records[0].n_outputs)}
     zeros |= {f"u{j}": float(-scales.u[j] / scales.su[j]) for j in range(records[0].n_inputs)}
     judge = _Judge(records, baseline, scales, pieces)
-    own = tuple(m.model.order for m in baseline.outputs)
+    own = tuple(m.shared[0] for m in baseline.outputs)
     most = max(SEARCHED // len(pieces), 1)
     short = [Piece(q.d[:most], q.y[:most], q.weight[:most]) for q in pieces]
     front = _front(greedy_search(short, scales, [y[:most] for y in smooth], zeros, budget, own))

@@ -17,7 +17,7 @@ from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot, named
 from estimators.diagnosis.ladder.held_out import HeldOut
 from estimators.diagnosis.ladder.steps import Kind, Ladder
-from estimators.diagnosis.model.fitting import Fit
+from estimators.diagnosis.model.fitting import Fit, ar_model, innovations
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.leftover import Leftover, leftovers
@@ -251,7 +251,9 @@ def _data(o: Outcome, setting: Setting, effects: dict[str, Effect], tag: str) ->
     p = o.examined.attribution.feedback
     order = {"held": 4.0, "quantised": 3.0, "outliers": 1.0}
     found = [_seen(effects, s.key, order.get(s.key, 0.0), 0.0, s.sentence) for s in o.examined.signatures]
-    if p < setting.alpha / 100:
+    if p < setting.alpha / 100 and (
+        o.share.feedback or _of_the_best(o)
+    ):  # else a model's error may foretell an input
         words = f"past innovations help to predict the input{tag} ({p_stated(p)}): the data are from a closed loop"
         found.append(_seen(effects, "feedback", 2.0, p, words))
     return found
@@ -295,6 +297,8 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
         or o.ladder.chosen.kind in (Kind.DISCOVERED, Kind.REMAINDER)
     ):
         return []  # an input that knows the noise makes any residual depend on it
+    if not _of_the_best(o):
+        return []
     explained = 0.0
     if (
         o.named.claims
@@ -325,6 +329,23 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
     return []
 
 
+def _of_the_best(o: Outcome) -> bool:
+    """Whether the residual that was tested is that of a model as good as the best linear one.
+
+    What a worse one leaves depends on anything that the better one knows. Compared are one-step errors, which a noise model
+    does not flatter on one side only.
+    """
+    f, c, unused = o.named.fit, o.examined.last, o.ladder.linear.unused[0]
+    if len(unused) != len(c):  # a thinned record: its simulation errors
+        return float(np.sqrt(np.mean(f.residual[c.keep] ** 2))) <= WORSE * o.ladder.rungs[0].value
+    use = c.keep & o.ladder.counted[0]
+    e = np.where(use, c.y - unused, 0.0)
+    return f.variance <= WORSE**2 * float(np.mean(innovations(e, ar_model(e)[0])[use] ** 2))
+
+
+WORSE = 1.1
+"""One-step error, of the best linear model's on unused blocks, up to which a fit to the same samples is as good: it has
+seen them, and a good fit lies below 1."""
 SURE = 1e-6
 """Significance under a noise model or beside an effect is less sure than it says."""
 TELLING, FIRM = 0.08, 1e-12

@@ -91,7 +91,8 @@ class LinearAnswer:
 
     def to_dict(self) -> dict[str, Any]:
         """Coefficients and how the state is set."""
-        m = {"den": self.model.den.tolist(), "num": self.model.num.tolist(), "constant": self.model.constant}
+        m = {"den": self.model.den.tolist(), "num": self.model.num.tolist(), "constant": self.model.constant,
+             "moved": self.model.moved.tolist()}  # fmt: skip
         return {"kind": "linear", "output": self.output, "inputs": list(self.inputs), "model": m,
                 "prior": _plain(asdict(self.prior))}  # fmt: skip
 
@@ -218,7 +219,9 @@ def read_answer(data: dict[str, Any], effects: tuple[Effect, ...] = CATALOGUE) -
     """The answer that `to_dict` wrote; effects of one's own must be among those given."""
     if data["kind"] == "linear":
         m = data["model"]
-        model = LinearModel(np.array(m["den"]), np.array(m["num"]), m["constant"])
+        model = LinearModel(
+            np.array(m["den"]), np.array(m["num"]), m["constant"], np.array(m.get("moved", ()))
+        )
         return LinearAnswer(data["output"], tuple(data["inputs"]), model, _prior_of(data["prior"]))
     if data["kind"] == "named":
         return _named(data, effects)

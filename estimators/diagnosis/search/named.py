@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimators.diagnosis.baseline import Baseline
-from estimators.diagnosis.effects import Nature, Slot
+from estimators.diagnosis.effects import Nature, Slot, named
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.model.forces import effective_samples
+from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.paired import as_good
@@ -169,12 +170,39 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
         if not weak:
             held = sorted((c for c in claims if _holds(c, bench)), key=lambda c: -c.gain.value)
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
+            held = _bending(bench, f, held, unused)
             step = _step(bench, f, held, unused) if held else None
             return Named(f, tuple(_with_rivals(held, a, f)), tuple(dropped), step)
         worst = min(weak, key=lambda i: claims[i].gain.value)
         dropped.append((claims[worst].key, _why(claims[worst], bench)))
         f, unused = rests[worst]
     return Named(f, (), tuple(dropped), None)
+
+
+BENT = (Nature.INPUT_STATIC, Nature.OUTPUT_STATIC, Nature.DYNAMIC)
+"""Natures of causes by which a run departs from proportion."""
+SMALL, MUST = 0.05, 0.5
+"""Size of the inputs, of theirs, at which a model is taken for proportional; and the power of its departure from that, of what
+it gains over a linear model, below which poles and delays that came with an effect have gained it: a nonlinear part cannot
+gain more than its own power, half of which is left for chance."""
+
+
+def _bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Claim]:
+    """The claims; of missing dynamics where a run is too near proportion for a nonlinear effect to have gained what it did."""
+    c, s = bench.channel, f.structure
+    middle = np.mean(c.u, axis=0)
+    runs = [simulate(s, f.p, middle + size * (c.u - middle), c.clock) for size in (0.0, SMALL, 1.0)]
+    if not all(np.all(np.isfinite(run)) for run in runs):
+        return held
+    nothing, little, all_ = runs
+    power = float(np.mean(((all_ - nothing) - (little - nothing) / SMALL)[c.keep] ** 2))
+    gained = bench.over(unused, bench.base.unused[0][:, bench.output]).value
+    return [
+        replace(claim, part=replace(claim.part, effect=named("order")))
+        if claim.part.effect.nature in BENT and power < MUST * min(gained, claim.gain.value)
+        else claim
+        for claim in held
+    ]
 
 
 CLOCKED = (Nature.TIME, Nature.ADDED)
