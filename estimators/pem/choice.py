@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from oed.data import Record, frozen
 from oed.errors import InputError, OedError
 from oed.files.objects import as_records
+from oed.models.structures import ORDERS, STRUCTURES
 
 if TYPE_CHECKING:
     from estimators.pem.fit import Fit
@@ -30,8 +31,6 @@ PATIENCE, MOST = 2, 8
 """Orders tried without a gain before the climb ends (a resonance needs two), and where it ends at the latest."""
 FOLDS, OPENING = 5, 0.25
 """Blocks left out in turn, and the share of each that sets its initial state and is left out of its error."""
-CLIMB = {"fir": (10,), "arx": (1, 1), "armax": (1, 1, 1), "oe": (1, 1), "bj": (1, 1, 1, 1), "ss": (1,)}
-"""What is added to the orders of a structure at each step of the climb."""
 LOOK, LATEST = 4, 12
 """Order of the regression that gives a first delay, and the longest that it tries."""
 
@@ -203,8 +202,8 @@ def automatic(
     for name, value in (("orders", orders), ("delay", delay)):
         if isinstance(value, str) and value != "auto":
             raise InputError(f"{name} is {value!r}; give whole numbers, or 'auto'.")
-    if structure not in CLIMB:
-        raise InputError(f"the structure {structure!r} has no orders to choose; take {', '.join(CLIMB)}.")
+    if structure not in ORDERS:
+        raise InputError(f"the structure {structure!r} has no orders to choose; take {', '.join(ORDERS)}.")
     given = as_records(records, missing=bool(options.get("missing")))
     nk, notes = delay, []
     if delay == "auto":
@@ -229,7 +228,7 @@ def _climb(
     rows: list[tuple[tuple[int, ...], float]] = []
     window = int(OPENING * (len(given[0]) // FOLDS if len(given) == 1 else min(map(len, given))))
     for k in range(1, MOST + 1):
-        orders = tuple(k * n for n in CLIMB[structure])
+        orders = (k * (1 if structure == "ss" else STRUCTURES[structure].step),) * len(ORDERS[structure])
         try:
             error = held_out_error(given, structure, orders, nk, folds=FOLDS, window=window, **options)[0]
         except OedError as said:  # too short a record, or more than it can tell

@@ -15,6 +15,7 @@ from oed.data import Record
 from oed.errors import NotIdentifiable, Status
 from oed.inspection import excitation_order
 from oed.models.model import Model, StateSpace
+from oed.models.structures import ORDERS
 
 __all__ = ["needed", "result"]
 
@@ -80,7 +81,7 @@ def result(
         notes.append(f"active constraints: {len(normals)}; the standard errors are those along them.")
     predicted = [r.y - e for r, e in zip(records, residuals, strict=True)]
     fit = fit_percent(np.concatenate([r.y for r in records]), np.concatenate(predicted))
-    if status.ok and form.kind in ("arx", "armax", "ss") and not model.stable:
+    if status.ok and (form.kind == "ss" or "na" in ORDERS[form.kind]) and not model.stable:
         status = Status.UNSTABLE
     loss = float(np.linalg.det(noise / freedom))
     covariance = (spread[:n, :n] + spread[:n, :n].T) / 2

@@ -113,7 +113,7 @@ def solve_design(
 
         design = worst_response_design(problem, wanted.family, refine=refine, tolerance=tolerance)
         return design if refine else _beside_the_grid(design, frequency_grid(information, bands, 400))
-    if wanted.kind == "K":
+    if wanted.method == "ratio":
         if any(limit is not None for limit in (output_power, channel_power, rate_power)):
             raise InputError("modified-E knows a limit on the input power only; leave out the others.")
         return condition_design(

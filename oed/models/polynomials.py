@@ -19,17 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.data import entry_name, frozen
 from oed.errors import InputError
+from oed.models.structures import ORDERS, STRUCTURES
 
 __all__ = ["Orders", "Polynomial", "polynomial"]
 
-_LETTERS = {"fir": "b", "arx": "ab", "armax": "abc", "oe": "bf", "bj": "bcdf"}
-_USAGE = {
-    "fir": "fir takes nb",
-    "arx": "arx takes na nb",
-    "armax": "armax takes na nb nc",
-    "oe": "oe takes nb nf",
-    "bj": "bj takes nb nc nd nf",
-}
 Orders = int | Sequence[int] | Sequence[Sequence[int]] | NDArray
 
 
@@ -39,7 +32,7 @@ class Polynomial:
 
     `na` (ny,) degrees of A_i; `nb` (ny, nu) numbers of numerator coefficients; `nc, nd` (ny,) degrees of C_i
     and D_i; `nf` (ny, nu) degrees of F_ij; `nk` (ny, nu) delays of the first coefficients of B_ij, in
-    samples; `kind` the name of the constructor: fir, arx, armax, oe or bj; `names` one per parameter, output
+    samples; `kind` its name among `oed.models.structures`; `names` one per parameter, output
     by output: a, b, c, d, f.
     """
 
@@ -210,7 +203,7 @@ class Polynomial:
         }
 
     def __repr__(self) -> str:
-        used = [f"n{x}" for x in _LETTERS[self.kind]] + ["nk"]
+        used = [*ORDERS[self.kind], "nk"]
         values = [np.unique(getattr(self, x)) for x in used]
         short = [
             str(v[0]) if len(v) == 1 else str(getattr(self, x).tolist())
@@ -238,12 +231,12 @@ def polynomial(
     diagonal: bool = False,
 ) -> Polynomial:
     """A polynomial structure by its name and orders."""
-    if kind not in _LETTERS:
-        raise InputError(f"the structure {kind!r} is unknown; choose one of {', '.join(_LETTERS)}, ss.")
-    letters = _LETTERS[kind]
+    if kind not in STRUCTURES:
+        raise InputError(f"the structure {kind!r} is unknown; choose one of {', '.join(ORDERS)}.")
+    letters = STRUCTURES[kind].letters
     given: list = [orders] if isinstance(orders, int) else list(orders)
     if len(given) != len(letters):
-        raise InputError(f"{len(given)} orders were given; {_USAGE[kind]}.")
+        raise InputError(f"{len(given)} orders were given; {kind} takes {' '.join(ORDERS[kind])}.")
     if diagonal and n_outputs != n_inputs:
         raise InputError(f"a diagonal model needs as many inputs as outputs, not {n_inputs} and {n_outputs}.")
     sizes = dict(zip(letters, given, strict=True)) | {"k": delay}

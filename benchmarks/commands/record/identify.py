@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 
+from oed.models.structures import ORDERS, STRUCTURES
+
 HELP = "identify a model from data: parameters with standard errors, residual tests"
 EXAMPLE = "oed identify record.csv --structure oe --orders 2 2 --delay 3"
 
-ORDERS = {"fir": "nb", "arx": "na nb", "armax": "na nb nc", "oe": "nb nf", "bj": "nb nc nd nf", "ss": "n"}
-DEFAULTS = {"fir": [20], "arx": [2, 2], "armax": [2, 2, 2], "oe": [2, 2], "bj": [2, 2, 2, 2], "ss": [2]}
+DEFAULTS = {name: [one.first] * len(one.letters) for name, one in STRUCTURES.items()} | {"ss": [2]}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +26,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=_order,
         metavar="n",
-        help="; ".join(f"{k}: {v}" for k, v in ORDERS.items()) + " (default: 2); or auto, by blocks left out",
+        help="; ".join(f"{k}: {' '.join(v)}" for k, v in ORDERS.items())
+        + " (default: 2); or auto, by blocks left out",
     )
     parser.add_argument("--delay", default="1", help="nk in samples, or auto (default 1)")
     parser.add_argument("--diagonal", action="store_true", help="input i drives output i alone")
@@ -208,7 +210,7 @@ def _found(form) -> tuple[list[int], int]:
     """Orders, as the command line takes them, and delay of a structure."""
     if form.kind == "ss":
         return [form.order], 1 - form.feedthrough
-    return [int(getattr(form, name).max()) for name in ORDERS[form.kind].split()], int(form.nk.max())
+    return [int(getattr(form, name).max()) for name in ORDERS[form.kind]], int(form.nk.max())
 
 
 def _whole(text: str) -> int:

@@ -61,21 +61,14 @@ def conic(criterion: Criterion, constraints: list, M: Any, accuracy: float = 1e-
 
     import cvxpy as cp
 
-    V, largest = criterion.columns, None
-    if criterion.kind == "D" and V.shape[1] == criterion.n:
-        objective = cp.Maximize(cp.log_det(M))
-    elif criterion.kind == "A":
-        objective = cp.Minimize(cp.matrix_frac(V, M))
-    elif criterion.kind == "E":
-        t = cp.Variable()
-        largest = M - t * (V @ V.T) >> 0
-        constraints = [*constraints, largest]
-        objective = cp.Maximize(t)
-    else:
+    V = criterion.columns
+    stated = criterion.conic(cp, M, V, V @ V.T)
+    if stated is None:
         raise InputError(
             f"the criterion {criterion.name} is not available with this parametrisation; use grid."
         )
-    problem = cp.Problem(objective, constraints)
+    objective, largest = stated
+    problem = cp.Problem(objective, constraints if largest is None else [*constraints, largest])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # Clarabel's scaling of the rows was seen to end some D designs in numerical failure at once.

@@ -254,8 +254,6 @@ class _Search:
         problem, D = self.problem, self.factor(panels)
         (K, _, r, q), flat = D.shape, np.moveaxis(D, 1, 0).reshape(D.shape[1], -1)
         criterion, shape = problem.criterion, one.X.shape
-        if criterion.kind not in ("D", "A", "E"):
-            return one
         unit, price = np.abs(one.X).max(), max(one.nu, 1e-12)
 
         def against(x: NDArray) -> tuple[float, NDArray[np.float64]]:
@@ -267,7 +265,8 @@ class _Search:
             slope = (flat @ half.transpose(0, 2, 3, 1).reshape(K * r * q, -1)).real
             used = float(np.einsum("kii,k->", phi, panels.weight).real) / self.limit
             most = float(np.sum(X * (problem.constant @ X))) + nu + float(panels.weight @ worth)
-            numerator, steep = _logarithm(criterion, X)
+            steep, _ = criterion.log_numerator(X, False)
+            numerator = float(np.log(max(criterion.numerator(X), 1e-300)))
             down = (2 * problem.constant @ X + 2 * slope) / most - steep
             return np.log(most) - numerator, np.append(unit * down.ravel(), price * (1 - used) / most)
 
@@ -349,19 +348,6 @@ class _Search:
             solver="newton",
             rounds=1,
         )
-
-
-def _logarithm(criterion: Criterion, X: NDArray) -> tuple[float, NDArray[np.float64]]:
-    """Logarithm of the criterion's numerator and its gradient in X."""
-    V = criterion.columns
-    turned = V.T @ X
-    if criterion.kind == "A":
-        slope = 2 * V / np.trace(turned)
-    elif criterion.kind == "E":
-        slope = 2 * V @ turned / np.sum(turned**2)
-    else:
-        slope = 2 / len(turned) * V @ np.linalg.inv(turned).T
-    return float(np.log(max(criterion.numerator(X), 1e-300))), slope
 
 
 def _check_open(panels: _Panels, masks: Masks) -> None:

@@ -17,15 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.criteria import (
-    Criterion,
-    a_criterion,
-    c_criterion,
-    condition_criterion,
-    d_criterion,
-    e_criterion,
-    g_criterion,
-)
+from oed.criteria import NAMED, Criterion, a_criterion, c_criterion, d_criterion, g_criterion
 from oed.data import entry_name
 from oed.design.problem.families import Family
 from oed.design.problem.grid import frequency_grid
@@ -37,7 +29,7 @@ from oed.theory.quadrature import graded_edges, integral
 
 __all__ = ["NAMES", "criterion_of", "scalar_criterion"]
 
-NAMES = ("D", "A", "E", "modified-E", "Ds", "hinf", "static-gain", "gain", "pole", "damping", "I", "G")
+NAMES = (*sorted(NAMED), "Ds", "hinf", "static-gain", "gain", "pole", "damping", "I", "G")
 
 
 def criterion_of(
@@ -58,9 +50,8 @@ def criterion_of(
     name, *arguments = str(criterion).split(":")
     check_names([name], NAMES, "criterion")
     n = information.n
-    if name in ("D", "A", "E", "modified-E"):
-        makers = {"D": d_criterion, "A": a_criterion, "E": e_criterion, "modified-E": condition_criterion}
-        return makers[name](n)
+    if name in NAMED:
+        return NAMED[name](np.eye(n), name)
     if name == "Ds":
         chosen = [part for part in ":".join(arguments).split(",") if part]
         check_names(chosen, information.names, "parameter")

@@ -15,6 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from oed.criteria import Criterion
+from oed.criteria.determinant import Determinant
+from oed.criteria.eigenvalue import LargestEigenvalue
+from oed.criteria.trace import Trace
+from oed.criteria.worst import WorstDeterminant, WorstTrace
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
 from oed.design.problem.information_maps import InformationMap, information_map
@@ -101,20 +105,18 @@ def robust_design(
     if how == "average" and kind == "A":
         if len({V.shape[1] for V in embedded}) > 1:
             raise InputError("the plants' criteria weigh different numbers of combinations; they must agree.")
-        whole = Criterion(
-            "A", np.sum([np.sqrt(q) * V for q, V in zip(p, embedded, strict=True)], axis=0), name
-        )
+        whole = Trace(np.sum([np.sqrt(q) * V for q, V in zip(p, embedded, strict=True)], axis=0), name)
     elif how == "average" and kind == "D" and weights is None:
-        whole = Criterion("D", np.concatenate(embedded, axis=1), name)
+        whole = Determinant(np.concatenate(embedded, axis=1), name)
     elif how == "minimax" and kind in ("A", "D"):
         if len({V.shape[1] for V in embedded}) > 1:
             raise InputError(
                 f"the plants' criteria weigh {[V.shape[1] for V in embedded]} combinations; the numbers must agree: "
                 "give all plants as many unknown parameters."
             )
-        whole = Criterion("G" if kind == "A" else "W", np.stack(embedded), name)
+        whole = (WorstTrace if kind == "A" else WorstDeterminant)(np.stack(embedded), name)
     elif how == "minimax" and kind == "E":
-        whole = Criterion("E", np.concatenate(embedded, axis=1), name)
+        whole = LargestEigenvalue(np.concatenate(embedded, axis=1), name)
     else:
         raise InputError(
             f"the {how} of the criterion {own[0].name} is not available; there are average D, A, c and minimax D, A, c, E."

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.criteria.worst import WorstTrace
 from oed.design.problem.families import local_maxima
 from oed.design.problem.lines import Columns, Prices, Problem
 from oed.design.solvers.weights_clarabel import largest_eigenvalue
@@ -93,11 +94,11 @@ def solve_weights(
     Shapes: start (m,).
     """
     criterion, constant = problem.criterion, problem.constant
-    if criterion.kind == "E":
+    if criterion.method == "eigenvalue":
         return _eigenvalue(problem, columns, start, min(max(accuracy, 1e-12), KINKED))
-    if criterion.kind in ("G", "W"):
+    if criterion.method == "minimax":
         return minimax_weights(columns, criterion, constant, start=start, tolerance=max(accuracy, 1e-11))
-    if criterion.columns.shape[1] < criterion.n:
+    if not criterion.whole:
         constant = constant + ridge * np.eye(criterion.n)
     return interior_point(columns, criterion, constant, start=start, tolerance=accuracy)
 
@@ -144,8 +145,8 @@ def exchange(
     best, reference, stalled, tried = None, np.inf, 0, NEARLY
     status, rounds = Status.MAX_ITERATIONS, 0
     # A singular optimum leaves X free in many directions: what holds it there must not be dropped.
-    free = criterion.kind in ("E", "G", "W") or criterion.columns.shape[1] < criterion.n
-    keep_above = KEEP if free and criterion.kind != "G" else 0.99
+    free = criterion.method != "smooth" or not criterion.whole
+    keep_above = KEEP if free and not isinstance(criterion, WorstTrace) else 0.99
     # Multipliers well inside their set move little from round to round; at a vertex of it they jump.
     centred = 0.1 if free else 1e-3
     while rounds < max(max_rounds, 1):

@@ -83,10 +83,6 @@ class RepeatedDesign:
         problem = Problem(information, wanted, power_budgets(information, input_power), self.omega)
         columns = problem.columns(self.omega, np.ones((len(self.omega), 1), dtype=complex))
         scaled = problem.criterion
-        if scaled.kind not in ("D", "A", "E") or scaled.columns.shape[1] < scaled.n:
-            raise InputError(
-                f"the criterion {wanted.name} has no repeated form; use D, A or E of all parameters, or solve_design."
-            )
         if (len(columns), *scaled.columns.shape) != self._shape:
             self._compile(scaled, len(columns))
         parts = self._parts
@@ -94,15 +90,13 @@ class RepeatedDesign:
         parts["atoms"].value = atoms.reshape(len(columns), -1)
         parts["constant"].value = problem.constant
         parts["share"].value = columns.q[:, 0]
-        if "square" in parts:
-            parts["square"].value = scaled.columns @ scaled.columns.T
-        if "V" in parts:
-            parts["V"].value = scaled.columns
+        parts["V"].value = scaled.columns
+        parts["square"].value = scaled.columns @ scaled.columns.T
         status = solve_cvxpy(self.problem, self.accuracy)
         w = np.maximum(np.asarray(parts["w"].value, dtype=float), 0.0)
         w = w / (columns.q.T @ w).max()
         M = problem.constant + columns.information(w)
-        X = scaled.direction(M) if scaled.kind != "E" else _root(parts["largest"].dual_value)
+        X = scaled.direction(M) if parts["largest"] is None else _root(parts["largest"].dual_value)
         nu = np.array([max(float(columns.prices(X, np.ones(1)).max()), 1e-300)])
         bound, price, frequency = evaluated_bound(problem, X, nu, refine=False)
         found = Exchange(
@@ -116,24 +110,29 @@ class RepeatedDesign:
         n = scaled.n
         w = cp.Variable(m, nonneg=True)
         atoms, constant = cp.Parameter((m, n * n)), cp.Parameter((n, n), symmetric=True)
-        share = cp.Parameter(m, nonneg=True)
-        parts = {"w": w, "atoms": atoms, "constant": constant, "share": share}
+        share, V = cp.Parameter(m, nonneg=True), cp.Parameter(scaled.columns.shape)
+        square = cp.Parameter((n, n), symmetric=True)
         M = cp.reshape(atoms.T @ w, (n, n), order="C") + constant
         M = (M + M.T) / 2
-        constraints: list[Any] = [share @ w <= 1]
-        if scaled.kind == "D":
-            objective = cp.Maximize(cp.log_det(M))
-        elif scaled.kind == "A":
-            parts["V"] = cp.Parameter(scaled.columns.shape)
-            objective = cp.Minimize(cp.matrix_frac(parts["V"], M))
-        else:
-            t, parts["square"] = cp.Variable(), cp.Parameter((n, n), symmetric=True)
-            parts["largest"] = M - t * parts["square"] >> 0
-            constraints.append(parts["largest"])
-            objective = cp.Maximize(t)
-        self.problem = cp.Problem(objective, constraints)
+        stated = scaled.conic(cp, M, V, square) if scaled.whole else None
+        if stated is None:
+            raise InputError(
+                f"the criterion {scaled.name} has no repeated form; use D, A or E of all parameters, or solve_design."
+            )
+        objective, largest = stated
+        budget = share @ w <= 1
+        self.problem = cp.Problem(objective, [budget] if largest is None else [budget, largest])
         self.compilations += 1
-        self._parts, self._shape = parts, (m, *scaled.columns.shape)
+        self._parts = {
+            "w": w,
+            "atoms": atoms,
+            "constant": constant,
+            "share": share,
+            "V": V,
+            "square": square,
+            "largest": largest,
+        }
+        self._shape = (m, *scaled.columns.shape)
 
 
 def _root(Z: NDArray[np.float64]) -> NDArray[np.float64]:

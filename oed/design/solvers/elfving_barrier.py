@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.criteria.trace import Trace
 from oed.design.problem.lines import Columns, Problem
 from oed.design.solvers.column_generation import Exchange, evaluated_bound, lower_bound
 from oed.errors import SolverFailure, Status
@@ -28,7 +29,7 @@ PATIENCE = 4
 def applies(problem: Problem) -> bool:
     """Whether this method is the one for a problem."""
     criterion = problem.criterion
-    if problem.map.n_inputs == 1 or criterion.kind != "A":
+    if problem.map.n_inputs == 1 or not isinstance(criterion, Trace):
         return False
     n, s = criterion.columns.shape
     if s == n or n * s > LARGEST:

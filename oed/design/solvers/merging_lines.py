@@ -163,7 +163,7 @@ def _at_clusters(problem: Problem, lines: Columns, w: NDArray, X: NDArray, nu: N
 
 def _of_rank(problem: Problem, X: NDArray[np.float64], gap: float) -> NDArray[np.float64]:
     """E: X without what is left of the eigenvalues that are not the largest, which an interior point has in it."""
-    if problem.criterion.kind != "E":
+    if problem.criterion.method != "eigenvalue":
         return X
     values, vectors = np.linalg.eigh(X.T @ problem.criterion.V @ problem.criterion.V.T @ X)
     return X @ vectors[:, values > np.sqrt(min(gap, 1.0)) / len(values) * values[-1]]

@@ -1,10 +1,10 @@
-"""Optimal weights of given columns by a primal-dual interior-point (Newton) method: D and A.
+"""Optimal weights of given columns by a primal-dual interior-point (Newton) method: D, A and what is smooth like them.
 
     minimise f(w) = log det(V' M^-1 V)  or  trace(V' M^-1 V),   M = M_0 + sum_k w_k F_k F_k',
     subject to Q w <= 1, w >= 0.
 
 With Y = M^-1 and P = X X' (X the certificate direction), df/dw_k = -tr(F_k' P F_k) and
-d2f/dw_k dw_l = 2 tr(A_k P A_l Y) - [D] tr(A_k P A_l P); both are entrywise products of small Gram matrices.
+d2f/dw_k dw_l = 2 tr(A_k P A_l Y) - c tr(A_k P A_l P), c the criterion's curvature (1 for D, 0 for A); both are entrywise products of small Gram matrices.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.criteria import Criterion
+from oed.criteria.determinant import Determinant
 from oed.design.problem.lines import Columns
 from oed.errors import Status
 
@@ -45,7 +46,7 @@ def interior_point(
     tolerance: float = 1e-13,
     max_steps: int = 80,
 ) -> Weights:
-    """Optimal weights for a D or A criterion.
+    """Optimal weights for a smooth criterion.
 
     Shapes: constant (n, n), start (m,).
     """
@@ -58,7 +59,10 @@ def interior_point(
     x[m:] = 1 - Q @ x[:m]
     M = constant + (flat * np.repeat(x[:m], r)) @ flat.T
     # A trace has no natural size: its value at the start is the unit.
-    scale = 1.0 if criterion.kind == "D" else 1 / float(np.sum((_inverse_root(M) @ criterion.columns) ** 2))
+    scale = 1.0
+    if not criterion.logarithmic:
+        half = _inverse_root(M) @ criterion.columns
+        scale = 1 / criterion.of_covariance(half.T @ half)
     gradient, hessian, X = _derivatives(flat, r, M, criterion, scale)
     worth = max(float(-gradient @ x[:m]), 1e-300)
     y = np.empty_like(x)
@@ -139,15 +143,15 @@ def _derivatives(
     V = criterion.columns
     inverse = _inverse_root(M)
     half = inverse @ flat
-    whole = criterion.kind == "D" and V.shape[1] == len(V)
+    curvature = criterion.curvature or 0.0
+    whole = isinstance(criterion, Determinant) and V.shape[1] == len(V)
     if whole:
         X = np.asarray(
             inverse.T
         )  # X X' = M^-1 whatever V: the priced columns are the ones that are there already
-    elif criterion.kind == "A":
-        X = inverse.T @ (inverse @ V) * np.sqrt(scale)
     else:
-        X = criterion.direction(M)
+        Y = inverse.T @ (inverse @ V)
+        X = criterion.turned(Y, V.T @ Y, None) * np.sqrt(scale)
     priced = half if whole else X.T @ flat
     n, s = X.shape
     if r > 2 and n * s <= r * r * (n + s + 20):
@@ -156,13 +160,13 @@ def _derivatives(
         hessian = G @ G.T
         if not whole:
             hessian *= 2.0
-            if criterion.kind == "D":
+            if curvature:
                 G = _squares(priced, priced, r)
-                hessian -= G @ G.T
+                hessian -= curvature * G @ G.T
     else:
         CY = half.T @ half
         CP = CY if whole else priced.T @ priced
-        hessian = gathered(CP * (2 * CY - CP if criterion.kind == "D" else 2 * CY), r)
+        hessian = gathered(CP * (2 * CY - curvature * CP if curvature else 2 * CY), r)
     return -_blocks(priced, r), hessian, X
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from oed.covariances import diagonal_blocks
 from oed.criteria import Criterion
+from oed.criteria.worst import WorstDeterminant
 from oed.design.problem.lines import Columns
 from oed.design.solvers.weights_da import Weights, gathered, inside, reach
 from oed.errors import Status
@@ -39,7 +40,7 @@ def minimax_weights(
     Q, V = columns.q.T, criterion.columns
     flat = np.moveaxis(columns.F, 0, 1).reshape(n, m * r)
 
-    worst_d = criterion.kind == "W"
+    worst_d = isinstance(criterion, WorstDeterminant)
 
     def derivatives(w: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
         """f (K,), df (K, m), Y = M^-1, and X_k (n, K s) with -df_k = trace(F' X_k X_k' F)."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.criteria import Criterion
+from oed.criteria.trace import Trace
 from oed.design.problem.lines import Columns, Problem
 from oed.design.solvers.column_generation import Exchange, exchange
 from oed.design.solvers.weights_da import Weights
@@ -65,28 +66,18 @@ def cvxpy_weights(
 
     m, n, _ = columns.F.shape
     V = criterion.columns
-    singular = criterion.kind == "A" and V.shape[1] < n
-    if singular:
+    if isinstance(criterion, Trace) and not criterion.whole:
         return _elfving(columns, V, constant, accuracy)
     atoms = (columns.F @ np.swapaxes(columns.F, 1, 2)).reshape(m, n * n)
     w = cp.Variable(m, nonneg=True)
     M = cp.reshape(atoms.T @ w, (n, n), order="C") + constant
     M = (M + M.T) / 2
     budget = columns.q.T @ w <= 1
-    constraints: list[Any] = [budget]
-    largest = None
-    if criterion.kind == "D" and V.shape[1] == n:
-        objective = cp.Maximize(cp.log_det(M))
-    elif criterion.kind == "A":
-        objective = cp.Minimize(cp.matrix_frac(V, M))
-    elif criterion.kind == "E":
-        t = cp.Variable()
-        largest = M - t * (V @ V.T) >> 0
-        constraints.append(largest)
-        objective = cp.Maximize(t)
-    else:
+    stated = criterion.conic(cp, M, V, V @ V.T)
+    if stated is None:
         raise InputError(f"the clarabel solver does not take the criterion {criterion.name}; use newton.")
-    problem = cp.Problem(objective, constraints)
+    objective, largest = stated
+    problem = cp.Problem(objective, [budget] if largest is None else [budget, largest])
     status = solve_cvxpy(problem, accuracy)
     weights = np.maximum(np.asarray(w.value, dtype=float), 0.0)
     nu = np.maximum(np.atleast_1d(np.asarray(budget.dual_value, dtype=float)), 0.0)

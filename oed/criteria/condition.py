@@ -1,0 +1,59 @@
+"""Modified E: the condition number of V' M^-1 V. Its certificate is a ratio of two: `oed.design.solvers.condition_number`."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oed.criteria.criterion import Criterion
+from oed.errors import InputError
+
+__all__ = ["ConditionNumber", "condition_criterion"]
+
+
+class ConditionNumber(Criterion):
+    """The ratio of the covariance's largest and smallest eigenvalue."""
+
+    kind: ClassVar[str] = "K"
+    named: ClassVar[str] = "modified-E"
+    method: ClassVar[str] = "ratio"
+
+    def of_covariance(self, covariance: NDArray[np.float64]) -> float:
+        """Infinite where it is singular."""
+        values = np.linalg.eigvalsh(covariance)
+        return float(values[-1] / values[0]) if values[0] > 0 else np.inf
+
+    def numerator(self, X: NDArray[np.float64]) -> NoReturn:
+        """There is none."""
+        raise InputError("a condition number has no bound by one direction; see `condition_design`.")
+
+    def turned(
+        self, Y: NDArray[np.float64], covariance: NDArray[np.float64], weight: NDArray[np.float64] | None
+    ) -> NoReturn:
+        """There is none."""
+        raise InputError("a condition number has no bound by one direction; see `condition_design`.")
+
+    def log_numerator(self, X: NDArray[np.float64], second: bool = True) -> NoReturn:
+        """There is none."""
+        raise InputError("a condition number has no bound by one direction; see `condition_design`.")
+
+    def scaled(self, columns: NDArray[np.float64]) -> tuple[Criterion, float]:
+        """Of unit norm, which it does not see."""
+        return self.of_unit_norm(columns)[0], 1.0
+
+    def conic(self, cp: Any, M: Any, V: Any, square: Any) -> tuple[Any, Any] | None:
+        """None: it is a fraction."""
+        return None
+
+
+def condition_criterion(n: int, lengths: ArrayLike | None = None, *, name: str = "") -> ConditionNumber:
+    """Modified E: the condition number of M, the parameters in given units.
+
+    Shapes: lengths (n,).
+    """
+    unit = np.ones(n) if lengths is None else np.asarray(lengths, dtype=float)
+    if unit.shape != (n,) or not (np.isfinite(unit) & (unit > 0)).all():
+        raise InputError(f"the units of the parameters are {unit}; give {n} positive numbers.")
+    return ConditionNumber(np.diag(1 / unit), name or "modified-E")
