@@ -123,8 +123,8 @@ def _weighted(
     Y: NDArray[np.float64], size: NDArray[np.float64], s: int, weight: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
     """The parts of Y by the roots of their weights; without weights the largest alone."""
-    weight = np.eye(len(size))[np.argmax(size)] if weight is None else weight
-    return Y * np.repeat(np.sqrt(np.clip(weight, 0, None)), s)
+    part = np.eye(len(size))[np.argmax(size)] if weight is None else weight
+    return Y * np.repeat(np.sqrt(np.clip(part, 0, None)), s)
 
 
 def _scaled(criterion: Criterion, columns: NDArray[np.float64]) -> tuple[Criterion, float]:
