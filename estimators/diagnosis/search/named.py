@@ -188,14 +188,17 @@ gain more than its own power, half of which is left for chance."""
 
 
 def _bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Claim]:
-    """The claims; of missing dynamics where a run is too near proportion for a nonlinear effect to have gained what it did."""
+    """The claims; of missing dynamics where a run is too near proportion for a nonlinear effect to have gained what it did.
+
+    What is proportional to either sign of the input alone, as rates that differ up and down, shows with the sign reversed.
+    """
     c, s = bench.channel, f.structure
     middle = np.mean(c.u, axis=0)
-    runs = [simulate(s, f.p, middle + size * (c.u - middle), c.clock) for size in (0.0, SMALL, 1.0)]
+    runs = [simulate(s, f.p, middle + size * (c.u - middle), c.clock) for size in (0.0, SMALL, -1.0, 1.0)]
     if not all(np.all(np.isfinite(run)) for run in runs):
         return held
-    nothing, little, all_ = runs
-    power = float(np.mean(((all_ - nothing) - (little - nothing) / SMALL)[c.keep] ** 2))
+    little, back, full = (run - runs[0] for run in runs[1:])
+    power = float(np.mean((full - little / SMALL)[c.keep] ** 2 + (0.5 * (full + back))[c.keep] ** 2))
     gained = bench.over(unused, bench.base.unused[0][:, bench.output]).value
     return [
         replace(claim, part=replace(claim.part, effect=named("order")))

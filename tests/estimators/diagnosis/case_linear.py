@@ -87,7 +87,10 @@ def _run(
     """Inputs and outputs (n, .) of the plants, sample by sample; the input answers the output `late` samples after it."""
     n = len(noise)
     if gains is None:
-        y = noise + np.stack([sum(lfilter(*g, r[:, j]) for j, g in enumerate(row)) for row in plants], axis=1)
+        y = noise.copy()
+        for i, row in enumerate(plants):
+            for j, (num, den) in enumerate(row):
+                y[:, i] += lfilter(num, den, r[:, j])
         return r, y
     u, y, x = np.zeros_like(r), np.zeros_like(noise), [[np.zeros(n) for _ in row] for row in plants]
     for k in range(n):

@@ -11,6 +11,7 @@ from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.policy import Effort, Setting
 from oed.data import Record
+from tests.estimators.diagnosis.case_classes import CLASSES, excitation
 from tests.estimators.diagnosis.case_linear import linear_case
 
 PARTS = (([0.0, 0.03, 0.02], [1.0, -1.86, 0.89]), ([0.0, 0.0, 0.0, 0.3], [1.0, -0.7]))
@@ -24,7 +25,7 @@ def two_inputs(seed: int, n: int, cubic: float = 0.0, noise: float = 0.02) -> Re
     rng = np.random.default_rng(seed)
     u = lfilter([0.5], [1.0, -0.8], rng.standard_normal((2, n + 300)), axis=1)
     bent = (u[0] + cubic * u[0] ** 3, u[1])
-    y = sum(lfilter(*part, x) for part, x in zip(PARTS, bent, strict=True))
+    y = np.sum([lfilter(num, den, x) for (num, den), x in zip(PARTS, bent, strict=True)], axis=0)
     y = y + noise * rng.standard_normal(n + 300)
     return Record(u.T[300:] + [5.0, -3.0], y[300:] + 12.0)
 
@@ -46,7 +47,7 @@ def test_a_state_of_many_poles_is_set_by_the_inputs_that_left_it():
     u = np.random.default_rng(5).standard_normal((700, 1))
     y = lfilter(num[0], den, u[:, 0])
     noisy = y + 0.01 * np.std(y) * np.random.default_rng(6).standard_normal(700)
-    prior = Prior(0.0, np.var(y) * 0.9 ** np.arange(20), (0.01 * np.std(y)) ** 2)
+    prior = Prior(0.0, np.var(y) * 0.9 ** np.arange(20), float(0.01 * np.std(y)) ** 2)
     model = LinearModel(den, num, 0.0, np.ones(1))
     runs = [m.free_run(prior, u[300:], noisy[300:], 20) for m in (model, replace(model, moved=np.empty(0)))]
     errors = [np.std((run - y[300:])[20:]) / np.std(y) for run in runs]
@@ -68,6 +69,21 @@ def test_an_effect_that_only_brings_poles_is_missing_dynamics_and_a_bent_input_i
     assert bent.nature == "static input nonlinearity"
     assert bent.rmse_after.value < 0.5 * bent.rmse_before.value
     assert diagnose(two_inputs(23, 700), two_inputs(24, 400), setting).effect in LINEAR
+
+
+@pytest.mark.slow
+def test_an_effect_that_is_proportional_to_either_sign_alone_keeps_its_name():
+    """Half an input has half the run where rates differ up and down; the reversed one tells it from missing poles."""
+    maker, _, signal = CLASSES["rise_and_fall"]
+
+    def drawn(seed: int) -> Record:
+        rng = np.random.default_rng(seed)
+        u = excitation(rng, 700, signal["mean"], signal["size"])
+        y = maker(u, 1.0)
+        return Record(u, y + 0.01 * np.std(y) * rng.standard_normal(700))
+
+    found = diagnose(drawn(31), drawn(32), Setting(effort=Effort.QUICK, separate=True))
+    assert found.effect == "asymmetric_rise_and_fall"
 
 
 @pytest.mark.validate
