@@ -122,6 +122,7 @@ OUTPUT = (
 SHIFTS = (0.5, 1.0, 1.8, 2.8, 4.0, 5.5)  # samples by which the clocks are apart in the end
 JUMPS = (1.0, 2.0, 3.0, 5.0)  # samples lost at once
 TIMES = 12  # of a jump, over the record
+EDGE = 0.04  # of the record, at either end of which no jump is looked for
 NOTHING = 1.02  # of the linear model's squared error, that the best shape may leave before it is fitted
 
 
@@ -138,6 +139,10 @@ def _drifted(y: Array, p: Array, clock: Clock) -> Array:
 
 
 def _jumped(y: Array, p: Array, clock: Clock) -> Array:
+    if (
+        not EDGE < p[1] / clock.length < 1.0 - EDGE
+    ):  # all samples are out of step, or none: a delay, or nothing
+        return np.full(len(y), np.inf)
     return _read(y, np.arange(len(y)) + p[0] * np.clip(clock.k - p[1], 0.0, 1.0))
 
 

@@ -136,6 +136,12 @@ def _best_products(
     return best[0], best[1], best[2], float(X.shape[1])
 
 
+def _sized(columns: list[Array], keep: NDArray[np.bool_]) -> Array:
+    """Columns of unit size, zero where a sample does not count."""
+    X = np.stack([c / (float(np.sqrt(np.mean(c**2))) + 1e-300) for c in columns], axis=1)
+    return np.where(keep[:, None], X, 0.0)
+
+
 def _filtered(num: Array, den: Array) -> Callable[[Array], Array]:
     return lambda x: np.asarray(lfilter(num, den, x))
 
@@ -189,18 +195,23 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
     J = np.where(keep[:, None], _sensitivity(channel, f, y), 0.0)
     groups = _columns(channel, f, y)
     tests = len(groups) + 4
-    null = _deviance(r, J, f.noise, keep)
+    plain, null = J, _deviance(r, J, f.noise, keep)
+    lags = [c for nature, _, columns in groups if nature == Nature.LINEAR for c in columns]
+    J = np.concatenate(
+        (J, _sized(lags, keep)), axis=1
+    )  # a model that is not the best linear one leaves what looks bent
+    beyond = _deviance(r, J, f.noise, keep)
     if n > 20 * TERMS:
-        ratio, price, count, tries = _best_products(channel, f, y, J, null)
+        ratio, price, count, tries = _best_products(channel, f, y, J, beyond)
         p = min(1.0, tests * tries**count * float(chi2.sf(max(ratio, 0.0), max(count, 1))))
         if count and p < alpha:
             share = 1.0 - float(np.exp(-ratio / n))
             out.append(Leftover(Nature.DYNAMIC, f"the residual still depends on products of past inputs and outputs "
                                 f"({100 * share:.2g} % of its variance, p = {p:.2g})", p, ratio - price))  # fmt: skip
     for nature, words, columns in groups:
-        X = np.stack([c / (float(np.sqrt(np.mean(c**2))) + 1e-300) for c in columns], axis=1)
-        X = np.concatenate((J, np.where(keep[:, None], X, 0.0)), axis=1)
-        ratio = null - _deviance(r, X, f.noise, keep)
+        linear = nature == Nature.LINEAR
+        X = np.concatenate((plain if linear else J, _sized(columns, keep)), axis=1)
+        ratio = (null if linear else beyond) - _deviance(r, X, f.noise, keep)
         p = min(1.0, tests * float(chi2.sf(max(ratio, 0.0), len(columns))))
         if p < alpha:
             share = 1.0 - float(np.exp(-ratio / n))

@@ -193,3 +193,26 @@ def test_one_more_order_is_found_beside_an_effect_at_the_input():
     assert f.p[f.structure.slices()[0]][0] == pytest.approx(0.3, rel=0.01)
     kept, *_ = exchanged(channel, f, Menu())  # the order has no parameters of its own, and stays a cause
     assert {part.key for part in kept.structure.effects} == {"rate_limit_sampled", "order_one"}
+
+
+@pytest.mark.parametrize("seed", [41, 42, 43])
+def test_a_poor_linear_model_leaves_nothing_that_looks_bent(seed):
+    """Two levels only, taken too late: all powers of the input are the input again; a product of inputs is no such thing."""
+    for product in (0.0, 0.4):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.choice([-1.0, 1.4], 450), 2)
+        v = u + product * np.abs(lfilter([0.3], [1.0, -0.7], u))
+        y = lfilter([0.0, *B], A, v) + 0.02 * rng.standard_normal(900)
+        channel = channel_of(Record(u, y))
+        found = leftovers(channel, fit_linear(channel, Structure(2, delay=3)))
+        assert any(x.nature == "linear dynamics" for x in found)
+        assert any("nonlinear" in x.nature for x in found) is (product > 0.0)
+
+
+def test_samples_lost_at_an_end_of_a_record_are_a_delay():
+    """At 3 % of the record nearly all samples are out of step, at 5 % enough are not."""
+    y, clock = np.sin(np.arange(400) / 9.0), Clock(np.arange(400.0), 400)
+    for time, finite in ((12.0, False), (20.0, True), (380.0, True), (388.0, False)):
+        assert np.isfinite(named("lost_samples").apply(y, np.array([2.0, time]), clock)).all() is np.bool_(
+            finite
+        )
