@@ -134,7 +134,9 @@ def _runs(settings: Settings, replicates: int) -> dict[str, str]:
 def _predicted(target: Target, row: Row) -> float:
     """Efficiency that theory predicts for the iterations with the same budget; NaN where it has no number."""
     if row["iterations"] == "power":
-        return float(peak_gain_efficiency_by_experiments(target.plant, row["experiments"])[-1])
+        return float(
+            peak_gain_efficiency_by_experiments(target.plant, row["experiments"], target.optimum.c)[-1]
+        )
     from oed.information import information_of_spectrum
     from oed.theory.mimo import mimo_limit_spectrum
 
@@ -214,7 +216,8 @@ def _information(
     if not information:  # no run ended: there are no inputs to speak of
         return []
     predicted = lambda plant: {
-        v: peak_gain_efficiency_by_experiments(known[plant, v].plant, settings.experiments) for v in settings.noise_variances
+        v: peak_gain_efficiency_by_experiments(
+            known[plant, v].plant, settings.experiments, known[plant, v].optimum.c) for v in settings.noise_variances
     } if "power" in settings.methods else {}  # fmt: skip
     drawn = [figures.efficiency_figure(information, plant, predicted(plant))
              for plant in siso if any(row["plant"] == plant for row in information)]  # fmt: skip

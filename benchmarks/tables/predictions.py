@@ -52,7 +52,12 @@ def siso_prediction(plant: Plant, *, experiments: int, samples: int | None) -> t
     from oed.theory.efficiency import peak_gain_efficiency_by_experiments
 
     limit = limit_spectrum(plant)
-    together = peak_gain_efficiency_by_experiments(plant, experiments)
+    usual = (
+        plant.white_noise and plant.free == plant.all_names
+    )  # where the gain-scaling theorem gives the optimum
+    few = len(plant.free) <= MOST_PARAMETERS
+    optimum = None if usual else optimal_loss(plant, "c") if few else float("nan")
+    together = peak_gain_efficiency_by_experiments(plant, experiments, optimum)
     payload: dict[str, Any] = {
         "plant": plant.name,
         "noise_variance": plant.noise_variance,
@@ -81,13 +86,14 @@ def siso_prediction(plant: Plant, *, experiments: int, samples: int | None) -> t
 def _siso_text(plant: Plant, limit: LimitSpectrum, payload: dict[str, Any]) -> str:
     gamma = payload["hinf_norm"]
     together = payload["c_efficiency_by_experiments"]
-    bias = np.sqrt(payload["beta2_mean"]) - gamma if payload["beta2_mean"] > 0 else float("nan")
+    mean = payload["beta2_mean"]
+    bias = f"biased by {np.sqrt(mean) - gamma:+.4g}" if mean > 0 else "lost in the noise"
     lines = [
         f"Power iterations (Algorithm 1) on {plant.name}, noise variance {plant.noise_variance:g}",
         f"  H-infinity norm      {gamma:.12g} at {payload['peak_frequency']:.10g} rad/sample"
         f" (curvature {payload['peak_curvature']:.6g})",
         f"  limit of mu^2        {payload['mu2']:.12g} = gamma^2 + {payload['mu2_excess']:.6g}",
-        f"  limit of E beta_2^2  {payload['beta2_mean']:.10g} (beta_2 is biased by {bias:+.4g})",
+        f"  limit of E beta_2^2  {mean:.10g} (beta_2 is {bias})",
         f"  limit spectrum       from {payload['spectrum_min']:.6g} to {payload['spectrum_max']:.6g}",
         "  efficiency of the limit spectrum against certified optima:",
         "    " + _efficiencies_text(plant, payload),

@@ -10,7 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from oed.data import frozen
 from oed.errors import InputError
 
-__all__ = ["check_covariance", "check_stable", "matrix_of_polynomials", "polynomial", "scaled"]
+__all__ = ["check_covariance", "check_sizes", "check_stable", "matrix_of_polynomials", "polynomial", "scaled"]
+
+LARGEST = 1e50
+"""Of a coefficient, and one over it of the largest of a plant: fourth powers of gains, and poles near the circle, stay doubles."""
 
 
 def polynomial(values: ArrayLike, name: str) -> NDArray[np.float64]:
@@ -77,3 +80,25 @@ def check_covariance(covariance: NDArray[np.float64], ny: int) -> None:
     if lowest < -1e-12 * scale:
         what = "variance is" if ny == 1 else "covariance has the eigenvalue"
         raise InputError(f"the noise {what} {lowest:g}; it must be at least 0: check its sign.")
+
+
+def check_sizes(
+    num: list[list[NDArray[np.float64]]], covariance: NDArray[np.float64], noise_num: NDArray[np.float64]
+) -> None:
+    """InputError where gains or noise are such that their squares are no doubles."""
+    largest = max(float(np.abs(entry).max()) for row in num for entry in row)
+    if not largest:
+        raise InputError(
+            "every numerator coefficient is zero; a plant that does nothing has no gain to estimate."
+        )
+    noise = float(np.abs(covariance).max())
+    for what, size, least, most in (
+        ("num, divided by the leading coefficient of den,", largest, 1 / LARGEST, LARGEST),
+        ("the noise covariance", noise, LARGEST**-2 if noise else 0.0, LARGEST**2),
+        ("the noise filter's num", float(np.abs(noise_num).max()), 1.0, LARGEST),
+    ):
+        if not least <= size <= most:
+            raise InputError(
+                f"the largest entry of {what} is {size:.3g}; it must lie between {least:g} and {most:g}, so that squares of "
+                "gains are numbers: give the signals in other units."
+            )

@@ -17,7 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.data import entry_name, frozen
 from oed.errors import InputError
-from oed.plants.checking import check_covariance, check_stable, matrix_of_polynomials, polynomial, scaled
+from oed.plants.checking import (
+    check_covariance,
+    check_sizes,
+    check_stable,
+    matrix_of_polynomials,
+    polynomial,
+    scaled,
+)
 
 __all__ = ["Plant"]
 
@@ -71,10 +78,6 @@ class Plant:
                     )
                 num[i][j], den[i][j] = (scaled(side[i][j], lead, f"den[{i}][{j}]") for side in (num, den))
                 check_stable(den[i][j], f"den[{i}][{j}]")
-        if not any(np.any(entry) for row in num for entry in row):
-            raise InputError(
-                "every numerator coefficient is zero; a plant that does nothing has no gain to estimate."
-            )
         try:
             covariance = np.array(self.noise_covariance, dtype=float)
         except (TypeError, ValueError):
@@ -92,6 +95,7 @@ class Plant:
                 )
             shape.append(scaled(p, p[0], side))
         check_stable(shape[1], "the noise filter's den")
+        check_sizes(num, covariance, shape[0])
         for field, value in (
             ("num", tuple(map(tuple, num))),
             ("den", tuple(map(tuple, den))),

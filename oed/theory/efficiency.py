@@ -104,10 +104,13 @@ def _singular_c(information: NDArray, c: NDArray | None) -> float:
     return float(np.sum(along[keep] ** 2 / values[keep]))
 
 
-def peak_gain_efficiency_by_experiments(plant: Plant, experiments: int) -> NDArray[np.float64]:
+def peak_gain_efficiency_by_experiments(
+    plant: Plant, experiments: int, optimum: float | None = None
+) -> NDArray[np.float64]:
     """c-efficiency of the first k experiments of Algorithm 1 together, from a white start.
 
-    Their information is summed (Lemma 13) and compared with k experiments at the optimum lambda_e.
+    Their information is summed (Lemma 13) and compared with k experiments at the optimum: lambda_e unless it is given,
+    which holds for white noise and a free gain.
 
     Shapes: returns (experiments,).
 
@@ -119,12 +122,12 @@ def peak_gain_efficiency_by_experiments(plant: Plant, experiments: int) -> NDArr
     c = gain_gradient(plant, top)
     nodes, Phi, _ = spectra_of_iterations(plant, experiments)
     psi = whitened_gradient(plant, nodes.omega)[:, :, 0, 0]
-    variance = float(plant.noise_covariance[0, 0])
+    best = float(plant.noise_covariance[0, 0]) if optimum is None else optimum
     efficiency, total = np.zeros(experiments), np.zeros((len(c), len(c)))
     for k in range(experiments):
         weighted = psi * np.sqrt(nodes.weight * Phi[k])[:, None]
         total = total + (weighted.real.T @ weighted.real + weighted.imag.T @ weighted.imag)
-        efficiency[k] = variance / ((k + 1) * losses(total, c).c)
+        efficiency[k] = best / ((k + 1) * losses(total, c).c)
     return efficiency
 
 

@@ -89,7 +89,12 @@ class _Dual:
         gradient[:m] -= 2 * (self.V - self.constant @ X).ravel() / mu
         gradient[m:] += 1 / mu - 1 / nu
         scale = 1 / np.sqrt(np.diag(hessian))
-        step = -scale * np.linalg.solve(hessian * np.outer(scale, scale), scale * gradient)
+        try:
+            step = -scale * np.linalg.solve(hessian * np.outer(scale, scale), scale * gradient)
+        except (
+            np.linalg.LinAlgError
+        ):  # a direction that no frequency tells anything of: the shortest step leaves it
+            step = -scale * np.linalg.lstsq(hessian * np.outer(scale, scale), scale * gradient, rcond=None)[0]
         return step[:m].reshape(self.n, self.s), step[m:], float(-gradient @ step)
 
     def follow(self, X: NDArray, nu: NDArray, mu: float, final: float) -> tuple[NDArray, NDArray, float, int]:

@@ -12,8 +12,11 @@ from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.lines import Problem
 from oed.design.solvers.elfving_barrier import applies, direction_exchange
 from oed.errors import Status
+from oed.information import information_of_spectrum
 from oed.plants.named import named_plant
 from oed.plants.norms import gain_gradient, peak
+from oed.plants.plant import Plant
+from oed.theory.efficiency import flat_spectrum
 
 
 @pytest.fixture(scope="module")
@@ -82,3 +85,13 @@ def test_one_input_is_the_case_of_the_cone_programme():
     twin = elfving(columns, problem.criterion, problem.constant)
     assert abs(found.gap) < 1e-8
     assert found.loss == pytest.approx(float(twin.nu.sum()), rel=1e-7)
+
+
+def test_a_direction_that_no_frequency_tells_anything_of_is_stepped_over():
+    """A Newton step with a singular matrix: two static entries beside two with a pole, correlated noise."""
+    plant = Plant([[[0, 1], [0, 2]], [[0, 1], [0, 3]]], [[[1, -0.5], [1]], [[1, -0.2], [1, 0.3]]],
+                  noise_covariance=[[2.0, 1.0], [1.0, 3.0]])  # fmt: skip
+    found = solve_design(plant, "A")
+    assert found.gap < 1e-9
+    white = np.linalg.inv(information_of_spectrum(plant, flat_spectrum(plant))).trace()
+    assert found.bound <= found.loss < white

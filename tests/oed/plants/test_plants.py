@@ -128,3 +128,19 @@ def test_arrays_of_a_plant_cannot_be_written():
     plant = named_plant("reference")
     with pytest.raises(ValueError, match="read-only"):
         plant.num[0][0][1] = 9.0
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"num": [0, 1e200]}, "num, divided by the leading coefficient of den, is 1e.200"),
+        ({"num": [0, 1e-70]}, "is 1e-70; it must lie between 1e-50 and 1e.50"),
+        ({"den": [1e60, 1.0]}, "is 2e-60"),
+        ({"noise_covariance": 1e-200}, "the noise covariance is 1e-200"),
+        ({"noise_num": [1, 1e90]}, "the noise filter's num is 1e.90"),
+    ],
+)
+def test_numbers_whose_squares_are_none_are_refused(changes, words):
+    with pytest.raises(InputError, match=words):
+        Plant(**{"num": [0, 2.0], "den": [1, -0.5]} | changes)
+    assert Plant([0, 1e49], [1, -0.5], noise_covariance=0.0).noise_variance == 0

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from oed.design import solve_design
 from oed.errors import InputError, SolverFailure
 from oed.information import information_of_spectrum
 from oed.plants.named import named_plant
@@ -200,6 +201,15 @@ def test_little_noise_beside_any_gain(gain):
         assert np.isclose(getattr(found, k), getattr(plain, k) * (gain / 1e3) ** power, rtol=1e-5)
 
 
+def test_the_experiments_are_compared_with_the_optimum_of_their_own_noise():
+    """One unknown gain and coloured noise: the optimum is not lambda_e, and no experiment is better than it."""
+    coloured = {"noise_num": (1.0, 0.5), "noise_den": (1.0, -0.3), "noise_covariance": 2.0}
+    plant = Plant([0, 0.2155, 0.2012, 0, 0.2155, 0.2012], [1, -0.9854, 0.8187], free=("b1",), **coloured)
+    optimum = solve_design(plant, "hinf").bound
+    assert peak_gain_efficiency_by_experiments(plant, 3).max() > 1, "what it was before"
+    assert 0.05 < peak_gain_efficiency_by_experiments(plant, 3, optimum).max() < 1
+
+
 def test_rows_and_products_give_the_same_losses():
     limit = limit_spectrum(REFERENCE)
     c = gain_gradient(REFERENCE)
@@ -219,4 +229,4 @@ def test_rows_and_products_give_the_same_losses():
 
 def test_noise_that_no_double_holds_beside_the_gain():
     with pytest.raises(SolverFailure, match="too little beside the gains"):
-        limit_spectrum(Plant([0.0, 1e150], [1.0, -0.5], noise_covariance=1e-80))
+        limit_spectrum(Plant([0.0, 1e45], [1.0, -0.5], noise_covariance=1e-90))
