@@ -30,6 +30,9 @@ SHARES = (
 RENEWED = 4
 """Shapes of an effect whose linear part is made anew before they are compared: those whose score is best."""
 
+PACES = (0.3, 0.6)
+"""Quick poles that may follow a process: a sensor's or an actuator's lag, from one sample on."""
+
 
 @dataclass(frozen=True, eq=False)
 class Start:
@@ -121,7 +124,28 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
             trial[:own] -= move
             options.append(trial)
         out.append(Start(s, min(options, key=lambda q: _squares(channel, s, q)), scales, promise))
-    return out
+    if part.effect.alone and s.layout == "tf" and not base.structure.effects:
+        out += _quick(channel, s, [np.concatenate((base.p, shape)) for shape in grid], scales, base)
+    return sorted(out, key=lambda start: -start.promise)
+
+
+def _quick(channel: Channel, s: Structure, shapes: list[Array], scales: Array, base: Fit) -> list[Start]:
+    """The best of all shapes before a linear part of one quick pole: an effect that is a process has the slow one itself.
+
+    Behind a process the linear model's slow pole must be cancelled by a zero, from which no fit finds the way back.
+    """
+    trials = []
+    for p in shapes:
+        for pole in PACES:
+            q = p.copy()
+            q[: s.order] = 0.0
+            q[0] = -pole
+            trials += [] if (again := relinearised(channel, s, q)) is None else [again]
+    if not trials:
+        return []
+    best = min(trials, key=lambda q: _squares(channel, s, q))
+    left = _squares(channel, s, best) / (float(np.sum(base.residual[channel.keep] ** 2)) + 1e-300)
+    return [Start(s, best, scales, base.n * -np.log(max(left, 1e-12)))] if np.isfinite(left) else []
 
 
 def relinearised(channel: Channel, s: Structure, p: Array) -> Array | None:

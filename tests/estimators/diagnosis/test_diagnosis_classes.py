@@ -12,7 +12,7 @@ from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.effects.recursion_kernels import relay
 from estimators.diagnosis.loop import diagnose
-from estimators.diagnosis.model.fitting import Channel
+from estimators.diagnosis.model.fitting import Channel, Fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.candidates import Menu, augmented
@@ -119,3 +119,32 @@ def test_a_wrapped_angle_is_found_under_a_delay_and_an_order_that_were_fitted_to
     late = replace(Structure(1, delay=7).adding(Part(OFFSET)), base=1)
     found = named("wrapped").search(channel, fit_linear(channel, late), ())
     assert min(error(f) for f in found) < 1.35 * noise
+
+
+def conical(seed: int, bent: bool) -> tuple[Channel, Fit]:
+    """A vessel that widens, emptied through an orifice, behind a pump that lags; the control empties in proportion."""
+    rng, n = np.random.default_rng(seed), 900
+    u = np.repeat(rng.uniform(40.0, 66.0, n // 30 + 1), 30)[:n]
+    u[:15] = 53.0
+    h, q, y = 19.0, 1.88 * u[0], np.empty(n)
+    for i, v in enumerate(u):
+        y[i] = h
+        for _ in range(20):
+            q += 0.03 * (1.88 * v - q)
+            out = 1.88 * u[0] * (np.sqrt(h / 19.0) if bent else h / 19.0)
+            h += 0.15 * (q - out) / (22.0 + ((0.9 * h) ** 2 if bent else 300.0))
+    y += 0.04 * rng.standard_normal(n)
+    channel = Channel(u[:, None], y, Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
+    s = replace(Structure(2).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2)
+    f = fit_linear(channel, s)
+    white = float(np.mean(f.residual**2))
+    return channel, replace(f, noise=np.zeros(0), variance=white, deviance=n * np.log(white))
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_process_takes_the_slow_pole_that_the_linear_model_had(seed):
+    """From the linear model's poles the first fit ends at 1.2 and 2.1 times the noise: a zero cancels the slow one there."""
+    channel, base = conical(seed, True)
+    assert error(next(augmented(channel, base, Menu((named("vessel"),))))) < 1.05 * 0.04
+    channel, base = conical(seed, False)
+    assert all(error(f) > 0.99 * error(base) for f in augmented(channel, base, Menu((named("vessel"),))))
