@@ -18,7 +18,6 @@ import re
 import signal
 import sys
 import threading
-import time
 import traceback
 from collections.abc import Iterator
 from importlib import import_module
@@ -149,40 +148,29 @@ def main(argv: list[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-    with _terminated_like_interrupted(), _clock(args):
+    with _terminated_like_interrupted(), _progress(args):
         return _run(args)
 
 
-QUIET = 2.0
-"""Seconds after which a command shows that it is at work."""
-OWN_PROGRESS = ("compare", "diagnose-folder", "reproduce", "speed", "session")
-"""Commands that show more than the time by themselves, or wait for somebody."""
+OWN_PROGRESS = ("compare", "diagnose-folder")
+"""Commands that show more than the time by themselves."""
 
 
 @contextlib.contextmanager
-def _clock(args: argparse.Namespace) -> Iterator[None]:
-    """On a terminal, the seconds so far of a command that takes long, on a line of its own that goes when it ends."""
-    if args.quiet or args.command in OWN_PROGRESS or not sys.stderr.isatty():
+def _progress(args: argparse.Namespace) -> Iterator[None]:
+    """Stage, elapsed and remaining of what takes long, on standard error."""
+    waits = (
+        args.command in OWN_PROGRESS
+        or getattr(args, "serve", False)
+        or getattr(args, "action", "") == "watch"
+    )
+    if args.quiet or waits:
         yield
         return
-    ended, begin = threading.Event(), time.monotonic()
+    from benchmarks.progress import shown
 
-    def tell() -> None:
-        wait = QUIET
-        while not ended.wait(wait):
-            wait = 1.0
-            sys.stderr.write(f"\roed {args.command}: {time.monotonic() - begin:.0f} s \r")
-            sys.stderr.flush()
-
-    thread = threading.Thread(target=tell, daemon=True)
-    thread.start()
-    try:
+    with shown(args.command):
         yield
-    finally:
-        ended.set()
-        thread.join()
-        if time.monotonic() - begin > QUIET:
-            sys.stderr.write("\r\033[K")
 
 
 class _Terminated(KeyboardInterrupt):

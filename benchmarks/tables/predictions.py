@@ -90,11 +90,11 @@ def _siso_text(plant: Plant, limit: LimitSpectrum, payload: dict[str, Any]) -> s
     bias = f"biased by {np.sqrt(mean) - gamma:+.4g}" if mean > 0 else "lost in the noise"
     lines = [
         f"Power iterations (Algorithm 1) on {plant.name}, noise variance {plant.noise_variance:g}",
-        f"  H-infinity norm      {gamma:.12g} at {payload['peak_frequency']:.10g} rad/sample"
-        f" (curvature {payload['peak_curvature']:.6g})",
-        f"  limit of mu^2        {payload['mu2']:.12g} = gamma^2 + {payload['mu2_excess']:.6g}",
-        f"  limit of E beta_2^2  {mean:.10g} (beta_2 is {bias})",
-        f"  limit spectrum       from {payload['spectrum_min']:.6g} to {payload['spectrum_max']:.6g}",
+        f"  H-infinity norm      {gamma:.12g} at {payload['peak_frequency']:.10g} rad/sample, {_hertz(plant, payload)}"
+        f" (curvature of its square {payload['peak_curvature']:.6g})",
+        f"  limit of mu^2        {payload['mu2']:.12g} = norm^2 + {payload['mu2_excess']:.6g} (mu: ratio of output to input norm)",
+        f"  limit of E beta_2^2  {mean:.10g} (beta_2, the own estimate, is {bias})",
+        f"  limit spectrum       from {payload['spectrum_min']:.6g} to {payload['spectrum_max']:.6g} of the mean input power",
         "  efficiency of the limit spectrum against certified optima:",
         "    " + _efficiencies_text(plant, payload),
         "  peak-gain efficiency of the first n experiments together:",
@@ -105,6 +105,19 @@ def _siso_text(plant: Plant, limit: LimitSpectrum, payload: dict[str, Any]) -> s
     return "\n".join(lines)
 
 
+def _hertz(plant: Plant, payload: dict[str, Any]) -> str:
+    return f"{payload['peak_frequency'] / (2 * np.pi * plant.dt):.6g} Hz"
+
+
+WORDS = {
+    "c": "peak gain (c)",
+    "D": "all parameters, volume (D)",
+    "A": "all parameters, sum (A)",
+    "E": "worst direction (E)",
+}
+"""What each criterion asks for, beside its letter."""
+
+
 def _efficiencies_text(plant: Plant, payload: dict[str, Any]) -> str:
     if len(plant.free) > MOST_PARAMETERS:
         return (
@@ -112,7 +125,9 @@ def _efficiencies_text(plant: Plant, payload: dict[str, Any]) -> str:
             "name the ones that matter in `free`"
         )
     values = {k: payload[f"{k.lower()}_efficiency"] for k in CRITERIA}
-    return ", ".join(f"{k} {v:.5f}" if v >= PLAIN or v != v else f"{k} {v:.3g}" for k, v in values.items())
+    return ", ".join(
+        f"{WORDS[k]} {v:.5f}" if v >= PLAIN or v != v else f"{WORDS[k]} {v:.3g}" for k, v in values.items()
+    )
 
 
 def _finite_text(payload: dict[str, Any]) -> str:
@@ -152,8 +167,8 @@ def mimo_prediction(
     }
     text = [
         f"Procedure 2 on {plant.name}, noise variance {plant.noise_variance:g}, second stage scaled: {scaling}",
-        f"  H-infinity norm      {payload['hinf_norm']:.12g} at {payload['peak_frequency']:.10g} rad/sample",
-        f"  limit of mu^2        {payload['mu2']:.12g} = gamma^4 + {payload['mu2_excess']:.6g}",
+        f"  H-infinity norm      {payload['hinf_norm']:.12g} at {payload['peak_frequency']:.10g} rad/sample, {_hertz(plant, payload)}",
+        f"  limit of mu^2        {payload['mu2']:.12g} = norm^4 + {payload['mu2_excess']:.6g}",
         f"  limit of E gamma_2^2 {payload['beta2_mean']:.10g}",
         "  efficiency of the limit spectrum against certified optima:",
         "    " + _efficiencies_text(plant, payload),

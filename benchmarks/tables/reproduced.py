@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
+from estimators.stages import stage
 from oed.errors import check_names
 
 __all__ = ["KEYS", "KINDS", "row", "row_names", "rows_of"]
@@ -53,14 +53,14 @@ def row_names() -> tuple[str, ...]:
     return tuple(_modules())
 
 
-def rows_of(name: str | None = None, progress: Callable[[str], None] | None = None) -> list[dict[str, Any]]:
+def rows_of(name: str | None = None) -> list[dict[str, Any]]:
     """Reproduce one published item, or all."""
     modules = _modules()
     if name is not None:
         check_names([name], tuple(modules), "reproduction")
     rows = []
-    for each in [name] if name else modules:
-        if progress:
-            progress(each)
+    chosen = [name] if name else list(modules)
+    for k, each in enumerate(chosen):
+        stage("published items", k, len(chosen))
         rows += import_module(modules[each]).rows()
     return rows

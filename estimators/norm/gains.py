@@ -23,6 +23,12 @@ from oed.errors import InputError, Status
 
 __all__ = ["Gains", "gain", "mu", "rayleigh", "transposed_output"]
 
+MEANS = {
+    "rayleigh": " (quotient of one experiment)",
+    "gain": " (root of the quotient of two)",
+    "mu": " (ratio of output to input norm)",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Gains:
@@ -60,7 +66,7 @@ class Gains:
     def __repr__(self) -> str:
         failed = sum(not s.ok for s in self.statuses)
         tail = f", {failed} without a value" if failed else ""
-        return f"{self.name}: {len(self)} iterations, last {self.last:.6g}{tail}"
+        return f"{self.name}{MEANS.get(self.name, '')}: {len(self)} iterations, last {self.last:.6g}{tail}"
 
 
 def from_squares(name: str, squares: NDArray[np.float64]) -> Gains:

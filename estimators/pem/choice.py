@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.stages import stage
 from oed.data import Record, frozen
 from oed.errors import InputError, OedError
 from oed.files.objects import as_records
@@ -77,7 +78,8 @@ def estimate_delay(
 
     tried = np.array(sorted(set(delays)), dtype=int)
     fits: list[Fit | None] = []
-    for nk in tried:
+    for k, nk in enumerate(tried):
+        stage("delays", k, len(tried))
         try:
             fits.append(identify(records, structure, orders, int(nk), **{**options, "search": "quick"}))
         except InputError:
@@ -161,7 +163,9 @@ def select_orders(
         else [tuple(map(int, o)) for o in given]  # type: ignore[arg-type]
     )
     rows, fits, first_error = [], {}, None
-    for chosen, nk in itertools.product(tuples, delays):
+    models = list(itertools.product(tuples, delays))
+    for k, (chosen, nk) in enumerate(models):
+        stage("models", k, len(models))
         try:
             fit = identify(records, structure, chosen, nk, **options)
             value = (
@@ -228,6 +232,7 @@ def _climb(
     rows: list[tuple[tuple[int, ...], float]] = []
     window = int(OPENING * (len(given[0]) // FOLDS if len(given) == 1 else min(map(len, given))))
     for k in range(1, MOST + 1):
+        stage("orders, at most", k - 1, MOST)
         orders = (k * (1 if structure == "ss" else STRUCTURES[structure].step),) * len(ORDERS[structure])
         try:
             error = held_out_error(given, structure, orders, nk, folds=FOLDS, window=window, **options)[0]

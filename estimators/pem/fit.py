@@ -361,16 +361,22 @@ class Fit:
         }
 
     def __repr__(self) -> str:
+        r = self.records[0]
         gamma, error, omega = self.hinf_norm
+        hertz = 2 * np.pi * self.model.dt
+        u, y = (
+            units[0] or names[0]
+            for units, names in ((r.input_units, r.input_names), (r.output_units, r.output_names))
+        )
         rows = [f"{self.model.structure!r} fitted to {self.n_samples} samples: {self.status.value}"]
         rows += [
             f"  {k:>8} = {v:12.6g} +- {s:.2g}"
             for k, v, s in zip(self.names, self.theta, self.standard_errors, strict=True)
         ]
         rows += [
-            f"  noise variance {self.noise_variance:.6g}, loss {self.loss:.6g}, fit of these data "
+            f"  noise variance {self.noise_variance:.6g} ({y})^2, fit of these data "
             f"{self.fit_percent:.2f} % one step ahead, {self.simulation_fit_percent:.2f} % simulated",
-            f"  peak gain {gamma:.6g} +- {error:.2g} at {omega:.5g} +- {self.hinf_frequency_error:.2g} rad/sample",
+            f"  peak gain {gamma:.6g} +- {error:.2g} {y}/{u} at {omega / hertz:.5g} +- {self.hinf_frequency_error / hertz:.2g} Hz",
             *(f"  {how!r}" for how in (self.regularisation, self.subspace) if how),
             *(f"  note: {note}" for note in self.notes),
         ]

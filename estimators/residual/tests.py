@@ -24,6 +24,12 @@ from oed.files.objects import as_records
 
 __all__ = ["ResidualTest", "feedback", "input_correlation", "residual_tests", "whiteness"]
 
+QUESTIONS = {
+    "whiteness": " (is what is left noise without memory?)",
+    "input": " (is nothing left that the input explains?)",
+    "feedback": " (does the input not follow what is left?)",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class ResidualTest:
@@ -90,8 +96,11 @@ class ResidualTest:
 
     def __repr__(self) -> str:
         lags = self.significant()
-        where = f"; significant at lags {', '.join(map(str, lags))}" if lags.size else ""
-        return f"{self.name}: chi2({self.freedom}) = {self.statistic:.4g}, {p_stated(self.p_value, 3)}{where}"
+        runs = np.split(lags, np.flatnonzero(np.diff(lags) != 1) + 1) if lags.size else []
+        ranges = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
+        where = f"; significant at lags {', '.join(ranges)}" if ranges else ""
+        asks = QUESTIONS.get(self.name.split("[")[0].split()[0], "")
+        return f"{self.name}{asks}: chi2({self.freedom}) = {self.statistic:.4g}, {p_stated(self.p_value, 3)}{where}"
 
 
 def whiteness(

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.stages import stage
 from oed.data import Record, as_signal
 from oed.errors import ExperimentError, InputError, OedError, Status
 from oed.experiments import Experiment, Usage
@@ -155,6 +156,7 @@ def run(
     status = Status.BUDGET
     message = status.value
     while len(records) < experiments:
+        stage("experiments", len(records), experiments)
         try:
             asked = next(generator) if y is None else generator.send(y)
         except StopIteration:

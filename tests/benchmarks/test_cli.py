@@ -61,7 +61,7 @@ def test_theory_prints_small_efficiencies_by_their_digits_and_leaves_none_out_si
     for name, den in plants.items():
         (tmp_path / f"{name}.json").write_text(json.dumps({"num": [0, 1], "den": list(den)}))
     assert main(["theory", "--plant", str(tmp_path / "flat.json"), "--experiments", "1"]) == 0
-    assert "D 9.42e-08, A 7.06e-10" in capfd.readouterr().out
+    assert "volume (D) 9.42e-08, all parameters, sum (A) 7.06e-10" in capfd.readouterr().out
     assert main(["theory", "--plant", str(tmp_path / "long.json"), "--experiments", "1"]) == 0
     assert "left out: the plant has 101 unknown parameters" in capfd.readouterr().out
 

@@ -17,7 +17,7 @@ def _run(*words: str) -> dict:
     parser = argparse.ArgumentParser()
     design.configure(parser)
     args = parser.parse_args(["--plant", "reference", *words])
-    args.seed, args.quiet = 0, True
+    args.seed, args.quiet, args.json = 0, True, True
     return design.run(args)[0]
 
 

@@ -60,8 +60,10 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Design, realise, write."""
     import numpy as np
 
+    from estimators.stages import stage
     from oed.design import solve_design
     from oed.design.parametrisations.amplitude import amplitude_design
+    from oed.design.problem.design import in_words
     from oed.signals import synthesis as signals
 
     plant = load_plant(args.plant, args.noise_variance)
@@ -81,6 +83,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             )
         limits |= {"points": 2 * np.pi * np.arange(args.realise // 2 + 1) / args.realise, "refine": False}
     made = None
+    stage("the spectrum and its certificate")
     if args.rate is not None and args.amplitude is None:
         raise InputError("--rate limits a signal whose amplitude is limited: say --amplitude too.")
     if args.amplitude is not None:
@@ -94,13 +97,14 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         )
     else:
         design = solve_design(plant, args.criterion, channel_power=args.channel_power, **limits)
-    payload, text = design.to_dict(), str(design)
+    payload, text = design.to_dict(), in_words(design, plant.dt)
     if args.parametrisation in ("moments", "autocorrelation", "ar", "bands"):
         design, payload, text = _parametrised(args, plant, design, payload)
     for line in payload["support"]:
         line["frequency_hz"] = line["frequency"] / (2 * np.pi * plant.dt)
     u = None
     if args.realise is not None:
+        stage("the signal")
         how = {
             "multisine": signals.multisine,
             "realise": signals.realise,
@@ -118,6 +122,10 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         }
         text += f"\n{made!r}"
     if writer is not None:
+        if not args.json:  # the answer first: figures take their time
+            print(text, flush=True)
+        stage("figures and page")
+        text = f"written to {args.out}"
         writer(payload, u, design, plant)
         payload["out"] = args.out
     return payload, text

@@ -37,6 +37,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Compute the prediction."""
     from benchmarks.tables.predictions import mimo_prediction, siso_prediction
+    from estimators.stages import stage
 
     plant = load_plant(args.plant, args.noise_variance)
     several = plant.n_inputs * plant.n_outputs > 1
@@ -50,6 +51,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             f"the plant has {plant.n_outputs} outputs and {plant.n_inputs} inputs; --algorithm {algorithm} is for "
             "one of each: use --algorithm mimo."
         )
+    stage("the limit spectrum and its efficiency")
     if args.claim_map:
         return _claim_map(plant)
     if algorithm == "siso":

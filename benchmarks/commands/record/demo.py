@@ -23,6 +23,7 @@ oed diagnose "record.csv[0:500]" --test "record.csv[500:1000]" --skip 20 --out d
 oed design --plant model/model.json --criterion D --amplitude 2 --realise 500 --out input.csv
 oed theory --plant model/model.json
 oed session start rig --method power --samples 500 --dt 0.08 --amplitude 2
+oed session rest rig
 oed session next rig
 # Also: a plant file, a named plant, a small comparison.
 oed design --plant plant.json --criterion hinf

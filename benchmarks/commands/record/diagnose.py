@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +51,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Diagnose one pair of records."""
     from estimators.diagnosis.cases import Columns, diagnose_files
     from estimators.diagnosis.policy import Effort, Setting
+    from estimators.stages import stage
     from oed.files.writing import new_folder
     from oed.lazily import where_installed
 
@@ -63,7 +61,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     result, notes = diagnose_files(
         args.train, args.test, meta=args.meta, skip=args.skip, columns=Columns(args.inputs, args.outputs, args.dt),
         setting=Setting(orders=orders, alpha=args.alpha, effort=Effort(args.effort)),
-        progress=None if args.quiet else _shown(),
+        progress=stage,
     )  # fmt: skip
     payload = result.to_dict() | {"notes": notes}
     if args.meta:
@@ -74,6 +72,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             print(text, flush=True)
         from estimators.diagnosis.result.saving import save
 
+        stage("figures and page")
         folder, said = Path(args.out), list[str]()
         made = {
             "training record": ", ".join(args.train),
@@ -88,9 +87,3 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         payload |= {"out": str(folder), "model": str(folder / "model.json")}
         text = "\n".join([*said, f"written to {folder}"])
     return payload, text
-
-
-def _shown() -> Callable[[str], None]:
-    """Each stage as it begins, with the time that went before it."""
-    begin = time.monotonic()
-    return lambda stage: print(f"{time.monotonic() - begin:4.0f} s  {stage} ...", file=sys.stderr, flush=True)

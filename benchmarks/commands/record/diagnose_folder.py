@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import sys
+import time
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -131,10 +132,12 @@ def _diagnosed(cases: list[Path], out: Path, jobs: int, quiet: bool) -> dict[str
     """Append a line for every case that is not done; what failed, by name."""
     from benchmarks.campaign.processes import as_finished
     from benchmarks.cli import plain
+    from benchmarks.progress import in_words
 
     done = _done(out, cases)
     todo = [str(p) for p in cases if p.name not in done]
     failed: dict[str, str] = {}
+    begin = time.monotonic()
     results = as_finished(_one, todo, jobs) if jobs > 1 else ((p, _one(p), True) for p in todo)
     for count, (path, found, ended) in enumerate(results, len(cases) - len(todo) + 1):
         line, error = found if ended else (None, "the process that diagnosed it was killed")
@@ -144,7 +147,9 @@ def _diagnosed(cases: list[Path], out: Path, jobs: int, quiet: bool) -> dict[str
             append_line(out, json.dumps(plain(line), allow_nan=False))
         if not quiet:
             what = error if line is None else line["effect"]
-            print(f"{count}/{len(cases)} {Path(path).name}: {what}", file=sys.stderr, flush=True)
+            each = (time.monotonic() - begin) / (count - len(cases) + len(todo))
+            left = f"about {in_words(each * (len(cases) - count))} left" if count < len(cases) else "done"
+            print(f"{count}/{len(cases)} {Path(path).name}: {what}; {left}", file=sys.stderr, flush=True)
     if out.exists():  # the same bytes whoever did the work
         lines = out.read_text(encoding="utf-8").splitlines()
         write_whole(

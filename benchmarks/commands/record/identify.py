@@ -90,12 +90,14 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     from estimators.pem import identify
     from estimators.pem.results import needed
     from estimators.residual.tests import residual_tests
+    from estimators.stages import stage
     from oed.files import read_record
     from oed.files.writing import new_folder
     from oed.inspection import defects
     from oed.lazily import where_installed
 
     notes: list[str] = []
+    stage("reading the data")
     reading = {
         "inputs": args.inputs,
         "outputs": args.outputs,
@@ -122,10 +124,12 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         "method": args.method,
         "horizon": args.horizon,
     }
+    stage("the fit")
     delay = "auto" if args.delay == "auto" else _whole(args.delay)
     fit = identify(records, args.structure, orders, delay, **options)
     if "auto" in (orders, delay):
         orders, delay = _found(fit.model.structure)
+    stage("residual tests")
     seen = defects(records, order=needed(fit.model.structure))
     complete = all(record.complete for record in records)
     tests = residual_tests(fit, records) if complete else {}
@@ -147,15 +151,16 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     fresh = read_record(args.test, **reading) if args.test else None
     if fresh is not None:
         payload["test"] = _fresh(fit, fresh, args.skip)
-    lines = [_headline(fit, records[0], payload), repr(fit)]
+    lines = [_headline(fit, records[0], payload), repr(fit), _letters(fit, records[0])]
     unanswered = [defect for defect in seen if not (offset and defect.kind == "offset")]
     if unanswered:
         lines += ["seen in the data, and left as it is:", *(f"  {defect}" for defect in unanswered)]
     if offset:
         lines += [
-            f"  level of {name}: {value:.6g}" + (f" +- {error:.2g}" if error else "")
-            for name, value, error in zip(
+            f"  level of {name}: {value:.6g}" + (f" +- {error:.2g}" if error else "") + f" {unit}".rstrip()
+            for name, unit, value, error in zip(
                 [*records[0].input_names, *records[0].output_names],
+                [*records[0].input_units, *records[0].output_units],
                 [*fit.input_level, *fit.output_level],
                 [*(0 * fit.input_level), *fit.output_level_errors],
                 strict=True,
@@ -164,6 +169,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     if tests:
         lines += ["residual tests (p-values):", *(f"  {test!r}" for test in tests.values())]
     if args.folds is not None:
+        stage("blocks left out in turn")
         from estimators.pem.choice import held_out_error
 
         how = {"folds": args.folds, "window": 0 if fit.initial == "zero" else args.skip}
@@ -177,7 +183,10 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         )
     lines += [f"note: {note}" for note in notes]
     if out:
-        payload["out"] = _write(out, fit, records)
+        if not args.json:  # the answer first: figures take their time
+            print("\n".join(lines), flush=True)
+        stage("figures and page")
+        lines, payload["out"] = [], _write(out, fit, records)
         made = {"data": " ".join(args.data), "structure": args.structure, "orders": orders, "delay": delay}
         with where_installed(lines, "the page"):
             from benchmarks.page.identification import write_identification
@@ -200,6 +209,23 @@ def _headline(fit, record, payload: dict) -> str:
     else:
         said += f"; simulated, {fit.simulation_fit_percent:.1f} % of the data fitted is explained (fresh data: --test)"
     return f"{said}; noise {np.sqrt(fit.noise_covariance[0, 0]):.4g} {y}"
+
+
+LETTERS = {
+    "b": "of the input k samples before, in {per}", "f": "of the simulated output k samples before, no unit",
+    "a": "of the output k samples before, no unit", "c": "of the noise k samples before, no unit",
+    "d": "of the coloured noise k samples before, no unit", "A": "from state to state, no unit",
+    "B": "from the inputs to the states, in {per}", "C": "from the states to the outputs, no unit",
+    "D": "from the inputs to the outputs, in {per}", "K": "from the noise to the states, no unit",
+}  # fmt: skip
+"""What the letters of the parameters stand for; the states have the outputs' units."""
+
+
+def _letters(fit, record) -> str:
+    units = lambda units, names: " or ".join(dict.fromkeys(u or n for u, n in zip(units, names, strict=True)))
+    per = f"{units(record.output_units, record.output_names)}/{units(record.input_units, record.input_names)}"
+    used = dict.fromkeys(name[0] for name in fit.names if name[0] in LETTERS)
+    return "  where " + "; ".join(f"{letter}: {LETTERS[letter].format(per=per)}" for letter in used)
 
 
 def _order(text: str) -> int | str:

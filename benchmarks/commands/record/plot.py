@@ -35,6 +35,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
 
     from benchmarks.commands.record.identify import DEFAULTS
     from estimators.pem import identify
+    from estimators.stages import stage
     from oed.errors import InputError
     from oed.files import read_record
     from oed.files.writing import write_figure
@@ -46,7 +47,9 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         raise InputError(f"the folder {target.parent} does not exist; make it first.")
     reading = {"inputs": args.inputs, "outputs": args.outputs, "dt": args.dt}
     record = read_record(args.data, **reading)
+    stage("the fit")
     fit = identify(record, args.structure, args.orders or DEFAULTS[args.structure], args.delay)
+    stage("the figure")
     plots = fit.plot
     if args.figure == "compare":
         fresh = read_record(args.test, **reading) if args.test else record

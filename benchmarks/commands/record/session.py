@@ -214,19 +214,13 @@ def _estimate(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], s
 
 def _time_left(payload: dict[str, Any]) -> str:
     """The rate, and what the experiments that are left take at the least."""
+    from benchmarks.progress import in_words
+
     left = payload["budget"] - payload["experiments"]
     return (
-        f"{payload['rows']} rows at {payload['rate_hz']:.6g} Hz, {_clock(payload['seconds_each'])} each; "
-        f"at most {left} left, {_clock(payload['seconds_left'])}"
+        f"{payload['rows']} rows at {payload['rate_hz']:.6g} Hz, {in_words(payload['seconds_each'])} each; "
+        f"at most {left} left, {in_words(payload['seconds_left'])}"
     )
-
-
-def _clock(seconds: float) -> str:
-    whole = round(seconds)
-    if whole < 60:
-        return f"{seconds:.3g} s"
-    minutes = f"{whole // 60 % 60} min"
-    return f"{minutes} {whole % 60} s" if whole < 3600 else f"{whole // 3600} h {minutes}"
 
 
 HEIGHT, WIDTH = 5, 60

@@ -26,6 +26,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Write the page, or serve it until interrupted."""
     from benchmarks.page.serve import page_of, server
     from benchmarks.page.skeleton import html
+    from estimators.stages import stage
     from oed.errors import InputError
     from oed.files.writing import write_whole
 
@@ -39,5 +40,6 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             host, port = site.server_address[:2]
             print(f"http://{host}:{port}/ shows {folder}; Ctrl-C ends it.", file=sys.stderr, flush=True)
             site.serve_forever()
+    stage("the page")
     path = write_whole(folder / "report.html", html(page_of(folder)))
     return {"path": str(path)}, f"report: {path}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 HELP = "recompute what was published: figures, tables and theorems"
 EXAMPLE = "oed reproduce siso-theorem-9"
@@ -20,8 +19,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     from benchmarks.tables.reproduced import KINDS, rows_of
     from oed.errors import OedError
 
-    progress = None if args.quiet else lambda name: print(f"reproducing {name}", file=sys.stderr)
-    rows = rows_of(args.name, progress)
+    rows = rows_of(args.name)
     judged = [r for r in rows if r["kind"] != "illustration"]
     failed = [r["name"] for r in judged if r["holds"] is False]
     if args.strict and failed:

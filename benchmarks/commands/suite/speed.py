@@ -37,19 +37,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Run the benchmarks."""
     import pkgutil
-    import sys
     from importlib import import_module
 
     import benchmarks.speed
     from benchmarks.tables.formats import to_text
+    from estimators.stages import stage
     from oed.errors import OedError, check_names
 
     known = tuple(info.name for info in pkgutil.iter_modules(benchmarks.speed.__path__))
     check_names(args.names, known, "speed benchmark")
     rows: list[dict[str, Any]] = []
-    for name in args.names or known:
-        if not args.quiet:
-            print(f"oed speed: {name} ...", file=sys.stderr, flush=True)
+    chosen = args.names or known
+    for k, name in enumerate(chosen):
+        stage("benchmarks", k, len(chosen))
         rows += import_module(f"benchmarks.speed.{name}").rows()
     if args.figure:
         from benchmarks.page.figures_growth import growth_figure

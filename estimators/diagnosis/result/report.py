@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -157,13 +158,13 @@ class Diagnosis:
         ]
         lines += [f"  - {sentence}" for sentence in self.evidence]
         for name, (value, se, unit) in self.parameters.items():
-            lines.append(f"  {name} = {value:.5g} +- {se:.2g} {unit}")
+            lines.append(f"  {name} = {value:.5g} +- {se:.2g} {unit or '(no unit)'}")
         if self.linear:
             poles = ", ".join(_pole(*row) for row in self.linear["poles"])
             lines.append(f"linear model: {self.linear['structure']}; poles {poles or 'none'}")
         lines.append(f"simulation error on the {self.held_out}: {self.rmse_before} -> {self.rmse_after}")
         for row in self.ladder:
-            adds = f" ({', '.join(row['adds'])})" if row["adds"] else ""
+            adds = f" ({_plain(row['adds'])})" if row["adds"] else ""
             mark = " <- the answer" if row["answer"] else ""
             lines.append(f"  {row['step']}{adds}: {row['rmse_unused']:.4g} [{row['low']:.4g}, {row['high']:.4g}] on unused "
                          f"blocks, {row['rmse_test']:.4g} on the {self.held_out}{mark}")  # fmt: skip
@@ -177,12 +178,16 @@ class Diagnosis:
             below = "; the error after lies below the estimated floor" if self.room.value > 1 else ""
             lines.append(f"removed {share} of the removable error{below}")
         if self.confusable:
-            lines.append("this record cannot tell it from: " + ", ".join(self.confusable))
+            lines.append("this record cannot tell it from: " + _plain(self.confusable))
         if len(self.ranked) > 1:
-            lines.append("ranked: " + ", ".join(self.ranked[:6]))
+            lines.append("likeliest causes, the best first: " + _plain(self.ranked[:6]))
         if self.remaining:
             lines.append(self.remaining)
         return "\n".join(lines)
+
+
+def _plain(keys: Sequence[str]) -> str:
+    return ", ".join(key.replace("_", " ") for key in keys)
 
 
 def _pole(frequency: float, damping: float, time_constant: float) -> str:

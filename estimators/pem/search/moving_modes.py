@@ -49,7 +49,8 @@ def solved(problem: Problem, z: NDArray, free: NDArray) -> Trial | None:
     moves = np.flatnonzero(free)
     hessian, gradient = point.hessian[moves[:, None], moves], point.gradient[moves]
     scale = units(hessian)
-    scaled = hessian * np.outer(scale, scale)
+    with np.errstate(over="ignore"):  # the check below tells
+        scaled = hessian * np.outer(scale, scale)
     scaled.flat[:: len(moves) + 1] += 1e-10
     if not np.isfinite(scaled).all():
         return None

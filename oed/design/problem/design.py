@@ -14,7 +14,7 @@ from oed.design.problem.certificate import Certificate
 from oed.design.problem.information_maps import InformationMap
 from oed.errors import Status
 
-__all__ = ["Design"]
+__all__ = ["Design", "in_words"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,26 +149,32 @@ class Design:
         }
 
     def __str__(self) -> str:
-        closed = "" if self.status.ok else ", not closed"
-        lines = [
-            f"{self.criterion.name}-optimal input: loss {self.loss:.12g}, at least {self.bound:.12g} "
-            f"for every admissible spectrum (gap {self.gap:.1e}{closed})",
-            f"white noise of the same power reaches {100 * self.efficiency_white:.4g} % of the optimum",
-        ]
-        share = np.einsum("kii->k", self.spectrum.power).real
-        for w, P in zip(self.spectrum.omega, share, strict=True):
-            lines.append(f"  {w:.9f} rad/sample   power {P:.9g}")
-        if self.certificate.elsewhere > 1 + 1e-6:
-            lines.append(
-                f"the grid misses something: a line at {self.certificate.elsewhere_frequency:.6g} rad/sample is worth "
-                f"{self.certificate.elsewhere:.4g} times its cost, so the bound holds on the grid only: "
-                "give points there, or leave refine on"
-            )
-        lines.append(f"{self.status.name}: {self.status.value}")
-        return "\n".join(lines)
+        return in_words(self)
 
     def __repr__(self) -> str:
         return (
             f"Design({self.criterion.name}: loss {self.loss:.9g}, gap {self.gap:.1e}, {len(self.spectrum)} lines, "
             f"{self.status.name})"
         )
+
+
+def in_words(design: Design, dt: float | None = None) -> str:
+    """A design as a reader sees it, its lines in Hz too where the sampling time is given."""
+    closed = "" if design.status.ok else ", not closed"
+    lines = [
+        f"{design.criterion.name}-optimal input: loss per sample {design.loss:.12g}, at least {design.bound:.12g} "
+        f"for every admissible spectrum (gap {design.gap:.1e}{closed})",
+        f"white noise of the same power reaches {100 * design.efficiency_white:.4g} % of the optimum",
+    ]
+    share = np.einsum("kii->k", design.spectrum.power).real
+    for w, P in zip(design.spectrum.omega, share, strict=True):
+        hertz = "" if dt is None else f" = {w / (2 * np.pi * dt):.6g} Hz"
+        lines.append(f"  {w:.9f} rad/sample{hertz}   power {P:.9g}")
+    if design.certificate.elsewhere > 1 + 1e-6:
+        lines.append(
+            f"the grid misses something: a line at {design.certificate.elsewhere_frequency:.6g} rad/sample is worth "
+            f"{design.certificate.elsewhere:.4g} times its cost, so the bound holds on the grid only: "
+            "give points there, or leave refine on"
+        )
+    lines.append(f"{design.status.name}: {design.status.value}")
+    return "\n".join(lines)
