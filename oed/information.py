@@ -28,7 +28,6 @@ __all__ = [
     "information_of_records",
     "information_of_signal",
     "information_of_spectrum",
-    "line_information",
     "null_directions",
     "whitened_gradient",
 ]
@@ -77,18 +76,6 @@ def whitened_gradient(model: Responding, omega: ArrayLike) -> NDArray[np.complex
     if isinstance(H, tuple):
         return np.einsum("kpr,knrq->knpq", W @ np.linalg.inv(H[0]), dG)
     return np.einsum("pr,knrq->knpq", W, dG) / H[:, None, None, None]
-
-
-def line_information(model: Responding, omega: ArrayLike) -> NDArray[np.complex128]:
-    """Information of unit power at each frequency, as a Hermitian form in the line's power.
-
-    I_ij(P) = Re sum_qr atoms[k, i, j, q, r] P_rq with atoms[k, i, j] = (dG_j)^* Phi_v^-1 dG_i (transposed so
-    that the trace with P gives the information).
-
-    Shapes: omega (K,), returns (K, n, n, nu, nu).
-    """
-    psi = whitened_gradient(model, omega)
-    return np.einsum("kjpq,kipr->kijqr", psi.conj(), psi)
 
 
 def information_of_spectrum(model: Responding, spectrum: Spectrum) -> NDArray[np.float64]:

@@ -22,7 +22,7 @@ from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, climb, paired_
 from estimators.diagnosis.ladder.verdicts import Outcome, verdict
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.admission import LEAST, together
-from estimators.diagnosis.record.measurement import held_samples, resting_samples
+from estimators.diagnosis.record.measurement import held_samples, observations, resting_samples
 from estimators.diagnosis.remainder import Limits, fit_remainder, linear_footing, spliced
 from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, RemainderAnswer, early
 from estimators.diagnosis.result.model import diagnosed_model
@@ -345,6 +345,7 @@ def _diagnosis(
     if test is not None:
         notes += outside(records, test, setting.policy)
     floor = float(np.sqrt(np.mean([_floor(o, train) ** 2 for o in outcomes])))
+    found = verdict(outcomes, held, setting)
     return Diagnosis(
         rmse_before=held.rmse_before, rmse_after=held.rmse_after, pred_rmse_before=held.pred_before,
         pred_rmse_after=held.pred_after, difference=held.difference, noise_floor=floor, room=held.room,
@@ -352,7 +353,7 @@ def _diagnosis(
         warnings=tuple(notes), model=diagnosed_model(records, held.answered, [o.ladder for o in outcomes]), linear=_linear(base), ladder=held.rungs,
         extra={"outputs": [o.examined for o in outcomes], "finals": [o.named.fit for o in outcomes], "train": train,
                "test": train if test is None else test},
-        **verdict(outcomes, held, setting),
+        **found | {"data": (*found["data"], *observations(records))},
     )  # fmt: skip
 
 

@@ -1,7 +1,8 @@
-"""Faults of the measurement that show in the samples themselves: held, rounded and wild samples."""
+"""What shows in the samples themselves: faults of the measurement (held, rounded, wild), and what is none (gaps, rest)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-__all__ = ["Signature", "at_reversals", "held_samples", "resting_samples", "rounding_step", "wild_samples"]
+from oed.data import Record
+
+__all__ = [
+    "Signature",
+    "at_reversals",
+    "held_samples",
+    "observations",
+    "resting_samples",
+    "rounding_step",
+    "wild_samples",
+]
 
 Array = NDArray[Any]
 
@@ -147,3 +158,25 @@ def wild_samples(residual: Array, keep: NDArray[np.bool_], limit: float = 5.0) -
         & (np.abs(np.where(np.isfinite(r), r, 0.0)) > 4.0 * own)
         & keep
     )
+
+
+LONG_REST = 10
+"""Samples of rest before the input starts that are worth a word: some loggers repeat their first sample once or twice."""
+
+
+def observations(records: Sequence[Record]) -> tuple[str, ...]:
+    """Sentences on what is missing from the records and on rest before their inputs start: facts, no faults."""
+    said = []
+    for k, record in enumerate(records, 1):
+        which, n = f" in record {k}" if len(records) > 1 else "", len(record)
+        for name, y in zip(record.output_names, record.y.T, strict=True):
+            edges = np.flatnonzero(np.diff(np.concatenate(([0], ~np.isfinite(y), [0]))))
+            if len(edges):
+                gaps = edges[1::2] - edges[::2]
+                said.append(
+                    f"{name}: {gaps.sum()} of {n} samples are missing{which}, {gaps.max()} in a row at most"
+                )
+        moved = np.flatnonzero((record.u != record.u[:1]).any(axis=1))
+        if len(moved) and moved[0] >= LONG_REST:
+            said.append(f"the input rests for the first {moved[0]} of {n} samples{which}")
+    return tuple(said)

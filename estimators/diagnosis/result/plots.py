@@ -23,7 +23,6 @@ __all__ = [
     "nonlinearity_figure",
     "residual_figure",
     "save_figures",
-    "story_figure",
 ]
 
 
@@ -162,37 +161,6 @@ def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
         axis.set(xlabel=c.argument, ylabel="acts as", title=c.sentence)
         axis.title.set_fontsize(9)
         axis.legend()
-    return figure
-
-
-def story_figure(result: Diagnosis, output: int = 0, *, start: int = 0, samples: int = 500) -> Figure:
-    """A piece of the test record with the residual before and after, and the spectra of both: small enough to
-    print.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from scipy.signal import welch
-
-    test = result.extra["test"]
-    rows = slice(start, start + samples)
-    y = np.nan_to_num(test.y[:, output])
-    figure = Figure(figsize=(9, 3.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    time, spectrum = figure.subplots(1, 2)
-    t = test.dt * np.arange(len(y))
-    frequency, power = welch(y, 1 / test.dt, nperseg=min(256, len(y)))
-    spectrum.semilogy(frequency[1:], np.sqrt(power[1:]), color="0.75", lw=1, label="measured")
-    for label, simulated, colour in (
-        ("residual of the linear model", result.yhat_before[:, output], "C1"),
-        (f"with {result.effect.replace('_', ' ')} added", result.yhat_after[:, output], "C0"),
-    ):
-        r = y - simulated
-        time.plot(t[rows], r[rows], color=colour, lw=0.9, label=label)
-        frequency, power = welch(r, 1 / test.dt, nperseg=min(256, len(r)))
-        spectrum.semilogy(frequency[1:], np.sqrt(power[1:]), color=colour, lw=1, label=label)
-    time.set(xlabel="time [s]", ylabel=f"residual of {test.output_names[output]}")
-    spectrum.set(xlabel="frequency [Hz]", ylabel="per root hertz")
-    spectrum.legend(fontsize=8)
     return figure
 
 

@@ -58,11 +58,6 @@ class Shaped:
         """What the shape costs, certified: (loss - bound) / bound."""
         return (self.loss - self.bound) / self.bound
 
-    @property
-    def own_gap(self) -> float:
-        """Relative distance from the bound over this shape alone."""
-        return (self.loss - self.own_bound) / self.own_bound
-
     def __repr__(self) -> str:
         return (
             f"{self.kind} spectrum of {len(self.coefficients)} numbers: loss {self.loss:.9g}, "

@@ -80,7 +80,7 @@ def test_basis_and_autoregressive_spectra_lie_above_the_certified_optimum(plant,
     # The coarse bands are sums of the fine ones.
     assert free.bound < fine.loss < coarse.loss < white
     for shaped in (coarse, fine):
-        assert abs(shaped.own_gap) < 1e-7
+        assert abs(shaped.loss / shaped.own_bound - 1) < 1e-7
     for shaped in (coarse, fine, *ar):
         assert shaped.bound == pytest.approx(free.bound, rel=1e-5)
         # Three powers: the optimiser's, the sum of the lines, the variance of the realised signal.
