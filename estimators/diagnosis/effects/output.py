@@ -122,7 +122,7 @@ OUTPUT = (
 SHIFTS = (0.5, 1.0, 1.8, 2.8, 4.0, 5.5)  # samples by which the clocks are apart in the end
 JUMPS = (1.0, 2.0, 3.0, 5.0)  # samples lost at once
 TIMES = 12  # of a jump, over the record
-EDGE = 0.04  # of the record, at either end of which no jump is looked for
+EDGE = 0.07  # of the record, at either end of which no jump is looked for
 NOTHING = 1.02  # of the linear model's squared error, that the best shape may leave before it is fitted
 
 

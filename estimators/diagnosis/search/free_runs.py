@@ -117,7 +117,17 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
     padded = np.concatenate((np.repeat(u[:1], lead, axis=0), u))
     early = Clock(np.concatenate((clock.k[0] - np.arange(lead, 0.0, -1.0), clock.k)), clock.length)
     run = simulate(f.structure, f.p, padded, early, rest=True)[lead:]
-    return run + _corrected(den, y - run, window, start) if np.all(np.isfinite(run)) else run
+    if not np.all(np.isfinite(run)):
+        return run
+    if np.isfinite(y[: max(window, 0)]).any():
+        return run + _corrected(den, y - run, window, start)
+    prior, integrates = start.prior, np.abs(np.roots(den)).max(initial=0.0) >= FAR
+    first = u[0] if len(prior.held) == u.shape[1] else u[0, list(f.structure.inputs)]
+    if integrates and np.isfinite(prior.level) and np.array_equal(first, prior.held):
+        run = run + (
+            prior.level - run[0]
+        )  # its level and its state are one: only where records rested is known
+    return run
 
 
 def _corrected(den: Array, error: Array, window: int, start: Start) -> Array:

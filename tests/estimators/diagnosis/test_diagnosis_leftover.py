@@ -210,9 +210,9 @@ def test_a_poor_linear_model_leaves_nothing_that_looks_bent(seed):
 
 
 def test_samples_lost_at_an_end_of_a_record_are_a_delay():
-    """At 3 % of the record nearly all samples are out of step, at 5 % enough are not."""
+    """At 6 % of the record nearly all samples are out of step, at 8 % enough are not."""
     y, clock = np.sin(np.arange(400) / 9.0), Clock(np.arange(400.0), 400)
-    for time, finite in ((12.0, False), (20.0, True), (380.0, True), (388.0, False)):
+    for time, finite in ((24.0, False), (32.0, True), (368.0, True), (376.0, False)):
         assert np.isfinite(named("lost_samples").apply(y, np.array([2.0, time]), clock)).all() is np.bool_(
             finite
         )

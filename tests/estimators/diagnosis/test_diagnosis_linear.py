@@ -1,6 +1,7 @@
 """Linear records claim nothing: several inputs with dynamics of their own, feedback, levels, coloured noise, starts under way."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,12 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from estimators.diagnosis.effects import Clock
+from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.loop import diagnose
+from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Effort, Setting
+from estimators.diagnosis.search.free_runs import Start, free_run
 from oed.data import Record
 from tests.estimators.diagnosis.case_classes import CLASSES, excitation
 from tests.estimators.diagnosis.case_linear import linear_case
@@ -59,6 +64,22 @@ def test_a_state_of_many_poles_is_set_by_the_inputs_that_left_it():
     assert np.allclose(
         nothing, replace(model, moved=np.empty(0)).free_run(prior, u[300:], np.full(400, np.nan), 20)
     )
+
+
+@pytest.mark.parametrize("pole, first", [(0.9995, 0.3), (0.9, 182.0)])
+def test_a_run_that_integrates_starts_where_the_records_rested(pole, first):
+    """Its offset and its state are one parameter; what forgets its start keeps the level that it settles at."""
+    f = SimpleNamespace(
+        structure=replace(Structure(1).adding(Part(OFFSET)), base=1), p=np.array([-pole, 0.5, 182.0])
+    )
+    prior = Prior(0.0, np.ones(20), 0.01, level=0.3, held=np.zeros(1))
+    u, nothing = np.concatenate((np.zeros(5), np.ones(20)))[:, None], np.full(25, np.nan)
+    run = free_run(f, u, Clock(np.arange(25.0), 25), nothing, 0, Start(prior, False))
+    assert run[0] == pytest.approx(first)
+    moved = free_run(
+        f, u + 1.0, Clock(np.arange(25.0), 25), nothing, 0, Start(prior, True)
+    )  # not the input of that rest
+    assert moved[0] == pytest.approx(182.0)
 
 
 @pytest.mark.slow
