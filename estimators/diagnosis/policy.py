@@ -34,8 +34,9 @@ class Policy:
     overwhelming: tuple[float, float] = (4.0, 0.1)
     # a gain on unused blocks that needs no likelihood ratio beside it: under a noise model of high order the linear model's
     # smooth error is predicted from its own past, and the ratio says nothing; four errors are one in 30000 by chance
-    carried: float = 0.9
-    # share of what the answer explains that named effects must explain to lend their names to it
+    carried: tuple[float, float] = (0.9, 1.5)
+    # share of what the answer explains that named effects must explain to lend their names to it, and by what factor
+    # their error may be above its: of a large error nine tenths go with any curve that is nearly right
     sane_reach: tuple[float, float] = (8.0, 3.0)
     # largest distance of a simulated output from the training output's middle that is no explosion: in half spans of it,
     # and in those of the linear model's run where that leaves the training output too

@@ -53,13 +53,11 @@ class Outcome:
         """Least error on unused blocks of the steps of a kind; infinite where there is none."""
         return min((r.value for r in self.ladder.rungs if r.step.kind is kind), default=np.inf)
 
-    @property
-    def named_share(self) -> float:
-        """What the named model explains on unused blocks, of what the answer explains."""
-        linear = self.value(Kind.LINEAR) ** 2
-        answer = self.ladder.rungs[self.ladder.answer].value ** 2
-        gained = linear - min(self.value(Kind.NAMED) ** 2, linear)
-        return gained / (linear - answer) if answer < linear else 0.0
+    def named_carries(self, policy: Policy) -> bool:
+        """Whether the named model is so near the answer on unused blocks that its names stand for both."""
+        linear, answer = self.value(Kind.LINEAR) ** 2, self.ladder.rungs[self.ladder.answer].value ** 2
+        named, (share, factor) = self.value(Kind.NAMED) ** 2, policy.carried
+        return linear - named >= share * (linear - answer) and answer < linear and named <= factor**2 * answer
 
 
 @dataclass(frozen=True)
@@ -180,7 +178,7 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
         return _nameless(o, tag, policy, gained) + claimed
     if Kind.DISCOVERED not in kinds and Kind.REMAINDER not in kinds:
         return []
-    if o.named_share >= policy.carried:
+    if o.named_carries(policy):
         return claimed
     weight = 1.0 - (o.ladder.rungs[o.ladder.answer].value / o.ladder.rungs[0].value) ** 2
     d = o.discovery

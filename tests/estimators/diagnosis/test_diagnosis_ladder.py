@@ -8,6 +8,7 @@ import numpy as np
 
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.ladder import Kind, Step, climb, paired_gain
+from estimators.diagnosis.ladder.verdicts import Outcome
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.answers import LinearAnswer
 
@@ -77,3 +78,15 @@ def test_a_finite_prediction_gains_all_over_one_that_is_not() -> None:
     broken = [np.full(N, np.inf)]
     assert paired_gain(y, broken, steps[0].unused, COUNTED, POLICY).beyond(1.0)
     assert not paired_gain(y, steps[0].unused, broken, COUNTED, POLICY).beyond(0.0)
+
+
+def test_named_effects_lend_their_names_only_to_an_answer_that_they_nearly_are() -> None:
+    """Nine tenths of a large error go with a curve that is nearly right: what it leaves must be near the answer's too."""
+    for named, lent in ((0.34, True), (0.5, False), (0.95, False)):
+        y, steps = _case(3, 3.0, 1.0, 1.0)
+        y, noise = [0.0 * y[0]], y[0]
+        steps[1:] = [replace(steps[1], unused=(named * noise,)), replace(steps[2], unused=(0.3 * noise,))]
+        ladder = climb(y, steps, COUNTED, POLICY)
+        assert ladder.chosen.kind is Kind.DISCOVERED or named == 0.34
+        ladder = replace(ladder, answer=2)
+        assert Outcome(0, *(None,) * 2, ladder, *(None,) * 3).named_carries(POLICY) is lent  # pyright: ignore[reportArgumentType]
