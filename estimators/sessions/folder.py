@@ -22,7 +22,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from oed.errors import CampaignError
-from oed.files.writing import append_line, tidy
+from oed.files.writing import append_line, renamed, tidy
 
 __all__ = ["KEPT", "Folder"]
 
@@ -92,7 +92,7 @@ class Folder:
         """Rename a file so that it is no longer of the session; the journal says so, and forgets its fingerprint."""
         names = (self.path / f"undone-{file.stem}-{k}.csv" for k in itertools.count(1))
         aside = next(name for name in names if not name.exists())
-        file.rename(aside)
+        renamed(file, aside, kept=KEPT)
         self.note(step, "undone", aside, file.name)
         return aside
 

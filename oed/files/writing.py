@@ -143,6 +143,16 @@ def write_whole(
     return path
 
 
+def renamed(path: Path, to: Path, *, kept: str = KEPT) -> Path:
+    """Give a file another name, which stays after a power cut."""
+    try:
+        os.rename(path, to)
+        _sync_folder(to.parent)
+    except OSError as reason:
+        raise _refused(to, reason, kept, InputError) from None
+    return to
+
+
 def write_figure(path: Path, figure: Any, **options: Any) -> Path:
     """Save a matplotlib figure whole or not at all, in the format of the file's suffix."""
     stream = io.BytesIO()

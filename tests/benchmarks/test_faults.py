@@ -14,14 +14,19 @@ import os
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import estimators.diagnosis.cases as cases_module
 from benchmarks.campaign.running import run_campaign
 from benchmarks.campaign.settings import Settings
 from benchmarks.cli import main
+from estimators.sessions import Settings as SessionSettings
+from estimators.sessions import open_session, start_session
 from oed.errors import OedError
+from oed.experiments import simulated
 from oed.files.writing import append_line, tidy, write_whole
+from oed.plants.named import named_plant
 
 SMALL = Settings(
     plants=("reference",), noise_variances=(1.0,), methods=("white",), estimators=("frf",), samples=20, experiments=2,
@@ -76,6 +81,7 @@ def faults(monkeypatch, at: int, strike):
         patch.setattr(Path, "open", opening)
         patch.setattr(os, "fsync", around("fsync", os.fsync))
         patch.setattr(os, "replace", around("replace", os.replace))
+        patch.setattr(os, "rename", around("rename", os.rename))
         yield calls
 
 
@@ -192,11 +198,60 @@ def test_a_folder_of_cases_goes_on_where_it_was(tmp_path, monkeypatch):
     assert [json.loads(line)["case"] for line in whole.splitlines()] == ["a", "b"]
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_may_not_be_written_to(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(OedError, match="cannot create|cannot be written to"):
-        run_campaign(SMALL, 7, tmp_path / "x", jobs=1)
+def measured(session, file: Path) -> Path:
+    """What a rig would write: its output depends on the step alone, so that it can be measured again."""
+    u = np.loadtxt(session.next_input(), delimiter=",", skiprows=1)[:, 1:]
+    y = simulated(named_plant("reference", 0.01), seed=8, first=session.step - 1)(u)
+    file.write_text("y\n" + "".join(f"{v!r}\n" for v in y[:, 0].tolist()))
+    return file
+
+
+@pytest.mark.slow
+def test_a_session_goes_on_where_it_was(tmp_path, monkeypatch):
+    """Start, two experiments, the last taken back and measured again; each call struck, then all of it once more."""
+    settings = SessionSettings("power", samples=20, experiments=2, dt=0.01, seed=3)
+    number = iter(range(10_000))
+    folder = tmp_path / "whole"
+
+    def go():
+        start_session(folder, settings)
+        while (session := open_session(folder)).step is not None or not list(folder.glob("undone-*")):
+            if session.step is None:
+                session.undo()
+            else:
+                session.record(measured(session, tmp_path / "m.csv"))
+
+    def work():
+        with contextlib.suppress(OedError):
+            go()
+
+    numbers = lambda at: {
+        f.name: f.read_bytes() for f in at.iterdir() if f.name not in ("lock", "journal.txt")
+    }
+    go()
+    whole, estimate = numbers(folder), open_session(folder).estimate()
+    assert len(whole) == 7  # settings, readme, two inputs, two outputs, and one that was taken back
+    folder = tmp_path / "x"
+    for what in each_fault(monkeypatch, work, ("EIO", "kill")):
+        go()
+        found = numbers(folder)
+        assert found == whole, what
+        assert open_session(folder).estimate().value == estimate.value, what
+        open_session(folder).next_input()  # mends the journal
+        journal = (folder / "journal.txt").read_text()
+        assert all(f" {name} " in journal for name in found if name.startswith(("input", "output"))), what
+        folder = tmp_path / f"x{next(number)}"
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder is read-only for every user here")
+def test_a_folder_that_may_not_be_written_to(capsys):
+    """/proc refuses every user, the superuser too."""
+    with pytest.raises(OedError, match="cannot create /proc/oed.*choose another --out"):
+        run_campaign(SMALL, 7, Path("/proc/oed"), jobs=1)
+    with pytest.raises(OedError, match="the folder /proc/oed cannot be made"):
+        start_session(Path("/proc/oed"), SessionSettings("power", samples=20))
+    assert main(["design", "--plant", "reference", "--out", "/proc/oed", "--quiet"]) == 2
+    assert "/proc/oed" in capsys.readouterr().err
 
 
 def test_a_folder_that_was_moved_goes_on(tmp_path):
