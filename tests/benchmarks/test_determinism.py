@@ -1,0 +1,95 @@
+"""The same bytes whatever the environment: hash seed, threads of BLAS, language of the system, order of the work."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from hashlib import blake2b
+from pathlib import Path
+
+import pytest
+
+from benchmarks.campaign.running import run_campaign
+from benchmarks.campaign.settings import Settings
+
+ENDURANCE = 1000
+"""Runs over which handles and memory are looked at; after three fifths every input has begun, with all that it imports."""
+GROWTH_MB = 10
+SCRIPT = """
+import locale, sys
+from contextlib import suppress
+from pathlib import Path
+from benchmarks.campaign.running import run_campaign
+from benchmarks.campaign.settings import Settings
+with suppress(locale.Error):
+    locale.setlocale(locale.LC_ALL, "")
+run_campaign(Settings(plants=("reference", "three-by-two"), noise_variances=(1.0, 0.1), methods=("white", "power", "procedure-2"),
+    estimators=("frf", "gain", "mu", "fir-selected"), samples=60, experiments=4, profile_replicates=1, seed=%s), 5,
+    Path(sys.argv[1]), jobs=1)
+"""
+ENVIRONMENTS = {
+    "hash seed": {"PYTHONHASHSEED": "4711"},
+    "threads": dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "4"),
+    "German": {"LC_ALL": "de_DE.UTF-8", "LANG": "de_DE.UTF-8"},
+    "Turkish": {"LC_ALL": "tr_TR.UTF-8", "LANG": "tr_TR.UTF-8"},
+}
+
+
+def digest(folder: Path, seed: int = 0, **environment: str) -> str:
+    usual = {
+        "PYTHONHASHSEED": "1",
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+    }
+    subprocess.run(
+        [sys.executable, "-c", SCRIPT % seed, folder],
+        check=True,
+        env=os.environ | usual | environment,
+        capture_output=True,
+    )
+    files = sorted(folder.rglob("*.parquet")) + [folder / "campaign.json"]
+    assert len(files) > 8
+    return blake2b(b"".join(f.name.encode() + f.read_bytes() for f in files)).hexdigest()
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory):
+    return digest(tmp_path_factory.mktemp("usual") / "x")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ENVIRONMENTS)
+def test_the_same_bytes(what, usual, tmp_path):
+    locale = ENVIRONMENTS[what].get("LC_ALL", "")
+    if locale:
+        installed = subprocess.run(
+            ["locale", "-a"], capture_output=True, text=True, check=False
+        ).stdout.lower()
+        if locale.lower().replace("-", "") not in installed:
+            pytest.skip(f"the locale {locale} is not installed")
+    assert digest(tmp_path / "x", **ENVIRONMENTS[what]) == usual
+
+
+@pytest.mark.slow
+def test_another_seed_gives_other_bytes(usual, tmp_path):
+    assert digest(tmp_path / "x", seed=1) != usual
+
+
+def memory_mb() -> float:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads memory and handles under /proc")
+def test_memory_and_handles_stay_flat(tmp_path, record_figure):
+    settings = Settings(plants=("reference",), noise_variances=(1.0,), methods=("white", "power"), estimators=("frf", "gain"),
+                        samples=50, experiments=3, profile_replicates=0)  # fmt: skip
+    seen: list[tuple[float, int]] = []
+    look = lambda done, total: seen.append((memory_mb(), len(os.listdir("/proc/self/fd"))))
+    run_campaign(settings, ENDURANCE // 2, tmp_path, jobs=1, progress=look)
+    settled, end = seen[3 * len(seen) // 5], seen[-1]
+    record_figure("memory in MB after three fifths and at the end of a thousand runs", (settled[0], end[0]))
+    assert end[1] == settled[1]
+    assert end[0] < settled[0] + GROWTH_MB
