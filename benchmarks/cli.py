@@ -34,11 +34,16 @@ SCHEMA_VERSION = 1
 BAD_INPUT = (InputError, NotIdentifiable, InfeasibleDesign, CampaignError)
 
 
+NUMBERS = {"int": "a whole number", "float": "a number"}
+"""What the message of a wrong argument calls its type."""
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are one line."""
 
     def error(self, message: str) -> NoReturn:
-        message = re.sub(r"invalid \w+ value: (.*)", r"\1 is not a value that it takes", message)
+        rule = lambda found: f"it is {found[2]}; it must be {NUMBERS.get(found[1], 'another value')}"
+        message = re.sub(r"invalid (\w+) value: (.*)", rule, message)
         self.exit(2, f"{self.prog}: {message}; see {self.prog} --help.\n")
 
     def options(self) -> list[str]:
@@ -140,6 +145,9 @@ def main(argv: list[str] | None = None) -> int:
             print(f"oed: {error}", file=sys.stderr)
             return 2
     args, unknown = parser.parse_known_args(argv)
+    if args.command is None:
+        print(f"oed: {argv[0]} is not understood; give a command first, see oed --help.", file=sys.stderr)
+        return 2
     if unknown:
         near = difflib.get_close_matches(unknown[0], args.options, 1)
         hint = f" (did you mean {near[0]}?)" if near else ""

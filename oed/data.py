@@ -34,12 +34,16 @@ MOST_CHANNELS = 64
 """Channels that one sample alone may have: more in a single row are a signal that lies on its side."""
 
 
+WRONG = {"c": "complex values", "M": "dates", "m": "durations", "U": "text", "S": "text"}
+"""Kinds of arrays that would become numbers, and are none that a signal has."""
+
+
 def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray[np.float64]:
     """Read-only copy of a signal as (N, channels), checked to be finite."""
     try:
         given = np.asarray(values)
-        if given.dtype.kind == "c":
-            raise TypeError("complex values")
+        if given.dtype.kind in WRONG:
+            raise TypeError(WRONG[given.dtype.kind])
         own = given.dtype == float and given.ndim == 2 and given.base is None and not given.flags.writeable
         array = given if own else np.array(given, dtype=float)
     except (TypeError, ValueError) as error:

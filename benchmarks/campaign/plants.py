@@ -28,6 +28,7 @@ __all__ = [
 HAIR_DRYER = "hair-dryer"
 RANDOM_FIR = re.compile(r"random-fir-(\d{1,6})")
 RANDOM_FIR_SEED = 2018
+RECORDS = (".csv", ".txt", ".tsv", ".mat", ".npz", ".parquet", ".gz")
 
 
 def plant_names() -> tuple[str, ...]:
@@ -74,6 +75,11 @@ def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
 def load_plant(spec: str, noise_variance: float | None = None) -> Plant:
     """Plant by name or from a JSON file."""
     if is_file(spec):
+        if Path(spec).suffix in RECORDS:
+            raise InputError(
+                f"{spec} is a record by its suffix, not a plant; identify a model of it first: oed identify {spec} --out DIR, then "
+                "--plant DIR/model.json."
+            )
         from oed.plants.json import plant_from_json
 
         return plant_from_json(spec, noise_variance=noise_variance)

@@ -74,8 +74,9 @@ class Settings:
         check_names([m for m in self.methods if m not in own], tuple(METHODS), "method")
         check_names([e for e in self.estimators if e not in own], tuple(ESTIMATORS), "estimator")
         for name, least in (("samples", 10), ("experiments", 1), ("profile_replicates", 0)):
-            if getattr(self, name) < least:
-                raise InputError(f"{name} is {getattr(self, name)}; it must be at least {least}.")
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or value < least:
+                raise InputError(f"{name} is {value!r}; it must be a whole number of at least {least}.")
         for variance in self.noise_variances:
             if not (np.isfinite(variance) and variance > 0):
                 raise InputError(
@@ -157,12 +158,20 @@ CAMPAIGN = keyed(
 def campaign_from_toml(file: str | Path) -> dict[str, Any]:
     """The arguments of `compare` that a TOML file holds."""
     content = read_document(Path(file), CAMPAIGN, "the campaign file")
-    found = {key: tuple(value) if isinstance(value, list) else value for key, value in content.items()}
+    found = {
+        key: tuple(value) if isinstance(value, list) else _whole(key, value) for key, value in content.items()
+    }
     for key in ("methods", "estimators"):
         found |= {key: tuple(_beside(Path(file), name) for name in found[key])} if key in found else {}
     if "limit" in found:
-        found["limits"] = tuple(Limit(**entry) for entry in found.pop("limit"))
+        entries = found.pop("limit")
+        found["limits"] = tuple(Limit(**{k: _whole(k, v) for k, v in entry.items()}) for entry in entries)
     return found
+
+
+def _whole(key: str, value: Any) -> Any:
+    """1e3 is a whole number to a schema, and a float to TOML."""
+    return int(value) if CAMPAIGN["properties"].get(key, {}).get("type") == "integer" else value
 
 
 def _beside(campaign: Path, name: str) -> str:

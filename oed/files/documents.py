@@ -37,7 +37,9 @@ def read_document(
             raise error(f"{where} has {path.stat().st_size} bytes; at most {LARGEST} are read.")
         text = path.read_bytes().decode("utf-8-sig")
     except OSError as reason:
-        raise error(f"{where} cannot be read ({reason.strerror or reason}).") from None
+        raise error(
+            f"{where} cannot be read ({reason.strerror or reason}); check the name and the folder."
+        ) from None
     except UnicodeDecodeError as reason:
         raise error(f"{where} is not text in UTF-8 (byte {reason.start}); save it as UTF-8.") from None
     except ValueError:  # a null byte in the path
@@ -58,7 +60,7 @@ def parsed_json(text: str, where: str, *, error: type[OedError] = InputError) ->
             text, object_pairs_hook=_once, parse_constant=_constant, parse_float=_float, parse_int=_int
         )
     except json.JSONDecodeError as reason:
-        raise error(f"{where} is not JSON (line {reason.lineno}: {reason.msg}).") from None
+        raise error(f"{where} is not JSON (line {reason.lineno}: {reason.msg}); mend that line.") from None
     except RecursionError:
         raise error(f"{where} is nested too deeply to be read.") from None
     except ValueError as reason:

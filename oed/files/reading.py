@@ -76,7 +76,9 @@ def read_record(
 
 
 def _split_spec(spec: str | os.PathLike[str]) -> tuple[Path, tuple[int | None, int | None]]:
-    text = os.fspath(spec)
+    if not isinstance(spec, str | os.PathLike):
+        raise InputError(f"a file is given as {type(spec).__name__}; give its name as text or as a Path.")
+    text = str(spec)
     if os.path.exists(text) or not text.endswith("]"):
         return Path(text), (None, None)
     parts = re.fullmatch(r"(.*)\[\s*(-?\d*)\s*:\s*(-?\d*)\s*\]", text)

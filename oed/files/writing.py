@@ -64,8 +64,12 @@ def write_record(record: Record, path: str | os.PathLike[str], *, overwrite: boo
     Raises
     ------
     InputError
-        If the suffix is unknown, the file exists or the folder does not.
+        If it is no record, the suffix is unknown, the file exists or the folder does not.
     """
+    if not isinstance(record, Record):
+        raise InputError(
+            f"a {type(record).__name__} is given where a Record is needed; make one of it: Record(u, y, dt)."
+        )
     path = Path(path)
     suffixes = [suffix.lower() for suffix in path.suffixes]
     zipped = suffixes[-1:] == [".gz"]

@@ -234,6 +234,10 @@ def polynomial(
     if kind not in STRUCTURES:
         raise InputError(f"the structure {kind!r} is unknown; choose one of {', '.join(ORDERS)}.")
     letters = STRUCTURES[kind].letters
+    if orders is None or isinstance(orders, str):
+        raise InputError(
+            f"the orders are {orders!r}; {kind} takes {' '.join(ORDERS[kind])}, whole numbers in that order."
+        )
     given: list = [orders] if isinstance(orders, int) else list(orders)
     if len(given) != len(letters):
         raise InputError(f"{len(given)} orders were given; {kind} takes {' '.join(ORDERS[kind])}.")

@@ -31,6 +31,10 @@ def polynomial(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 def matrix_of_polynomials(values: Any, name: str) -> list[list[NDArray[np.float64]]]:
     """num[i][j] as arrays; one flat list is read as a single entry."""
+    if not isinstance(values, list | tuple | np.ndarray) or len(values) == 0:
+        raise InputError(
+            f"{name} is {values!r}; give a list of coefficients of powers of z^-1, or a row per output of such lists."
+        )
     if not np.iterable(values[0]):
         values = [[values]]
     rows = [

@@ -76,6 +76,10 @@ def plant_from_json(source: str | Path | Mapping[str, Any], *, noise_variance: f
     Plant
         The plant; InputError if the file is not such a description.
     """
+    if not isinstance(source, str | Path | Mapping):
+        raise InputError(
+            f"a plant is given as {type(source).__name__}; give the name of a JSON file, or a mapping like its content."
+        )
     model = saved_model(source)
     if model is not None:
         plant = model.to_plant(name="identified" if isinstance(source, Mapping) else Path(source).parent.name)
@@ -86,6 +90,15 @@ def plant_from_json(source: str | Path | Mapping[str, Any], *, noise_variance: f
     else:
         content, name = read_document(source, PLANT, "the plant file"), Path(source).stem
         where = str(source)
+    try:
+        return _plant_of(content, name, where, noise_variance)
+    except InputError as error:
+        said = str(error)
+        raise InputError(said if where in said else f"{where}: {said}") from None
+
+
+def _plant_of(content: Mapping[str, Any], name: str, where: str, noise_variance: float | None) -> Plant:
+    """The plant of a description whose keys and types are as they should be."""
     noise = content.get("noise", {})
     attributes: dict[str, Any] = {"name": content.get("name", name), "free": tuple(content.get("free", ()))}
     if "covariance" in noise or "variance" in noise:

@@ -66,7 +66,7 @@ class Plant:
             raise InputError(
                 f"num has {ny} x {nu} entries and den {len(den)} x {len(den[0])}; they must agree."
             )
-        if not (np.isfinite(self.dt) and self.dt > 0):
+        if not (isinstance(self.dt, float | int | np.number) and np.isfinite(self.dt) and self.dt > 0):
             raise InputError(f"the sampling time is {self.dt}; it must be a positive number of seconds.")
         for i in range(ny):
             for j in range(nu):

@@ -49,7 +49,8 @@ def as_plant(system: Any) -> Plant:
         from oed.plants.json import plant_from_json
         from oed.plants.named import NAMES, named_plant
 
-        return named_plant(str(system)) if str(system) in NAMES else plant_from_json(system)
+        bare = not Path(system).suffix and not Path(system).exists()
+        return named_plant(str(system)) if bare or str(system) in NAMES else plant_from_json(system)
     kinds = {(c.__module__.partition(".")[0], c.__name__) for c in type(system).__mro__}
     if kinds & {("control", "TransferFunction"), ("control", "StateSpace")}:
         return Plant.from_control(system)

@@ -25,6 +25,8 @@ from hashlib import blake2b
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.errors import InputError
+
 __all__ = ["START", "noise_key", "noise_series", "philox", "standard_noise"]
 
 ROUNDS = 7
@@ -65,6 +67,8 @@ _SHIFT = np.uint64(32)
 
 def noise_key(seed: int, plant: str) -> tuple[int, int]:
     """Key of the noise of a plant under a seed: two 32-bit words."""
+    if not isinstance(seed, int | np.integer):
+        raise InputError(f"the seed is {seed!r}; it must be a whole number.")
     digest = blake2b(f"{int(seed)}|{plant}".encode(), digest_size=8).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")
 

@@ -89,8 +89,15 @@ def test_design_of_the_reference_plant(capfd, criterion, loss):
     "words, sentence",
     [
         (("theory", "--plant", "referense"), "did you mean reference"),
+        (("--verzion",), "--verzion is not understood; give a command first"),
+        (("identify", "x.csv", "--seed", "x"), "--seed: it is 'x'; it must be a whole number"),
+        (
+            ("design", "--plant", "my/record.csv"),
+            "is a record by its suffix, not a plant; identify a model of it first",
+        ),
+        (("design", "--plant", "none.json"), "check the name and the folder"),
         (("theory", "--plant", "reference", "--noise-variance", "-1"), "noise variance is -1"),
-        (("theory", "--plant", "reference", "--noise-variance", "x"), "not a value that it takes"),
+        (("theory", "--plant", "reference", "--noise-variance", "x"), "it is 'x'; it must be a number"),
         (("theory", "--plant", "nowhere.json"), "nowhere.json cannot be read"),
         (("theory",), "--plant"),
         (("design", "--plant", "reference", "--criterion", "D", "--input-power", "0"), "power"),

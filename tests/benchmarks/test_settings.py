@@ -213,3 +213,13 @@ def test_stores_that_do_not_belong_together(tmp_path):
     assert not (tmp_path / "both").exists()
     with pytest.raises(InputError, match=r"no readable campaign.json"):
         merge_stores([tmp_path], tmp_path / "both")
+
+
+def test_a_whole_number_written_with_an_exponent(tmp_path):
+    """1e3 is an integer to a schema and a float to Python: 40,000.0 samples stood in the report."""
+    file = tmp_path / "c.toml"
+    file.write_text("samples = 1e3\n[[limit]]\nreplicates = 2.0\n")
+    found = campaign_from_toml(file)
+    assert repr((found["samples"], found["limits"][0].replicates)) == "(1000, 2)"
+    with pytest.raises(InputError, match="samples is 1000.5; it must be a whole number of at least 10"):
+        Settings(samples=1000.5)  # type: ignore[arg-type]

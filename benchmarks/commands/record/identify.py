@@ -106,6 +106,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         "missing": args.missing,
     }
     records = [read_record(spec, **reading) for spec in args.data]
+    fresh = read_record(args.test, **reading) if args.test else None
     out = new_folder(args.out, "--out") if args.out else None
     orders = args.orders or DEFAULTS[args.structure]
     if "auto" in orders:
@@ -148,7 +149,6 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         import numpy as np
 
         payload["hinf_frequency_hz"] = payload["hinf_frequency"] / (2 * np.pi * records[0].dt)
-    fresh = read_record(args.test, **reading) if args.test else None
     if fresh is not None:
         payload["test"] = _fresh(fit, fresh, args.skip)
     lines = [_headline(fit, records[0], payload), repr(fit), _letters(fit, records[0])]
