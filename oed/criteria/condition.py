@@ -35,9 +35,14 @@ class ConditionNumber(Criterion):
         """There is none."""
         raise InputError("a condition number has no bound by one direction; see `condition_design`.")
 
-    def log_numerator(self, X: NDArray[np.float64], second: bool = True) -> NoReturn:
-        """There is none."""
-        raise InputError("a condition number has no bound by one direction; see `condition_design`.")
+    def log_numerator(
+        self, X: NDArray[np.float64], second: bool = True
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Of either of the two traces: the quadratic form of the eigenvalue's."""
+        # Late: the order of the names is that of the files.
+        from oed.criteria.eigenvalue import LargestEigenvalue
+
+        return LargestEigenvalue(self.V).log_numerator(X, second)
 
     def scaled(self, columns: NDArray[np.float64]) -> tuple[Criterion, float]:
         """Of unit norm, which it does not see."""

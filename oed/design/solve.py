@@ -116,15 +116,7 @@ def solve_design(
     if wanted.method == "ratio":
         if any(limit is not None for limit in (output_power, channel_power, rate_power)):
             raise InputError("modified-E knows a limit on the input power only; leave out the others.")
-        return condition_design(
-            information,
-            wanted,
-            input_power=budgets[0].limit,
-            omega=omega,
-            bands=bands,
-            refine=refine,
-            tolerance=tolerance,
-        )
+        return condition_design(problem, refine=refine, tolerance=tolerance)
     finish = partial(collapsed, tolerance=tolerance)
     if solver == "clarabel":
         from oed.design.solvers.whole_grid import reference_exchange

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from oed.data import Spectrum
 from oed.plants.plant import Plant
 
 DENSE = 8001
@@ -64,6 +65,28 @@ def dense_grid(plant: Plant, low: float = 0.0, high: float = np.pi) -> np.ndarra
             parts.append(abs(np.angle(pole)) + np.concatenate([-steps, [0.0], steps]))
     omega = np.unique(np.concatenate(parts))
     return omega[(omega >= low) & (omega <= high)]
+
+
+def least_condition(plant: Plant, spectrum: Spectrum, points: int) -> float:
+    """The least condition number of weights on a spectrum's own lines and on a grid in several directions, by CVXPY."""
+    import cvxpy
+
+    nu = plant.n_inputs
+    phases = np.array([[1, phase] for phase in (0, 1, -1, 1j, -1j)] + [[0, 1]], dtype=complex)
+    turns = np.ones((1, 1)) if nu == 1 else phases
+    own = np.moveaxis(np.linalg.eigh(spectrum.power)[1], 1, 2)
+    grid = np.linspace(0, np.pi, points)
+    D = np.concatenate([
+        np.einsum("knpq,kdq->kdnp", gradient(plant, spectrum.omega), own).reshape(-1, *gradient(plant, grid).shape[1:3]),
+        np.einsum("knpq,dq->kdnp", gradient(plant, grid), turns).reshape(-1, *gradient(plant, grid).shape[1:3]),
+    ])  # fmt: skip
+    atoms = np.einsum("mnp,mkp->mnk", D, D.conj()).real
+    n = atoms.shape[1]
+    atoms /= np.trace(atoms, axis1=1, axis2=2)[:, None, None]
+    w, t = cvxpy.Variable(len(atoms), nonneg=True), cvxpy.Variable()
+    M = cvxpy.reshape(atoms.reshape(-1, n * n).T @ w, (n, n), order="C")
+    cvxpy.Problem(cvxpy.Maximize(t), [M >> t * np.eye(n), M << np.eye(n)]).solve(solver="CLARABEL")
+    return float(1 / t.value)
 
 
 class Challenge:

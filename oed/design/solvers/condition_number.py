@@ -20,12 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.design import Design
 from oed.design.problem.families import local_maxima, maxima_between
-from oed.design.problem.information_maps import InformationMap
+from oed.design.problem.lines import Problem
+from oed.design.solvers.merging_lines import at_clusters
+from oed.design.solvers.polishing import polish
 from oed.design.solvers.weights_clarabel import linear_matrix_programme, smat, svec
 from oed.errors import NotIdentifiable, Status
 
@@ -34,6 +35,14 @@ __all__ = ["condition_design"]
 Bands = tuple[tuple[float, float], ...]
 LOOKED_AT = 3
 """Certificates that are evaluated anew at the end, on the grid as it has grown: the last that were the best."""
+LIFT = 1e-6
+"""Most that a certificate is lifted by: more is not rounding but a line that is missing."""
+NEARLY = 1e-2
+"""Gap below which the support shows well enough to try Newton's method on it."""
+SPENT = 1e-5
+"""Share of a multiplier's largest eigenvalue below which the others are what an interior point leaves of zero."""
+SAME = 1e-11
+"""Relative difference below which fewer lines have the same information."""
 WIDEST = 0.3
 """Distance over which a plant without resonances changes, rad/sample."""
 
@@ -54,10 +63,10 @@ class _Lines:
 class _Setting:
     """The problem in the criterion's units, with a grid that grows."""
 
-    def __init__(self, information: InformationMap, criterion: Criterion, power: float) -> None:
-        self.map, self.power = information, power
-        self.turn = np.linalg.inv(criterion.V)
-        self.constant = self.turn @ information.constant @ self.turn.T
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.map, self.power = problem, problem.map, problem.budgets[0].limit
+        self.turn = np.linalg.inv(problem.original.V)
+        self.constant = self.turn @ self.map.constant @ self.turn.T
 
     def factor(self, omega: NDArray) -> NDArray[np.complex128]:
         return np.einsum("ij,kjrq->kirq", self.turn, self.map.factor(omega))
@@ -65,6 +74,14 @@ class _Setting:
     def lines(self, omega: NDArray, direction: NDArray) -> _Lines:
         G = np.einsum("knrq,kq->knr", self.factor(omega), direction)
         return _Lines(omega, direction, np.concatenate([G.real, G.imag], axis=2))
+
+    def told(self, lines: _Lines, w: NDArray) -> NDArray[np.float64]:
+        flat = np.moveaxis(lines.F * np.sqrt(w)[:, None, None], 0, 1).reshape(self.map.n, -1)
+        return flat @ flat.T
+
+    def loss(self, lines: _Lines, w: NDArray) -> float:
+        values = np.linalg.eigvalsh(self.constant + self.told(lines, w))
+        return float(values[-1] / values[0]) if values[0] > 0 else np.inf
 
     def forms(self, omega: NDArray, Z: NDArray) -> NDArray[np.complex128]:
         D = self.factor(omega)
@@ -81,42 +98,36 @@ class _Setting:
 
 
 def condition_design(
-    information: InformationMap,
-    criterion: Criterion,
-    *,
-    input_power: float,
-    omega: NDArray[np.float64],
-    bands: Bands,
-    refine: bool = True,
-    tolerance: float = 1e-7,
-    max_rounds: int = 12,
+    problem: Problem, *, refine: bool = True, tolerance: float = 1e-7, max_rounds: int = 12
 ) -> Design:
-    """The spectrum with the least condition number; `solve_design` calls it for the criterion modified-E.
-
-    Shapes: omega (K,), bands (float, float).
-    """
-    setting = _Setting(information, criterion, input_power)
-    q = information.n_inputs
+    """The spectrum with the least condition number; `solve_design` calls it for the criterion modified-E."""
+    setting, omega, bands = _Setting(problem), problem.omega, problem.bands
+    q = setting.map.n_inputs
     lines = setting.lines(np.repeat(omega, q), np.tile(np.eye(q, dtype=complex), (len(omega), 1)))
     best_loss, best_bound, kept, proof, rounds = np.inf, 0.0, None, None, 0
     proofs: list[tuple[NDArray, NDArray]] = []
     while rounds < max_rounds:
         rounds += 1
-        w, Z_low, Z_high = _weights(lines, setting)
-        M = setting.constant + (lines.F * w[:, None, None]).swapaxes(0, 1).reshape(information.n, -1) @ (
-            lines.F.swapaxes(0, 1).reshape(information.n, -1).T
-        )
-        values = np.linalg.eigvalsh(M)
-        loss = float(values[-1] / values[0]) if values[0] > 0 else np.inf
-        if loss < best_loss:
-            best_loss, kept = loss, (lines, w)
-        bound, omega = _bound(setting, omega, bands, Z_low, Z_high, loss, refine)
-        if bound > best_bound:
-            best_bound, proof = bound, (Z_low, Z_high)
-            proofs.append(proof)
-        if best_loss - best_bound <= tolerance * best_bound or not np.isfinite(loss):
+        found = _weights(lines, setting)
+        tries = [(lines, *found)]
+        loss, tried = np.inf, 0
+        while tries:
+            own, w, Z_low, Z_high = tries.pop()
+            loss = setting.loss(own, w)
+            if loss < best_loss:
+                best_loss, kept = loss, (own, w)
+            Z_high = _lifted(setting, omega, Z_low, Z_high, loss)
+            bound, omega = _bound(setting, omega, bands, Z_low, Z_high, loss, refine)
+            if bound > best_bound:
+                best_bound, proof = bound, (Z_low, Z_high)
+                proofs.append(proof)
+            tried += 1
+            if refine and tried == 1 and tolerance < best_loss / max(best_bound, 1e-300) - 1 < NEARLY:
+                tries = _polished(setting, *_sparse(setting, own, w), Z_low, Z_high)
+        if best_loss - best_bound <= tolerance * best_bound or not np.isfinite(best_loss):
             break
-        high, direction = setting.excess(omega, Z_low, Z_high, loss)
+        w, Z_low, Z_high = found
+        high, direction = setting.excess(omega, Z_low, Z_high, setting.loss(lines, w))
         # The own lines are at 0 already; what lies above can come in.
         at = local_maxima(high)
         at = at[high[at] > 1e-9 * np.abs(high).max()]
@@ -139,7 +150,52 @@ def condition_design(
             "they are of like size, fix some of them, or add prior information."
         )
     kept = _sparse(setting, *kept)
-    return _as_design(setting, criterion, *kept, *proof, best_loss, best_bound, omega, rounds, tolerance)
+    return _as_design(setting, *kept, *proof, best_bound, omega, rounds, tolerance)
+
+
+def _polished(
+    setting: _Setting, lines: _Lines, w: NDArray, Z_low: NDArray, Z_high: NDArray
+) -> list[tuple[_Lines, NDArray, NDArray, NDArray]]:
+    """The same after Newton's method on the support and the eigenvectors of both eigenvalues; nothing where it fails."""
+    problem = setting.problem
+    parts = []
+    for Z in (Z_low, Z_high):
+        values, vectors = np.linalg.eigh(Z)
+        own = values > SPENT * values[-1]
+        parts.append(problem.R @ setting.turn.T @ (vectors[:, own] * np.sqrt(values[own])))
+    signs = np.repeat([1.0, -1.0], [part.shape[1] for part in parts])
+    X = np.concatenate(parts, axis=1)
+    merged = at_clusters(problem, problem.columns(lines.omega, lines.direction), w)
+    lines, w, _ = _explained(
+        setting.lines(merged.omega, merged.direction), setting.told(lines, w), float(w.sum())
+    )
+    columns = problem.columns(lines.omega, lines.direction)
+    used = (columns.q.T @ w).max()
+    # Without a prior any power will do, and costs nothing.
+    nu = np.full(1, float(np.any(setting.constant)))
+    found = polish(problem, columns, w / used, X, nu, signs)
+    if found is None:
+        return []
+    V = problem.original.V
+    Y = V.T @ np.linalg.solve(problem.R, found.X)
+    low, high = (_unit_trace(Y[:, signs == sign] @ Y[:, signs == sign].T) for sign in (1, -1))
+    return [(setting.lines(found.columns.omega, found.columns.direction), found.w, low, high)]
+
+
+def _lifted(
+    setting: _Setting, omega: NDArray, Z_low: NDArray, Z_high: NDArray, k: float
+) -> NDArray[np.float64]:
+    """Z_high with so much of the identity that S_2 - k S_1 is nowhere negative on the grid: rounding of the programme.
+
+    Most where a line tells little, for which the bound pays nothing this way; without it pays the whole relative error.
+    """
+    n = len(Z_low)
+    all_of_it = setting.forms(omega, np.eye(n))
+    short = k * setting.forms(omega, Z_low) - setting.forms(omega, Z_high)
+    values, vectors = np.linalg.eigh(all_of_it)
+    root = vectors / np.sqrt(np.maximum(values, 1e-14 * values[:, -1:]))[:, None, :]
+    worst = float(np.linalg.eigvalsh(root.conj().swapaxes(1, 2) @ short @ root)[:, -1].max())
+    return _unit_trace(Z_high + (worst if 0 < worst < LIFT else 0.0) * np.eye(n))
 
 
 def _denser(setting: _Setting, omega: NDArray, bands: Bands, support: NDArray) -> NDArray[np.float64]:
@@ -158,8 +214,10 @@ def _weights(lines: _Lines, setting: _Setting) -> tuple[NDArray, NDArray, NDArra
     """Weights within the power, and multipliers of trace 1."""
     m, n, _ = lines.F.shape
     atoms = lines.F @ lines.F.swapaxes(1, 2)
-    # One unit for the information of all lines, so that the cone programme sees numbers near 1.
-    unit = float(np.trace(atoms.mean(axis=0))) / n
+    # Every line in units of its own information: what the programme leaves of a line's condition is a share of that.
+    size = np.einsum("mii->m", atoms) / n
+    size = np.maximum(size, 1e-30 * size.max())
+    atoms, unit = atoms / size[:, None, None], 1.0
     prior = bool(np.any(setting.constant))
     parts = [svec(atoms / unit).T]
     if prior:
@@ -172,15 +230,14 @@ def _weights(lines: _Lines, setting: _Setting) -> tuple[NDArray, NDArray, NDArra
     count = S.shape[1]
     positive = np.concatenate([-np.eye(count), np.zeros((count, 1))], axis=1)
     if prior:
-        positive = np.vstack([positive, np.concatenate([np.ones(m), [-setting.power, 0.0]])])
+        positive = np.vstack([positive, np.concatenate([1 / size, [-setting.power, 0.0]])])
     blocks = [low, high, positive]
     offsets = [np.zeros(len(S)), eye, np.zeros(len(positive))]
     objective = np.zeros(count + 1)
     objective[-1] = -1.0
     _, x, z, _ = linear_matrix_programme(objective, blocks, offsets, [n, n], 1e-11)
-    size = len(S)
-    Z_low, Z_high = smat(z[:size], n), smat(z[size : 2 * size], n)
-    w = np.maximum(x[:m], 0.0)
+    Z_low, Z_high = (smat(part, n) for part in (z[: len(S)], z[len(S) : 2 * len(S)]))
+    w = np.maximum(x[:m], 0.0) / size
     tau = float(x[m]) if prior else float(w.sum()) / setting.power
     w = w / max(tau, float(w.sum()) / setting.power, 1e-300)
     return w, _unit_trace(Z_low), _unit_trace(Z_high)
@@ -191,27 +248,23 @@ def _sparse(setting: _Setting, lines: _Lines, w: NDArray) -> tuple[_Lines, NDArr
 
     The optimum is not unique in its lines, and an interior-point method returns their average: hundreds.
     """
-    from scipy.optimize import linprog, nnls
+    few, own, off = _explained(lines, setting.told(lines, w), float(w.sum()))
+    return (few, own) if off < SAME and len(own) < np.count_nonzero(w) else (lines, w)
 
-    used = w > 1e-9 * w.max()
-    lines = _Lines(lines.omega[used], lines.direction[used], lines.F[used])
-    w = w[used]
+
+def _explained(lines: _Lines, told: NDArray, power: float) -> tuple[_Lines, NDArray[np.float64], float]:
+    """Lines and weights of the information nearest to `told` at nearly this power, and how far off it is, relative."""
+    from scipy.optimize import nnls
+
     # Scaled so that every line has unit information: what is solved for are shares of it.
     atoms = svec(lines.F @ lines.F.swapaxes(1, 2)).T
     size = np.linalg.norm(atoms, axis=0)
-    rows = np.vstack([atoms / size, 1 / size / np.mean(1 / size)])
-    target = rows @ (w * size)
-    rows, target = rows / np.abs(target).max(), target / np.abs(target).max()
-    found = linprog(np.ones(len(w)), A_eq=rows, b_eq=target, bounds=(0, None), method="highs-ds")
-    if found.x is None:
-        return lines, w
-    few = found.x > 1e-9 * found.x.max()
-    exact, residual = nnls(rows[:, few], target)
-    if residual > 1e-10 or np.count_nonzero(few) >= len(w):
-        return lines, w
-    stay = np.flatnonzero(few)[exact > 0]
-    power = exact[exact > 0] / size[stay]
-    return _Lines(lines.omega[stay], lines.direction[stay], lines.F[stay]), power * (w.sum() / power.sum())
+    unit = np.mean(1 / size)
+    target = np.append(svec(told[None])[0], power / unit)
+    shares, residual = nnls(np.vstack([atoms / size, 1 / size / unit]), target)
+    few = shares > 0
+    kept = _Lines(lines.omega[few], lines.direction[few], lines.F[few])
+    return kept, shares[few] / size[few], float(residual / np.linalg.norm(target))
 
 
 def _unit_trace(Z: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -259,17 +312,16 @@ def _bound(
 
 def _as_design(
     setting: _Setting,
-    criterion: Criterion,
     lines: _Lines,
     w: NDArray,
     Z_low: NDArray,
     Z_high: NDArray,
-    loss: float,
     bound: float,
     omega: NDArray,
     rounds: int,
     tolerance: float,
 ) -> Design:
+    criterion = setting.problem.original
     keep = w > 1e-9 * w.max()
     frequencies, where = np.unique(lines.omega[keep], return_inverse=True)
     v = lines.direction[keep]

@@ -13,7 +13,7 @@ from oed.design.solvers.column_generation import Exchange, better, evaluated_bou
 from oed.design.solvers.polishing import polish
 from oed.errors import SolverFailure
 
-__all__ = ["collapsed", "evaluated"]
+__all__ = ["at_clusters", "collapsed", "evaluated"]
 
 LOW = 0.9
 """Maxima of the price below this share of a line's cost have no line of the support beside them."""
@@ -30,7 +30,7 @@ ENOUGH = 1e-10
 def collapsed(found: Exchange, tolerance: float) -> Exchange:
     """One line per cluster, polished; what came in where that is worse by more than the tolerance."""
     best = replace(found, hints=None)
-    for gathered in (_at_peaks, _at_clusters):
+    for gathered in (_at_peaks, at_clusters):
         best = _polished(best, gathered, tolerance)
         if best.gap <= tolerance:
             return best
@@ -144,7 +144,7 @@ def _at_peaks(problem: Problem, lines: Columns, w: NDArray, X: NDArray, nu: NDAr
     return problem.columns(np.array(omega), np.array(directions))
 
 
-def _at_clusters(problem: Problem, lines: Columns, w: NDArray, X: NDArray, nu: NDArray) -> Columns | None:
+def at_clusters(problem: Problem, lines: Columns, w: NDArray, *_: NDArray) -> Columns:
     """Neighbours of like direction at their centre of power: where the price is flat its peaks say nothing."""
     from scipy.sparse.csgraph import connected_components
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.criteria import Criterion
 from oed.design.problem.lines import Columns, Problem
 
 __all__ = ["Polished", "polish"]
@@ -75,8 +76,10 @@ class _Point:
 class _System:
     """The optimality conditions and their derivatives, in units in which a relative change of anything is a number."""
 
-    def __init__(self, problem: Problem, columns: Columns, w: NDArray, X: NDArray, nu: NDArray) -> None:
-        self.problem, self.criterion = problem, problem.criterion
+    def __init__(
+        self, problem: Problem, columns: Columns, w: NDArray, X: NDArray, nu: NDArray, signs: NDArray
+    ) -> None:
+        self.problem, self.criterion, self.signs = problem, problem.criterion, signs
         self.reduced = self.criterion.smooth
         self.unit = problem.length_scale(columns.omega)
         edges = np.array(problem.bands).ravel()
@@ -91,14 +94,21 @@ class _System:
         a = columns.direction * np.sqrt(w)[:, None]
         told = columns.information(w)
         M = problem.constant + told
-        X = self.criterion.direction(M) if self.reduced else X / np.sqrt(np.sum(X * (M @ X)))
+        if self.reduced:
+            X = self.criterion.direction(M)
+        for sign in () if self.reduced else np.unique(signs):
+            own = signs == sign
+            X = np.where(own, X / np.sqrt(np.sum(X[:, own] * (M @ X[:, own]))), X)
         nu = np.where(self.active, nu, 0.0)
         self.start = _Point(
             columns.omega,
             np.concatenate([a.real, a.imag], axis=1),
-            nu * (np.sum(X * (told @ X)) / max(nu.sum(), 1e-300)),
+            nu * (np.sum(X * self._signs_of(X) * (told @ X)) / max(nu.sum(), 1e-300)),
             X,
         )
+
+    def _signs_of(self, X: NDArray) -> NDArray[np.float64]:
+        return np.ones(X.shape[1]) if self.reduced else self.signs
 
     def moved(self, point: _Point, step: NDArray[np.float64]) -> _Point:
         """The point after a step in the scaled unknowns, all of them."""
@@ -147,19 +157,21 @@ class _System:
         Qz = [np.einsum("mjyz,mz->mjy", part, z) for part in forms]
         steep[:, :, 0] = np.einsum("mjy,my->mj", Qz[1], z)
         steep[:, :, 1:] = 2 * Qz[0] * root[:, None, None]
-        slope = np.einsum("mjp,j->mp", steep, nu) - 2 * np.einsum("msr,mpsr->mp", E, F)
+        signs = self._signs_of(X)
+        JE = E * signs[:, None]
+        slope = np.einsum("mjp,j->mp", steep, nu) - 2 * np.einsum("msr,mpsr->mp", JE, F)
         used = np.einsum("mjy,my->j", Qz[0], z)
         weigh = np.repeat(1 / point.power, T.shape[1])
         parts = [slope.ravel() * weigh, (used - 1) * nu.sum()]
-        rise, bend = (None, None) if self.reduced else self.criterion.log_numerator(X, derivatives)
+        rise, bend = (None, None) if self.reduced else _rise(self.criterion, X, signs, derivatives)
         if rise is not None:
-            parts.append((rise - 2 * M @ X).ravel())
+            parts.append((rise - 2 * M @ X * signs).ravel())
         residual = np.concatenate(parts)[self.free]
         if not derivatives:
             return residual, None
         # Second derivatives within a line: (m, p, p).
-        own = -2 * np.einsum("mpsr,mqsr->mpq", F, F)
-        EX = np.moveaxis(np.tensordot(X, E, (1, 1)), 0, 1)  # X E, (m, n, 2 r)
+        own = -2 * np.einsum("mpsr,mqsr->mpq", F * signs[:, None], F)
+        EX = np.moveaxis(np.tensordot(X, JE, (1, 1)), 0, 1)  # X E, (m, n, 2 r)
         own[:, 0, 0] -= 2 * np.sum(EX * along[2], axis=(1, 2))
         own[:, 0, 0] += np.einsum("mjy,my,j->m", Qz[2], z, nu)
         mixed = 2 * np.einsum("j,mjy->my", nu, Qz[1]) - 2 * np.einsum("mnr,mnry->my", EX, T1)
@@ -179,11 +191,29 @@ class _System:
         if self.reduced:
             H[lines, lines] += self.criterion.second(M, X, turned.reshape(m * p, *X.shape))
         else:
-            cross = -2 * turned.reshape(m * p, -1)
+            cross = -2 * (turned * signs).reshape(m * p, -1)
             H[lines, m * p + J :], H[m * p + J :, lines] = cross, cross.T
-            H[m * p + J :, m * p + J :] = bend - 2 * np.kron(M, np.eye(X.shape[1]))
+            H[m * p + J :, m * p + J :] = bend - 2 * np.kron(M, np.diag(signs))
         H[lines] *= weigh[:, None]
         return residual, H[np.ix_(self.free, self.free)]
+
+
+def _rise(
+    criterion: Criterion, X: NDArray, signs: NDArray, second: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Derivatives of log numerator(X); of the difference of two, where the loss is a ratio of two traces."""
+    if (signs > 0).all():
+        return criterion.log_numerator(X, second)
+    rise, bend = np.zeros(X.shape), np.zeros(X.shape * 2)
+    for sign in np.unique(signs):
+        own = np.flatnonzero(signs == sign)
+        first, curved = criterion.log_numerator(X[:, own], second)
+        rise[:, own] = sign * first
+        if curved is not None:
+            bend[:, own[:, None], :, own] = sign * curved.reshape(len(X), len(own), len(X), -1).transpose(
+                1, 3, 0, 2
+            )
+    return rise, bend.reshape(X.size, X.size) if second else None
 
 
 def _real_factor(D: NDArray[np.complex128]) -> NDArray[np.float64]:
@@ -204,15 +234,17 @@ def polish(
     w: NDArray[np.float64],
     X: NDArray[np.float64],
     nu: NDArray[np.float64],
+    signs: NDArray[np.float64] | None = None,
 ) -> Polished | None:
     """Newton's method from a support that is nearly right.
 
-    Shapes: w (m,).
+    Shapes: w (m,), signs (s,): modified E, 1 for the columns of X that price the least eigenvalue, -1 for the largest's.
     """
+    signs = np.ones(X.shape[1]) if signs is None else signs
     try:
         for _ in range(AT_EDGES):
             columns = _snapped(problem, columns)
-            system = _System(problem, columns, w, X, nu)
+            system = _System(problem, columns, w, X, nu, signs)
             if np.count_nonzero(system.free) > LARGEST:
                 return None
             point, residual = _newton(system)

@@ -22,6 +22,12 @@ from oed.errors import Status
 __all__ = ["eigenvalue_weights"]
 
 
+PATIENCE = 3
+"""Steps that do not come nearer after which rounding is all that is left."""
+BEFORE = 0.95
+"""Share of the way to the boundary of the cone that a step goes."""
+
+
 def _psd_reach(L: NDArray[np.float64], dS: NDArray[np.float64]) -> float:
     """Largest step that keeps L L' + step dS positive semidefinite."""
     from scipy.linalg import solve_triangular
@@ -48,16 +54,20 @@ def eigenvalue_weights(
     Q, V = columns.q.T, criterion.columns
     problem = _Problem(columns, constant, np.moveaxis(columns.F, 0, 1).reshape(n, m * r), Q, V)
     now = problem.first(inside(np.ones(m) if start is None else start, Q), criterion)
-    count, status, step = m + len(Q) + n, Status.MAX_ITERATIONS, 0
+    status, step, left, stalled = Status.MAX_ITERATIONS, 0, np.inf, 0
     while step < max_steps:
         step += 1
-        mu = float(now.w @ now.z + now.s @ now.nu + np.sum(now.S * now.Z)) / count
+        mu = float(now.w @ now.z + now.s @ now.nu + np.sum(now.S * now.Z)) / problem.count
         dual = Q.T @ now.nu - problem.worth(now.Z) - now.z
-        if mu * count <= tolerance * now.t and np.abs(dual * now.w).sum() <= tolerance * now.t:
-            status = Status.CONVERGED
-            break
+        off = float(np.abs(dual * now.w).sum()) / now.t
+        if mu * problem.count <= tolerance * now.t:
+            stalled = 0 if off < left else stalled + 1
+            if min(off, left) <= tolerance or stalled == PATIENCE:
+                status = Status.CONVERGED if off <= tolerance else Status.INACCURATE
+                break
+            left = min(left, off)
         try:
-            now = problem.next(now, mu * (0.1 if step % 4 else 0.3))
+            now = problem.next(now, mu)
         except np.linalg.LinAlgError:
             break
     values, vectors = np.linalg.eigh(now.Z)
@@ -74,6 +84,19 @@ class _Iterate:
     s: NDArray[np.float64]
     S: NDArray[np.float64]
     L: NDArray[np.float64]
+    Z: NDArray[np.float64]
+    z: NDArray[np.float64]
+    nu: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """Changes of the parts of an iterate of the same names."""
+
+    w: NDArray[np.float64]
+    t: float
+    s: NDArray[np.float64]
+    S: NDArray[np.float64]
     Z: NDArray[np.float64]
     z: NDArray[np.float64]
     nu: NDArray[np.float64]
@@ -107,33 +130,59 @@ class _Problem:
         z = np.maximum(Q.T @ nu - worth, 0.1 * float(worth @ w) / len(w))
         return _Iterate(w, t, 1 - Q @ w, S, L, Z, z, nu)
 
-    def next(self, now: _Iterate, target: float) -> _Iterate:
-        """One step towards complementarity `target`; LinAlgError where rounding leaves the cone."""
-        Q, V, flat = self.Q, self.V, self.flat
-        m, r = len(now.w), flat.shape[1] // len(now.w)
-        solution = np.asarray(np.linalg.solve(*self._normal_equations(now, target)), dtype=np.float64)
-        dw, dt = solution[:m], float(solution[m])
-        dS = (flat * np.repeat(dw, r)) @ flat.T - dt * (V @ V.T)
-        root = np.asarray(np.linalg.inv(now.L), dtype=np.float64)
-        Y = root.T @ root
-        turned = Y @ dS @ now.Z
-        dZ = target * Y - now.Z - (turned + turned.T) / 2
-        ds = -Q @ dw
-        dz = target / now.w - now.z - now.z / now.w * dw
-        dnu = target / now.s - now.nu - now.nu / now.s * ds
-        ahead = min(1.0, 0.95 * _psd_reach(now.L, dS), 0.95 * reach(now.w, dw), 0.95 * reach(now.s, ds))
-        half = np.asarray(np.linalg.cholesky(now.Z), dtype=np.float64)
-        behind = min(1.0, 0.95 * _psd_reach(half, dZ), 0.95 * reach(now.z, dz), 0.95 * reach(now.nu, dnu))
-        w, t = now.w + ahead * dw, now.t + ahead * dt
-        S = self.constant + self.columns.information(w) - t * (V @ V.T)
-        L = np.asarray(np.linalg.cholesky(S), dtype=np.float64)
-        s, Z = now.s + ahead * ds, now.Z + behind * dZ
-        return _Iterate(w, t, s, S, L, Z, now.z + behind * dz, now.nu + behind * dnu)
+    def next(self, now: _Iterate, mu: float) -> _Iterate:
+        """One predictor-corrector step from complementarity mu; LinAlgError where rounding leaves the cone."""
+        from scipy.linalg import lu_factor, lu_solve
 
-    def _normal_equations(
-        self, now: _Iterate, target: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Matrix and right-hand side for the steps of w and t together."""
+        left, towards = self._normal_equations(now)
+        root = np.asarray(np.linalg.inv(now.L), dtype=np.float64)
+        half = np.asarray(np.linalg.cholesky(now.Z), dtype=np.float64)
+        Y, factors = root.T @ root, lu_factor(left)
+
+        def step(target: float, bent: _Step | None) -> _Step:
+            right = target * towards
+            right[-1] += 1
+            C, cz, cs = np.zeros(Y.shape), np.zeros(len(now.w)), np.zeros(len(now.s))
+            if bent is not None:  # what the predictor's changes do to one another
+                C = Y @ bent.S @ bent.Z
+                C, cz, cs = (C + C.T) / 2, bent.w * bent.z / now.w, bent.s * bent.nu / now.s
+                right -= np.append(self.worth(C) + cz - self.Q.T @ cs, -np.sum(self.V * (C @ self.V)))
+            solution = np.asarray(lu_solve(factors, right), dtype=np.float64)
+            dw, dt = solution[:-1], float(solution[-1])
+            dS = (self.flat * np.repeat(dw, self.flat.shape[1] // len(dw))) @ self.flat.T - dt * (
+                self.V @ self.V.T
+            )
+            turned = Y @ dS @ now.Z
+            ds = -self.Q @ dw
+            return _Step(
+                dw, dt, ds, dS,
+                target * Y - now.Z - (turned + turned.T) / 2 - C,
+                target / now.w - now.z - now.z / now.w * dw - cz,
+                target / now.s - now.nu - now.nu / now.s * ds - cs,
+            )  # fmt: skip
+
+        def reaches(d: _Step) -> tuple[float, float]:
+            ahead = min(_psd_reach(now.L, d.S), reach(now.w, d.w), reach(now.s, d.s))
+            return ahead, min(_psd_reach(half, d.Z), reach(now.z, d.z), reach(now.nu, d.nu))
+
+        d = step(0.0, None)
+        p, q = (min(1.0, length) for length in reaches(d))
+        after = (now.w + p * d.w) @ (now.z + q * d.z) + (now.s + p * d.s) @ (now.nu + q * d.nu)
+        after += np.sum((now.S + p * d.S) * (now.Z + q * d.Z))
+        d = step(mu * min(1.0, float(after) / (mu * self.count)) ** 3, d)
+        p, q = (min(1.0, BEFORE * length) for length in reaches(d))
+        w, t = now.w + p * d.w, now.t + p * d.t
+        S = self.constant + self.columns.information(w) - t * (self.V @ self.V.T)
+        L = np.asarray(np.linalg.cholesky(S), dtype=np.float64)
+        return _Iterate(w, t, now.s + p * d.s, S, L, now.Z + q * d.Z, now.z + q * d.z, now.nu + q * d.nu)
+
+    @property
+    def count(self) -> int:
+        """Number of complementary pairs."""
+        return self.Q.shape[1] + len(self.Q) + len(self.constant)
+
+    def _normal_equations(self, now: _Iterate) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Matrix for the steps of w and t together, and what complementarity 1 has on the right-hand side."""
         from scipy.linalg import solve_triangular
 
         Q, V, flat, L, Z = self.Q, self.V, self.flat, now.L, now.Z
@@ -154,6 +203,6 @@ class _Problem:
         left[m, m] = float(np.sum((V.T @ YV) * (V.T @ ZV)))
         right = np.empty(m + 1)
         spread = np.sum(half**2, axis=0).reshape(m, r).sum(axis=1)
-        right[:m] = target * (spread + 1 / now.w - Q.T @ (1 / now.s))
-        right[m] = 1 - target * float(np.trace(V.T @ YV))
+        right[:m] = spread + 1 / now.w - Q.T @ (1 / now.s)
+        right[m] = -float(np.trace(V.T @ YV))
         return left, right

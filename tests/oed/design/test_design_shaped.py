@@ -20,6 +20,7 @@ from oed.errors import InputError, NotIdentifiable
 from oed.plants.named import named_plant
 from oed.plants.plant import Plant
 from oed.signals.synthesis import realise
+from tests.oracles.certificates import least_condition
 
 GRID = np.concatenate([[0.01, 0.4, 0.7], np.linspace(0.85, 1.15, 7), [1.4, 2.0, 3.1]])
 
@@ -66,6 +67,26 @@ def test_several_inputs_are_conditioned_too():
     assert 0 <= design.gap < 1e-5
     assert design.efficiency_white < 0.1
     assert len(design.spectrum) <= 40
+
+
+@pytest.mark.parametrize("seed", [4, 6, 24])
+def test_least_condition_numbers_are_closed_and_no_cone_programme_finds_a_better_one(seed):
+    """Easy plants, one channel and two, that were refused or left with gaps to 2e-2 (lines in units of their mean)."""
+    rng, channels = np.random.default_rng(seed), 2 - seed // 24
+    roots = lambda: (
+        np.poly((r := rng.uniform(0.5, 0.95) * np.exp(1j * rng.uniform(0.1, 3)), r.conjugate())).real
+    )
+    each = [[(np.append(0, rng.normal(size=2)), roots()) for _ in range(channels)] for _ in range(channels)]
+    plant = Plant(
+        [[b for b, _ in row] for row in each], [[a for _, a in row] for row in each], noise_covariance=1.0
+    )
+    design = solve_design(plant, "modified-E", tolerance=1e-8)
+    assert design.status.ok
+    assert len(design.spectrum) <= 2 * design.map.n + 1
+    assert np.linalg.cond(design.information) == pytest.approx(design.loss, rel=1e-9)
+    least = least_condition(plant, design.spectrum, points=60)
+    assert least == pytest.approx(design.bound, rel=1e-5)  # Clarabel's accuracy
+    assert design.bound <= least * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("name", ["D", "E"])
