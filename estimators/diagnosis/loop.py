@@ -34,6 +34,7 @@ from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback
 from oed.data import Record
 from oed.files.objects import as_records
+from oed.threads import on_one_thread
 
 __all__ = ["Setting", "diagnose"]
 
@@ -42,6 +43,7 @@ Array = NDArray[Any]
 Parts = tuple[Examined, Bench, Named]
 
 
+@on_one_thread
 def diagnose(
     train: Any,
     test: Any = None,

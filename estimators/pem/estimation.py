@@ -36,12 +36,14 @@ from oed.data import Record
 from oed.errors import InputError, Status
 from oed.files.objects import as_records
 from oed.models.model import Polynomial, StateSpace, polynomial
+from oed.threads import on_one_thread
 
 __all__ = ["identify"]
 
 _INITIAL = ("zero", "estimate", "backcast")
 
 
+@on_one_thread
 def identify(
     records: Any,
     structure: str | Polynomial | StateSpace = "oe",

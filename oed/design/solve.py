@@ -24,10 +24,12 @@ from oed.design.solvers.condition_number import condition_design
 from oed.design.solvers.gain_scaling import peak_sinusoid
 from oed.design.solvers.merging_lines import collapsed
 from oed.errors import InputError
+from oed.threads import on_one_thread
 
 __all__ = ["solve_design"]
 
 
+@on_one_thread
 def solve_design(
     model: Any,
     criterion: str | Criterion = "D",

@@ -112,6 +112,10 @@ class Challenge:
         F = np.moveaxis(half, 1, 0).reshape(self.n, -1)
         return (F @ F.conj().T).real
 
+    def plain(self, spectrum) -> np.ndarray:
+        """The information of a spectrum's lines about the parameters themselves."""
+        return self.R.T @ self.information(spectrum) @ self.R
+
     def loss(self, kind: str, M: np.ndarray) -> float:
         """D, A or E of the parameters themselves, from the scaled information."""
         if kind == "D":
@@ -120,6 +124,15 @@ class Challenge:
             )
         half = np.linalg.inv(np.linalg.cholesky(M)) @ np.linalg.inv(self.R).T
         return float(np.sum(half**2) if kind == "A" else np.linalg.norm(half, 2) ** 2)
+
+    def loss_of(self, V: np.ndarray, M: np.ndarray, determinant: bool) -> float:
+        """Of combinations V, from below: directions of the information that rounding may have made are taken for known."""
+        values, vectors = np.linalg.eigh(M)
+        seen = values > 1e-9 * values[-1]
+        half = (vectors.T @ np.linalg.solve(self.R.T, V))[seen] / np.sqrt(values[seen])[:, None]
+        if not determinant:
+            return float(np.sum(half**2))
+        return float(np.exp(np.linalg.slogdet(half.T @ half)[1] / V.shape[1]))
 
     def worst_variance(self, M: np.ndarray) -> float:
         """Largest variance of the frequency response on the dense grid."""
@@ -141,3 +154,45 @@ class Challenge:
         L = np.linalg.cholesky(W + 1e-300 * np.eye(self.n))
         E = np.einsum("knpq,ns->kspq", self.D, L, optimize=True).reshape(len(self.D), -1, self.D.shape[3])
         return float(np.linalg.norm(E, 2, axis=(1, 2)).max() ** 2 / np.sum(W * M))
+
+    def bound_within(self, design, height: float) -> float:
+        """The certificate's bound where no density exceeds `height`: its integral on panels that close in on every kink."""
+        nu, limit = design.certificate.multipliers["input power"], design.limits["input power"]
+        X = self.R @ design.certificate.X
+
+        def worth(omega: np.ndarray) -> np.ndarray:
+            flat = np.moveaxis(gradient(self.plant, omega), 1, 0).reshape(self.n, -1)
+            D = np.linalg.solve(self.R.T, flat).reshape(self.n, len(omega), -1, self.plant.n_inputs)
+            E = np.einsum("nkpq,ns->kspq", D, X).reshape(len(omega), -1, self.plant.n_inputs)
+            values = np.linalg.eigvalsh(np.einsum("kmp,kmq->kpq", E.conj(), E))
+            return np.clip(values - nu / limit, 0, None).sum(axis=1) * height
+
+        x, weight = np.polynomial.legendre.leggauss(8)
+        total, edges = 0.0, self.omega[:: max(1, len(self.omega) // 4000)]
+        low, high = edges[:-1], np.append(edges[1:-1], np.pi)
+        low = np.append(0.0, low[1:])
+        for _ in range(14):
+            half = (high - low)[:, None] / 2
+            told = worth(((low + high)[:, None] / 2 + half * x).ravel()).reshape(half.size, -1)
+            # Where the worth is cut off inside a panel the rule is of second order: those panels are halved.
+            kinked = (told.min(axis=1) == 0) & (told.max(axis=1) > 0)
+            total += float(np.sum((half * weight * told)[~kinked]))
+            middle = (low + high)[kinked] / 2
+            last = float(np.sum((half * weight * told)[kinked]))
+            low, high = np.append(low[kinked], middle), np.append(middle, high[kinked])
+            if not len(low):
+                return design.criterion.numerator(design.certificate.X) / (nu + total / np.pi)
+        return design.criterion.numerator(design.certificate.X) / (nu + (total + last) / np.pi)
+
+    def rivals(self, design, rng: np.random.Generator, count: int = 30) -> float:
+        """The least worst variance of spectra near a design: its lines with other weights, and a few lines more."""
+        power, least = design.spectrum.power, np.inf
+        extra = rng.choice(self.omega, 3)
+        omega = np.append(design.spectrum.omega, extra)
+        eye = np.broadcast_to(np.eye(self.plant.n_inputs), (3, *power.shape[1:]))
+        for step in np.geomspace(1e-4, 1, count):
+            weights = np.exp(step * rng.normal(size=len(power)))[:, None, None]
+            mixed = np.concatenate([power * weights, eye * step * 1e-2])
+            mixed *= design.limits["input power"] / np.einsum("kii->", mixed).real
+            least = min(least, self.worst_variance(self.information(Spectrum(omega, mixed))))
+        return least

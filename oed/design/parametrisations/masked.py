@@ -30,6 +30,7 @@ from oed.design.problem.masks import Mask, Masks, hermitian_root
 from oed.design.solvers.column_generation import solve_weights
 from oed.errors import InfeasibleDesign, Status
 from oed.theory.quadrature import graded_edges, integral, panel_nodes, resolved_edges
+from oed.threads import on_one_thread
 
 __all__ = ["masked_design"]
 
@@ -49,6 +50,7 @@ RESOLVED = 1e-9
 """Accuracy of the integrals, relative: what the certificate's bound is lowered by."""
 
 
+@on_one_thread
 def masked_design(
     model: Any,
     criterion: str | Criterion = "D",

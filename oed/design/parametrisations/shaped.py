@@ -28,6 +28,7 @@ from oed.design.problem.lines import Columns, Problem
 from oed.design.problem.white import information_nodes
 from oed.design.solvers.column_generation import lower_bound, solve_weights
 from oed.errors import InputError
+from oed.threads import on_one_thread
 
 __all__ = ["Shaped", "autoregressive_design", "band_basis", "basis_design"]
 
@@ -92,6 +93,7 @@ def band_basis(edges: ArrayLike) -> list[Density]:
     ]
 
 
+@on_one_thread
 def basis_design(
     model: Any,
     criterion: str | Criterion = "D",
@@ -192,6 +194,7 @@ def _factor(D: NDArray[np.complex128], P: NDArray[np.complex128]) -> NDArray[np.
     return vectors * np.sqrt(np.clip(values, 0, None))
 
 
+@on_one_thread
 def autoregressive_design(
     model: Any,
     criterion: str | Criterion = "D",

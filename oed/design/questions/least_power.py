@@ -11,6 +11,7 @@ from oed.criteria import Criterion, e_criterion
 from oed.design.problem.design import Design
 from oed.design.problem.information_maps import information_map
 from oed.errors import InfeasibleDesign, InputError
+from oed.threads import on_one_thread
 
 __all__ = ["application_criterion", "least_power_design"]
 
@@ -51,6 +52,7 @@ def application_criterion(required: ArrayLike, *, name: str = "application") -> 
     return e_criterion(len(R), vectors[:, keep] * np.sqrt(values[keep]), name=name)
 
 
+@on_one_thread
 def least_power_design(
     model: Any,
     criterion: str | Criterion,

@@ -24,6 +24,7 @@ from oed.design.problem.design import Design
 from oed.design.problem.information_maps import information_map
 from oed.design.questions.robust import robust_design
 from oed.errors import InputError, Status
+from oed.threads import on_one_thread
 
 __all__ = ["QuantileDesign", "quantile_design"]
 
@@ -70,6 +71,7 @@ class QuantileDesign:
         )
 
 
+@on_one_thread
 def quantile_design(
     models: Sequence[Any],
     criterion: str | Criterion = "A",

@@ -23,6 +23,7 @@ from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
 from oed.design.problem.information_maps import InformationMap, information_map
 from oed.errors import InputError
+from oed.threads import on_one_thread
 
 __all__ = ["robust_design", "stacked_map"]
 
@@ -55,6 +56,7 @@ def stacked_map(models: Sequence[Any]) -> InformationMap:
     )
 
 
+@on_one_thread
 def robust_design(
     models: Sequence[Any],
     criterion: str | Criterion = "D",

@@ -132,12 +132,15 @@ class _Problem:
 
     def next(self, now: _Iterate, mu: float) -> _Iterate:
         """One predictor-corrector step from complementarity mu; LinAlgError where rounding leaves the cone."""
-        from scipy.linalg import lu_factor, lu_solve
+        from scipy.linalg.lapack import dgetrf, dgetrs
 
         left, towards = self._normal_equations(now)
         root = np.asarray(np.linalg.inv(now.L), dtype=np.float64)
         half = np.asarray(np.linalg.cholesky(now.Z), dtype=np.float64)
-        Y, factors = root.T @ root, lu_factor(left)
+        Y = root.T @ root
+        lu, pivots, singular = dgetrf(left)
+        if singular:
+            raise np.linalg.LinAlgError
 
         def step(target: float, bent: _Step | None) -> _Step:
             right = target * towards
@@ -147,7 +150,7 @@ class _Problem:
                 C = Y @ bent.S @ bent.Z
                 C, cz, cs = (C + C.T) / 2, bent.w * bent.z / now.w, bent.s * bent.nu / now.s
                 right -= np.append(self.worth(C) + cz - self.Q.T @ cs, -np.sum(self.V * (C @ self.V)))
-            solution = np.asarray(lu_solve(factors, right), dtype=np.float64)
+            solution = np.asarray(dgetrs(lu, pivots, right)[0], dtype=np.float64)
             dw, dt = solution[:-1], float(solution[-1])
             dS = (self.flat * np.repeat(dw, self.flat.shape[1] // len(dw))) @ self.flat.T - dt * (
                 self.V @ self.V.T
