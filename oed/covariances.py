@@ -1,11 +1,21 @@
-"""V' M^-1 V for information matrices that may be badly scaled or singular. Numpy and scipy only."""
+"""V' M^-1 V for information matrices that may be badly scaled or singular. Numpy and scipy only.
+
+And algebra of this size on one thread: waking the BLAS's others takes longer than the algebra does.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, wraps
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["covariance_of", "covariance_of_factor", "diagonal_blocks", "solved"]
+__all__ = ["covariance_of", "covariance_of_factor", "diagonal_blocks", "on_one_thread", "solved"]
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 OUTSIDE = 1e-6
 
@@ -81,3 +91,24 @@ def _inverted(
         root, T = root[~null], T[~null]
     half = T / root[:, None]
     return half.T @ half
+
+
+@cache
+def _libraries() -> Any:
+    """What threadpoolctl knows of the BLAS of NumPy and of SciPy, which are two; both are loaded by then."""
+    import numpy.linalg  # noqa: F401
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
+
+
+def on_one_thread(verb: Callable[P, T]) -> Callable[P, T]:
+    """The same function with the BLAS limited to one thread while it runs, and as it was afterwards."""
+
+    @wraps(verb)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> T:
+        with _libraries().limit(limits=1):
+            return verb(*args, **kwargs)
+
+    return limited

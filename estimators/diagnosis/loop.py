@@ -32,9 +32,9 @@ from estimators.diagnosis.search.examination import Examined, Known, as_motion, 
 from estimators.diagnosis.search.named import Bench, Named, best_named, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback
+from oed.covariances import on_one_thread
 from oed.data import Record
 from oed.files.objects import as_records
-from oed.threads import on_one_thread
 
 __all__ = ["Setting", "diagnose"]
 

@@ -32,11 +32,11 @@ from estimators.pem.search.levenberg_marquardt import Optimum
 from estimators.pem.search.problem import Problem, prepare
 from estimators.pem.search.starts import reflected
 from estimators.pem.subspace.subspace_fit import by_subspace, check_subspace
+from oed.covariances import on_one_thread
 from oed.data import Record
 from oed.errors import InputError, Status
 from oed.files.objects import as_records
 from oed.models.model import Polynomial, StateSpace, polynomial
-from oed.threads import on_one_thread
 
 __all__ = ["identify"]
 

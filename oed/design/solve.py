@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from oed.covariances import on_one_thread
 from oed.criteria import Criterion
 from oed.design.assembling import certified
 from oed.design.problem.budgets import power_budgets
@@ -24,7 +25,6 @@ from oed.design.solvers.condition_number import condition_design
 from oed.design.solvers.gain_scaling import peak_sinusoid
 from oed.design.solvers.merging_lines import collapsed
 from oed.errors import InputError
-from oed.threads import on_one_thread
 
 __all__ = ["solve_design"]
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.covariances import on_one_thread
 from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.budgets import power_budgets
@@ -30,7 +31,6 @@ from oed.design.problem.masks import Mask, Masks, hermitian_root
 from oed.design.solvers.column_generation import solve_weights
 from oed.errors import InfeasibleDesign, Status
 from oed.theory.quadrature import graded_edges, integral, panel_nodes, resolved_edges
-from oed.threads import on_one_thread
 
 __all__ = ["masked_design"]
 
@@ -162,11 +162,12 @@ class _Search:
         self.problem, self.masks, self.limit, self.tolerance = problem, masks, limit, tolerance
         self.ends = np.zeros(0)
         self.last: tuple[_Panels, NDArray[np.complex128]] | None = None
+        self.found: dict[_Density, tuple[NDArray[np.complex128], NDArray[np.float64]]] = {}
 
     def factor(self, panels: _Panels) -> NDArray[np.complex128]:
         """Scaled factors at the nodes, kept while the panels stay."""
         if self.last is None or self.last[0] is not panels:
-            self.last = panels, self.problem.scaled_factor(panels.omega)
+            self.last, self.found = (panels, self.problem.scaled_factor(panels.omega)), {}
         return self.last[1]
 
     def run(self, panels: _Panels) -> Design:
@@ -233,7 +234,10 @@ class _Search:
         return Columns(np.zeros(len(F)), direction, np.stack(F), np.stack(shares)), phi
 
     def _at(self, panels: _Panels, one: _Density) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        return self.masks.most(panels.R, panels.B, one.worth(self.factor(panels), self.limit))
+        factor = self.factor(panels)  # forgets what was found on other panels
+        if one not in self.found:
+            self.found[one] = self.masks.most(panels.R, panels.B, one.worth(factor, self.limit))
+        return self.found[one]
 
     def _best(self, panels: _Panels, X: NDArray) -> _Density:
         """With the price of power at which the bound is best; it is convex in the price."""

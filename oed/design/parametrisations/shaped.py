@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from oed.covariances import on_one_thread
 from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.budgets import power_budgets
@@ -28,7 +29,6 @@ from oed.design.problem.lines import Columns, Problem
 from oed.design.problem.white import information_nodes
 from oed.design.solvers.column_generation import lower_bound, solve_weights
 from oed.errors import InputError
-from oed.threads import on_one_thread
 
 __all__ = ["Shaped", "autoregressive_design", "band_basis", "basis_design"]
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from oed.covariances import on_one_thread
 from oed.criteria import Criterion, e_criterion
 from oed.design.problem.design import Design
 from oed.design.problem.information_maps import information_map
 from oed.errors import InfeasibleDesign, InputError
-from oed.threads import on_one_thread
 
 __all__ = ["application_criterion", "least_power_design"]
 

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.covariances import on_one_thread
 from oed.criteria import Criterion
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
 from oed.design.problem.information_maps import information_map
 from oed.design.questions.robust import robust_design
 from oed.errors import InputError, Status
-from oed.threads import on_one_thread
 
 __all__ = ["QuantileDesign", "quantile_design"]
 

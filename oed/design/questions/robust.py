@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from oed.covariances import on_one_thread
 from oed.criteria import Criterion
 from oed.criteria.determinant import Determinant
 from oed.criteria.eigenvalue import LargestEigenvalue
@@ -23,7 +24,6 @@ from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
 from oed.design.problem.information_maps import InformationMap, information_map
 from oed.errors import InputError
-from oed.threads import on_one_thread
 
 __all__ = ["robust_design", "stacked_map"]
 

@@ -8,9 +8,9 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from estimators import diagnose
 from estimators.pem import identify
+from oed.covariances import on_one_thread
 from oed.design import basis_design, masked_design, quantile_design, robust_design, solve_design
 from oed.plants.named import named_plant
-from oed.threads import on_one_thread
 
 
 def threads():
