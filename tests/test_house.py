@@ -4,6 +4,7 @@ module imports itself in a circle, and that ARCHITECTURE.md is the map of what i
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -134,6 +135,13 @@ def test_a_circle_is_caught() -> None:
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
 
 
+def test_the_map_has_whole_sentences() -> None:
+    """The first line of a module is its entry in the map: a sentence that goes on in the next line is cut off there."""
+    for path in FILES:
+        first = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").split("\n")[0]
+        assert first.endswith((".", ":", "?")), f"{path.relative_to(ROOT)}: {first}"
+
+
 def test_the_map_is_of_this_tree() -> None:
     assert (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8") == written(), "make map"
 
@@ -144,10 +152,8 @@ def test_imports_are_seen() -> None:
 
 @pytest.mark.parametrize("name", ["ARCHITECTURE.md", "CONTRIBUTING.md"])
 def test_paths_named_in_the_guides_exist(name: str) -> None:
-    import re
-
     text = (ROOT / name).read_text(encoding="utf-8").split("## The tree")[0]
-    paths = re.findall(r"`((?:oed|estimators|benchmarks|tests)/[\w/]+(?:\.py)?)`", text)
+    paths = re.findall(r"`((?:oed|estimators|benchmarks|tests|docs)/[\w/.*]+)`", text)
     missing = [p for p in paths if not (ROOT / p).exists()]
     assert paths, "the guide names no path"
     assert not missing, missing

@@ -1,5 +1,6 @@
-"""The map of [S] Sec. 4.2's claim as a table and a figure: where is the sinusoid at the peak, where is the limit
-spectrum, an optimal experiment for the peak gain? Every row carries its certificate.
+"""The map of [S] Sec. 4.2's claim as a table and a figure, every row with its certificate.
+
+Where is the sinusoid at the peak, where is the limit spectrum, an optimal experiment for the peak gain?
 
     rows = claim_rows()              for `benchmarks.tables.formats`, with the headings COLUMNS
     figure = claim_figure(rows)      c-efficiencies, case by case (`benchmarks.page.comparison_figures`)

@@ -1,6 +1,6 @@
 """From the rows of a campaign to the comparison table: every figure with its Monte-Carlo standard error.
 
-rho = RMSE(gamma^) sqrt(input energy / lambda_e), the yardstick of theory.md section 4: at least 1 for unbiased
+rho = RMSE(gamma^) sqrt(input energy / lambda_e), the yardstick of docs/theory/design.md: at least 1 for unbiased
 estimators (a local, large-sample bound), whatever the method.
 """
 

@@ -1,7 +1,8 @@
 """A record's way through the diagnosis: each stage a pure function from frozen results to one frozen result.
 
-Record -> findings about the data -> the best linear model -> what could be explained -> steps (named, discovered,
-remainder) -> the ladder on unused blocks -> the verdict. No stage calls back.
+Record -> the best linear model -> faults of the measurement and named causes -> what could be explained -> discovered terms ->
+the ladder on unused blocks -> the remainder, and the ladder again -> the verdict. Two things are done again where they must be:
+the linear model without samples that are faults, and the discovery beside a model that was found after it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the user knows and wants of a diagnosis, and every threshold of its claims with the reason."""
+"""What the user knows and wants of a diagnosis, and the thresholds of claims and of the ladder, each with its reason."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Figures of an identified model: measured against modelled, residuals, gain and phase, poles and zeros, step,
-singular values."""
+"""Figures of an identified model: measured against modelled, residuals, Bode, poles and zeros, step, order."""
 
 from __future__ import annotations
 

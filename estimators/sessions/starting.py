@@ -1,4 +1,4 @@
-"""A session begun in a folder: its settings written once, and never over another"s."""
+"""A session begun in a folder: its settings written once, and never over another's."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def solve_design(
 
     Notes
     -----
-    Source: theory.md sections 4 and 5 of the design notes; V. V. Fedorov, Theory of Optimal Experiments (1972),
+    Source: docs/theory/design.md; V. V. Fedorov, Theory of Optimal Experiments (1972),
     for the equivalence theorem; G. Elfving (1952) for singular designs. Twin: tests/oracles.
     """
     if solver not in ("newton", "clarabel"):

@@ -1,7 +1,7 @@
 """How good an experiment the iterations are: efficiencies of their spectra against certified optima.
 
 The efficiency of a spectrum for a criterion is the optimal loss over its own loss, at equal power; for the
-peak gain (c) it is lambda_e / (c' I^-1 c) wherever the gain-scaling theorem holds (theory.md section 4).
+peak gain (c) it is lambda_e / (c' I^-1 c) wherever the gain-scaling theorem holds (docs/theory/design.md).
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def peak_gain_efficiency_by_experiments(
 
     Shapes: returns (experiments,).
 
-    Source: [S] Lemmas 6 and 13; table of theory.md section 4.
+    Source: [S] Lemmas 6 and 13; table of docs/theory/design.md.
     """
     top = peak(plant)
     if not top.unique:

@@ -90,7 +90,7 @@ def finite_norm(plant: Plant, samples: int) -> float:
     Block Lanczos on G' G with products by the fast Fourier transform, started from what the worst inputs tend
     to: sinusoids at the peaks under the windows sin(k pi t / N). O(N log N); N = 1e5 takes a second.
 
-    [S] (2), (5), Theorem 2; figures in theory.md section 6. Twin: dense singular values in the tests.
+    [S] (2), (5), Theorem 2; figures in docs/theory/finite.md. Twin: dense singular values in the tests.
     """
     _check_samples(samples)
     if samples * max(plant.n_inputs, plant.n_outputs) <= DENSE:
@@ -178,7 +178,7 @@ def finite_moments(
 ) -> FiniteMoments:
     """Means of beta_2^2 and mu^2 of Algorithm 1 from a white start, at finite N.
 
-    theory.md section 6 gives the first two; the third expands E[q_i / Q] in the fluctuation of Q and carries
+    docs/theory/finite.md gives the first two; the third expands E[q_i / Q] in the fluctuation of Q and carries
     the covariance of the shares through C+ = J Cov(q) J' / Q^2, J = I - p+ 1'.
     """
     check_names([effect], EFFECTS, "description")

@@ -41,7 +41,7 @@ def finite_mimo_moments(
 ) -> FiniteMoments:
     """Means of gamma_2^2 and mu^2 of Procedure 2 from a white start, at finite N.
 
-    [M] leaves the noise open; theory.md section 6 has one input and one output. With deterministic Q and P
+    [M] leaves the noise open; docs/theory/finite.md has one input and one output. With deterministic Q and P
     the recursion would be exact, so the second effect is all of their fluctuation: E[q_i / Q] is expanded in
     it, and the covariance of the shares is carried from iteration to iteration. Twin: campaigns of the
     compiled engine.

@@ -233,7 +233,7 @@ def limit_spectrum(plant: Any, *, method: str = "quadrature") -> LimitSpectrum:
 
     Notes
     -----
-    Source: [S] (9)-(10), solved as theory.md section 2 advises. The quadrature keeps 10 digits however
+    Source: [S] (9)-(10), solved as docs/theory/iterations.md advises. The quadrature keeps 10 digits however
     little the noise, since its panels shrink with the peak; the Lyapunov way may break down from delta / gamma^2 of about
     1e-12 on, and says so. Twins: `limit_spectrum_on_grid`, and adaptive quadrature in tests/oracles.
     """

@@ -86,7 +86,7 @@ class _Terms:
 def mimo_limit_spectrum(plant: Plant, *, scaling: str = "none") -> MimoLimitSpectrum:
     """Limit of the input spectrum under Procedure 2 with noise.
 
-    theory.md section 3, generalised to coloured and unequal noise. Twins: `mimo_recursion` iterated on a
+    docs/theory/iterations.md, generalised to coloured and unequal noise. Twins: `mimo_recursion` iterated on a
     uniform grid, and simulation.
     """
     check_names([scaling], SCALINGS, "scaling")

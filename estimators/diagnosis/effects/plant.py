@@ -1,5 +1,6 @@
-"""Effects inside a plant: forces of its position, velocity and input, elements with memory, rates that change,
-coefficients that follow time or a slow hidden state.
+"""Effects inside a plant: forces, elements with memory, rates and coefficients that change.
+
+Forces are of the plant's position, velocity and input; coefficients follow time or a slow hidden state.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The peak-gain design that the gain-scaling theorem names, offered to the certificate before any search.
 
-theory.md section 4: where some x has sum_i x_i G'_i = G / gamma, the sinusoid at the peak is optimal and x is its
+docs/theory/design.md: where some x has sum_i x_i G'_i = G / gamma, the sinusoid at the peak is optimal and x is its
 certificate. Whether it is, here, is decided by the certificate as for every other design.
 """
 
