@@ -104,6 +104,11 @@ CAPTIONS = {
 }  # fmt: skip
 
 
+def _times(ratio: float) -> str:
+    """A ratio to two digits, never with an exponent."""
+    return f"{float(f'{ratio:.2g}'):,.10g}"
+
+
 def short_answer(answer: Sequence[Row], best: Sequence[Row], settings: Settings) -> str:
     """The answer in one sentence."""
     if not answer:
@@ -118,7 +123,7 @@ def short_answer(answer: Sequence[Row], best: Sequence[Row], settings: Settings)
     sentence = f"The iterations are an optimal input for the peak gain in {len(good)} of {most} cases (plant and noise level)"
     if not wasted:
         return f"{sentence}."
-    return f"{sentence}; with their own estimators they need {wasted[0]:.2g} to {wasted[-1]:.2g} times the data of PEM."
+    return f"{sentence}; with their own estimators they need {_times(wasted[0])} to {_times(wasted[-1])} times the data of PEM."
 
 
 def advice_sentences(answer: Sequence[Row], best: Sequence[Row]) -> list[str]:

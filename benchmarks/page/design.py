@@ -83,7 +83,7 @@ def write_design(
     price += [{"x": float(w) / turn, "y": float(s), "series": "support"}
               for w, s in zip(design.spectrum.omega, design.certificate.sensitivity(design.spectrum.omega), strict=True)]  # fmt: skip
     spectrum = Figure("spectrum", "Where the power lies: the lines of the optimal spectrum over the gain of the plant.",
-                      "Power of the lines over frequency.", [*lines, *shape], where, "power",
+                      "Power of the lines over frequency.", [*lines, *shape], where, "power (input unit squared)",
                       {"power of the lines": "stems"}, rules=(0.0,))  # fmt: skip
     sensitivity = Figure("sensitivity", "The certificate: the sensitivity nowhere exceeds 1 and touches it at the lines, so no "
                          "admissible spectrum is better by more than the gap.", "Sensitivity over frequency with the support marked.",
@@ -110,7 +110,11 @@ def write_design(
               f"power reaches {100 * design.efficiency_white:.3g} % of it.")  # fmt: skip
     sure = [f"Loss {design.loss:.6g}, and no admissible spectrum has less than {design.bound:.6g}: a certified gap of {design.gap:.1e}.",
             f"{design.status.name}: {design.status.value}"]  # fmt: skip
-    todo = ["Apply input.csv."] if runs else ["Make a signal of it: the same command with --realise N."]
+    todo = (
+        ["Apply input.csv, and estimate from its record: oed identify RECORD."]
+        if runs
+        else ["Make a signal of it: the same command with --realise N."]
+    )
     if signal is not None and "realised_efficiency" in payload:
         sure.append(
             f"The signal of {len(signal)} samples keeps {100 * payload['realised_efficiency']:.3g} % of it, crest factor {payload['crest_factor']:.3g}."
@@ -133,7 +137,7 @@ def write_design(
                                            others, ["efficiency"])],
                 [Figure("alternatives", "What else one might apply, in shares of the certified optimum.", "Efficiencies as bars.", bars,
                         "share of the optimum", "", {"efficiency": "bars"}, sideways=True, rules=(1.0,))]),
-        Section("Lines", [], [Table("support", "Lines of the spectrum, one-sided.", {"frequency": where, "power": "power"}, support)]),
+        Section("Lines", [], [Table("support", "Lines of the spectrum, one-sided.", {"frequency": where, "power": "power (input unit squared)"}, support)]),
     ]  # fmt: skip
     page = Page(
         "design",

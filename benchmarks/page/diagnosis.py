@@ -210,14 +210,17 @@ def _linear(result: Diagnosis) -> list[Section]:
         "damping": "damping",
         "time_constant": "time constant (s)",
     }
-    orders = f"{result.linear['structure']}, orders {result.linear['orders']}, delay {result.linear['delay']} samples"
     tables = (
         [Table("poles", "Poles of the linear model; a real pole has a time constant only.", columns, rows)]
         if rows
         else []
     )
     return [
-        Section("The linear model", [_capital(orders), *map(_capital, result.linear.get("why", ()))], tables)
+        Section(
+            "The linear model",
+            [f"{result.linear['structure']}.", *(f"{why}." for why in result.linear.get("why", ()))],
+            tables,
+        )
     ]
 
 
@@ -250,7 +253,18 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
     before, after = result.rmse_before, result.rmse_after
     if result.detected:
         what = result.system.split("; error on fresh data")[0] or result.effect.replace("_", " ")
-        answer = f"The linear model lacks {what} ({result.nature}); the simulation error falls from {before.value:.3g} to {after.value:.3g}{unit}."
+        same = f"{before.value:.3g}" == f"{after.value:.3g}"
+        error = (
+            f"stays at {after.value:.3g}"
+            if same
+            else f"{'falls' if after.value < before.value else 'rises'} from {before.value:.3g} to {after.value:.3g}"
+        )
+        lacks = (
+            _capital(what)[:-1]
+            if what.startswith("nothing")
+            else f"The linear model lacks {what} ({result.nature})"
+        )
+        answer = f"{lacks}; the simulation error {error}{unit}."
     else:
         answer = f"Nothing is missing from the linear model that these data could show; its simulation error is {before.value:.3g}{unit}."
     low, high = result.difference.low, result.difference.high
@@ -287,8 +301,10 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, A
     )
     share = result.explainable
     if share:
-        evidence.append(f"Of the linear model's residual {100 * share['share']:.0f} % [{100 * share['low']:.0f}, {100 * share['high']:.0f}] "
-                        "can be explained by what was measured.")  # fmt: skip
+        found = [f"{100 * max(share[key], 0.0):.0f}" for key in ("share", "low", "high")]
+        evidence.append(
+            f"Of the linear model's residual {found[0]} % [{found[1]}, {found[2]}] can be explained by what was measured."
+        )
     sections = [
         Section("Before and after", [], [_errors(result)], [_runs(result, i) for i in outputs]),
         Section("The effect", evidence, [table] if parameters else [], curves),

@@ -105,18 +105,20 @@ def _poles(fit: Fit) -> tuple[Figure, Table]:
 
 
 def _residual(tests: Mapping[str, ResidualTest]) -> tuple[list[Figure], list[Table]]:
+    from estimators.residual.measures import in_ranges, p_stated
+
     points, rows = [], []
     for name, test in tests.items():
-        panel = f"{name}: p = {test.p_value:.2g}"
+        panel = f"{name}: {p_stated(test.p_value)}"
         points += [{"x": int(k), "y": float(r), "series": "correlation", "panel": panel}
                    for k, r in zip(test.lags, test.correlation, strict=True)]  # fmt: skip
         points += [{"x": int(k), "y": 0.0, "low": float(-2.576 * d), "high": float(2.576 * d), "series": "99 % where nothing is missing",
                     "panel": panel} for k, d in zip(test.lags, test.deviation, strict=True)]  # fmt: skip
-        rows.append({"test": name, "p_value": test.p_value, "lags": ", ".join(map(str, test.significant())) or "none",
+        rows.append({"test": name, "p_value": test.p_value, "p": p_stated(test.p_value), "lags": in_ranges(test.significant()) or "none",
                      "verdict": "something is missing" if test.p_value < SUSPECT else "nothing to see"})  # fmt: skip
     if not rows:
         return [], []
-    columns = {"test": "test", "p_value": "p", "lags": "significant lags", "verdict": "so"}
+    columns = {"test": "test", "p": "p-value", "lags": "significant lags", "verdict": "so"}
     figure = Figure("residuals", "Correlations of the residual over their lags.", "Correlations of the residual, one panel per test.",
                     points, "lag (samples)", "correlation", {"correlation": "stems"}, shared=False)  # fmt: skip
     return [figure], [
@@ -177,7 +179,8 @@ def write_identification(
 ) -> Path:  # fmt: skip
     """Write report.json, its tables and the page of an identified model."""
     gamma, error, omega = fit.hinf_norm
-    hertz = "" if fit.model.dt == 1 else f" ({omega / (2 * np.pi * fit.model.dt):.4g} Hz)"
+    first = records[0]
+    per = f"{first.output_units[0] or first.output_names[0]}/{first.input_units[0] or first.input_names[0]}"
     wrong = [name for name, test in tests.items() if test.p_value < SUSPECT]
     suffices = (
         "nothing is left in the residual"
@@ -191,8 +194,8 @@ def write_identification(
         f"simulates {share:.1f}" if np.isfinite(share) else f"predicts, one step ahead, {fit.fit_percent:.1f}"
     )
     orders = " ".join(map(str, payload["orders"]))
-    answer = f"A model of structure {payload['structure']} with orders {orders} {does} % of the output; {suffices}."
-    sure = [f"Peak gain {gamma:.4g} ± {error:.2g} at {omega:.4g} rad/sample{hertz}; standard errors hold if the model can describe the data.",
+    answer = f"A model of structure {payload['structure'].upper()} with orders {orders} {does} % of the output; {suffices}."
+    sure = [f"Peak gain {gamma:.4g} ± {error:.2g} {per} at {omega / (2 * np.pi * fit.model.dt):.4g} Hz; standard errors hold if the model can describe the data.",
             f"{fit.n_samples} samples; {fit.status.value}"]  # fmt: skip
     if "test" in payload:
         sure.append(
@@ -215,7 +218,7 @@ def write_identification(
         Section("Poles", [], [poles] if poles.rows else [], [figure] if poles.rows else []),
         Section("What the residual says", list(payload.get("notes", ())), tables, drawn),
         Section("Orders", figures=_orders(fit, records, payload["structure"], payload["orders"], payload["options"] | {"delay": payload["delay"]})),
-        Section("Parameters", [], [Table("parameters", "Parameters with their standard errors.",
+        Section("Parameters", [payload["letters"]], [Table("parameters", "Parameters with their standard errors.",
                                          {"parameter": "parameter", "value": "value ± standard error"}, parameters)]),
     ]  # fmt: skip
     page = Page("identification", "A model of measured data", answer, sure, todo, measured[:1],

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.page.content import Figure, Page, Section, Table, thinned
+from benchmarks.progress import in_words
 from oed.errors import InputError
 from oed.files.writing import write_figure, write_whole
 
@@ -46,9 +46,34 @@ def _curve(session: Any) -> list[dict[str, Any]]:
     return points
 
 
+def _limit_words(s: Any) -> dict[str, tuple[str, tuple[str, ...]]]:
+    """Each limit's words and the units of its numbers."""
+    per_second, squared = (
+        tuple(f"{u}/s" for u in s.input_units),
+        tuple(f"({u})^2" if u else "" for u in s.input_units),
+    )
+    return {
+        "power": ("mean square of the inputs, at most", ("",)),
+        "amplitude": ("deviation from the level, at most", s.input_units),
+        "rate": ("change per second, at most", per_second),
+        "energy": ("sum of squares, at most", squared),
+        "level": ("operating level", s.input_units),
+        "abort": ("output beyond which a record is not used", s.output_units),
+        "sensor_range": ("range of the sensor", s.output_units),
+    }
+
+
+def _listed(value: Any, units: tuple[str, ...]) -> str:
+    """Numbers, or pairs of them, each with its unit."""
+    each = value if isinstance(value, tuple) else (value,)
+    said = [" to ".join(f"{x:g}" for x in v) if isinstance(v, tuple) else f"{v:g}" for v in each]
+    return ", ".join(f"{words} {unit}".rstrip() for words, unit in zip(said, units, strict=True))
+
+
 def session_page(folder: Path) -> Page:
     """The page of a session's folder, as it stands; nothing in the folder changes."""
     from estimators.sessions import open_session
+    from estimators.sessions.layout import rig_samples
     from estimators.sessions.rest import rest_of
 
     session = open_session(folder)
@@ -74,31 +99,37 @@ def session_page(folder: Path) -> Page:
             column = lambda channel, unit: f"{channel} ({unit})" if unit else channel
             signals.append(Figure(f"last-{name}", f"The {name} of the last experiment.", f"The {name} over time.",
                                   thinned(last.t, dict(zip(names, side.T, strict=True))), "time (s)", ", ".join(map(column, names, units)), zoom=True))  # fmt: skip
-    named = ("power", "amplitude", "rate", "energy", "level", "abort", "sensor_range")
     limits = [
-        {"limit": key.replace("_", " "), "value": str(v)}
-        for key, v in asdict(s).items()
-        if key in named and v not in (None, ())
+        {"limit": words, "value": _listed(getattr(s, key), units)}
+        for key, (words, units) in _limit_words(s).items()
+        if getattr(s, key) not in (None, ())
     ]
     used = {
-        "energy used": f"{status['energy']:.6g}",
-        "largest input": f"{status['peak']:.6g}",
+        "energy used": f"{status['energy']:.6g} (sum of squares)",
+        "largest input": f"{status['peak']:.6g} {s.input_units[0]}".rstrip(),
         "samples": str(status["samples"]),
     }
     limits += [{"limit": key, "value": value} for key, value in used.items()]
     rest = rest_of(session)
-    tested = (
-        [*rest.sentences(s), *(f"Warning: {w}." for w in rest.warnings(s))]
-        if rest
-        else ["There is no rest test."]
-    )
+    tested = [f"{words}." for words in rest.sentences(s)] if rest else ["There is no rest test."]
     step = {"READY": f"Ask for the next input: oed session next {folder.name}.",
             "WAITING": f"Apply {Path(status['input']).name if status['input'] else 'the input'} and hand over what was measured: "
             f"oed session record {folder.name} FILE."}.get(status["status"], f"The session has ended: {status['message']}.")  # fmt: skip
     where = ""
     if np.isfinite(found.frequency_error):
         where = f" at {found.frequency / (2 * np.pi * s.dt):.4g} Hz"
-    answer = (f"The peak gain is {found.value:.4g}{where} after {done} of {budget} experiments." if np.isfinite(found.value)
+    per = (
+        f" {s.output_units[0] or s.outputs[0]}/{s.input_units[0] or s.inputs[0]}"
+        if s.n_inputs == s.n_outputs == 1
+        else ""
+    )
+    low, high = found.interval
+    span = f" (95 % interval {low:.4g} to {high:.4g})" if np.isfinite([low, high]).all() else ""
+    todo = [step, *(f"{w[:1].upper()}{w[1:]}." for w in rest.warnings(s))] if rest else [step]
+    if status["status"] in ("READY", "WAITING"):
+        left = in_words(rig_samples(s) * s.dt * (budget - done))
+        todo.append(f"At most {budget - done} experiments are left: {left} on the rig.")
+    answer = (f"The peak gain is {found.value:.4g}{per}{where}{span} after {done} of {budget} experiments." if np.isfinite(found.value)
               else f"There is no estimate yet: {done} of {budget} experiments are recorded.")  # fmt: skip
     sure = [str(found)[:1].upper() + str(found)[1:] + "."]
     sure += [f"Flagged and not used: {Path(name).name}." for name in status["flagged"]]
@@ -139,7 +170,7 @@ def session_page(folder: Path) -> Page:
         title,
         answer,
         sure,
-        [step],
+        todo,
         [curve] if curve.rows else [],
         sections,
         made,

@@ -25,6 +25,12 @@ def fit_percent(y: NDArray, y_hat: NDArray) -> float:
     return float(np.mean(values)) if values else float("nan")
 
 
+def in_ranges(lags: NDArray[np.int64]) -> str:
+    """Whole numbers (n,) in order, those that follow each other as a range: "1 to 5, 9"."""
+    runs = np.split(lags, np.flatnonzero(np.diff(lags) != 1) + 1) if lags.size else []
+    return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
+
+
 def p_stated(p: float, digits: int = 2) -> str:
     """A p-value as it is printed: "p = 0.03"; what has left the range of doubles is not called 0."""
     return f"p = {p:.{digits}g}" if p else "p < 1e-300"

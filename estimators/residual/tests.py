@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.residual.algebra import Parts, delayed, inverse, spread_of, taken_up
-from estimators.residual.measures import p_stated
+from estimators.residual.measures import in_ranges, p_stated
 from oed.data import Record, entry_name, frozen
 from oed.errors import InputError
 from oed.files.objects import as_records
@@ -95,10 +95,8 @@ class ResidualTest:
         return rest | arrays
 
     def __repr__(self) -> str:
-        lags = self.significant()
-        runs = np.split(lags, np.flatnonzero(np.diff(lags) != 1) + 1) if lags.size else []
-        ranges = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
-        where = f"; significant at lags {', '.join(ranges)}" if ranges else ""
+        lags = in_ranges(self.significant())
+        where = f"; significant at lags {lags}" if lags else ""
         asks = QUESTIONS.get(self.name.split("[")[0].split()[0], "")
         return f"{self.name}{asks}: chi2({self.freedom}) = {self.statistic:.4g}, {p_stated(self.p_value, 3)}{where}"
 

@@ -1,13 +1,38 @@
 """`oed diagnose --out`: the folder, the page and what it says."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from benchmarks.commands.record import diagnose as command
+from benchmarks.page.diagnosis import _words
 from benchmarks.page.skeleton import write_report
+from estimators.diagnosis.ladder.verdicts import NOTHING
+
+
+@pytest.mark.parametrize(
+    "system, after, answer",
+    [
+        (
+            "a limit at the input",
+            0.1,
+            "The linear model lacks a limit at the input (static); the simulation error falls from 0.2 to 0.1.",
+        ),
+        (NOTHING, 0.2, f"N{NOTHING[1:]}; the simulation error stays at 0.2."),
+        (NOTHING, 0.3, f"N{NOTHING[1:]}; the simulation error rises from 0.2 to 0.3."),
+    ],
+)
+def test_the_answer_is_a_sentence(system, after, answer):
+    figure = lambda value: SimpleNamespace(value=value, low=0.0, high=1.0)
+    result = SimpleNamespace(
+        detected=True, system=f"{system}; error on fresh data", effect="x", nature="static", rmse_before=figure(0.2),
+        rmse_after=figure(after), difference=figure(0.0), held_out="test record", p_value=1e-9, confusable=(), warnings=(),
+        remaining="", extra={"test": SimpleNamespace(output_units=("",))},
+    )  # fmt: skip
+    assert _words(result)[0] == answer  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

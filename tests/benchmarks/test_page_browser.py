@@ -275,6 +275,9 @@ def test_print_shows_whole_tables_on_white(browser, page):
         assert run(browser, look, "nav")[0] == "none"
         assert run(browser, look, "#table-comparison .scroll")[1] == "none"
         assert run(browser, look, "body")[2] == "rgb(255, 255, 255)"
+        assert run(browser, look, "#figure-signals .legend")[0] != "none"  # curves keep their names on paper
+        wide = "return [...document.querySelectorAll('.data')].map(t => t.getBoundingClientRect().right - innerWidth)"
+        assert max(run(browser, wide)) <= 0  # no column is cut off
     finally:
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
 
@@ -326,10 +329,38 @@ def test_the_served_page_follows_what_runs(browser, tmp_path):
             thread.join()
 
 
+FIRST_FILTER = """
+const look = () => {
+  const box = [...document.querySelectorAll('.filters input')].find(i => i.value === 'hair-dryer');
+  if (document.documentElement.dataset.ready !== 'yes' || !box) return setTimeout(look, 5);
+  box.click();
+  const seen = () => {
+    const names = new Set([...document.querySelectorAll('#table-comparison tbody tr')].map(r => r.cells[0].textContent));
+    if (names.size !== 1 || !names.has('hair-dryer')) return setTimeout(seen, 5);
+    window.interactive = performance.now();
+  };
+  seen();
+};
+addEventListener('DOMContentLoaded', look);
+"""
+LOOP = "const t = performance.now(); let s = 0; for (let i = 0; i < 3e7; i++) s += Math.sqrt(i); return s ? performance.now() - t : 0"
+FREE, INTERACTIVE = 200.0, 2000.0
+"""Milliseconds of the loop where nobody else runs, at the most, and those that are asked for from navigation to a filter's effect."""
+
+
 def test_a_page_as_large_as_the_default_comparison_is_small_and_quick(browser, page):
+    """From navigation to the table that a filter has changed, the best of three, by the clock of a machine of one's own."""
     assert len(html(small_page()).encode()) < 2_000_000
     opened(browser, page)
-    times = run(
-        browser, "const n = performance.getEntriesByType('navigation')[0]; return n.domContentLoadedEventEnd"
-    )
-    assert times < 60_000  # two seconds on a machine of one's own; this one may be shared by many
+    before = len(column(browser, "table-comparison", 0))
+    script = browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": FIRST_FILTER})
+    times, loads = [], []
+    for _ in range(3):
+        browser.get("about:blank")
+        browser.get(page.as_uri())
+        times.append(until(browser, "return window.interactive"))
+        assert len(column(browser, "table-comparison", 0)) == before / len(PLANTS)
+        loads.append(run(browser, LOOP))
+    browser.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", {"identifier": script["identifier"]})
+    print(f"interactive after {times} ms, the loop takes {loads} ms")
+    assert min(times) < INTERACTIVE * max(1.0, max(loads) / FREE), (times, loads)

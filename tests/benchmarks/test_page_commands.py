@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from benchmarks.cli import main
 from benchmarks.page.serve import page_of
+from estimators.residual.measures import p_stated
 from estimators.sessions import Settings, start_session
 from oed.errors import InputError
 from oed.experiments import simulated
@@ -55,6 +56,10 @@ def test_identification(tmp_path, capfd):
     assert {r["parameter"]: r["value"] for r in tables["parameters"]} == {
         k: v for k, (v, _) in found["parameters"].items()
     }
+    assert [r["p"] for r in tables["residual_tests"]] == [
+        p_stated(p) for p in found["residual_tests"].values()
+    ]
+    assert "in y/u" in next(s for s in content["sections"] if s["title"] == "Parameters")["text"][0]
     pole = np.roots([1, -1.2, 0.6])[0]
     assert tables["poles"][0]["frequency_hz"] == pytest.approx(abs(np.log(pole)) / (0.2 * np.pi), rel=0.1)
     figures = {f["name"]: f["rows"] for s in content["sections"] for f in s["figures"]}
@@ -99,7 +104,18 @@ def test_design(tmp_path, capfd):
 
 @pytest.mark.slow
 def test_session(tmp_path):
-    session = start_session(tmp_path / "rig", Settings("power", samples=200, experiments=3, dt=0.01))
+    session = start_session(
+        tmp_path / "rig",
+        Settings(
+            "power",
+            samples=200,
+            experiments=3,
+            dt=0.01,
+            amplitude=(2.0,),
+            input_units=("N",),
+            output_units=("mm",),
+        ),
+    )
     assert "no estimate yet: 0 of 3" in page_of(tmp_path / "rig").answer
     rig = simulated(named_plant("reference", 0.01), seed=1)
     session.run(rig)
@@ -108,7 +124,9 @@ def test_session(tmp_path):
     assert sorted(p.name for p in (tmp_path / "rig").iterdir()) == before
     assert page.progress == (3, 3)
     found = session.estimate()
-    assert f"{found.value:.4g}" in page.answer
+    assert f"{found.value:.4g} mm/N" in page.answer
+    assert f"{found.interval[0]:.4g} to {found.interval[1]:.4g}" in page.answer
+    assert {r["limit"]: r["value"] for r in page.tables[1].rows}["deviation from the level, at most"] == "2 N"
     (last,) = [r for r in page.hero[0].rows if r["series"].startswith("estimate") and r["x"] == 3]
     assert (last["y"], last["low"], last["high"]) == (found.value, *found.interval)
     assert [r["experiment"] for r in page.tables[0].rows] == [1, 2, 3]

@@ -191,7 +191,14 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         with where_installed(lines, "the page"):
             from benchmarks.page.identification import write_identification
 
-            write_identification(out, fit, records, tests, made, payload | {"options": options})
+            write_identification(
+                out,
+                fit,
+                records,
+                tests,
+                made,
+                payload | {"options": options, "letters": f"{_letters(fit, records[0]).strip()}."},
+            )
         lines.append(f"written to {payload['out']}")
     return payload, "\n".join(lines)
 
@@ -225,7 +232,7 @@ def _letters(fit, record) -> str:
     units = lambda units, names: " or ".join(dict.fromkeys(u or n for u, n in zip(units, names, strict=True)))
     per = f"{units(record.output_units, record.output_names)}/{units(record.input_units, record.input_names)}"
     used = dict.fromkeys(name[0] for name in fit.names if name[0] in LETTERS)
-    return "  where " + "; ".join(f"{letter}: {LETTERS[letter].format(per=per)}" for letter in used)
+    return "  Where " + "; ".join(f"{letter}: {LETTERS[letter].format(per=per)}" for letter in used)
 
 
 def _order(text: str) -> int | str:
