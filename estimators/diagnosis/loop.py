@@ -348,7 +348,8 @@ def _diagnosis(
     if test is not None:
         notes += outside(records, test, setting.policy)
     floor = float(np.sqrt(np.mean([_floor(o, train) ** 2 for o in outcomes])))
-    found = verdict(outcomes, held, setting)
+    found: dict[str, Any] = verdict(outcomes, held, setting)
+    found["data"] += observations(records)
     return Diagnosis(
         rmse_before=held.rmse_before, rmse_after=held.rmse_after, pred_rmse_before=held.pred_before,
         pred_rmse_after=held.pred_after, difference=held.difference, noise_floor=floor, room=held.room,
@@ -356,7 +357,7 @@ def _diagnosis(
         warnings=tuple(notes), model=diagnosed_model(records, held.answered, [o.ladder for o in outcomes]), linear=_linear(base), ladder=held.rungs,
         extra={"outputs": [o.examined for o in outcomes], "finals": [o.named.fit for o in outcomes], "train": train,
                "test": train if test is None else test},
-        **found | {"data": (*found["data"], *observations(records))},
+        **found,
     )  # fmt: skip
 
 
