@@ -215,4 +215,89 @@ LOST = Effect(
                                     for t in np.linspace(-0.07, 0.07, 9)]),
 )  # fmt: skip
 
-TIMING = (DRIFT, LOST)
+FALSE = 1e-4  # chance of a line of the age where there is none, over all frequencies
+LINES, PHASES, NEAR = (
+    3,
+    8,
+    np.linspace(-1.0, 1.0, 9),
+)  # lines tried; phases of each; periods about each, in its resolution
+
+
+MOST = 0.9  # samples that must count
+GRID, FINER = (
+    np.linspace(-1.0, 1.0, 5),
+    (0.1, 0.05, 0.025, 0.012, 0.006, 0.003, 0.0015),
+)  # ever closer to a period and its phase
+
+
+def _refreshed(y: Array, p: Array, clock: Clock) -> Array:
+    """The value of the last refresh, every p[0] samples, one of them at sample p[1]."""
+    if not 1.05 < p[0] < 0.1 * clock.length:
+        return np.full(len(y), np.inf)
+    return _read(y, np.floor((clock.k - p[1]) / p[0]) * p[0] + p[1] - clock.k[0])
+
+
+def _ages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Where readings age between refreshes, the residual is the age times the output's rate: a line in their product."""
+    from scipy.interpolate import CubicSpline
+
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.simulation import simulate
+    from estimators.diagnosis.model.structure import Part
+
+    s, n = base.structure, len(channel)
+    keep = channel.keep  # without those that stand out, as stale readings do
+    if s.layout != "tf" or s.effects or np.mean(keep) < MOST:
+        return
+    rate = np.gradient(channel.y - base.residual)
+    power = np.abs(np.fft.rfft((base.residual * rate) * np.hanning(n), 4 * n)) ** 2
+    power[: 4 * n // 50] = 0.0  # refreshes every fifty samples and more show as repeats
+    shapes: list[tuple[float, float]] = []
+    for _ in range(LINES):
+        top = int(np.argmax(power))
+        if power[top] < np.log(2 * n / FALSE) * np.mean(power[power > 0.0]):
+            break
+        f = top / (4.0 * n)
+        periods = [1.0 / f, 1.0 / (1.0 - f)]
+        shapes += [
+            (q + 0.25 * q * q / n * d, i / PHASES * q) for q in periods for d in NEAR for i in range(PHASES)
+        ]
+        power[max(0, top - 12) : top + 12] = 0.0
+    k, x, trials = channel.clock.k, channel.y - base.residual, []
+    for q, phase in shapes:  # the linear model's delay holds the mean age already
+        at = np.floor((k - phase) / q) * q + phase - k[0]
+        e = np.where(keep, channel.y - _read(x, at + 0.5 * (q - 1.0)), 0.0)
+        trials.append((float(e @ e), (q, phase), at))
+    for left, shape, at in sorted(trials, key=lambda t: t[0])[:LINES]:
+        if left > NOTHING * float(base.residual @ base.residual):
+            break
+        when, first = np.unique(
+            at, return_index=True
+        )  # of the refreshes, and the samples that read them first
+        fresh = CubicSpline(when, channel.y[first])(np.arange(n)) if len(when) > 3 else channel.y
+        fits = [fit_linear(replace(channel, y=fresh), replace(s, delay=d), rough=True) for d in {0, s.delay}]
+        f = min(fits, key=lambda g: g.deviance)
+        form = f.structure.adding(Part(REFRESHED, s.inputs[0]))
+        p, scales = np.concatenate((f.p, shape)), np.concatenate((f.scales, [shape[0] ** 2 / n, shape[0]]))
+        held = np.concatenate((f.scales, [0.0, 0.0]))
+        for size in FINER:  # samples that change their refresh jump: no derivative knows of them
+            p = fit(channel, form, p, held, iterations=5, colour=False).p
+            steps = size * scales[-2:] * np.stack(np.meshgrid(GRID, GRID), axis=-1).reshape(-1, 2)
+            moved = [np.concatenate((p[:-2], p[-2:] + step)) for step in steps]
+            p = min(
+                moved,
+                key=lambda q: float(
+                    np.sum((channel.y - simulate(form, q, channel.u, channel.clock))[keep] ** 2)
+                ),
+            )
+        yield fit(channel, form, p, scales, noise=base.noise, iterations=20)
+
+
+REFRESHED = Effect(
+    key="refreshed", cause="held_between_refreshes", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, trials=2000,
+    sentence="the sensor is refreshed at a rate of its own: every sample reads its last value, which ages until the next",
+    parameters={"period": "sample", "phase": "sample"}, apply=_refreshed, search=_ages,
+)  # fmt: skip
+
+TIMING = (DRIFT, LOST, REFRESHED)

@@ -255,7 +255,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     if not options:
         return first
     near = [n for n in options if not _told_apart(bench, n, options[0])]
-    best = min(near, key=lambda n: (len(n.claims), len(n.fit.p), n.step_error(bench)))
+    best = min(near, key=lambda n: (_bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench)))
     head = best.claims[0]
     equal = [n.claims[0].cause for n in near if len(n.claims) <= len(best.claims)]
     rivals = tuple(name for name in dict.fromkeys((*head.rivals, *equal)) if name != head.cause)
@@ -313,10 +313,18 @@ def _why(c: Claim, bench: Bench) -> str:
     )
 
 
+def _bent(c: Claim) -> bool:
+    """Whether it is no linear dynamics: what a pole or a delay explains as well is that."""
+    return c.part.effect.nature in BENT
+
+
 def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
     """Single effects that fit as well as the first one does, and what the search noted for the others."""
     out = []
     for c in claims:
+        if len(claims) == 1 and _bent(c):
+            linear = (o for o in a.claims if o.effect.nature is Nature.LINEAR and as_good(f, o.fit))
+            c = next((replace(c, part=replace(c.part, effect=o.effect)) for o in linear), c)
         names = list(a.rivals.get(c.key, []))
         if len(claims) == 1:
             names += [o.cause for o in a.claims if o.cause != c.cause and as_good(f, o.fit)]

@@ -273,6 +273,11 @@ def lost_samples(u, a):
     return _read(u, k - 2.0 * a * (k > 300))
 
 
+def refreshed(u, a):
+    k = np.arange(len(u))
+    return _read(u, np.maximum(np.floor((k - 0.7) / 3.37) * 3.37 + 0.7, 0.0) if a else k)
+
+
 def sweep(u, a):
     k = np.arange(len(u))
     return _linear(u) + 0.3 * a * np.cos(0.3 * k + 0.5 * 0.002 * k**2 + 0.4)
@@ -293,7 +298,8 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "pendulum_pivot": (pivot, 3, {"size": 0.8}), "position_periodic": (eccentric, 2, {"mean": 3.0, "size": 0.6}),
     "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "gain_heat": (heated_gain, 2, {}),
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
-    "lost_samples": (lost_samples, 2, {}), "sweep": (sweep, 2, {}),
+    "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
+    "sweep": (sweep, 2, {}),
     "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "bilinear": (carried_off, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "stiffness_cubic": (pushed_twice, 2, {"inputs": 2}), "pendulum of two": (pendulum_of_two, 2, {"size": 0.35, "inputs": 2}),
@@ -305,7 +311,7 @@ LOOKALIKES = {
     "input_exponential": "rise_and_fall", "input_tanh": "input_kink", "relay": "hysteresis_rate", "magnitude": "squared",
     "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifice": "vessel",
     "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
-    "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "sweep": "pendulum",
+    "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",
     "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
 }  # fmt: skip
