@@ -199,9 +199,14 @@ def _outcome(
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     least = int(len(out) > 0)
     ladder = climb(y, steps, counted, setting.policy, least=least)
-    if ladder.chosen.kind is Kind.DISCOVERED and not _confirmed(records, i, base, counted, again(), setting):
-        steps = [replace(s, admitted=s.kind is not Kind.DISCOVERED) for s in steps]
-        ladder = climb(y, steps, counted, setting.policy, least=least)
+    if ladder.chosen.kind is Kind.DISCOVERED:
+        without = [replace(s, admitted=s.kind is not Kind.DISCOVERED) for s in steps]
+        other = climb(y, without, counted, setting.policy, least=least)
+        gain = paired_gain(y, other.chosen.unused, ladder.chosen.unused, ladder.counted, setting.policy)
+        errors, most = setting.policy.unchecked
+        sure = gain.beyond(errors) and gain.share > most
+        if not sure and not _confirmed(records, i, base, counted, again(), setting):
+            steps, ladder = without, other
     above = share if ladder.chosen.kind is Kind.LINEAR else left
     rest = None
     if discovery.sought:

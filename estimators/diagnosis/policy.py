@@ -34,6 +34,9 @@ class Policy:
     overwhelming: tuple[float, float] = (4.0, 0.1)
     # a gain on unused blocks that needs no likelihood ratio beside it: under a noise model of high order the linear model's
     # smooth error is predicted from its own past, and the ratio says nothing; four errors are one in 30000 by chance
+    unchecked: tuple[float, float] = (4.0, 0.5)
+    # a gain over any other answer that no second search for the terms must confirm: hundreds of candidates may find a tenth
+    # of an error by luck, not a half
     carried: tuple[float, float] = (0.9, 1.5)
     # share of what the answer explains that named effects must explain to lend their names to it, and by what factor
     # their error may be above its: of a large error nine tenths go with any curve that is nearly right

@@ -54,10 +54,14 @@ class Outcome:
         return min((r.value for r in self.ladder.rungs if r.step.kind is kind), default=np.inf)
 
     def named_carries(self, policy: Policy) -> bool:
-        """Whether the named model is so near the answer on unused blocks that its names stand for both."""
+        """Whether the named model is so near the answer on unused blocks that its names stand for both: less, if alike."""
         linear, answer = self.value(Kind.LINEAR) ** 2, self.ladder.rungs[self.ladder.answer].value ** 2
         named, (share, factor) = self.value(Kind.NAMED) ** 2, policy.carried
-        return linear - named >= share * (linear - answer) and answer < linear and named <= factor**2 * answer
+        alike = [t.nature for t in self.discovery.terms[:1]] == [
+            c.part.effect.nature for c in self.named.claims[:1]
+        ]
+        near = named <= factor**2 * answer or (alike and self.ladder.chosen.kind is Kind.DISCOVERED)
+        return linear - named >= share * (linear - answer) and answer < linear and near
 
 
 @dataclass(frozen=True)
@@ -328,11 +332,8 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
 
 
 def _of_the_best(o: Outcome) -> bool:
-    """Whether the residual that was tested is that of a model as good as the best linear one.
-
-    What a worse one leaves depends on anything that the better one knows. Compared are one-step errors, which a noise model
-    does not flatter on one side only.
-    """
+    """Whether the residual that was tested is that of a model as good as the best linear one: what a worse one leaves depends
+    on anything that the better one knows. One-step errors, which a noise model does not flatter on one side only."""
     f, c, unused = o.named.fit, o.examined.last, o.ladder.linear.unused[0]
     if len(unused) != len(c):  # a thinned record: its simulation errors
         return float(np.sqrt(np.mean(f.residual[c.keep] ** 2))) <= WORSE * o.ladder.rungs[0].value

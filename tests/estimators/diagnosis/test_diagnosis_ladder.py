@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -82,11 +83,39 @@ def test_a_finite_prediction_gains_all_over_one_that_is_not() -> None:
 
 def test_named_effects_lend_their_names_only_to_an_answer_that_they_nearly_are() -> None:
     """Nine tenths of a large error go with a curve that is nearly right: what it leaves must be near the answer's too."""
-    for named, lent in ((0.34, True), (0.5, False), (0.95, False)):
+    same, other = (
+        SimpleNamespace(nature=x, part=SimpleNamespace(effect=SimpleNamespace(nature=x))) for x in "ab"
+    )
+    for named, claim, lent in (
+        (0.34, other, True),
+        (0.5, other, False),
+        (0.5, same, True),
+        (1.2, same, False),
+    ):
         y, steps = _case(3, 3.0, 1.0, 1.0)
         y, noise = [0.0 * y[0]], y[0]
         steps[1:] = [replace(steps[1], unused=(named * noise,)), replace(steps[2], unused=(0.3 * noise,))]
         ladder = climb(y, steps, COUNTED, POLICY)
         assert ladder.chosen.kind is Kind.DISCOVERED or named == 0.34
         ladder = replace(ladder, answer=2)
-        assert Outcome(0, *(None,) * 2, ladder, *(None,) * 3).named_carries(POLICY) is lent  # pyright: ignore[reportArgumentType]
+        found, terms = SimpleNamespace(claims=[claim]), SimpleNamespace(terms=[same])
+        o = Outcome(0, None, found, ladder, None, None, terms)  # pyright: ignore[reportArgumentType]
+        assert o.named_carries(POLICY) is lent
+
+
+def test_the_best_of_hundreds_gains_less_by_luck_than_what_needs_no_second_search() -> None:
+    """Four of 300 tones, each the best for what the others leave and fitted to the same noise, twenty records."""
+    errors, most = POLICY.unchecked
+    for seed in range(20):
+        rest = np.random.default_rng(seed).standard_normal(400)
+        noise, waves = rest, np.cos(np.outer(np.arange(400), np.linspace(0.01, 3.0, 300)))
+        for _ in range(4):
+            scores = (waves.T @ rest) ** 2 / np.sum(waves**2, axis=0)
+            x = waves[:, int(np.argmax(scores))]
+            rest = rest - x * (x @ rest) / (x @ x)
+        use = [np.ones(400, dtype=bool)]
+        gain = paired_gain([noise], [0.0 * noise], [noise - rest], use, POLICY)
+        assert 0.0 < gain.share < 0.5 * most
+        half = paired_gain([noise], [0.0 * noise], [0.6 * noise], use, POLICY)
+        assert half.share > most
+        assert half.beyond(errors)

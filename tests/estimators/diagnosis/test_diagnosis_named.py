@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,12 +12,14 @@ from scipy.signal import lfilter
 from estimators.diagnosis.discovery.dictionary import Kind
 from estimators.diagnosis.discovery.form import Factor, Term
 from estimators.diagnosis.discovery.wording import same_as
-from estimators.diagnosis.effects import CATALOGUE, Clock
+from estimators.diagnosis.effects import CATALOGUE, Clock, named
+from estimators.diagnosis.ladder import Gain
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
-from estimators.diagnosis.model.structure import Structure
+from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.leftover import leftovers
+from estimators.diagnosis.search.named import Claim, _with_rivals
 from oed.data import Record
 from oed.errors import InputError
 
@@ -76,18 +79,31 @@ def test_residual_tests_skip_parameters_that_are_held(rng) -> None:
 
 
 def test_terms_get_names_of_the_catalogue_where_they_say_the_same() -> None:
-    def named(kind: int, signal: str, slot: str, order: int = 2) -> str:
+    def said(kind: int, signal: str, slot: str, order: int = 2) -> str:
         return same_as(Term((Factor(kind, signal, 0.0),), slot), order)
 
-    assert named(Kind.SIN, "y0", "force") == "pendulum"
-    assert named(Kind.SIN, "y0", "force", order=1) == "nonlinear_loss"  # nothing swings without a mass
-    assert named(Kind.BELL, "v0", "force") == "stribeck_friction"
-    assert named(Kind.LOG, "u0", "force") == "hammerstein"
-    assert named(Kind.ABS, "du0", "force") == ""
+    assert said(Kind.SIN, "y0", "force") == "pendulum"
+    assert said(Kind.SIN, "y0", "force", order=1) == "nonlinear_loss"  # nothing swings without a mass
+    assert said(Kind.BELL, "v0", "force") == "stribeck_friction"
+    assert said(Kind.LOG, "u0", "force") == "hammerstein"
+    assert said(Kind.ABS, "du0", "force") == ""
+    pairs = {("u0", "u1"): "product_of_inputs", ("u0", "y0"): "bilinear", ("u0", "u0"): "", ("u0", "v0"): ""}
+    for (a, b), name in pairs.items():
+        assert same_as(Term((Factor(Kind.LINEAR, a, 0.0), Factor(Kind.LINEAR, b, 0.0)), "force"), 2) == name
     found = {
-        named(k, s, slot)
-        for k in range(16)
-        for s in ("y0", "v0", "u0", "du0")
-        for slot in ("force", "output")
+        said(k, s, slot) for k in range(16) for s in ("y0", "v0", "u0", "du0") for slot in ("force", "output")
     }
     assert found - {""} <= CAUSES
+
+
+def test_what_a_pole_explains_as_well_is_linear_dynamics(rng) -> None:
+    u = rng.standard_normal(500)
+    y = lfilter([0.0, 0.1, 0.1], [1.0, -1.5, 0.7], u) + 0.02 * rng.standard_normal(500)
+    channel = Channel(u[:, None], y, Clock(np.arange(500.0), 500), np.ones(500, dtype=bool))
+    good, poor = (fit_linear(channel, Structure(order)) for order in (2, 1))
+    claim = Claim(Part(named("input_cubic")), Gain(1.0, 0.1, 0.5), 1e-9)
+    for rival, cause in ((good, "sensor_lag"), (poor, "hammerstein")):
+        a = SimpleNamespace(
+            rivals={}, claims=[SimpleNamespace(effect=named("lag"), cause="sensor_lag", fit=rival)]
+        )
+        assert _with_rivals([claim], a, good)[0].cause == cause  # pyright: ignore[reportArgumentType]
