@@ -129,8 +129,8 @@ def same_as(term: Term, order: int = 2) -> str:
         plain = all(f.kind == Kind.LINEAR for f in term.factors)
         kinds = sorted(f.signal[0] for f in term.factors)
         several = len({f.signal for f in term.factors}) > 1
-        names = {("u", "y"): "bilinear", ("u", "u"): "product_of_inputs" if several else ""}
-        return names.get(tuple(kinds), "") if plain else ""
+        names = {"uy": "bilinear", "uu": "product_of_inputs" if several else ""}
+        return names.get("".join(kinds), "") if plain else ""
     f = term.factors[0]
     side = f.signal[0] if not f.signal.startswith("du") else "d"
     found = SAME.get((term.slot, side, f.kind)) or WHOLE.get((term.slot, side), "")
