@@ -1,14 +1,15 @@
 """What is compared: methods, which choose the inputs, and estimators, which turn the records into a norm.
 
 The two are kept apart because the question is which of them earns the gain. A method is a function
-`method(experiment, *, samples, iterations, rng) -> Trace`; an estimator a function
-`estimator(trace, plant) -> Estimate` that may use the plant's structure (orders, delay) but not its values.
+`method(experiment, *, samples, iterations, rng) -> Trace`. What either is told beforehand is part of its entry here, and it
+is handed no more than that: nothing, the structure (orders, delay, length), or the plant.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from functools import partial
 from typing import Any
 
@@ -26,7 +27,10 @@ from oed.errors import InputError, OedError, Status, check_names
 from oed.experiments import Experiment
 from oed.plants.plant import Plant
 
-__all__ = ["ESTIMATORS", "METHODS", "Estimate", "Estimator", "Method", "compatible", "fits", "method_for"]
+__all__ = [
+    "ESTIMATORS", "METHODS", "Estimate", "Estimator", "Input", "Method", "Structure", "Told", "compatible", "fits",
+    "method_for", "of_the_iterations", "tell", "told", "words_of",
+]  # fmt: skip
 
 Method = Callable[..., Trace]
 
@@ -45,69 +49,134 @@ class Estimate:
     message: str = ""
 
 
-Estimator = Callable[[Trace, Plant], Estimate]
+class Told(Enum):
+    """What an input or an estimator is told beforehand; the values are the words of the tables, least first."""
+
+    NOTHING = "nothing"
+    STRUCTURE = "structure"
+    PLANT = "plant"
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What is known of a plant where only its structure is: no value of a parameter.
+
+    `orders` numerator and denominator, `delay`, entry by entry as `identify` takes them; `taps` so many hold 99.99 % of the
+    impulse response's energy.
+    """
+
+    orders: tuple[Any, Any]
+    delay: Any
+    taps: int
+
+
+def tell(plant: Plant, what: Told) -> tuple[Any, ...]:
+    """The arguments that carry what is told: none, the structure, or the plant itself."""
+    if what is Told.NOTHING:
+        return ()
+    if what is Told.PLANT:
+        return (plant,)
+    nb, nf, nk = model_orders(plant)
+    energy = np.cumsum(np.sum(plant.impulse_response(400) ** 2, axis=(1, 2)))
+    return (Structure((nb, nf), nk, int(np.searchsorted(energy, 0.9999 * energy[-1])) + 1),)
+
+
+@dataclass(frozen=True)
+class Input:
+    """A method of the comparison: how it is built of what it is told, and what that is."""
+
+    build: Callable[..., Method]
+    words: str
+    told: Told = Told.NOTHING
+    details: str = ""
+    one_channel: bool = False
+    iterations: bool = False
+
+    def __call__(self, plant: Plant) -> Method:
+        """The method for a plant, which itself is handed over only where the entry says so."""
+        return self.build(*tell(plant, self.told))
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """An estimator of the comparison: a function of the trace and of what it is told, and what that is.
+
+    `inputs` on whose records it means something, all where empty; `own` whether it belongs to the iterations.
+    """
+
+    estimate: Callable[..., Estimate]
+    words: str
+    told: Told = Told.NOTHING
+    details: str = ""
+    inputs: tuple[str, ...] = ()
+    own: bool = False
+
+    def __call__(self, trace: Trace, plant: Plant) -> Estimate:
+        """The estimate; the plant is handed over only where the entry says so."""
+        return self.estimate(trace, *tell(plant, self.told))
 
 
 def _run_rule(rule: Rule, experiment: Experiment, *, samples: int, iterations: int, rng: Any) -> Trace:
     return run(rule, experiment, samples=samples, experiments=iterations, rng=rng)
 
 
-def _rule(rule: Rule) -> Callable[[Plant], Method]:
-    return lambda plant: partial(_run_rule, rule)
+def _blind(rule: Rule, words: str, *, one_channel: bool = False, iterations: bool = False) -> Input:
+    return Input(lambda: partial(_run_rule, rule), words, one_channel=one_channel, iterations=iterations)
 
 
-def _oracle(criterion: str) -> Callable[[Plant], Method]:
+def _oracle(criterion: str, plant: Plant) -> Method:
     """The signal of the optimal spectrum of the true plant, with new phases in every experiment."""
+    from oed.design import solve_design
 
-    def build(plant: Plant) -> Method:
-        from oed.design import solve_design
+    spectrum = solve_design(plant, criterion).spectrum
 
-        spectrum = solve_design(plant, criterion).spectrum
+    def rule(samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator) -> Any:
+        from oed.signals.synthesis import realise
 
-        def rule(samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator) -> Any:
-            from oed.signals.synthesis import realise
+        while True:
+            yield realise(spectrum, samples, rng=rng)
 
-            while True:
-                yield realise(spectrum, samples, rng=rng)
-
-        return partial(_run_rule, rule)
-
-    return build
+    return partial(_run_rule, rule)
 
 
-def _adaptive(name: str) -> Callable[[Plant], Method]:
-    """Two-stage or sequential optimal design: the structure of the plant is known, its values are not."""
+def _adaptive(name: str, structure: Structure | None = None) -> Method:
+    """Two-stage or sequential optimal design; without a structure its model's orders and delay are chosen as it goes."""
 
-    def build(plant: Plant) -> Method:
+    def method(experiment: Experiment, *, samples: int, iterations: int, rng: Any) -> Trace:
         from estimators.rules import adaptive
 
-        nb, nf, nk = model_orders(plant)
+        orders, delay = (structure.orders, structure.delay) if structure else (None, None)
+        rule = getattr(adaptive, name)(orders, delay, experiments=iterations)
+        return _run_rule(rule, experiment, samples=samples, iterations=iterations, rng=rng)
 
-        def method(experiment: Experiment, *, samples: int, iterations: int, rng: Any) -> Trace:
-            rule = getattr(adaptive, name)((nb, nf), nk, experiments=iterations)
-            return _run_rule(rule, experiment, samples=samples, iterations=iterations, rng=rng)
-
-        return method
-
-    return build
+    return method
 
 
-METHODS: dict[str, Callable[[Plant], Method]] = {
-    "white": _rule(inputs.white),
-    "multisine": _rule(inputs.multisine),
-    "prbs": _rule(inputs.prbs),
-    "sweep": _rule(inputs.sweep),
-    "power": _rule(power_iterations),
-    "averaged": _rule(averaged_iterations),
-    "two-experiment": _rule(partial(procedure_2, scaling="each")),
-    "procedure-2": _rule(partial(procedure_2, scaling="each")),
-    "krylov": _rule(lanczos),
-    "bandit": _rule(thompson_sampling),
-    "two-stage": _adaptive("two_stage"),
-    "sequential": _adaptive("sequential"),
-    "oracle-D": _oracle("D"),
-    "oracle-hinf": _oracle("hinf"),
-}
+_ORDERS = "orders and delay"
+_PROCEDURE_2 = partial(procedure_2, scaling="each")
+METHODS: dict[str, Input] = {
+    "white": _blind(inputs.white, "white Gaussian noise"),
+    "multisine": _blind(inputs.multisine, "sinusoids of one size at all frequencies, random phases"),
+    "prbs": _blind(inputs.prbs, "a pseudo-random binary signal"),
+    "sweep": _blind(inputs.sweep, "a sinusoid whose frequency runs through the band"),
+    "power": _blind(power_iterations, "the power iterations: the next input is the last output, reversed in time and scaled",
+                    one_channel=True, iterations=True),
+    "averaged": _blind(averaged_iterations, "power iterations with their records averaged", one_channel=True, iterations=True),
+    "two-experiment": _blind(_PROCEDURE_2, "the iterations with the plant and its transpose in turn", one_channel=True,
+                             iterations=True),
+    "procedure-2": _blind(_PROCEDURE_2, "the iterations for several channels; 1 + pq experiments each", iterations=True),
+    "krylov": _blind(lanczos, "Lanczos iterations on all records so far", one_channel=True, iterations=True),
+    "bandit": _blind(thompson_sampling, "Thompson sampling over the lines of the spectrum", one_channel=True),
+    "two-stage": Input(partial(_adaptive, "two_stage"), "white noise first, then the optimal input of the model",
+                       Told.STRUCTURE, _ORDERS),
+    "sequential": Input(partial(_adaptive, "sequential"), "the optimal input of the model so far, again and again",
+                        Told.STRUCTURE, _ORDERS),
+    "sequential-selected": Input(partial(_adaptive, "sequential"), "the same with orders and delay chosen from the records"),
+    "oracle-D": Input(partial(_oracle, "D"), "the D-optimal input of the true plant: nobody has it, a yardstick",
+                      Told.PLANT, "the plant"),
+    "oracle-hinf": Input(partial(_oracle, "hinf"), "the optimal input for the peak gain of the true plant: nobody has it, a "
+                         "yardstick", Told.PLANT, "the plant, so the peak's frequency"),
+}  # fmt: skip
 
 
 def complete(trace: Trace) -> Trace:
@@ -119,14 +188,13 @@ def complete(trace: Trace) -> Trace:
     return trace if sizes[-1] == sizes[0] else trace.first(iterations[-1].start)
 
 
-def _from_gains(name: str, compute: Callable[[Trace], Any]) -> Estimator:
-    def estimate(trace: Trace, plant: Plant) -> Estimate:
+def _from_gains(compute: Callable[[Trace], Any]) -> Callable[[Trace], Estimate]:
+    def estimate(trace: Trace) -> Estimate:
         gains = compute(complete(trace))
         return Estimate(
             gains.last, status=gains.status, message="" if gains.status.ok else gains.status.value
         )
 
-    estimate.__name__ = name
     return estimate
 
 
@@ -148,14 +216,27 @@ ENOUGH = 5000
 wider search, which takes four times as long, ended at the same optimum to the last bit."""
 
 
-def prediction_error(trace: Trace, plant: Plant) -> Estimate:
+def prediction_error(trace: Trace, structure: Structure) -> Estimate:
     """Output-error identification on all records together, orders and delay known, then the norm."""
     from estimators.pem import identify
 
-    nb, nf, nk = model_orders(plant)
+    search = "quick" if trace.usage.samples >= ENOUGH else "auto"
+    fit = lambda: identify(
+        list(trace.records), "oe", structure.orders, delay=structure.delay, search=search, offset=False
+    )
+    return _norm_of(fit)
+
+
+def prediction_error_selected(trace: Trace) -> Estimate:
+    """Output-error identification with orders and delay chosen from the records alone."""
+    from estimators.pem.choice import from_records
+
+    return _norm_of(lambda: from_records(list(trace.records)))
+
+
+def _norm_of(fitted: Callable[[], Any]) -> Estimate:
     try:
-        search = "quick" if trace.usage.samples >= ENOUGH else "auto"
-        fit = identify(list(trace.records), "oe", (nb, nf), delay=nk, search=search, offset=False)
+        fit = fitted()
         value, error, *_ = fit.hinf_norm
     except OedError as failure:
         return Estimate(float("nan"), status=Status.FAILED, message=str(failure))
@@ -164,32 +245,13 @@ def prediction_error(trace: Trace, plant: Plant) -> Estimate:
     return Estimate(float(value), float(error), fit.status, "" if fit.status.ok else fit.status.value)
 
 
-def prediction_error_selected(trace: Trace, plant: Plant) -> Estimate:
-    """Output-error identification with orders 1 to 4 and delays 0 to 3 chosen by the Bayesian criterion."""
-    from estimators.pem.choice import select_orders
-
-    if plant.n_inputs * plant.n_outputs != 1:
-        return Estimate(
-            float("nan"), status=Status.FAILED, message="order selection is for one input and one output"
-        )
-    try:
-        choice = select_orders(
-            list(trace.records), "oe", [(n, n) for n in (1, 2, 3, 4)], delays=range(4), offset=False
-        )
-        value, error, *_ = choice.fit.hinf_norm
-    except OedError as failure:
-        return Estimate(float("nan"), status=Status.FAILED, message=str(failure))
-    return Estimate(float(value), float(error), choice.fit.status)
-
-
-def _peak_estimator(module: str, function: str) -> Estimator:
+def _peak_estimator(module: str, function: str) -> Callable[[Trace], Estimate]:
     """An estimator of `estimators` that returns a PeakEstimate."""
 
-    def estimate(trace: Trace, plant: Plant) -> Estimate:
+    def estimate(trace: Trace) -> Estimate:
         from importlib import import_module
 
-        found = getattr(import_module(f"estimators.{module}"), function)(trace)
-        return _from_peak(found)
+        return _from_peak(getattr(import_module(f"estimators.{module}"), function)(trace))
 
     return estimate
 
@@ -200,73 +262,89 @@ def _from_peak(found: Any) -> Estimate:
     )
 
 
-def fir_known(trace: Trace, plant: Plant) -> Estimate:
-    """Impulse response by least squares with as many taps as hold 99.99 % of the plant's energy."""
+REGULARISED = 60
+"""Taps of the regularised impulse response: the prior decides how many of them count."""
+
+
+def _fir(trace: Trace, taps: int | None = None, kernel: str = "none") -> Estimate:
     from estimators.norm.fir import peak_of_fir, plug_in
 
-    energy = np.cumsum(np.sum(plant.impulse_response(400) ** 2, axis=(1, 2)))
-    taps = int(np.searchsorted(energy, 0.9999 * energy[-1])) + 1
-    return _from_peak(peak_of_fir(plug_in(trace, min(taps, len(trace.records[0]) // 4))))
+    most = len(trace.records[0]) // 4
+    return _from_peak(peak_of_fir(plug_in(trace, taps and min(taps, most), kernel=kernel)))
 
 
-def fir_selected(trace: Trace, plant: Plant) -> Estimate:
-    """Impulse response by least squares with the number of taps chosen by the Bayesian criterion."""
-    from estimators.norm.fir import peak_of_fir, plug_in
-
-    return _from_peak(peak_of_fir(plug_in(trace)))
-
-
-def frequency_response_peak(trace: Trace, plant: Plant) -> Estimate:
+def frequency_response_peak(trace: Trace) -> Estimate:
     """Averaged frequency response on the DFT lines, and its largest gain."""
     from estimators.norm.frf import frequency_response, peak_of_response
 
     return _from_peak(peak_of_response(frequency_response(trace)))
 
 
+_GAINED = ("power", "two-experiment", "procedure-2")
+_CORRECTED = ("power", "averaged", "two-experiment", "procedure-2")
+_ritz_or_gain = lambda trace: ritz(trace) if trace.kinds[0] == "krylov" else gain(trace)
+_of_peaks = partial(_peak_estimator, "norm.peak_estimates")
 ESTIMATORS: dict[str, Estimator] = {
-    "rayleigh": _from_gains("rayleigh", rayleigh),
-    "gain": _from_gains("gain", lambda trace: ritz(trace) if trace.kinds[0] == "krylov" else gain(trace)),
-    "mu": _from_gains("mu", mu),
-    "corrected": _peak_estimator("norm.peak_estimates", "corrected"),
-    "fixed-point": _peak_estimator("norm.peak_estimates", "fixed_point"),
-    "theorem-12": _peak_estimator("norm.peak_estimates", "theorem_12"),
-    "fir-known": fir_known,
-    "fir-selected": fir_selected,
-    "frf": frequency_response_peak,
-    "lpm": _peak_estimator("norm.frf", "lpm"),
-    "bandit": _peak_estimator("rules.bandit", "best_arm"),
-    "pem": prediction_error,
-    "pem-selected": prediction_error_selected,
-}
+    "rayleigh": Estimator(_from_gains(rayleigh), "the Rayleigh quotient of input and output ([S] (4))", inputs=("power",), own=True),
+    "gain": Estimator(_from_gains(_ritz_or_gain), "the root of the quotient of the last energies ([S] (7))",
+                      inputs=(*_GAINED, "krylov"), own=True),
+    "mu": Estimator(_from_gains(mu), "the norm ratio of the last output and input", inputs=_GAINED, own=True),
+    "corrected": Estimator(_of_peaks("corrected"), "the peak of a local model of the iterations' records: their gain without "
+                           "its noise bias", inputs=_CORRECTED, own=True),
+    "fixed-point": Estimator(_of_peaks("fixed_point"), "the gain at which the theory meets the measured one", inputs=("power",),
+                             own=True),
+    "theorem-12": Estimator(_of_peaks("theorem_12"), "the bias removed by [S] Theorem 12", inputs=("power",), own=True),
+    "fir-known": Estimator(lambda trace, structure: _fir(trace, structure.taps), "least squares for the impulse response, its "
+                           "length known", Told.STRUCTURE, "length"),
+    "fir-selected": Estimator(_fir, "least squares for the impulse response, its length chosen from the data"),
+    "fir-regularised": Estimator(partial(_fir, taps=REGULARISED, kernel="tc"), "a long impulse response that a prior expects to "
+                                 "decay, as fast as the data say"),
+    "frf": Estimator(frequency_response_peak, "the averaged frequency response's largest value"),
+    "lpm": Estimator(_peak_estimator("norm.frf", "lpm"), "local polynomial fits of the frequency response"),
+    "bandit": Estimator(_peak_estimator("rules.bandit", "best_arm"), "the best arm's mean", inputs=("bandit",)),
+    "pem": Estimator(prediction_error, "prediction-error identification, orders and delay known, then the model's norm",
+                     Told.STRUCTURE, _ORDERS),
+    "pem-selected": Estimator(prediction_error_selected, "prediction-error identification, orders and delay chosen from the records"),
+}  # fmt: skip
 
-APPLIES = {
-    "rayleigh": ("power",),
-    "gain": ("power", "two-experiment", "procedure-2", "krylov"),
-    "mu": ("power", "two-experiment", "procedure-2"),
-    "corrected": ("power", "averaged", "two-experiment", "procedure-2"),
-    "fixed-point": ("power",),
-    "theorem-12": ("power",),
-    "bandit": ("bandit",),
-}
-"""Inputs on which the iterations' own estimators mean something; the others apply everywhere."""
+
+def told(method: str, estimator: str = "") -> Told:
+    """What an input and an estimator together are told.
+
+    A method of the user's own is handed an experiment and no plant; an estimator of the user's own is handed the plant.
+    """
+    mine = METHODS[method].told if method in METHODS else Told.NOTHING
+    theirs = ESTIMATORS[estimator].told if estimator in ESTIMATORS else Told.PLANT
+    return max(mine, theirs if estimator else Told.NOTHING, key=list(Told).index)
+
+
+def of_the_iterations(method: str, estimator: str = "") -> bool:
+    """Whether an input is one of the iterations and the estimator, where one is given, is their own."""
+    mine = method in METHODS and METHODS[method].iterations
+    return mine and (not estimator or (estimator in ESTIMATORS and ESTIMATORS[estimator].own))
+
+
+def words_of(name: str) -> str:
+    """What a name means, and what it is told; empty where it is not ours."""
+    entry = METHODS.get(name) or ESTIMATORS.get(name)
+    if entry is None:
+        return ""
+    return f"{entry.words} (is told {entry.details or 'nothing'})"
 
 
 def compatible(method: str, estimator: str) -> bool:
     """Whether an estimator can be applied to the records of a method."""
-    return method in APPLIES.get(estimator, (method,))
-
-
-SINGLE_CHANNEL = ("power", "averaged", "two-experiment", "krylov", "bandit")
-"""Inputs that are made for one input and one output."""
+    wanted = ESTIMATORS[estimator].inputs if estimator in ESTIMATORS else ()
+    return not wanted or method in wanted
 
 
 def fits(method: str, plant: Plant) -> bool:
     """Whether an input is made for the channels of a plant."""
-    return plant.n_inputs * plant.n_outputs == 1 or method not in SINGLE_CHANNEL
+    return plant.n_inputs * plant.n_outputs == 1 or method not in METHODS or not METHODS[method].one_channel
 
 
 def method_for(name: str, plant: Plant) -> Method:
-    """A method by name, ready for a plant (oracle methods compute their input from it)."""
+    """A method by name, told of a plant what its entry says."""
     check_names([name], tuple(METHODS), "method")
     if not fits(name, plant):
         raise InputError(

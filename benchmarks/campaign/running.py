@@ -12,7 +12,7 @@ from typing import Any
 from benchmarks.campaign.cluster import on_cluster
 from benchmarks.campaign.part import Runs, runs_of
 from benchmarks.campaign.processes import as_finished
-from benchmarks.campaign.registry import APPLIES, compatible
+from benchmarks.campaign.registry import ESTIMATORS, compatible
 from benchmarks.campaign.run import CHUNK, Part, checkpoints, killed_rows, parts, run_part, seed_for
 from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.store import Store, difference, versions
@@ -85,7 +85,11 @@ def fill_store(
             "everything out."
         )
     if not any(compatible(part.method, name) for part in todo for name in settings.estimators):
-        made_for = "; ".join(f"{name} for {', '.join(APPLIES.get(name, ()))}" for name in settings.estimators)
+        made_for = "; ".join(
+            f"{name} for {', '.join(ESTIMATORS[name].inputs)}"
+            for name in settings.estimators
+            if name in ESTIMATORS
+        )
         raise InputError(
             f"no estimator asked for can be applied to the records of {', '.join(settings.methods)}: they are made for other "
             f"inputs ({made_for}); add one of these inputs, or another estimator such as pem."

@@ -56,10 +56,20 @@ class Settings:
         "power",
         "procedure-2",
         "sequential",
+        "sequential-selected",
         "oracle-D",
         "oracle-hinf",
     )
-    estimators: tuple[str, ...] = ("rayleigh", "gain", "mu", "corrected", "fir-selected", "pem")
+    estimators: tuple[str, ...] = (
+        "rayleigh",
+        "gain",
+        "mu",
+        "corrected",
+        "fir-selected",
+        "fir-regularised",
+        "pem",
+        "pem-selected",
+    )
     samples: int = 1000
     experiments: int = 20
     seed: int = 0
@@ -108,19 +118,21 @@ DEFAULT_LIMITS = (
     Limit(10, plant="three-by-two"),
     Limit(40, plant="random-fir-1"),
     Limit(40, plant="hair-dryer"),
-    Limit(0, plant="three-by-two", method="multisine"),
-    Limit(0, plant="three-by-two", method="sequential"),
-    Limit(0, plant="three-by-two", method="oracle-D"),
-    Limit(0, plant="three-by-two", method="oracle-hinf", estimator="pem"),
     Limit(0, plant="reference", method="procedure-2"),  # one channel: the iterations twice over
     Limit(0, plant="hair-dryer", method="procedure-2"),
     Limit(0, plant="random-fir-1", method="procedure-2"),
-    Limit(30, method="sequential"),
+    Limit(40, method="sequential"),
+    Limit(16, method="sequential-selected"),
     Limit(60, estimator="pem"),
-    Limit(15, estimator="corrected"),
-    Limit(30, estimator="fir-selected"),
+    Limit(60, estimator="corrected"),
+    Limit(60, estimator="fir-selected"),
+    Limit(30, estimator="fir-regularised"),
+    Limit(16, estimator="pem-selected"),
+    Limit(6, plant="three-by-two", method="sequential-selected"),
+    Limit(6, plant="three-by-two", estimator="pem-selected"),
 )
-"""Of a comparison that sets none: prediction-error fits of six transfer functions would take most of its time."""
+"""Of a comparison that sets none: fits that choose their orders, of one or of six transfer functions, would take most of its
+time. Each limit is what a minute of one core allows; the column "runs" of every table says it."""
 
 
 def default_limits(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.campaign.processes import at_once
+from benchmarks.campaign.registry import words_of
 from benchmarks.campaign.run import parts
 from benchmarks.campaign.settings import Settings
 from benchmarks.page import comparison_figures as figures
@@ -19,7 +20,6 @@ from benchmarks.page.comparison_words import (
     CAPTIONS,
     DATA,
     HEADLINE,
-    NAMES,
     PAIRS,
     PERFORMANCE,
     advice_sentences,
@@ -28,7 +28,7 @@ from benchmarks.page.comparison_words import (
 )
 from benchmarks.page.content import Figure, Page, Section, Table
 from benchmarks.page.skeleton import save_page
-from benchmarks.tables.answer import ADVICE, ANSWER, KNOWS_ORDER, advice_rows, answer_rows, answer_sentences
+from benchmarks.tables.answer import ADVICE, ANSWER, advice_rows, answer_rows, answer_sentences
 from benchmarks.tables.claim_map import COLUMNS as CLAIM
 from benchmarks.tables.claim_map import claim_tasks
 from benchmarks.tables.columns import COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
@@ -58,8 +58,7 @@ def write_comparison(
     folder: Path, settings: Settings, replicates: int, tables: Tables, jobs: int = 1
 ) -> tuple[list[str], Path]:
     """Write tables, figures and the page of a comparison."""
-    known, information = tables.known, [r | {"known": known_of(r)} for r in tables.information]
-    rows = [r | {"known": known_of(r)} for r in tables.rows]
+    known, information, rows = tables.known, tables.information, tables.rows
     answer = answer_rows(tables)
     best, sentences = headline_rows(rows), answer_sentences(answer, settings)
     said = details(rows, information, settings)
@@ -92,7 +91,7 @@ def write_comparison(
     words = sentences or said
     sections.append(Section("In words", words))
     save_summary(folder, [*words, *said], to_markdown(best, HEADLINE))
-    used = {*settings.methods, *settings.estimators}
+    used = [*settings.methods, *settings.estimators]
     page = Page(
         "comparison", "Which input is worth applying for the H-infinity norm?", short_answer(answer, best, settings),
         [f"{replicates} runs of {settings.experiments} experiments of {settings.samples} samples each, everything on the same "
@@ -100,17 +99,9 @@ def write_comparison(
          "Differences are tested in pairs and corrected for how many there are (Holm): see 'Who is better, and is it chance?'."],
         advice_sentences(answer, best), sections=sections, made=made(settings, replicates, folder), filters=FILTERS,
         matrix="headline" if information else "", repeat=_repeat(settings, replicates), runs=_runs(settings, replicates),
-        names={name: text for name, text in NAMES.items() if name in used},
+        names={name: text for name in used if (text := words_of(name))},
     )  # fmt: skip
     return words, save_page(folder, page, static=True)
-
-
-def known_of(row: Row) -> str:
-    """What whoever applies the input and the estimator must know beforehand."""
-    if row["method"].startswith("oracle"):
-        return "the plant"
-    needs = row["method"] in ("sequential", "two-stage") or row.get("estimator") in KNOWS_ORDER
-    return "its order" if needs else "nothing"
 
 
 def _repeat(settings: Settings, replicates: int) -> dict[str, str]:
@@ -239,7 +230,7 @@ def headline_rows(rows: Sequence[Row]) -> list[Row]:
         mine = [r for r in rows if (r["plant"], r["noise_variance"], r["method"]) == key]
         best = min(mine, key=lambda r: r["rho"] if is_number(r["rho"]) else np.inf)
         predicted = next((r["rho_predicted"] for r in mine if is_number(r["rho_predicted"])), float("nan"))
-        more = {"best_estimator": best["estimator"], "rho_predicted": predicted, "known": known_of(best)}
+        more = {"best_estimator": best["estimator"], "rho_predicted": predicted}
         table.append({k: v for k, v in best.items() if k != "estimator"} | more)
     return table
 

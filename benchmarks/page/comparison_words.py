@@ -1,4 +1,4 @@
-"""What the page of a comparison says: the answer in a sentence, what to do, captions, and what names and columns mean."""
+"""What the page of a comparison says: the answer in a sentence, what to do, captions, and what columns mean."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ __all__ = [
     "CAPTIONS",
     "DATA",
     "HEADLINE",
-    "NAMES",
     "PAIRS",
     "PERFORMANCE",
     "advice_sentences",
@@ -26,19 +25,20 @@ __all__ = [
 
 Row = dict[str, Any]
 HEADLINE = {
-    "plant": "plant", "noise_variance": "noise", "method": "input", **BUDGET, "c_efficiency": "efficiency, peak gain",
+    "plant": "plant", "noise_variance": "noise", "method": "input", "known": "is told", **BUDGET,
+    "c_efficiency": "efficiency, peak gain",
     "d_efficiency": "efficiency, D", "best_estimator": "best estimator", "rho": "its rho", "rho_predicted": "rho predicted",
 }  # fmt: skip
 PAIRS = {
     "plant": "plant", "noise_variance": "noise", "question": "which", "method": "input", "estimator": "estimator",
     "against_method": "against input", "against_estimator": "against estimator", "rho2_difference": "difference of rho²",
-    "closer": "closer in", "n": "pairs", "p_holm": "p (Holm)", "differs": "differs", "samples": "samples",
+    "closer": "closer in", "n": "pairs", "known": "is told", "against_known": "against one told", "p_holm": "p (Holm)", "differs": "differs", "samples": "samples",
     "experiments": "experiments", "energy": "energy", "peak_amplitude": "peak |u|", "against_samples": "samples against",
     "against_experiments": "experiments against", "against_energy": "energy against",
     "against_peak_amplitude": "peak |u| against",
 }  # fmt: skip
 _SOLVER = {
-    "method": "input", "estimator": "estimator", "channels": "channels", "samples": "samples", "experiments": "experiments",
+    "method": "input", "estimator": "estimator", "known": "is told", "channels": "channels", "samples": "samples", "experiments": "experiments",
     "energy": "energy", "peak_amplitude": "peak |u|",
 }  # fmt: skip
 PERFORMANCE = {
@@ -49,26 +49,6 @@ PERFORMANCE = {
     "n": "problems",
 }
 DATA = {**_SOLVER, "share": "solved", "low": "95 % from", "high": "to", "n": "problems"}
-NAMES = {
-    "white": "white Gaussian noise", "multisine": "sinusoids of one size at all frequencies, random phases",
-    "prbs": "a pseudo-random binary signal", "sweep": "a sinusoid whose frequency runs through the band",
-    "power": "the power iterations: the next input is the last output, reversed in time and scaled",
-    "averaged": "power iterations with their records averaged",
-    "two-experiment": "the iterations with the plant and its transpose in turn",
-    "procedure-2": "the iterations for several channels; 1 + pq experiments each", "krylov": "Lanczos iterations on all records so far",
-    "bandit": "Thompson sampling over the lines of the spectrum", "two-stage": "white noise first, then the optimal input of the model",
-    "sequential": "the optimal input of the model so far, again and again",
-    "oracle-D": "the D-optimal input of the true plant: nobody has it, a yardstick",
-    "oracle-hinf": "the optimal input for the peak gain of the true plant: nobody has it, a yardstick",
-    "rayleigh": "the Rayleigh quotient of input and output ([S] (4))", "gain": "the root of the quotient of the last energies ([S] (7))",
-    "mu": "the norm ratio of the last output and input", "corrected": "the iterations' gain with its noise bias taken off",
-    "fixed-point": "the gain at which the theory meets the measured one", "theorem-12": "the bias removed by [S] Theorem 12",
-    "fir-known": "least squares for the impulse response, its length known",
-    "fir-selected": "least squares for the impulse response, its length chosen from the data",
-    "frf": "the averaged frequency response's largest value", "lpm": "local polynomial fits of the frequency response",
-    "pem": "prediction-error identification, order and delay known, then the model's norm",
-    "pem-selected": "prediction-error identification, order and delay chosen from the data",
-}  # fmt: skip
 CAPTIONS = {
     "oracle": "The input oracle-hinf is the optimum for the gain at a peak whose frequency is known: one sinusoid there. With PEM "
     "its rho is nevertheless large, because the records say nothing about where the peak is: the fitted gain at the true peak "

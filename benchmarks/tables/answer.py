@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.campaign.registry import Told
 from benchmarks.campaign.settings import Settings
 from benchmarks.tables.formats import format_value
 from benchmarks.tables.tabulation import Tables
@@ -20,7 +21,6 @@ __all__ = ["ADVICE", "ANSWER", "advice_rows", "answer_rows", "answer_sentences"]
 Row = dict[str, Any]
 ITERATIONS = ("power", "procedure-2", "two-experiment")
 OWN = ("gain", "mu", "rayleigh")
-KNOWS_ORDER = ("pem", "fir-known")
 OPTIMAL, GOOD, BETTER = 0.9, 0.5, 1.5
 """Shares of the optimum that count as optimal and as over half of it, and the factor over white noise that counts as better."""
 
@@ -109,7 +109,7 @@ def answer_rows(tables: Tables) -> list[Row]:
         pem = next((r for r in here if r["method"] == name and r["estimator"] == "pem"), {})
         free = [r for r in here if not _oracle(r["method"])]
         best = _lowest(free)
-        blind = _lowest([r for r in free if r["estimator"] not in KNOWS_ORDER])
+        blind = _lowest([r for r in free if r["known"] == Told.NOTHING.value])
         over_white = mine["c_efficiency"] / white["c_efficiency"] if white else float("nan")
         row: Row = {
             "plant": plant,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.campaign.part import Estimates
+from benchmarks.campaign.registry import told
 
 __all__ = ["holm", "paired_rows"]
 
@@ -43,6 +44,8 @@ def paired_rows(solvers: Mapping[Solver, Estimates], gamma: float, scale: float)
                 "estimator": first[1],
                 "against_method": second[0],
                 "against_estimator": second[1],
+                "known": told(*first).value,
+                "against_known": told(*second).value,
                 **a.spent,
                 **{f"against_{name}": value for name, value in b.spent.items()},
                 **_difference(a, b, gamma, scale),

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.campaign.part import Estimates
+from benchmarks.campaign.registry import told
 
 __all__ = ["RATIOS", "TOLERANCE", "Profiles", "wilson"]
 
@@ -114,7 +115,7 @@ class Profiles:
             for ratio, solved in zip(RATIOS, counts, strict=True):
                 low, high = wilson(solved, n)
                 rows.append(
-                    {"method": method, "estimator": estimator, **spent, "ratio": float(ratio),
+                    {"method": method, "estimator": estimator, "known": told(method, estimator).value, **spent, "ratio": float(ratio),
                      "share": solved / n, "low": low, "high": high, "n": n}
                 )  # fmt: skip
         return rows
@@ -126,7 +127,7 @@ class Profiles:
             samples, energy, amplitude, solved, n = counted
             low, high = wilson(solved, n)
             rows.append(
-                {"method": method, "estimator": estimator, "channels": channels, "experiments": experiments,
+                {"method": method, "estimator": estimator, "known": told(method, estimator).value, "channels": channels, "experiments": experiments,
                  "samples": int(samples), "energy": energy / n if n else float("nan"), "peak_amplitude": amplitude,
                  "share": solved / n if n else float("nan"), "low": low, "high": high, "n": int(n)}
             )  # fmt: skip

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.campaign.part import Estimates, Runs
 from benchmarks.campaign.plants import content_of, load_plant
 from benchmarks.campaign.processes import spread
+from benchmarks.campaign.registry import told
 from benchmarks.tables.predictions import CRITERIA, optimal_loss
 from oed.errors import Status
 from oed.plants.norms import gain_gradient, peak
@@ -124,6 +125,7 @@ def information_rows(runs: Runs, target: Target) -> list[Row]:
             if len(blocks) > 1
         ]
         row: Row = {"plant": runs.plant, "noise_variance": runs.noise_variance, "method": runs.method}
+        row["known"] = told(runs.method).value
         amplitude = max(r["peak_amplitude"] for r in group)
         row |= _budget(target, group[0]["samples"], experiments, energy, amplitude)
         for key, value in values.items():
@@ -159,6 +161,7 @@ def comparison_rows(runs: Runs, information: Sequence[Row], target: Target) -> l
             "noise_variance": runs.noise_variance,
             "method": runs.method,
             "estimator": estimator,
+            "known": told(runs.method, estimator).value,
             **_budget(target, *spent.values()),
             "rho": rmse * scale,
             "rho_se": rmse_se * scale,

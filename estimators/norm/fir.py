@@ -26,8 +26,8 @@ from oed.plants.norms import largest_gain, refined_maximum
 
 __all__ = ["FirModel", "peak_of_fir", "plug_in", "select_taps"]
 
-CANDIDATES = (2, 3, 5, 8, 12, 18, 27, 40, 60, 90)
-"""Numbers of taps to choose from."""
+CANDIDATES = (*range(1, 61), 90)
+"""Numbers of taps to choose from: all up to 60, and 90 for what rings longer."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,15 @@ from oed.models.structures import ORDERS, STRUCTURES
 if TYPE_CHECKING:
     from estimators.pem.fit import Fit
 
-__all__ = ["Choice", "Delay", "automatic", "estimate_delay", "held_out_error", "select_orders"]
+__all__ = [
+    "Choice",
+    "Delay",
+    "automatic",
+    "estimate_delay",
+    "from_records",
+    "held_out_error",
+    "select_orders",
+]
 
 NEAR = 10.0
 """Difference of AIC up to which a delay is looked at closely: beyond it the best is 150 times as likely."""
@@ -32,6 +40,8 @@ PATIENCE, MOST = 2, 8
 """Orders tried without a gain before the climb ends (a resonance needs two), and where it ends at the latest."""
 FOLDS, OPENING = 5, 0.25
 """Blocks left out in turn, and the share of each that sets its initial state and is left out of its error."""
+SURE = 3.0
+"""Standard errors by which a tap of the impulse response must differ from zero to end the delay: one in 400 does by chance."""
 LOOK, LATEST = 4, 12
 """Order of the regression that gives a first delay, and the longest that it tries."""
 
@@ -267,6 +277,42 @@ def _first_delay(given: list[Record]) -> int:
         e = y[good] - A[good] @ np.linalg.lstsq(A[good], y[good], rcond=None)[0]
         rest.append(float(np.sqrt(np.mean(e**2))))
     return max(nk for nk, value in enumerate(rest) if value <= min(rest) * (1 + WORTH))
+
+
+def from_records(records: Sequence[Record]) -> Fit:
+    """Output-error model of which nothing is given: delays by the first sure tap of every impulse response, one order for all
+    entries by the Bayesian criterion, from the smallest until no more is gained. Records from rest, without offset."""
+    from estimators.norm.fir import plug_in
+    from estimators.pem import identify
+
+    def tried(order: int, nk: NDArray) -> Fit | None:
+        orders = (order, order) if nk.size == 1 else (np.full(nk.shape, order).tolist(),) * 2
+        delay = nk.tolist() if nk.size > 1 else int(nk[0, 0])
+        try:
+            return identify(records, "oe", orders, delay, search="quick", offset=False)
+        except OedError as error:
+            said.append(str(error))
+            return None
+
+    said: list[str] = []
+    response = plug_in(records)
+    n, _, nu = response.taps.shape
+    spread = np.sqrt(np.diag(response.covariance)).reshape(n, 1, nu) * np.sqrt(response.noise)[:, None]
+    sure = np.abs(response.taps[: LATEST + 1]) > SURE * spread[: LATEST + 1]
+    nk = np.where(sure.any(axis=0), sure.argmax(axis=0), 1)
+    found: dict[int, Fit] = {}
+    best = 0
+    for order in range(1, MOST + 1):
+        fit = tried(order, nk)
+        if fit is not None:
+            found[order] = fit
+            best = min(found, key=lambda k: found[k].bic)
+        if order - best >= PATIENCE and (best or order > PATIENCE):
+            break
+    if not found:
+        raise InputError(f"no order could be fitted; the first said: {said[0]}")
+    beside = [tried(best, nk + step) for step in (-1, 1) if nk.size == 1 and nk.min() + step >= 0]
+    return min([found[best], *filter(None, beside)], key=lambda fit: fit.bic)
 
 
 def _blocks(given: list[Record], folds: int) -> list[tuple[list[Record], Record]]:

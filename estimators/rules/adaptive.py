@@ -1,6 +1,6 @@
 """Sequential optimal design: experiment, fit, redesign. Rules that know a model structure but not its values.
 
-The optimal input depends on the plant that it is to find. `two_stage` spends a share of the experiments on white
+Where orders and delay are None, both are chosen from the records. The optimal input depends on the plant that it is to find. `two_stage` spends a share of the experiments on white
 noise, fits once and then applies the optimum for the fitted model; `sequential` redesigns again and again. What
 earlier experiments have told enters every design as prior information, so that the designs need not determine again
 what is known. For the peak gain `sequential` hedges: the optimum for a known plant is one sinusoid at the peak, which
@@ -36,17 +36,27 @@ SEARCHED = 4
 
 
 class _Refits:
-    """Output-error fits to records that become more."""
+    """Output-error fits to records that become more; without orders, these and the delay are chosen whenever the records have
+    doubled, from the records alone."""
 
     def __init__(self, orders: Any, delay: Any) -> None:
         self._orders, self._delay = orders, delay
         self._last: NDArray[np.float64] | None = None
+        self._blind, self._next = orders is None, 1
 
     def plant(self, records: list[Record]) -> Plant:
         """The plant fitted to all records so far."""
         from estimators.pem import identify
+        from estimators.pem.choice import from_records
 
-        known = self._last if len(records) > SEARCHED else None
+        if self._blind and len(records) >= self._next:
+            self._next = 2 * len(records)
+            fit = from_records(records)
+            structure = fit.model.structure
+            self._orders, self._delay = (structure.nb.tolist(), structure.nf.tolist()), structure.nk.tolist()
+            self._last = fit.theta
+            return fit.to_plant()
+        known = self._last if self._blind or len(records) > SEARCHED else None
         fit = identify(
             records, "oe", self._orders, delay=self._delay, search="quick", start=known, offset=False
         )

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.campaign.registry import told, words_of
 from benchmarks.page import comparison_figures as figures
-from benchmarks.page.comparison import FILTERS, headline_rows, known_of
-from benchmarks.page.comparison_words import HEADLINE, NAMES
+from benchmarks.page.comparison import FILTERS, headline_rows
+from benchmarks.page.comparison_words import HEADLINE
 from benchmarks.page.content import Figure, Page, Section, Table, thinned
 from benchmarks.tables.columns import COLUMNS
 
@@ -36,7 +37,7 @@ def comparison_rows(
                         "rmse_se": 0.01, "c_efficiency": share, "c_efficiency_se": 0.01, "d_efficiency": share / 2,
                         "d_efficiency_se": 0.01, "coverage": 0.95, "n": 100, "n_failed": 0, "failures": "",
                     }  # fmt: skip
-                    rows.append(row | {"known": known_of(row)})
+                    rows.append(row | {"known": told(method, estimator).value})
     return rows
 
 
@@ -63,6 +64,6 @@ def small_page(rows: list[dict[str, Any]] | None = None) -> Page:
         "comparison", "A page & its <tests>", "The iterations are an optimal input in 5 of 12 cases.",
         ["100 runs each."], ["Apply power and estimate with pem."], sections=sections, made={"command": "oed compare " * 20},
         filters=FILTERS, matrix="headline", repeat={"estimators": "--estimators gain pem", "rest": "--samples 100 --seed 0"},
-        runs={"reference|1|power": "parts/reference-power-*.parquet"}, names={k: NAMES[k] for k in (*METHODS, *ESTIMATORS)},
+        runs={"reference|1|power": "parts/reference-power-*.parquet"}, names={k: words_of(k) for k in (*METHODS, *ESTIMATORS)},
         downloads={"next_input.csv": "u\n1\n"},
     )  # fmt: skip

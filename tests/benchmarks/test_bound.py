@@ -120,11 +120,11 @@ def test_no_flipped_bit_changes_a_number(tmp_path):
 def test_what_was_given_up_is_tried_again_with_more_time(tmp_path, monkeypatch, capsys):
     import time
 
-    def slow(trace, plant):
+    def slow(trace):
         time.sleep(0.4)
         return methods.Estimate(1.0)
 
-    monkeypatch.setitem(methods.ESTIMATORS, "slow", slow)
+    monkeypatch.setitem(methods.ESTIMATORS, "slow", methods.Estimator(slow, ""))
     settings = replace(SMALL, methods=("white",), estimators=("slow",))
     first = run_campaign(settings, 2, tmp_path, jobs=1, time_limit=0.1)
     assert first[0].final["slow"].statuses == {"TIME_LIMIT": 2}

@@ -142,7 +142,7 @@ def test_a_method_that_raises_is_a_row(tmp_path, monkeypatch):
 
         return method
 
-    monkeypatch.setitem(methods.METHODS, "broken", broken)
+    monkeypatch.setitem(methods.METHODS, "broken", methods.Input(broken, "", methods.Told.PLANT))
     settings = Settings(
         plants=("reference",),
         noise_variances=(1.0,),
@@ -170,8 +170,9 @@ def test_a_method_that_hangs_and_one_that_returns_nan_are_rows(tmp_path, monkeyp
 
         return method
 
-    monkeypatch.setitem(methods.METHODS, "hanging", hanging)
-    monkeypatch.setitem(methods.ESTIMATORS, "nothing", lambda trace, plant: methods.Estimate(float("nan")))
+    monkeypatch.setitem(methods.METHODS, "hanging", methods.Input(hanging, "", methods.Told.PLANT))
+    nothing = methods.Estimator(lambda trace: methods.Estimate(float("nan")), "")
+    monkeypatch.setitem(methods.ESTIMATORS, "nothing", nothing)
     settings = Settings(
         plants=("reference",),
         noise_variances=(1.0,),

@@ -52,13 +52,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--methods",
         nargs="+",
         metavar="M",
-        help="inputs to compare (default white multisine power procedure-2 sequential oracle-D oracle-hinf); your own as FILE.py:FUNCTION",
+        help="inputs to compare (default white multisine power procedure-2 sequential sequential-selected oracle-D oracle-hinf); your own as FILE.py:FUNCTION",
     )
     add(
         "--estimators",
         nargs="+",
         metavar="E",
-        help="estimators (default rayleigh gain mu corrected fir-selected pem); your own as FILE.py:FUNCTION",
+        help="estimators (default rayleigh gain mu corrected fir-selected fir-regularised pem pem-selected); your own as FILE.py:FUNCTION",
     )
     add(
         "--limit",
