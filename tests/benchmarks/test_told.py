@@ -119,7 +119,8 @@ def test_another_measurement_makes_another_decision():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name, orders, delay", [("reference", 2, 1), ("delay", 2, 5), ("nonminimum-phase", 2, 1), ("peak-at-zero", 1, 1)]
+    "name, orders, delay",
+    [("reference", 2, 1), ("delay", 2, 5), ("nonminimum-phase", 2, 1), ("peak-at-zero", 1, 1)],
 )
 def test_orders_and_delay_from_records_alone(name, orders, delay):
     """At little noise the Bayesian criterion finds the orders and the delay of the plant."""
