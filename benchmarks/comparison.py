@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.campaign.plants import expanded
 from benchmarks.campaign.run import check_contents
 from benchmarks.campaign.running import TIME_LIMIT, Settings, fill_store, stored_runs
 from benchmarks.campaign.settings import Limit, default_limits
@@ -102,6 +103,7 @@ def compare(
 ) -> Comparison:
     """Compare inputs and estimators for the H-infinity norm in Monte Carlo, at equal budgets."""
     brought = Own(methods or (), estimators or ())
+    plants = expanded(plants) if plants else None
     given = {
         "plants": plants,
         "noise_variances": noise_variances,

@@ -14,20 +14,24 @@ import numpy as np
 
 from oed.data import Record
 from oed.errors import InputError, check_names
+from oed.plants.named import FAMILIES
 from oed.plants.plant import Plant
 
 __all__ = [
     "add_plant_arguments",
     "check_plants",
     "content_of",
+    "expanded",
+    "family_of",
     "hair_dryer_record",
     "load_plant",
     "plant_names",
 ]
 
 HAIR_DRYER = "hair-dryer"
-RANDOM_FIR = re.compile(r"random-fir-(\d{1,6})")
-RANDOM_FIR_SEED = 2018
+RANDOM = re.compile(r"random-(fir|light|competing|late|many)-(\d{1,6})")
+SEVERAL = re.compile(r"(random-[a-z]+-)(\d{1,6})\.\.(\d{1,6})")
+RANDOM_SEED = 2018
 RECORDS = (".csv", ".txt", ".tsv", ".mat", ".npz", ".parquet", ".gz")
 
 
@@ -45,8 +49,8 @@ def is_file(spec: str) -> bool:
 
 def check_plants(specs: Sequence[str]) -> None:
     """Raise InputError if a plant is neither a file nor known by name."""
-    named = [spec for spec in specs if not is_file(spec) and not RANDOM_FIR.fullmatch(spec)]
-    check_names(named, (*plant_names(), "random-fir-1"), "plant")
+    named = [spec for spec in specs if not is_file(spec) and not RANDOM.fullmatch(spec)]
+    check_names(named, (*plant_names(), "random-fir-1", *(f"random-{name}-1" for name in FAMILIES)), "plant")
 
 
 def content_of(spec: str) -> str:
@@ -84,9 +88,9 @@ def load_plant(spec: str, noise_variance: float | None = None) -> Plant:
 
         return plant_from_json(spec, noise_variance=noise_variance)
     check_plants([spec])
-    numbered = RANDOM_FIR.fullmatch(spec)
+    numbered = RANDOM.fullmatch(spec)
     if numbered:
-        return _random_fir(spec, int(numbered[1]), noise_variance)
+        return _random(spec, numbered[1], int(numbered[2]), noise_variance)
     if spec == HAIR_DRYER:
         plant = _hair_dryer()
         if noise_variance is None:
@@ -105,18 +109,38 @@ def load_plant(spec: str, noise_variance: float | None = None) -> Plant:
     )
 
 
-def _random_fir(spec: str, number: int, noise_variance: float | None) -> Plant:
-    """Plant of the head-to-head protocol: length 10, decay 0.75; the number is its seed.
+def _random(spec: str, family: str, number: int, noise_variance: float | None) -> Plant:
+    """A random plant; the number is its seed.
 
-    Experiments of 50 samples with input norm 1 and noise of standard deviation 0.1 are, in unit input power, noise
-    of variance 0.5, the default here.
+    Of the head-to-head protocol (fir): length 10, decay 0.75; experiments of 50 samples with input norm 1 and noise of
+    standard deviation 0.1 are, in unit input power, noise of variance 0.5, the default there.
     """
-    from oed.plants.named import random_fir
+    from oed.plants.named import random_fir, random_plant
 
-    rng = np.random.default_rng([RANDOM_FIR_SEED, number])
-    return random_fir(rng, noise_variance=0.5 if noise_variance is None else noise_variance).replace(
-        name=spec
-    )
+    if family == "fir":
+        rng = np.random.default_rng([RANDOM_SEED, number])
+        return random_fir(rng, noise_variance=0.5 if noise_variance is None else noise_variance).replace(
+            name=spec
+        )
+    rng = np.random.default_rng([RANDOM_SEED, number, *family.encode()])
+    return random_plant(family, rng, 1.0 if noise_variance is None else noise_variance).replace(name=spec)
+
+
+def family_of(spec: str) -> str:
+    """The family of a random plant, as tables name it; empty for any other plant."""
+    found = RANDOM.fullmatch(spec)
+    return f"random-{found[1]}" if found else ""
+
+
+def expanded(specs: Sequence[str]) -> tuple[str, ...]:
+    """Plants with `random-light-1..40` written out."""
+    found: list[str] = []
+    for spec in specs:
+        several = SEVERAL.fullmatch(spec)
+        found += (
+            [f"{several[1]}{k}" for k in range(int(several[2]), int(several[3]) + 1)] if several else [spec]
+        )
+    return tuple(found)
 
 
 def hair_dryer_record() -> Record:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -96,7 +96,7 @@ def parts(settings: Settings, replicates: int) -> list[Part]:
         for variance in settings.noise_variances:
             for method in settings.methods:
                 if fits(method, loaded):
-                    runs = settings.replicates_of(replicates, plant, method)
+                    runs = settings.replicates_of(replicates, plant, method, noise_variance=variance)
                     found += [Part(plant, variance, method, *ends) for ends in boundaries(runs)]
     return sorted(found, key=lambda part: part.start)  # stable: plants, noise and methods stay in order
 
@@ -185,8 +185,13 @@ def _head(part: Part, replicate: int) -> Row:
 
 def _estimators(settings: Settings, part: Part, replicate: int) -> list[str]:
     """Which estimates a replicate has, by the pairs that fit and the limits."""
-    most = partial(settings.replicates_of, part.stop, part.plant, part.method)
-    return [name for name in settings.estimators if compatible(part.method, name) and replicate < most(name)]
+    plant, variance, method = part.combination
+    return [
+        name
+        for name in settings.estimators
+        if compatible(method, name)
+        and replicate < settings.replicates_of(part.stop, plant, method, name, variance)
+    ]
 
 
 def check_contents(settings: Settings, *plants: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,14 +22,15 @@ __all__ = ["Limit", "Settings", "campaign_from_toml", "limit_from_text"]
 class Limit:
     """At most so many replicates of what is named; what is not named matches everything.
 
-    `replicates` the most; 0 leaves it out; `plant, method, estimator` names, "" for any. With an estimator
-    only its estimates are limited, not the runs.
+    `replicates` the most; 0 leaves it out; `plant, method, estimator` names, "" for any, and of plants a pattern such as
+    `random-*`; `noise_variance` that level, 0 for any. With an estimator only its estimates are limited, not the runs.
     """
 
     replicates: int
     plant: str = ""
     method: str = ""
     estimator: str = ""
+    noise_variance: float = 0.0
 
     def __post_init__(self) -> None:
         if self.replicates < 0:
@@ -101,15 +103,20 @@ class Settings:
         for limit in self.limits:
             for kind in ("plant", "method", "estimator"):
                 wanted = getattr(limit, kind)
-                check_names([wanted] if wanted else [], getattr(self, f"{kind}s"), f"{kind} of a limit")
+                if not (kind == "plant" and fnmatch.filter(self.plants, wanted)):
+                    check_names([wanted] if wanted else [], getattr(self, f"{kind}s"), f"{kind} of a limit")
 
-    def replicates_of(self, replicates: int, plant: str, method: str, estimator: str = "") -> int:
-        """How many replicates a combination has."""
+    def replicates_of(
+        self, replicates: int, plant: str, method: str, estimator: str = "", noise_variance: float = 0.0
+    ) -> int:
+        """How many replicates a combination has; of an estimate where an estimator is named."""
         most = [replicates]
         for limit in self.limits:
-            if limit.plant not in ("", plant) or limit.method not in ("", method):
+            if limit.method not in ("", method) or limit.noise_variance not in (0.0, noise_variance):
                 continue
-            if limit.estimator in ("", estimator):
+            if limit.estimator in ("", estimator) and (
+                not limit.plant or fnmatch.fnmatchcase(plant, limit.plant)
+            ):
                 most.append(limit.replicates)
         return min(most)
 
@@ -142,7 +149,7 @@ def default_limits(
     return tuple(
         limit
         for limit in DEFAULT_LIMITS
-        if limit.plant in ("", *plants)
+        if (not limit.plant or fnmatch.filter(plants, limit.plant))
         and limit.method in ("", *methods)
         and limit.estimator in ("", *estimators)
         and (limit.plant or limit.method or len(plants) > 1)
@@ -153,7 +160,10 @@ WHOLE = {"type": "integer", "description": "a whole number"}
 TEXT = {"type": "string", "description": "a text"}
 TEXTS = {"type": "array", "items": TEXT, "description": "a list of texts"}
 NUMBER = {"type": "number", "description": "a number"}
-LIMIT = keyed({"replicates": WHOLE, "plant": TEXT, "method": TEXT, "estimator": TEXT}, ("replicates",))
+LIMIT = keyed(
+    {"replicates": WHOLE, "plant": TEXT, "method": TEXT, "estimator": TEXT, "noise_variance": NUMBER},
+    ("replicates",),
+)
 CAMPAIGN = keyed(
     {
         **dict.fromkeys(("plants", "methods", "estimators"), TEXTS),
@@ -205,7 +215,10 @@ def limit_from_text(text: str) -> Limit:
     """A limit as the command line takes it."""
     pairs = [part.partition("=") for part in text.split(",")]
     entry = {key: value for key, _, value in pairs}
-    check_names(list(entry), ("replicates", "plant", "method", "estimator"), "key of --limit")
+    check_names(
+        list(entry), ("replicates", "plant", "method", "estimator", "noise_variance"), "key of --limit"
+    )
     if not entry.get("replicates", "").isdigit():
         raise InputError(f"--limit {text}: give replicates=R with a whole number R of at least 0.")
-    return Limit(**entry | {"replicates": int(entry["replicates"])})  # type: ignore[arg-type]
+    noise = float(entry.get("noise_variance", 0))
+    return Limit(**entry | {"replicates": int(entry["replicates"]), "noise_variance": noise})  # type: ignore[arg-type]

@@ -64,7 +64,7 @@ def command_line(settings: Settings, replicates: int, out: Path) -> str:
     for variance in settings.noise_variances:
         words += ["--noise-variance", f"{variance:g}"]
     for limit in settings.limits:
-        words += ["--limit", ",".join(f"{k}={v}" for k, v in asdict(limit).items() if v != "")]
+        words += ["--limit", ",".join(f"{k}={v}" for k, v in asdict(limit).items() if k == "replicates" or v)]
     words += ["--samples", str(settings.samples), "--experiments", str(settings.experiments)]
     words += [
         "--replicates",

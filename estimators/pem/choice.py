@@ -307,7 +307,7 @@ def from_records(records: Sequence[Record]) -> Fit:
         if fit is not None:
             found[order] = fit
             best = min(found, key=lambda k: found[k].bic)
-        if order - best >= PATIENCE and (best or order > PATIENCE):
+        if order > best > 0 or order > PATIENCE > best:  # a higher order that is no better ends it
             break
     if not found:
         raise InputError(f"no order could be fitted; the first said: {said[0]}")

@@ -3,33 +3,55 @@
 from __future__ import annotations
 
 import textwrap
+from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.campaign.merging import merge_stores
+from benchmarks.campaign.plants import expanded, family_of
+from benchmarks.campaign.run import parts
 from benchmarks.campaign.running import fill_store, run_campaign, stored_runs
 from benchmarks.campaign.settings import Limit, Settings, campaign_from_toml, default_limits, limit_from_text
 from benchmarks.campaign.users_own import Own
 from benchmarks.cli import main
 from benchmarks.comparison import compare
 from oed.errors import CampaignError, InputError
+from oed.plants.named import FAMILIES
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "benchmarks" / "campaigns" / "published.toml"
 
 
 def test_the_published_campaign_is_what_it_says():
-    """10 plants x 6 noise levels x 12 inputs, 10000 samples in all per run, 1000 replicates, 100 fits by PEM."""
+    """8 plants at 3 noise levels, 40 random ones of each of 5 families at one; 10000 samples in all per run."""
     given = campaign_from_toml(PUBLISHED)
-    assert (len(given["plants"]), len(given["noise_variances"]), len(given["methods"])) == (10, 6, 12)
     assert given["samples"] * given["experiments"] == 10000
-    assert given["replicates"] == 1000
-    assert Limit(100, estimator="pem") in given["limits"]
     options = {k: v for k, v in given.items() if k not in ("replicates", "time_limit", "out")}
-    settings = Settings(**options)
-    assert settings.replicates_of(1000, "reference", "white", "pem") == 100
-    assert settings.replicates_of(1000, "reference", "white", "frf") == 1000
+    settings = Settings(**options | {"plants": expanded(given["plants"])})
+    families = Counter(map(family_of, settings.plants))
+    assert families == {f"random-{name}": 40 for name in ("fir", *FAMILIES)} | {"": 8}
+    runs = partial(settings.replicates_of, 200)
+    assert runs("reference", "white", "pem", 1.0) == 200
+    assert runs("reference", "oracle-D", "pem-selected", 1.0) == 0
+    assert runs("random-light-3", "white", "pem", 1.0) == 4
+    assert runs("random-light-3", "white", "pem", 9.0) == 0
+    assert runs("random-many-3", "procedure-2", "corrected", 1.0) == 4
+    assert {p.plant for p in parts(settings, 2) if p.method == "procedure-2"} == {
+        "three-by-two", *(name for name in settings.plants if family_of(name) == "random-many")
+    }  # fmt: skip
+
+
+def test_a_limit_of_many_plants_at_one_noise_level():
+    """A pattern limits the plants that it names at the level that it names, and nothing else."""
+    limit = limit_from_text("replicates=1,plant=random-light-*,noise_variance=9")
+    settings = Settings(plants=("reference", *expanded(["random-light-1..2"])), limits=(limit,))
+    assert settings.replicates_of(5, "random-light-2", "white", noise_variance=9.0) == 1
+    assert settings.replicates_of(5, "random-light-2", "white", noise_variance=4.0) == 5
+    assert settings.replicates_of(5, "reference", "white", noise_variance=9.0) == 5
+    with pytest.raises(InputError, match="plant of a limit"):
+        Settings(limits=(Limit(1, plant="random-many-*"),))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from oed.errors import InputError
 from oed.plants.json import plant_from_json, plant_to_json
-from oed.plants.named import NAMES, named_plant
+from oed.plants.named import FAMILIES, NAMES, NORM, named_plant, random_plant
+from oed.plants.norms import peak
 from oed.plants.plant import Plant
 from oed.plants.realisations import state_space
 
@@ -144,3 +145,23 @@ def test_numbers_whose_squares_are_none_are_refused(changes, words):
     with pytest.raises(InputError, match=words):
         Plant(**{"num": [0, 2.0], "den": [1, -0.5]} | changes)
     assert Plant([0, 1e49], [1, -0.5], noise_covariance=0.0).noise_variance == 0
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_random_plants_are_what_their_family_says(family):
+    """40 plants by seed: stable (or Plant refuses), the norm as stated, and the feature of the family in each."""
+    plants = [random_plant(family, np.random.default_rng([7, k])) for k in range(40)]
+    for plant in plants:
+        assert np.isclose(peak(plant).value, NORM, rtol=1e-9)
+    again = random_plant(family, np.random.default_rng([7, 0]))
+    assert np.array_equal(again.theta, plants[0].theta)
+    radii = [np.abs(np.roots(plant.den[0][0])).max() for plant in plants]
+    delays = [int(np.flatnonzero(plant.num[0][0])[0]) for plant in plants]
+    rivals = [sorted(v for _, v in peak(p).local_maxima) for p in plants if p.n_inputs * p.n_outputs == 1]
+    channels = {(plant.n_outputs, plant.n_inputs) for plant in plants}
+    assert (min(radii) > 0.96) == (family == "light")
+    assert (min(delays) >= 3) == (family == "late")
+    assert (bool(rivals) and all(len(r) > 1 and r[-2] > 0.8 * NORM for r in rivals)) == (
+        family == "competing"
+    )
+    assert (len(channels) == 9) == (family == "many")
