@@ -29,14 +29,14 @@ def with_headline(text: str, table: str) -> str:
 
 
 SHOWN = (
-    "plant",
+    "case",
     "noise_variance",
     "c_efficiency",
-    "over_white",
+    "limit",
+    "best_structure",
+    "rho_structure",
+    "rho_nothing",
     "rho_own",
-    "rho_pem",
-    "advice_input",
-    "rho_advice",
 )
 """At most eight columns: a reader takes in no more; the page has the rest."""
 PICTURES = {

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.campaign.plants import family_of
 from benchmarks.campaign.processes import at_once
 from benchmarks.campaign.registry import words_of
 from benchmarks.campaign.run import parts
@@ -33,6 +34,7 @@ from benchmarks.tables.claim_map import COLUMNS as CLAIM
 from benchmarks.tables.claim_map import claim_tasks
 from benchmarks.tables.columns import COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
 from benchmarks.tables.formats import to_markdown
+from benchmarks.tables.growth import GROWTH, growth_rows
 from benchmarks.tables.hair_dryer import hair_dryer_story
 from benchmarks.tables.head_to_head import (
     HEAD_TO_HEAD,
@@ -42,7 +44,7 @@ from benchmarks.tables.head_to_head import (
 )
 from benchmarks.tables.statistics import Target
 from benchmarks.tables.tabulation import Tables
-from oed.theory.efficiency import losses, peak_gain_efficiency_by_experiments
+from oed.theory.efficiency import peak_gain_efficiency_by_experiments
 
 __all__ = ["headline_rows", "write_comparison"]
 
@@ -58,11 +60,20 @@ def write_comparison(
     folder: Path, settings: Settings, replicates: int, tables: Tables, jobs: int = 1
 ) -> tuple[list[str], Path]:
     """Write tables, figures and the page of a comparison."""
-    known, information, rows = tables.known, tables.information, tables.rows
+    known = tables.known
+    # Of a family's plants the page shows what they give together; tables/ has every one of them.
+    information, rows, pairs = (
+        [r for r in table if not family_of(r["plant"])]
+        for table in (tables.information, tables.rows, tables.pairs)
+    )
     answer = answer_rows(tables)
     best, sentences = headline_rows(rows), answer_sentences(answer, settings)
     said = details(rows, information, settings)
-    siso = [p for p in settings.plants if known[p, settings.noise_variances[0]].channels == "1 x 1"]
+    siso = [
+        p
+        for p in settings.plants
+        if not family_of(p) and known[p, settings.noise_variances[0]].channels == "1 x 1"
+    ]
     tasks: dict[str, Callable[[], Any]] = {
         f"theory of {p}": partial(_theory, settings, known, p) for p in siso
     }
@@ -74,8 +85,8 @@ def write_comparison(
     done = iter(at_once([*claims, *tasks.values(), *duels], jobs))
     mapped = [row for found in islice(done, len(claims)) for row in found]
     found = dict(zip(tasks, islice(done, len(tasks)), strict=True))
-    sections = [*_answer(tables, answer, settings), *_inputs(best, said), *_comparison(rows, settings, replicates),
-                *_profiles(tables), *_information(information, known, settings, siso)]  # fmt: skip
+    sections = [*_answer(tables, answer), *_inputs(best, said), *_comparison(rows, settings, replicates),
+                *_profiles(tables, pairs), *_information(information, known, settings, siso)]  # fmt: skip
     if answer:
         head = head_to_head_rows(list(done))
         sentences.append(head_to_head_sentence(head))
@@ -122,34 +133,25 @@ def _runs(settings: Settings, replicates: int) -> dict[str, str]:
     return found
 
 
-def _predicted(target: Target, row: Row) -> float:
-    """Efficiency that theory predicts for the iterations with the same budget; NaN where it has no number."""
-    if row["iterations"] == "power":
-        return float(
-            peak_gain_efficiency_by_experiments(target.plant, row["experiments"], target.optimum.c)[-1]
-        )
-    from oed.information import information_of_spectrum
-    from oed.theory.mimo import mimo_limit_spectrum
-
-    limit = mimo_limit_spectrum(target.plant, scaling="each")
-    together = losses(information_of_spectrum(target.plant, limit.spectrum), target.c)
-    return float(together.efficiency(target.optimum).c)
-
-
-def _answer(tables: Tables, rows: list[Row], settings: Settings) -> list[Section]:
+def _answer(tables: Tables, rows: list[Row]) -> list[Section]:
     if not rows:
         return []
-    key = lambda r: (r["plant"], r["noise_variance"])
-    white = {key(r): r["c_efficiency"] for r in tables.information
-             if r["method"] == "white" and r["experiments"] == settings.experiments}  # fmt: skip
-    theory = {key(r): _predicted(tables.known[key(r)], r) for r in rows}
+    growth = growth_rows(tables, rows)
     advice = advice_rows(tables)
-    return [Section(
-        "The answer to [S] Sec. 4.2: are the iterations optimal experiment design?", [],
-        [Table("answer", CAPTIONS["answer"], ANSWER, rows, ["c_efficiency", "d_efficiency"]),
-         Table("advice", CAPTIONS["advice"], ADVICE, advice, ["c_efficiency"])] if advice else [],
-        [figures.where_figure(rows, white, theory), figures.advice_figure(rows, tables.rows)],
-    )]  # fmt: skip
+    saved = [Table("answer", CAPTIONS["answer"], ANSWER, rows, ["c_efficiency", "d_efficiency"])]
+    saved += [Table("advice", CAPTIONS["advice"], ADVICE, advice, ["c_efficiency"])] if advice else []
+    by_budget = [Section("By budget, up to the limit", [CAPTIONS["growth"]],
+                         [Table("growth", "The first so many experiments together.", GROWTH, growth, ["c_efficiency", "predicted"])],
+                         [figures.growth_figure(growth)])] if growth else []  # fmt: skip
+    return [
+        Section(
+            "The answer to [S] Sec. 4.2: are the iterations optimal experiment design?",
+            [CAPTIONS["below"], CAPTIONS["shared"]],
+            saved,
+            [figures.where_figure(rows), figures.advice_figure(rows)],
+        ),
+        *by_budget,
+    ]
 
 
 def _inputs(best: list[Row], said: list[str]) -> list[Section]:
@@ -166,8 +168,8 @@ def _comparison(rows: list[Row], settings: Settings, replicates: int) -> list[Se
     return [Section("The comparison", text, [table], [figures.rho_figure(rows)])]
 
 
-def _profiles(tables: Tables) -> list[Section]:
-    saved = [Table("pairs", CAPTIONS["pairs"], PAIRS, tables.pairs)] if tables.pairs else []
+def _profiles(tables: Tables, pairs: list[Row]) -> list[Section]:
+    saved = [Table("pairs", CAPTIONS["pairs"], PAIRS, pairs)] if pairs else []
     saved += (
         [
             Table(

@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.page.content import Figure
+from benchmarks.tables.answer import KINDS
 from benchmarks.tables.formats import format_value
 from benchmarks.tables.profiles import TOLERANCE
 from oed.plants.plant import Plant
 from oed.theory.limit import limit_spectrum
 
 __all__ = [
-    "advice_figure", "claim_figure", "efficiency_figure", "estimated_gain_figure", "hair_dryer_figures",
+    "advice_figure", "claim_figure", "efficiency_figure", "estimated_gain_figure", "growth_figure",
+    "hair_dryer_figures",
     "head_to_head_figure", "limit_spectrum_figures", "profile_figures", "rho_figure", "spectra_figure", "where_figure",
 ]  # fmt: skip
 
@@ -43,74 +45,67 @@ def at(row: Row, **more: Any) -> dict[str, Any]:
     return {key: row[key] for key in ("plant", "noise_variance", "method", "known") if key in row} | more
 
 
-def where_figure(rows: Sequence[Row], white: Mapping[Any, float], theory: Mapping[Any, float]) -> Figure:
+def _of(row: Row) -> dict[str, Any]:
+    return {
+        "plant": row["plant"],
+        "noise_variance": row["noise_variance"],
+        "panel": f"{row['case']} ({row['channels']})",
+    }
+
+
+def where_figure(rows: Sequence[Row]) -> Figure:
     """Where the iterations are optimal experiment design: efficiency against noise, plant by plant."""
     points = []
     for row in rows:
-        key = row["plant"], row["noise_variance"]
-        base = {
-            "plant": row["plant"],
-            "noise_variance": key[1],
-            "x": key[1],
-            "panel": f"{row['plant']} ({row['channels']})",
-        }
+        base = _of(row) | {"x": row["noise_variance"]}
+        white = {"c_efficiency": row["c_efficiency"] / row["over_white"] if row["over_white"] > 0 else None}
         points += [
             base | measured(row, "c_efficiency") | {"series": "iterations, for the peak gain"},
             base | measured(row, "d_efficiency") | {"series": "iterations, for D"},
+            base | measured(row, "limit") | {"series": "in the limit"},
+            base | measured(white, "c_efficiency") | {"series": "white, for the peak gain"},
         ]
-        points += (
-            [base | {"y": theory[key], "series": "predicted", "text": format_value(theory[key])}]
-            if key in theory
-            else []
-        )
-        points += (
-            [base | {"y": white[key], "series": "white, for the peak gain", "text": format_value(white[key])}]
-            if key in white
-            else []
-        )
     return Figure(
         "answer-where",
         "Where the iterations are optimal design: what their experiments carry together, in shares of the certified optimum "
-        "(bars: two standard errors). Predicted: for one channel with the same budget, for several the limit.",
+        "(bars: two standard errors), and what they would with experiments without end.",
         "Share of the certified optimum against the noise variance, one panel per plant, for the iterations, white noise and "
-        "the prediction of the theory.",
-        points, "noise variance", "share of the optimum",
-        {"iterations, for the peak gain": "both", "iterations, for D": "both", "predicted": "ticks"}, "xy", rules=(1.0,),
+        "the limit of the iterations.",
+        [p for p in points if p["y"] is not None and p["y"] == p["y"]], "noise variance", "share of the optimum",
+        {"iterations, for the peak gain": "both", "iterations, for D": "both", "in the limit": "ticks"}, "xy", rules=(1.0,),
     )  # fmt: skip
 
 
-def advice_figure(rows: Sequence[Row], comparison: Sequence[Row]) -> Figure:
-    """What the estimators waste and what to do: rho against noise, plant by plant."""
-    white = {
-        (r["plant"], r["noise_variance"]): r
-        for r in comparison
-        if (r["method"], r["estimator"]) == ("white", "pem")
-    }
-    points, series = (
-        [],
-        {
-            "rho_own": "iterations, own estimator",
-            "rho_pem": "iterations, PEM",
-            "rho_blind": "best without the order",
-        },
-    )
-    for row in rows:
-        key = row["plant"], row["noise_variance"]
-        base = {
-            "plant": key[0],
-            "noise_variance": key[1],
-            "x": key[1],
-            "panel": f"{row['plant']} ({row['channels']})",
-        }
-        points += [base | measured(row, name) | {"series": label} for name, label in series.items()]
-        points += [base | measured(white[key], "rho") | {"series": "white, PEM"}] if key in white else []
-    names = [*series.values(), "white, PEM"]
+def advice_figure(rows: Sequence[Row]) -> Figure:
+    """What knowledge is worth: rho against noise of whoever knows the structure, whoever knows nothing, and the iterations."""
+    points = [
+        _of(row) | {"x": row["noise_variance"]} | measured(row, f"rho_{kind}") | {"series": words}
+        for row in rows for kind, words in KINDS.items() if row[f"rho_{kind}"] == row[f"rho_{kind}"]
+    ]  # fmt: skip
     return Figure(
         "answer-advice",
-        "What the estimators waste and what to do: rho against noise (1 is the bound; bars: two standard errors).",
-        "Error rho against the noise variance, one panel per plant: the iterations with their own estimator, with PEM, white "
-        "noise with PEM, and the best without the order.",
-        points, "noise variance", "rho", dict.fromkeys(names, "both"), "xy", rules=(1.0,),
+        "What knowledge is worth: rho of the best way of every kind (1 is the bound; bars: two standard errors), chosen on one half "
+        "and judged on the other.",
+        "Error rho against the noise variance, one panel per plant: the best that knows the structure, the best that knows "
+        "nothing, and the iterations with their own estimator.",
+        points, "noise variance", "rho", dict.fromkeys(KINDS.values(), "both"), "xy", rules=(1.0,),
+    )  # fmt: skip
+
+
+def growth_figure(rows: Sequence[Row]) -> Figure:
+    """Efficiency of the iterations against experiments: predicted up to the limit, measured where the campaign went."""
+    points = []
+    for row in rows:
+        noise = f"noise {row['noise_variance']:g}"
+        base = _of(row) | {"x": row["experiments"]}
+        points += [base | {"y": row["predicted"], "series": noise, "text": format_value(row["predicted"])}]
+        if row["c_efficiency"] == row["c_efficiency"]:
+            points += [base | measured(row, "c_efficiency") | {"series": f"measured, {noise}"}]
+    names = {str(p["series"]): "points" for p in points if str(p["series"]).startswith("measured")}
+    return Figure(
+        "growth", "Efficiency for the peak gain of the first so many experiments together: predicted (lines), measured (marks).",
+        "Share of the certified optimum against the number of experiments, one panel per plant, one line per noise level.",
+        [p for p in points if p["y"] == p["y"]], "experiments (of Procedure 2 each counts)", "share of the optimum", names, "x", rules=(1.0,),
     )  # fmt: skip
 
 

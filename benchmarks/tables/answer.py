@@ -11,16 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.campaign.registry import Told
+from benchmarks.campaign.plants import family_of
 from benchmarks.campaign.settings import Settings
 from benchmarks.tables.formats import format_value
-from benchmarks.tables.tabulation import Tables
+from benchmarks.tables.growth import growth_of
+from benchmarks.tables.statistics import below_one
+from benchmarks.tables.tabulation import Tables, judged_ways
 
-__all__ = ["ADVICE", "ANSWER", "advice_rows", "answer_rows", "answer_sentences"]
+__all__ = ["ADVICE", "ANSWER", "KINDS", "advice_rows", "answer_rows", "answer_sentences"]
 
 Row = dict[str, Any]
 ITERATIONS = ("power", "procedure-2", "two-experiment")
-OWN = ("gain", "mu", "rayleigh")
 OPTIMAL, GOOD, BETTER = 0.9, 0.5, 1.5
 """Shares of the optimum that count as optimal and as over half of it, and the factor over white noise that counts as better."""
 
@@ -33,28 +34,35 @@ BUDGET = {
 }
 MOST_LISTED = 16
 """Plants and noise levels that a sentence lists one by one."""
+KINDS = {
+    "structure": "knows the structure",
+    "nothing": "knows nothing",
+    "own": "the iterations with their own estimator",
+}
+"""The three columns of the answer."""
 ANSWER = {
-    "plant": "plant",
+    "case": "plant",
     "channels": "channels",
     "parameters": "parameters",
     "noise_variance": "noise",
+    "experiments": "experiments",
     "c_efficiency": "of the optimum",
+    "limit": "in the limit",
     "over_white": "times white",
     "verdict": "so the iterations are",
-    "rho_own": "rho, own estimator",
-    "rho_pem": "rho, PEM",
-    "waste": "data wasted by own",
-    "advice_input": "best input",
-    "advice_estimator": "best estimator",
-    "rho_advice": "their rho",
-    "blind_input": "order unknown: input",
-    "blind_estimator": "and estimator",
-    "rho_blind": "and rho",
+    **{f"{what}_{kind}": f"{words}: {name}" if what == "best" else name
+       for kind, words in KINDS.items() for what, name in (("best", "input / estimator"), ("rho", "its rho"))},
+    **{f"{kind}_ties": f"tie with it ({words})" for kind, words in KINDS.items()},
+    "waste": "data wasted by (7)",
+    "waste_own": "by the best own",
+    "remark": "remark",
     "d_efficiency": "of D",
     "iterations": "iterations",
-    "own_estimator": "own estimator",
-    **BUDGET,
-}
+    "samples": "samples",
+    "energy": "energy",
+    "energy_per_input": "per input",
+    "peak_amplitude": "peak |u|",
+}  # fmt: skip
 """The columns of the answer, the most important ones first."""
 
 ADVICE = {
@@ -80,12 +88,6 @@ def _finite(value: Any) -> bool:
     return isinstance(value, int | float) and bool(np.isfinite(value))
 
 
-def _lowest(rows: Sequence[Row]) -> Row | None:
-    """The row with the smallest rho among those with few failures."""
-    usable = [r for r in rows if _finite(r["rho"]) and r["n_failed"] <= 0.05 * r["n"]]
-    return min(usable, key=lambda r: r["rho"]) if usable else None
-
-
 def _verdict(efficiency: float, over_white: float) -> str:
     """What an input is, in words, from its share of the optimum and how many times white noise that is."""
     if efficiency >= OPTIMAL:
@@ -96,59 +98,95 @@ def _verdict(efficiency: float, over_white: float) -> str:
 
 
 def answer_rows(tables: Tables) -> list[Row]:
-    """One row per plant and noise level on which the iterations ran."""
+    """One row per plant, or family of random plants, and noise level on which the iterations ran."""
+    last: dict[tuple[str, float], dict[str, list[Row]]] = {}
+    for row in _whole_budget(tables.information):
+        case = family_of(row["plant"]) or row["plant"], row["noise_variance"]
+        last.setdefault(case, {}).setdefault(row["method"], []).append(row)
     table = []
-    for (plant, variance), target in tables.known.items():
-        here = [r for r in tables.rows if (r["plant"], r["noise_variance"]) == (plant, variance)]
-        carried = _last_checkpoints(tables.information, plant, variance)
+    for (case, variance), carried in last.items():
         name = next((m for m in ITERATIONS if m in carried), None)
         if name is None:
             continue
-        mine, white = carried[name], carried.get("white", {})
-        own = _lowest([r for r in here if r["method"] == name and r["estimator"] in OWN])
-        pem = next((r for r in here if r["method"] == name and r["estimator"] == "pem"), {})
-        free = [r for r in here if not _oracle(r["method"])]
-        best = _lowest(free)
-        blind = _lowest([r for r in free if r["known"] == Told.NOTHING.value])
-        over_white = mine["c_efficiency"] / white["c_efficiency"] if white else float("nan")
+        mine, white = _mean(carried[name], "c_efficiency"), _mean(carried.get("white", []), "c_efficiency")
+        ratio = mine[0] / white[0] if white[0] > 0 else float("nan")
+        plants = list(dict.fromkeys(row["plant"] for row in carried[name]))
+        targets = [tables.known[plant, variance] for plant in plants]
+        limits = [growth_of(target.plant, name, 1)[1] for target in targets]
+        first, d = carried[name][0], _mean(carried[name], "d_efficiency")
         row: Row = {
-            "plant": plant,
+            "plant": plants[0] if len(plants) == 1 else case,
+            "case": plants[0] if len(plants) == 1 else f"{case}, {len(plants)} plants",
             "noise_variance": variance,
-            "parameters": len(target.plant.free),
+            "parameters": _range([len(target.plant.free) for target in targets]),
             "iterations": name,
-            **{k: mine[k] for k in ("channels", *BUDGET)},
-            **{k: mine[k] for k in ("c_efficiency", "c_efficiency_se", "d_efficiency", "d_efficiency_se")},
-            "over_white": over_white,
-            "verdict": _verdict(mine["c_efficiency"], over_white),
-            "own_estimator": own["estimator"] if own else "",
-        }
-        for key, source in (("own", own), ("pem", pem), ("advice", best), ("blind", blind)):
-            row[f"rho_{key}"] = source["rho"] if source else float("nan")
-            row[f"rho_{key}_se"] = source["rho_se"] if source else float("nan")
-        row["waste"] = (row["rho_own"] / row["rho_pem"]) ** 2
-        for key, source in (("advice", best), ("blind", blind)):
-            row[f"{key}_input"] = source["method"] if source else ""
-            row[f"{key}_estimator"] = source["estimator"] if source else ""
+            **{k: first[k] for k in BUDGET},
+            "channels": _range([target.channels for target in targets]),
+            "c_efficiency": mine[0],
+            "c_efficiency_se": mine[1],
+            "d_efficiency": d[0],
+            "d_efficiency_se": d[1],
+            "limit": _mean([{"limit": v, "limit_se": 0.0} for v in limits], "limit")[0],
+            "over_white": ratio,
+            "over_white_se": ratio * float(np.hypot(mine[1] / mine[0], white[1] / white[0])) if ratio > 0 else float("nan"),
+            "verdict": _verdict(mine[0], ratio),
+            **tables.judged.get((case, variance), judged_ways({})),
+        }  # fmt: skip
+        for kind in KINDS:
+            row[f"best_{kind}"] = (
+                f"{row[f'{kind}_input']} / {row[f'{kind}_estimator']}" if row[f"{kind}_input"] else None
+            )
+        row["remark"] = _remark(row, tables.rows)
         table.append(row)
     return table
 
 
-def _last_checkpoints(information: Sequence[Row], plant: str, variance: float) -> dict[str, Row]:
-    """By input, what it carried with the whole budget."""
-    found: dict[str, Row] = {}
+def _whole_budget(information: Sequence[Row]) -> list[Row]:
+    """What every input carried with its whole budget."""
+    found: dict[tuple[str, float, str], Row] = {}
     for row in information:
-        if (row["plant"], row["noise_variance"]) == (plant, variance):
-            last = found.get(row["method"])
-            if last is None or row["experiments"] > last["experiments"]:
-                found[row["method"]] = row
-    return found
+        key = row["plant"], row["noise_variance"], row["method"]
+        if key not in found or row["experiments"] > found[key]["experiments"]:
+            found[key] = row
+    return list(found.values())
+
+
+def _mean(rows: Sequence[Row], key: str) -> tuple[float, float]:
+    """Of one plant its value and error; of many their mean, with the error of plants drawn at random."""
+    values = np.array([row[key] for row in rows if _finite(row[key])])
+    if len(values) < 2:
+        return (float(values[0]), rows[0][f"{key}_se"]) if len(values) else (float("nan"),) * 2
+    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
+
+
+def _range(values: Sequence[Any]) -> Any:
+    ends = min(values), max(values)
+    return ends[0] if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
+
+
+def _remark(row: Row, compared: Sequence[Row]) -> str:
+    """Why a rho of the row is below 1, where one is."""
+    said = []
+    for kind in KINDS:
+        if row[f"rho_{kind}"] < 1:
+            way = row["plant"], row["noise_variance"], row[f"{kind}_input"], row[f"{kind}_estimator"]
+            whole = next(
+                (
+                    r
+                    for r in compared
+                    if (r["plant"], r["noise_variance"], r["method"], r["estimator"]) == way
+                ),
+                row,
+            )
+            said.append(below_one(whole | {"rho": row[f"rho_{kind}"], "rho_se": row[f"rho_{kind}_se"]}))
+    return f"rho below 1: {said[0]}" if said else ""
 
 
 def advice_rows(tables: Tables) -> list[Row]:
     """Which input to apply, by budget: the one that carries most for the peak gain without knowing the plant."""
     grouped: dict[tuple[str, float, int], dict[str, Row]] = {}
     for row in tables.information:
-        if _finite(row["c_efficiency"]):
+        if _finite(row["c_efficiency"]) and not family_of(row["plant"]):
             key = row["plant"], row["noise_variance"], row["experiments"]
             grouped.setdefault(key, {})[row["method"]] = row
     table = []
@@ -179,7 +217,7 @@ def _where(group: Sequence[Row], total: int, key: str) -> str:
     """Plants with their noise levels and a value each; of many only how many and on which plants."""
     by_plant: dict[str, list[Row]] = {}
     for row in group:
-        by_plant.setdefault(row["plant"], []).append(row)
+        by_plant.setdefault(row["case"], []).append(row)
     if total > MOST_LISTED:
         return f"{len(group)} of {total} plants and noise levels ({', '.join(by_plant)})"
     show = lambda r: (
@@ -218,23 +256,30 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
     wasted = [r for r in rows if _finite(r["waste"])]
     if wasted:
         least, most = min(wasted, key=lambda r: r["waste"]), max(wasted, key=lambda r: r["waste"])
+        own = sorted(r["waste_own"] for r in rows if _finite(r["waste_own"]))
+        rest = f" The best of their estimators wastes {own[0]:.2g} to {own[-1]:.2g} times." if own else ""
         sentences.append(
-            f"Their own estimators waste what the input gains: on the same records PEM needs between {_times(least['waste'])} "
-            f"({least['plant']}, noise {least['noise_variance']:g}) and {_times(most['waste'])} times ({most['plant']}, noise "
-            f"{most['noise_variance']:g}) less data for the same error."
+            f"Their printed estimator (7) wastes what the input gains: with PEM the same records need between "
+            f"{_with_error(least, 'waste')} ({least['case']}, noise {least['noise_variance']:g}) and {_with_error(most, 'waste')} "
+            f"times ({most['case']}, noise {most['noise_variance']:g}) less data for the same error.{rest}"
         )
-    advice = [r for r in rows if _finite(r["rho_advice"])]
-    if advice:
-        pairs: dict[tuple[str, str], list[Row]] = {}
-        for row in advice:
-            pairs.setdefault((row["advice_input"], row["advice_estimator"]), []).append(row)
-        words = "; ".join(
-            f"{method} with {estimator} on {_where(group, len(rows), 'rho_advice')}"
-            for (method, estimator), group in pairs.items()
-        )
-        sentences.append(f"What to do, knowing the order but not the plant: {words}.")
+    for kind, who in KINDS.items():
+        ways: dict[str, list[Row]] = {}
+        for row in rows:
+            if row[f"best_{kind}"]:
+                ways.setdefault(row[f"best_{kind}"], []).append(row)
+        if ways:
+            listed = "; ".join(
+                f"{way} on {_where(group, len(rows), f'rho_{kind}')}"
+                for way, group in sorted(ways.items(), key=lambda item: -len(item[1]))
+            )
+            tied = sum(bool(row[f"{kind}_ties"]) for row in rows)
+            sentences.append(
+                f"Best, {who}: {listed}. Chosen on one half of the problems and judged on the other; in {tied} of {len(rows)} "
+                "cases others tie with it within the error."
+            )
     return sentences
 
 
-def _times(ratio: float) -> str:
-    return f"{ratio:.1f}" if ratio < 100 else f"{ratio:.0f}"
+def _with_error(row: Row, key: str) -> str:
+    return format_value(row[key], row[f"{key}_se"])

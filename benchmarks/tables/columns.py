@@ -41,6 +41,7 @@ COLUMNS = {
     "n": "runs",
     "n_failed": "failed",
     "failures": "how",
+    "remark": "remark",
 }
 INFORMATION_COLUMNS = {
     "plant": "plant",

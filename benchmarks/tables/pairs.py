@@ -1,4 +1,9 @@
-"""Paired comparisons: two ways to the same number on the same plants and noise, corrected for how many there are."""
+"""Paired comparisons of ways to the same number on the same plants and noise, and the best way without optimism.
+
+The smallest of many noisy errors is too small. So the best way is chosen on the problems of even number (replicates of a
+plant, or plants of a family), and its error is that on the problems of odd number, where nothing was chosen; ways whose error
+there is not larger by two standard errors of the paired difference tie with it.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +16,18 @@ from numpy.typing import NDArray
 from benchmarks.campaign.part import Estimates
 from benchmarks.campaign.registry import told
 
-__all__ = ["holm", "paired_rows"]
+__all__ = ["HALF", "Errors", "chosen_and_judged", "errors_of", "holm", "paired_rows", "ratio_of_means"]
 
 Row = dict[str, Any]
 Solver = tuple[str, str]
+Errors = Mapping[int, float]
+"""By number of the problem, rho squared: the squared error times energy over noise variance; infinite where a run failed."""
+HALF = 3
+"""Problems that either half must have: fewer have no standard error worth the name."""
+FAILED = 0.05
+"""Share of failed runs from which on a way is none that one would recommend."""
+TIED = 2.0
+"""Standard errors of the paired difference up to which two ways tie."""
 
 
 def holm(p_values: Sequence[float]) -> NDArray[np.float64]:
@@ -83,3 +96,58 @@ def _difference(a: Estimates, b: Estimates, gamma: float, scale: float) -> Row:
     row["closer_se"] = float(np.sqrt(shrunk * (1 - shrunk) / (n + 4)))
     row["p_value"] = float(2 * stats.t.sf(abs(difference.mean()) / se, n - 1)) if se > 0 else 1.0
     return row
+
+
+def errors_of(found: Estimates, gamma: float, noise_variance: float) -> dict[int, float]:
+    """Rho squared of every replicate, infinite where it has no number."""
+    squares = np.where(found.good, (found.estimate - gamma) ** 2 * found.energy / noise_variance, np.inf)
+    return dict(zip(found.replicate.astype(int).tolist(), squares.tolist(), strict=True))
+
+
+def _half(errors: Errors, odd: bool) -> dict[int, float]:
+    return {k: v for k, v in errors.items() if k % 2 == odd and np.isfinite(v)}
+
+
+def _usable(errors: Errors) -> bool:
+    failed = np.mean(~np.isfinite(list(errors.values()))) if errors else 1.0
+    return failed <= FAILED and all(len(_half(errors, odd)) >= HALF for odd in (False, True))
+
+
+def chosen_and_judged(ways: Mapping[Solver, Errors]) -> Row:
+    """The way of least error on even problems, its rho on the odd ones, and the ways that tie with it there."""
+    ways = {way: errors for way, errors in ways.items() if _usable(errors)}
+    if not ways:
+        return {"input": "", "estimator": "", "rho": float("nan"), "rho_se": float("nan"), "n": 0, "ties": ""}
+    best = min(ways, key=lambda way: np.mean(list(_half(ways[way], False).values())))
+    mine = _half(ways[best], True)
+    square = float(np.mean(list(mine.values())))
+    se = float(np.std(list(mine.values()), ddof=1) / np.sqrt(len(mine)))
+    ties = [
+        f"{m} / {e}" for (m, e), errors in ways.items() if (m, e) != best and _ties(_half(errors, True), mine)
+    ]
+    rho = float(np.sqrt(square))
+    return {"input": best[0], "estimator": best[1], "rho": rho, "rho_se": se / (2 * rho) if rho else float("nan"),
+            "n": len(mine), "ties": ", ".join(ties)}  # fmt: skip
+
+
+def _ties(theirs: Errors, mine: Errors) -> bool:
+    both = sorted(set(theirs) & set(mine))
+    if len(both) < HALF:
+        return False
+    more = np.array([theirs[k] - mine[k] for k in both])
+    return bool(more.mean() <= TIED * more.std(ddof=1) / np.sqrt(len(more)))
+
+
+def ratio_of_means(a: Errors, b: Errors) -> tuple[float, float]:
+    """Mean error of one way over that of another on the problems of odd number that both have, with its standard error.
+
+    To first order: var(a/b) = (a/b)^2 var(a_k / a - b_k / b), the pairs kept together.
+    """
+    one, two = _half(a, True), _half(b, True)
+    both = sorted(set(one) & set(two))
+    if len(both) < HALF:
+        return float("nan"), float("nan")
+    x, y = (np.array([side[k] for k in both]) for side in (one, two))
+    ratio = float(x.mean() / y.mean())
+    spread = (x / x.mean() - y / y.mean()).std(ddof=1) / np.sqrt(len(both))
+    return ratio, ratio * float(spread)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from benchmarks.campaign.part import Estimates, Runs
+from benchmarks.campaign.plants import family_of
+from benchmarks.campaign.registry import Told, of_the_iterations, told
 from benchmarks.campaign.run import profile_replicates
 from benchmarks.campaign.settings import Settings
-from benchmarks.tables.pairs import holm, paired_rows
+from benchmarks.tables.pairs import Errors, chosen_and_judged, errors_of, holm, paired_rows, ratio_of_means
 from benchmarks.tables.profiles import Profiles
 from benchmarks.tables.statistics import Target, comparison_rows, information_rows, targets
 
@@ -28,7 +30,8 @@ class Tables:
 
     `rows` the comparison: one row per plant, noise variance, input and estimator; `information` what the
     inputs carry, by number of experiments; `pairs` paired differences, with p-values corrected over the whole
-    table; `performance, data` profiles; `known` (plant, noise variance) to Target.
+    table; `performance, data` profiles; `known` (plant, noise variance) to Target; `judged` (case, noise variance) to the best
+    ways of each kind, where a case is a plant or a family of random ones.
     """
 
     rows: list[Row]
@@ -37,6 +40,7 @@ class Tables:
     performance: list[Row] = field(repr=False)
     data: list[Row] = field(repr=False)
     known: dict[tuple[str, float], Target] = field(repr=False)
+    judged: dict[tuple[str, float], Row] = field(default_factory=dict, repr=False)
 
 
 def tabulate(runs: Iterable[Runs], settings: Settings, jobs: int = 1) -> Tables:
@@ -49,11 +53,20 @@ def tabulate(runs: Iterable[Runs], settings: Settings, jobs: int = 1) -> Tables:
     solvers: dict[tuple[str, str], Estimates] = {}
     scale = {}
     current: tuple[str, float] | None = None
+    errors: dict[tuple[str, float], dict[tuple[str, str], dict[int, float]]] = {}
 
     def close() -> None:
         if current is None or not solvers:
             return
-        gamma = known[current].gamma
+        gamma, variance = known[current].gamma, known[current].plant.noise_variance
+        family = family_of(current[0])
+        ways = errors.setdefault((family or current[0], current[1]), {})
+        for way, found in solvers.items():
+            mine = errors_of(found, gamma, variance)
+            if family:
+                finite = [v for v in mine.values() if np.isfinite(v)]
+                mine = {int(current[0].rpartition("-")[2]): float(np.mean(finite)) if finite else np.inf}
+            ways.setdefault(way, {}).update(mine)
         head = {"plant": current[0], "noise_variance": current[1]}
         pairs.extend(head | row for row in paired_rows(solvers, gamma, scale[current]))
         most = max(len(found) for found in solvers.values())
@@ -87,4 +100,31 @@ def tabulate(runs: Iterable[Runs], settings: Settings, jobs: int = 1) -> Tables:
     for row, corrected in zip(pairs, holm([row["p_value"] for row in pairs]), strict=True):
         row["p_holm"] = float(corrected)
         row["differs"] = bool(corrected <= 0.05)
-    return Tables(rows, information, pairs, profiles.performance_rows(), profiles.data_rows(), known)
+    judged = {case: judged_ways(ways) for case, ways in errors.items()}
+    return Tables(rows, information, pairs, profiles.performance_rows(), profiles.data_rows(), known, judged)
+
+
+KINDS = {
+    "structure": lambda method, estimator: told(method, estimator) is not Told.PLANT,
+    "nothing": lambda method, estimator: told(method, estimator) is Told.NOTHING,
+    "own": of_the_iterations,
+}
+"""What is compared in the answer: whoever knows the structure, whoever knows nothing, the iterations with their own estimator."""
+PRINTED = "gain"
+"""The iterations' estimator as it is printed, [S] (7)."""
+
+
+def judged_ways(ways: Mapping[tuple[str, str], Errors]) -> Row:
+    """The best way of every kind, chosen on one half and judged on the other, and the data that the iterations' estimators
+    waste: their mean square error over that of PEM on the same records."""
+    row: Row = {}
+    for kind, belongs in KINDS.items():
+        found = chosen_and_judged({way: mine for way, mine in ways.items() if belongs(*way)})
+        row |= {f"{kind}_{key}": found[key] for key in ("input", "estimator", "ties", "n")}
+        row |= {f"rho_{kind}": found["rho"], f"rho_{kind}_se": found["rho_se"]}
+    method = row["own_input"]
+    for name, estimator in (("waste", PRINTED), ("waste_own", row["own_estimator"])):
+        row[name], row[f"{name}_se"] = ratio_of_means(
+            ways.get((method, estimator), {}), ways.get((method, "pem"), {})
+        )
+    return row

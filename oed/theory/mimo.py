@@ -18,6 +18,7 @@ Algorithm 1's limit exactly: two of its steps.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,12 +26,14 @@ from numpy.typing import NDArray
 
 from oed.data import Spectrum
 from oed.errors import InputError, check_names
-from oed.plants.norms import Peak, peak
+from oed.information import information_of_spectrum
+from oed.plants.norms import Peak, gain_gradient, peak
 from oed.plants.plant import Plant
+from oed.theory.efficiency import losses
 from oed.theory.limit import resolution
 from oed.theory.quadrature import Nodes, graded_nodes
 
-__all__ = ["MimoLimitSpectrum", "mimo_limit_spectrum", "mimo_recursion"]
+__all__ = ["MimoLimitSpectrum", "mimo_limit_spectrum", "mimo_recursion", "procedure_2_efficiency"]
 
 SCALINGS = ("none", "each", "common")
 
@@ -229,15 +232,55 @@ def mimo_recursion(
     Shapes: returns (M,).
     """
     check_names([scaling], SCALINGS, "scaling")
+    gain2, mu2 = np.empty(iterations), np.empty(iterations)
     terms = _terms(plant, peak(plant))
+    for m, (Phi, _, mu2[m]) in enumerate(_iterates(plant, terms, iterations, scaling)):
+        gain2[m] = np.einsum("k,ka,kaa->", terms.nodes.weight, terms.s2, Phi).real
+    return gain2, mu2
+
+
+def _iterates(
+    plant: Plant, terms: _Terms, iterations: int, scaling: str
+) -> Iterator[tuple[NDArray, NDArray, float]]:
+    """Input spectrum of the first stage in the eigenvectors of M, powers of its outputs, and mu^2, from a white start."""
     q = plant.n_inputs
     Phi = np.broadcast_to(np.eye(q) / q, terms.cross.shape).astype(complex)
-    gain2, mu2 = np.empty(iterations), np.empty(iterations)
-    for m in range(iterations):
-        gain2[m] = np.einsum("k,ka,kaa->", terms.nodes.weight, terms.s2, Phi).real
-        n2 = _noise_gain(plant, _output_powers(plant, terms, Phi), scaling)
+    for _ in range(iterations):
+        powers = _output_powers(plant, terms, Phi)
         new = terms.s2[:, :, None] * Phi * terms.s2[:, None, :] + terms.cross
-        new = new + n2 * terms.shape[:, None, None] * np.eye(q)
-        mu2[m] = np.einsum("k,kaa->", terms.nodes.weight, new).real
-        Phi = new / mu2[m]
-    return gain2, mu2
+        new = new + _noise_gain(plant, powers, scaling) * terms.shape[:, None, None] * np.eye(q)
+        mu2 = float(np.einsum("k,kaa->", terms.nodes.weight, new).real)
+        yield Phi, powers, mu2
+        Phi = new / mu2
+
+
+def procedure_2_efficiency(plant: Plant, iterations: int) -> tuple[NDArray[np.float64], float]:
+    """c-efficiency of all 1 + pq experiments of the first m iterations together, m = 1..iterations, and of the limit.
+
+    The second stage applies every output of the first, reversed and at unit power, to every input in turn; it is counted
+    like the first. Twin: Procedure 2 simulated, its informations summed.
+
+    Shapes: returns (iterations,).
+    """
+    top = peak(plant)
+    if not top.unique:
+        return np.full(iterations, np.nan), float("nan")
+    c, terms = gain_gradient(plant, top), _terms(plant, top)
+    variances = np.diag(plant.noise_covariance)
+    p, q = plant.n_outputs, plant.n_inputs
+
+    def information(Phi: NDArray, powers: NDArray) -> NDArray[np.float64]:
+        outputs = np.einsum("kia,kab,kib->ki", terms.outputs, Phi, np.conj(terms.outputs)).real
+        second = ((outputs + variances * terms.shape[:, None]) / powers).sum(axis=1)
+        first = np.einsum("kia,kab,kjb->kij", terms.V, Phi, np.conj(terms.V))
+        density = first + second[:, None, None] * np.eye(q)
+        spectrum = Spectrum(terms.nodes.omega, terms.nodes.weight[:, None, None] * density)
+        return information_of_spectrum(plant, spectrum)
+
+    share = lambda total, m: float(variances[0] / losses(total / (m * (1 + p * q)), c).c)
+    total, efficiency = np.zeros((len(c), len(c))), np.empty(iterations)
+    for m, (Phi, powers, _) in enumerate(_iterates(plant, terms, iterations, "each")):
+        total = total + information(Phi, powers)
+        efficiency[m] = share(total, m + 1)
+    Phi = _density(terms, *_scaled(plant, terms, "each"))
+    return efficiency, share(information(Phi, _output_powers(plant, terms, Phi)), 1)

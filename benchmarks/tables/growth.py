@@ -1,0 +1,85 @@
+"""Efficiency against budget, up to the limit: what the iterations carry after 1, 2, 5, .. experiments, and after all that one could do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.campaign.plants import family_of
+from benchmarks.campaign.run import checkpoints
+from benchmarks.tables.tabulation import Tables
+from oed.plants.plant import Plant
+
+__all__ = ["GROWTH", "growth_of", "growth_rows"]
+
+Row = dict[str, Any]
+FARTHEST = 1000
+"""Experiments up to which the theory is followed: four of the five rows of theory.md's table are within 4 % of the limit by then."""
+NEAR_LIMIT = 0.9
+"""Share of the limit that counts as having reached it."""
+GROWTH = {
+    "plant": "plant",
+    "channels": "channels",
+    "noise_variance": "noise",
+    "iterations": "input",
+    "experiments": "experiments",
+    "samples": "samples",
+    "energy": "energy",
+    "c_efficiency": "of the optimum, measured",
+    "predicted": "predicted",
+    "limit": "in the limit",
+    "white": "white noise",
+    "needed": "experiments to 90 % of the limit",
+}
+
+
+def growth_of(plant: Plant, iterations: str, most: int) -> tuple[dict[int, float], float]:
+    """By number of experiments, the efficiency that theory predicts for the first so many together; and that of the limit."""
+    from oed.information import information_of_spectrum
+    from oed.plants.norms import gain_gradient, peak
+    from oed.theory.efficiency import losses, peak_gain_efficiency_by_experiments
+    from oed.theory.limit import limit_spectrum
+    from oed.theory.mimo import procedure_2_efficiency
+
+    if iterations != "power":
+        each = 1 + plant.n_inputs * plant.n_outputs
+        values, limit = procedure_2_efficiency(plant, max(most // each, 1))
+        return {each * (m + 1): float(v) for m, v in enumerate(values)}, limit
+    top = peak(plant)
+    values = peak_gain_efficiency_by_experiments(plant, most)
+    if not top.unique:
+        return dict(enumerate(values.tolist(), 1)), float("nan")
+    together = information_of_spectrum(plant, limit_spectrum(plant).spectrum)
+    limit = plant.noise_variance / losses(together, gain_gradient(plant, top)).c
+    return dict(enumerate(values.tolist(), 1)), float(limit)
+
+
+def growth_rows(tables: Tables, answer: Sequence[Row]) -> list[Row]:
+    """The iterations on every plant, by budget: as measured where the campaign went, as predicted up to the limit."""
+    table: list[Row] = []
+    for said in answer:
+        plant, variance, name = said["plant"], said["noise_variance"], said["iterations"]
+        if (plant, variance) not in tables.known or family_of(plant):
+            continue
+        predicted, limit = growth_of(tables.known[plant, variance].plant, name, FARTHEST)
+        here = [r for r in tables.information if (r["plant"], r["noise_variance"]) == (plant, variance)]
+        measured = {r["experiments"]: r for r in here if r["method"] == name}
+        white = {r["experiments"]: r["c_efficiency"] for r in here if r["method"] == "white"}
+        each = min(predicted)
+        reached = [k for k, v in predicted.items() if v >= NEAR_LIMIT * limit]
+        size = {k: said[k] / said["experiments"] for k in ("samples", "energy")}
+        marks = {round(k / each) * each for k in checkpoints(FARTHEST) if k >= each} | set(measured)
+        for k in sorted(marks):
+            table.append(
+                {
+                    "plant": plant, "case": said["case"], "channels": said["channels"], "noise_variance": variance,
+                    "iterations": name, "experiments": k, "samples": round(k * size["samples"]), "energy": k * size["energy"],
+                    **{key: measured.get(k, {}).get(key, float("nan")) for key in ("c_efficiency", "c_efficiency_se")},
+                    "predicted": predicted.get(k, float("nan")), "limit": limit,
+                    "white": white.get(k, float(np.mean(list(white.values()))) if white else float("nan")),
+                    "needed": str(min(reached)) if reached else f"over {FARTHEST}",
+                }
+            )  # fmt: skip
+    return table
