@@ -45,8 +45,9 @@ def growth_of(plant: Plant, iterations: str, most: int) -> tuple[dict[int, float
 
     if iterations != "power":
         each = 1 + plant.n_inputs * plant.n_outputs
-        values, limit = procedure_2_efficiency(plant, max(most // each, 1))
-        return {each * (m + 1): float(v) for m, v in enumerate(values)}, limit
+        marks = sorted({max(round(k / each), 1) for k in checkpoints(most)})
+        values, limit = procedure_2_efficiency(plant, marks)
+        return {each * m: float(v) for m, v in zip(marks, values, strict=True)}, limit
     top = peak(plant)
     values = peak_gain_efficiency_by_experiments(plant, most)
     if not top.unique:

@@ -18,7 +18,7 @@ Algorithm 1's limit exactly: two of its steps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -254,33 +254,35 @@ def _iterates(
         Phi = new / mu2
 
 
-def procedure_2_efficiency(plant: Plant, iterations: int) -> tuple[NDArray[np.float64], float]:
-    """c-efficiency of all 1 + pq experiments of the first m iterations together, m = 1..iterations, and of the limit.
+def procedure_2_efficiency(plant: Plant, marks: Sequence[int]) -> tuple[NDArray[np.float64], float]:
+    """c-efficiency of all 1 + pq experiments of the first m iterations together, m in `marks`, and of the limit.
 
     The second stage applies every output of the first, reversed and at unit power, to every input in turn; it is counted
     like the first. Twin: Procedure 2 simulated, its informations summed.
 
-    Shapes: returns (iterations,).
+    Shapes: returns (len(marks),).
     """
     top = peak(plant)
     if not top.unique:
-        return np.full(iterations, np.nan), float("nan")
+        return np.full(len(marks), np.nan), float("nan")
     c, terms = gain_gradient(plant, top), _terms(plant, top)
     variances = np.diag(plant.noise_covariance)
     p, q = plant.n_outputs, plant.n_inputs
 
-    def information(Phi: NDArray, powers: NDArray) -> NDArray[np.float64]:
+    def density(Phi: NDArray, powers: NDArray) -> NDArray[np.complex128]:
         outputs = np.einsum("kia,kab,kib->ki", terms.outputs, Phi, np.conj(terms.outputs)).real
         second = ((outputs + variances * terms.shape[:, None]) / powers).sum(axis=1)
         first = np.einsum("kia,kab,kjb->kij", terms.V, Phi, np.conj(terms.V))
-        density = first + second[:, None, None] * np.eye(q)
-        spectrum = Spectrum(terms.nodes.omega, terms.nodes.weight[:, None, None] * density)
-        return information_of_spectrum(plant, spectrum)
+        return first + second[:, None, None] * np.eye(q)
 
-    share = lambda total, m: float(variances[0] / losses(total / (m * (1 + p * q)), c).c)
-    total, efficiency = np.zeros((len(c), len(c))), np.empty(iterations)
-    for m, (Phi, powers, _) in enumerate(_iterates(plant, terms, iterations, "each")):
-        total = total + information(Phi, powers)
-        efficiency[m] = share(total, m + 1)
+    def share(total: NDArray, m: int) -> float:
+        spectrum = Spectrum(terms.nodes.omega, terms.nodes.weight[:, None, None] * total / (m * (1 + p * q)))
+        return float(variances[0] / losses(information_of_spectrum(plant, spectrum), c).c)
+
+    total, found = np.zeros(terms.cross.shape, complex), {}
+    for m, (Phi, powers, _) in enumerate(_iterates(plant, terms, max(marks), "each"), 1):
+        total += density(Phi, powers)
+        if m in marks:
+            found[m] = share(total, m)
     Phi = _density(terms, *_scaled(plant, terms, "each"))
-    return efficiency, share(information(Phi, _output_powers(plant, terms, Phi)), 1)
+    return np.array([found[m] for m in marks]), share(density(Phi, _output_powers(plant, terms, Phi)), 1)
