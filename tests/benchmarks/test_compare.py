@@ -63,6 +63,7 @@ def test_files_of_a_comparison(finished):
         "headline",
         "answer",
         "advice",
+        "growth",
         "pairs",
         "performance",
         "head_to_head",
@@ -76,6 +77,7 @@ def test_files_of_a_comparison(finished):
     for name in (
         "answer-where",
         "answer-advice",
+        "growth",
         "profiles",
         "profiles-data",
         "head-to-head",
@@ -89,7 +91,7 @@ def test_files_of_a_comparison(finished):
         assert (folder / "figures" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
     page = (folder / "report.html").read_text()
     head = page[: page.index("<script")]
-    assert head.count("<figure") == 11
+    assert head.count("<figure") == 12
     assert "connect-src 'none'" in head
     assert not re.findall(r'(?:src|href)="(?!data:|#)[^"]+"', head)  # it opens offline
     identifiers = re.findall(r'\bid="([^"]+)"', head)
