@@ -1,18 +1,21 @@
-"""Write the answer and the pictures of the README from a finished comparison (`make readme`)."""
+"""Write the README's answer and docs/results from a finished comparison (`make readme`, `make campaign`)."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 from pathlib import Path
 
+from benchmarks.page.comparison_words import CAPTIONS
 from benchmarks.tables.answer import ANSWER
 from benchmarks.tables.formats import from_parquet, to_markdown
+from benchmarks.tables.growth import FARTHEST, GROWTH
 from benchmarks.tables.head_to_head import head_to_head_sentence
 from oed.errors import InputError
 from oed.files.writing import write_whole
 
-__all__ = ["oracle_sentence", "with_headline", "write_readme"]
+__all__ = ["oracle_sentence", "with_headline", "write_readme", "write_results"]
 
 START = "<!-- headline: made by `make readme` from results/compare -->"
 END = "<!-- end of headline -->"
@@ -81,9 +84,52 @@ def write_readme(results: Path, readme: Path) -> None:
         shutil.copyfile(results / "figures" / f"{name}.svg", folder / f"{target}.svg")
 
 
+PUBLISHED_TABLES = ("answer", "growth", "comparison", "not_run")
+TWO_PAGES = ("case", "channels", "noise_variance", "c_efficiency", "limit", "best_structure", "rho_structure", "best_nothing",
+             "rho_nothing", "best_own", "rho_own")  # fmt: skip
+
+
+def write_results(results: Path, folder: Path, name: str, commit: str) -> None:
+    """The page, its tables and an answer of two pages in a folder of the documentation, with commit, seed, machine and cost."""
+    rows, metadata = from_parquet(results / "tables" / "answer.parquet")
+    growth, _ = from_parquet(results / "tables" / "growth.parquet")
+    summary = (results / "summary.md").read_text(encoding="utf-8").split("\n\n")
+    answer = json.loads((results / "report.json").read_text(encoding="utf-8"))
+    cost = json.loads((results / "cost.json").read_text(encoding="utf-8"))
+    told = [row for row in growth if row["experiments"] in (1, rows[0]["experiments"], FARTHEST)]
+    folder.mkdir(parents=True, exist_ok=True)
+    made = {
+        "campaign": name,
+        "commit": commit,
+        **{k: metadata[k] for k in ("seed", "samples", "experiments", "replicates")},
+        **cost,
+    }
+    lines = [
+        f"# Are the iterations optimal experiment design? The {name} campaign", "", f"**{answer['answer']}**", "",
+        "Made by a program from the campaign's tables; [the page](report.html) has every figure and table, the CSV files all digits.",
+        "", to_markdown(rows, {key: ANSWER[key] for key in TWO_PAGES}), CAPTIONS["answer"], "", CAPTIONS["below"], "",
+        CAPTIONS["shared"], "", "## In words", "", *(f"- {words}" for words in summary[1:] if words.strip()), "",
+        "## By budget", "", CAPTIONS["growth"], "", to_markdown(told, GROWTH), "## What it is and what it cost", "",
+        *(f"- {key.replace('_', ' ')}: {value}" for key, value in made.items()), "",
+        f"Command: `{metadata['command']}`", "",
+    ]  # fmt: skip
+    write_whole(folder / "README.md", "\n".join(lines))
+    for table in PUBLISHED_TABLES:
+        if (results / "tables" / f"{table}.csv").exists():
+            shutil.copyfile(results / "tables" / f"{table}.csv", folder / f"{table}.csv")
+    shutil.copyfile(results / "report.html", folder / "report.html")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("results", type=Path)
     parser.add_argument("readme", type=Path)
+    parser.add_argument(
+        "--publish", type=Path, metavar="DIR", help="docs/results: the page, its tables and a written answer"
+    )
+    parser.add_argument("--name", default="published", help="what the campaign is called there")
+    parser.add_argument("--commit", default="unknown", help="of the source that made it")
     arguments = parser.parse_args()
+    if arguments.publish:
+        write_results(arguments.results, arguments.publish, arguments.name, arguments.commit)
     write_readme(arguments.results, arguments.readme)

@@ -32,7 +32,15 @@ from benchmarks.page.skeleton import save_page
 from benchmarks.tables.answer import ADVICE, ANSWER, advice_rows, answer_rows, answer_sentences
 from benchmarks.tables.claim_map import COLUMNS as CLAIM
 from benchmarks.tables.claim_map import claim_tasks
-from benchmarks.tables.columns import COLUMNS, INFORMATION_COLUMNS, is_number, made, save_summary
+from benchmarks.tables.columns import (
+    COLUMNS,
+    INFORMATION_COLUMNS,
+    NOT_RUN,
+    is_number,
+    made,
+    not_run_rows,
+    save_summary,
+)
 from benchmarks.tables.formats import to_markdown
 from benchmarks.tables.growth import GROWTH, growth_rows
 from benchmarks.tables.hair_dryer import hair_dryer_story
@@ -165,7 +173,9 @@ def _comparison(rows: list[Row], settings: Settings, replicates: int) -> list[Se
     text = [CAPTIONS["budget"].format(s=settings, replicates=replicates, fewer=fewer), CAPTIONS["oracle"]]
     table = Table("comparison", "Bias, RMSE and rho, each with its Monte-Carlo standard error.", COLUMNS, rows,
                   ["c_efficiency", "d_efficiency"], repeat=True)  # fmt: skip
-    return [Section("The comparison", text, [table], [figures.rho_figure(rows)])]
+    absent = not_run_rows(settings, replicates)
+    saved = [table, Table("not_run", CAPTIONS["not_run"], NOT_RUN, absent)] if absent else [table]
+    return [Section("The comparison", text, saved, [figures.rho_figure(rows)])]
 
 
 def _profiles(tables: Tables, pairs: list[Row]) -> list[Section]:

@@ -65,6 +65,7 @@ CAPTIONS = {
     "Chosen on one half of the problems and judged on the other: replicates of a plant, plants of a family. What ties with it is "
     "within two standard errors there. Data wasted: mean square error over that of PEM on the same records. Energy over all "
     "experiments and channels, the 1 + pq of Procedure 2 counted one by one.",
+    "not_run": "What has no number, and why. An estimator that is made for other records (the iterations' own) is not listed.",
     "below": "rho is at least 1 for unbiased estimators, locally and for large samples. A rho below 1 is chance (see its error), or a "
     "biased estimator whose bias happens to help here; the column remark says which.",
     "shared": "All inputs of a plant meet the same noise, and its noise levels share their draws, only scaled: differences between "

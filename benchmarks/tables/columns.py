@@ -5,16 +5,22 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.campaign.plants import load_plant
+from benchmarks.campaign.registry import compatible, fits
 from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.store import versions
 from oed.files.writing import write_whole
 
-__all__ = ["BUDGET", "COLUMNS", "INFORMATION_COLUMNS", "command_line", "is_number", "made", "save_summary"]
+__all__ = [
+    "BUDGET", "COLUMNS", "INFORMATION_COLUMNS", "NOT_RUN", "command_line", "is_number", "made", "not_run_rows", "save_summary",
+]  # fmt: skip
 
 BUDGET = {
     "channels": "channels",
@@ -55,6 +61,40 @@ INFORMATION_COLUMNS = {
     "e_efficiency": "E",
     "rho_predicted": "best rho",
 }
+
+
+NOT_RUN = {"plant": "plant", "noise": "noise", "method": "input", "estimator": "estimator", "why": "why not"}
+
+
+def not_run_rows(settings: Settings, replicates: int) -> list[dict[str, Any]]:
+    """What has no number although it was asked for, and why; of the plants of a family the first stands for all."""
+    families = [p for p in settings.plants if not p.startswith("random-") or p.endswith("-1")]
+    table = []
+    for plant, method in product(families, settings.methods):
+        if not fits(method, load_plant(plant)):
+            table.append(
+                {
+                    "plant": plant,
+                    "noise": "all",
+                    "method": method,
+                    "estimator": "all",
+                    "why": "made for one channel",
+                }
+            )
+            continue
+        for estimator in ("", *(e for e in settings.estimators if compatible(method, e))):
+            count = partial(settings.replicates_of, replicates, plant, method, estimator)
+            left = [f"{v:g}" for v in settings.noise_variances if count(v) == 0]
+            if not left:
+                continue
+            every = len(left) == len(settings.noise_variances)
+            row = {"plant": plant, "noise": "all" if every else ", ".join(left), "method": method}
+            table.append(
+                row | {"estimator": estimator or "all", "why": "left out by a limit of the campaign"}
+            )
+            if not estimator and every:
+                break
+    return table
 
 
 def command_line(settings: Settings, replicates: int, out: Path) -> str:

@@ -12,7 +12,7 @@ from benchmarks.campaign.run import checkpoints
 from benchmarks.tables.tabulation import Tables
 from oed.plants.plant import Plant
 
-__all__ = ["GROWTH", "growth_of", "growth_rows"]
+__all__ = ["FARTHEST", "GROWTH", "growth_of", "growth_rows"]
 
 Row = dict[str, Any]
 FARTHEST = 1000

@@ -188,11 +188,19 @@ def comparison_rows(runs: Runs, information: Sequence[Row], target: Target) -> l
             "hinf_norm": target.gamma,
             "n": len(found),
             "n_failed": int(np.sum(~found.good)),
-            "remark": below_one(row),
+            "remark": "; ".join(filter(None, (below_one(row), _coarse(row)))),
             "failures": ", ".join(f"{n} {k.lower().replace('_', ' ')}" for k, n in failed.items()),
         }
         table.append(row)
     return table
+
+
+COARSE = 0.05
+"""Share of rho from which on its standard error is said to be large."""
+
+
+def _coarse(row: Row) -> str:
+    return f"standard error over {100 * COARSE:g} % of rho" if row["rho_se"] > COARSE * row["rho"] else ""
 
 
 def below_one(row: Row) -> str:

@@ -89,6 +89,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="put the results of these folders together in --out first, then compute what is missing",
     )
+    add(
+        "--against",
+        metavar="DIR",
+        help="say what is better, worse and within the error of an earlier comparison, such as docs/results",
+    )
     add("--jobs", type=int, metavar="J", help="worker processes (default: one per core)")
     add("--scheduler", metavar="ADDRESS", help="address of a Dask scheduler to run on instead")
     add("--dry-run", action="store_true", help="only say what would be run, after trying it on a tiny size")
@@ -126,4 +131,12 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         dry_run=args.dry_run,
         quiet=args.quiet or args.json,
     )
-    return result.to_dict(), str(result)
+    payload, text = result.to_dict(), str(result)
+    if args.against and not args.dry_run:
+        from benchmarks.against import AGAINST, against, against_sentence
+        from benchmarks.tables.formats import to_text
+
+        table = against(result.rows, args.against)
+        payload["against"] = table
+        text += "\n\n" + to_text(table, AGAINST) + "\n" + against_sentence(table, args.against)
+    return payload, text
