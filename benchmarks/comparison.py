@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import platform
-import resource
 import sys
 import time
 from collections.abc import Sequence
@@ -133,7 +132,7 @@ def compare(
     options = {"time_limit": time_limit, "own": brought.functions}
     if dry_run:
         return _dry_run(settings, replicates, Path(out), options)
-    folder, began = Path(out), (time.monotonic(), _cpu())
+    folder, began = Path(out), time.monotonic()
     store = fill_store(
         settings,
         replicates,
@@ -144,7 +143,7 @@ def compare(
         **options,
     )
     workers = jobs or os.cpu_count() or 1
-    _add_cost(folder, time.monotonic() - began[0], _cpu() - began[1], workers)
+    _add_cost(folder, time.monotonic() - began, workers)
     from benchmarks.page.comparison import write_comparison
 
     try:
@@ -160,18 +159,12 @@ def compare(
     return Comparison(tables.rows, tables.information, folder, page, sentences, tables.pairs)
 
 
-def _cpu() -> float:
-    """Seconds of processor time of this process and of the workers that have ended."""
-    return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-
-
-def _add_cost(folder: Path, wall: float, cpu: float, workers: int) -> None:
+def _add_cost(folder: Path, wall: float, workers: int) -> None:
     """cost.json: what the runs took so far, every resumption added; not part of what is bound to the settings."""
     file = folder / "cost.json"
     before = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     cost = {
         "wall_seconds": round(before.get("wall_seconds", 0.0) + wall, 1),
-        "cpu_seconds": round(before.get("cpu_seconds", 0.0) + cpu, 1),
         "workers": workers,
         "megabytes_of_parts": round(sum(p.stat().st_size for p in (folder / "parts").iterdir()) / 1e6, 1),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}",

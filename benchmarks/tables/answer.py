@@ -155,7 +155,8 @@ def _mean(rows: Sequence[Row], key: str) -> tuple[float, float]:
     """Of one plant its value and error; of many their mean, with the error of plants drawn at random."""
     values = np.array([row[key] for row in rows if _finite(row[key])])
     if len(values) < 2:
-        return (float(values[0]), rows[0][f"{key}_se"]) if len(values) else (float("nan"),) * 2
+        only = next((row for row in rows if _finite(row[key])), {})
+        return float(only.get(key, np.nan)), float(only.get(f"{key}_se", np.nan))
     return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
 
 

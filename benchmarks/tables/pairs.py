@@ -110,7 +110,7 @@ def _half(errors: Errors, odd: bool) -> dict[int, float]:
 
 def _usable(errors: Errors) -> bool:
     failed = np.mean(~np.isfinite(list(errors.values()))) if errors else 1.0
-    return failed <= FAILED and all(len(_half(errors, odd)) >= HALF for odd in (False, True))
+    return bool(failed <= FAILED) and all(len(_half(errors, odd)) >= HALF for odd in (False, True))
 
 
 def chosen_and_judged(ways: Mapping[Solver, Errors]) -> Row:
