@@ -112,7 +112,7 @@ def answer_rows(tables: Tables) -> list[Row]:
         ratio = mine[0] / white[0] if white[0] > 0 else float("nan")
         plants = list(dict.fromkeys(row["plant"] for row in carried[name]))
         targets = [tables.known[plant, variance] for plant in plants]
-        limits = [growth_of(target.plant, name, 1)[1] for target in targets]
+        limits = [growth_of(target.plant, name, 1, target.optimum.c)[1] for target in targets]
         first, d = carried[name][0], _mean(carried[name], "d_efficiency")
         row: Row = {
             "plant": plants[0] if len(plants) == 1 else case,

@@ -35,8 +35,13 @@ GROWTH = {
 }
 
 
-def growth_of(plant: Plant, iterations: str, most: int) -> tuple[dict[int, float], float]:
-    """By number of experiments, the efficiency that theory predicts for the first so many together; and that of the limit."""
+def growth_of(
+    plant: Plant, iterations: str, most: int, optimum: float | None = None
+) -> tuple[dict[int, float], float]:
+    """By number of experiments, the efficiency that theory predicts for the first so many together; and that of the limit.
+
+    `optimum` is the certified least variance of the peak gain; where it is not given, that of white noise.
+    """
     from oed.information import information_of_spectrum
     from oed.plants.norms import gain_gradient, peak
     from oed.theory.efficiency import losses, peak_gain_efficiency_by_experiments
@@ -46,14 +51,15 @@ def growth_of(plant: Plant, iterations: str, most: int) -> tuple[dict[int, float
     if iterations != "power":
         each = 1 + plant.n_inputs * plant.n_outputs
         marks = sorted({max(round(k / each), 1) for k in checkpoints(most)})
-        values, limit = procedure_2_efficiency(plant, marks)
+        values, limit = procedure_2_efficiency(plant, marks, optimum)
         return {each * m: float(v) for m, v in zip(marks, values, strict=True)}, limit
     top = peak(plant)
-    values = peak_gain_efficiency_by_experiments(plant, most)
+    values = peak_gain_efficiency_by_experiments(plant, most, optimum)
     if not top.unique:
         return dict(enumerate(values.tolist(), 1)), float("nan")
     together = information_of_spectrum(plant, limit_spectrum(plant).spectrum)
-    limit = plant.noise_variance / losses(together, gain_gradient(plant, top)).c
+    least = plant.noise_variance if optimum is None else optimum
+    limit = least / losses(together, gain_gradient(plant, top)).c
     return dict(enumerate(values.tolist(), 1)), float(limit)
 
 
@@ -64,7 +70,8 @@ def growth_rows(tables: Tables, answer: Sequence[Row]) -> list[Row]:
         plant, variance, name = said["plant"], said["noise_variance"], said["iterations"]
         if (plant, variance) not in tables.known or family_of(plant):
             continue
-        predicted, limit = growth_of(tables.known[plant, variance].plant, name, FARTHEST)
+        target = tables.known[plant, variance]
+        predicted, limit = growth_of(target.plant, name, FARTHEST, target.optimum.c)
         here = [r for r in tables.information if (r["plant"], r["noise_variance"]) == (plant, variance)]
         measured = {r["experiments"]: r for r in here if r["method"] == name}
         white = {r["experiments"]: r["c_efficiency"] for r in here if r["method"] == "white"}

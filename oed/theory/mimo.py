@@ -254,11 +254,13 @@ def _iterates(
         Phi = new / mu2
 
 
-def procedure_2_efficiency(plant: Plant, marks: Sequence[int]) -> tuple[NDArray[np.float64], float]:
+def procedure_2_efficiency(
+    plant: Plant, marks: Sequence[int], optimum: float | None = None
+) -> tuple[NDArray[np.float64], float]:
     """c-efficiency of all 1 + pq experiments of the first m iterations together, m in `marks`, and of the limit.
 
     The second stage applies every output of the first, reversed and at unit power, to every input in turn; it is counted
-    like the first. Twin: Procedure 2 simulated, its informations summed.
+    like the first. `optimum` is the certified least c' I^-1 c, lambda_e where it is not given. Twin: Procedure 2 simulated, its informations summed.
 
     Shapes: returns (len(marks),).
     """
@@ -277,7 +279,8 @@ def procedure_2_efficiency(plant: Plant, marks: Sequence[int]) -> tuple[NDArray[
 
     def share(total: NDArray, m: int) -> float:
         spectrum = Spectrum(terms.nodes.omega, terms.nodes.weight[:, None, None] * total / (m * (1 + p * q)))
-        return float(variances[0] / losses(information_of_spectrum(plant, spectrum), c).c)
+        least = variances[0] if optimum is None else optimum
+        return float(least / losses(information_of_spectrum(plant, spectrum), c).c)
 
     total, found = np.zeros(terms.cross.shape, complex), {}
     for m, (Phi, powers, _) in enumerate(_iterates(plant, terms, max(marks), "each"), 1):
