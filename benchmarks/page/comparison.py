@@ -113,7 +113,7 @@ def write_comparison(
     used = [*settings.methods, *settings.estimators]
     page = Page(
         "comparison", "Which input is worth applying for the H-infinity norm?", short_answer(answer, best, settings),
-        [f"{replicates} runs of {settings.experiments} experiments of {settings.samples} samples each, everything on the same "
+        [f"At most {replicates} runs (every row says how many) of {settings.experiments} experiments of {settings.samples} samples each, everything on the same "
          "plants and the same noise; every value has its Monte-Carlo standard error, every optimum its certificate.",
          "Differences are tested in pairs and corrected for how many there are (Holm): see 'Who is better, and is it chance?'."],
         advice_sentences(answer, best), sections=sections, made=made(settings, replicates, folder), filters=FILTERS,

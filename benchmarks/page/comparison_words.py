@@ -96,11 +96,6 @@ CAPTIONS = {
 }  # fmt: skip
 
 
-def _times(ratio: float) -> str:
-    """A ratio to two digits, never with an exponent."""
-    return f"{float(f'{ratio:.2g}'):,.10g}"
-
-
 def short_answer(answer: Sequence[Row], best: Sequence[Row], settings: Settings) -> str:
     """The answer in one sentence."""
     if not answer:
