@@ -14,7 +14,7 @@ import numpy as np
 
 from oed.data import Record
 from oed.errors import InputError, check_names
-from oed.plants.named import FAMILIES
+from oed.plants.families import FAMILIES
 from oed.plants.plant import Plant
 
 __all__ = [
@@ -115,7 +115,8 @@ def _random(spec: str, family: str, number: int, noise_variance: float | None) -
     Of the head-to-head protocol (fir): length 10, decay 0.75; experiments of 50 samples with input norm 1 and noise of
     standard deviation 0.1 are, in unit input power, noise of variance 0.5, the default there.
     """
-    from oed.plants.named import random_fir, random_plant
+    from oed.plants.families import random_plant
+    from oed.plants.named import random_fir
 
     if family == "fir":
         rng = np.random.default_rng([RANDOM_SEED, number])

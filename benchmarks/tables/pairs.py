@@ -2,12 +2,16 @@
 
 The smallest of many noisy errors is too small. So the best way is chosen on the problems of even number (replicates of a
 plant, or plants of a family), and its error is that on the problems of odd number, where nothing was chosen; ways whose error
-there is not larger by two standard errors of the paired difference tie with it.
+there is not larger by two standard errors of the paired difference tie with it. Against an earlier comparison nothing is
+paired: what is better or worse is said under Holm's rule.
 """
 
 from __future__ import annotations
 
+import csv
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +19,20 @@ from numpy.typing import NDArray
 
 from benchmarks.campaign.part import Estimates
 from benchmarks.campaign.registry import told
+from oed.errors import InputError
 
-__all__ = ["HALF", "Errors", "chosen_and_judged", "errors_of", "holm", "paired_rows", "ratio_of_means"]
+__all__ = [
+    "AGAINST",
+    "HALF",
+    "against_rows",
+    "against_sentence",
+    "Errors",
+    "chosen_and_judged",
+    "errors_of",
+    "holm",
+    "paired_rows",
+    "ratio_of_means",
+]
 
 Row = dict[str, Any]
 Solver = tuple[str, str]
@@ -26,6 +42,8 @@ HALF = 3
 """Problems that either half must have: fewer have no standard error worth the name."""
 FAILED = 0.05
 """Share of failed runs from which on a way is none that one would recommend."""
+MOST_TIES = 3
+"""Ways that a cell names as ties, those of least error; it counts the others."""
 TIED = 2.0
 """Standard errors of the paired difference up to which two ways tie."""
 
@@ -122,9 +140,10 @@ def chosen_and_judged(ways: Mapping[Solver, Errors]) -> Row:
     mine = _half(ways[best], True)
     square = float(np.mean(list(mine.values())))
     se = float(np.std(list(mine.values()), ddof=1) / np.sqrt(len(mine)))
-    ties = [
-        f"{m} / {e}" for (m, e), errors in ways.items() if (m, e) != best and _ties(_half(errors, True), mine)
-    ]
+    tied = [way for way, errors in ways.items() if way != best and _ties(_half(errors, True), mine)]
+    tied.sort(key=lambda way: np.mean(list(_half(ways[way], True).values())))
+    ties = [f"{method} / {estimator}" for method, estimator in tied[:MOST_TIES]]
+    ties += [f"{len(tied) - MOST_TIES} more"] if len(tied) > MOST_TIES else []
     rho = float(np.sqrt(square))
     return {"input": best[0], "estimator": best[1], "rho": rho, "rho_se": se / (2 * rho) if rho else float("nan"),
             "n": len(mine), "ties": ", ".join(ties)}  # fmt: skip
@@ -151,3 +170,80 @@ def ratio_of_means(a: Errors, b: Errors) -> tuple[float, float]:
     ratio = float(x.mean() / y.mean())
     spread = (x / x.mean() - y / y.mean()).std(ddof=1) / np.sqrt(len(both))
     return ratio, ratio * float(spread)
+
+
+KEY = ("plant", "method", "estimator")
+BUDGET = ("noise_variance", "samples", "experiments")
+SURE = 0.05
+"""Chance of any wrong "better" or "worse" in the whole table where nothing has changed, by Holm's rule."""
+AGAINST = {
+    "plant": "plant",
+    "noise_variance": "noise",
+    "method": "input",
+    "estimator": "estimator",
+    "rho": "rho here",
+    "rho_there": "rho there",
+    "difference": "difference",
+    "p_holm": "p (Holm)",
+    "verdict": "so it is",
+}
+
+
+def against_rows(rows: Sequence[Row], folder: str | Path) -> list[Row]:
+    """Rho of every way that both have at the same budget, its difference, and whether that is more than chance."""
+    there = {_key(row): row for row in _published(Path(folder))}
+    both = [(row, there[_key(row)]) for row in rows if _key(row) in there]
+    if not both:
+        raise InputError(
+            f"{folder} has no plant, noise level, input and estimator in common with this comparison at its budget; compare "
+            "with --samples, --experiments and --plant as there."
+        )
+    table = []
+    for mine, theirs in both:
+        row = {key: mine[key] for key in (*KEY, "noise_variance", "rho", "rho_se")}
+        row |= {"rho_there": float(theirs["rho"]), "rho_there_se": float(theirs["rho_se"] or "nan")}
+        row["difference"] = row["rho"] - row["rho_there"]
+        row["difference_se"] = float(np.hypot(row["rho_se"], row["rho_there_se"]))
+        table.append(row)
+    from scipy.stats import norm
+
+    z = np.array(
+        [
+            abs(row["difference"]) / row["difference_se"] if row["difference_se"] > 0 else np.nan
+            for row in table
+        ]
+    )
+    for row, p in zip(table, holm((2 * norm.sf(z)).tolist()), strict=True):
+        row["p_holm"] = float(p)
+        changed = "better" if row["difference"] < 0 else "worse"
+        row["verdict"] = changed if p <= SURE else "within the error"
+    return table
+
+
+def against_sentence(table: Sequence[Row], folder: str | Path) -> str:
+    """How many are better, worse and within the error."""
+    count = Counter(row["verdict"] for row in table)
+    return (
+        f"Against {folder}: {count['better']} better, {count['worse']} worse, {count['within the error']} within the error, of "
+        f"{len(table)} ways that both have (5 % chance of any wrong word, noise taken as independent)."
+    )
+
+
+def _key(row: Row) -> tuple[Any, ...]:
+    return (*(row[key] for key in KEY), *(float(row[key]) for key in BUDGET))
+
+
+def _published(folder: Path) -> list[Row]:
+    """comparison.csv of a published folder, or of the tables of a results folder."""
+    for file in (folder / "comparison.csv", folder / "tables" / "comparison.csv"):
+        if file.is_file():
+            try:
+                with file.open(encoding="utf-8", newline="") as stream:
+                    rows = [dict(row) for row in csv.DictReader(stream)]
+                _ = [(_key(row), float(row["rho"])) for row in rows]
+                return rows
+            except (OSError, ValueError, KeyError, TypeError) as error:
+                raise InputError(
+                    f"{file} is no table of a comparison ({type(error).__name__}: {error})."
+                ) from None
+    raise InputError(f"{folder} holds no comparison.csv; give a folder of results, or docs/results.")

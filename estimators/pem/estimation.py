@@ -331,9 +331,7 @@ def _fit_row(
         problem = prepare(
             form.row(i), rows, offset=how.offset, initial=how.unknown, scales=scales, missing=how.missing
         )
-        at = np.r_[_row_slice(form, i), [form.n + i] * how.offset].astype(
-            int
-        )  # an empty list is one of floats
+        at = np.r_[_row_slice(form, i), [form.n + i] * how.offset].astype(int)
         if joint.lower is not None and joint.upper is not None:
             problem = problem.replace(lower=joint.lower[at], upper=joint.upper[at])
         own = None if begin is None else begin[at]

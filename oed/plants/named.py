@@ -13,17 +13,17 @@ import numpy as np
 from oed.errors import check_names
 from oed.plants.plant import Plant
 
-__all__ = ["FAMILIES", "NAMES", "named_plant", "random_fir", "random_plant"]
+__all__ = ["NAMES", "bandpass", "named_plant", "parallel", "random_fir"]
 
 
-def _bandpass(frequency: float, radius: float, gain: float) -> tuple[np.ndarray, np.ndarray]:
+def bandpass(frequency: float, radius: float, gain: float) -> tuple[np.ndarray, np.ndarray]:
     """z^-1 times a second-order filter whose largest gain lies exactly at the frequency (rad/sample)."""
     num = gain * (1 - radius**2) / 2 * np.array([0.0, 1.0, 0.0, -1.0])
     den = np.array([1.0, -(1 + radius**2) * np.cos(frequency), radius**2])
     return num, den
 
 
-def _parallel(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[list[float], list[float]]:
+def parallel(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[list[float], list[float]]:
     """Sum of transfer functions over their common denominator."""
     den = reduce(np.convolve, [d for _, d in parts])
     terms = [
@@ -41,7 +41,7 @@ def _reference() -> dict:
 
 
 def _two_peaks() -> dict:
-    num, den = _parallel([_bandpass(0.7, 0.95, 2.0), _bandpass(2.0, 0.9, 1.97)])
+    num, den = parallel([bandpass(0.7, 0.95, 2.0), bandpass(2.0, 0.9, 1.97)])
     return {"num": num, "den": den}
 
 
@@ -62,8 +62,8 @@ def _nonminimum_phase() -> dict:
 
 
 def _order_20() -> dict:
-    parts = [_bandpass(0.25 + 0.28 * k, 0.93 - 0.01 * k, 2.0 / (1 + 0.35 * abs(k - 3))) for k in range(10)]
-    num, den = _parallel(parts)
+    parts = [bandpass(0.25 + 0.28 * k, 0.93 - 0.01 * k, 2.0 / (1 + 0.35 * abs(k - 3))) for k in range(10)]
+    num, den = parallel(parts)
     return {"num": num, "den": den}
 
 
@@ -85,14 +85,14 @@ def _avis() -> dict:
     parts = []
     for hertz, width, peak in ((121.0, 10.0, 1.997), (296.0, 24.0, 1.95)):
         half = np.tan(np.pi * width * dt)
-        parts.append(_bandpass(2 * np.pi * hertz * dt, np.sqrt((1 - half) / (1 + half)), peak))
+        parts.append(bandpass(2 * np.pi * hertz * dt, np.sqrt((1 - half) / (1 + half)), peak))
     left, right = np.deg2rad(40.0), np.deg2rad(50.0)
     outputs = np.array([[np.cos(left), np.sin(left)], [-np.sin(left), np.cos(left)]])
     inputs = np.array([[np.cos(right), np.sin(right)], [-np.sin(right), np.cos(right)]])
     num, den = [], []
     for i in range(2):
         entries = [
-            _parallel([(n * outputs[k, i] * inputs[k, j], d) for k, (n, d) in enumerate(parts)])
+            parallel([(n * outputs[k, i] * inputs[k, j], d) for k, (n, d) in enumerate(parts)])
             for j in range(2)
         ]
         num.append([entry[0] for entry in entries])
@@ -154,64 +154,3 @@ def random_fir(
     """
     g = rng.uniform(-1, 1, taps) * decay ** np.arange(taps)
     return Plant(g, [1.0], noise_covariance=noise_variance, name="random-fir")
-
-
-NORM = 2.4
-"""H-infinity norm of every random plant of a family, about the reference plant's, so that a noise variance means the same."""
-
-
-def _light(rng: np.random.Generator) -> dict:
-    """One resonance of a relative damping of a few thousandths to a few hundredths."""
-    radius, frequency = 1 - 10 ** rng.uniform(-2.5, -1.5), rng.uniform(0.3, 2.8)
-    return {"num": [0, *rng.normal(size=2)], "den": [1, -2 * radius * np.cos(frequency), radius**2]}
-
-
-def _competing(rng: np.random.Generator) -> dict:
-    """Two resonances whose peaks differ by 1 to 10 %."""
-    first, apart = rng.uniform(0.3, 1.4), rng.uniform(0.6, 1.4)
-    lower = rng.uniform(0.9, 0.99)
-    num, den = _parallel(
-        [
-            _bandpass(first, rng.uniform(0.85, 0.97), 1.0),
-            _bandpass(first + apart, rng.uniform(0.85, 0.97), lower),
-        ]
-    )
-    return {"num": num, "den": den}
-
-
-def _late(rng: np.random.Generator) -> dict:
-    """A resonance behind a delay of 3 to 10 samples."""
-    radius, frequency = rng.uniform(0.7, 0.95), rng.uniform(0.2, 2.8)
-    lag = [0.0] * int(rng.integers(3, 11))
-    return {"num": [*lag, *rng.normal(size=2)], "den": [1, -2 * radius * np.cos(frequency), radius**2]}
-
-
-def _many(rng: np.random.Generator) -> dict:
-    """2 x 2 to 4 x 4, every entry of second order with poles of its own."""
-    ny, nu = rng.integers(2, 5, size=2)
-    shape = (int(ny), int(nu))
-    radius, frequency = rng.uniform(0.6, 0.93, shape), rng.uniform(0.2, 2.8, shape)
-    return {
-        "num": [[[0, *rng.normal(size=2)] for _ in range(nu)] for _ in range(ny)],
-        "den": [
-            [[1, -2 * r * np.cos(w), r**2] for r, w in zip(*rows, strict=True)]
-            for rows in zip(radius, frequency, strict=True)
-        ],
-    }
-
-
-FAMILIES = {"light": _light, "competing": _competing, "late": _late, "many": _many}
-"""Families of random plants: light damping, two competing peaks, delay, several channels."""
-
-
-def random_plant(family: str, rng: np.random.Generator, noise_variance: float = 1.0) -> Plant:
-    """A random plant of a family, scaled to the norm `NORM`."""
-    from oed.plants.norms import peak
-
-    check_names([family], tuple(FAMILIES), "family of random plants")
-    polynomials = FAMILIES[family](rng)
-    gain = NORM / peak(Plant(**polynomials)).value
-    num = polynomials["num"]
-    several = isinstance(num[0], list)
-    scaled = [[[gain * b for b in B] for B in row] for row in num] if several else [gain * b for b in num]
-    return Plant(scaled, polynomials["den"], noise_covariance=noise_variance, name=f"random-{family}")

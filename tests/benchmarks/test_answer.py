@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.against import against, against_sentence
 from benchmarks.campaign.settings import Limit, Settings
 from benchmarks.tables.columns import not_run_rows
 from benchmarks.tables.formats import to_csv
 from benchmarks.tables.growth import growth_of
-from benchmarks.tables.pairs import chosen_and_judged, ratio_of_means
+from benchmarks.tables.pairs import against_rows, against_sentence, chosen_and_judged, ratio_of_means
 from benchmarks.tables.statistics import below_one
 from benchmarks.tables.tabulation import judged_ways
 from estimators.rules.procedure2 import procedure_2
@@ -145,17 +144,17 @@ def test_against_an_earlier_comparison(rng, tmp_path):
     """The same numbers are all within the error; of 200 pairs of tables at most 5 % (bound 4 standard errors: 11 %) say anything
     else; a shift of eight errors is named, the right way round."""
     rows = compared(rng)
-    same = against(rows, published(tmp_path / "a", rows))
+    same = against_rows(rows, published(tmp_path / "a", rows))
     assert {row["verdict"] for row in same} == {"within the error"}
     wrong = [
         any(
             r["verdict"] != "within the error"
-            for r in against(compared(rng), published(tmp_path / "b", compared(rng)))
+            for r in against_rows(compared(rng), published(tmp_path / "b", compared(rng)))
         )
         for _ in range(200)
     ]
     assert np.mean(wrong) < 0.11
-    moved = against(compared(rng, m3=0.6, m4=-0.6), published(tmp_path / "c", rows))
+    moved = against_rows(compared(rng, m3=0.6, m4=-0.6), published(tmp_path / "c", rows))
     assert {r["method"]: r["verdict"] for r in moved if r["verdict"] != "within the error"} == {
         "3": "worse",
         "4": "better",
@@ -166,13 +165,13 @@ def test_against_an_earlier_comparison(rng, tmp_path):
 def test_against_nothing_comparable_is_refused(rng, tmp_path):
     rows = compared(rng)
     with pytest.raises(InputError, match="holds no comparison.csv"):
-        against(rows, tmp_path)
+        against_rows(rows, tmp_path)
     folder = published(tmp_path / "a", [row | {"samples": 999} for row in rows])
     with pytest.raises(InputError, match="in common with this comparison at its budget"):
-        against(rows, folder)
+        against_rows(rows, folder)
     (folder / "comparison.csv").write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="is no table of a comparison"):
-        against(rows, folder)
+        against_rows(rows, folder)
 
 
 def test_what_was_not_run_has_its_reason():

@@ -19,7 +19,7 @@ from benchmarks.campaign.users_own import Own
 from benchmarks.cli import main
 from benchmarks.comparison import compare
 from oed.errors import CampaignError, InputError
-from oed.plants.named import FAMILIES
+from oed.plants.families import FAMILIES
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "benchmarks" / "campaigns" / "published.toml"
 

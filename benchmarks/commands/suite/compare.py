@@ -133,10 +133,10 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     )
     payload, text = result.to_dict(), str(result)
     if args.against and not args.dry_run:
-        from benchmarks.against import AGAINST, against, against_sentence
         from benchmarks.tables.formats import to_text
+        from benchmarks.tables.pairs import AGAINST, against_rows, against_sentence
 
-        table = against(result.rows, args.against)
+        table = against_rows(result.rows, args.against)
         payload["against"] = table
         text += "\n\n" + to_text(table, AGAINST) + "\n" + against_sentence(table, args.against)
     return payload, text

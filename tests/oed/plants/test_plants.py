@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oed.errors import InputError
+from oed.plants.families import FAMILIES, NORM, random_plant
 from oed.plants.json import plant_from_json, plant_to_json
-from oed.plants.named import FAMILIES, NAMES, NORM, named_plant, random_plant
+from oed.plants.named import NAMES, named_plant
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
 from oed.plants.realisations import state_space
