@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from estimators.diagnosis.next_experiment.model_error import model_error_gain
 from estimators.norm.peak_estimates import corrected
 from estimators.norm.worst_inputs import worst_case
-from estimators.pem import identify
+from estimators.pem import identify, identify_response
 from estimators.rules.by_name import iterate
 from estimators.sessions import Session, Settings
 from oed.data import Record
@@ -58,6 +59,39 @@ def of_session(plant: Plant, method: str, samples: int, experiments: int, seed: 
     }
 
 
+def of_model_error(plant: Plant, samples: int, iterations: int, seed: int) -> Row:
+    """The norm of what a model lacks, here all of the plant."""
+    found, true = (
+        model_error_gain(
+            simulated(plant, seed=seed), lambda u: np.zeros((len(u), plant.n_outputs)), samples=samples,
+            iterations=iterations, rng=np.random.default_rng([seed, 0]),
+        ),
+        peak(plant),
+    )  # fmt: skip
+    return {"value": (found.gamma, found.standard_error, true.value)} if found.status.ok else {}
+
+
+def of_response(seed: int) -> Row:
+    """`oed identify response.csv`: a measured frequency response with the variance of every line."""
+    plant, rng = named_plant("reference", 1.0), np.random.default_rng(seed)
+    omega = np.linspace(0.05, 3.0, 60)
+    variance = 10 ** rng.uniform(-4, -2, 60)
+    noise = rng.normal(size=(60, 2)) @ [1, 1j] * np.sqrt(variance / 2)
+    fit = identify_response(
+        plant.response(omega)[0][:, 0, 0] + noise, (2, 2), omega=omega, variance=variance, dt=1.0
+    )
+    return {
+        name: (value, error, truth)
+        for name, value, error, truth in zip(
+            fit.model.names,
+            fit.model.theta,
+            fit.standard_errors,
+            [0.2155, 0.2012, -0.9854, 0.8187],
+            strict=True,
+        )
+    }
+
+
 def of_identify(seed: int) -> Row:
     """`oed identify record.csv --structure oe --orders 2 2` of a record with a level, begun in motion."""
     plant, level = named_plant("reference", 1.0), 3.0
@@ -88,6 +122,10 @@ CASES: dict[str, Callable[[int], Row]] = {
     "session power, broad peak": lambda seed: of_session(broad(0.8, "p45"), "power", 200, 10, seed),
     "session two-stage": lambda seed: of_session(REFERENCE, "two-stage", 500, 4, seed),
     "identify": of_identify,
+    "identify, a frequency response": of_response,
+    "model error": lambda seed: of_model_error(REFERENCE, 500, 20, seed),
+    "model error, variance 9": lambda seed: of_model_error(named_plant("reference", 9.0), 500, 20, seed),
+    "session bandit": lambda seed: of_session(REFERENCE, "bandit", 500, 10, seed),
 }
 
 
@@ -111,7 +149,9 @@ def test_coverage(name: str, record_figure) -> None:
     assert all(0.93 <= share <= (1.0 if name in CAUTIOUS else 0.97) for share in found.values()), found
 
 
-@pytest.mark.parametrize("name", ["session power, broad peak", "identify"])
+@pytest.mark.parametrize(
+    "name", ["session power, broad peak", "identify", "identify, a frequency response", "model error"]
+)
 def test_coverage_of_few_runs(name: str) -> None:
     for key, (held, total) in coverage(CASES[name], 100).items():
         assert binom.ppf(5e-4, total, 0.93) <= held, (key, held, total)

@@ -83,6 +83,8 @@ BY_CONE = 1e6
 def verdict(plant, criterion, rng):
     """What the dense sums say of a design: "above" (the bound), "below" (the loss), "open" (not closed, and it says so)."""
     oracle, kind = Challenge(plant), criterion.split()[-1]
+    if oracle.rounding > WITHIN:
+        return "untold"  # double precision cannot say which of two is right: nearly equal poles of high order
     height = 10 ** rng.uniform(0.1, 2)
     name = f"Ds:{plant.free[0]},{plant.free[-1]}" if kind == "Ds" else kind
     try:
@@ -159,7 +161,7 @@ def test_two_hundred_hard_plants(criterion, record_figure):
     """No bound above the truth, no loss below it; how many are not closed (they say so in their first line) is recorded."""
     rng = np.random.default_rng(1)
     counts = Counter(verdict(plant, criterion, rng) for plant in hard_plants(24, 200))
-    for name in ("closed", "open", "refused", "above", "below"):
+    for name in ("closed", "open", "refused", "untold", "above", "below"):
         record_figure(f"designs of 200 hard plants: {name}", counts[name], criterion=criterion)
     assert counts["above"] == counts["below"] == 0, counts
 

@@ -102,6 +102,12 @@ class Challenge:
         self.R = np.linalg.qr(rows / unit, mode="r") * unit
         self.D = np.linalg.solve(self.R.T, flat).reshape(self.n, len(D), *D.shape[2:]).swapaxes(0, 1)
 
+    @property
+    def rounding(self) -> float:
+        """How far from the identity the mean information is in its own coordinates: what the sums are worth."""
+        flat = np.moveaxis(self.D, 1, 0).reshape(self.n, -1)
+        return float(np.abs((flat @ flat.conj().T).real / len(self.D) - np.eye(self.n)).max())
+
     def information(self, spectrum) -> np.ndarray:
         """Scaled information of a spectrum's lines."""
         D = gradient(self.plant, spectrum.omega)

@@ -14,12 +14,12 @@ from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.result.report import Diagnosis
-from estimators.norm.gains import gain
+from estimators.norm.peak_estimates import corrected
 from estimators.rules.limits import Limits
 from estimators.rules.power import power_iterations
 from estimators.rules.procedure2 import procedure_2
 from estimators.rules.trace import Trace, run
-from oed.errors import InputError
+from oed.errors import InputError, Status
 from oed.experiments import Experiment
 
 __all__ = ["ModelErrorGain", "error_experiment", "linear_models", "model_error_gain", "models_of"]
@@ -31,19 +31,21 @@ Array = NDArray[Any]
 class ModelErrorGain:
     """Gain of the model error P_model - P_rig, and where it is reached.
 
-    `gamma` estimate of its norm at the input power used, outputs per input; `standard_error` from the scatter
-    of the iterations after the first half; `frequency` of the last input, rad/sample; `direction` (nu,)
-    complex unit vector, the last input at that frequency; `trace` all that was measured.
+    `gamma` estimate of its norm at the input power used, outputs per input, with its `standard_error`; `frequency`
+    where it is reached, rad/sample; `status` whether both can be trusted; `direction` (nu,) complex unit vector, the last
+    input at that frequency; `trace` all that was measured.
     """
 
     gamma: float
     standard_error: float
     frequency: float
+    status: Status
     direction: Array
     trace: Trace
 
     def __str__(self) -> str:
-        return f"gamma {self.gamma:.4g} +- {self.standard_error:.2g} at {self.frequency:.4g} rad/sample"
+        tail = "" if self.status.ok else f" ({self.status.value})"
+        return f"gamma {self.gamma:.4g} +- {self.standard_error:.2g} at {self.frequency:.4g} rad/sample{tail}"
 
 
 def _models(fits: list[Fit]) -> Callable[[Array], Array]:
@@ -104,27 +106,20 @@ def model_error_gain(
 
     Shapes: model (N, nu).
 
-    [M] Section V with the estimator (12), [S] (7) for one channel. The mean of the squares is unbiased by the
-    noise; where it is negative the model error is below what these experiments can see, and gamma is 0.
+    [M] Section V. The gains of the inputs themselves stay below the norm by the bias of [S] Theorem 12, and depend on
+    each other; the peak of a local model of all records has neither fault.
     """
     if iterations < 4:
-        raise InputError(f"iterations is {iterations}; the gain and its scatter need at least 4.")
+        raise InputError(f"iterations is {iterations}; the model of the peak needs at least 4.")
     error = error_experiment(rig, model)
     limits = Limits(power=power, amplitude=amplitude)
     one = (rig.n_inputs, rig.n_outputs) == (1, 1)
     rule = partial(power_iterations if one else procedure_2, limits=limits)
     count = iterations if one else iterations * (1 + rig.n_inputs * rig.n_outputs)
     trace = run(rule, error, samples=samples, experiments=count, rng=rng)
-    squares = gain(trace).squares
-    late = squares[len(squares) // 2 :]
-    late = late[np.isfinite(late)]
-    mean = float(np.mean(late)) if late.size else 0.0
-    spread = float(np.std(late, ddof=1) / np.sqrt(late.size)) if late.size > 1 else float("nan")
-    gamma = float(np.sqrt(max(mean, 0.0)))
+    found = corrected(trace)
     u = trace.records[trace.iterations[-1]][0].u
     spectrum = np.fft.rfft(u, axis=0)
-    k = int(np.argmax(np.sum(np.abs(spectrum) ** 2, axis=1)))
-    direction = spectrum[k] / (np.linalg.norm(spectrum[k]) + 1e-300)
-    # the derivative of the root; where gamma is near 0 the root of the spread itself bounds it
-    se = min(spread / (2 * gamma), float(np.sqrt(spread))) if gamma > 0 else float(np.sqrt(spread))
-    return ModelErrorGain(gamma, se, 2 * np.pi * k / len(u), direction, trace)
+    line = spectrum[round(found.frequency * len(u) / (2 * np.pi))]
+    direction = line / (np.linalg.norm(line) + 1e-300)
+    return ModelErrorGain(found.value, found.standard_error, found.frequency, found.status, direction, trace)
