@@ -70,6 +70,51 @@ def test_the_bound_holds_for_every_direction_and_is_tight_at_its_own(rng):
             assert criterion.numerator(Y) / np.trace(Y.T @ M @ Y) <= loss * (1 + 1e-12)
 
 
+def test_slopes_of_the_numerators_are_their_differences(rng):
+    """Gradient and second derivatives of log numerator; of modified E's, of either trace, which is that of E."""
+    for criterion in [*_all(rng), condition_criterion(4, [1.0, 2.0, 3.0, 4.0])]:
+        X, step = rng.standard_normal((4, criterion.columns.shape[1])), 1e-6
+        twin = e_criterion(4, criterion.V) if criterion.kind == "K" else criterion
+        rise, bend = criterion.log_numerator(X)
+        alone, none = criterion.log_numerator(X, False)
+        np.testing.assert_array_equal(alone, rise)
+        assert none is None
+        for k in range(X.size):
+            E = step * np.eye(X.size)[k].reshape(X.shape)
+            slope = (np.log(twin.numerator(X + E)) - np.log(twin.numerator(X - E))) / (2 * step)
+            assert rise.ravel()[k] == pytest.approx(slope, abs=1e-6 * np.abs(rise).max())
+            bent = (twin.log_numerator(X + E)[0] - twin.log_numerator(X - E)[0]).ravel() / (2 * step)
+            np.testing.assert_allclose(bend[k], bent, atol=1e-5 * np.abs(bend).max())
+
+
+def test_conic_forms_have_the_loss_for_their_optimum(rng):
+    """Two weights on two fixed informations: the programme's optimum is the least loss, on a fine grid of weights."""
+    cp = pytest.importorskip("cvxpy")
+    A, B = _random_information(rng), _random_information(rng)
+    shares = np.linspace(0, 1, 2001)
+    names = []
+    for criterion in _all(rng):
+        w = cp.Variable(nonneg=True)
+        M = w * A + (1 - w) * B
+        stated = criterion.conic(cp, M, criterion.V, criterion.columns @ criterion.columns.T)
+        if stated is None:
+            continue
+        names.append(criterion.name)
+        objective, limit = stated
+        cp.Problem(objective, [w <= 1, *(() if limit is None else (limit,))]).solve(solver="CLARABEL")
+        least = min(criterion.loss(s * A + (1 - s) * B) for s in shares)
+        assert criterion.loss(float(w.value) * A + (1 - float(w.value)) * B) == pytest.approx(least, rel=1e-5)
+    assert names == ["D", "A", "L", "c", "E", "E"]
+
+
+def test_e_of_some_combinations(rng):
+    V = rng.standard_normal((4, 2))
+    M = _random_information(rng)
+    told = np.linalg.eigvalsh(V.T @ np.linalg.inv(M) @ V)[-1]
+    assert e_criterion(4, V).loss(M) == pytest.approx(told)
+    assert e_criterion(4, np.array([1, 3])).loss(M) < e_criterion(4).loss(M)
+
+
 def test_transformed_losses_are_the_same(rng):
     R = np.triu(rng.standard_normal((4, 4))) + 3 * np.eye(4)
     inverse = np.linalg.inv(R)
