@@ -8,6 +8,7 @@ import queue
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from typing import Any
 
 from oed.errors import CampaignError, InputError
@@ -48,10 +49,14 @@ def on_cluster(
             if future.status in ("cancelled", "lost"):
                 raise CampaignError(f"the Dask scheduler at {address} was lost; {KEPT}")
             item = waiting.pop(future.key)
-            error = future.exception()
+            try:
+                error = future.exception()
+                result = future.result() if error is None else None
+            except (OSError, CancelledError):  # the connection broke while the result was on its way
+                raise CampaignError(f"the Dask scheduler at {address} was lost; {KEPT}") from None
             kept.append(future)
             if error is None:
-                yield item, future.result(), True
+                yield item, result, True
             elif isinstance(error, KilledWorker):
                 yield item, None, False
             else:

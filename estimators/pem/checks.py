@@ -56,6 +56,17 @@ LARGEST = 1e75
 """Size of a signal, and one over it the smallest: fourth powers are formed, and a double ends at 1e308 (see the test)."""
 
 
+def check_sizes(record: Record, which: str) -> None:
+    """Refuse a record whose squares are no doubles."""
+    for name, signal in (("inputs", record.u), ("outputs", record.y)):
+        size = np.abs(signal[np.isfinite(signal)]).max(initial=0.0)
+        if size and not 1 / LARGEST <= size <= LARGEST:
+            raise InputError(
+                f"the {name} of {which} are of the size {size:.3g}; their squares leave the range of doubles, and tests "
+                f"would say what is not so: choose units in which they are between {1 / LARGEST:g} and {LARGEST:g}."
+            )
+
+
 def check_records(
     records: list[Record], form: Structure, offset: bool, missing: bool = False, regularised: bool = False
 ) -> None:
@@ -73,13 +84,7 @@ def check_records(
         )
     for k, record in enumerate(records):
         which = f"record {k + 1}" if len(records) > 1 else "the record"
-        for name, signal in (("inputs", record.u), ("outputs", record.y)):
-            size = np.abs(signal[np.isfinite(signal)]).max(initial=0.0)
-            if size and not 1 / LARGEST <= size <= LARGEST:
-                raise InputError(
-                    f"the {name} of {which} are of the size {size:.3g}; their squares leave the range of doubles, and tests "
-                    f"would say what is not so: choose units in which they are between {1 / LARGEST:g} and {LARGEST:g}."
-                )
+        check_sizes(record, which)
         gaps = ~np.isfinite(record.u)
         if missing and gaps.any():
             raise InputError(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -122,6 +124,38 @@ def test_a_cluster_without_workers_and_one_that_is_lost(tmp_path, monkeypatch, c
             run_campaign(settings, 2, tmp_path / "a", scheduler=cluster.scheduler_address)
         assert time.monotonic() - began < 15
     assert "has no worker; waiting for one until" in capsys.readouterr().err
+
+
+class Lost:
+    """A future whose result was on its way when the scheduler was killed, and the client that gave it."""
+
+    status, key = "finished", "oed-1"
+
+    def submit(self, *_, **__):
+        return self
+
+    def add_done_callback(self, call):
+        call(self)
+
+    def exception(self):
+        return None
+
+    def result(self):
+        from distributed.comm.core import CommClosedError
+
+        raise CommClosedError("in <TCP>: ConnectionResetError: connection reset by peer")
+
+
+def test_a_scheduler_killed_while_a_result_is_on_its_way(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    monkeypatch.setattr(cluster_module, "_connected", lambda address: contextlib.nullcontext(Lost()))
+    monkeypatch.setattr(
+        cluster_module, "_Watch", lambda client: SimpleNamespace(seen=lambda: None, look=lambda: None)
+    )
+    with pytest.raises(
+        CampaignError, match="the Dask scheduler at tcp://x:1 was lost; what was finished is kept"
+    ):
+        run_campaign(Settings(**SMALL | {"methods": ("white",)}), 2, tmp_path / "a", scheduler="tcp://x:1")
 
 
 @pytest.mark.validate

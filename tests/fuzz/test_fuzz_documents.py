@@ -84,13 +84,13 @@ def test_a_changed_plant_is_read_as_it_stands_or_refused(content, how):
     assert all(np.isfinite(p).all() for side in (plant.num, plant.den) for row in side for p in row)
     again = plant_from_json(json.loads(json.dumps(plant_to_json(plant))))
     assert plant_to_json(again) == plant_to_json(plant)
-    if "num" in content and isinstance(
-        content["num"][0], list
-    ):  # the slow reading: every coefficient over the leading one
-        for i, row in enumerate(content["num"]):
+    if "num" in content:  # the slow reading: every coefficient over the leading one
+        num, den = (
+            side if isinstance(side[0], list) else [[side]] for side in (content["num"], content["den"])
+        )
+        for i, row in enumerate(num):
             for j, entry in enumerate(row):
-                lead = content["den"][i][j][0]
-                assert plant.num[i][j].tolist() == [float(v) / lead for v in entry]
+                assert plant.num[i][j].tolist() == [float(v) / den[i][j][0] for v in entry]
 
 
 @quick

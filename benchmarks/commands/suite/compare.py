@@ -70,7 +70,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--profile-replicates",
         type=int,
         metavar="R",
-        help="replicates in which the estimators also run after parts of the budget (default 5)",
+        help="replicates in which the estimators also run after parts of the budget (default 3)",
     )
     add(
         "--time-limit",

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from estimators.diagnosis.record.overlap import copied_rows
+from estimators.pem.checks import check_sizes
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.objects import as_records
@@ -24,6 +25,7 @@ def _check(train: Record, test: Record | None) -> None:
             raise InputError(
                 f"the {name} input has missing samples; simulation needs every input: fill or cut them."
             )
+        check_sizes(record, f"the {name} record")
     if len(train) < LEAST:
         raise InputError(
             f"the training record has {len(train)} samples; at least {LEAST} are needed: measure longer."

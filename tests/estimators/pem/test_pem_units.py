@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from estimators.diagnosis import diagnose
 from estimators.pem import identify
 from estimators.residual.tests import residual_tests
 from oed.data import Record
@@ -43,3 +44,5 @@ def test_beyond_the_range_of_squares_is_a_line(sizes):
     """Before, a failed test of whiteness became p = 1 at 1e-100, and larger sizes ended in tracebacks."""
     with pytest.raises(InputError, match="of the size .* choose units"):
         conclusions(record(*sizes))
+    with pytest.raises(InputError, match="of the training record are of the size .* choose units"):
+        diagnose(record(*sizes))
