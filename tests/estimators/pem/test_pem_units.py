@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis import diagnose
+from estimators import diagnose
 from estimators.pem import identify
 from estimators.residual.tests import residual_tests
 from oed.data import Record
