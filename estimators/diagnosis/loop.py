@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Baseline, Options, best_linear
+from estimators.diagnosis.baseline.search import LONG
 from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
@@ -29,7 +30,7 @@ from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, 
 from estimators.diagnosis.result.model import diagnosed_model
 from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.examination import Examined, Known, as_motion, examine
+from estimators.diagnosis.search.examination import PHYSICAL, Examined, Known, as_motion, examine
 from estimators.diagnosis.search.named import Bench, Named, best_named, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback
@@ -122,7 +123,9 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
     delay, left = min(delays), train.y[:, i] - base.y_model[0][:, i]
     echo = has_feedback([train], [left], [base.blocks.counting([train])[0][:, i]])
     ahead = delay == 0 and not setting.orders and not echo  # else the input holds the noise of its own sample
-    known = Known(order, max(delay - 1, 0))
+    m = base.outputs[i]  # approximated by a long numerator, its poles say nothing
+    long = m.together is None and m.model.num.shape[1] >= LONG
+    known = Known(PHYSICAL + 1 if long else order, max(delay - 1, 0))
     record = early(train) if ahead else train
     rest = bool(setting.deviations) or (setting.deviations is None and _starts_at_rest(train, i, base))
 

@@ -31,15 +31,18 @@ class Policy:
     # exactly linear, so that the smallest gains are no causes
     searched: tuple[float, float] = (2.0, 0.05)
     # the same for models whose terms or shape were searched for on the same blocks: the best of hundreds is lucky there
-    overwhelming: tuple[float, float] = (4.0, 0.1)
-    # a gain on unused blocks that needs no likelihood ratio beside it: under a noise model of high order the linear model's
-    # smooth error is predicted from its own past, and the ratio says nothing; four errors are one in 30000 by chance
+    overwhelming: tuple[float, float] = (2.0, 0.5)
+    # a gain on unused blocks that needs no likelihood ratio beside it: parameters that the record hardly determines cost
+    # unused blocks much and the record itself nothing; luck does not halve the error of every block
     unchecked: tuple[float, float] = (4.0, 0.5)
     # a gain over any other answer that no second search for the terms must confirm: hundreds of candidates may find a tenth
     # of an error by luck, not a half
     carried: tuple[float, float] = (0.9, 1.5)
     # share of what the answer explains that named effects must explain to lend their names to it, and by what factor
     # their error may be above its: of a large error nine tenths go with any curve that is nearly right
+    agreed: float = 0.5
+    # the share where a term of the discovered equation is of their nature: the two searches then found one thing twice, and
+    # the names stand for more of it than all else together
     sane_reach: tuple[float, float] = (8.0, 3.0)
     # largest distance of a simulated output from the training output's middle that is no explosion: in half spans of it,
     # and in those of the linear model's run where that leaves the training output too

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -28,7 +28,7 @@ from estimators.diagnosis.discovery.wording import (
 )
 from oed.data import Record
 
-__all__ = ["Curve", "DiscoveredModel", "FoundTerm"]
+__all__ = ["Curve", "DiscoveredModel", "FoundTerm", "strongest_first"]
 
 Array = NDArray[Any]
 GRID = 41  # points of a curve
@@ -60,6 +60,20 @@ class FoundTerm:
     same_as: str
     parameters: dict[str, tuple[float, float, str]]
     curve: Curve
+
+
+def strongest_first(terms: Sequence[FoundTerm]) -> list[FoundTerm]:
+    """Terms by the range of the curve that they make together with those of the same signal and meaning: two may nearly cancel."""
+
+    def curve(t: FoundTerm) -> float:
+        alike = [
+            q.curve.value
+            for q in terms
+            if (q.slot, q.meaning, q.curve.signal) == (t.slot, t.meaning, t.curve.signal)
+        ]
+        return -float(np.ptp(np.sum(alike, axis=0)))
+
+    return sorted(terms, key=curve)
 
 
 @dataclass(frozen=True, eq=False)

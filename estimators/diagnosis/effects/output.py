@@ -155,10 +155,9 @@ def _mended(
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         from estimators.diagnosis.model.fitting import fit
-        from estimators.diagnosis.model.linear import fresh_poles
+        from estimators.diagnosis.model.linear import fresh_poles, relinearised
         from estimators.diagnosis.model.simulation import simulate
         from estimators.diagnosis.model.structure import Part, stable_polynomial
-        from estimators.diagnosis.search.starts import relinearised
 
         s, n = base.structure, len(channel)
         if s.layout != "tf" or s.effects or not channel.keep.all():
@@ -170,6 +169,8 @@ def _mended(
             when = (
                 e.apply(k, np.array(shape), channel.clock) if e.apply is not None else k
             )  # what each sample shows
+            if not np.all(np.isfinite(when)):
+                return
             back = np.interp(k, when, k) if np.all(np.diff(when) > 0) else k - (when - k)
             there = replace(channel, y=_read(channel.y, back))
             p = np.zeros(s.size)

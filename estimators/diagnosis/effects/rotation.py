@@ -91,8 +91,9 @@ def _joint(channel: Any, base: Any) -> list[tuple[tuple[int, ...], Array]]:
 def _swung(channel: Any, new: Any, rates: Array, block: Array, gains: Array) -> list[Any]:
     """Starts of several swings: the other inputs push where the first does, as far as in the linear model."""
     from estimators.diagnosis.model.layouts import layout_matrices, states
+    from estimators.diagnosis.model.linear import relinearised
     from estimators.diagnosis.model.simulation import simulate
-    from estimators.diagnosis.search.starts import Start, relinearised
+    from estimators.diagnosis.search.starts import Start
 
     part, at = new.parts[-1], new.slices()[-1]
     U = channel.u[:, list(new.inputs)]

@@ -101,6 +101,18 @@ def _sane(run: Array, linear: Array, y: Array, policy: Policy) -> bool:
     return bool(np.max(np.abs(run - middle)) < min(most * half, beside * asked))
 
 
+UNDECIDED = (
+    "models of {} with other causes, which the training data cannot tell from the one with an effect, run farther from it on "
+    "the test record than the linear model does: the errors after are those of the linear model"
+)
+
+
+def _undecided(run: Array, linear: Array, rivals: Sequence[Array]) -> bool:
+    """Whether what an effect changes in a run, (n,), is less than rivals of it would make of that change: their median."""
+    far = [float(np.sum((run - other) ** 2)) if np.all(np.isfinite(other)) else np.inf for other in rivals]
+    return float(np.median(far)) > float(np.sum((run - linear) ** 2))
+
+
 def assess(
     train: Record, test: Record | None, ladders: Sequence[Ladder], *, skip: int, floor: float, counts: Array, policy: Policy
 ) -> HeldOut:  # fmt: skip
@@ -120,14 +132,21 @@ def assess(
     ]  # fmt: skip
     answers, warnings = [], []
     for i, ladder in enumerate(ladders):
+        name, use = record.output_names[i], counts[:, i]
         sane = [
             j
             for j in range(ladder.answer, -1, -1)
-            if _sane(runs[i][j][counts[:, i]], runs[i][0][counts[:, i]], train.y[:, i], policy)
+            if _sane(runs[i][j][use], runs[i][0][use], train.y[:, i], policy)
         ]
         answers.append(sane[0] if sane else 0)
         if answers[-1] != ladder.answer or not sane:
-            warnings.append(_exploded(ladder, answers[-1] if sane else None, record.output_names[i]))
+            warnings.append(_exploded(ladder, answers[-1] if sane else None, name))
+        rivals = ladder.rungs[answers[-1]].step.rivals if test is not None else ()
+        if rivals and _undecided(
+            runs[i][answers[-1]][use], runs[i][0][use], [a.simulate(record, skip)[use] for a in rivals]
+        ):
+            answers[-1] = 0
+            warnings.append(UNDECIDED.format(name))
     before = np.stack([r[0] for r in runs], axis=1)
     after = np.stack([r[a] for r, a in zip(runs, answers, strict=True)], axis=1)
     weight = counts & np.isfinite(before)

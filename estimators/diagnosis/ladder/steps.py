@@ -54,6 +54,7 @@ class Step:
     admitted: bool = True  # False where the stage's own cross-validation refuses it: shown, never the answer
     below: Step | None = None  # the step that it adds to; the linear model where none is named
     nature: str = ""  # the kind of cause, where the step has no name for it
+    rivals: tuple[Answer, ...] = ()  # models with other causes that unused blocks cannot tell from it
 
     def simulate(self, record: Record, window: int) -> Array:
         """(N,) free run; the first `window` measured samples may set the state."""
@@ -121,11 +122,22 @@ def _pieces(squares: Sequence[Array], counted: Sequence[NDArray[np.bool_]], coun
 
 
 def _mean(pieces: Array) -> tuple[float, float]:
-    """Mean over samples and its standard error, the pieces taken for independent."""
+    """Mean over samples and its standard error; pieces near one another are correlated, as slow errors last longer than one."""
     total = pieces[:, 1].sum()
     mean = float(pieces[:, 0].sum() / total)
-    spread = pieces[:, 0] - mean * pieces[:, 1]
-    return mean, float(np.sqrt(np.sum(spread**2) * len(pieces) / max(len(pieces) - 1, 1)) / total)
+    return mean, _spread(pieces[:, 0] - mean * pieces[:, 1]) / float(total)
+
+
+def _spread(off: Array) -> float:
+    """Standard error of a sum of values off their mean, in the order of time (Bartlett's weights); no less than of independent ones."""
+    m = len(off)
+    own = float(off @ off)
+    near = sum((1.0 - k / (NEAR + 1.0)) * float(off[k:] @ off[:-k]) for k in range(1, min(NEAR, m - 1) + 1))
+    return float(np.sqrt(max(own, own + 2.0 * near) * m / max(m - 1, 1)))
+
+
+NEAR = 3
+"""Pieces that an error may last: with five blocks of four pieces, as long as a block's own parameters act."""
 
 
 def paired_gain(
@@ -142,7 +154,7 @@ def paired_gain(
     gained = first_pieces - second_pieces * [1.0, 0.0]
     (value, error), (base, _) = _mean(gained), _mean(first_pieces)
     relative = gained[:, 0] / np.maximum(first_pieces[:, 0] + second_pieces[:, 0], 1e-300)
-    spread = float(np.std(relative)) / np.sqrt(max(len(relative) - 1, 1))
+    spread = _spread(relative - relative.mean()) / len(relative)
     share = 1.0 - float(np.sqrt(max(base - value, 0.0) / max(base, 1e-300)))
     return Gain(value, error, share, float(np.mean(relative)) / max(spread, 1e-300))
 

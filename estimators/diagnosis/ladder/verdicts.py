@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from estimators.diagnosis.discovery import Discovery
+from estimators.diagnosis.discovery.model import strongest_first
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot, named
 from estimators.diagnosis.ladder.held_out import HeldOut
 from estimators.diagnosis.ladder.steps import Kind, Ladder
@@ -53,13 +54,13 @@ class Outcome:
         """Least error on unused blocks of the steps of a kind; infinite where there is none."""
         return min((r.value for r in self.ladder.rungs if r.step.kind is kind), default=np.inf)
 
-    def named_carries(self, policy: Policy) -> bool:
+    def named_carries(self, policy: Policy, agreed: bool = False) -> bool:
         """Whether the named model is so near the answer on unused blocks that its names stand for both: less, if alike."""
         linear, answer = self.value(Kind.LINEAR) ** 2, self.ladder.rungs[self.ladder.answer].value ** 2
         named, (share, factor) = self.value(Kind.NAMED) ** 2, policy.carried
-        alike = [t.nature for t in self.discovery.terms[:1]] == [
-            c.part.effect.nature for c in self.named.claims[:1]
-        ]
+        share = policy.agreed if agreed else share
+        first = [t.nature for t in self.discovery.terms[:1]]
+        alike = first == [c.part.effect.nature for c in self.named.claims[:1]]
         near = named <= factor**2 * answer or (alike and self.ladder.chosen.kind is Kind.DISCOVERED)
         return linear - named >= share * (linear - answer) and answer < linear and near
 
@@ -154,14 +155,7 @@ def _meanings(outcomes: Sequence[Outcome]) -> list[str]:
 def _explainable(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """The share of the first output's residual, as there is one share for one residual; the least sure where several."""
     s = min((o.share for o in outcomes), key=lambda s: -s.share)
-    return {
-        "share": s.share,
-        "low": s.low,
-        "high": s.high,
-        "by": s.by,
-        "nature": s.nature,
-        "noise_floor": s.noise_floor,
-    }
+    return {name: getattr(s, name) for name in ("share", "low", "high", "by", "nature", "noise_floor")}
 
 
 def _tag(o: Outcome, several: bool) -> str:
@@ -186,10 +180,14 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
         return claimed
     weight = 1.0 - (o.ladder.rungs[o.ladder.answer].value / o.ladder.rungs[0].value) ** 2
     d = o.discovery
-    mine = sorted((t for t in d.terms if t.output == o.index), key=lambda t: -float(np.ptp(t.curve.value)))
+    mine = strongest_first([t for t in d.terms if t.output == o.index])
     if Kind.DISCOVERED in kinds and mine:
-        cause = mine[0].same_as or UNKNOWN
         words = f"blocks not used are simulated with {_percent(o):.3g} % less error with the terms{tag}: {d.equation}"
+        natures = {t.nature for t in mine}
+        agreed = [f for f in claimed if f.nature in natures]
+        if agreed and o.named_carries(policy, agreed=True):
+            return [*agreed, Finding("", agreed[0].cause, agreed[0].nature, 0.0, 0.0, words)]
+        cause = mine[0].same_as or UNKNOWN
         return [Finding("", cause, mine[0].nature, weight, 0.0, words)] + [
             Finding("", t.same_as, t.nature, 0.1 * weight / (2 + k), 0.0, f"{t.meaning}{tag}: {t.text}")
             for k, t in enumerate(mine[1:]) if t.same_as and t.same_as != cause

@@ -11,12 +11,21 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Slot
+from estimators.diagnosis.model.derivatives import exact_columns
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.layouts import LAYOUTS, states
 from estimators.diagnosis.model.simulation import free_responses, simulate
 from estimators.diagnosis.model.structure import Structure, stable_polynomial
 
-__all__ = ["fit_linear", "fresh_poles", "layout_starts", "numerators", "plant_scales", "prefiltered_error"]
+__all__ = [
+    "fit_linear",
+    "fresh_poles",
+    "layout_starts",
+    "numerators",
+    "plant_scales",
+    "prefiltered_error",
+    "relinearised",
+]
 
 Array = NDArray[Any]
 
@@ -129,6 +138,35 @@ def fresh_poles(y: Array, U: Array, s: Structure, keep: NDArray[np.bool_], passe
     return f
 
 
+def relinearised(channel: Channel, s: Structure, p: Array) -> Array | None:
+    """The parameters with those in which the output is linear at their least squares: an effect may change what they are worth.
+
+    None where a curve at the output makes it linear in none.
+    """
+    if s.layout == "tanks" or any(q.effect.slot in (Slot.OUTPUT, Slot.PATH) for q in s.parts):
+        return None
+    head = s.order if s.layout == "tf" else LAYOUTS[s.layout][1]
+    columns = {i: d for i, d in exact_columns(s, p, channel.u, channel.clock) if head <= i < s.plant_size}
+    for part, sl in zip(s.parts, s.slices(), strict=True):
+        if part.effect is OFFSET:
+            columns[sl.start] = np.ones(len(channel))
+        elif part.effect.slot is Slot.START and s.layout == "tf":
+            columns |= dict(enumerate(free_responses(s, p, len(channel)).T, sl.start))
+    if not columns:
+        return None
+    at, X = list(columns), np.stack(list(columns.values()), axis=1)
+    rest = channel.y - simulate(s, p, channel.u, channel.clock)
+    if not (np.all(np.isfinite(rest)) and np.all(np.isfinite(X))):
+        return None
+    q = p.copy()
+    q[at] += np.linalg.lstsq(X[channel.keep], rest[channel.keep], rcond=1e-10)[0]
+    return q
+
+
+TRANSIENT = 0.05
+"""Of the deviance per sample, that starts with an initial state must win: a twentieth of the error's power."""
+
+
 def fit_linear(
     channel: Channel,
     s: Structure,
@@ -143,7 +181,7 @@ def fit_linear(
     if any(p.effect is OFFSET for p in s.parts):  # both about their means: a start knows of no level
         level, means = float(np.mean(y[channel.keep])), np.mean(U[channel.keep], axis=0)
     centred, moved = y - level, U - means
-    fits = []
+    fits, off, starts = [], [], any(q.effect.slot is Slot.START for q in s.parts)
     for f in _starts(centred, moved, s.order, s.taps, s.delay, channel.keep) + list(extra or []):
         f = _reflected(f)
         if not stable_polynomial(f):
@@ -156,6 +194,11 @@ def fit_linear(
                 p[sl] = level - gains @ means
         scales = np.concatenate((plant_scales(s, p), np.full(s.size - s.plant_size, np.std(y) + 1e-300)))
         fits.append(fit(channel, s, p, scales, noise=noise, iterations=4, colour=False))
+        if starts and (q := relinearised(channel, s, p)) is not None:
+            off.append(fit(channel, s, q, scales, noise=noise, iterations=4, colour=False))
+    # a start that knows of no transient bends the rest to it where the record begins in one
+    least = [min((f.deviance for f in found), default=np.inf) for found in (fits, off)]
+    fits = off if least[1] < least[0] - TRANSIENT * len(y) else fits
     fits.sort(key=lambda x: x.deviance)
     if rough:
         return fit(channel, s, fits[0].p, fits[0].scales, noise=noise, iterations=10, colour=False)

@@ -265,11 +265,9 @@ def _plant_fits(
             continue
         for found in _least(to_the_end(f) for f in quick[:2]):
             if plain is not None and found.deviance < plain.deviance - 3.0:
-                bare = plain.structure.parts[-1]
-                again = fit(
-                    channel, replace(found.structure, parts=(*base.structure.parts, bare)),
-                    found.p[: len(plain.p)], found.scales[: len(plain.p)], noise=base.noise, iterations=iterations,
-                )  # fmt: skip
+                bare = replace(found.structure, parts=(*base.structure.parts, plain.structure.parts[-1]))
+                again = fit(channel, bare, found.p[: bare.size], found.scales[: bare.size], noise=base.noise,
+                            iterations=iterations)  # fmt: skip
                 if again.deviance < plain.deviance:
                     ended[e.extends] = again
                     yield again

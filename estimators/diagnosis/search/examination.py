@@ -101,15 +101,17 @@ PHYSICAL = 4
 
 
 def _order(channel: Channel, record: Record, setting: Setting, i: int, known: Known) -> int:
-    """The order of the best linear model; where that is a long approximation, the smallest within a quarter of the best error."""
-    if known.order <= PHYSICAL:
-        return max(known.order, 1)
+    """The order of the best linear model; where that is no plant's, the smallest within a quarter of the best error."""
+    if 1 <= known.order <= PHYSICAL:
+        return known.order
     errors = []
-    for order in range(1, 7):
-        s, _ = _structure(setting, record, i, order)
-        f = fit_linear(channel, replace(s, delay=known.delay), rough=True)
-        errors.append(float(np.sqrt(np.mean(f.residual**2))) if np.isfinite(f.deviance) else np.inf)
-    return next((order for order, error in enumerate(errors, start=1) if error <= 1.25 * min(errors)), 2)
+    for order in range(1, PHYSICAL + 3):
+        s = replace(_structure(setting, record, i, order)[0], delay=known.delay)
+        fits = [
+            fit_linear(channel, s, rough=rough) for rough in (True, False)
+        ]  # they may end in different minima
+        errors.append(min(float(np.sqrt(np.mean(f.residual**2))) for f in fits))
+    return next((order for order, e in enumerate(errors, start=1) if e <= 1.25 * min(errors)), 2)
 
 
 def _thinning(y: Array, n_most: int = LONG) -> int:

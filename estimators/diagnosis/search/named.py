@@ -7,7 +7,7 @@ blocks that no parameter saw, beyond its standard error, and significance in the
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -64,12 +64,20 @@ class Named:
     claims: tuple[Claim, ...]  # largest gain first
     dropped: tuple[tuple[str, str], ...]  # key, and why in words
     step: Step | None  # None where nothing holds
+    unused: Array = field(
+        default_factory=lambda: np.zeros(0)
+    )  # (N,) prediction of unused blocks; empty for no effects
+
+    @property
+    def whole(self) -> bool:
+        """Whether every effect of the joint model holds, but for forms that others stand in."""
+        return len(self.claims) >= sum(q.effect.slot is not Slot.FORM for q in self.fit.structure.effects)
 
     def step_error(self, bench: Bench) -> float:
         """Root mean square error of its step on unused blocks."""
-        if self.step is None:
+        if not len(self.unused):
             return float("inf")
-        e = bench.train.y[:, bench.output] - self.step.unused[0]
+        e = bench.train.y[:, bench.output] - self.unused
         return float(np.sqrt(np.mean(e[bench.counted] ** 2)))
 
 
@@ -163,6 +171,9 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             if form and not part.effect.block and len(f.structure.effects) > 1:
                 continue  # the others were fitted in this form: without it there is no model of them
             rest = a.base if form else without(bench.channel, f, position)
+            same = len(a.base.residual) == len(rest.residual)  # not of a record thinned less
+            if same and not rest.structure.effects and _squares(a.base) < _squares(rest):
+                rest = a.base  # the linear model was fitted from more starts
             rests.append((rest, bench.unused(rest)))
             gain = bench.gain(rests[-1][1], unused, part)
             claims.append(Claim(part, gain, _significance(rest, f, part, bench.family)))
@@ -172,7 +183,7 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             held = _bending(bench, f, held, unused)
             step = _step(bench, f, held, unused) if held else None
-            return Named(f, tuple(_with_rivals(held, a, f)), tuple(dropped), step)
+            return Named(f, tuple(_with_rivals(held, a, f)), tuple(dropped), step, unused)
         worst = min(weak, key=lambda i: claims[i].gain.value)
         dropped.append((claims[worst].key, _why(claims[worst], bench)))
         f, unused = rests[worst]
@@ -208,6 +219,10 @@ def _bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Cla
     ]
 
 
+def _squares(f: Fit) -> float:
+    return float(np.sum(f.residual**2))
+
+
 CLOCKED = (Nature.TIME, Nature.ADDED)
 """Natures of causes that run by the clock: between two stretches of one record they can imitate anything."""
 TRIED = 8
@@ -228,17 +243,14 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
         return first
 
     linear = bench.base.unused[0][:, bench.output]
-    errors, least = (
-        bench.policy.searched[0],
-        bench.policy.claimed[1],
-    )  # each is significant in its own fit besides
+    errors, least = bench.policy.claimed  # each is significant in its own fit besides
 
     def judged(fits: Iterable[Fit]) -> list[Named]:
         finals = [fit(bench.channel, f.structure, f.p, f.scales, iterations=40) for f in fits]
         found = [
             named_steps(bench, replace(a, final=f, rivals={})) for f in finals if np.isfinite(f.deviance)
         ]
-        gains = [(n, bench.over(n.step.unused[0], linear)) for n in found if n.step is not None]
+        gains = [(n, bench.over(n.unused, linear)) for n in found if len(n.unused) and n.whole]
         return [n for n, gain in gains if gain.share > least and gain.beyond(errors)]
 
     others = [f for f in a.alternatives if f.structure.effects[-1].effect.nature is not Nature.ADDED]
@@ -259,15 +271,25 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     head = best.claims[0]
     equal = [n.claims[0].cause for n in near if len(n.claims) <= len(best.claims)]
     rivals = tuple(name for name in dict.fromkeys((*head.rivals, *equal)) if name != head.cause)
-    return replace(best, claims=(replace(head, rivals=rivals), *best.claims[1:]))
+    others = tuple(bench.answer(n.fit) for n in options
+                   if n.claims[0].cause != head.cause and not _worse(bench, n, options[0]))  # fmt: skip
+    step = None if best.step is None else replace(best.step, rivals=others)
+    return replace(best, claims=(replace(head, rivals=rivals), *best.claims[1:]), step=step)
+
+
+def _worse(bench: Bench, n: Named, best: Named) -> bool:
+    """Whether unused blocks are worse with a model than with the best, beyond an error."""
+    if n.step is None or best.step is None:
+        return True
+    gain, (errors, least) = bench.over(best.step.unused[0], n.step.unused[0]), bench.policy.claimed
+    return gain.share > least and gain.beyond(errors)
 
 
 def _told_apart(bench: Bench, n: Named, best: Named) -> bool:
     """Whether unused blocks tell a model from the best: beyond an error, or by what even a search of many must gain."""
-    if n.step is None or best.step is None:
-        return True
-    gain, (errors, least) = bench.over(best.step.unused[0], n.step.unused[0]), bench.policy.claimed
-    return gain.share > least and (gain.beyond(errors) or gain.share > bench.policy.searched[1])
+    return _worse(bench, n, best) or n.step_error(bench) * (1.0 - bench.policy.searched[1]) > best.step_error(
+        bench
+    )
 
 
 def _significance(rest: Fit, f: Fit, part: Part, family: int) -> float:
@@ -290,15 +312,20 @@ def _significance(rest: Fit, f: Fit, part: Part, family: int) -> float:
 def _gains(c: Claim, bench: Bench) -> bool:
     """Whether unused blocks ask for it; of a record's own start they say nothing.
 
-    The linear model is the best of a search on the same blocks: another must be better by what a search asks.
+    When something changed was searched on the same blocks, which asks for more.
     """
-    linear = c.part.effect.nature is Nature.LINEAR
-    errors, share = bench.policy.searched if linear else bench.policy.claimed
+    errors, share = bench.policy.searched if c.part.effect.nature in CLOCKED else bench.policy.claimed
     return c.key == "initial" or (c.gain.beyond(errors) and c.gain.share > share)
 
 
 def _holds(c: Claim, bench: Bench) -> bool:
-    """Whether it is significant in the joint fit, or what it gains on unused blocks needs no test."""
+    """Whether it is significant in the joint fit, or what it gains on unused blocks needs no test.
+
+    The linear model is the best of a search on the same blocks: other dynamics must be better by what a search asks.
+    """
+    errors, share = bench.policy.searched
+    if c.part.effect.nature is Nature.LINEAR and not (c.gain.beyond(errors) and c.gain.share > share):
+        return False
     errors, share = bench.policy.overwhelming
     return c.p_value < bench.alpha or (c.gain.beyond(errors) and c.gain.share > share)
 
@@ -308,6 +335,8 @@ def _why(c: Claim, bench: Bench) -> str:
         return "blocks not used do not get better by more than their standard error"
     if c.gain.share <= bench.policy.claimed[1]:
         return f"it explains {100 * max(c.gain.share, 0.0):.2g} % of the error on unused blocks"
+    if c.part.effect.nature is Nature.LINEAR and c.p_value < bench.alpha:
+        return "unused blocks get better with it, but not by what a search of linear models asks"
     return (
         f"unused blocks get better with it, but it is not significant in the joint fit (p = {c.p_value:.2g})"
     )

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Sizes, Slot
-from estimators.diagnosis.model.derivatives import exact_columns
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
-from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices, states
-from estimators.diagnosis.model.linear import fresh_poles
-from estimators.diagnosis.model.simulation import acted, free_responses, joined, simulate
+from estimators.diagnosis.model.layouts import layout_matrices, states
+from estimators.diagnosis.model.linear import fresh_poles, relinearised
+from estimators.diagnosis.model.simulation import acted, joined, simulate
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 
 __all__ = ["Start", "fitted", "renewed", "scored", "sizes_of"]
@@ -146,31 +144,6 @@ def _quick(channel: Channel, s: Structure, shapes: list[Array], scales: Array, b
     best = min(trials, key=lambda q: _squares(channel, s, q))
     left = _squares(channel, s, best) / (float(np.sum(base.residual[channel.keep] ** 2)) + 1e-300)
     return [Start(s, best, scales, base.n * -np.log(max(left, 1e-12)))] if np.isfinite(left) else []
-
-
-def relinearised(channel: Channel, s: Structure, p: Array) -> Array | None:
-    """The parameters with those in which the output is linear at their least squares: an effect may change what they are worth.
-
-    None where a curve at the output makes it linear in none.
-    """
-    if s.layout == "tanks" or any(q.effect.slot in (Slot.OUTPUT, Slot.PATH) for q in s.parts):
-        return None
-    head = s.order if s.layout == "tf" else LAYOUTS[s.layout][1]
-    columns = {i: d for i, d in exact_columns(s, p, channel.u, channel.clock) if head <= i < s.plant_size}
-    for part, sl in zip(s.parts, s.slices(), strict=True):
-        if part.effect is OFFSET:
-            columns[sl.start] = np.ones(len(channel))
-        elif part.effect.slot is Slot.START and s.layout == "tf":
-            columns |= dict(enumerate(free_responses(s, p, len(channel)).T, sl.start))
-    if not columns:
-        return None
-    at, X = list(columns), np.stack(list(columns.values()), axis=1)
-    rest = channel.y - simulate(s, p, channel.u, channel.clock)
-    if not (np.all(np.isfinite(rest)) and np.all(np.isfinite(X))):
-        return None
-    q = p.copy()
-    q[at] += np.linalg.lstsq(X[channel.keep], rest[channel.keep], rcond=1e-10)[0]
-    return q
 
 
 def renewed(channel: Channel, s: Structure, p: Array) -> list[Array]:

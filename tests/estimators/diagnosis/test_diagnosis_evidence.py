@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.linear_model import Prior
+from estimators.diagnosis.discovery import Curve, FoundTerm
+from estimators.diagnosis.discovery.model import strongest_first
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
-from estimators.diagnosis.ladder import paired_gain
+from estimators.diagnosis.ladder import Gain, paired_gain
+from estimators.diagnosis.ladder.held_out import _undecided
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear
@@ -20,7 +24,7 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.search.examination import Known, as_motion
 from estimators.diagnosis.search.free_runs import free_run, start_of
-from estimators.diagnosis.search.named import _significance
+from estimators.diagnosis.search.named import Claim, _gains, _holds, _significance
 from oed.data import Record
 
 N = 600
@@ -62,7 +66,7 @@ def test_a_gain_of_every_stretch_counts_where_one_of_them_has_nearly_all_squares
     e = size * rng.standard_normal(N)
     gain = paired_gain([e], [np.zeros(N)], [0.4 * e], counted, policy)
     assert not gain.value > policy.searched[0] * gain.error  # the first stretch alone says all of it
-    assert gain.beyond(policy.overwhelming[0])
+    assert gain.beyond(2.0 * policy.searched[0])
     passed = 0
     for _ in range(
         200
@@ -140,3 +144,59 @@ def test_a_motion_with_dry_friction_is_found_from_its_force_balance_wherever_it_
     assert result.rmse_after.value < 0.1 * result.rmse_before.value
     assert as_motion(sliding(rng, 1500, 0.0, 0.7), 0, setting, Known(2)) is None  # negative control
     assert as_motion(train[:300], 0, setting, Known(2)) is None
+
+
+def test_a_standard_error_knows_that_slow_errors_last_for_several_pieces(rng) -> None:
+    policy, counted, y = Policy(), [np.ones(4 * N, dtype=bool)], [np.zeros(4 * N)]
+    passed = {0.0: 0, 0.998: 0}
+    for pole in passed:
+        for _ in range(150):
+            a, b = (
+                np.asarray(lfilter([1.0], [1.0, -pole], rng.standard_normal(5 * N)))[N:] for _ in range(2)
+            )
+            passed[pole] += paired_gain(y, [a], [b], counted, policy).beyond(2.0)
+    assert passed[0.0] < 12  # 2.3 % on one side
+    assert passed[0.998] < 30  # memory of four pieces: a third of them with pieces taken for independent
+
+
+def test_what_was_searched_on_the_same_blocks_must_gain_more_there() -> None:
+    bench = SimpleNamespace(policy=Policy(), alpha=0.01)
+    gain = Gain(1.5, 1.0, 0.2)
+    for key, kept, claimed in (
+        ("input_cubic", True, True),
+        ("order", True, False),
+        ("gain_change", False, True),
+    ):
+        claim = Claim(Part(named(key)), gain, 0.001)
+        assert _gains(claim, bench) is kept  # pyright: ignore[reportArgumentType]
+        assert _holds(claim, bench) is claimed  # pyright: ignore[reportArgumentType]
+    for share, held in ((0.6, True), (0.4, False)):
+        claim = Claim(Part(named("input_cubic")), Gain(3.0, 1.0, share), 0.5)
+        assert _holds(claim, bench) is held  # pyright: ignore[reportArgumentType]
+
+
+def test_rivals_that_disagree_leave_a_run_undecided(rng) -> None:
+    linear = rng.standard_normal(N)
+    run = linear + 0.5
+    assert _undecided(run, linear, [linear - 0.5, linear + 1.4])
+    assert not _undecided(run, linear, [linear + 0.4, linear + 0.6, np.full(N, np.nan)])
+
+
+def test_terms_that_nearly_cancel_are_as_strong_as_they_are_together() -> None:
+    def term(text: str, signal: str, value: np.ndarray) -> FoundTerm:
+        curve = Curve(signal, "", np.arange(3.0), value, np.zeros(3), "")
+        return FoundTerm(text, "force", 0, "dynamic nonlinearity", signal, "", {}, curve)
+
+    slope = np.array([0.0, 5.0, 10.0])
+    terms = [term("a", "rate(y)", slope), term("b", "rate(y)", -0.95 * slope), term("c", "u", 0.2 * slope)]
+    assert [t.text for t in strongest_first(terms)] == ["c", "a", "b"]
+
+
+def test_a_linear_fit_of_a_record_that_begins_in_a_transient_finds_its_order(rng) -> None:
+    u = np.repeat(rng.choice([0.0, 1.0], N // 60), 60)
+    y = lfilter([0.0, 0.004], [1.0, -1.93, 0.931], u, zi=[0.97 * 12.0, -0.931 * 12.0])[
+        0
+    ] + 0.01 * rng.standard_normal(N)
+    s = replace(Structure(2, (0,)).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2)
+    f = fit_linear(channel_of(u, y), s, rough=True)
+    assert np.sqrt(np.mean(f.residual**2)) < 0.015
