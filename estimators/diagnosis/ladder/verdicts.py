@@ -313,7 +313,10 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
         noisy = item.nature == Nature.NOISE
         if item.p_value >= (SURE if noisy else limit) or item.nature == Nature.LINEAR:
             continue  # the linear model is the best there is on unused blocks: another is no cause
-        telling = item.gain > TELLING * f.n and item.p_value < FIRM
+        added = (
+            item.nature == Nature.ADDED
+        )  # slow or narrow noise is a trend or a line, too: only unused blocks tell
+        telling = item.gain > TELLING * f.n and item.p_value < FIRM and not added
         if not noisy and not o.left.explainable and not telling:
             continue  # a significant dependence that predicts nothing on unused blocks
         if (noisy and not o.named.claims and not len(f.noise)) or (
@@ -347,7 +350,7 @@ SURE = 1e-6
 """Significance under a noise model or beside an effect is less sure than it says."""
 TELLING, FIRM = 0.08, 1e-12
 """Likelihood ratio per sample (a twelfth of the innovations' variance) and significance from which on a dependence is no
-accident of a noise model, though no regression predicts it on unused blocks. Practised linear rigs stay below both."""
+accident of a noise model, though no regression predicts it on unused blocks; but slow or narrow noise is a trend or a line."""
 LEAST = 6.0
 """Of Schwarz's criterion: odds of twenty to one."""
 

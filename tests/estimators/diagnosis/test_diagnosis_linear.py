@@ -124,3 +124,12 @@ def test_false_claims_on_linear_records_of_many_kinds_stay_within_the_stated_rat
         worse += found.difference.high < 0.0
     assert false <= 6
     assert worse <= 6
+
+
+@pytest.mark.slow
+def test_slow_noise_in_a_loop_is_no_trend_that_a_headline_names():
+    """One record of the kinds below, which a trend without a cause was claimed of: process noise, feedback without delay."""
+    train, test, _ = linear_case(506)
+    assert (
+        diagnose(train, test, Setting(effort=Effort.QUICK, separate=True, deviations=False)).effect in LINEAR
+    )
