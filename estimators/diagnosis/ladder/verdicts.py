@@ -344,8 +344,7 @@ def _of_the_best(o: Outcome) -> bool:
 
 
 WORSE = 1.1
-"""One-step error, of the best linear model's on unused blocks, up to which a fit to the same samples is as good: it has
-seen them, and a good fit lies below 1."""
+"""One-step error, of the best linear model's on unused blocks, up to which a fit, which has seen them, is as good."""
 SURE = 1e-6
 """Significance under a noise model or beside an effect is less sure than it says."""
 TELLING, FIRM = 0.08, 1e-12
