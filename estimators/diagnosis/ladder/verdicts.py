@@ -313,9 +313,7 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
         noisy = item.nature == Nature.NOISE
         if item.p_value >= (SURE if noisy else limit) or item.nature == Nature.LINEAR:
             continue  # the linear model is the best there is on unused blocks: another is no cause
-        added = (
-            item.nature == Nature.ADDED
-        )  # slow or narrow noise is a trend or a line, too: only unused blocks tell
+        added = item.nature == Nature.ADDED  # which slow or narrow noise looks like
         telling = item.gain > TELLING * f.n and item.p_value < FIRM and not added
         if not noisy and not o.left.explainable and not telling:
             continue  # a significant dependence that predicts nothing on unused blocks
