@@ -31,16 +31,13 @@ def with_headline(text: str, table: str) -> str:
     return f"{head}{START}\n{table}\n{END}{rest.split(END, 1)[1]}"
 
 
-SHOWN = (
-    "case",
-    "noise_variance",
-    "c_efficiency",
-    "limit",
-    "best_structure",
-    "rho_structure",
-    "rho_nothing",
-    "rho_own",
-)
+SHOWN = {
+    key: ANSWER[key] for key in ("case", "noise_variance", "c_efficiency", "limit", "best_structure")
+} | {
+    "rho_structure": "rho, knowing the structure",
+    "rho_nothing": "rho, knowing nothing",
+    "rho_own": "rho, iterations and their own estimator",
+}
 """At most eight columns: a reader takes in no more; the page has the rest."""
 PICTURES = {
     "efficiency-reference": "efficiency",
@@ -64,16 +61,16 @@ def oracle_sentence(rows: list[dict]) -> str:
 
 def write_readme(results: Path, readme: Path) -> None:
     """Put a comparison's answer, its sentences and its pictures into a README."""
-    rows, _ = from_parquet(results / "tables" / "answer.parquet")
+    rows, metadata = from_parquet(results / "tables" / "answer.parquet")
     head, _ = from_parquet(results / "tables" / "head_to_head.parquet")
     compared, _ = from_parquet(results / "tables" / "comparison.parquet")
     spent = rows[0]
     lines = [
         f"Every input had {spent['experiments']} experiments, {spent['samples']} samples and energy {spent['energy']:.6g} over all "
         "channels (of Procedure 2 each of the 1 + pq experiments of an iteration counts); `oed report` has them beside every "
-        "row, with the peak amplitude.",
+        f"row, with the peak amplitude. At most {metadata['replicates']} runs of each, chosen on one half and judged on the other.",
         "",
-        to_markdown(rows, {key: ANSWER[key] for key in SHOWN}),
+        to_markdown(rows, SHOWN),
         head_to_head_sentence(head),
         *(["", oracle_sentence(compared)] if oracle_sentence(compared) else []),
     ]
@@ -105,10 +102,11 @@ def write_results(results: Path, folder: Path, name: str, commit: str) -> None:
         **cost,
     }
     lines = [
+        "---", "orphan: true", "---", "",
         f"# Are the iterations optimal experiment design? The {name} campaign", "", f"**{answer['answer']}**", "",
         "Made by a program from the campaign's tables; [the page](report.html) has every figure and table, the CSV files all digits.",
         "", to_markdown(rows, {key: ANSWER[key] for key in TWO_PAGES}), CAPTIONS["answer"], "", CAPTIONS["below"], "",
-        CAPTIONS["shared"], "", "## In words", "", *(f"- {words}" for words in summary[1:] if words.strip()), "",
+        CAPTIONS["shared"], "", "## In words", "", *(f"- {words.strip()}" for words in summary[1:] if words.strip()), "",
         "## By budget", "", CAPTIONS["growth"], "", to_markdown(told, GROWTH), "## What it is and what it cost", "",
         *(f"- {key.replace('_', ' ')}: {value}" for key, value in made.items()), "",
         f"Command: `{metadata['command']}`", "",
