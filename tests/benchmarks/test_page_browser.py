@@ -125,7 +125,7 @@ def test_filters_act_on_every_table_figure_and_the_matrix_and_are_in_the_address
     assert set(column(browser, "table-comparison", 0)) == {"hair-dryer"}
     assert set(column(browser, "table-headline", 0)) == {"hair-dryer"}
     assert len(column(browser, "table-comparison", 0)) == total / len(PLANTS)
-    run(browser, f"{check}.click()", "the plant")
+    run(browser, f"{check}.click()", "plant")
     assert set(column(browser, "table-comparison", 2)) == {m for m in METHODS if m.startswith("oracle")}
     drawn(browser, "figure-rho")
     panels = "return [...document.querySelectorAll('#figure-rho .panel')].filter(p => !p.hidden).map(p => p.querySelector('h3').textContent)"
