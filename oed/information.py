@@ -98,7 +98,9 @@ def information_of_spectrum(model: Responding, spectrum: Spectrum) -> NDArray[np
     -----
     Source: [S] Lemma 13. Twin: brute-force integration with finite differences in tests/oracles.
     """
-    rows = information_rows(model, spectrum)
+    from oed.models.model import Model
+
+    rows = information_rows(model if isinstance(model, Model) else _as_plant(model), spectrum)
     return rows.T @ rows
 
 
@@ -151,16 +153,9 @@ def signal_gradient(plant: Responding, u: ArrayLike) -> NDArray[np.float64]:
 
 
 def _as_plant(plant: Responding) -> Plant:
-    from oed.plants.plant import Plant
+    from oed.plants.systems import as_plant
 
-    if isinstance(plant, Plant):
-        return plant
-    to_plant = getattr(plant, "to_plant", None)
-    if to_plant is None:
-        raise InputError(
-            f"the information of a finite signal needs a Plant or a model with to_plant(), not {type(plant).__name__}."
-        )
-    return to_plant()
+    return as_plant(plant)
 
 
 def _signal_gradients(plant: Plant, u: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.data import Record
-from oed.errors import InputError
 
 __all__ = ["Defect", "defects", "excitation_order"]
 
@@ -52,9 +51,9 @@ class Defect:
 
 def defects(records: Record | Sequence[Record], *, order: int = 0) -> list[Defect]:
     """Everything in records that a linear model with white or coloured noise does not foresee."""
-    given = [records] if isinstance(records, Record) else list(records)
-    if not given or not all(isinstance(r, Record) for r in given):
-        raise InputError("defects are looked for in one oed.data.Record or a non-empty list of them.")
+    from oed.files.objects import as_records
+
+    given = as_records(records, missing=True)
     found = []
     for k, record in enumerate(given):
         which = k + 1 if len(given) > 1 else 0

@@ -25,6 +25,7 @@ from oed.errors import InputError
 from oed.experiments import decoloured, simulated
 from oed.information import covariance, information_of_records, information_of_signal, signal_gradient
 from oed.plants.plant import Plant
+from oed.plants.systems import as_plant
 
 __all__ = ["Additivity", "additivity_by_monte_carlo", "additivity_of_records"]
 
@@ -173,6 +174,7 @@ def additivity_by_monte_carlo(
     -----
     [S] Lemma 13, with the reason it holds in adaptive experiments: scores are martingale differences.
     """
+    plant = as_plant(plant)
     n, M = len(plant.free), experiments
     found_at = _found_at(n, false_alarm_rate / 5)
     if replicates is None:

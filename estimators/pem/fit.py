@@ -16,7 +16,7 @@ from estimators.pem.subspace.observability import Subspace
 from estimators.residual.measures import fit_percent
 from oed.data import Record, as_signal
 from oed.errors import InputError, Status
-from oed.files.objects import as_records
+from oed.files.objects import as_record
 from oed.models.model import Model, Polynomial, StateSpace
 
 __all__ = ["Fit", "noise_free", "peak_gain"]
@@ -213,7 +213,7 @@ class Fit:
         ndarray
             (N, ny). Leave the window out of an error.
         """
-        (record,) = as_records(record)
+        record = as_record(record)
         if window <= 0:
             return self.simulate(record.u)
         form = self.model.structure
@@ -251,7 +251,7 @@ class Fit:
         jacobian : ndarray
             (N, ny, n + levels + initial states): parameters first.
         """
-        (record,) = as_records(record, missing=True)
+        record = as_record(record, missing=True)
         structure = self.model.structure
         unknown = (initial or self.initial) != "zero"
         if self.regularisation is not None and isinstance(structure, Polynomial):
@@ -304,7 +304,7 @@ class Fit:
         ndarray
             (N, ny).
         """
-        (record,) = as_records(record, missing=True)
+        record = as_record(record, missing=True)
         return record.y - self.residuals_of(record, initial=initial)
 
     def to_plant(self, name: str = "identified") -> Any:

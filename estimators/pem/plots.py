@@ -11,10 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from estimators.pem.uncertainty import bode_band, pole_covariances, step_band
-from estimators.residual.measures import fit_percent
+from estimators.residual.measures import fit_percent, p_stated
 from estimators.residual.tests import ResidualTest, residual_tests
 from oed.data import Record
 from oed.errors import InputError
+from oed.files.objects import as_record
 from oed.models.model import Polynomial
 
 if TYPE_CHECKING:
@@ -46,8 +47,12 @@ class FitPlots:
         return plot_compare(self.fit, record, **how)
 
     def residuals(self, record: Record, **how: Any) -> Figure:
-        """Correlations of the residual on the fitted record, see `plot_residual_tests`."""
-        return plot_residual_tests(residual_tests(self.fit, [record]), **how)
+        """Correlations of the residual on a record, fitted or fresh, see `plot_residual_tests`."""
+        given = as_record(record)
+        fresh = not any(
+            np.array_equal(r.y, given.y) and np.array_equal(r.u, given.u) for r in self.fit.records
+        )
+        return plot_residual_tests(residual_tests(self.fit, given, fresh=fresh), **how)
 
     def poles(self, **how: Any) -> Figure:
         """Poles with their ellipses, see `plot_poles`."""
@@ -67,7 +72,7 @@ BLUE, ORANGE, GREY = "#1f77b4", "#d95f02", "#777777"
 
 def plot_compare(fits: Fit | Mapping[str, Fit], record: Record, *, window: int = 0) -> Figure:
     """Measured output against the simulated output of one or several models."""
-    named = dict(fits) if isinstance(fits, Mapping) else {"model": fits}
+    named, record = dict(fits) if isinstance(fits, Mapping) else {"model": fits}, as_record(record)
     figure = Figure(figsize=(8, 2.6 * record.n_outputs), layout="constrained")
     axes = figure.subplots(record.n_outputs, 1, squeeze=False, sharex=True)[:, 0]
     simulated = {name: fit.simulate_record(record, window=window) for name, fit in named.items()}
@@ -97,7 +102,7 @@ def plot_residual_tests(tests: Mapping[str, ResidualTest], *, level: float = 0.9
         ax.plot(test.lags[~out], test.correlation[~out], "o", ms=3, color=BLUE)
         ax.plot(test.lags[out], test.correlation[out], "o", ms=3, color=ORANGE)
         ax.axhline(0, color="black", lw=0.5)
-        ax.set_title(f"{name}: p = {test.p_value:.2g}", fontsize="medium")
+        ax.set_title(f"{name}: {p_stated(test.p_value)}", fontsize="medium")
         ax.set_xlabel("lag [samples]")
     for ax in axes[len(tests) :]:
         ax.remove()

@@ -17,7 +17,16 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-__all__ = ["as_records", "from_control", "from_pandas", "from_xarray", "to_control", "to_pandas", "to_xarray"]
+__all__ = [
+    "as_record",
+    "as_records",
+    "from_control",
+    "from_pandas",
+    "from_xarray",
+    "to_control",
+    "to_pandas",
+    "to_xarray",
+]
 
 
 def from_pandas(
@@ -310,6 +319,14 @@ def as_records(given: Any, *, missing: bool = False) -> list[Record]:
     if not records or len(records) < len(found):
         raise InputError(f"the sequence of data is empty or holds something else; {_WANTED}.")
     return records
+
+
+def as_record(given: Any, *, missing: bool = False) -> Record:
+    """The one record of whatever holds it, as `as_records` does."""
+    records = as_records(given, missing=missing)
+    if len(records) > 1:
+        raise InputError(f"{len(records)} records are given where one is wanted; give them one by one.")
+    return records[0]
 
 
 _WANTED = (

@@ -62,6 +62,8 @@ def as_plant(system: Any) -> Plant:
     if ("scipy", "dlti") in kinds:
         import control
 
+        if ("scipy", "StateSpace") in kinds:
+            return Plant.from_control(control.StateSpace(system.A, system.B, system.C, system.D, system.dt))
         given = system.to_tf()
         return Plant.from_control(control.TransferFunction(given.num, given.den, given.dt))
     if ("scipy", "lti") in kinds:

@@ -37,6 +37,7 @@ from oed.data import Spectrum
 from oed.errors import OedError
 from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant
+from oed.plants.systems import as_plant
 
 __all__ = [
     "ClaimRow",
@@ -89,7 +90,7 @@ def gain_scaling_residual(plant: Plant, points: int = 200) -> tuple[float, NDArr
     x : ndarray
         (n,) the best combination.
     """
-    omega = (np.arange(points) + 0.5) * np.pi / points
+    omega, plant = (np.arange(points) + 0.5) * np.pi / points, as_plant(plant)
     G, dG = plant.response(omega)
     rows = np.moveaxis(dG, 1, 0).reshape(dG.shape[1], -1)
     target = G.ravel() / peak(plant).value
@@ -159,7 +160,7 @@ def map_of_claim(plants: Sequence[Plant], **limits: float) -> list[ClaimRow]:
     list of ClaimRow
         One per plant; what could not be computed is a row with a note.
     """
-    return [claim_row(plant, limits) for plant in plants]
+    return [claim_row(as_plant(plant), limits) for plant in plants]
 
 
 def claim_row(plant: Plant, limits: dict[str, Any]) -> ClaimRow:

@@ -9,6 +9,7 @@ from oed.data import Spectrum
 from oed.errors import InputError
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
+from oed.plants.systems import as_plant
 from oed.theory.limit import LimitSpectrum, centres, check_limit, noise_shape, resolution, solve_excess
 from oed.theory.quadrature import Nodes, graded_nodes
 
@@ -38,6 +39,7 @@ def limit_spectrum_on_grid(plant: Plant, points: int = 1000) -> LimitSpectrum:
     Source: [S] Sec. 5. H_d is diagonal plus one row and one column, so its largest eigenvalue L solves
     1 = (1/n) sum_k lambda_e / (L - |G_k|^2) exactly; a dense eigensolver is the twin in the tests.
     """
+    plant = as_plant(plant)
     check_limit(plant)
     if not plant.white_noise:
         raise InputError("H_d of [S] is for white noise; use limit_spectrum for coloured noise.")
@@ -74,6 +76,7 @@ def spectra_of_iterations(
     mu2 : ndarray
         (experiments,) output power of each experiment, the square of [S] (3).
     """
+    plant = as_plant(plant)
     top = peak(plant)
     nodes = graded_nodes(centres(plant, top), resolution(plant, top))
     gain2 = np.abs(plant.response(nodes.omega)[0][:, 0, 0]) ** 2

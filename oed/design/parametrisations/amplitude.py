@@ -17,6 +17,7 @@ from oed.criteria import Criterion
 from oed.design.problem.design import Design
 from oed.design.solve import solve_design
 from oed.errors import InputError
+from oed.plants.systems import as_plant
 from oed.signals.synthesis import Realised, binary, crest_factor, multisine
 
 __all__ = ["amplitude_design", "slew_limited"]
@@ -71,6 +72,7 @@ def amplitude_design(
         raise InputError(f"the amplitude is {amplitude}; it must be positive and finite.")
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise InputError(f"the rate is {rate}; it must be positive and finite.")
+    plant = as_plant(plant)
     channels = np.full(plant.n_inputs, float(amplitude) ** 2)
     if rate is not None and rate < 2 * amplitude:
         options["rate_power"] = np.full(plant.n_inputs, float(rate) ** 2)

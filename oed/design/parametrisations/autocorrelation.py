@@ -28,6 +28,7 @@ from oed.design.problem.information_maps import InformationMap, information_map
 from oed.design.problem.white import information_nodes
 from oed.errors import InputError, SolverFailure
 from oed.plants.plant import Plant
+from oed.plants.systems import as_plant
 
 __all__ = ["Autocorrelated", "autocorrelation_design", "conic", "moment_design"]
 
@@ -206,7 +207,8 @@ def moment_design(
     """
     import cvxpy as cp
 
-    if not isinstance(plant, Plant) or plant.n_inputs * plant.n_outputs > 1:
+    plant = as_plant(plant)
+    if plant.n_inputs * plant.n_outputs > 1:
         raise InputError("the moment parametrisation needs a Plant of one input and one output; use grid.")
     A = plant.den[0][0]
     weight = np.convolve(np.convolve(A, A), plant.noise_num)

@@ -17,6 +17,7 @@ from oed.design.problem.information_maps import InformationMap, information_map
 from oed.errors import InputError
 from oed.models.model import Model
 from oed.plants.plant import Plant
+from oed.plants.systems import as_plant
 from oed.theory.quadrature import graded_edges, integral, panel_nodes, resolved_edges
 
 __all__ = ["closed_loop_map"]
@@ -45,6 +46,7 @@ def closed_loop_map(
     InputError
         If the loop is unstable (the locus of det(I + C G) encircles the origin).
     """
+    model = model if isinstance(model, Model) else as_plant(model)
     open_loop = information_map(model)
     nu = open_loop.n_inputs
 
