@@ -62,7 +62,6 @@ PLANT_VERBS: dict[str, Any] = {
     "information_of_signal": lambda p: oed.information_of_signal(p, U),
     "information_of_spectrum": lambda p: oed.information_of_spectrum(p, LINES),
     "information_of_records": lambda p: oed.information_of_records(p, [U]),
-    "plant_to_json": lambda p: oed.plant_to_json(p)["den"],
     "amplitude_design": lambda p: designs.amplitude_design(p, "D", 1.0, 60, np.random.default_rng(0))[0].loss,
     "autocorrelation_design": lambda p: designs.autocorrelation_design(p, "D", lags=4).loss,
     "autoregressive_design": lambda p: designs.autoregressive_design(p, "D", order=2).loss,

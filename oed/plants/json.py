@@ -141,9 +141,6 @@ def plant_to_json(plant: Plant) -> dict[str, Any]:
     dict
         With plain lists and numbers, ready for `json.dumps`.
     """
-    from oed.plants.systems import as_plant
-
-    plant = as_plant(plant)
     listed = lambda rows: [[list(map(float, entry)) for entry in row] for row in rows]
     description: dict[str, Any] = {
         "name": plant.name,
