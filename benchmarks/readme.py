@@ -6,6 +6,7 @@ import argparse
 import json
 import shutil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from benchmarks.page.comparison_words import CAPTIONS
 from benchmarks.tables.answer import ANSWER
@@ -15,7 +16,7 @@ from benchmarks.tables.head_to_head import head_to_head_sentence
 from oed.errors import InputError
 from oed.files.writing import write_whole
 
-__all__ = ["oracle_sentence", "with_headline", "write_readme", "write_results"]
+__all__ = ["oracle_sentence", "session_picture", "with_headline", "write_readme", "write_results"]
 
 START = "<!-- headline: made by `make readme` from results/compare -->"
 END = "<!-- end of headline -->"
@@ -59,6 +60,25 @@ def oracle_sentence(rows: list[dict]) -> str:
     return f"The optimum itself, `oracle-hinf`, with PEM on {of[0]['plant']}: rho {told}."
 
 
+def session_picture(file: Path) -> None:
+    """What `oed session status --picture` draws after eight experiments on a simulated rig."""
+    from benchmarks.page.session import draw_session
+    from estimators.sessions import Settings, start_session
+    from oed.experiments import simulated
+    from oed.plants.named import named_plant
+
+    channels = {
+        "inputs": ("force",),
+        "outputs": ("position",),
+        "input_units": ("N",),
+        "output_units": ("mm",),
+    }
+    with TemporaryDirectory() as folder:
+        settings = Settings("power", samples=400, dt=0.001, experiments=8, amplitude=(2.0,), **channels)
+        start_session(Path(folder), settings).run(simulated(named_plant("reference", 0.25), seed=4))
+        draw_session(Path(folder), file)
+
+
 def write_readme(results: Path, readme: Path) -> None:
     """Put a comparison's answer, its sentences and its pictures into a README."""
     rows, metadata = from_parquet(results / "tables" / "answer.parquet")
@@ -77,6 +97,7 @@ def write_readme(results: Path, readme: Path) -> None:
     write_whole(readme, with_headline(readme.read_text(encoding="utf-8"), "\n".join(lines)))
     folder = readme.parent / "docs"
     folder.mkdir(exist_ok=True)
+    session_picture(folder / "session.svg")
     for name, target in PICTURES.items():
         shutil.copyfile(results / "figures" / f"{name}.svg", folder / f"{target}.svg")
 

@@ -12,7 +12,7 @@ from benchmarks.page.charts import DASHES, style
 from benchmarks.page.content import Figure, series_of
 from oed.files.writing import write_figure
 
-__all__ = ["drawn", "panels", "save_figure", "stacked"]
+__all__ = ["drawn", "panels", "save_as", "save_figure", "stacked"]
 
 LINES = ("-", "--", ":", "-.")
 MARKERS = {
@@ -149,13 +149,21 @@ def _series(
         ax.barh(y, x, height=0.6, color=colour, alpha=0.75, **label)
 
 
-def save_figure(folder: Path, figure: Figure, name: str) -> None:
-    """Save a figure as SVG and PDF, the same bytes for the same figure."""
+def save_as(file: Path, sheet: Any) -> Path:
+    """A sheet in the format of the file's suffix, the same bytes for the same sheet."""
     import matplotlib
 
+    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(file.suffix.lower())
+    with matplotlib.rc_context(
+        {"svg.hashsalt": file.stem, "svg.fonttype": "none", "font.family": "sans-serif"}
+    ):
+        return write_figure(file, sheet, metadata=undated)
+
+
+def save_figure(folder: Path, figure: Figure, name: str) -> None:
+    """Save a figure as SVG and PDF, the same bytes for the same figure."""
     folder.mkdir(parents=True, exist_ok=True)
-    with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "none", "font.family": "sans-serif"}):
-        sheet = drawn(figure)
-        write_figure(folder / f"{name}.svg", sheet, metadata={"Date": None})
-        sheet.set_layout_engine("none")  # everything has its place by now, and finding it takes half the time
-        write_figure(folder / f"{name}.pdf", sheet, metadata={"CreationDate": None})
+    sheet = drawn(figure)
+    save_as(folder / f"{name}.svg", sheet)
+    sheet.set_layout_engine("none")  # everything has its place by now, and finding it takes half the time
+    save_as(folder / f"{name}.pdf", sheet)

@@ -10,12 +10,16 @@ import numpy as np
 from benchmarks.page.content import Figure, Page, Section, Table, thinned
 from benchmarks.progress import in_words
 from oed.errors import InputError
-from oed.files.writing import write_figure, write_whole
+from oed.files.writing import write_whole
 
 __all__ = ["draw_session", "session_page"]
 
 MOST, MOST_FITTED = 25, 6
 """Estimates that are computed again for the curve, evenly thinned, and how many of them where each is a fit."""
+
+
+CUT = 3.0
+"""Intervals are drawn up to so many times the last estimate: those of the first experiments would hide all others."""
 
 
 def _curve(session: Any) -> list[dict[str, Any]]:
@@ -29,10 +33,10 @@ def _curve(session: Any) -> list[dict[str, Any]]:
     keep = (
         sorted({ends[k] for k in np.unique(np.linspace(0, len(ends) - 1, most).astype(int))}) if ends else []
     )
-    points = []
+    points, widest = [], CUT * abs(session.estimate().value)
     for k in keep:
         found = estimate_of(session.settings, trace.first(k), own.first(k))
-        low, high = found.interval
+        low, high = found.interval[0], min(found.interval[1], max(widest, found.value))
         if np.isfinite(found.value):
             point = {"x": k, "y": found.value, "series": "estimate, with its 95 % interval"}
             points.append(point | ({"low": low, "high": high} if np.isfinite([low, high]).all() else {}))
@@ -133,7 +137,7 @@ def session_page(folder: Path) -> Page:
               else f"There is no estimate yet: {done} of {budget} experiments are recorded.")  # fmt: skip
     sure = [str(found)[:1].upper() + str(found)[1:] + "."]
     sure += [f"Flagged and not used: {Path(name).name}." for name in status["flagged"]]
-    curve = Figure("estimate", "The estimate over the experiments.", "Estimated peak gain against the number of experiments.",
+    curve = Figure("estimate", f"The estimate over the experiments; intervals are cut at {CUT:g} times the last estimate.", "Estimated peak gain against the number of experiments.",
                    _curve(session) if done else [], "experiments", "peak gain",
                    {"estimate, with its 95 % interval": "both", "the method's own gain": "points"})  # fmt: skip
     sections = [
@@ -192,6 +196,6 @@ def draw_session(folder: Path, file: Path) -> Path:
         raise InputError(
             "nothing is recorded yet, so that there is nothing to draw; the page (.html) has the limits."
         )
-    from benchmarks.page.figures_static import stacked
+    from benchmarks.page.figures_static import save_as, stacked
 
-    return write_figure(file, stacked([f for f in page.figures if f.rows]))
+    return save_as(file, stacked([f for f in page.figures if f.rows]))

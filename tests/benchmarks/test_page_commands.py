@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from benchmarks.cli import main
 from benchmarks.page.serve import page_of
+from benchmarks.readme import session_picture
 from estimators.residual.measures import p_stated
 from estimators.sessions import Settings, start_session
 from oed.errors import InputError
@@ -102,6 +103,17 @@ def test_design(tmp_path, capfd):
     assert main([*words, "--quiet"]) == 2  # nothing is overwritten
 
 
+def test_the_picture_of_the_readme_is_the_same_every_time(tmp_path):
+    files = [tmp_path / "one" / "session.svg", tmp_path / "two" / "session.svg"]
+    for file in files:
+        file.parent.mkdir()
+        session_picture(file)
+    text = files[0].read_text()
+    assert text == files[1].read_text()
+    for words in ("position (mm)", "95 % interval", "own gain"):
+        assert words in text
+
+
 @pytest.mark.slow
 def test_session(tmp_path):
     session = start_session(
@@ -129,6 +141,7 @@ def test_session(tmp_path):
     assert {r["limit"]: r["value"] for r in page.tables[1].rows}["deviation from the level, at most"] == "2 N"
     (last,) = [r for r in page.hero[0].rows if r["series"].startswith("estimate") and r["x"] == 3]
     assert (last["y"], last["low"], last["high"]) == (found.value, *found.interval)
+    assert max(r["high"] for r in page.hero[0].rows if "high" in r) <= 3 * found.value
     assert [r["experiment"] for r in page.tables[0].rows] == [1, 2, 3]
     assert main(["report", str(tmp_path / "rig")]) == 0
     assert "after 3 of 3 experiments" in (tmp_path / "rig" / "report.html").read_text()
