@@ -7,6 +7,7 @@ import json
 import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from benchmarks.page.comparison_words import CAPTIONS
 from benchmarks.tables.answer import ANSWER
@@ -67,7 +68,7 @@ def session_picture(file: Path) -> None:
     from oed.experiments import simulated
     from oed.plants.named import named_plant
 
-    channels = {
+    channels: dict[str, Any] = {
         "inputs": ("force",),
         "outputs": ("position",),
         "input_units": ("N",),
