@@ -35,6 +35,7 @@ exclude_patterns = [
     "gallery/*.json",
 ]
 html_theme = "furo"  # maintained, light, dark mode
+html_static_path, html_css_files = ["assets"], ["oed.css"]
 html_title = "oed"
 html_math_renderer = "mathml"
 html_show_sphinx = False
