@@ -31,9 +31,9 @@ Array = NDArray[Any]
 class ModelErrorGain:
     """Gain of the model error P_model - P_rig, and where it is reached.
 
-    `gamma` estimate of its norm at the input power used, outputs per input, with its `standard_error`; `frequency`
-    where it is reached, rad/sample; `status` whether both can be trusted; `direction` (nu,) complex unit vector, the last
-    input at that frequency; `trace` all that was measured.
+    `gamma` estimate of its norm at the input power used, outputs per input, with its `standard_error`; `frequency` of
+    the last input, rad/sample; `status` whether the estimate can be trusted; `direction` (nu,) complex unit vector, the
+    last input at that frequency; `trace` all that was measured.
     """
 
     gamma: float
@@ -120,6 +120,8 @@ def model_error_gain(
     found = corrected(trace)
     u = trace.records[trace.iterations[-1]][0].u
     spectrum = np.fft.rfft(u, axis=0)
-    line = spectrum[round(found.frequency * len(u) / (2 * np.pi))]
-    direction = line / (np.linalg.norm(line) + 1e-300)
-    return ModelErrorGain(found.value, found.standard_error, found.frequency, found.status, direction, trace)
+    k = int(np.argmax(np.sum(np.abs(spectrum) ** 2, axis=1)))
+    direction = spectrum[k] / (np.linalg.norm(spectrum[k]) + 1e-300)
+    return ModelErrorGain(
+        found.value, found.standard_error, 2 * np.pi * k / len(u), found.status, direction, trace
+    )
