@@ -172,7 +172,7 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
                 continue  # the others were fitted in this form: without it there is no model of them
             rest = a.base if form else without(bench.channel, f, position)
             same = len(a.base.residual) == len(rest.residual)  # not of a record thinned less
-            if same and not rest.structure.effects and _squares(a.base) < _squares(rest):
+            if same and not rest.structure.effects and np.sum(a.base.residual**2) < np.sum(rest.residual**2):
                 rest = a.base  # the linear model was fitted from more starts
             rests.append((rest, bench.unused(rest)))
             gain = bench.gain(rests[-1][1], unused, part)
@@ -219,10 +219,6 @@ def _bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Cla
     ]
 
 
-def _squares(f: Fit) -> float:
-    return float(np.sum(f.residual**2))
-
-
 CLOCKED = (Nature.TIME, Nature.ADDED)
 """Natures of causes that run by the clock: between two stretches of one record they can imitate anything."""
 TRIED = 8
@@ -253,13 +249,19 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
         gains = [(n, bench.over(n.unused, linear)) for n in found if len(n.unused) and n.whole]
         return [n for n, gain in gains if gain.share > least and gain.beyond(errors)]
 
-    others = [f for f in a.alternatives if f.structure.effects[-1].effect.nature is not Nature.ADDED]
-    singles = sorted(judged(others[:TRIED]), key=lambda n: n.step_error(bench))
+    # what is only added has a search of its own, and fits any one record
+    lasting = lambda f: f.structure.effects[-1].effect.nature is not Nature.ADDED
+    singles = sorted(
+        judged([f for f in a.alternatives if lasting(f)][:TRIED]), key=lambda n: n.step_error(bench)
+    )
     few = max(
         1, round(PAIRED * min(1.0, FULL / len(bench.channel)))
     )  # longer records tell more of them apart
     pairs = judged(
-        f for n in singles[:few] for f in second(bench.channel, n.fit, menu, coloured=False)[:PAIRED]
+        f
+        for n in singles[:few]
+        for f in second(bench.channel, n.fit, menu, coloured=False)[:PAIRED]
+        if lasting(f)
     )
     options = sorted(
         (n for n in (first, *singles, *pairs) if n.step is not None), key=lambda n: n.step_error(bench)
