@@ -10,7 +10,7 @@
 #   make campaign, make speed, make report    the large campaign, the speed benchmarks, the HTML report again
 #   make peers     other people's tools beside ours on the records in $(OED_DATA), in results/peers (PEERS_ARGS="--only emps")
 #   make docs      the documentation site in build/docs, warnings as errors
-#   make readme    the README's headline table and picture again, from the comparison
+#   make readme    the README's table and pictures and docs/results again, from the small campaign
 #   make lock      requirements.lock again from pyproject.toml (asks the package index)
 #
 # Another Python beside the first: make test PYTHON=python3.12 VENV=.venv-3.12
@@ -73,8 +73,8 @@ $(STAMP): requirements.lock pyproject.toml
 compare: $(STAMP)
 	$(BIN)/oed compare --out results/compare
 
-readme: compare
-	$(BIN)/python -m benchmarks.readme results/compare README.md
+readme:
+	$(MAKE) campaign CAMPAIGN=small
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(PYTEST_ARGS)

@@ -19,7 +19,7 @@ from oed.files.writing import write_whole
 
 __all__ = ["oracle_sentence", "session_picture", "with_headline", "write_readme", "write_results"]
 
-START = "<!-- headline: made by `make readme` from results/compare -->"
+START = "<!-- headline: made by `make readme` from the small campaign -->"
 END = "<!-- end of headline -->"
 
 
