@@ -171,7 +171,7 @@ def main(figure: str | None = None) -> dict[str, Any]:
         _draw(figure, unseen, planned, design, textbook, best, rows)
     return {
         "rows": rows, "effect": found.effect, "variant": found.variant, "floor": found.noise_floor, "gap": design.gap,
-        "norm_before": before.value, "norm_after": after.value, "planned": planned,
+        "norm_before": before, "norm_after": after, "planned": planned,
         "before": found.rmse_before.value, "after": found.rmse_after.value,
     }  # fmt: skip
 

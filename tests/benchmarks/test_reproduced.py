@@ -51,7 +51,7 @@ def test_the_last_line_counts_what_could_have_failed(monkeypatch, capfd):
         row("a", "b", 1.0, 1.0, 0.2, "c"),
         row("a", "b", None, 1.0, None, "c"),
     ]
-    monkeypatch.setattr(reproduced, "rows_of", lambda name, progress: rows)
+    monkeypatch.setattr(reproduced, "rows_of", lambda name, progress=None: rows)
     assert main(["reproduce", "--quiet"]) == 0
     assert (
         capfd.readouterr()

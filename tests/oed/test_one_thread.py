@@ -31,10 +31,11 @@ class Watched:
 def test_a_design_limits_the_blas_and_gives_it_back():
     plant = Watched()
     with threadpool_limits(2, "blas"):
-        assert threads() == {2}
+        before = threads()  # a library that is built for one thread stays at one
+        assert 2 in before
         solve_design(plant, "D")
         assert plant.seen == {1}
-        assert threads() == {2}
+        assert threads() == before
 
 
 def test_it_is_given_back_after_an_error():
@@ -44,9 +45,10 @@ def test_it_is_given_back_after_an_error():
         raise ZeroDivisionError
 
     with threadpool_limits(2, "blas"):
+        before = threads()
         with pytest.raises(ZeroDivisionError):
             fails()
-        assert threads() == {2}
+        assert threads() == before
 
 
 @pytest.mark.parametrize(

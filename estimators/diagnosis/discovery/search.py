@@ -129,8 +129,9 @@ def greedy_search(
 ) -> list[Fitted]:  # fmt: skip
     """All models fitted on the way, the best by the criterion first; linear ones among them.
 
-    `own` orders of the best linear model. Where several outputs are coupled, chains of these orders go a way of their own:
-    on the whole record longer chains mimic the coupling, and would crowd out the short ones that need more terms for it.
+    `own` orders of the best linear model. Where several outputs are coupled, chains of these orders go a way of their own, and
+    so do chains of the least of them: longer chains mimic the coupling, also in the linear model of one output alone, and would
+    crowd out the short ones that need more terms for it.
     """
     ny = pieces[0].y.shape[1]
 
@@ -146,9 +147,10 @@ def greedy_search(
     ]
     if ny > 1:
         own = tuple(min(max(n, 1), max(budget.orders)) for n in own)
-        first = [f for f in beam if f.form.orders == own] or linear([own])
-        every += [f for f in first if f not in beam]
-        every += _climbed(first, 1, ny * budget.terms, pieces, zeros, budget)
+        for way in dict.fromkeys((own, (min(own),) * ny)):
+            first = [f for f in beam if f.form.orders == way] or linear([way])
+            every += [f for f in first if f not in beam]
+            every += _climbed(first, 1, ny * budget.terms, pieces, zeros, budget)
     return sorted(every, key=criterion)
 
 

@@ -35,7 +35,7 @@ def rich_form() -> Form:
         ),
         Term((Factor(Kind.SIGN, "v0", 0.0, 0.4),), chain=0, along=0),
         Term((Factor(Kind.CUBE, "y0", 0.0),), "output", 1),
-        Term((Factor(Kind.SIN, "z", 0.0, 1.3, (False, True)),), chain=1, along=-2),
+        Term((Factor(Kind.SIN, "y1", 0.0, 1.3, (False, True)),), chain=1, along=-2),
     )
     return Form((2, 1), 1, (0.3, 0.2), (0.15, 0.1), terms, feedthrough=True)
 
