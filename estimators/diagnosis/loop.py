@@ -141,7 +141,7 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
         bench = bench_of(motion)
         named = named_steps(bench, motion.attribution)
         gain = None if named.step is None else bench.over(named.step.unused[0], base.unused[0][:, i])
-        if gain is not None and gain.share > MOST and gain.beyond(setting.policy.searched[0]):
+        if gain is not None and gain.meets((setting.policy.searched[0], MOST)):
             return motion, bench, named
     found = examine(record, i, setting, known)
     bench = bench_of(found)
@@ -206,9 +206,9 @@ def _outcome(
         without = [replace(s, admitted=s.kind is not Kind.DISCOVERED) for s in steps]
         other = climb(y, without, counted, setting.policy, least=least)
         gain = paired_gain(y, other.chosen.unused, ladder.chosen.unused, ladder.counted, setting.policy)
-        errors, most = setting.policy.unchecked
-        sure = gain.beyond(errors) and gain.share > most
-        if not sure and not _confirmed(records, i, base, counted, again(), setting):
+        if not gain.meets(setting.policy.unchecked) and not _confirmed(
+            records, i, base, counted, again(), setting
+        ):
             steps, ladder = without, other
     above = share if ladder.chosen.kind is Kind.LINEAR else left
     rest = None
@@ -283,7 +283,7 @@ def _confirmed(
     use[: last.start] = False
     runs = [m.simulate(unseen, base.blocks.window)[:, i] for m in (linear, found.model)]
     gain = paired_gain([np.nan_to_num(unseen.y[:, i])], runs[:1], runs[1:], [use], setting.policy)
-    return gain.beyond(setting.policy.claimed[0]) and gain.share > setting.policy.claimed[1]
+    return gain.meets(setting.policy.claimed)
 
 
 def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:

@@ -8,9 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from oed.criteria.criterion import Criterion
+from oed.criteria.eigenvalue import LargestEigenvalue
 from oed.errors import InputError
 
 __all__ = ["ConditionNumber", "condition_criterion"]
+
+NO_BOUND = "a condition number has no bound by one direction; see `condition_design`."
 
 
 class ConditionNumber(Criterion):
@@ -27,21 +30,18 @@ class ConditionNumber(Criterion):
 
     def numerator(self, X: NDArray[np.float64]) -> NoReturn:
         """There is none."""
-        raise InputError("a condition number has no bound by one direction; see `condition_design`.")
+        raise InputError(NO_BOUND)
 
     def turned(
         self, Y: NDArray[np.float64], covariance: NDArray[np.float64], weight: NDArray[np.float64] | None
     ) -> NoReturn:
         """There is none."""
-        raise InputError("a condition number has no bound by one direction; see `condition_design`.")
+        raise InputError(NO_BOUND)
 
     def log_numerator(
         self, X: NDArray[np.float64], second: bool = True
     ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
         """Of either of the two traces: the quadratic form of the eigenvalue's."""
-        # Late: the order of the names is that of the files.
-        from oed.criteria.eigenvalue import LargestEigenvalue
-
         return LargestEigenvalue(self.V).log_numerator(X, second)
 
     def scaled(self, columns: NDArray[np.float64]) -> tuple[Criterion, float]:

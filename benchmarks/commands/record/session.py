@@ -137,30 +137,27 @@ def _rest(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
             f"then: oed session rest {args.folder} FILE"
         )
     record_rest(session, Path(args.file))
-    payload = _payload(session)
-    return payload, f"{_rest_words(session, payload)}\nnext: oed session next {args.folder}"
+    payload, found = _stand(session)
+    return payload, f"{_rest_words(session, found, payload)}\nnext: oed session next {args.folder}"
 
 
-def _rest_words(session: Any, payload: dict[str, Any]) -> str:
-    from estimators.sessions.rest import rest_of
-
-    found = rest_of(session)
+def _rest_words(session: Any, found: Any, payload: dict[str, Any]) -> str:
     if found is None:
         return f"no rest test yet: oed session rest {session.path} (noise, drift, gain and delay of the rig)"
     return "\n".join([*found.sentences(session.settings), *(f"warning: {w}." for w in payload["warnings"])])
 
 
 def _next(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
-    from estimators.sessions.rest import next_warnings, rest_of
+    from estimators.sessions.rest import next_warnings
 
     file = session.next_input(reduce=args.reduce)
-    payload = _payload(session)
+    payload, found = _stand(session)
     if file is None:
         return (
             payload,
             f"the session is finished: {payload['message']} See `oed session estimate {args.folder}`.",
         )
-    asked, found = session.session.asked(), rest_of(session)
+    asked = session.session.asked()
     payload |= {"kind": asked.kind, "factor": asked.factor, "limit": asked.limit, "rows": len(asked.whole)}
     scaled = f", times {asked.factor:.4g} ({asked.limit})" if asked.limit else ""
     lines = [f"step {asked.step}: apply {file} ({asked.kind}{scaled})", _time_left(payload)]
@@ -168,7 +165,7 @@ def _next(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
         payload["warnings"] = next_warnings(found, session.settings, asked.whole)
         lines += [f"warning: {words}." for words in payload["warnings"]]
     elif asked.step == 1:
-        lines.append(_rest_words(session, payload))
+        lines.append(_rest_words(session, found, payload))
     return payload, "\n".join(lines)
 
 
@@ -186,14 +183,14 @@ def _undo(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
 
 
 def _status(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
-    payload = _payload(session)
+    payload, found = _stand(session)
     waits = f"waits for the output of {payload['input']}" if payload["input"] else ""
     flagged = f"; {len(payload['flagged'])} flagged measurements" if payload["flagged"] else ""
     lines = [
         f"{session}: {waits or payload['message'] or 'ask for the next input'}{flagged}",
         _time_left(payload),
     ]
-    lines += [str(session.estimate()), _rest_words(session, payload), *_sketch(payload["gains"])]
+    lines += [str(session.estimate()), _rest_words(session, found, payload), *_sketch(payload["gains"])]
     if args.picture:
         from benchmarks.page.session import draw_session
 
@@ -300,17 +297,23 @@ def _start(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         criterion=args.criterion, scaling=args.scaling, seed=args.seed, model=model,
     )  # fmt: skip
     session = start_session(args.folder, settings)
-    return _payload(session), f"{session}\n{_rest_words(session, {})}\nnext: oed session next {args.folder}"
+    payload, found = _stand(session)
+    return payload, f"{session}\n{_rest_words(session, found, payload)}\nnext: oed session next {args.folder}"
 
 
 def _payload(session: Any) -> dict[str, Any]:
     """The keys of every step."""
+    return _stand(session)[0]
+
+
+def _stand(session: Any) -> tuple[dict[str, Any], Any]:
+    """The keys of every step, and the rest test, which is read and analysed once."""
     from estimators.sessions.layout import rig_samples
     from estimators.sessions.rest import rest_of
 
     estimate, s, status, rest = session.estimate(), session.settings, session.status(), rest_of(session)
     rows = rig_samples(s)
-    return status | {
+    payload = status | {
         "rows": rows,
         "rate_hz": 1 / s.dt,
         "seconds_each": rows * s.dt,
@@ -328,6 +331,7 @@ def _payload(session: Any) -> dict[str, Any]:
         "gains": list(estimate.gains),
         "noise_floor": list(estimate.noise_floor),
     }
+    return payload, rest
 
 
 def _frequency(estimate: Any, per_hertz: float) -> dict[str, Any]:

@@ -81,6 +81,11 @@ class Gain:
         """Whether it is larger than so many of its standard errors, in squares or stretch by stretch."""
         return self.value > 0.0 and (self.value > errors * self.error or self.steady > errors)
 
+    def meets(self, limit: tuple[float, float]) -> bool:
+        """Whether it is what a limit of the policy asks: beyond so many standard errors, and more than a share of the error."""
+        errors, share = limit
+        return self.beyond(errors) and self.share > share
+
 
 @dataclass(frozen=True, eq=False)
 class Rung:
@@ -200,7 +205,6 @@ def climb(
     for i in able[1:]:
         gain = paired_gain(measured, rungs[answer].step.unused, rungs[i].step.unused, counted, policy)
         searched = rungs[i].step.kind in (Kind.DISCOVERED, Kind.REMAINDER)
-        errors, share = policy.searched if searched else policy.claimed
-        if gain.beyond(errors) and gain.share > share:
+        if gain.meets(policy.searched if searched else policy.claimed):
             answer = i
     return Ladder(rungs, answer, counted)

@@ -236,7 +236,7 @@ def _refused(
 ) -> str:  # fmt: skip
     """Why the remainder is not taken up; empty where it is."""
     limits = task.limits
-    if not (gain.beyond(limits.errors) and gain.share > limits.least):
+    if not gain.meets((limits.errors, limits.least)):
         return "which is not enough"
     if share is not None and share.nature in CLOCKED and share.share > 1.0 - (1.0 - gain.share) ** 2:
         return "but what is left follows the clock, which this model only imitates"
@@ -249,7 +249,7 @@ def _refused(
                  for runs in (earlier, unused)]  # fmt: skip
         none = task.empty()
         one_step = paired_gain(none, steps[0], steps[1], task.counts, policy)
-        if not (one_step.beyond(limits.errors) and one_step.share > limits.least):
+        if not one_step.meets((limits.errors, limits.least)):
             return "but the input answers the noise, and the one-step prediction does not get better"
     return ""
 

@@ -239,7 +239,6 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
         return first
 
     linear = bench.base.unused[0][:, bench.output]
-    errors, least = bench.policy.claimed  # each is significant in its own fit besides
 
     def judged(fits: Iterable[Fit]) -> list[Named]:
         finals = [fit(bench.channel, f.structure, f.p, f.scales, iterations=40) for f in fits]
@@ -247,7 +246,9 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
             named_steps(bench, replace(a, final=f, rivals={})) for f in finals if np.isfinite(f.deviance)
         ]
         gains = [(n, bench.over(n.unused, linear)) for n in found if len(n.unused) and n.whole]
-        return [n for n, gain in gains if gain.share > least and gain.beyond(errors)]
+        return [
+            n for n, gain in gains if gain.meets(bench.policy.claimed)
+        ]  # each is significant in its own fit besides
 
     # what is only added has a search of its own, and fits any one record
     lasting = lambda f: f.structure.effects[-1].effect.nature is not Nature.ADDED
@@ -283,8 +284,7 @@ def _worse(bench: Bench, n: Named, best: Named) -> bool:
     """Whether unused blocks are worse with a model than with the best, beyond an error."""
     if n.step is None or best.step is None:
         return True
-    gain, (errors, least) = bench.over(best.step.unused[0], n.step.unused[0]), bench.policy.claimed
-    return gain.share > least and gain.beyond(errors)
+    return bench.over(best.step.unused[0], n.step.unused[0]).meets(bench.policy.claimed)
 
 
 def _told_apart(bench: Bench, n: Named, best: Named) -> bool:
@@ -316,8 +316,8 @@ def _gains(c: Claim, bench: Bench) -> bool:
 
     When something changed was searched on the same blocks, which asks for more.
     """
-    errors, share = bench.policy.searched if c.part.effect.nature in CLOCKED else bench.policy.claimed
-    return c.key == "initial" or (c.gain.beyond(errors) and c.gain.share > share)
+    limit = bench.policy.searched if c.part.effect.nature in CLOCKED else bench.policy.claimed
+    return c.key == "initial" or c.gain.meets(limit)
 
 
 def _holds(c: Claim, bench: Bench) -> bool:
@@ -325,11 +325,9 @@ def _holds(c: Claim, bench: Bench) -> bool:
 
     The linear model is the best of a search on the same blocks: other dynamics must be better by what a search asks.
     """
-    errors, share = bench.policy.searched
-    if c.part.effect.nature is Nature.LINEAR and not (c.gain.beyond(errors) and c.gain.share > share):
+    if c.part.effect.nature is Nature.LINEAR and not c.gain.meets(bench.policy.searched):
         return False
-    errors, share = bench.policy.overwhelming
-    return c.p_value < bench.alpha or (c.gain.beyond(errors) and c.gain.share > share)
+    return c.p_value < bench.alpha or c.gain.meets(bench.policy.overwhelming)
 
 
 def _why(c: Claim, bench: Bench) -> str:
