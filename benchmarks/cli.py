@@ -28,8 +28,6 @@ import oed
 from oed.errors import CampaignError, InfeasibleDesign, InputError, NotIdentifiable, OedError, check_names
 from oed.lazily import extra_named
 
-__all__ = ["main"]
-
 SCHEMA_VERSION = 1
 BAD_INPUT = (InputError, NotIdentifiable, InfeasibleDesign, CampaignError)
 

@@ -12,19 +12,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.campaign.one_part import check_contents
 from benchmarks.campaign.plants import expanded
-from benchmarks.campaign.run import check_contents
-from benchmarks.campaign.running import TIME_LIMIT, Settings, fill_store, stored_runs
-from benchmarks.campaign.settings import Limit, default_limits
+from benchmarks.campaign.settings import Limit, Settings, default_limits
 from benchmarks.campaign.users_own import Own
+from benchmarks.campaign.whole_campaign import TIME_LIMIT, fill_store, stored_runs
 from benchmarks.tables.columns import COLUMNS, is_number
 from benchmarks.tables.formats import to_text
 from benchmarks.tables.tabulation import tabulate
 from oed.errors import CampaignError, InputError
 from oed.files.lock import locked
 from oed.files.writing import write_whole
-
-__all__ = ["Comparison", "compare"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,9 +174,9 @@ def _dry_run(settings: Settings, replicates: int, out: Path, options: dict[str, 
     """Every plant, input and estimator once at the first noise level, a few short experiments each, nothing kept."""
     from dataclasses import replace
 
-    from benchmarks.campaign.part import UNUSABLE
+    from benchmarks.campaign.one_part import parts, run_part
     from benchmarks.campaign.plants import load_plant
-    from benchmarks.campaign.run import parts, run_part
+    from benchmarks.campaign.run_columns import UNUSABLE
 
     plants = [load_plant(name) for name in settings.plants]
     iteration = 1 + max(plant.n_inputs * plant.n_outputs for plant in plants)  # of Procedure 2

@@ -11,8 +11,6 @@ from typing import TextIO
 
 from estimators.stages import listening
 
-__all__ = ["in_words", "shown"]
-
 QUIET = 2.0
 """Seconds after which a command shows that it is at work."""
 BEAT = 0.5

@@ -17,8 +17,6 @@ from benchmarks.tables.head_to_head import head_to_head_sentence
 from oed.errors import InputError
 from oed.files.writing import write_whole
 
-__all__ = ["oracle_sentence", "session_picture", "with_headline", "write_readme", "write_results"]
-
 START = "<!-- headline: made by `make readme` from the small campaign -->"
 END = "<!-- end of headline -->"
 

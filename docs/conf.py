@@ -64,7 +64,7 @@ sphinx_gallery_conf = {
 }
 
 PACKAGES = (
-    "oed", "oed.design", "oed.theory", "oed.signals.synthesis", "oed.files",
+    "oed", "oed.design", "oed.theory", "oed.signals", "oed.files",
     "estimators", "estimators.pem", "estimators.residual", "estimators.diagnosis", "estimators.sessions",
 )  # fmt: skip
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-__all__ = ["listening", "stage"]
-
 Listener = Callable[[str, int, int], object]
 _LISTENER: ContextVar[Listener | None] = ContextVar("listener", default=None)
 

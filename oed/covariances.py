@@ -12,8 +12,6 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["covariance_of", "covariance_of_factor", "diagonal_blocks", "on_one_thread", "solved"]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 

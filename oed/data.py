@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.errors import InputError
 
-__all__ = ["Record", "Spectrum", "as_signal", "join"]
-
 
 def frozen(values: ArrayLike, dtype: type = float) -> NDArray:
     """Copy values into an array that cannot be written to."""

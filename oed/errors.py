@@ -10,17 +10,6 @@ import difflib
 from collections.abc import Iterable, Sequence
 from enum import Enum
 
-__all__ = [
-    "CampaignError",
-    "ExperimentError",
-    "InfeasibleDesign",
-    "InputError",
-    "NotIdentifiable",
-    "OedError",
-    "SolverFailure",
-    "Status",
-]
-
 
 class OedError(Exception):
     """Base of every exception that the suite raises on purpose."""

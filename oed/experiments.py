@@ -15,8 +15,6 @@ from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 from oed.signals.noise import noise_key, noise_series
 
-__all__ = ["Experiment", "Usage", "replayed", "simulated"]
-
 AHEAD = 2**16
 """Most samples of noise that are computed together."""
 

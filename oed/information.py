@@ -21,18 +21,6 @@ from oed.errors import InputError, NotIdentifiable
 if TYPE_CHECKING:
     from oed.plants.plant import Plant
 
-__all__ = [
-    "Responding",
-    "covariance",
-    "information_of_each",
-    "information_of_records",
-    "information_of_signal",
-    "information_of_spectrum",
-    "null_directions",
-    "whitened_gradient",
-]
-
-
 TOGETHER = 2**18
 """Numbers in the gradients that are computed together."""
 

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from oed.data import Record
 
-__all__ = ["Defect", "defects", "excitation_order"]
-
 SIGNIFICANT = 4.0
 """Standard errors from which a mean or a slope is reported."""
 FAR = 8.0

@@ -7,8 +7,6 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
-__all__ = ["exporting", "extra_named", "where_installed"]
-
 EXTRAS = {
     "pandas": "files", "pyarrow": "files", "h5py": "files", "xarray": "files", "control": "control", "cvxpy": "convex",
     "matplotlib": "report", "altair": "report", "vl_convert": "report", "joblib": "compare", "tqdm": "compare", "distributed": "dask",

@@ -1,5 +1,5 @@
-"""What a package's `__init__` exports is documented in numpydoc style; every other name of a module's `__all__` has a
-sentence; every example in a docstring runs."""
+"""What a package's `__init__` exports is documented in numpydoc style; every other name without an underscore has
+a sentence; every example in a docstring runs."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def module_names() -> list[str]:
 
 def documented_objects(exported: bool) -> dict[str, object]:
     """Functions and classes by the name of their home, with the classes' own public methods: those that a package's
-    `__init__` exports, or all that modules name in `__all__`."""
+    `__init__` exports, or all that a module defines without an underscore."""
     found: dict[str, object] = {}
     for name in module_names():
         if exported and name not in PUBLIC:
@@ -72,7 +72,12 @@ def documented_objects(exported: bool) -> dict[str, object]:
         except Exception as error:
             found[name] = error
             continue
-        for public in getattr(module, "__all__", ()):  # test_architecture.py demands one of each module
+        own = [
+            key
+            for key, member in vars(module).items()
+            if getattr(member, "__module__", "") == name and key[0] != "_"
+        ]
+        for public in getattr(module, "__all__", ()) if exported else own:
             try:
                 member = getattr(module, public)
             except Exception as error:

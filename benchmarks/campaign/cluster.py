@@ -13,8 +13,6 @@ from typing import Any
 
 from oed.errors import CampaignError, InputError
 
-__all__ = ["on_cluster"]
-
 CONNECT, SAY, END = 10.0, 10.0, 120.0
 """Seconds to connect; without a worker until it is said; and until the campaign ends, keeping what was finished."""
 LOOK = 1.0

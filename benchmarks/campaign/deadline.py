@@ -9,8 +9,6 @@ from typing import Any
 
 from oed.errors import InputError
 
-__all__ = ["TimeLimit", "within"]
-
 
 class TimeLimit(Exception):
     """The call had not returned in time."""

@@ -12,8 +12,6 @@ from benchmarks.campaign.store import CONTENTS, KEPT, UNITED, Store, versions
 from oed.errors import CampaignError, InputError
 from oed.files.writing import write_whole
 
-__all__ = ["merge_stores"]
-
 
 def merge_stores(folders: Sequence[Path], out: Path) -> dict[str, Any]:
     """Copy the finished parts of several stores into one."""

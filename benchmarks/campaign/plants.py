@@ -17,17 +17,6 @@ from oed.errors import InputError, check_names
 from oed.plants.families import FAMILIES
 from oed.plants.plant import Plant
 
-__all__ = [
-    "add_plant_arguments",
-    "check_plants",
-    "content_of",
-    "expanded",
-    "family_of",
-    "hair_dryer_record",
-    "load_plant",
-    "plant_names",
-]
-
 HAIR_DRYER = "hair-dryer"
 RANDOM = re.compile(r"random-(fir|light|competing|late|many)-(\d{1,6})")
 SEVERAL = re.compile(r"(random-[a-z]+-)(\d{1,6})\.\.(\d{1,6})")

@@ -12,8 +12,6 @@ from typing import Any
 
 from oed.errors import CampaignError
 
-__all__ = ["as_finished", "at_once", "spread"]
-
 ROUNDS = 10
 """How often all workers are started again; what still kills its worker is then tried alone, once."""
 WATCH = 0.5

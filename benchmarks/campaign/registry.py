@@ -27,11 +27,6 @@ from oed.errors import InputError, OedError, Status, check_names
 from oed.experiments import Experiment
 from oed.plants.plant import Plant
 
-__all__ = [
-    "ESTIMATORS", "METHODS", "Estimate", "Estimator", "Input", "Method", "Structure", "Told", "compatible", "fits",
-    "method_for", "of_the_iterations", "tell", "told", "words_of",
-]  # fmt: skip
-
 Method = Callable[..., Trace]
 
 

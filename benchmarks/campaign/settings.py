@@ -15,8 +15,6 @@ from benchmarks.campaign.registry import ESTIMATORS, METHODS
 from oed.errors import InputError, check_names
 from oed.files.documents import keyed, read_document
 
-__all__ = ["Limit", "Settings", "campaign_from_toml", "limit_from_text"]
-
 
 @dataclass(frozen=True)
 class Limit:

@@ -24,8 +24,6 @@ from oed.files.writing import tidy, write_whole
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["Store", "difference", "made_by", "versions"]
-
 PACKAGES = ("numpy", "scipy", "casadi", "cvxpy", "clarabel", "control", "numba", "oed")
 MADE = b"oed.campaign"
 UNITED = ("plants", "noise_variances", "methods")

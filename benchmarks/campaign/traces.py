@@ -14,8 +14,6 @@ from oed.files.writing import write_whole
 if TYPE_CHECKING:
     from estimators.rules.trace import Trace
 
-__all__ = ["write_trace"]
-
 
 def write_trace(trace: Trace, path: str) -> None:
     """Write the experiments of a trace, stacked in time, with their numbers."""

@@ -12,8 +12,6 @@ from typing import Any
 from estimators.rules.trace import run
 from oed.errors import InputError
 
-__all__ = ["Own"]
-
 
 class Own:
     """What the user brought, with a name for each."""

@@ -8,8 +8,6 @@ from typing import Any
 
 from benchmarks.page.content import Figure, series_of
 
-__all__ = ["COLOURS", "DASHES", "SHAPES", "chart"]
-
 COLOURS = ("#3b82c4", "#d1603d", "#2a9d73", "#a56cc1", "#b08a1e", "#7d8790")
 """Told apart with any colour vision (by their lightness and by dash and shape too), at least 3 : 1 on white and on dark."""
 DASHES = ((1, 0), (6, 3), (2, 2), (8, 3, 2, 3))

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.campaign.one_part import parts
 from benchmarks.campaign.plants import family_of
 from benchmarks.campaign.processes import at_once
 from benchmarks.campaign.registry import words_of
-from benchmarks.campaign.run import parts
 from benchmarks.campaign.settings import Settings
 from benchmarks.page import comparison_figures as figures
 from benchmarks.page.comparison_words import (
@@ -53,8 +53,6 @@ from benchmarks.tables.head_to_head import (
 from benchmarks.tables.statistics import Target
 from benchmarks.tables.tabulation import Tables
 from oed.theory.efficiency import peak_gain_efficiency_by_experiments
-
-__all__ = ["headline_rows", "write_comparison"]
 
 Row = dict[str, Any]
 Targets = Mapping[tuple[str, float], Target]

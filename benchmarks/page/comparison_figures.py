@@ -15,12 +15,6 @@ from benchmarks.tables.profiles import TOLERANCE
 from oed.plants.plant import Plant
 from oed.theory.limit import limit_spectrum
 
-__all__ = [
-    "advice_figure", "claim_figure", "efficiency_figure", "estimated_gain_figure", "growth_figure",
-    "hair_dryer_figures",
-    "head_to_head_figure", "limit_spectrum_figures", "profile_figures", "rho_figure", "spectra_figure", "where_figure",
-]  # fmt: skip
-
 Row = Mapping[str, Any]
 OMEGA = "frequency (rad/sample)"
 BARS = 2.0

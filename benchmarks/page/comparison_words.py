@@ -14,17 +14,6 @@ from benchmarks.tables.columns import BUDGET, is_number
 from benchmarks.tables.formats import format_value
 from benchmarks.tables.profiles import TOLERANCE
 
-__all__ = [
-    "CAPTIONS",
-    "DATA",
-    "HEADLINE",
-    "PAIRS",
-    "PERFORMANCE",
-    "advice_sentences",
-    "details",
-    "short_answer",
-]
-
 Row = dict[str, Any]
 HEADLINE = {
     "plant": "plant", "noise_variance": "noise", "method": "input", "known": "is told", **BUDGET,

@@ -16,8 +16,6 @@ from benchmarks.tables.formats import format_value
 from oed.errors import CampaignError, InputError
 from oed.files.documents import keyed, read_document
 
-__all__ = ["Figure", "Page", "Section", "Table", "read_page", "series_of", "thinned"]
-
 Row = dict[str, Any]
 MARKS = ("line", "points", "both", "ticks", "stems", "bars", "step")
 MOST_POINTS = 4000

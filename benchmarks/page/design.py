@@ -15,8 +15,6 @@ from oed.design import Design
 from oed.errors import OedError
 from oed.plants.plant import Plant
 
-__all__ = ["write_design"]
-
 POINTS = 600
 """Frequencies of the sensitivity's line, beside the support."""
 TIGHT = 1e-3

@@ -15,8 +15,6 @@ from benchmarks.tables.formats import format_value
 if TYPE_CHECKING:
     from estimators.diagnosis.result.report import Diagnosis
 
-__all__ = ["write_diagnosis_report"]
-
 Row = dict[str, Any]
 NEXT = 200
 """Samples of the experiment that is proposed."""

@@ -10,8 +10,6 @@ from matplotlib.figure import Figure
 from benchmarks.page.charts import COLOURS
 from benchmarks.page.figures_static import panels
 
-__all__ = ["growth_figure"]
-
 
 def growth_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Seconds against size of the rows of `benchmarks.speed.growth`."""

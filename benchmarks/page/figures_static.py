@@ -12,8 +12,6 @@ from benchmarks.page.charts import DASHES, style
 from benchmarks.page.content import Figure, series_of
 from oed.files.writing import write_figure
 
-__all__ = ["drawn", "panels", "save_as", "save_figure", "stacked"]
-
 LINES = ("-", "--", ":", "-.")
 MARKERS = {
     "circle": "o",

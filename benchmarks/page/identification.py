@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from estimators.pem.fit import Fit
     from estimators.residual.tests import ResidualTest
 
-__all__ = ["write_identification"]
-
 LEVEL = 1.96
 """Standard errors to either side of a 95 % interval."""
 ELLIPSE = float(np.sqrt(-2 * np.log(0.05)))

@@ -15,8 +15,6 @@ from benchmarks.page.session import session_page
 from benchmarks.page.skeleton import html
 from oed.errors import OedError
 
-__all__ = ["page_of", "server"]
-
 HOST = "127.0.0.1"
 WATCHED = ("report.json", "session.json", "campaign.json", "journal.txt")
 """What decides the page of a folder, beside the finished parts of a campaign and the records of a session."""

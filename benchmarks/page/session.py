@@ -12,8 +12,6 @@ from benchmarks.progress import in_words
 from oed.errors import InputError
 from oed.files.writing import write_whole
 
-__all__ = ["draw_session", "session_page"]
-
 MOST, MOST_FITTED = 25, 6
 """Estimates that are computed again for the curve, evenly thinned, and how many of them where each is a fit."""
 

@@ -21,8 +21,6 @@ from benchmarks.page.content import Figure, Page, Table, cell, read_page, series
 from benchmarks.tables.formats import to_csv, to_latex, to_markdown, to_parquet
 from oed.files.writing import write_whole
 
-__all__ = ["file_name", "html", "save_page", "write_report"]
-
 LONGEST_NAME = 100
 """Characters of a file's name that come from the names of plants and methods; file systems allow 255 bytes."""
 DIGITS = 9

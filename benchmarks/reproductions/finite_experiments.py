@@ -12,8 +12,6 @@ from oed.plants.named import named_plant
 from oed.theory.finite import EFFECTS, finite_moments
 from oed.theory.finite_mimo import finite_mimo_moments
 
-__all__ = ["mimo_prediction_errors", "prediction_errors", "rows"]
-
 CASES = (
     (100, 1.0, 2.0961, 0.0004),
     (100, 4.0, 1.265, 0.002),

@@ -32,8 +32,6 @@ OTHERS = 400
 """Plants of the re-run with which the medians are compared, and of ours."""
 SOURCE = "theory, section 7 (re-run of Tu, Boczar, Recht)"
 
-__all__ = ["CASES", "Case", "plants", "rows", "traces"]
-
 SAMPLES, EXPERIMENTS, TAPS, DECAY, DEVIATION, PLANTS = 50, 200, 10, 0.75, 0.1, 100
 
 

@@ -17,8 +17,6 @@ from oed.experiments import simulated
 from oed.plants.named import named_plant
 from oed.theory.finite import finite_norm
 
-__all__ = ["rows"]
-
 
 def rows() -> list[dict[str, Any]]:
     """Identities, convergence, and the illustration of Fig. 5 to 7."""

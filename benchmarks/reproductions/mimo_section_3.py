@@ -20,8 +20,6 @@ from oed.plants.named import named_plant
 from oed.plants.plant import Plant
 from oed.theory.finite import finite_norm, singular_values
 
-__all__ = ["rows"]
-
 PLAIN = Plant([-0.5, -1.0, -0.3], [1.0, -0.2], noise_covariance=0.0, name="few-taps")
 """Its eigenvalue of largest modulus is negative on 12 samples: [M] (5) needs the modulus."""
 SAMPLES = 12

@@ -16,8 +16,6 @@ from estimators.rules.trace import run
 from oed.experiments import simulated
 from oed.plants.named import NAMES, named_plant
 
-__all__ = ["rows"]
-
 SAMPLES, ITERATIONS, NEAR = 200, 24, 1e-6
 
 

@@ -11,8 +11,6 @@ from oed.plants.named import named_plant
 from oed.theory.limit import limit_spectrum
 from oed.theory.limit_on_grid import limit_spectrum_on_grid
 
-__all__ = ["rows"]
-
 
 def rows() -> list[dict[str, Any]]:
     """The exact limit spectrum against the paper's discretised one, line by line."""

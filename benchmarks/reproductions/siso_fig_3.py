@@ -11,8 +11,6 @@ from estimators.montecarlo.engine import batches, monte_carlo
 from oed.plants.named import named_plant
 from oed.theory.finite import finite_moments, finite_norm
 
-__all__ = ["rows"]
-
 SOURCE = "[S] Fig. 3 and (14)"
 
 

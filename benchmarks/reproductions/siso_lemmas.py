@@ -20,8 +20,6 @@ from oed.plants.plant import Plant
 from oed.theory.finite import finite_norm, singular_values
 from oed.theory.limit_on_grid import spectra_of_iterations
 
-__all__ = ["rows"]
-
 
 def rows() -> list[dict[str, Any]]:
     """What the lemmas and remarks state."""

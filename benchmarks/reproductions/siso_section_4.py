@@ -18,8 +18,6 @@ from oed.plants.plant import Plant
 from oed.theory.limit import limit_spectrum
 from oed.theory.limit_on_grid import spectra_of_iterations
 
-__all__ = ["rows"]
-
 SAMPLES, ITERATIONS, RUNS = 4000, 60, 200
 COUNTS = (250, 500, 1000)
 EFFICIENCIES = ((0.01, 0.99810), (1.0, 0.81125), (9.0, 0.08693))

@@ -10,8 +10,6 @@ from benchmarks.tables.reproduced import row
 from oed.plants.named import named_plant
 from oed.theory.limit import limit_spectrum
 
-__all__ = ["rows"]
-
 
 def rows() -> list[dict[str, Any]]:
     """Distance from the limit, in the supremum norm, from three starts."""

@@ -17,8 +17,6 @@ from oed.experiments import simulated
 from oed.plants.named import NAMES, named_plant
 from oed.plants.plant import Plant
 
-__all__ = ["rows"]
-
 LINES, SAMPLES = 200, 200
 
 

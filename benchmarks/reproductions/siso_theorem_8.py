@@ -12,8 +12,6 @@ from oed.plants.norms import peak
 from oed.plants.plant import Plant
 from oed.theory.limit import limit_spectrum
 
-__all__ = ["rows"]
-
 VARIANCES = np.geomspace(1e-6, 1e4, 21)
 
 

@@ -13,8 +13,6 @@ from oed.plants.plant import Plant
 from oed.theory.limit import LimitSpectrum, limit_spectrum
 from oed.theory.quadrature import graded_nodes
 
-__all__ = ["rows"]
-
 VARIANCES = np.geomspace(1e-5, 1e-2, 7)
 NOISES = (0.01, 0.1)
 """Where a quadrature still resolves the bias: the limit spectrum is a line of width lambda_e."""

@@ -14,8 +14,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["synthetic_store", "tabulated", "two_workers"]
-
 RUNS = 1_000_000
 CORES = os.cpu_count() or 1
 
@@ -24,7 +22,7 @@ def synthetic_store(folder: Path, runs: int) -> tuple[Any, int]:
     """A store as a campaign of two inputs would leave it, with invented estimates."""
     import pyarrow as pa
 
-    from benchmarks.campaign.run import checkpoints, parts
+    from benchmarks.campaign.one_part import checkpoints, parts
     from benchmarks.campaign.settings import Settings
     from benchmarks.campaign.store import Store
 
@@ -112,7 +110,7 @@ def _columns(
 TABULATE = """
 import json, resource, sys, time
 from pathlib import Path
-from benchmarks.campaign.running import fill_store, stored_runs
+from benchmarks.campaign.whole_campaign import fill_store, stored_runs
 from benchmarks.campaign.settings import Settings
 from benchmarks.tables.tabulation import tabulate
 given = json.loads(sys.argv[2])
@@ -142,8 +140,8 @@ def two_workers(replicates: int = 2000) -> tuple[float, float]:
     """Seconds of the same campaign in one process and on two workers, each after its first parts have warmed
     it.
     """
-    from benchmarks.campaign.running import fill_store
     from benchmarks.campaign.settings import Settings
+    from benchmarks.campaign.whole_campaign import fill_store
 
     settings = Settings(
         plants=("reference",),

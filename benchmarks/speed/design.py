@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["against_cvxpy", "elfving_dual", "rows"]
-
 GAP = 1e-6
 
 

@@ -15,8 +15,6 @@ from benchmarks.speed.iterations import _peak_mb, lfilter_campaign
 from benchmarks.speed.pem import _case
 from oed.data import Record
 
-__all__ = ["Verb", "exponent", "measured", "rows", "verbs"]
-
 Call = Callable[[], Any]
 ROUNDS = 3
 """Times that a call is repeated; the quickest counts, the others waited for something else."""

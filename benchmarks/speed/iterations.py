@@ -13,8 +13,6 @@ import numpy as np
 if TYPE_CHECKING:
     from oed.plants.plant import Plant
 
-__all__ = ["BENCHMARKS", "lfilter_campaign", "lfilter_mimo_campaign", "rows"]
-
 
 def lfilter_campaign(
     samples: int, iterations: int, replicates: int, variance: float, seed: int = 0

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from oed.data import Record
 
-__all__ = ["against_casadi", "against_scipy", "against_sippy", "memory", "monte_carlo", "rows"]
-
 RADIUS, NOISE = 0.9, 0.3
 
 

@@ -18,8 +18,6 @@ from benchmarks.tables.growth import growth_of
 from benchmarks.tables.statistics import below_one
 from benchmarks.tables.tabulation import Tables, judged_ways
 
-__all__ = ["ADVICE", "ANSWER", "KINDS", "advice_rows", "answer_rows", "answer_sentences"]
-
 Row = dict[str, Any]
 ITERATIONS = ("power", "procedure-2", "two-experiment")
 OPTIMAL, GOOD, BETTER = 0.9, 0.5, 1.5

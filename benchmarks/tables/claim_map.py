@@ -15,8 +15,6 @@ from typing import Any
 from oed.theory.cases import ClaimCase, claim_cases, claim_map
 from oed.theory.claim import ClaimRow
 
-__all__ = ["COLUMNS", "claim_rows", "claim_tasks", "row_of"]
-
 COLUMNS = {
     "group": "Varied",
     "plant": "Case",

@@ -18,10 +18,6 @@ from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.store import versions
 from oed.files.writing import write_whole
 
-__all__ = [
-    "BUDGET", "COLUMNS", "INFORMATION_COLUMNS", "NOT_RUN", "command_line", "is_number", "made", "not_run_rows", "save_summary",
-]  # fmt: skip
-
 BUDGET = {
     "channels": "channels",
     "samples": "samples",

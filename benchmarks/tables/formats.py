@@ -20,17 +20,6 @@ from oed.errors import InputError
 from oed.files import write_bytes
 from oed.files.parquet import open_parquet, read_columns, table_bytes
 
-__all__ = [
-    "escape_latex",
-    "format_value",
-    "from_parquet",
-    "to_csv",
-    "to_latex",
-    "to_markdown",
-    "to_parquet",
-    "to_text",
-]
-
 Row = Mapping[str, Any]
 Columns = Mapping[str, str] | Sequence[str] | None
 ABSENT = "–"

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.campaign.one_part import checkpoints
 from benchmarks.campaign.plants import family_of
-from benchmarks.campaign.run import checkpoints
 from benchmarks.tables.tabulation import Tables
 from oed.plants.plant import Plant
-
-__all__ = ["FARTHEST", "GROWTH", "growth_of", "growth_rows"]
 
 Row = dict[str, Any]
 FARTHEST = 1000

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from benchmarks.campaign.plants import hair_dryer_record
 from oed.data import Record
 
-__all__ = ["HairDryerStory", "hair_dryer_story"]
-
 SPLIT = 500
 LAGS = range(1, 11)
 LEVEL = 0.01

@@ -12,8 +12,6 @@ from benchmarks.reproductions.head_to_head import CASES, plants, traces
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
 
-__all__ = ["HEAD_TO_HEAD", "head_to_head_rows", "head_to_head_sentence", "head_to_head_tasks"]
-
 HEAD_TO_HEAD = {
     "name": "input and estimator",
     "samples": "samples",

@@ -17,22 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.campaign.part import Estimates
 from benchmarks.campaign.registry import told
+from benchmarks.campaign.run_columns import Estimates
 from oed.errors import InputError
-
-__all__ = [
-    "AGAINST",
-    "HALF",
-    "against_rows",
-    "against_sentence",
-    "Errors",
-    "chosen_and_judged",
-    "errors_of",
-    "holm",
-    "paired_rows",
-    "ratio_of_means",
-]
 
 Row = dict[str, Any]
 Solver = tuple[str, str]

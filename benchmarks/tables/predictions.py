@@ -9,8 +9,6 @@ import numpy as np
 from oed.plants.plant import Plant
 from oed.theory.limit import LimitSpectrum, limit_spectrum
 
-__all__ = ["mimo_prediction", "optimal_loss", "optimal_losses", "siso_prediction"]
-
 CRITERIA = ("c", "D", "A", "E")
 MOST_PARAMETERS = 64
 """Of a plant whose optima are looked for here: four certified designs of so many take some ten seconds, of a hundred minutes."""

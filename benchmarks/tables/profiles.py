@@ -13,10 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.campaign.part import Estimates
 from benchmarks.campaign.registry import told
-
-__all__ = ["RATIOS", "TOLERANCE", "Profiles", "wilson"]
+from benchmarks.campaign.run_columns import Estimates
 
 Row = dict[str, Any]
 Solver = tuple[str, str]

@@ -9,8 +9,6 @@ from typing import Any
 from estimators.stages import stage
 from oed.errors import check_names
 
-__all__ = ["KEYS", "KINDS", "row", "row_names", "rows_of"]
-
 KEYS = ("name", "source", "published", "computed", "tolerance", "why", "holds", "kind")
 KINDS = {
     "in print": "a figure that stands in print",

@@ -13,17 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.campaign.part import Estimates, Runs
 from benchmarks.campaign.plants import content_of, family_of, load_plant
 from benchmarks.campaign.processes import spread
 from benchmarks.campaign.registry import told
+from benchmarks.campaign.run_columns import Estimates, Runs
 from benchmarks.tables.predictions import CRITERIA, optimal_loss
 from oed.errors import Status
 from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant
 from oed.theory.efficiency import Losses, losses
-
-__all__ = ["Target", "comparison_rows", "information_rows", "mean_with_error", "targets"]
 
 Row = dict[str, Any]
 

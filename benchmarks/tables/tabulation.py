@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.campaign.part import Estimates, Runs
+from benchmarks.campaign.one_part import profile_replicates
 from benchmarks.campaign.plants import family_of
 from benchmarks.campaign.registry import Told, of_the_iterations, told
-from benchmarks.campaign.run import profile_replicates
+from benchmarks.campaign.run_columns import Estimates, Runs
 from benchmarks.campaign.settings import Settings
 from benchmarks.tables.pairs import Errors, chosen_and_judged, errors_of, holm, paired_rows, ratio_of_means
 from benchmarks.tables.profiles import Profiles
 from benchmarks.tables.statistics import Target, comparison_rows, information_rows, targets
-
-__all__ = ["Tables", "tabulate"]
 
 Row = dict[str, Any]
 LEAST = 30

@@ -13,8 +13,6 @@ from oed.data import Record
 from oed.errors import InputError
 from oed.files.documents import keyed, read_document
 
-__all__ = ["Columns", "diagnose_files", "setting_of_meta"]
-
 SIGNALS = {"deviations": True, "as logged": False}
 """What `signals` of a meta.json says of the operating point; where it is absent, the data decide."""
 

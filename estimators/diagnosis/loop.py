@@ -38,8 +38,6 @@ from oed.covariances import on_one_thread
 from oed.data import Record
 from oed.files.objects import as_records
 
-__all__ = ["Setting", "diagnose"]
-
 Array = NDArray[Any]
 # of one output: what its samples show, what its trials share, the effects that hold
 Parts = tuple[Examined, Bench, Named]

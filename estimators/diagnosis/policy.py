@@ -7,8 +7,6 @@ from enum import Enum
 
 from estimators.diagnosis.effects import CATALOGUE, Effect
 
-__all__ = ["Effort", "Policy", "Setting"]
-
 
 class Effort(Enum):
     """How much work a diagnosis may be: the stages that run, and how many candidates each of them fits."""

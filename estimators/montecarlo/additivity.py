@@ -27,8 +27,6 @@ from oed.information import covariance, information_of_records, information_of_s
 from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 
-__all__ = ["Additivity", "additivity_by_monte_carlo", "additivity_of_records"]
-
 Information = Callable[[Plant, NDArray[np.float64]], NDArray[np.float64]]
 
 POWER = 0.9

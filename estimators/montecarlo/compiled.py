@@ -10,8 +10,6 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
-__all__ = ["compile_all"]
-
 
 def _local_models() -> None:
     from estimators.norm.local_models import local_peak

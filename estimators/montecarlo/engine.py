@@ -27,8 +27,6 @@ from oed.experiments import Experiment, noise_factor, simulated
 from oed.plants.plant import Plant
 from oed.signals.noise import START, noise_key, standard_noise
 
-__all__ = ["Batch", "Campaign", "batches", "counter_start", "monte_carlo"]
-
 
 @dataclass(frozen=True, eq=False)
 class Batch:

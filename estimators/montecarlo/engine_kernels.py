@@ -15,8 +15,6 @@ from numba.extending import intrinsic
 
 from oed.signals.noise import COS, LOG, ROOT_HALF, ROUNDS, SIN
 
-__all__ = ["B", "normal_block", "power_block", "procedure_block"]
-
 B = 64
 """Runs side by side; two signals of 1000 samples of them fill half of a 2 MB cache."""
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["noise_of_replicates"]
-
 
 def noise_of_replicates(
     key: tuple[int, int], first: int, experiments: int, samples: int, n_outputs: int = 1

@@ -10,8 +10,6 @@ import pytest
 if TYPE_CHECKING:
     from estimators.montecarlo.additivity import Additivity
 
-__all__ = ["information_adds_up"]
-
 
 @pytest.fixture
 def information_adds_up() -> Callable[..., Additivity]:

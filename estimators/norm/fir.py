@@ -24,8 +24,6 @@ from oed.data import Record, frozen
 from oed.errors import InputError, Status, check_names
 from oed.plants.norms import largest_gain, refined_maximum
 
-__all__ = ["FirModel", "peak_of_fir", "plug_in", "select_taps"]
-
 CANDIDATES = (*range(1, 61), 90)
 """Numbers of taps to choose from: all up to 60, and 90 for what rings longer."""
 

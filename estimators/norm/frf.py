@@ -19,8 +19,6 @@ from oed.data import frozen
 from oed.errors import InputError, Status
 from oed.plants.norms import largest_gain
 
-__all__ = ["FrequencyResponse", "frequency_response", "lpm", "peak_of_response"]
-
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:

@@ -21,8 +21,6 @@ from estimators.rules.trace import Trace
 from oed.data import Record, frozen
 from oed.errors import InputError, Status
 
-__all__ = ["Gains", "gain", "mu", "rayleigh", "transposed_output"]
-
 MEANS = {
     "rayleigh": " (quotient of one experiment)",
     "gain": " (root of the quotient of two)",

@@ -24,8 +24,6 @@ from numpy.typing import NDArray
 
 from estimators.norm.local_kernels import refine, responses
 
-__all__ = ["Band", "LocalFit", "Spectra", "fit_band", "response"]
-
 STEPS = 8
 """Most refinements of the instruments."""
 SETTLED = 1e-5

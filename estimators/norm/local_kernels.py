@@ -12,8 +12,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["refine", "responses"]
-
 
 @njit(error_model="numpy", cache=True)
 def _planes(S):

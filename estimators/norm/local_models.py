@@ -18,8 +18,6 @@ from estimators.rules.trace import Trace
 from oed.errors import InputError, Status
 from oed.plants.norms import largest_gain, refined_maximum
 
-__all__ = ["PeakEstimate", "local_peak"]
-
 GRID = np.linspace(-1, 1, 401)
 """Distances from the centre of a band at which the peak is first sought."""
 

@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.plants.norms import largest_gain, refined_maximum
 
-__all__ = ["frequency_error", "peak_gain"]
-
 SURE = 2.0
 """Standard errors by which the gain must bend down at the peak: where it may be flat, the delta method says nothing."""
 

@@ -28,8 +28,6 @@ from estimators.rules.trace import Trace
 from oed.errors import InputError, Status
 from oed.plants.norms import largest_gain
 
-__all__ = ["corrected", "fixed_point", "theorem_12", "width_left_open"]
-
 WINDOW = 5
 """DFT lines that a rough gain is averaged over."""
 SMALL = 0.5

@@ -28,8 +28,6 @@ from oed.experiments import Experiment
 if TYPE_CHECKING:
     from oed.plants.plant import Plant
 
-__all__ = ["ShiftedIterations", "SmallGain", "passivity_index", "small_gain", "smallest_gain"]
-
 
 @dataclass(frozen=True, eq=False)
 class ShiftedIterations:

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from estimators.rules.trace import Trace
 from oed.data import frozen
 
-__all__ = ["WorstCase", "dominant_frequency", "worst_case"]
-
 
 @dataclass(frozen=True, eq=False)
 class WorstCase:

@@ -10,9 +10,8 @@ import numpy as np
 from estimators.pem.predictors.of_structure import Structure
 from oed.data import Record
 from oed.errors import InputError
-from oed.models.model import Polynomial, StateSpace, polynomial, state_space
-
-__all__ = ["check_records", "structure_for"]
+from oed.models.model import Polynomial, StateSpace, polynomial
+from oed.models.statespaces import state_space
 
 
 def structure_for(

@@ -19,16 +19,6 @@ from oed.models.structures import ORDERS, STRUCTURES
 if TYPE_CHECKING:
     from estimators.pem.fit import Fit
 
-__all__ = [
-    "Choice",
-    "Delay",
-    "automatic",
-    "estimate_delay",
-    "from_records",
-    "held_out_error",
-    "select_orders",
-]
-
 NEAR = 10.0
 """Difference of AIC up to which a delay is looked at closely: beyond it the best is 150 times as likely."""
 

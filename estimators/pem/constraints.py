@@ -18,8 +18,6 @@ from estimators.pem.search.levenberg_marquardt import Optimum
 from estimators.pem.search.problem import Problem
 from oed.errors import InputError, SolverFailure, Status
 
-__all__ = ["Constraints", "constrained"]
-
 Constraints = Callable[[Mapping[str, Any]], Any]
 """{name: casadi.SX} in the user's units -> one expression, or a list of them, that must not be positive."""
 

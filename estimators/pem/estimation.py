@@ -38,8 +38,6 @@ from oed.errors import InputError, Status
 from oed.files.objects import as_records
 from oed.models.model import Polynomial, StateSpace, polynomial
 
-__all__ = ["identify"]
-
 _INITIAL = ("zero", "estimate", "backcast")
 
 

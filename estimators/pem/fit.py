@@ -19,8 +19,6 @@ from oed.errors import InputError, Status
 from oed.files.objects import as_record
 from oed.models.model import Model, Polynomial, StateSpace
 
-__all__ = ["Fit", "noise_free", "peak_gain"]
-
 
 def noise_free(model: Model) -> tuple[Polynomial | StateSpace, NDArray[np.float64]]:
     """The output-error structure with the same G, and its parameters."""

@@ -17,8 +17,6 @@ from oed.errors import InputError, Status
 from oed.models.model import Model, Polynomial, polynomial
 from oed.plants.plant import Plant
 
-__all__ = ["ResponseFit", "identify_response"]
-
 ROUNDS = 20
 """Rounds of Sanathanan and Koerner's iteration for the start; it settles within ten where it settles at all."""
 

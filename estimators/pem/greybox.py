@@ -24,8 +24,6 @@ from oed.data import Record, as_signal
 from oed.errors import InputError, NotIdentifiable, Status
 from oed.files.objects import as_records
 
-__all__ = ["GreyBox", "GreyBoxFit", "identify_grey_box"]
-
 
 @dataclass(frozen=True, eq=False)
 class GreyBox:

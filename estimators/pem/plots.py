@@ -21,16 +21,6 @@ from oed.models.model import Polynomial
 if TYPE_CHECKING:
     from estimators.pem.fit import Fit
 
-__all__ = [
-    "FitPlots",
-    "plot_bode",
-    "plot_compare",
-    "plot_order",
-    "plot_poles",
-    "plot_residual_tests",
-    "plot_step",
-]
-
 
 @dataclass(frozen=True)
 class FitPlots:

@@ -17,8 +17,6 @@ from oed.inspection import excitation_order
 from oed.models.model import Model, StateSpace
 from oed.models.structures import ORDERS
 
-__all__ = ["needed", "result"]
-
 
 def result(
     problem: Problem,

@@ -23,17 +23,6 @@ from oed.files.objects import as_records
 if TYPE_CHECKING:
     from estimators.pem.fit import Fit
 
-__all__ = [
-    "Band",
-    "bode_band",
-    "default_lags",
-    "long_run",
-    "pole_covariances",
-    "profile_interval",
-    "sandwich",
-    "step_band",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Band:

@@ -7,8 +7,6 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Parts", "delayed", "inverse", "noise_filter", "spread_of", "taken_up"]
-
 Parts = Sequence[NDArray[np.float64]]
 
 

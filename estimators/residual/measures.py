@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["fit_percent", "p_stated"]
-
 
 def fit_percent(y: NDArray, y_hat: NDArray) -> float:
     """100 (1 - |y - y_hat| / |y - mean y|), the mean over outputs.

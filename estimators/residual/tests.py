@@ -22,8 +22,6 @@ from oed.data import Record, entry_name, frozen
 from oed.errors import InputError
 from oed.files.objects import as_records
 
-__all__ = ["ResidualTest", "feedback", "input_correlation", "residual_tests", "whiteness"]
-
 QUESTIONS = {
     "whiteness": " (is what is left noise without memory?)",
     "input": " (is nothing left that the input explains?)",

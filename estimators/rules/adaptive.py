@@ -21,8 +21,6 @@ from oed.data import Record, Spectrum
 from oed.errors import InputError, OedError
 from oed.plants.plant import Plant
 
-__all__ = ["sequential", "two_stage"]
-
 Steps = Generator[Step, NDArray[np.float64], None]
 
 

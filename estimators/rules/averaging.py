@@ -18,8 +18,6 @@ from estimators.rules.power import first_input
 from estimators.rules.trace import Step
 from oed.errors import InputError
 
-__all__ = ["averaged_iterations"]
-
 
 def averaged_iterations(
     samples: int,

@@ -17,8 +17,6 @@ from estimators.norm.local_models import PeakEstimate
 from estimators.rules.trace import Step, Trace
 from oed.errors import InputError, Status
 
-__all__ = ["best_arm", "thompson_sampling"]
-
 DRAWS = 200
 SURE = 5.0
 """Deviations after which a line is not drawn: sixteen bits reach 4.86."""

@@ -15,8 +15,6 @@ from estimators.rules.trace import Rule, Trace, run
 from oed.errors import InputError, check_names
 from oed.experiments import Experiment
 
-__all__ = ["ALGORITHMS", "algorithm_rule", "iterate"]
-
 ALGORITHMS = ("siso", "procedure-1", "two-experiment", "mimo")
 
 

@@ -15,8 +15,6 @@ from estimators.rules.trace import Rule, Step
 from oed.data import as_signal
 from oed.errors import InputError
 
-__all__ = ["fixed", "multisine", "prbs", "sweep", "white"]
-
 Steps = Generator[Step, NDArray[np.float64], None]
 
 

@@ -19,8 +19,6 @@ from estimators.rules.procedure2 import procedure_2
 from estimators.rules.trace import Step, Trace
 from oed.errors import InputError
 
-__all__ = ["lanczos", "ritz"]
-
 
 def lanczos(
     samples: int,

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.errors import ExperimentError, InputError
 
-__all__ = ["Limits", "scaled", "white_start"]
-
 
 @dataclass(frozen=True, eq=False)
 class Limits:

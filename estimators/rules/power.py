@@ -12,8 +12,6 @@ from estimators.rules.trace import Step
 from oed.data import as_signal
 from oed.errors import InputError
 
-__all__ = ["power_iterations"]
-
 
 def power_iterations(
     samples: int,

@@ -12,8 +12,6 @@ from estimators.rules.power import first_input
 from estimators.rules.trace import Step
 from oed.errors import check_names
 
-__all__ = ["SCALINGS", "procedure_2"]
-
 SCALINGS = ("none", "each", "common")
 
 

@@ -13,8 +13,6 @@ from estimators.norm.gains import Gains, gain
 from estimators.rules.trace import Trace
 from oed.errors import InputError
 
-__all__ = ["settled"]
-
 
 def settled(
     estimator: Callable[[Trace], Gains] = gain, *, window: int = 10, share: float = 1.0

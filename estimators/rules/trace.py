@@ -25,8 +25,6 @@ from oed.data import Record, as_signal
 from oed.errors import ExperimentError, InputError, OedError, Status
 from oed.experiments import Experiment, Usage
 
-__all__ = ["Rule", "Step", "Trace", "run"]
-
 Rule = Callable[[int, int, int, np.random.Generator], Generator[Any, NDArray[np.float64], None]]
 
 

@@ -23,8 +23,6 @@ from oed.data import as_signal, frozen
 from oed.errors import InputError
 from oed.experiments import Experiment
 
-__all__ = ["LearningControl", "adjoint_learning", "apply_transpose", "lipschitz_constant", "model_error"]
-
 
 def apply_transpose(
     experiment: Experiment, x: ArrayLike, *, power: float | None = None

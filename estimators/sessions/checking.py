@@ -17,16 +17,6 @@ from oed.files.clock import sampling_time
 from oed.files.reading import read_table
 from oed.files.tables import Table, split_unit
 
-__all__ = [
-    "Reading",
-    "check_input",
-    "check_output",
-    "check_reference",
-    "faults",
-    "fitting_factor",
-    "read_output",
-]
-
 Array = NDArray[np.float64]
 HELD = 5
 ROUNDING = 1e-9

@@ -10,8 +10,6 @@ from estimators.sessions.proposals import Proposal, joined, propose
 from estimators.sessions.session import Session
 from oed.errors import InputError
 
-__all__ = ["SessionDiagnosis", "diagnosis_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class SessionDiagnosis:

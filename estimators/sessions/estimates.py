@@ -13,8 +13,6 @@ from estimators.rules.trace import Trace
 from estimators.sessions.settings import Settings
 from oed.errors import OedError, Status
 
-__all__ = ["SessionEstimate", "estimate_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class SessionEstimate:

@@ -24,8 +24,6 @@ from pathlib import Path
 from oed.errors import CampaignError
 from oed.files.writing import append_line, renamed, tidy
 
-__all__ = ["KEPT", "Folder"]
-
 NAME = re.compile(r"(input|output|flagged|rest-input|rest-output)-(\d{4,})(?:-(\d+))?\.csv")
 KEPT = "The session is unharmed; make room and repeat."
 README = """A session of experiments on a rig. To go on, in this folder's parent:

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 
 from estimators.sessions.settings import Settings
 
-__all__ = ["Measured", "measured", "placed", "rig_samples", "taper"]
-
 Array = NDArray[np.float64]
 
 

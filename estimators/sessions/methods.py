@@ -13,8 +13,6 @@ from estimators.rules.trace import Rule
 from estimators.sessions.settings import Settings
 from oed.errors import InputError
 
-__all__ = ["rule_of"]
-
 FROM_REST = ("two-stage", "sequential", "diagnose-next")
 
 

@@ -26,8 +26,6 @@ from oed.data import entry_name
 from oed.errors import InputError
 from oed.plants.plant import Plant
 
-__all__ = ["Cause", "ModelError", "what_is_missing"]
-
 Array = NDArray[Any]
 MAKERS = ("gain", "delay", "feedthrough", "lag", "mode")
 

@@ -13,8 +13,6 @@ from estimators.rules.trace import Step
 from oed.data import Record
 from oed.errors import InputError, OedError
 
-__all__ = ["Proposal", "diagnose_next", "joined", "propose"]
-
 Array = NDArray[np.float64]
 
 

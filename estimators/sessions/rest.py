@@ -31,8 +31,6 @@ from oed.errors import InputError
 from oed.files.lock import locked
 from oed.files.writing import write_whole
 
-__all__ = ["RestTest", "ask_rest", "next_warnings", "record_rest", "rest_input", "rest_of", "rest_test"]
-
 Array = NDArray[np.float64]
 QUIET, HALVES = 4, 8
 """Pieces without excitation, and the half pieces in them, whose means say how well a level is known."""

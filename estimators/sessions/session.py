@@ -23,8 +23,6 @@ from oed.data import Record, frozen
 from oed.errors import ExperimentError, InputError, Status
 from oed.experiments import Usage
 
-__all__ = ["Asked", "FlaggedMeasurement", "Session"]
-
 Array = NDArray[np.float64]
 
 

@@ -12,8 +12,6 @@ import numpy as np
 from oed.errors import CampaignError, InputError, check_names
 from oed.files.documents import checked, keyed, parsed_json
 
-__all__ = ["METHOD_NAMES", "SCHEMA", "Settings", "settings_from_json", "settings_to_json"]
-
 SCHEMA = 1
 METHOD_NAMES = ("power", "procedure-2", "two-stage", "sequential", "bandit", "diagnose-next")
 ONE_CHANNEL = ("power", "bandit", "diagnose-next")

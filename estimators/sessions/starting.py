@@ -13,8 +13,6 @@ from oed.errors import CampaignError, InputError
 from oed.files.lock import locked
 from oed.files.writing import write_whole
 
-__all__ = ["start_session"]
-
 
 def start_session(path: str | os.PathLike[str], settings: Settings) -> StoredSession:
     """Start a session in a folder, or open it if it was started there with the same settings.

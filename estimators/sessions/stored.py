@@ -23,8 +23,6 @@ from oed.files.tables import column_name
 from oed.files.text import csv_table
 from oed.files.writing import write_whole
 
-__all__ = ["StoredSession", "open_session", "read_signal", "signal_csv"]
-
 Array = NDArray[np.float64]
 AGREE = 1e-9
 

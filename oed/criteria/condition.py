@@ -11,8 +11,6 @@ from oed.criteria.criterion import Criterion
 from oed.criteria.eigenvalue import LargestEigenvalue
 from oed.errors import InputError
 
-__all__ = ["ConditionNumber", "condition_criterion"]
-
 NO_BOUND = "a condition number has no bound by one direction; see `condition_design`."
 
 

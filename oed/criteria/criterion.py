@@ -16,8 +16,6 @@ from oed.errors import InputError
 if TYPE_CHECKING:
     from oed.design.problem.families import Family
 
-__all__ = ["Criterion", "combinations"]
-
 
 @dataclass(frozen=True, eq=False)
 class Criterion(ABC):

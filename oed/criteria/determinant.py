@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.criteria.criterion import Criterion, combinations
 
-__all__ = ["Determinant", "d_criterion"]
-
 
 class Determinant(Criterion):
     """The geometric mean of the covariance's eigenvalues."""

@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.criteria.criterion import Criterion, combinations
 
-__all__ = ["LargestEigenvalue", "e_criterion"]
-
 
 class LargestEigenvalue(Criterion):
     """The variance of the worst direction."""

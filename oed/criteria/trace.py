@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from oed.criteria.criterion import Criterion
 from oed.errors import InputError
 
-__all__ = ["Trace", "a_criterion", "c_criterion"]
-
 
 class Trace(Criterion):
     """The sum of the combinations' variances."""

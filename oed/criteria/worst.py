@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from oed.covariances import diagonal_blocks
 from oed.criteria.criterion import Criterion
 
-__all__ = ["WorstDeterminant", "WorstTrace", "g_criterion", "worst_d_criterion"]
-
 
 class WorstTrace(Criterion):
     """The largest of several sums of variances."""

@@ -14,8 +14,6 @@ from oed.design.problem.lines import Columns
 from oed.design.solvers.column_generation import Exchange
 from oed.errors import Status
 
-__all__ = ["certified"]
-
 TRIFLES = (1e-9, 1e-12, 1e-15, 0.0)
 """Shares of the power below which a line is left out, the first at which the loss does not tell."""
 

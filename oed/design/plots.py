@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from oed.design.problem.design import Design
 
-__all__ = ["plot_design", "plot_sensitivity", "plot_with_certificate"]
-
 
 def plot_sensitivity(design: Design, axes: Axes | None = None, *, points: int = 4000) -> Any:
     """Sensitivity over frequency with the support marked on it."""

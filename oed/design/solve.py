@@ -26,8 +26,6 @@ from oed.design.solvers.gain_scaling import peak_sinusoid
 from oed.design.solvers.merging_lines import collapsed
 from oed.errors import InputError
 
-__all__ = ["solve_design"]
-
 
 @on_one_thread
 def solve_design(

@@ -14,8 +14,6 @@ from oed.errors import InputError
 from oed.files.limits import check_limit
 from oed.files.tables import Table, numbers
 
-__all__ = ["arrays_of", "npz_bytes", "npz_table", "table_of_arrays"]
-
 STEP = ("dt", "Ts", "ts")
 
 

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from oed.errors import InputError
 
-__all__ = ["sampling_time"]
-
 UNIFORM = 1e-6
 """Largest deviation from a uniform clock that needs no explanation, in steps."""
 

@@ -16,8 +16,6 @@ from typing import Any
 
 from oed.errors import InputError, OedError
 
-__all__ = ["checked", "keyed", "parsed_json", "read_document"]
-
 LARGEST = 64 * 2**20
 """Bytes of a document: the largest models and settings here have some hundred kilobytes."""
 LONGEST_NUMBER = 400

@@ -9,8 +9,6 @@ import os
 
 from oed.errors import InputError
 
-__all__ = ["check_limit"]
-
 LIMITS = {
     # Bytes of a file, and of its content once expanded: 67 million numbers. Reading takes up to three times as much.
     "bytes": 2**29,

@@ -11,8 +11,6 @@ from typing import IO
 
 from oed.errors import CampaignError, InputError
 
-__all__ = ["locked"]
-
 
 @contextlib.contextmanager
 def locked(path: Path, what: str) -> Iterator[None]:

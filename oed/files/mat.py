@@ -15,8 +15,6 @@ from oed.files.limits import check_limit
 from oed.files.mat5 import is_mat5, read_mat5
 from oed.files.tables import Table, numbers
 
-__all__ = ["mat_bytes", "mat_table"]
-
 FIELDS = {
     "u": ("inputdata", "u"),
     "y": ("outputdata", "y"),

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from oed.files.limits import check_limit
 
-__all__ = ["is_mat5", "read_mat5"]
-
 HEADER = 128
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """NumPy's kinds of the elements that hold numbers."""

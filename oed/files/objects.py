@@ -17,17 +17,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-__all__ = [
-    "as_record",
-    "as_records",
-    "from_control",
-    "from_pandas",
-    "from_xarray",
-    "to_control",
-    "to_pandas",
-    "to_xarray",
-]
-
 
 def from_pandas(
     frame: pd.DataFrame,

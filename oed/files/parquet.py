@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from pyarrow import parquet
 
-__all__ = ["open_parquet", "parquet_bytes", "parquet_table", "read_columns", "table_bytes"]
-
 KEY = b"oed.record"
 
 

@@ -22,8 +22,6 @@ from oed.files.tables import Table, record_of
 from oed.files.text import csv_table
 from oed.lazily import extra_named
 
-__all__ = ["read_record", "read_table"]
-
 READERS = {
     ".csv": csv_table,
     ".txt": csv_table,

@@ -13,8 +13,6 @@ from oed.data import Record
 from oed.errors import InputError
 from oed.files.clock import sampling_time
 
-__all__ = ["Table", "column_name", "numbers", "record_of", "seconds_per", "split_unit"]
-
 TIME = ("t", "t_s")
 SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 UNITS = frozenset(

@@ -17,8 +17,6 @@ from oed.errors import InputError
 from oed.files.limits import check_limit
 from oed.files.tables import Table, column_name, seconds_per
 
-__all__ = ["csv_bytes", "csv_table"]
-
 BLANK = ("", "na", "n/a", "nan", "null", "none", "-nan")
 """Entries, in lower case, that mark a missing sample."""
 

@@ -18,8 +18,6 @@ from oed.files.mat import mat_bytes
 from oed.files.parquet import parquet_bytes
 from oed.files.text import csv_bytes
 
-__all__ = ["append_line", "new_folder", "tidy", "write_bytes", "write_figure", "write_record", "write_whole"]
-
 WRITERS = {".csv": csv_bytes, ".mat": mat_bytes, ".npz": npz_bytes, ".parquet": parquet_bytes}
 
 MESSAGES = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}

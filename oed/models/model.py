@@ -17,24 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from oed.data import frozen
 from oed.errors import InputError
 from oed.models.polynomials import Orders, Polynomial, polynomial
-from oed.models.statespaces import StateSpace, state_space
+from oed.models.statespaces import StateSpace
 
 if TYPE_CHECKING:
     from oed.plants.plant import Plant
-
-__all__ = [
-    "Model",
-    "Polynomial",
-    "StateSpace",
-    "armax",
-    "arx",
-    "bj",
-    "fir",
-    "model_from_json",
-    "oe",
-    "polynomial",
-    "state_space",
-]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,6 @@ from oed.data import entry_name, frozen
 from oed.errors import InputError
 from oed.models.structures import ORDERS, STRUCTURES
 
-__all__ = ["Orders", "Polynomial", "polynomial"]
-
 Orders = int | Sequence[int] | Sequence[Sequence[int]] | NDArray
 
 

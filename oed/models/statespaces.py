@@ -16,8 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.errors import InputError
 
-__all__ = ["StateSpace", "state_space"]
-
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:

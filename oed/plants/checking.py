@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from oed.data import frozen
 from oed.errors import InputError
 
-__all__ = ["check_covariance", "check_sizes", "check_stable", "matrix_of_polynomials", "polynomial", "scaled"]
-
 LARGEST = 1e50
 """Of a coefficient, and one over it of the largest of a plant: fourth powers of gains, and poles near the circle, stay doubles."""
 

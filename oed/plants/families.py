@@ -9,8 +9,6 @@ from oed.plants.named import bandpass, parallel
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
 
-__all__ = ["FAMILIES", "NORM", "random_plant"]
-
 NORM = 2.4
 """H-infinity norm of every random plant of a family, about the reference plant's, so that a noise variance means the same."""
 

@@ -13,8 +13,6 @@ from oed.files.documents import checked, keyed, read_document
 from oed.models.model import saved_model
 from oed.plants.plant import Plant
 
-__all__ = ["plant_from_json", "plant_to_json"]
-
 LONGEST_NUM, LONGEST_DEN = 20_000, 2_000
 """Coefficients: poles are eigenvalues of a matrix of that size, zeros are not computed."""
 NUMBER = {"type": "number", "description": "a number"}

@@ -13,8 +13,6 @@ import numpy as np
 from oed.errors import check_names
 from oed.plants.plant import Plant
 
-__all__ = ["NAMES", "bandpass", "named_plant", "parallel", "random_fir"]
-
 
 def bandpass(frequency: float, radius: float, gain: float) -> tuple[np.ndarray, np.ndarray]:
     """z^-1 times a second-order filter whose largest gain lies exactly at the frequency (rad/sample)."""

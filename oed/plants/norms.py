@@ -19,16 +19,6 @@ from oed.errors import InputError, SolverFailure
 from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 
-__all__ = [
-    "Peak",
-    "gain_gradient",
-    "largest_gain",
-    "peak",
-    "refined_maximum",
-    "response_derivatives",
-    "singular_value_curvature",
-]
-
 EQUAL = 1e-10
 """Relative difference below which two local maxima count as equal peaks."""
 NEAR = 1e-4

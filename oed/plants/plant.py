@@ -26,8 +26,6 @@ from oed.plants.checking import (
     scaled,
 )
 
-__all__ = ["Plant"]
-
 
 @dataclass(frozen=True, eq=False)
 class Plant:

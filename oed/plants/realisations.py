@@ -12,8 +12,6 @@ from oed.errors import InputError
 if TYPE_CHECKING:
     from oed.plants.plant import Plant
 
-__all__ = ["entries_of_control", "entries_of_state_space", "state_space"]
-
 StateSpace = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 

@@ -9,8 +9,6 @@ from oed.errors import InputError
 from oed.models.model import Model
 from oed.plants.plant import Plant
 
-__all__ = ["as_plant"]
-
 WANTED = (
     "give an oed.Plant, a python-control TransferFunction or StateSpace, a scipy.signal dlti, an identified model, the "
     "name of a plant, or a JSON file"

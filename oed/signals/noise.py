@@ -27,8 +27,6 @@ from numpy.typing import NDArray
 
 from oed.errors import InputError
 
-__all__ = ["START", "noise_key", "noise_series", "philox", "standard_noise"]
-
 ROUNDS = 7
 START = 0xFFFFFFFF
 """Number of the experiment whose noise is the white start of the iterations, by input channel."""

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from oed.data import Spectrum
 from oed.errors import InputError
 
-__all__ = ["Sinusoids", "check_realisable", "sinusoids"]
-
 
 def check_realisable(spectrum: Spectrum, N: int) -> None:
     """Raise where a spectrum has no power, or a signal too few samples."""

@@ -19,18 +19,6 @@ from oed.data import Spectrum, as_signal
 from oed.errors import InputError
 from oed.signals.sinusoid_tables import check_realisable, sinusoids
 
-__all__ = [
-    "Realised",
-    "binary",
-    "crest_factor",
-    "filtered_noise",
-    "multisine",
-    "periodogram",
-    "prbs",
-    "realisation",
-    "realise",
-]
-
 
 def crest_factor(u: ArrayLike) -> float:
     """Largest absolute value over root mean square, the worst channel's.

@@ -16,8 +16,6 @@ from oed.plants.norms import peak
 from oed.plants.plant import Plant
 from oed.theory.claim import ClaimRow, amplitude_row, claim_row, offset_row
 
-__all__ = ["ClaimCase", "claim_cases", "claim_map"]
-
 
 @dataclass(frozen=True, eq=False)
 class ClaimCase:

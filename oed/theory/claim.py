@@ -39,16 +39,6 @@ from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 
-__all__ = [
-    "ClaimRow",
-    "amplitude_row",
-    "claim_row",
-    "gain_scaling_residual",
-    "map_of_claim",
-    "offset_row",
-    "peak_sinusoid_spectrum",
-]
-
 
 def peak_sinusoid_spectrum(plant: Plant, power: float = 1.0) -> Spectrum:
     """The sinusoid at the peak in its input direction.

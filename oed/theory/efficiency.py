@@ -17,8 +17,6 @@ from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant
 from oed.theory.limit_on_grid import spectra_of_iterations
 
-__all__ = ["Losses", "losses", "losses_of_spectrum", "peak_gain_efficiency_by_experiments"]
-
 LOST = 1e-13
 """Share of the largest diagonal entry of a triangular factor below which an entry is rounding."""
 

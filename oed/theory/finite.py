@@ -33,15 +33,6 @@ from oed.errors import InputError, check_names
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
 
-__all__ = [
-    "EFFECTS",
-    "FiniteMoments",
-    "finite_moments",
-    "finite_norm",
-    "finite_prediction",
-    "singular_values",
-]
-
 EFFECTS = ("infinite", "edge", "random-mu")
 DENSE = 300
 LARGEST = 3000

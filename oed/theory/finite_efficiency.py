@@ -17,8 +17,6 @@ from oed.plants.plant import Plant
 from oed.theory.efficiency import losses
 from oed.theory.finite import random_mu
 
-__all__ = ["finite_peak_gain_efficiency"]
-
 LARGEST = 2000
 
 

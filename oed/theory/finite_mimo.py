@@ -30,8 +30,6 @@ from oed.plants.plant import Plant
 from oed.theory.finite import EFFECTS, LARGEST, FiniteMoments, finite_norm, singular_values, within_expansion
 from oed.theory.mimo import SCALINGS, mimo_limit_spectrum, mimo_recursion
 
-__all__ = ["finite_mimo_moments", "finite_mimo_prediction"]
-
 DENSE = 1200
 """Most rows of the covariance that the command line waits for."""
 

@@ -29,8 +29,6 @@ from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 from oed.theory.quadrature import SMALLEST, graded_nodes
 
-__all__ = ["LimitSpectrum", "limit_spectrum"]
-
 RESOLVED = 1e-4
 """Of the width of the limit spectrum's peak: where the panels stop shrinking; what is nearer holds that share of the power."""
 NARROWEST = 1e-140
@@ -118,6 +116,7 @@ class LimitSpectrum:
 
 
 def check_limit(plant: Plant) -> None:
+    """Refuse a plant of several channels or without noise: Algorithm 1 has no limit spectrum there."""
     if plant.n_inputs * plant.n_outputs != 1:
         raise InputError(
             f"the plant has {plant.n_outputs} outputs and {plant.n_inputs} inputs; this limit spectrum is that of "

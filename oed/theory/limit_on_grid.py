@@ -13,8 +13,6 @@ from oed.plants.systems import as_plant
 from oed.theory.limit import LimitSpectrum, centres, check_limit, noise_shape, resolution, solve_excess
 from oed.theory.quadrature import Nodes, graded_nodes
 
-__all__ = ["limit_spectrum_on_grid", "spectra_of_iterations"]
-
 
 def limit_spectrum_on_grid(plant: Plant, points: int = 1000) -> LimitSpectrum:
     """Limit spectrum by the eigenvector of the matrix H_d, as [S] Sec. 5 prints it.

@@ -33,8 +33,6 @@ from oed.theory.efficiency import losses
 from oed.theory.limit import resolution
 from oed.theory.quadrature import Nodes, graded_nodes
 
-__all__ = ["MimoLimitSpectrum", "mimo_limit_spectrum", "mimo_recursion", "procedure_2_efficiency"]
-
 SCALINGS = ("none", "each", "common")
 
 

@@ -9,8 +9,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Nodes", "graded_edges", "graded_nodes", "integral", "panel_nodes", "resolved_edges"]
-
 POINTS = 16
 """Gauss-Legendre nodes per panel: a pole half a panel away is resolved to rounding."""
 SMALLEST = 1e-15

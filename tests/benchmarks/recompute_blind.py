@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.campaign.one_part import seed_for
 from benchmarks.campaign.registry import ESTIMATORS, METHODS, Told, compatible
-from benchmarks.campaign.run import seed_for
 from estimators.rules.trace import Trace
 from oed.data import Record
 from oed.errors import Status

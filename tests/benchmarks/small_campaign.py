@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.campaign.running import Settings
+from benchmarks.campaign.settings import Settings
 
 SMALL = Settings(
     plants=("reference",),

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 import benchmarks.campaign.registry as methods
-import benchmarks.campaign.running as campaign
 import benchmarks.campaign.store as store_module
+import benchmarks.campaign.whole_campaign as campaign
 import benchmarks.commands.record.diagnose_folder as diagnose_folder
 import benchmarks.tables.statistics as statistics
 from benchmarks.campaign.merging import merge_stores
+from benchmarks.campaign.one_part import Part
 from benchmarks.campaign.plants import content_of
-from benchmarks.campaign.run import Part
-from benchmarks.campaign.running import fill_store, run_campaign, stored_runs
 from benchmarks.campaign.settings import Settings
+from benchmarks.campaign.whole_campaign import fill_store, run_campaign, stored_runs
 from benchmarks.cli import main
 from benchmarks.page.skeleton import file_name
 from benchmarks.tables.statistics import targets

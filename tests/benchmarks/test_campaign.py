@@ -16,17 +16,9 @@ import numpy as np
 import pytest
 
 import benchmarks.campaign.registry as methods
-from benchmarks.campaign.run import boundaries
-from benchmarks.campaign.running import (
-    CHUNK,
-    Settings,
-    checkpoints,
-    fill_store,
-    parts,
-    run_campaign,
-    stored_runs,
-)
-from benchmarks.campaign.settings import Limit
+from benchmarks.campaign.one_part import CHUNK, boundaries, checkpoints, parts
+from benchmarks.campaign.settings import Limit, Settings
+from benchmarks.campaign.whole_campaign import fill_store, run_campaign, stored_runs
 from benchmarks.tables.statistics import mean_with_error
 from benchmarks.tables.tabulation import tabulate
 from oed.errors import CampaignError, InputError
@@ -246,7 +238,7 @@ def test_rho_of_a_known_estimator(tmp_path):
 
 def test_information_of_a_campaign_against_a_plain_loop(tmp_path):
     """The stored sums, divided by their counts, are the mean information of the same runs done here one by one."""
-    from benchmarks.campaign.run import seed_for
+    from benchmarks.campaign.one_part import seed_for
     from oed.experiments import simulated
     from oed.information import information_of_signal
     from oed.plants.named import named_plant

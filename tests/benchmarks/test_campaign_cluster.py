@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from benchmarks.campaign.running import (
+from benchmarks.campaign.whole_campaign import (
     run_campaign,
 )
 from oed.errors import InputError

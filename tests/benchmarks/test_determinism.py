@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.campaign.running import run_campaign
 from benchmarks.campaign.settings import Settings
+from benchmarks.campaign.whole_campaign import run_campaign
 
 ENDURANCE = 1000
 """Runs over which handles and memory are looked at; after three fifths every input has begun, with all that it imports."""
@@ -20,7 +20,7 @@ SCRIPT = """
 import locale, sys
 from contextlib import suppress
 from pathlib import Path
-from benchmarks.campaign.running import run_campaign
+from benchmarks.campaign.whole_campaign import run_campaign
 from benchmarks.campaign.settings import Settings
 with suppress(locale.Error):
     locale.setlocale(locale.LC_ALL, "")

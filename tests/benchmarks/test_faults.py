@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 import estimators.diagnosis.cases as cases_module
-from benchmarks.campaign.running import run_campaign
 from benchmarks.campaign.settings import Settings
+from benchmarks.campaign.whole_campaign import run_campaign
 from benchmarks.cli import main
 from estimators.sessions import Settings as SessionSettings
 from estimators.sessions import open_session, start_session

@@ -14,9 +14,9 @@ from types import SimpleNamespace
 import pytest
 
 import benchmarks.campaign.cluster as cluster_module
-from benchmarks.campaign.running import run_campaign
 from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.users_own import Own
+from benchmarks.campaign.whole_campaign import run_campaign
 from oed.errors import CampaignError
 
 DEADLY = """

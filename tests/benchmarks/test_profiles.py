@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.campaign.part import Estimates
+from benchmarks.campaign.run_columns import Estimates
 from benchmarks.tables.head_to_head import median_interval
 from benchmarks.tables.pairs import holm, paired_rows
 from benchmarks.tables.profiles import RATIOS, TOLERANCE, Profiles, wilson

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 import estimators.diagnosis.cases as cases_module
-from benchmarks.campaign.running import run_campaign
 from benchmarks.campaign.settings import Settings
+from benchmarks.campaign.whole_campaign import run_campaign
 from benchmarks.cli import main
 
 KILLS = 30

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-import benchmarks.campaign.run as runs
+import benchmarks.campaign.one_part as runs
 from benchmarks.campaign.settings import Settings
 
 

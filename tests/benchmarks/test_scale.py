@@ -13,8 +13,9 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.campaign.running import parts, run_campaign
+from benchmarks.campaign.one_part import parts
 from benchmarks.campaign.settings import Limit, Settings
+from benchmarks.campaign.whole_campaign import run_campaign
 from benchmarks.speed.campaign import tabulated, two_workers
 from benchmarks.tables.tabulation import tabulate
 

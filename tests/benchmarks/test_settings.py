@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from benchmarks.campaign.merging import merge_stores
+from benchmarks.campaign.one_part import parts
 from benchmarks.campaign.plants import expanded, family_of
-from benchmarks.campaign.run import parts
-from benchmarks.campaign.running import fill_store, run_campaign, stored_runs
 from benchmarks.campaign.settings import Limit, Settings, campaign_from_toml, default_limits, limit_from_text
 from benchmarks.campaign.users_own import Own
+from benchmarks.campaign.whole_campaign import fill_store, run_campaign, stored_runs
 from benchmarks.cli import main
 from benchmarks.comparison import compare
 from oed.errors import CampaignError, InputError

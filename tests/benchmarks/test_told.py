@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.campaign.one_part import seed_for
 from benchmarks.campaign.registry import (
     ESTIMATORS,
     METHODS,
@@ -23,7 +24,6 @@ from benchmarks.campaign.registry import (
     told,
     words_of,
 )
-from benchmarks.campaign.run import seed_for
 from benchmarks.campaign.settings import Settings
 from estimators.pem.choice import from_records
 from oed.errors import ExperimentError

@@ -12,8 +12,6 @@ from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from oed.data import Record
 
-__all__ = ["Baseline", "Options", "OutputModel", "Pole"]
-
 Array = NDArray[Any]
 
 REACH = 400

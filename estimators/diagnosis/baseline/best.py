@@ -18,8 +18,6 @@ from estimators.diagnosis.baseline.search import ORDERS, Search
 from oed.data import Record
 from oed.errors import InputError
 
-__all__ = ["best_linear"]
-
 Array = NDArray[Any]
 
 QUIET = 1e-4

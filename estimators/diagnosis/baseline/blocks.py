@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from oed.data import Record
 
-__all__ = ["Block", "Blocks", "blocks_of"]
-
 
 @dataclass(frozen=True)
 class Block:

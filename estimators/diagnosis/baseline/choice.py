@@ -14,8 +14,6 @@ from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.regression import Arx
 from oed.data import Record
 
-__all__ = ["Candidate", "Trial", "simplest", "tried"]
-
 Array = NDArray[Any]
 
 BATCHES = 4

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 from scipy.ndimage import median_filter
 
-__all__ = ["foretold", "noise_model", "tones"]
-
 Array = NDArray[Any]
 
 MOST_TONES = 5

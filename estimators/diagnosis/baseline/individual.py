@@ -20,8 +20,6 @@ from estimators.diagnosis.baseline.output_error import realised
 from estimators.diagnosis.baseline.regression import Arx, lagged_inputs
 from oed.data import Record
 
-__all__ = ["Individual"]
-
 Array = NDArray[Any]
 
 UNDRIVEN = 0.5

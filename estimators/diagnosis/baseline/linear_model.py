@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-__all__ = ["LinearModel", "Prior", "rest_level"]
-
 Array = NDArray[Any]
 
 REST = 1e-6

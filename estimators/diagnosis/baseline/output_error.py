@@ -15,8 +15,6 @@ from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.regression import Arx, lagged_inputs
 from oed.data import Record
 
-__all__ = ["OutputError", "descended", "realised"]
-
 Array = NDArray[Any]
 
 DAMPING = (1e-6, 10.0, 1e6)
@@ -28,9 +26,13 @@ STILL = 1e-4
 class Problem(Protocol):
     """What a descent needs: the model of some parameters, and their loss on rows (N,) per record with its derivatives."""
 
-    def model(self, theta: Array) -> LinearModel: ...
+    def model(self, theta: Array) -> LinearModel:
+        """The model of these parameters."""
+        ...
 
-    def local(self, theta: Array, rows: Sequence[NDArray[np.bool_]]) -> tuple[float, Array, Array]: ...
+    def local(self, theta: Array, rows: Sequence[NDArray[np.bool_]]) -> tuple[float, Array, Array]:
+        """Mean square, half its negative gradient and the Gauss-Newton matrix."""
+        ...
 
 
 def descended(

@@ -17,8 +17,6 @@ from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel
 from oed.data import Record
 
-__all__ = ["Arx", "Lagged", "lagged", "lagged_inputs"]
-
 Array = NDArray[Any]
 
 

@@ -19,8 +19,6 @@ from estimators.diagnosis.baseline.output_error import OutputError, descended, r
 from estimators.diagnosis.baseline.regression import Arx, Lagged, lagged
 from oed.data import Record
 
-__all__ = ["ORDERS", "Search"]
-
 Array = NDArray[Any]
 
 ORDERS = (0, 1, 2, 3, 4, 5, 6, 8, 10)

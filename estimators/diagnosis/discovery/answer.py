@@ -19,8 +19,6 @@ from estimators.diagnosis.discovery.uncertainty import covariance, pruned
 from estimators.diagnosis.discovery.validation import ahead, free_run, start_prior, unused
 from oed.data import Record
 
-__all__ = ["BUDGETS", "Discovery", "discover"]
-
 Array = NDArray[Any]
 BUDGETS = {
     "quick": Budget(orders=(1, 2, 3), width=4, beam=1, terms=3, rounds=8),

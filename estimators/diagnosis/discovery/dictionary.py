@@ -13,8 +13,6 @@ from scipy.signal import lfilter
 from estimators.diagnosis.discovery.form import Factor, Form, Term
 from estimators.diagnosis.discovery.recursion_kernels import factor_values
 
-__all__ = ["Candidate", "Kind", "candidates", "placed", "values"]
-
 Array = NDArray[Any]
 
 

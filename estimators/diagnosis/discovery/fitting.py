@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.discovery.form import Assembly, Filled, Form, Run
 
-__all__ = ["REACH", "Fitted", "Piece", "fit", "forgets", "run_piece", "sensitivities", "start_state"]
-
 Array = NDArray[Any]
 REACH = 10.0  # standard deviations of the training output that no free run may leave
 DISTURBED = 0.3  # of a state's standard deviation, by which it is disturbed

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.discovery.recursion_kernels import evaluate, recursion
 
-__all__ = ["Assembly", "Factor", "Filled", "Form", "Run", "Term"]
-
 Array = NDArray[Any]
 MOST = 1e4  # in standard deviations of the output: a state that gets there has exploded
 NOTHING = np.zeros((0, 4), np.int64), np.zeros(0), np.zeros((0, 3), np.int64)  # moves

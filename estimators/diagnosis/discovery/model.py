@@ -28,8 +28,6 @@ from estimators.diagnosis.discovery.wording import (
 )
 from oed.data import Record
 
-__all__ = ["Curve", "DiscoveredModel", "FoundTerm", "strongest_first"]
-
 Array = NDArray[Any]
 GRID = 41  # points of a curve
 EDGE = 0.005  # quantile of the training signal where a curve ends

@@ -13,8 +13,6 @@ import numpy as np
 
 from estimators.diagnosis.effects.recursion_kernels import compiled
 
-__all__ = ["evaluate", "factor", "factor_values", "recursion"]
-
 
 @compiled
 def factor(kind, s, p, q):  # pragma: no cover - compiled

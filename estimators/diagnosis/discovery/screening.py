@@ -14,8 +14,6 @@ from estimators.diagnosis.discovery.dictionary import Candidate, candidates, pla
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, run_piece, start_state
 from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Term
 
-__all__ = ["Screened", "screen", "terms_of"]
-
 Array = NDArray[Any]
 SMOOTH = 1.0  # samples over which measured outputs are smoothed before they enter a candidate, over the pace
 LEAST = 1e-8  # share of a column that must be left once the model's own columns are taken out

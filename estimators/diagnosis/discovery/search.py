@@ -16,8 +16,6 @@ from estimators.diagnosis.discovery.recursion_kernels import factor_values
 from estimators.diagnosis.discovery.screening import Screened, screen, terms_of
 from estimators.diagnosis.discovery.starts import Scales, linear_fit
 
-__all__ = ["Budget", "criterion", "grown", "greedy_search"]
-
 Array = NDArray[Any]
 BEND = (
     0.03  # share of a term's spread that is not linear in its signals: below it the term is linear dynamics

@@ -14,8 +14,6 @@ from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit
 from estimators.diagnosis.discovery.form import Form
 from oed.data import Record
 
-__all__ = ["Scales", "chain_roots", "linear_fit", "pieces_of", "scales_of"]
-
 Array = NDArray[Any]
 MARGIN = 0.25  # of a signal's span: how far beyond the data a term follows it
 SLOWEST, FASTEST = 0.01, 1.0  # pace of the delta operator: what one sample may change

@@ -13,8 +13,6 @@ from scipy.stats import chi2
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, sensitivities
 from estimators.diagnosis.discovery.form import Assembly
 
-__all__ = ["covariance", "error_of", "pruned"]
-
 Array = NDArray[Any]
 LAGS = (
     3.0  # of the Bartlett window, in the model's own time constants: errors of the model last about as long

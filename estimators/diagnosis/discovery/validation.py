@@ -13,19 +13,6 @@ from estimators.diagnosis.baseline import Block, Blocks
 from estimators.diagnosis.discovery.fitting import REACH, Fitted, Piece, fit, run_piece, start_state
 from estimators.diagnosis.discovery.form import NOTHING, Assembly, Filled
 
-__all__ = [
-    "StartPrior",
-    "STILL",
-    "ahead",
-    "expected_state",
-    "first_level",
-    "free_run",
-    "predicted",
-    "rest",
-    "start_prior",
-    "unused",
-]
-
 Array = NDArray[Any]
 FIRM = 1.0  # error variances by which a carried or resting state is off
 LONGEST = 0.98  # correlation from sample to sample of the model's error: beyond it a level is no error but the state

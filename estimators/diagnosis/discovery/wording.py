@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from estimators.diagnosis.discovery.dictionary import Kind
 from estimators.diagnosis.discovery.form import Factor, Term
 
-__all__ = ["Axis", "factor_text", "meaning", "nature", "same_as", "signal_axes", "term_text"]
-
 Array = NDArray[Any]
 # power of a signal's scale in a factor's value
 DEGREE = {

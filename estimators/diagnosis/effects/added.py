@@ -13,8 +13,6 @@ from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.input import after
 from estimators.diagnosis.effects.names import numbered
 
-__all__ = ["ADDED", "OFFSET"]
-
 Array = NDArray[Any]
 SWEEPS = 121  # rates of change of a frequency that are tried, up to half the sampling rate over the record
 TONE = {"frequency": "rad/sample", "cosine": "y", "sine": "y"}

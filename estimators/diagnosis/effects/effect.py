@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from oed.errors import InputError
 
-__all__ = ["Clock", "Effect", "Grid", "Nature", "Sizes", "Slot", "level_before"]
-
 Array = NDArray[Any]
 TYPICAL = (
     0.03,

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 
-__all__ = ["FOLDING"]
-
 Array = NDArray[Any]
 DRAWS = 24  # random sets of poles
 ROUNDS = 12  # of signs from the model, and the model from the signs

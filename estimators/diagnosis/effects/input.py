@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot
 from estimators.diagnosis.effects.names import numbered
 
-__all__ = ["INPUT", "after", "broken_line", "dead_zone", "exponential", "power", "quantiles", "sigmoid"]
-
 Array = NDArray[Any]
 
 

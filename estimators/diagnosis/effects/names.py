@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["numbered"]
-
 
 def numbered(names: Mapping[str, str], count: int) -> list[tuple[str, str]]:
     """Names and units of parameters that come several times over."""

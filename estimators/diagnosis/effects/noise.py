@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from estimators.diagnosis.effects.effect import Effect, Nature, Slot
 
-__all__ = ["NOISE"]
-
 
 def _seen(key: str, cause: str, nature: Nature, sentence: str, trials: float = 1.0) -> Effect:
     return Effect(key=key, cause=cause, nature=nature, slot=Slot.NOISE, sentence=sentence, trials=trials)

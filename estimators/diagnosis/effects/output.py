@@ -13,8 +13,6 @@ from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Siz
 from estimators.diagnosis.effects.input import broken_line, dead_zone, exponential, quantiles, sigmoid
 from estimators.diagnosis.effects.names import numbered
 
-__all__ = ["OUTPUT", "TIMING"]
-
 Array = NDArray[Any]
 
 

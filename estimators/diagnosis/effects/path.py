@@ -14,8 +14,6 @@ from scipy.signal import lfilter
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
 from estimators.diagnosis.effects.names import numbered
 
-__all__ = ["INITIAL", "PATH", "PRODUCT", "STORE", "curve_of_charge"]
-
 Array = NDArray[Any]
 
 

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
 
-__all__ = ["MODULATED", "PLANT", "leaky"]
-
 Array = NDArray[Any]
 
 MOVING = frozenset({"oscillator", "driven", "sensed", "modes", "integrator"})  # velocity is not position

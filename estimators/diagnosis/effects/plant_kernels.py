@@ -16,11 +16,6 @@ from numba.extending import intrinsic
 
 from estimators.diagnosis.effects.recursion_kernels import compiled
 
-__all__ = [
-    "MOST_FORCES", "Elements", "Held", "bouc_wen", "dry_friction", "held_response", "hysteresis_step", "pointer",
-    "simulate_feedback",
-]  # fmt: skip
-
 MOST_FORCES = 2
 """Forces of a model at the same time; a compiled recursion takes each as an argument."""
 _FORCE = types.float64(*[types.float64] * 5, types.CPointer(types.float64))

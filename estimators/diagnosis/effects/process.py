@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
 
-__all__ = ["PROCESS", "Passing"]
-
 Array = NDArray[Any]
 _recent: deque[tuple[tuple[Any, ...], Array]] = deque(
     maxlen=8

@@ -8,18 +8,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = [
-    "compiled",
-    "hinges",
-    "play",
-    "rate_limited",
-    "rate_limited_mean",
-    "rational",
-    "relay",
-    "sticky",
-    "tank_levels",
-]
-
 
 def compiled(function):
     """Compile with a cache on disk, or without one where no folder for it can be written."""

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Effect, Nature, Slot
 
-__all__ = ["ROTATION"]
-
 Array = NDArray[Any]
 SWINGS = (0.7, 1.3, 2.2)  # largest angles in radian that a pendulum is started with
 SHAKEN = (-0.95, 0.0)  # zeros of the block before a pendulum: its pivot is accelerated, or its torque lags

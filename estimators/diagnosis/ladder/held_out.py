@@ -14,8 +14,6 @@ from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
 from oed.data import Record
 
-__all__ = ["HeldOut", "assess", "outside"]
-
 Array = NDArray[Any]
 SEED = 20260
 """Of the bootstrap: two runs on one record give the same intervals."""

@@ -20,8 +20,6 @@ from oed.data import Record
 if TYPE_CHECKING:
     from estimators.diagnosis.result.answers import Answer
 
-__all__ = ["Gain", "Kind", "Ladder", "Rung", "Step", "climb", "paired_gain", "unused_error"]
-
 Array = NDArray[Any]
 
 

@@ -28,8 +28,6 @@ from estimators.diagnosis.search.selection import FAMILY
 from estimators.diagnosis.share import Share
 from estimators.residual.measures import p_stated
 
-__all__ = ["Outcome", "verdict"]
-
 UNKNOWN, NONE = "unknown", "none"
 UNCLAIMED = "no cause found that holds on unused data"
 NOTHING = "nothing is missing from the linear model that data not used could show"

@@ -14,8 +14,6 @@ from estimators.diagnosis.model.layouts import LAYOUTS
 from estimators.diagnosis.model.simulation import acted, free_responses, plant_states
 from estimators.diagnosis.model.structure import Structure
 
-__all__ = ["exact_columns"]
-
 Array = NDArray[Any]
 OFFSET = "offset"  # key of the effect; its module imports this one
 

@@ -17,8 +17,6 @@ from estimators.diagnosis.model.derivatives import exact_columns
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Structure
 
-__all__ = ["Channel", "Fit", "ar_model", "fit", "innovations", "levenberg_marquardt"]
-
 Array = NDArray[Any]
 WHOLE = 15
 """Gauss-Newton steps from which on a fit is meant to end at its minimum, not only to tell candidates apart."""

@@ -18,8 +18,6 @@ from estimators.diagnosis.model.structure import Part, Structure
 from oed.data import Record
 from oed.errors import InputError
 
-__all__ = ["ForceBalance", "balanced_fit", "effective_samples", "force_balance"]
-
 Array = NDArray[Any]
 
 

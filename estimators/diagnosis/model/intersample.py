@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.recursion_kernels import rational
 
-__all__ = ["between_samples"]
-
 Array = NDArray[Any]
 
 

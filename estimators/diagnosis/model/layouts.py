@@ -12,17 +12,6 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock
 
-__all__ = [
-    "LAYOUTS",
-    "NOTHING",
-    "STEPS",
-    "Inside",
-    "changed_states",
-    "held_plant",
-    "layout_matrices",
-    "states",
-]
-
 Array = NDArray[Any]
 
 LAYOUTS: dict[str, tuple[int, int]] = {

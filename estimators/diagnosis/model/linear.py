@@ -17,16 +17,6 @@ from estimators.diagnosis.model.layouts import LAYOUTS, states
 from estimators.diagnosis.model.simulation import free_responses, simulate
 from estimators.diagnosis.model.structure import Structure, stable_polynomial
 
-__all__ = [
-    "fit_linear",
-    "fresh_poles",
-    "layout_starts",
-    "numerators",
-    "plant_scales",
-    "prefiltered_error",
-    "relinearised",
-]
-
 Array = NDArray[Any]
 
 

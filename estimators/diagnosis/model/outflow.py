@@ -12,8 +12,6 @@ from estimators.diagnosis.effects.path import OUTFLOW
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.structure import Part, Structure
 
-__all__ = ["tanks"]
-
 Array = NDArray[Any]
 
 

@@ -20,8 +20,6 @@ from estimators.diagnosis.effects.effect import Clock, Slot
 from estimators.diagnosis.model.layouts import LAYOUTS, Inside, changed_states, layout_matrices, states
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 
-__all__ = ["acted", "free_responses", "joined", "plant_states", "simulate"]
-
 Array = NDArray[Any]
 
 AHEAD = 64  # samples beyond the record, the input held, for a clock that runs ahead

@@ -16,8 +16,6 @@ from estimators.diagnosis.effects.effect import Clock, Effect, level_before
 from estimators.diagnosis.effects.names import numbered
 from estimators.diagnosis.model.layouts import LAYOUTS, STEPS
 
-__all__ = ["Part", "Structure", "stable_polynomial"]
-
 Array = NDArray[Any]
 
 

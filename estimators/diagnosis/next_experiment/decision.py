@@ -15,8 +15,6 @@ from estimators.diagnosis.next_experiment.discrimination import Discrimination, 
 from estimators.diagnosis.result.report import Diagnosis
 from oed.errors import InputError
 
-__all__ = ["Decision", "decision_samples", "next_experiment"]
-
 Array = NDArray[Any]
 
 

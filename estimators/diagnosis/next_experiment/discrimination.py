@@ -15,8 +15,6 @@ from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
 from oed.errors import InputError
 
-__all__ = ["Discrimination", "discriminate", "distance"]
-
 Array = NDArray[Any]
 BANDS = 8
 

@@ -22,8 +22,6 @@ from estimators.rules.trace import Trace, run
 from oed.errors import InputError, Status
 from oed.experiments import Experiment
 
-__all__ = ["ModelErrorGain", "error_experiment", "linear_models", "model_error_gain", "models_of"]
-
 Array = NDArray[Any]
 
 

@@ -12,8 +12,6 @@ from oed.data import Record
 from oed.errors import InputError
 from oed.files.objects import as_records
 
-__all__ = ["LEAST", "together"]
-
 LEAST = 50
 """Samples of a training record: five blocks of ten, below which no error on unused blocks says anything."""
 

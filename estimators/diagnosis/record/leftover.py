@@ -16,8 +16,6 @@ from estimators.diagnosis.model.fitting import Channel, Fit, ar_model, innovatio
 from estimators.diagnosis.model.layouts import LAYOUTS, states
 from estimators.diagnosis.model.simulation import simulate
 
-__all__ = ["Leftover", "leftovers"]
-
 Array = NDArray[Any]
 LAGS = 20
 TERMS = 6  # most products taken together

@@ -12,16 +12,6 @@ from scipy.stats import binom
 
 from oed.data import Record
 
-__all__ = [
-    "Signature",
-    "at_reversals",
-    "held_samples",
-    "observations",
-    "resting_samples",
-    "rounding_step",
-    "wild_samples",
-]
-
 Array = NDArray[Any]
 
 

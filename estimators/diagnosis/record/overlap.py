@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from oed.data import Record
 
-__all__ = ["copied_rows"]
-
 FEWEST = 8
 """Consecutive rows from which on a copy is thought of; single rows agree by chance where signals are rounded."""
 

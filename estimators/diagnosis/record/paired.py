@@ -6,8 +6,6 @@ import numpy as np
 
 from estimators.diagnosis.model.fitting import Fit, innovations
 
-__all__ = ["as_good", "paired_difference"]
-
 CLOSE = 6.0  # of Schwarz's criterion: odds of twenty to one
 LIMIT = 2.0  # standard errors
 

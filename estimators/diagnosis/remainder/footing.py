@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from estimators.diagnosis.baseline import Baseline, Blocks
 from oed.data import Record
 
-__all__ = ["Footing", "linear_footing", "spliced"]
-
 Array = NDArray[np.float64]
 
 

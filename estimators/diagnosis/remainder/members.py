@@ -12,8 +12,6 @@ from estimators.diagnosis.baseline import OutputModel
 from estimators.diagnosis.remainder.network import Network, Piece, Sizes, fitted, poles_of
 from oed.data import Record
 
-__all__ = ["Networks", "Scale", "scale_of", "starts_of", "stretches", "trained"]
-
 Array = NDArray[np.float64]
 
 LEAD = 64

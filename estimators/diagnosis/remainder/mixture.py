@@ -13,8 +13,6 @@ from estimators.diagnosis.remainder.ridge import Ridge, Set
 from estimators.diagnosis.share.feedback import delayed
 from oed.data import Record
 
-__all__ = ["Remainder"]
-
 Array = NDArray[np.float64]
 
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from estimators.diagnosis.remainder.network_kernels import derivatives, free_run
 from estimators.pem.search.levenberg_marquardt import Point, minimise
 
-__all__ = ["Network", "Piece", "Sizes", "fitted", "poles_of"]
-
 Array = NDArray[np.float64]
 
 RADIUS = 0.9995

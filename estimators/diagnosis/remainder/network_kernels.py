@@ -9,8 +9,6 @@ import numpy as np
 
 from estimators.diagnosis.effects.recursion_kernels import compiled
 
-__all__ = ["derivatives", "free_run"]
-
 
 @compiled
 def free_run(A, B, E, F, g, C, D, K, d, w):  # pragma: no cover - compiled

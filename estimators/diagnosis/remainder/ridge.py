@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from estimators.diagnosis.share.signals import Bank, columns_of, leaky, rate
 from oed.data import Record
 
-__all__ = ["Ridge", "Set", "columns", "normal_equations", "ridge_of"]
-
 Array = NDArray[np.float64]
 
 PENALTIES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)

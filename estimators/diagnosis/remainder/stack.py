@@ -21,8 +21,6 @@ from estimators.diagnosis.share.feedback import autoregression, delayed, has_fee
 from estimators.diagnosis.share.signals import bank_of
 from oed.data import Record
 
-__all__ = ["Limits", "fit_remainder"]
-
 Array = NDArray[np.float64]
 
 CLOCKED = ("disturbance", "time variation", "sampling")

@@ -17,8 +17,6 @@ from estimators.diagnosis.remainder.ridge import Ridge, Set
 from estimators.diagnosis.share.signals import Bank
 from oed.errors import InputError
 
-__all__ = ["from_json", "to_json"]
-
 FORM = "remainder 1"
 """Name and version of the form; another one is refused."""
 

@@ -21,16 +21,6 @@ from oed.errors import InputError
 if TYPE_CHECKING:
     from estimators.diagnosis.effects.symbols.wiring import Wiring
 
-__all__ = [
-    "Answer",
-    "DiscoveredAnswer",
-    "LinearAnswer",
-    "NamedAnswer",
-    "RemainderAnswer",
-    "early",
-    "read_answer",
-]
-
 Array = NDArray[Any]
 
 

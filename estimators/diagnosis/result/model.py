@@ -20,8 +20,6 @@ from oed.files.writing import write_whole
 if TYPE_CHECKING:
     from estimators.diagnosis.ladder.steps import Ladder, Step
 
-__all__ = ["DiagnosedModel", "diagnosed_model"]
-
 Array = NDArray[Any]
 NORMAL = 1.96
 """Two-sided 95 % of a normal deviate."""

@@ -16,15 +16,6 @@ if TYPE_CHECKING:
 
     from estimators.diagnosis.result.report import Diagnosis
 
-__all__ = [
-    "Characteristic",
-    "binned",
-    "characteristics",
-    "nonlinearity_figure",
-    "residual_figure",
-    "save_figures",
-]
-
 
 def binned(x: Any, r: Any, bins: int = 25) -> tuple[Any, Any, Any]:
     """Mean of r in bins of equal count of x, and its standard error."""

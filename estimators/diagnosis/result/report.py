@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from estimators.diagnosis.result.model import DiagnosedModel
 
-__all__ = ["Diagnosis", "ErrorFigure"]
-
 Array = NDArray[Any]
 
 

@@ -11,8 +11,6 @@ import numpy as np
 from estimators.diagnosis.result.report import Diagnosis
 from oed.files.writing import new_folder, write_whole
 
-__all__ = ["save"]
-
 
 def save(result: Diagnosis, folder: str | os.PathLike[str]) -> Path:
     """Write a diagnosis to a new folder."""

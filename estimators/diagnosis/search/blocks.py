@@ -18,8 +18,6 @@ from estimators.diagnosis.model.linear import fit_linear, numerators, plant_scal
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
 
-__all__ = ["curved", "grown", "sandwich"]
-
 Array = NDArray[Any]
 SPLIT = 3000
 

@@ -15,8 +15,6 @@ from estimators.diagnosis.model.linear import layout_starts
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.starts import Start, fitted, renewed, scored
 
-__all__ = ["Menu", "augmented", "refit"]
-
 Array = NDArray[Any]
 
 SHARE = 0.25  # of the best gain so far, that the simpler effect must have reached for one that refines it

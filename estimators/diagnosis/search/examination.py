@@ -32,8 +32,6 @@ from estimators.diagnosis.search.free_runs import thinned
 from estimators.diagnosis.search.selection import Attribution, attribute, feedback_of
 from oed.data import Record
 
-__all__ = ["Examined", "Known", "as_motion", "examine"]
-
 Array = NDArray[Any]
 LONG = 8000
 SCREEN = 4096

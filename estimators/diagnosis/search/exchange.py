@@ -14,8 +14,6 @@ from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
 
-__all__ = ["exchanged", "whole_delay", "without"]
-
 Array = NDArray[Any]
 
 WORTH = 2.0  # by which an exchange must lower Schwarz's criterion

@@ -19,8 +19,6 @@ from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Structure
 from oed.data import Record
 
-__all__ = ["Start", "blocked", "free_run", "lead_in", "lengthened", "on_record", "start_of", "thinned"]
-
 Array = NDArray[Any]
 
 OPENING = 20

@@ -31,8 +31,6 @@ from estimators.diagnosis.search.selection import FULL, Attribution, second
 from estimators.diagnosis.share.feedback import autoregression, whitened
 from oed.data import Record
 
-__all__ = ["Bench", "Claim", "Named", "best_named", "named_steps", "parameters_of"]
-
 Array = NDArray[Any]
 
 

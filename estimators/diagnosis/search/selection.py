@@ -17,17 +17,6 @@ from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
 
-__all__ = [
-    "FULL",
-    "Attribution",
-    "Claim",
-    "attribute",
-    "feedback_of",
-    "feedback_test",
-    "second",
-    "significance",
-]
-
 Array = NDArray[Any]
 EVERYTHING = Menu()
 FAMILY = EVERYTHING.family

@@ -17,8 +17,6 @@ from estimators.diagnosis.model.linear import fresh_poles, relinearised
 from estimators.diagnosis.model.simulation import acted, joined, simulate
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 
-__all__ = ["Start", "fitted", "renewed", "scored", "sizes_of"]
-
 Array = NDArray[Any]
 SHARES = (
     1.0,

@@ -14,8 +14,6 @@ from estimators.diagnosis.share.regression import Folds, Regression, folds_of
 from estimators.diagnosis.share.signals import Columns, bank_of, columns_of
 from oed.data import Record
 
-__all__ = ["Evidence", "Share", "explainable_share"]
-
 Array = NDArray[np.float64]
 
 NORMAL = 1.96

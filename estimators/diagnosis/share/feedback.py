@@ -11,8 +11,6 @@ from scipy.stats import chi2
 
 from oed.data import Record
 
-__all__ = ["autoregression", "delayed", "has_feedback", "whitened"]
-
 Array = NDArray[np.float64]
 
 ORDER = 10

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Block, Blocks
 
-__all__ = ["Folds", "Regression", "folds_of"]
-
 Array = NDArray[np.float64]
 
 PENALTIES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)

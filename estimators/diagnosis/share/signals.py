@@ -15,8 +15,6 @@ from scipy.signal import lfilter
 from estimators.diagnosis.baseline import Baseline
 from oed.data import Record
 
-__all__ = ["Bank", "Columns", "bank_of", "columns_of", "leaky", "rate"]
-
 Array = NDArray[np.float64]
 
 TAUS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from estimators.pem.predictors.kernel import Kernel, Sums, summed
 from oed.models.model import Polynomial, StateSpace
 
-__all__ = ["initial_counts", "polynomial_kernel", "state_space_kernel"]
-
 LETTERS = "ABKD"
 
 

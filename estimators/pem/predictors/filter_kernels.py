@@ -16,8 +16,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["fold", "signals"]
-
 TINY = 1e-290
 """What has decayed this far is zero: subnormal numbers cost a hundred times a normal operation. Records may be small: 1e-75."""
 CUT = 1e-30

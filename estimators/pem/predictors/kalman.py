@@ -20,8 +20,6 @@ import numpy as np
 from estimators.pem.predictors.recursion import Recursion, differentiated
 from oed.models.model import Polynomial, StateSpace
 
-__all__ = ["kalman_recursion", "state_space_kalman_recursion"]
-
 
 def _product(ca: Any, p: list, q: list) -> list:
     """Coefficients of the product of two polynomials."""

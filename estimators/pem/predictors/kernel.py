@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from estimators.pem.predictors.recursion import Recursion
 
-__all__ = ["Kernel", "Sums", "kernel_of", "summed"]
-
 _BLOCK = 500
 
 

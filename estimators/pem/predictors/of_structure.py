@@ -13,16 +13,6 @@ from estimators.pem.predictors.kernel import Kernel, kernel_of
 from estimators.pem.search.starts import is_stable, reflected
 from oed.models.model import Polynomial, StateSpace
 
-__all__ = [
-    "Structure",
-    "kernel_for",
-    "parameter_scale",
-    "predictor_is_stable",
-    "projected",
-    "samples",
-    "walls",
-]
-
 Structure = Polynomial | StateSpace
 EDGE = 1e-7
 """How far inside the unit circle the roots of a predictor stay."""

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.data import Record
 
-__all__ = ["plain_output_error"]
-
 QUIET = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
 
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["fold", "run"]
-
 TINY = 1e-290
 """What has decayed this far is zero: subnormal numbers cost a hundred times a normal operation."""
 BLOCK = 64

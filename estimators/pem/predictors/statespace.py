@@ -11,12 +11,6 @@ from estimators.pem.subspace.hankel import lagged
 from oed.errors import InputError
 from oed.models.model import Polynomial, StateSpace
 
-__all__ = [
-    "state_space_of_armax",
-    "subspace_candidates",
-    "subspace_start",
-]
-
 
 def subspace_start(
     structure: StateSpace, signals: list[tuple[NDArray, NDArray]], past: int, future: int

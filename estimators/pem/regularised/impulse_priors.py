@@ -19,8 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["KERNELS", "SlowNoise", "kernel_factor"]
-
 KERNELS = ("tc", "dc", "ss")
 
 

@@ -26,8 +26,6 @@ from oed.data import Record, frozen
 from oed.errors import InputError, Status
 from oed.models.model import Model, Polynomial, polynomial
 
-__all__ = ["check_regularisation", "regularised"]
-
 FAR = 30.0
 """Bound of every transformed hyperparameter: logarithms, logits."""
 STEP = 1e-4

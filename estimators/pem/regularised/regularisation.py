@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from estimators.pem.regularised.impulse_priors import SlowNoise, kernel_factor
 from oed.models.model import Polynomial
 
-__all__ = ["Regularisation", "lagged", "transient_factor"]
-
 
 def lagged(form: Polynomial, i: int, u: NDArray) -> NDArray[np.float64]:
     """The inputs behind the taps of output i, with zeros before the record.

@@ -23,8 +23,6 @@ from estimators.pem.search.levenberg_marquardt import Optimum, units
 from estimators.pem.search.problem import Problem
 from estimators.pem.search.starts import lagged_gram, low_order_fits
 
-__all__ = ["LAGS", "Standing", "confirmed", "first_start", "standing"]
-
 LAGS = 20
 """Of the residual and of each input."""
 SPREAD = 4.0

@@ -15,19 +15,6 @@ from estimators.pem.search.starts import filtered
 from oed.data import Record
 from oed.errors import InputError
 
-__all__ = [
-    "Settings",
-    "bridged",
-    "filtered_record",
-    "robust_factor",
-    "robust_scale",
-    "robustly",
-    "unweighted",
-    "with_limits",
-    "with_prior",
-    "without_outliers",
-]
-
 HUBER = 1.345
 """Threshold in standard deviations: 95 % efficiency for Gaussian noise (Huber 1964)."""
 STUDENT = 4.0

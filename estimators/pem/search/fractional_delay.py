@@ -16,8 +16,6 @@ from oed.files.objects import as_records
 if TYPE_CHECKING:
     from estimators.pem.fit import Fit
 
-__all__ = ["FractionalDelay", "estimate_fractional_delay", "shifted"]
-
 HALF = 24
 """Samples on each side of the interpolation kernel, a sinc under a Kaiser window: exact to 1e-4 up to 0.9 pi."""
 

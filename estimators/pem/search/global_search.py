@@ -23,8 +23,6 @@ from estimators.pem.search.starts import (
 )
 from oed.errors import InputError
 
-__all__ = ["best_optimum", "candidates"]
-
 MANY = 20_000
 """Samples on which the search goes through all starts; more only refine what it finds."""
 FEW, SOME = 400, 3000

@@ -10,8 +10,6 @@ from estimators.pem.search.levenberg_marquardt import FLAT, NEGLIGIBLE, Optimum
 from estimators.pem.search.problem import Problem
 from oed.errors import InputError, Status
 
-__all__ = ["fit_together"]
-
 ROUNDS = 4
 """Rounds of new weights over which the determinant has to fall, as the loss has to in a search of one output."""
 

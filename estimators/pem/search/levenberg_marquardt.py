@@ -23,8 +23,6 @@ less than noise can tell: N times the share is a squared distance in standard er
 FLAT = 1e-6
 """What a further step may promise, as a share of the loss, where the search ends for having come nowhere."""
 
-__all__ = ["Optimum", "Point", "minimise", "units"]
-
 
 @dataclass(frozen=True, eq=False)
 class Point:

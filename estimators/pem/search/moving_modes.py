@@ -17,8 +17,6 @@ from estimators.pem.search.levenberg_marquardt import Point, units
 from estimators.pem.search.problem import Problem
 from estimators.pem.search.starts import reflected
 
-__all__ = ["drawn", "integrating", "relocations", "solved"]
-
 RINGS = (0.0, 0.8, 0.94, 0.98, 0.995, 2.0)
 """Moduli of new modes between which the best are kept."""
 NEAR = 0.05

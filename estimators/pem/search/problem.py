@@ -23,8 +23,6 @@ from estimators.pem.search.levenberg_marquardt import Optimum, Point, minimise
 from oed.data import Record
 from oed.models.model import StateSpace
 
-__all__ = ["Problem", "prepare"]
-
 
 @dataclass(frozen=True, eq=False)
 class Problem:

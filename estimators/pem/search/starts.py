@@ -15,17 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
 
-__all__ = [
-    "arma_start",
-    "armax_start",
-    "filtered",
-    "is_stable",
-    "lagged_gram",
-    "low_order_fits",
-    "reflected",
-    "steiglitz_mcbride",
-]
-
 Signals = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
 """One (y (N,), u (N, nu)) per record; the inputs are already delayed."""
 

@@ -19,8 +19,6 @@ from estimators.pem.subspace.observability import Range
 from estimators.pem.uncertainty import default_lags, long_run
 from oed.models.model import StateSpace
 
-__all__ = ["covariance", "influence", "linear_entries"]
-
 
 def influence(
     form: StateSpace, problem: Problem, point: Point, found: Range, signals: list[tuple[NDArray, NDArray]]

@@ -13,8 +13,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-__all__ = ["Factor", "autoregressive_order", "factored", "lagged", "windows"]
-
 CHUNK = 4096
 """Rows that are factored at a time."""
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from estimators.pem.subspace.hankel import Factor
 from oed.errors import InputError
 
-__all__ = ["Range", "Subspace", "range_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Range:

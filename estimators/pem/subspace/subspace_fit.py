@@ -26,8 +26,6 @@ from oed.data import Record
 from oed.errors import InputError, Status
 from oed.models.model import StateSpace
 
-__all__ = ["by_subspace", "check_subspace"]
-
 METHODS = ("moesp", "n4sid", "cva")
 MOST_TRIED = 41
 

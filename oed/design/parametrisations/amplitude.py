@@ -20,8 +20,6 @@ from oed.errors import InputError
 from oed.plants.systems import as_plant
 from oed.signals.synthesis import Realised, binary, crest_factor, multisine
 
-__all__ = ["amplitude_design", "slew_limited"]
-
 
 def amplitude_design(
     plant: Any,

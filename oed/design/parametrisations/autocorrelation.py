@@ -30,8 +30,6 @@ from oed.errors import InputError, SolverFailure
 from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 
-__all__ = ["Autocorrelated", "autocorrelation_design", "conic", "moment_design"]
-
 
 @dataclass(frozen=True, eq=False)
 class Autocorrelated:

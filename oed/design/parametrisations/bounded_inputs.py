@@ -22,8 +22,6 @@ from numpy.typing import ArrayLike, NDArray
 from oed.design.solvers.whole_grid import solve_cvxpy
 from oed.errors import InputError
 
-__all__ = ["passed_power"]
-
 Polynomial = dict[tuple[int, ...], float]
 
 

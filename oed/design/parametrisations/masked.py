@@ -32,8 +32,6 @@ from oed.design.solvers.column_generation import solve_weights
 from oed.errors import InfeasibleDesign, Status
 from oed.theory.quadrature import graded_edges, integral, panel_nodes, resolved_edges
 
-__all__ = ["masked_design"]
-
 NARROWEST = 1e-3
 """The ceiling on a density lets all the power into this share of the narrowest resonance: to 1e-6 that is a line."""
 WIDEST = 0.3

@@ -10,8 +10,6 @@ from matplotlib.axes import Axes
 
 from oed.design.plots import axes_or_new
 
-__all__ = ["plot_autocorrelation"]
-
 
 def plot_autocorrelation(
     model: Any, criterion: str = "D", lags: Sequence[int] = (4, 8, 16, 24, 32, 48), axes: Axes | None = None

@@ -30,8 +30,6 @@ from oed.design.problem.white import information_nodes
 from oed.design.solvers.column_generation import lower_bound, solve_weights
 from oed.errors import InputError
 
-__all__ = ["Shaped", "autoregressive_design", "band_basis", "basis_design"]
-
 Density = Callable[[NDArray[np.float64]], NDArray]
 
 

@@ -9,8 +9,6 @@ from oed.design.problem.information_maps import InformationMap
 from oed.design.problem.lines import Budget
 from oed.errors import InputError
 
-__all__ = ["power_budgets"]
-
 
 def power_budgets(
     information: InformationMap,

@@ -27,8 +27,6 @@ from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant
 from oed.theory.quadrature import graded_edges, integral
 
-__all__ = ["NAMES", "criterion_of", "scalar_criterion"]
-
 NAMES = (*sorted(NAMED), "Ds", "hinf", "static-gain", "gain", "pole", "damping", "I", "G")
 
 

@@ -14,8 +14,6 @@ from oed.design.problem.certificate import Certificate
 from oed.design.problem.information_maps import InformationMap
 from oed.errors import Status
 
-__all__ = ["Design", "in_words"]
-
 
 @dataclass(frozen=True, eq=False)
 class Design:

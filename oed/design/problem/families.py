@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Family", "local_maxima", "maxima_between"]
-
 CHUNK = 4096
 """Frequencies evaluated together."""
 

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from oed.design.problem.information_maps import InformationMap
 from oed.errors import InputError
 
-__all__ = ["bands_of", "frequency_grid"]
-
 HALVINGS = 30
 """Of an interval of the grid: a billionth of it resolves poles within 1e-11 of the circle."""
 TURN = 0.15

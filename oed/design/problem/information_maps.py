@@ -22,8 +22,6 @@ from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 from oed.theory.quadrature import graded_edges, integral
 
-__all__ = ["InformationMap", "information_map", "resonances_of"]
-
 Responses = Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 
 

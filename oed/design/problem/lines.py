@@ -21,8 +21,6 @@ from oed.design.problem.families import local_maxima, maxima_between
 from oed.design.problem.information_maps import InformationMap
 from oed.design.problem.white import white_root
 
-__all__ = ["Budget", "Columns", "Problem", "Prices"]
-
 
 @dataclass(frozen=True, eq=False)
 class Budget:

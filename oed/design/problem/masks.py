@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from oed.design.problem.information_maps import InformationMap
 from oed.errors import InputError
 
-__all__ = ["Mask", "Masks", "hermitian_root"]
-
 Mask = Callable[[NDArray[np.float64]], NDArray[Any]]
 SINGULAR = 1e-12
 """Eigenvalues of an output mask below this share of its largest count as this share: their inverse is needed."""

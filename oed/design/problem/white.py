@@ -12,8 +12,6 @@ from oed.errors import InfeasibleDesign, NotIdentifiable
 from oed.information import null_directions
 from oed.theory.quadrature import graded_edges, panel_nodes, resolved_edges
 
-__all__ = ["information_nodes", "white_information", "white_root"]
-
 NODES = 1e-10
 """Accuracy of the integrals on which the panels are chosen, relative to each."""
 

@@ -20,8 +20,6 @@ from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 from oed.theory.quadrature import graded_edges, integral, panel_nodes, resolved_edges
 
-__all__ = ["closed_loop_map"]
-
 
 def closed_loop_map(
     model: Plant | Model,

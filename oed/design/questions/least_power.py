@@ -13,8 +13,6 @@ from oed.design.problem.design import Design
 from oed.design.problem.information_maps import information_map
 from oed.errors import InfeasibleDesign, InputError
 
-__all__ = ["application_criterion", "least_power_design"]
-
 
 def application_criterion(required: ArrayLike, *, name: str = "application") -> Criterion:
     """The criterion whose loss is at most 1 exactly where M >= required (as matrices).

@@ -26,8 +26,6 @@ from oed.design.problem.information_maps import information_map
 from oed.design.questions.robust import robust_design
 from oed.errors import InputError, Status
 
-__all__ = ["QuantileDesign", "quantile_design"]
-
 
 @dataclass(frozen=True, eq=False)
 class QuantileDesign:

@@ -25,8 +25,6 @@ from oed.design.problem.design import Design
 from oed.design.problem.information_maps import InformationMap, information_map
 from oed.errors import InputError
 
-__all__ = ["robust_design", "stacked_map"]
-
 
 def stacked_map(models: Sequence[Any]) -> InformationMap:
     """Block-diagonal information of several plants under the same input."""

@@ -21,17 +21,6 @@ from oed.design.solvers.weights_e import eigenvalue_weights
 from oed.design.solvers.weights_gw import minimax_weights
 from oed.errors import InputError, SolverFailure, Status
 
-__all__ = [
-    "Exchange",
-    "Master",
-    "better",
-    "evaluated_bound",
-    "exchange",
-    "lower_bound",
-    "seed_columns",
-    "solve_weights",
-]
-
 RIDGE = 1e-5
 KEEP = 0.5
 MANY = 200

@@ -22,8 +22,6 @@ from oed.design.solvers.column_generation import Exchange, evaluated_bound
 from oed.design.solvers.whole_grid import solve_cvxpy
 from oed.errors import InputError
 
-__all__ = ["RepeatedDesign"]
-
 
 class RepeatedDesign:
     """One design problem on a fixed grid, for many plants of the same structure and one input.

@@ -30,8 +30,6 @@ from oed.design.solvers.polishing import polish
 from oed.design.solvers.weights_clarabel import linear_matrix_programme, smat, svec
 from oed.errors import NotIdentifiable, Status
 
-__all__ = ["condition_design"]
-
 Bands = tuple[tuple[float, float], ...]
 LOOKED_AT = 3
 """Certificates that are evaluated anew at the end, on the grid as it has grown: the last that were the best."""

@@ -20,8 +20,6 @@ from oed.design.problem.lines import Columns, Problem
 from oed.design.solvers.column_generation import Exchange, evaluated_bound, lower_bound
 from oed.errors import SolverFailure, Status
 
-__all__ = ["applies", "direction_exchange"]
-
 LARGEST = 150
 PATIENCE = 4
 

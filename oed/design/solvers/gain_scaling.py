@@ -18,8 +18,6 @@ from oed.errors import Status
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
 
-__all__ = ["peak_sinusoid"]
-
 
 def peak_sinusoid(problem: Problem, model: Any, criterion: str | Criterion) -> Exchange | None:
     """The sinusoid at the peak with the certificate of the theorem."""

@@ -13,8 +13,6 @@ from oed.design.solvers.column_generation import Exchange, better, evaluated_bou
 from oed.design.solvers.polishing import polish
 from oed.errors import SolverFailure
 
-__all__ = ["at_clusters", "collapsed", "evaluated"]
-
 LOW = 0.9
 """Maxima of the price below this share of a line's cost have no line of the support beside them."""
 CLOSE = 0.5

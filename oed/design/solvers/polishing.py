@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from oed.criteria import Criterion
 from oed.design.problem.lines import Columns, Problem
 
-__all__ = ["Polished", "polish"]
-
 _STENCIL = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 _FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12
 _SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12

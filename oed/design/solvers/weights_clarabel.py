@@ -20,8 +20,6 @@ from oed.design.problem.lines import Columns
 from oed.design.solvers.weights_da import Weights
 from oed.errors import SolverFailure, Status
 
-__all__ = ["elfving", "largest_eigenvalue", "linear_matrix_programme", "smat", "svec"]
-
 
 def _solve(P: Any, q: NDArray, A: Any, b: NDArray, cones: list, tolerance: float) -> Any:
     import clarabel

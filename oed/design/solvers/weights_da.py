@@ -19,8 +19,6 @@ from oed.criteria.determinant import Determinant
 from oed.design.problem.lines import Columns
 from oed.errors import Status
 
-__all__ = ["Weights", "blocks", "gathered", "inside", "interior_point", "reach"]
-
 
 @dataclass(frozen=True, eq=False)
 class Weights:

@@ -19,9 +19,6 @@ from oed.design.problem.lines import Columns
 from oed.design.solvers.weights_da import Weights, blocks, gathered, inside, reach
 from oed.errors import Status
 
-__all__ = ["eigenvalue_weights"]
-
-
 PATIENCE = 3
 """Steps that do not come nearer after which rounding is all that is left."""
 BEFORE = 0.95

@@ -19,8 +19,6 @@ from oed.design.problem.lines import Columns
 from oed.design.solvers.weights_da import Weights, gathered, inside, reach
 from oed.errors import Status
 
-__all__ = ["minimax_weights"]
-
 
 def minimax_weights(
     columns: Columns,

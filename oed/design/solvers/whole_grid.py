@@ -14,8 +14,6 @@ from oed.design.solvers.column_generation import Exchange, exchange
 from oed.design.solvers.weights_da import Weights
 from oed.errors import InputError, SolverFailure, Status
 
-__all__ = ["cvxpy_weights", "reference_exchange", "solve_cvxpy"]
-
 
 def reference_exchange(problem: Problem, *, refine: bool, tolerance: float) -> Exchange:
     """Designs on the whole grid, to which the maxima of the sensitivity function are added until the gap

@@ -21,8 +21,6 @@ from oed.design.solvers.column_generation import Exchange, exchange
 from oed.design.solvers.merging_lines import collapsed
 from oed.errors import SolverFailure
 
-__all__ = ["worst_response_design"]
-
 MOST_ROUNDS = 40
 """Exchanges of the sample; the gap falls by an order in two or three of them."""
 SPENT = 1e-6

@@ -15,7 +15,7 @@ from estimators.pem.greybox import GreyBox, identify_grey_box
 from estimators.pem.search.fractional_delay import estimate_fractional_delay
 from estimators.pem.uncertainty import sandwich
 from oed.data import Record
-from oed.models.model import state_space
+from oed.models.statespaces import state_space
 
 SEED, REPLICATES, SAMPLES = 20261121, 2000, 1000
 LOW, HIGH = 0.93, 0.97

@@ -11,7 +11,8 @@ from estimators.pem.search.problem import prepare
 from estimators.residual.tests import residual_tests
 from oed.data import Record
 from oed.errors import InputError, Status
-from oed.models.model import Model, StateSpace, model_from_json, state_space
+from oed.models.model import Model, StateSpace, model_from_json
+from oed.models.statespaces import state_space
 
 B, A, C = [0.0, 0.2155, 0.2012], [1.0, -0.9854, 0.8187], [1.0, 0.5, 0.2]
 

@@ -13,8 +13,6 @@ from estimators.diagnosis.effects.symbols.parts import REMEDY, acted, blocked, i
 from estimators.diagnosis.effects.symbols.terms import factor_term
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
-__all__ = ["discovered", "linear", "structured"]
-
 Array = NDArray[Any]
 
 

@@ -15,8 +15,6 @@ from estimators.diagnosis.effects.process import Passing
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
-__all__ = ["acted", "inside_plant"]
-
 Array = NDArray[Any]
 REMEDY = "simulate it, or diagnose without this effect"
 SAMPLES = 64

@@ -10,20 +10,6 @@ from typing import Any
 
 from estimators.diagnosis.effects.effect import Clock
 
-__all__ = [
-    "bouc_wen_step",
-    "delay_term",
-    "dry_friction_term",
-    "factor_term",
-    "feedback_step",
-    "hinges_term",
-    "lag_step",
-    "map_term",
-    "play_step",
-    "rate_step",
-    "with_numpy",
-]
-
 
 def _clip(ca: Any, x: Any, low: Any, high: Any) -> Any:
     return ca.fmin(ca.fmax(x, low), high)

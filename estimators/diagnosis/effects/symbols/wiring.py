@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects.symbols.terms import with_numpy
 from oed.errors import InputError
 
-__all__ = ["State", "Wiring", "linear_matrices"]
-
 Array = NDArray[Any]
 
 

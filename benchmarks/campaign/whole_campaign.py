@@ -10,25 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.campaign.cluster import on_cluster
-from benchmarks.campaign.part import Runs, runs_of
+from benchmarks.campaign.one_part import Part, killed_rows, parts, run_part
 from benchmarks.campaign.processes import as_finished
 from benchmarks.campaign.registry import ESTIMATORS, compatible
-from benchmarks.campaign.run import CHUNK, Part, checkpoints, killed_rows, parts, run_part, seed_for
+from benchmarks.campaign.run_columns import Runs, runs_of
 from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.store import Store, difference, versions
 from oed.errors import CampaignError, InputError
 from oed.files.lock import locked
-
-__all__ = [
-    "CHUNK",
-    "Settings",
-    "checkpoints",
-    "fill_store",
-    "parts",
-    "run_campaign",
-    "seed_for",
-    "stored_runs",
-]
 
 TIME_LIMIT = 300.0
 """Seconds for one run of a method, and for one estimate."""

@@ -25,19 +25,6 @@ from oed.experiments import simulated
 from oed.information import information_of_each
 from oed.signals.noise import noise_key
 
-__all__ = [
-    "CHUNK",
-    "Part",
-    "check_contents",
-    "killed_rows",
-    "checkpoints",
-    "parts",
-    "profile_marks",
-    "profile_replicates",
-    "run_part",
-    "seed_for",
-]
-
 CHUNK = 5
 """Replicates of the first parts: small enough that a kill loses seconds."""
 LARGEST = 1000

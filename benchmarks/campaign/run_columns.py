@@ -14,8 +14,6 @@ from oed.errors import Status
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["Estimates", "Runs", "runs_of"]
-
 NUMBERS = ("replicate", "experiments", "samples", "energy", "peak_amplitude", "estimate", "standard_error")
 UNUSABLE = (Status.FAILED.name, Status.TIME_LIMIT.name)
 
