@@ -2,8 +2,7 @@
 
 Exit status: 0 when the command did its job, 2 for bad input (one clear line), 130 and 143 when Ctrl-C or SIGTERM
 ended it (what was finished is kept), 1 for anything else. With
-`--json` standard output carries one JSON object and nothing else, whatever a solver prints below Python.
-"""
+`--json` standard output carries one JSON object and nothing else, whatever a solver prints below Python."""
 
 from __future__ import annotations
 

@@ -27,12 +27,9 @@ from oed.files.writing import write_whole
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Result of `compare`.
-
-    `rows` the comparison table; `information` what the inputs carry, by number of experiments; `out` results
-    folder; `page` the report; None after a dry run; `sentences` what the numbers say; `pairs` paired
-    differences with corrected p-values.
-    """
+    """Result of `compare`. `rows` the comparison table; `information` what the inputs carry, by number of
+    experiments; `out` results folder; `page` the report; None after a dry run; `sentences` what the numbers
+    say; `pairs` paired differences with corrected p-values."""
 
     rows: list[dict[str, Any]]
     information: list[dict[str, Any]] = field(repr=False)

@@ -2,8 +2,7 @@
 
 It runs in the environment that `make peers` makes, where none of our packages is installed: numpy and the tool are all it
 imports (our own, for the row `oed`, in ours). Signals are scaled to mean 0 and deviation 1 of the training record for every
-tool but ours. A free run starts from the samples before `skip`, and the error counts those from there on.
-"""
+tool but ours. A free run starts from the samples before `skip`, and the error counts those from there on."""
 
 from __future__ import annotations
 

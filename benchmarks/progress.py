@@ -18,11 +18,8 @@ BEAT = 0.5
 
 
 class _Line:
-    """The stage of a command, and how long it takes.
-
-    On a terminal one line that is written anew; elsewhere a line for each stage that begins, or is reached, after
-    `QUIET` seconds.
-    """
+    """The stage of a command, and how long it takes. On a terminal one line that is written anew; elsewhere a
+    line for each stage that begins, or is reached, after `QUIET` seconds."""
 
     def __init__(self, command: str, stream: TextIO, now: Callable[[], float]) -> None:
         self.command, self.stream, self.now = command, stream, now

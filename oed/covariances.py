@@ -1,7 +1,6 @@
 """V' M^-1 V for information matrices that may be badly scaled or singular. Numpy and scipy only.
 
-And algebra of this size on one thread: waking the BLAS's others takes longer than the algebra does.
-"""
+And algebra of this size on one thread: waking the BLAS's others takes longer than the algebra does."""
 
 from __future__ import annotations
 
@@ -19,19 +18,13 @@ OUTSIDE = 1e-6
 
 
 def diagonal_blocks(matrix: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Square blocks on the diagonal.
-
-    Shapes: matrix (K s, K s), returns (K, s, s).
-    """
+    """Square blocks on the diagonal: matrix (K s, K s) -> (K, s, s)."""
     size = len(matrix) // count
     return np.einsum("kskt->kst", matrix.reshape(count, size, count, size))
 
 
 def solved(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64]:
-    """M^-1 V, scaled to a unit diagonal first.
-
-    Shapes: M (n, n), V (n, s), returns (n, s).
-    """
+    """M^-1 V, scaled to a unit diagonal first: M (n, n), V (n, s) -> (n, s)."""
     from scipy.linalg import cho_factor, cho_solve
 
     scale = 1 / np.sqrt(np.diag(M))
@@ -39,10 +32,7 @@ def solved(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64
 
 
 def covariance_of(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """V' M^-1 V, or None where M does not determine V' theta.
-
-    Shapes: M (n, n), V (n, s), returns (s, s).
-    """
+    """V' M^-1 V, or None where M does not determine V' theta: M (n, n), V (n, s) -> (s, s)."""
     if not np.isfinite(M).all():
         return None
     scale = _usable(np.sqrt(np.clip(np.diag(M), 0, None)), V)
@@ -55,8 +45,7 @@ def covariance_of(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.
 
 def covariance_of_factor(factor: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """V' (F F')^-1 V from the factor itself, to the full precision; None where F F' does not determine V'
-    theta.
-    """
+    theta."""
     if not np.isfinite(factor).all():
         return None
     scale = _usable(np.linalg.norm(factor, axis=1), V)

@@ -1,7 +1,6 @@
 """Measured signals and input spectra: the two kinds of data that everything else takes or gives.
 
-Time is axis 0: a signal is (N, nu) or (N, ny), also for one channel.
-"""
+Time is axis 0: a signal is (N, nu) or (N, ny), also for one channel."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """The exceptions of the suite, and the outcomes that are data rather than exceptions.
 
 At the border (user input, a rig, a solver that broke) the suite raises; inside loops a failure is a
-`Status` beside the number, so that a campaign of thousands of runs records it and goes on.
-"""
+`Status` beside the number, so that a campaign of thousands of runs records it and goes on."""
 
 from __future__ import annotations
 

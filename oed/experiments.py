@@ -21,11 +21,9 @@ AHEAD = 2**16
 
 @dataclass(frozen=True)
 class Usage:
-    """What a series of experiments has cost.
-
-    `experiments` number of experiments; `samples` samples over all experiments; `energy` input energy:
-    squares summed over samples, experiments and channels; `peak` largest absolute input.
-    """
+    """What a series of experiments has cost. `experiments` number of experiments; `samples` samples over all
+    experiments; `energy` input energy: squares summed over samples, experiments and channels; `peak` largest
+    absolute input."""
 
     experiments: int = 0
     samples: int = 0
@@ -180,10 +178,7 @@ def noise_factor(plant: Plant) -> NDArray[np.float64]:
 
 
 def coloured(plant: Plant, e: NDArray[np.float64]) -> NDArray[np.float64]:
-    """White noise through the plant's noise filter H, from rest.
-
-    Shapes: e (N, ny), returns (N, ny).
-    """
+    """White noise through the plant's noise filter H, from rest: e (N, ny) -> (N, ny)."""
     if plant.white_noise:
         return e
     from scipy.signal import lfilter
@@ -192,10 +187,8 @@ def coloured(plant: Plant, e: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def decoloured(plant: Plant, v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Noise through the inverse of the plant's noise filter, H^-1 v, from rest: undoes `coloured`.
-
-    Shapes: v (N, ny), returns (N, ny).
-    """
+    """Noise through the inverse of the plant's noise filter, H^-1 v, from rest: undoes `coloured`; v (N, ny)
+    -> (N, ny)."""
     if plant.white_noise:
         return v
     from scipy.signal import lfilter

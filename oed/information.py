@@ -4,8 +4,7 @@ For Gaussian noise with spectrum Phi_v = H Lambda H*, per sample and asymptotica
 
     I_ij = sum_k Re tr( dG_i(w_k) P_k dG_j(w_k)* Phi_v(w_k)^-1 ),
 
-which is linear in the spectrum, hence additive over experiments.
-"""
+which is linear in the spectrum, hence additive over experiments."""
 
 from __future__ import annotations
 
@@ -54,10 +53,7 @@ def _inverse_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def whitened_gradient(model: Responding, omega: ArrayLike) -> NDArray[np.complex128]:
-    """dG with the noise whitened, Phi_v^-1/2 dG_i.
-
-    Shapes: omega (K,), returns (K, n, ny, nu).
-    """
+    """dG with the noise whitened, Phi_v^-1/2 dG_i: omega (K,) -> (K, n, ny, nu)."""
     W = _inverse_root(model.noise_covariance)
     dG = model.response(omega)[1]
     H = model.noise_response(omega)
@@ -100,10 +96,7 @@ def information_rows(model: Responding, spectrum: Spectrum) -> NDArray[np.float6
 
 
 def power_root(spectrum: Spectrum) -> NDArray[np.complex128]:
-    """R_k with R_k R_k^* = P_k for every line.
-
-    Shapes: returns (K, nu, nu).
-    """
+    """R_k with R_k R_k^* = P_k for every line: returns (K, nu, nu)."""
     if spectrum.n_inputs == 1:
         return np.sqrt(np.clip(spectrum.power.real, 0, None)).astype(complex)
     values, vectors = np.linalg.eigh(spectrum.power)
@@ -132,10 +125,8 @@ def information_of_signal(plant: Responding, u: ArrayLike) -> NDArray[np.float64
 
 
 def signal_gradient(plant: Responding, u: ArrayLike) -> NDArray[np.float64]:
-    """Derivative of the one-step prediction with respect to the parameters, from rest.
-
-    Shapes: u (N, nu), returns (N, n, ny).
-    """
+    """Derivative of the one-step prediction with respect to the parameters, from rest: u (N, nu) -> (N, n,
+    ny)."""
     psi = _signal_gradients(_as_plant(plant), as_signal(u, "the input")[None])[:, :, 0]
     return np.ascontiguousarray(psi.transpose(2, 1, 0))
 
@@ -192,10 +183,7 @@ def information_of_records(plant: Responding, inputs: list[NDArray[np.float64]])
 
 
 def information_of_each(plant: Responding, inputs: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Fisher information of each of several experiments.
-
-    Shapes: inputs (N_k, nu), returns (experiments, n, n).
-    """
+    """Fisher information of each of several experiments: inputs (N_k, nu) -> (experiments, n, n)."""
     plant = _as_plant(plant)
     n = len(plant.free)
     found = np.zeros((len(inputs), n, n))
@@ -224,10 +212,7 @@ def _weighted_gradients(
 
 
 def null_directions(information: NDArray[np.float64], names: tuple[str, ...]) -> list[str]:
-    """Combinations of parameters on which there is no information, in words.
-
-    Shapes: information (n, n).
-    """
+    """Combinations of parameters on which there is no information, in words: information (n, n)."""
     scale = np.sqrt(np.clip(np.diag(information), 0, None))
     dead = scale <= 0
     safe = np.where(dead, 1.0, scale)
@@ -242,10 +227,8 @@ def null_directions(information: NDArray[np.float64], names: tuple[str, ...]) ->
 
 
 def covariance(information: NDArray[np.float64], names: tuple[str, ...] = ()) -> NDArray[np.float64]:
-    """Inverse of the information: the Cramer-Rao bound on the covariance of unbiased estimates.
-
-    Shapes: information (n, n), returns (n, n).
-    """
+    """Inverse of the information: the Cramer-Rao bound on the covariance of unbiased estimates; information
+    (n, n) -> (n, n)."""
     names = names or tuple(f"theta{i + 1}" for i in range(len(information)))
     null = null_directions(information, names)
     if null:

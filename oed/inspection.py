@@ -1,8 +1,7 @@
 """What a record may suffer from: offsets, trends, outliers, saturation, slower sampling, poor excitation.
 
 Everything here is reported and nothing is changed: whether a mean is an operating point, or a sample a fault, is
-known to those who measured it.
-"""
+known to those who measured it."""
 
 from __future__ import annotations
 
@@ -22,15 +21,13 @@ FAR = 8.0
 
 @dataclass(frozen=True)
 class Defect:
-    """One thing to know about a channel before a model is fitted to it.
-
-    `kind` missing, constant, offset, trend, outliers, saturation, slow sampling, sampling or excitation;
-    `channel` name of the channel; empty where it is about the records as a whole; `size` number of samples
-    (missing, outliers, saturation), the mean (offset), the change from the first to the last sample (trend),
-    the samples between two changes (slow sampling), the order reached (excitation), the ratio of sampling
-    times (sampling), the value (constant); `sentence` what was seen, with its numbers, and what can be done;
-    `record` which record, from 1; 0 for all of them.
-    """
+    """One thing to know about a channel before a model is fitted to it. `kind` missing, constant, offset,
+    trend, outliers, saturation, slow sampling, sampling or excitation; `channel` name of the channel; empty
+    where it is about the records as a whole; `size` number of samples (missing, outliers, saturation), the
+    mean (offset), the change from the first to the last sample (trend), the samples between two changes (slow
+    sampling), the order reached (excitation), the ratio of sampling times (sampling), the value (constant);
+    `sentence` what was seen, with its numbers, and what can be done; `record` which record, from 1; 0 for all
+    of them."""
 
     kind: str
     channel: str
@@ -140,10 +137,8 @@ def _memory(x: NDArray) -> float:
 
 
 def _outliers(x: NDArray) -> NDArray[np.int64]:
-    """One or two samples that leave the median of seven and come back, by much more than their neighbours move.
-
-    Edges of steps and peaks of slow signals stay: the neighbours, too, move there.
-    """
+    """One or two samples that leave the median of seven and come back, by much more than their neighbours
+    move. Edges of steps and peaks of slow signals stay: the neighbours, too, move there."""
     if len(np.unique(x)) <= 10 or len(x) < 20:
         return np.zeros(0, dtype=np.int64)
     windows = np.lib.stride_tricks.sliding_window_view
@@ -181,13 +176,8 @@ def _held(x: NDArray) -> int:
 
 def excitation_order(signals: NDArray | Sequence[NDArray], most: int) -> int:
     """Largest n, up to a limit, for which an input is persistently exciting: its n-th covariance matrix is
-    regular.
-
-    Regular means that the smallest eigenvalue exceeds 1e-9 of the largest (Ljung 1999, definition 13.2); the
-    mean is taken off, because it is one with an offset.
-
-    Shapes: signals (N,).
-    """
+    regular; signals (N,). Regular means that the smallest eigenvalue exceeds 1e-9 of the largest (Ljung 1999,
+    definition 13.2); the mean is taken off, because it is one with an offset."""
     parts = [signals] if isinstance(signals, np.ndarray) else list(signals)
     parts = [np.asarray(p, dtype=float).ravel() for p in parts]
     mean = np.concatenate(parts).mean()

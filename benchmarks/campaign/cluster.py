@@ -22,10 +22,9 @@ LOOK = 1.0
 def on_cluster(
     address: str, function: Callable[[Any], Any], items: Sequence[Any]
 ) -> Iterator[tuple[Any, Any, bool]]:
-    """Each item with its result and whether there is one, as they are finished, on the workers of a scheduler.
-
-    An item without a result killed its workers, as many as the scheduler allows (`allowed-failures`).
-    """
+    """Each item with its result and whether there is one, as they are finished, on the workers of a
+    scheduler. An item without a result killed its workers, as many as the scheduler allows
+    (`allowed-failures`)."""
     from distributed import KilledWorker
 
     with _connected(address) as client:

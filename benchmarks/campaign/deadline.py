@@ -19,11 +19,9 @@ class _Stop(BaseException):
 
 
 def within(seconds: float | None, work: Callable[..., Any], *args: Any, **options: Any) -> Any:
-    """Call a function and wait for it no longer than a time limit.
-
-    The call runs on a thread of its own. A call that is given up is interrupted at its next step of Python;
-    inside compiled code it goes on unheard until it returns, and ends with the process at the latest.
-    """
+    """Call a function and wait for it no longer than a time limit. The call runs on a thread of its own. A
+    call that is given up is interrupted at its next step of Python; inside compiled code it goes on unheard
+    until it returns, and ends with the process at the latest."""
     if seconds is None:
         return work(*args, **options)
     if not seconds > 0:

@@ -1,8 +1,7 @@
 """One unit of work of a campaign: a few replicates of one input on one plant, and every estimator on its records.
 
 Seeds are functions of names: the noise of (seed, plant, replicate, experiment) and the generator of (seed,
-plant, method, replicate). All methods meet the same plants and the same noise.
-"""
+plant, method, replicate). All methods meet the same plants and the same noise."""
 
 from __future__ import annotations
 
@@ -38,11 +37,8 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Part:
-    """One unit of work: a few replicates of one method on one plant at one noise level.
-
-    `plant` name; `noise_variance` level; `method` name; `start, stop` first replicate, and the one after the
-    last.
-    """
+    """One unit of work: a few replicates of one method on one plant at one noise level. `plant` name;
+    `noise_variance` level; `method` name; `start, stop` first replicate, and the one after the last."""
 
     plant: str
     noise_variance: float

@@ -99,11 +99,9 @@ def load_plant(spec: str, noise_variance: float | None = None) -> Plant:
 
 
 def _random(spec: str, family: str, number: int, noise_variance: float | None) -> Plant:
-    """A random plant; the number is its seed.
-
-    Of the head-to-head protocol (fir): length 10, decay 0.75; experiments of 50 samples with input norm 1 and noise of
-    standard deviation 0.1 are, in unit input power, noise of variance 0.5, the default there.
-    """
+    """A random plant; the number is its seed. Of the head-to-head protocol (fir): length 10, decay 0.75;
+    experiments of 50 samples with input norm 1 and noise of standard deviation 0.1 are, in unit input power,
+    noise of variance 0.5, the default there."""
     from oed.plants.families import random_plant
     from oed.plants.named import random_fir
 

@@ -21,11 +21,9 @@ WATCH = 0.5
 def as_finished(
     function: Callable[[Any], Any], items: Iterable[Any], jobs: int
 ) -> Iterator[tuple[Any, Any, bool]]:
-    """Each item with its result and whether there is one, as they are finished, on so many processes.
-
-    A worker that is killed, as by a system short of memory, takes the others with it: what was not finished is
-    done again. An item whose worker is killed even when it is alone has no result.
-    """
+    """Each item with its result and whether there is one, as they are finished, on so many processes. A
+    worker that is killed, as by a system short of memory, takes the others with it: what was not finished is
+    done again. An item whose worker is killed even when it is alone has no result."""
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky import ProcessPoolExecutor
     from joblib.externals.loky.process_executor import TerminatedWorkerError

@@ -2,8 +2,7 @@
 
 The two are kept apart because the question is which of them earns the gain. A method is a function
 `method(experiment, *, samples, iterations, rng) -> Trace`. What either is told beforehand is part of its entry here, and it
-is handed no more than that: nothing, the structure (orders, delay, length), or the plant.
-"""
+is handed no more than that: nothing, the structure (orders, delay, length), or the plant."""
 
 from __future__ import annotations
 
@@ -32,11 +31,8 @@ Method = Callable[..., Trace]
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimate of the H-infinity norm.
-
-    `value` naN where the estimator failed; `standard_error` as the estimator states it; NaN where it states
-    none; `status` how it ended; `message` why, where it failed.
-    """
+    """An estimate of the H-infinity norm. `value` naN where the estimator failed; `standard_error` as the
+    estimator states it; NaN where it states none; `status` how it ended; `message` why, where it failed."""
 
     value: float
     standard_error: float = float("nan")
@@ -54,11 +50,9 @@ class Told(Enum):
 
 @dataclass(frozen=True)
 class Structure:
-    """What is known of a plant where only its structure is: no value of a parameter.
-
-    `orders` numerator and denominator, `delay`, entry by entry as `identify` takes them; `taps` so many hold 99.99 % of the
-    impulse response's energy.
-    """
+    """What is known of a plant where only its structure is: no value of a parameter. `orders` numerator and
+    denominator, `delay`, entry by entry as `identify` takes them; `taps` so many hold 99.99 % of the impulse
+    response's energy."""
 
     orders: tuple[Any, Any]
     delay: Any
@@ -95,9 +89,7 @@ class Input:
 @dataclass(frozen=True)
 class Estimator:
     """An estimator of the comparison: a function of the trace and of what it is told, and what that is.
-
-    `inputs` on whose records it means something, all where empty; `own` whether it belongs to the iterations.
-    """
+    `inputs` on whose records it means something, all where empty; `own` whether it belongs to the iterations."""
 
     estimate: Callable[..., Estimate]
     words: str
@@ -304,10 +296,8 @@ ESTIMATORS: dict[str, Estimator] = {
 
 
 def told(method: str, estimator: str = "") -> Told:
-    """What an input and an estimator together are told.
-
-    A method of the user's own is handed an experiment and no plant; an estimator of the user's own is handed the plant.
-    """
+    """What an input and an estimator together are told. A method of the user's own is handed an experiment
+    and no plant; an estimator of the user's own is handed the plant."""
     mine = METHODS[method].told if method in METHODS else Told.NOTHING
     theirs = ESTIMATORS[estimator].told if estimator in ESTIMATORS else Told.PLANT
     return max(mine, theirs if estimator else Told.NOTHING, key=list(Told).index)

@@ -20,12 +20,10 @@ UNUSABLE = (Status.FAILED.name, Status.TIME_LIMIT.name)
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """All estimates of one estimator, in the order of the replicates.
-
-    `replicate, experiments, samples, energy, peak_amplitude, estimate, standard_error` (R,) columns of the
-    store; `good` (R,) whether there is a number that counts; `statuses` how often each status occurred;
-    `messages` different messages, the first few.
-    """
+    """All estimates of one estimator, in the order of the replicates. `replicate, experiments, samples,
+    energy, peak_amplitude, estimate, standard_error` (R,) columns of the store; `good` (R,) whether there is
+    a number that counts; `statuses` how often each status occurred; `messages` different messages, the first
+    few."""
 
     replicate: NDArray[np.float64]
     experiments: NDArray[np.float64]
@@ -56,12 +54,10 @@ class Estimates:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """One combination.
-
-    `plant, noise_variance, method` which; `final` estimator to its Estimates with the whole budget; `earlier`
-    (estimator, experiments) to its Estimates after a part of the budget; `information` per part and
-    checkpoint: experiments, samples, energy, peak_amplitude, count and the sum of the information.
-    """
+    """One combination. `plant, noise_variance, method` which; `final` estimator to its Estimates with the
+    whole budget; `earlier` (estimator, experiments) to its Estimates after a part of the budget;
+    `information` per part and checkpoint: experiments, samples, energy, peak_amplitude, count and the sum of
+    the information."""
 
     plant: str
     noise_variance: float

@@ -18,11 +18,10 @@ from oed.files.documents import keyed, read_document
 
 @dataclass(frozen=True)
 class Limit:
-    """At most so many replicates of what is named; what is not named matches everything.
-
-    `replicates` the most; 0 leaves it out; `plant, method, estimator` names, "" for any, and of plants a pattern such as
-    `random-*`; `noise_variance` that level, 0 for any. With an estimator only its estimates are limited, not the runs.
-    """
+    """At most so many replicates of what is named; what is not named matches everything. `replicates` the
+    most; 0 leaves it out; `plant, method, estimator` names, "" for any, and of plants a pattern such as
+    `random-*`; `noise_variance` that level, 0 for any. With an estimator only its estimates are limited, not
+    the runs."""
 
     replicates: int
     plant: str = ""
@@ -37,16 +36,13 @@ class Limit:
 
 @dataclass(frozen=True)
 class Settings:
-    """What decides the numbers of a campaign.
-
-    `plants` names or files; `noise_variances` for every plant (for hair-dryer in multiples of the identified
-    variance); `methods, estimators` names, or `FILE.py:FUNCTION` for one's own; pairs that do not fit are
-    left out; `samples, experiments` N of every experiment, and how many; `seed` of everything random;
-    `profile_replicates` for so many replicates the estimators are also run after every checkpoint of the
-    budget; `limits` what has fewer replicates than the rest; `sources` name and digest of the source of one's
-    own methods and estimators; `contents` name and digest of every plant file, as it is when the settings are
-    made, whatever is given.
-    """
+    """What decides the numbers of a campaign. `plants` names or files; `noise_variances` for every plant (for
+    hair-dryer in multiples of the identified variance); `methods, estimators` names, or `FILE.py:FUNCTION`
+    for one's own; pairs that do not fit are left out; `samples, experiments` N of every experiment, and how
+    many; `seed` of everything random; `profile_replicates` for so many replicates the estimators are also run
+    after every checkpoint of the budget; `limits` what has fewer replicates than the rest; `sources` name and
+    digest of the source of one's own methods and estimators; `contents` name and digest of every plant file,
+    as it is when the settings are made, whatever is given."""
 
     plants: tuple[str, ...] = ("reference", "hair-dryer", "random-fir-1", "three-by-two")
     noise_variances: tuple[float, ...] = (1.0, 4.0, 9.0)

@@ -1,8 +1,7 @@
 """The folder of a campaign: its settings, and one Parquet file per finished part.
 
 A part is bound to what made it: it carries its own name, the settings, the digests of every input, the versions and
-a digest of its values. What is cut short, damaged, or made by anything else is named and run again.
-"""
+a digest of its values. What is cut short, damaged, or made by anything else is named and run again."""
 
 from __future__ import annotations
 
@@ -122,10 +121,8 @@ class Store:
         return self._checked(key, values=True)
 
     def holds(self, key: str, time_limit: float | None = 0.0) -> bool:
-        """Whether a part is there, by its end, without reading the rows.
-
-        One with runs that were given up after less than `time_limit` (None: no limit) is to be tried again.
-        """
+        """Whether a part is there, by its end, without reading the rows. One with runs that were given up
+        after less than `time_limit` (None: no limit) is to be tried again."""
         made = self._checked(key, values=False)
         if made is None:
             return False

@@ -2,8 +2,7 @@
 
 A figure is declared, not drawn: rows with x, y and where there are any low, high, series, panel and text. The page
 draws it with Vega, `figures_static` the same rows with matplotlib for papers. No drawing and no program comes from the
-file, so a folder from somebody else can fill a page with wrong numbers and with nothing else.
-"""
+file, so a folder from somebody else can fill a page with wrong numbers and with nothing else."""
 
 from __future__ import annotations
 
@@ -24,13 +23,11 @@ MOST_POINTS = 4000
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A figure as data.
-
-    `rows` one per point: x, y, and low, high (drawn as a band or as error bars), series, panel, text (what is said of
-    the point), and keys that the page's filters know; `marks` how each series is drawn (default "line"); `log` the axes
-    with a logarithmic scale, "x", "y" or "xy"; `sideways` y is a name and x the value; `rules` values with a thin line;
-    `zoom` whether the page zooms along x; `shared` whether all panels have one scale; `square` equal axes.
-    """
+    """A figure as data. `rows` one per point: x, y, and low, high (drawn as a band or as error bars), series,
+    panel, text (what is said of the point), and keys that the page's filters know; `marks` how each series is
+    drawn (default "line"); `log` the axes with a logarithmic scale, "x", "y" or "xy"; `sideways` y is a name
+    and x the value; `rules` values with a thin line; `zoom` whether the page zooms along x; `shared` whether
+    all panels have one scale; `square` equal axes."""
 
     name: str
     caption: str
@@ -71,13 +68,11 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """One result: the answer in a sentence, how sure it is, what to do, and the sections.
-
-    `filters` key of rows -> heading; `matrix` name of the table whose rows (plant, noise_variance, method,
-    c_efficiency) fill the answer matrix; `repeat` the words of the command that repeats a row, before and after its own;
-    `runs` key of a row -> its files; `names` what the names of inputs and estimators mean; `downloads` file name -> text;
-    `progress` done and of how many.
-    """
+    """One result: the answer in a sentence, how sure it is, what to do, and the sections. `filters` key of
+    rows -> heading; `matrix` name of the table whose rows (plant, noise_variance, method, c_efficiency) fill
+    the answer matrix; `repeat` the words of the command that repeats a row, before and after its own; `runs`
+    key of a row -> its files; `names` what the names of inputs and estimators mean; `downloads` file name ->
+    text; `progress` done and of how many."""
 
     kind: str
     title: str

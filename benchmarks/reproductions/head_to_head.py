@@ -3,8 +3,7 @@
 Random FIR plants of length 10, taps decay^k times uniform in [-1, 1] (the family
 whose gain agrees with the published errors); experiments of 50 samples, 200 of them, noise of
 standard deviation 0.1, input norm 1. What is published of it as numbers here are medians of a re-run (theory,
-section 7); the rows repeat that re-run with other plants and noises, and add order selection.
-"""
+section 7); the rows repeat that re-run with other plants and noises, and add order selection."""
 
 from __future__ import annotations
 
@@ -84,11 +83,9 @@ def _last(trace: Trace) -> float:
 
 @dataclass(frozen=True)
 class Case:
-    """One input with one estimator.
-
-    `name` in words; `method` key of `traces`; `estimate` from a trace to the norm; `published` median
-    relative error of the re-run; None where it has none; `in_print` whether the original paper has it.
-    """
+    """One input with one estimator. `name` in words; `method` key of `traces`; `estimate` from a trace to the
+    norm; `published` median relative error of the re-run; None where it has none; `in_print` whether the
+    original paper has it."""
 
     name: str
     method: str

@@ -138,8 +138,7 @@ def tabulated(runs: int = RUNS) -> dict[str, Any]:
 
 def two_workers(replicates: int = 2000) -> tuple[float, float]:
     """Seconds of the same campaign in one process and on two workers, each after its first parts have warmed
-    it.
-    """
+    it."""
     from benchmarks.campaign.settings import Settings
     from benchmarks.campaign.whole_campaign import fill_store
 

@@ -1,8 +1,7 @@
 """Speed of optimal design on a frequency grid: column generation with Newton against CVXPY with Clarabel, in turn.
 
 Both start from the same scaled columns, both must reach a certified relative gap of 1e-6. CVXPY builds, compiles
-and solves its problem in every call, as a user's script would; its tolerances are Clarabel's defaults (1e-8).
-"""
+and solves its problem in every call, as a user's script would; its tolerances are Clarabel's defaults (1e-8)."""
 
 from __future__ import annotations
 
@@ -84,8 +83,7 @@ def against_cvxpy(criterion: str, parameters: int, frequencies: int, target: flo
 
 def elfving_dual(repeats: int = 5) -> dict:
     """The peak-gain design's dual on 1000 frequencies: at most 0.6 of CVXPY's D design (15 ms where that
-    takes 25).
-    """
+    takes 25)."""
     from oed.design.solvers.column_generation import exchange
     from oed.design.solvers.weights_clarabel import elfving
     from oed.design.solvers.whole_grid import cvxpy_weights

@@ -22,10 +22,8 @@ ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class Verb:
-    """A verb and what of its work is made larger.
-
-    `name` of the verb; `grows` what has the sizes; `made` size -> (our call, the peer's call or None); `peer` its name.
-    """
+    """A verb and what of its work is made larger. `name` of the verb; `grows` what has the sizes; `made` size
+    -> (our call, the peer's call or None); `peer` its name."""
 
     name: str
     grows: str

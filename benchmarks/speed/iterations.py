@@ -17,10 +17,8 @@ if TYPE_CHECKING:
 def lfilter_campaign(
     samples: int, iterations: int, replicates: int, variance: float, seed: int = 0
 ) -> np.ndarray:
-    """The baseline: Algorithm 1 on the reference plant as a loop over `scipy.signal.lfilter`.
-
-    Shapes: returns (replicates, iterations).
-    """
+    """The baseline: Algorithm 1 on the reference plant as a loop over `scipy.signal.lfilter`; returns
+    (replicates, iterations)."""
     from scipy.signal import lfilter
 
     num, den = np.array([0, 0.2155, 0.2012]), np.array([1, -0.9854, 0.8187])
@@ -45,10 +43,7 @@ def lfilter_mimo_campaign(
     plant: Plant, samples: int, iterations: int, replicates: int, seed: int = 0
 ) -> np.ndarray:
     """The baseline of Procedure 2: of every second-stage experiment only the output that is used is
-    simulated.
-
-    Shapes: returns (replicates, iterations).
-    """
+    simulated; returns (replicates, iterations)."""
     from scipy.signal import lfilter
 
     p, q = plant.n_outputs, plant.n_inputs
@@ -164,8 +159,7 @@ def finite_time_norm() -> list[dict[str, Any]]:
 
 def hinf_norm() -> list[dict[str, Any]]:
     """The H-infinity norm of models of order 20, 40 and 80 at 1e-10, against slycot's ab13dd; target: half as
-    fast.
-    """
+    fast."""
     from importlib import import_module
 
     from oed.plants.named import named_plant

@@ -1,8 +1,7 @@
 """Speed of prediction-error identification: output error of order 2 and 6, ours and the baselines in turn.
 
 The same data, the same start, the same optimum (checked: the baseline's loss must not be lower). Times are
-medians; the first call of each, which compiles or builds, is not counted.
-"""
+medians; the first call of each, which compiles or builds, is not counted."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """The answer to [S] Sec. 4.2: where the iterations are optimal experiment design, what their estimators waste, what to do.
 
 Inputs and estimators are judged apart. An input by the information it carries for the peak gain, in shares of the
-certified optimum at the same energy; an estimator by rho on the same records.
-"""
+certified optimum at the same energy; an estimator by rho on the same records."""
 
 from __future__ import annotations
 

@@ -3,8 +3,7 @@
 Where is the sinusoid at the peak, where is the limit spectrum, an optimal experiment for the peak gain?
 
     rows = claim_rows()              for `benchmarks.tables.formats`, with the headings COLUMNS
-    figure = claim_figure(rows)      c-efficiencies, case by case (`benchmarks.page.comparison_figures`)
-"""
+    figure = claim_figure(rows)      c-efficiencies, case by case (`benchmarks.page.comparison_figures`)"""
 
 from __future__ import annotations
 

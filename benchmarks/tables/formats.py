@@ -1,8 +1,7 @@
 """Tables of results: rows are dictionaries; as text, Markdown, LaTeX, CSV and Parquet.
 
 A key `name_se` is the standard error of `name`: what people read shows both as 1.234 ± 0.012, what programs
-read (CSV, Parquet) keeps two columns with all digits.
-"""
+read (CSV, Parquet) keeps two columns with all digits."""
 
 from __future__ import annotations
 

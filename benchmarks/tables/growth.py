@@ -36,10 +36,9 @@ GROWTH = {
 def growth_of(
     plant: Plant, iterations: str, most: int, optimum: float | None = None
 ) -> tuple[dict[int, float], float]:
-    """By number of experiments, the efficiency that theory predicts for the first so many together; and that of the limit.
-
-    `optimum` is the certified least variance of the peak gain; where it is not given, that of white noise.
-    """
+    """By number of experiments, the efficiency that theory predicts for the first so many together; and that
+    of the limit. `optimum` is the certified least variance of the peak gain; where it is not given, that of
+    white noise."""
     from oed.information import information_of_spectrum
     from oed.plants.norms import gain_gradient, peak
     from oed.theory.efficiency import losses, peak_gain_efficiency_by_experiments

@@ -1,8 +1,7 @@
 """The loop closed on a real record: the hair dryer, an output-error model, and the delay that it lacks.
 
 Identify OE(2,2) without extra delay on the first half, test its residuals, find the delay they point to, refit,
-and report the errors before and after on the second half, which neither model has seen.
-"""
+and report the errors before and after on the second half, which neither model has seen."""
 
 from __future__ import annotations
 
@@ -23,15 +22,12 @@ LEVEL = 0.01
 
 @dataclass(frozen=True, eq=False)
 class HairDryerStory:
-    """What was found in the hair-dryer record.
-
-    `before_delay, delay` nk of the first model, and the one found; `suspicious_lags` lags at which input and
-    residual of the first model are correlated (p < 0.01 each); `rows` errors in volts on the second half,
-    before and after; `sentences` the story; `test` the second half; `simulated` "before" and "after" to the
-    simulated second half, (N, 1); `lags` lags of the correlations; `correlations` "before" and "after" to the
-    correlations of input and residual on the first half; `bound` 99 % bound of one correlation of the first
-    model where nothing is missing.
-    """
+    """What was found in the hair-dryer record. `before_delay, delay` nk of the first model, and the one
+    found; `suspicious_lags` lags at which input and residual of the first model are correlated (p < 0.01
+    each); `rows` errors in volts on the second half, before and after; `sentences` the story; `test` the
+    second half; `simulated` "before" and "after" to the simulated second half, (N, 1); `lags` lags of the
+    correlations; `correlations` "before" and "after" to the correlations of input and residual on the first
+    half; `bound` 99 % bound of one correlation of the first model where nothing is missing."""
 
     before_delay: int
     delay: int

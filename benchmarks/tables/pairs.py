@@ -3,8 +3,7 @@
 The smallest of many noisy errors is too small. So the best way is chosen on the problems of even number (replicates of a
 plant, or plants of a family), and its error is that on the problems of odd number, where nothing was chosen; ways whose error
 there is not larger by two standard errors of the paired difference tie with it. Against an earlier comparison nothing is
-paired: what is better or worse is said under Holm's rule.
-"""
+paired: what is better or worse is said under Holm's rule."""
 
 from __future__ import annotations
 
@@ -48,10 +47,7 @@ def holm(p_values: Sequence[float]) -> NDArray[np.float64]:
 
 def paired_rows(solvers: Mapping[Solver, Estimates], gamma: float, scale: float) -> list[Row]:
     """Differences of squared errors between ways to the norm of one plant at one noise level, replicate by
-    replicate.
-
-    Shapes: solvers (input, estimator).
-    """
+    replicate: solvers (input, estimator)."""
     rows = []
     for question, first, second in _questions(list(solvers)):
         a, b = solvers[first], solvers[second]
@@ -145,10 +141,8 @@ def _ties(theirs: Errors, mine: Errors) -> bool:
 
 
 def ratio_of_means(a: Errors, b: Errors) -> tuple[float, float]:
-    """Mean error of one way over that of another on the problems of odd number that both have, with its standard error.
-
-    To first order: var(a/b) = (a/b)^2 var(a_k / a - b_k / b), the pairs kept together.
-    """
+    """Mean error of one way over that of another on the problems of odd number that both have, with its
+    standard error. To first order: var(a/b) = (a/b)^2 var(a_k / a - b_k / b), the pairs kept together."""
     one, two = _half(a, True), _half(b, True)
     both = sorted(set(one) & set(two))
     if len(both) < HALF:

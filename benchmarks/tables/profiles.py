@@ -1,8 +1,7 @@
 """Performance profiles (Dolan and More) and data profiles (More and Wild) over all plants, noise levels and replicates.
 
 A problem is one plant at one noise level in one replicate; a solver is an input with an estimator. A run that failed has
-solved nothing.
-"""
+solved nothing."""
 
 from __future__ import annotations
 
@@ -47,14 +46,11 @@ def _errors(found: Estimates, gamma: float, replicates: int) -> NDArray[np.float
 @dataclass
 class Profiles:
     """Counts that grow by one plant and noise level at a time, so that memory does not grow with the
-    problems.
-
-    `solved` solver to the (33,) numbers of problems solved within each of RATIOS of the best; `problems`
-    solver to the number of problems it met; `spent` solver to what it spent: sums of energy over the
-    problems, largest of all else, and the channels met; `by_budget` (input, estimator, channels, experiments)
-    to [samples, sum of energies, peak amplitude, solved, problems]; `least` solvers with fewer replicates of
-    a plant are left out there, and all others count up to the fewest of theirs.
-    """
+    problems. `solved` solver to the (33,) numbers of problems solved within each of RATIOS of the best;
+    `problems` solver to the number of problems it met; `spent` solver to what it spent: sums of energy over
+    the problems, largest of all else, and the channels met; `by_budget` (input, estimator, channels,
+    experiments) to [samples, sum of energies, peak amplitude, solved, problems]; `least` solvers with fewer
+    replicates of a plant are left out there, and all others count up to the fewest of theirs."""
 
     solved: dict[Solver, NDArray[np.float64]] = field(default_factory=dict)
     problems: dict[Solver, int] = field(default_factory=dict)
@@ -63,10 +59,7 @@ class Profiles:
     least: int = 1
 
     def add(self, solvers: Mapping[Solver, Estimates], gamma: float, channels: str) -> None:
-        """Add the problems of one plant at one noise level.
-
-        Shapes: solvers (input, estimator).
-        """
+        """Add the problems of one plant at one noise level: solvers (input, estimator)."""
         solvers = {solver: found for solver, found in solvers.items() if len(found) >= self.least}
         if not solvers:
             return

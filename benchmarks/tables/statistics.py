@@ -1,8 +1,7 @@
 """From the rows of a campaign to the comparison table: every figure with its Monte-Carlo standard error.
 
 rho = RMSE(gamma^) sqrt(input energy / lambda_e), the yardstick of docs/theory/design.md: at least 1 for unbiased
-estimators (a local, large-sample bound), whatever the method.
-"""
+estimators (a local, large-sample bound), whatever the method."""
 
 from __future__ import annotations
 
@@ -27,10 +26,7 @@ Row = dict[str, Any]
 
 
 def mean_with_error(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Mean and its standard error.
-
-    Shapes: values (R,).
-    """
+    """Mean and its standard error: values (R,)."""
     if len(values) < 2:
         return (float(values[0]) if len(values) else float("nan")), float("nan")
     return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
@@ -54,10 +50,8 @@ class Target:
         return f"{self.plant.n_outputs} x {self.plant.n_inputs}"
 
     def efficiencies(self, information: NDArray[np.float64], energy: float) -> dict[str, float]:
-        """Efficiencies of a total information against the certified optima at the same energy.
-
-        Shapes: information (n, n).
-        """
+        """Efficiencies of a total information against the certified optima at the same energy: information
+        (n, n)."""
         share = losses(information / energy, self.c).efficiency(self.optimum)
         return {f"{k.lower()}_efficiency": float(getattr(share, k)) for k in CRITERIA}
 
@@ -76,10 +70,7 @@ Targets = Mapping[tuple[str, float], Target]
 
 
 def targets(keys: Iterable[tuple[str, float]], jobs: int = 1) -> dict[tuple[str, float], Target]:
-    """Targets of plants at noise levels.
-
-    Shapes: returns (plant, noise variance).
-    """
+    """Targets of plants at noise levels: returns (plant, noise variance)."""
     keys = list(dict.fromkeys(keys))
     specs = list(dict.fromkeys(spec for spec, _ in keys))
     # Of the plants of a family only the peak gain is asked for: the other optima of 200 plants would take an hour.

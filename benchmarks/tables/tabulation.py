@@ -24,13 +24,11 @@ LEAST = 30
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """All tables of a comparison.
-
-    `rows` the comparison: one row per plant, noise variance, input and estimator; `information` what the
-    inputs carry, by number of experiments; `pairs` paired differences, with p-values corrected over the whole
-    table; `performance, data` profiles; `known` (plant, noise variance) to Target; `judged` (case, noise variance) to the best
-    ways of each kind, where a case is a plant or a family of random ones.
-    """
+    """All tables of a comparison. `rows` the comparison: one row per plant, noise variance, input and
+    estimator; `information` what the inputs carry, by number of experiments; `pairs` paired differences, with
+    p-values corrected over the whole table; `performance, data` profiles; `known` (plant, noise variance) to
+    Target; `judged` (case, noise variance) to the best ways of each kind, where a case is a plant or a family
+    of random ones."""
 
     rows: list[Row]
     information: list[Row] = field(repr=False)

@@ -8,8 +8,7 @@ linear map of fresh Gaussian noise. That joint law is what is tested; E s s' = s
     result = additivity_by_monte_carlo(plant, method, samples=200, experiments=5, resolution=0.1)
     assert result, result
 
-With the pytest plugin that the package registers, the fixture `information_adds_up` does the same.
-"""
+With the pytest plugin that the package registers, the fixture `information_adds_up` does the same."""
 
 from __future__ import annotations
 
@@ -39,16 +38,13 @@ EMPTY = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Additivity:
-    """Outcome of a check; true where the information is additive.
-
-    `holds` whether no statistic is beyond its threshold; `discrepancy` largest relative entry of the
-    difference for the exact check; the smallest p-value for the Monte-Carlo check; `threshold` what it is
-    held against; `measured, summed` (n, n) the two sides of the equation; `standard_error` (n, n) of
-    `measured - summed`; zero for the exact check; `message` the sentence a user reads; `resolution` relative
-    error of the information in a single direction that would have been found with a probability of 90 %;
-    `p_values` what was tested of the joint law, and how likely a discrepancy at least as large is where it
-    holds.
-    """
+    """Outcome of a check; true where the information is additive. `holds` whether no statistic is beyond its
+    threshold; `discrepancy` largest relative entry of the difference for the exact check; the smallest
+    p-value for the Monte-Carlo check; `threshold` what it is held against; `measured, summed` (n, n) the two
+    sides of the equation; `standard_error` (n, n) of `measured - summed`; zero for the exact check; `message`
+    the sentence a user reads; `resolution` relative error of the information in a single direction that would
+    have been found with a probability of 90 %; `p_values` what was tested of the joint law, and how likely a
+    discrepancy at least as large is where it holds."""
 
     holds: bool
     discrepancy: float
@@ -250,9 +246,7 @@ def _whitened_scores(
     scores: NDArray, each: NDArray, unit: NDArray, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], float]:
     """(R, M, n) J_k^-1/2 s_k, and the largest part of a score that lies where its information is none.
-
-    Directions without information get standard normal numbers: nothing is claimed of them.
-    """
+    Directions without information get standard normal numbers: nothing is claimed of them."""
     scale = np.linalg.inv(np.linalg.cholesky(unit))
     s, J = scores @ scale.T, scale @ each @ scale.T
     values, vectors = np.linalg.eigh((J + J.swapaxes(-1, -2)) / 2)
@@ -293,10 +287,9 @@ def _p_values(t: NDArray[np.float64]) -> dict[str, float]:
 
 def _uncorrelated(value: float, R: int, pairs: float, sharing: float, fourth: float) -> float:
     """P-value of R times the sum of the squared correlations of pairs of independent variables of R values.
-
-    Each pair shares a variable with `sharing` others; the variables have the fourth moment `fourth`. Their exact mean and
-    variance are those of a scaled chi-squared; a plain one rejects 3 % at a level of .1 % of 20 experiments in 100 runs.
-    """
+    Each pair shares a variable with `sharing` others; the variables have the fourth moment `fourth`. Their
+    exact mean and variance are those of a scaled chi-squared; a plain one rejects 3 % at a level of .1 % of
+    20 experiments in 100 runs."""
     from scipy.stats import chi2
 
     variance = pairs * (2 + (fourth**2 - 3) / R + sharing * (fourth - 1) / R)
@@ -304,10 +297,8 @@ def _uncorrelated(value: float, R: int, pairs: float, sharing: float, fourth: fl
 
 
 def score_of(plant: Plant, u: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Score of one experiment from rest: gradient of its log-likelihood at the plant's parameters.
-
-    Shapes: u, y (N, nu), returns (n,).
-    """
+    """Score of one experiment from rest: gradient of its log-likelihood at the plant's parameters; u, y (N,
+    nu) -> (n,)."""
     e = decoloured(plant, y - plant.simulate(u))
     weighted = np.linalg.solve(plant.noise_covariance, e.T).T
     return np.einsum("tnp,tp->n", signal_gradient(plant, u), weighted)

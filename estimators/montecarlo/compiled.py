@@ -1,8 +1,7 @@
 """Compile the loops ahead, so that no run waits for them: `python -m estimators.montecarlo.compiled`.
 
 Numba compiles a function when it first meets its arguments, and keeps the result in NUMBA_CACHE_DIR until the file changes.
-`make setup` calls this once; without it, two workers that begin together would both compile the same.
-"""
+`make setup` calls this once; without it, two workers that begin together would both compile the same."""
 
 from __future__ import annotations
 

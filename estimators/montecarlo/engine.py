@@ -2,8 +2,7 @@
 
 The compiled kernels run any stable rational plant; a plant that is a Python callable runs through the plain loop.
 Both meet the noise of `oed.signals.noise`, so run r is the same run on either path, in any order and on any number of
-threads; the starts are white noise of exactly unit power from the same source (`counter_start`).
-"""
+threads; the starts are white noise of exactly unit power from the same source (`counter_start`)."""
 
 from __future__ import annotations
 
@@ -30,12 +29,9 @@ from oed.signals.noise import START, noise_key, standard_noise
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """A few runs.
-
-    `first` number of the first replicate; `gain_squares` (R, M) squares of [S] (7) or [M] (12); the first of
-    [S] (7) is NaN; `mu_squares` (R, M) squares of mu; `rayleigh` (R, M) [S] (4); NaN for Procedure 2;
-    `energy` (R, M) input energy of each iteration.
-    """
+    """A few runs. `first` number of the first replicate; `gain_squares` (R, M) squares of [S] (7) or [M]
+    (12); the first of [S] (7) is NaN; `mu_squares` (R, M) squares of mu; `rayleigh` (R, M) [S] (4); NaN for
+    Procedure 2; `energy` (R, M) input energy of each iteration."""
 
     first: int
     gain_squares: NDArray[np.float64]
@@ -46,14 +42,11 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """Means and standard deviations over the runs, per iteration.
-
-    `replicates` number of runs; `mean, deviation` by estimator (gain, mu, rayleigh, gain_square, mu_square):
-    (M,) over the runs that have a value; `negative` (M,) how many runs had a negative square of the gain (and
-    so no value); `energy` (M,) mean input energy of each iteration; `gain_first` (M,) gains of the first run,
-    NaN where it has none; `samples` length of every experiment; `plant` what was simulated (None for a
-    callable).
-    """
+    """Means and standard deviations over the runs, per iteration. `replicates` number of runs; `mean,
+    deviation` by estimator (gain, mu, rayleigh, gain_square, mu_square): (M,) over the runs that have a
+    value; `negative` (M,) how many runs had a negative square of the gain (and so no value); `energy` (M,)
+    mean input energy of each iteration; `gain_first` (M,) gains of the first run, NaN where it has none;
+    `samples` length of every experiment; `plant` what was simulated (None for a callable)."""
 
     replicates: int
     mean: dict[str, NDArray[np.float64]]
@@ -77,10 +70,7 @@ class Campaign:
         return finite_norm(self.plant, self.samples) if self.plant else float("nan")
 
     def error(self, name: str) -> NDArray[np.float64]:
-        """Monte-Carlo standard error of the mean of an estimator.
-
-        Shapes: returns (M,).
-        """
+        """Monte-Carlo standard error of the mean of an estimator: returns (M,)."""
         lost = self.negative if name == "gain" else 0
         return self.deviation[name] / np.sqrt(np.maximum(self.replicates - lost, 1))
 
@@ -96,10 +86,7 @@ class Campaign:
 def counter_start(
     plant: Plant, samples: int, *, seed: int = 0, replicate: int = 0, limits: Limits | None = None
 ) -> NDArray[np.float64]:
-    """White start from the counter-based noise, scaled to the limits.
-
-    Shapes: returns (N, nu).
-    """
+    """White start from the counter-based noise, scaled to the limits: returns (N, nu)."""
     key = noise_key(seed, plant.name)
     return scaled(standard_noise(key, replicate, START, samples, plant.n_inputs), limits or Limits())
 

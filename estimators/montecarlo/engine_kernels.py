@@ -98,10 +98,7 @@ def _normals(w, e):
 
 @njit(error_model="numpy", cache=True)
 def normal_block(k0, k1, samples, output, experiment, replicate, x):
-    """Standard normals of one output of one experiment into x, for B replicates.
-
-    Shapes: x (samples * B,).
-    """
+    """Standard normals of one output of one experiment into x, for B replicates: x (samples * B,)."""
     w, e = np.empty((4, B), np.int32), np.empty((4, B), np.float32)
     for block in range((samples + 3) // 4):
         _words(k0, k1, block, output, experiment, replicate, w)
@@ -115,10 +112,8 @@ def normal_block(k0, k1, samples, output, experiment, replicate, x):
 @njit(error_model="numpy", fastmath={"contract"}, cache=True)
 def _four_samples(u, y, t, samples, e, state, c):
     """Four samples of a second-order SISO plant with white noise, and what the estimators need of them.
-
     `state`: two filter states, the scale of u, and the sums ||y||^2, u_before' y~, u' y~. y holds u_before
-    and receives y~ = T y in the same places.
-    """
+    and receives y~ = T y in the same places."""
     _wide()  # pyright: ignore[reportCallIssue]
     b0, b1, b2, a1, a2, sigma = c[0], c[1], c[2], c[3], c[4], c[5]
     now, back = np.uint64(t * B), np.uint64((samples - 1 - t) * B)
@@ -230,10 +225,8 @@ def power_block(
     rayleigh,
     signals,
 ):
-    """Algorithm 1 for B replicates.
-
-    Shapes: weights (1,), gain, mu, rayleigh (B, iterations), signals (2, samples * B).
-    """
+    """Algorithm 1 for B replicates: weights (1,), gain, mu, rayleigh (B, iterations), signals (2, samples *
+    B)."""
     U, V, X = signals[0], signals[1], np.empty(samples * B)
     V[:] = 0.0
     w, e = np.empty((4, B), np.int32), np.empty((4, B), np.float32)
@@ -294,10 +287,8 @@ def procedure_block(
     mu,
     energy,
 ):
-    """Procedure 2 for B replicates; the two-experiment scheme where there is one channel.
-
-    Shapes: num, den (p, q, n + 1), weights (p, p), gain, mu, energy (B, iterations).
-    """
+    """Procedure 2 for B replicates; the two-experiment scheme where there is one channel; num, den (p, q, n +
+    1), weights (p, p), gain, mu, energy (B, iterations)."""
     p, q = num.shape[:2]
     size = samples * B
     U, X = np.empty((q, size)), np.empty(size)

@@ -10,10 +10,7 @@ def noise_of_replicates(
     key: tuple[int, int], first: int, experiments: int, samples: int, n_outputs: int = 1
 ) -> NDArray[np.float64]:
     """Standard normal noise of B successive replicates, bit by bit that of `oed.signals.noise.noise_series`,
-    compiled.
-
-    Shapes: returns (B, experiments, samples, n_outputs).
-    """
+    compiled: returns (B, experiments, samples, n_outputs)."""
     from estimators.montecarlo.engine_kernels import B, normal_block
 
     k0, k1 = (np.uint64(k) for k in key)

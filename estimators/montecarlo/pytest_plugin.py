@@ -13,10 +13,9 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def information_adds_up() -> Callable[..., Additivity]:
-    """An assertion: `information_adds_up(plant, method, resolution=0.1)`, with the options of `additivity_by_monte_carlo`.
-
-    It fails the test with what was tested and what broke, and returns the result where nothing did.
-    """
+    """An assertion: `information_adds_up(plant, method, resolution=0.1)`, with the options of
+    `additivity_by_monte_carlo`. It fails the test with what was tested and what broke, and returns the result
+    where nothing did."""
 
     def check(plant: Any, method: Any, **options: Any) -> Additivity:
         from estimators.montecarlo.additivity import additivity_by_monte_carlo

@@ -5,8 +5,7 @@ y_t = sum_k g_k u_(t-k) + e_t with n taps g_k (ny x nu), from rest, over all rec
     g^ = R^-1 F,   R = sum phi phi',   F = sum phi y',   cov = lambda_e R^-1
 
 The number of taps is given, or chosen by an information criterion, or made harmless by a kernel that expects the
-response to decay (TC: cov(g_i, g_j) = c a^max(i, j), c and a by marginal likelihood).
-"""
+response to decay (TC: cov(g_i, g_j) = c a^max(i, j), c and a by marginal likelihood)."""
 
 from __future__ import annotations
 
@@ -30,12 +29,9 @@ CANDIDATES = (*range(1, 61), 90)
 
 @dataclass(frozen=True, eq=False)
 class FirModel:
-    """An estimated impulse response.
-
-    `taps` (n, ny, nu); `covariance` (n nu, n nu) covariance of one output's taps per unit of noise variance,
-    tap-major; `noise` (ny,) estimated noise variances; `loss` sum over outputs of log residual variance;
-    `samples` samples used.
-    """
+    """An estimated impulse response. `taps` (n, ny, nu); `covariance` (n nu, n nu) covariance of one output's
+    taps per unit of noise variance, tap-major; `noise` (ny,) estimated noise variances; `loss` sum over
+    outputs of log residual variance; `samples` samples used."""
 
     taps: NDArray[np.float64]
     covariance: NDArray[np.float64]
@@ -54,12 +50,10 @@ def _records(data: Trace | Sequence[Record]) -> list[Record]:
 
 
 def _moments(records: list[Record], taps: int) -> tuple[NDArray, NDArray, NDArray, int]:
-    """R, F and sum y y' of all records, with zeros before the first sample.
-
-    The first block row of R and all of F are correlations, by Fourier transforms of all records at once; down a diagonal
-    of R every block loses the product of the two samples that leave at the end of the record,
-    R[i+1, j+1] = R[i, j] - u_(N-1-i) u_(N-1-j)'.
-    """
+    """R, F and sum y y' of all records, with zeros before the first sample. The first block row of R and all
+    of F are correlations, by Fourier transforms of all records at once; down a diagonal of R every block
+    loses the product of the two samples that leave at the end of the record, R[i+1, j+1] = R[i, j] -
+    u_(N-1-i) u_(N-1-j)'."""
     from scipy.fft import irfft, next_fast_len
 
     nu, ny = records[0].n_inputs, records[0].n_outputs
@@ -94,10 +88,8 @@ def _transforms(signals: list[NDArray], size: int) -> NDArray:
 
 
 def _excited(R: NDArray, factor: NDArray | None = None) -> bool:
-    """Whether least squares can tell the taps apart: the condition of R is below 1e12.
-
-    With the Cholesky factor, where there is one, LAPACK's estimate of the condition spares most the eigenvalues.
-    """
+    """Whether least squares can tell the taps apart: the condition of R is below 1e12. With the Cholesky
+    factor, where there is one, LAPACK's estimate of the condition spares most the eigenvalues."""
     if factor is not None and dpocon(factor, np.abs(R).sum(axis=0).max(), uplo="L")[0] > 1e-9:
         return True
     values = np.linalg.eigvalsh(R)

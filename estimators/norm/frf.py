@@ -3,8 +3,7 @@
     frf   G^(w_k) = (sum_m Y_m U_m*) (sum_m U_m U_m*)^-1
     lpm   G and a transient per experiment as polynomials in k over the neighbouring lines, by least squares
 
-Both give the largest singular value over the lines with its standard error, refined between the lines.
-"""
+Both give the largest singular value over the lines with its standard error, refined between the lines."""
 
 from __future__ import annotations
 
@@ -22,11 +21,8 @@ from oed.plants.norms import largest_gain
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
-    """A nonparametric frequency response.
-
-    `omega` (K,) rad/sample; `response` (K, ny, nu) complex; `deviation` (K,) standard deviation of the
-    largest singular value; `noise_variance` per output.
-    """
+    """A nonparametric frequency response. `omega` (K,) rad/sample; `response` (K, ny, nu) complex;
+    `deviation` (K,) standard deviation of the largest singular value; `noise_variance` per output."""
 
     omega: NDArray[np.float64]
     response: NDArray[np.complex128]
@@ -83,10 +79,8 @@ def peak_of_response(found: FrequencyResponse) -> PeakEstimate:
 
 
 def lpm(trace: Trace, *, lines: int = 6, order: int = 2) -> PeakEstimate:
-    """Peak by the local polynomial method: G and the transients polynomial over 2 lines + 1 neighbours.
-
-    R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2012, ch. 7.
-    """
+    """Peak by the local polynomial method: G and the transients polynomial over 2 lines + 1 neighbours. R.
+    Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2012, ch. 7."""
     plain = frequency_response(trace)
     N = len(trace.records[0])
     height = largest_gain(plain.response)

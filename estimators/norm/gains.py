@@ -7,8 +7,7 @@
 with y~ = T y and m^(n-1) the factor by which T y^(n-1) was divided to give u^(n), so the estimates are right
 under any scaling of the inputs ([M] (13)). [S] (4) and (7) as printed lack the factors of N that make them
 Rayleigh quotients. The eigenvalues of T G come in pairs of nearly equal size and opposite sign, so `rayleigh`
-may settle anywhere between -gamma and gamma; `gain` is the one to use.
-"""
+may settle anywhere between -gamma and gamma; `gain` is the one to use."""
 
 from __future__ import annotations
 
@@ -30,11 +29,9 @@ MEANS = {
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """One estimate of the peak gain per iteration.
-
-    `name` name of the estimator; `values` (M,) estimates; NaN where the status is not ok; `statuses` one per
-    iteration; `squares` (M,) the squared estimates before the root, where there is one: may be negative.
-    """
+    """One estimate of the peak gain per iteration. `name` name of the estimator; `values` (M,) estimates; NaN
+    where the status is not ok; `statuses` one per iteration; `squares` (M,) the squared estimates before the
+    root, where there is one: may be negative."""
 
     name: str
     values: NDArray[np.float64]
@@ -68,10 +65,7 @@ class Gains:
 
 
 def from_squares(name: str, squares: NDArray[np.float64]) -> Gains:
-    """Gains that are roots: NaN with a status where the square is negative or undefined.
-
-    Shapes: squares (M,).
-    """
+    """Gains that are roots: NaN with a status where the square is negative or undefined; squares (M,)."""
     squares = np.asarray(squares, dtype=float)
     statuses = tuple(
         Status.NOT_FINITE if not np.isfinite(s) else Status.NEGATIVE_SQUARE if s < 0 else Status.OK
@@ -119,10 +113,7 @@ def mu(trace: Trace) -> Gains:
 
 
 def transposed_output(trace: Trace, part: slice) -> NDArray[np.float64]:
-    """w = T z of one iteration of Procedure 2: G' G u from 1 + pq experiments.
-
-    Shapes: returns (N, nu).
-    """
+    """w = T z of one iteration of Procedure 2: G' G u from 1 + pq experiments; returns (N, nu)."""
     records: tuple[Record, ...] = trace.records[part]
     kinds = trace.kinds[part]
     forward = records[0]

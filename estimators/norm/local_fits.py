@@ -10,8 +10,7 @@ transients, the normal equations need of the channels S = (U, Y, model's output)
     (V_p S_a)* (I - q q*) (V_r S_b) = V_p* diag(conj(S_a) S_b) V_r - (q* V_p S_a)* (q* V_r S_b)
 
 (`estimators.norm.local_kernels`). All of it is linear along K and invariant under a rotation among the experiments, so more
-of them than lines times channels are first compressed to that number.
-"""
+of them than lines times channels are first compressed to that number."""
 
 from __future__ import annotations
 
@@ -32,10 +31,8 @@ SETTLED = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Discrete Fourier transforms of all records of a trace, over sqrt(N).
-
-    `U, Y` (N // 2 + 1, M, nu) and (N // 2 + 1, M, ny); `samples` N.
-    """
+    """Discrete Fourier transforms of all records of a trace, over sqrt(N). `U, Y` (N // 2 + 1, M, nu) and (N
+    // 2 + 1, M, ny); `samples` N."""
 
     U: NDArray
     Y: NDArray
@@ -52,16 +49,12 @@ class Spectra:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """DFT lines around a centre.
-
-    A band that reaches over 0 or pi holds some lines and their conjugates: the model then has the symmetry of
-    a real system, and the information counts those lines twice (`repeats`).
-
+    """DFT lines around a centre. A band that reaches over 0 or pi holds some lines and their conjugates: the
+    model then has the symmetry of a real system, and the information counts those lines twice (`repeats`).
     `U, Y` (nu, K, R) and (ny, K, R): the channels' lines in the M experiments, or, where M is larger than R =
     K (nu + ny), in R rotated ones with the same sums of products; `experiments` M; `x` (K,) distances from
     the centre in [-1, 1]; `centre, half` the DFT line in the middle, and how many there are on either side;
-    `repeats` how often a line and its conjugate are in the band.
-    """
+    `repeats` how often a line and its conjugate are in the band."""
 
     U: NDArray
     Y: NDArray
@@ -101,11 +94,9 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class LocalFit:
-    """Coefficients of a local model and what is known of them.
-
-    `theta` (n,) complex: B of every entry, output by output, then A without its leading 1; `information` (n,
-    n) inverse of the covariance of theta; `noise` (ny,) variance of the noise; `criterion` akaike's.
-    """
+    """Coefficients of a local model and what is known of them. `theta` (n,) complex: B of every entry, output
+    by output, then A without its leading 1; `information` (n, n) inverse of the covariance of theta; `noise`
+    (ny,) variance of the noise; `criterion` akaike's."""
 
     theta: NDArray
     information: NDArray
@@ -114,10 +105,7 @@ class LocalFit:
 
 
 def response(theta: NDArray, x: NDArray, nu: int, ny: int, orders: tuple[int, int, int]) -> NDArray:
-    """G = B / A of the coefficients at some distances.
-
-    Shapes: x (K,), returns (K, ny, nu).
-    """
+    """G = B / A of the coefficients at some distances: x (K,) -> (K, ny, nu)."""
     found = np.empty((len(x), ny, nu), complex)
     responses(theta, x, orders, found)
     return found

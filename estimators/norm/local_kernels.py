@@ -38,10 +38,7 @@ def _line_products(s, z, found):
 @njit(error_model="numpy", cache=True)
 def _transients(A, powers, weights, inverse):
     """What the transients x^j / A need, by elimination in their Gram matrix, which is small and positive
-    definite.
-
-    Shapes: A (K,), powers (D, K), weights, inverse (K,).
-    """
+    definite: A (K,), powers (D, K), weights, inverse (K,)."""
     t = inverse.shape[0]
     gram = np.zeros((t, t))
     for k in range(len(A)):
@@ -119,11 +116,8 @@ def _products(moments, sums, duals, found):
 def _normal_equations(
     U, Y, model, of_inputs, weights, powers, inverse, scale, orders, normal, information, right
 ):
-    """The equations of one refinement.
-
-    Shapes: U, Y, model (nu, K, 2, R), of_inputs (nu, nu + ny, K), weights, powers (K,), inverse (nt + 1, nt +
-    1), scale (ny,), normal, information, right (n, n).
-    """
+    """The equations of one refinement: U, Y, model (nu, K, 2, R), of_inputs (nu, nu + ny, K), weights, powers
+    (K,), inverse (nt + 1, nt + 1), scale (ny,), normal, information, right (n, n)."""
     nb, na, nt = orders
     nu, ny, K, R = U.shape[0], Y.shape[0], U.shape[1], U.shape[3]
     inner = nu * (nb + 1)
@@ -189,10 +183,8 @@ def _add(x, real, imag, z):
 
 @njit(error_model="numpy", cache=True)
 def _left_over(U, Y, theta, A, powers, orders, inverse, errors, squares, model):
-    """What the model and the transients leave of the outputs.
-
-    Shapes: U, Y (nu, K, 2, R), errors, squares, model (ny, K, 2, R).
-    """
+    """What the model and the transients leave of the outputs: U, Y (nu, K, 2, R), errors, squares, model (ny,
+    K, 2, R)."""
     nb, _, nt = orders
     nu, ny, K, R = U.shape[0], Y.shape[0], U.shape[1], U.shape[3]
     along, total = np.empty((nt + 1, 2, R)), np.empty(R)
@@ -259,10 +251,8 @@ def _solve(matrix, right):
 
 @njit(error_model="numpy", cache=True)
 def refine(U, Y, powers, orders, floor, freedom, steps, settled, theta, information, noise):
-    """Refined instruments until they settle.
-
-    Shapes: U, Y (nu, K, R), powers (D, K), floor, freedom (ny,), theta, information, noise (n,).
-    """
+    """Refined instruments until they settle: U, Y (nu, K, R), powers (D, K), floor, freedom (ny,), theta,
+    information, noise (n,)."""
     nb, na, nt = orders
     nu, ny, K = U.shape[0], Y.shape[0], U.shape[1]
     n = ny * nu * (nb + 1) + na
@@ -315,10 +305,7 @@ def refine(U, Y, powers, orders, floor, freedom, steps, settled, theta, informat
 
 @njit(error_model="numpy", cache=True)
 def responses(theta, x, orders, found):
-    """G = B / A of the coefficients.
-
-    Shapes: theta (n,), x (K,), found (K, ny, nu).
-    """
+    """G = B / A of the coefficients: theta (n,), x (K,), found (K, ny, nu)."""
     nb, na, _ = orders
     ny, nu = found.shape[1:]
     for k in range(len(x)):

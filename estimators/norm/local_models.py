@@ -24,15 +24,13 @@ GRID = np.linspace(-1, 1, 401)
 
 @dataclass(frozen=True, eq=False)
 class PeakEstimate:
-    """An estimate of the peak gain with its uncertainty.
-
-    `value` estimate of the H-infinity norm; `standard_error` its standard error (NaN where the estimator has
-    none); `frequency, frequency_error` where the peak lies, rad/sample; `curvature` H^ = -d2 sigma_max^2 /
-    dw2 at the peak; `noise_variance` estimated variance of the noise per output; `status` INACCURATE where
-    the peak lies at the edge of the band or the error is so large that a normal interval cannot be trusted;
-    COMPETING where another peak may be the higher one; `shape` (2, K) frequencies of the band, rad/sample,
-    and the local model's squared largest gain there; empty where the estimator has none.
-    """
+    """An estimate of the peak gain with its uncertainty. `value` estimate of the H-infinity norm;
+    `standard_error` its standard error (NaN where the estimator has none); `frequency, frequency_error` where
+    the peak lies, rad/sample; `curvature` H^ = -d2 sigma_max^2 / dw2 at the peak; `noise_variance` estimated
+    variance of the noise per output; `status` INACCURATE where the peak lies at the edge of the band or the
+    error is so large that a normal interval cannot be trusted; COMPETING where another peak may be the higher
+    one; `shape` (2, K) frequencies of the band, rad/sample, and the local model's squared largest gain there;
+    empty where the estimator has none."""
 
     value: float
     standard_error: float
@@ -109,10 +107,8 @@ def local_peak(
 
 
 def _average(found: list[tuple[float, PeakEstimate]]) -> PeakEstimate:
-    """The models' estimates with Akaike's weights; the error includes what the choice of the model leaves open.
-
-    se = sum w_i sqrt(se_i^2 + (value_i - value)^2) (Buckland, Burnham and Augustin, Biometrics 1997).
-    """
+    """The models' estimates with Akaike's weights; the error includes what the choice of the model leaves
+    open. se = sum w_i sqrt(se_i^2 + (value_i - value)^2) (Buckland, Burnham and Augustin, Biometrics 1997)."""
     usable = [row for row in found if row[1].status.ok] or [row for row in found if np.isfinite(row[0])]
     if len(usable) < 2:
         return usable[0][1] if usable else found[0][1]

@@ -37,11 +37,9 @@ def peak_gain(model: Any, points: int = 512) -> tuple[float, float, NDArray[np.f
 
 
 def frequency_error(model: Any, covariance: NDArray[np.float64]) -> float:
-    """Standard error of the peak's frequency, d omega / d theta = (d2 gain / d omega d theta) / curvature.
-
-    By symmetry a peak at 0 or pi stays there; a curvature within SURE of its own errors of zero, or a peak that is
-    uncertain by more than the frequencies there are, gives infinity.
-    """
+    """Standard error of the peak's frequency, d omega / d theta = (d2 gain / d omega d theta) / curvature. By
+    symmetry a peak at 0 or pi stays there; a curvature within SURE of its own errors of zero, or a peak that
+    is uncertain by more than the frequencies there are, gives infinity."""
     _, omega, _ = peak_gain(model)
     poles = np.abs(np.concatenate([np.zeros(1), *model.poles()]))
     h = 1e-2 * float(np.clip(1 - poles.max(), 1e-5, 0.1))

@@ -11,8 +11,7 @@ lambda_e - delta, nearly all of it on the white floor; before the limit also on 
 is good for: at variance 1 they remove 95 to 99 % of the bias. They take how |G|^2 falls beside the peak from the
 local model and |G|^2 elsewhere from the records, and say INACCURATE where the inputs' spectra there are not those that
 they assume, where a second peak is so nearly as high that its share has not settled (`two-peaks`), or where lambda^ is
-so large beside gamma^2 that a small-noise formula says little.
-"""
+so large beside gamma^2 that a small-noise formula says little."""
 
 from __future__ import annotations
 
@@ -43,13 +42,10 @@ RIVALS = 8
 
 
 def corrected(trace: Trace) -> PeakEstimate:
-    """Bias-corrected estimate from the iterations' records: the peak of the local model.
-
-    Where the records do not exclude that another peak is higher, a local model is fitted there too. The one
-    of the highest lower bound is returned; where another may be as high, within two standard errors, the
-    status is COMPETING. Where no local model can be trusted, a value far off the plain gain of five lines is
-    replaced by it.
-    """
+    """Bias-corrected estimate from the iterations' records: the peak of the local model. Where the records do
+    not exclude that another peak is higher, a local model is fitted there too. The one of the highest lower
+    bound is returned; where another may be as high, within two standard errors, the status is COMPETING.
+    Where no local model can be trusted, a value far off the plain gain of five lines is replaced by it."""
     if not trace.kinds or trace.kinds[0] not in ("power", "averaged", "forward"):
         raise InputError(
             "this estimator is for the records of power iterations; for other inputs use lpm, a frequency "
@@ -99,11 +95,9 @@ def corrected(trace: Trace) -> PeakEstimate:
 
 
 def width_left_open(best: PeakEstimate, trace: Trace, spectra: Spectra | None = None) -> PeakEstimate:
-    """The estimate with the error that the width of its band leaves open.
-
-    Were the model right, the estimate from a narrower band would differ by no more than the difference of the two
-    variances allows (Hausman, Econometrica 1978); what it differs more is added to the variance.
-    """
+    """The estimate with the error that the width of its band leaves open. Were the model right, the estimate
+    from a narrower band would differ by no more than the difference of the two variances allows (Hausman,
+    Econometrica 1978); what it differs more is added to the variance."""
     centre = round(best.frequency * len(trace.records[0]) / (2 * np.pi))
     narrow = local_peak(trace, lines=NARROW, centre=centre, spectra=spectra)
     wider = {}
@@ -163,11 +157,9 @@ class _Inputs:
         return float(max(end, 0.0) / (2 * half_width * len(trace.records[0])))
 
     def status(self, square: float, difference: NDArray, variance: float) -> Status:
-        """INACCURATE where what the far lines cost differs from what was assumed by a share of the bias removed.
-
-        And where another peak's share of the power, which falls as (|G|^2 / gamma^2)^n, has not settled before the
-        first experiment that is used.
-        """
+        """INACCURATE where what the far lines cost differs from what was assumed by a share of the bias
+        removed. And where another peak's share of the power, which falls as (|G|^2 / gamma^2)^n, has not
+        settled before the first experiment that is used."""
         off = abs(float(np.where(self.near, 0.0, square - self.far) @ difference))
         rival = float(np.max(self.far, where=self.apart & ~self.near, initial=0.0)) / max(square, 1e-300)
         settled = rival**self.first < SETTLED
@@ -241,14 +233,12 @@ def theorem_12(trace: Trace, discard: float = 0.3) -> PeakEstimate:
 
 
 def fixed_point(trace: Trace, discard: float = 0.2) -> PeakEstimate:
-    """The recursion of the spectra, [S] (8), whose fixed point is (9)-(10), solved for gamma.
-
-    |G|^2 = gamma^2 less the local model's fall from its peak, in its band, and as measured elsewhere, is
-    taken through the experiments from the first input's own periodogram. In the band, where the inputs'
-    spectra keep their random differences for as long as the iterations last, every experiment begins from its
-    measured periodogram. gamma^2 is such that the mean of mu^2 + beta_2^2 over the later experiments is what
-    was measured.
-    """
+    """The recursion of the spectra, [S] (8), whose fixed point is (9)-(10), solved for gamma. |G|^2 = gamma^2
+    less the local model's fall from its peak, in its band, and as measured elsewhere, is taken through the
+    experiments from the first input's own periodogram. In the band, where the inputs' spectra keep their
+    random differences for as long as the iterations last, every experiment begins from its measured
+    periodogram. gamma^2 is such that the mean of mu^2 + beta_2^2 over the later experiments is what was
+    measured."""
     from scipy.optimize import brentq
 
     inputs = _inputs(trace, discard)

@@ -9,8 +9,7 @@ s I - A, s not below the largest, they find the smallest:
 Both products are experiments: G' is `estimators.rules.transpose`. Over N samples the smallest gain of a strictly
 proper system is zero (its last samples do not come out), and that of a nonminimum-phase one nearly so; the
 passivity index tends to min over w of the smallest eigenvalue of (G + G*) / 2. The system is robustly stable
-under a controller if the small-gain product stays below 1.
-"""
+under a controller if the small-gain product stays below 1."""
 
 from __future__ import annotations
 
@@ -31,11 +30,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ShiftedIterations:
-    """Estimates of a smallest eigenvalue, one per iteration.
-
-    `values` (M,) Rayleigh quotients: upper bounds without noise, falling to the smallest eigenvalue; `u` (N,
-    nu) last input; `shift` s; `experiments` experiments used.
-    """
+    """Estimates of a smallest eigenvalue, one per iteration. `values` (M,) Rayleigh quotients: upper bounds
+    without noise, falling to the smallest eigenvalue; `u` (N, nu) last input; `shift` s; `experiments`
+    experiments used."""
 
     values: NDArray[np.float64]
     u: NDArray[np.float64]
@@ -97,12 +94,10 @@ def passivity_index(
 
 @dataclass(frozen=True)
 class SmallGain:
-    """Small-gain check of a controller against an additive model error.
-
-    `product` gamma of the model error times ||K (I + P K)^-1||_inf; `lowest, highest` the product at the ends
-    of gamma's interval; `stable` true or False where the whole interval lies on one side of 1, None where the
-    data do not decide. False says that the test fails, not that the loop is unstable.
-    """
+    """Small-gain check of a controller against an additive model error. `product` gamma of the model error
+    times ||K (I + P K)^-1||_inf; `lowest, highest` the product at the ends of gamma's interval; `stable` true
+    or False where the whole interval lies on one side of 1, None where the data do not decide. False says
+    that the test fails, not that the loop is unstable."""
 
     product: float
     lowest: float
@@ -117,10 +112,8 @@ class SmallGain:
 def small_gain(
     model: Plant, controller: Plant, gamma: float, interval: tuple[float, float], *, points: int = 4000
 ) -> SmallGain:
-    """Whether a controller stabilises every system within gamma of the model.
-
-    [M] Sec. II; the condition is gamma ||K (I + P K)^-1||_inf < 1.
-    """
+    """Whether a controller stabilises every system within gamma of the model. [M] Sec. II; the condition is
+    gamma ||K (I + P K)^-1||_inf < 1."""
     if (controller.n_inputs, controller.n_outputs) != (model.n_outputs, model.n_inputs):
         raise InputError(
             f"the controller has {controller.n_inputs} inputs and {controller.n_outputs} outputs; the model needs "

@@ -13,15 +13,11 @@ from oed.data import frozen
 
 @dataclass(frozen=True, eq=False)
 class WorstCase:
-    """The strongest line of the last input, and the directions there.
-
-    The peak's frequency with a standard error is that of `estimators.norm.peak_estimates.corrected`: the
-    inputs of one run depend on each other, so that their spread says nothing about their common distance from
-    the peak.
-
-    `frequency` in rad/sample; `input_direction` (nu,) complex, unit norm, its largest component real and
-    positive; `output_direction` (ny,) likewise; `dt` sampling time in seconds.
-    """
+    """The strongest line of the last input, and the directions there. The peak's frequency with a standard
+    error is that of `estimators.norm.peak_estimates.corrected`: the inputs of one run depend on each other,
+    so that their spread says nothing about their common distance from the peak. `frequency` in rad/sample;
+    `input_direction` (nu,) complex, unit norm, its largest component real and positive; `output_direction`
+    (ny,) likewise; `dt` sampling time in seconds."""
 
     frequency: float
     input_direction: NDArray[np.complex128]
@@ -41,10 +37,7 @@ class WorstCase:
 
 
 def dominant_frequency(u: NDArray[np.float64]) -> float:
-    """Frequency of the largest periodogram value, refined between the lines.
-
-    Shapes: u (N, channels).
-    """
+    """Frequency of the largest periodogram value, refined between the lines: u (N, channels)."""
     from scipy.optimize import minimize_scalar
 
     N = len(u)

@@ -38,12 +38,10 @@ LOOK, LATEST = 4, 12
 
 @dataclass(frozen=True, eq=False)
 class Delay:
-    """The delay under which a model fits best.
-
-    `delay` nk with the smallest loss; `delays` those tried; `loss` mean square of the residual for each; NaN
-    where the model could not be fitted; `weights` exp(-difference of AIC / 2), normalised: how the data weigh
-    the delays against each other; `fit` the model with that delay.
-    """
+    """The delay under which a model fits best. `delay` nk with the smallest loss; `delays` those tried;
+    `loss` mean square of the residual for each; NaN where the model could not be fitted; `weights`
+    exp(-difference of AIC / 2), normalised: how the data weigh the delays against each other; `fit` the model
+    with that delay."""
 
     delay: int
     delays: NDArray[np.int64]
@@ -68,12 +66,10 @@ def estimate_delay(
     delays: Iterable[int] = range(9),
     **options: Any,
 ) -> Delay:
-    """The delay nk under which a structure of given orders leaves the smallest residual.
-
-    All candidates have the same number of parameters, so that the loss alone decides: it is the profile
-    likelihood of the delay. Every candidate is fitted with the quick search; those that come near the best
-    are fitted once more with the search that was asked for.
-    """
+    """The delay nk under which a structure of given orders leaves the smallest residual. All candidates have
+    the same number of parameters, so that the loss alone decides: it is the profile likelihood of the delay.
+    Every candidate is fitted with the quick search; those that come near the best are fitted once more with
+    the search that was asked for."""
     from estimators.pem import identify
 
     tried = np.array(sorted(set(delays)), dtype=int)
@@ -111,11 +107,8 @@ def estimate_delay(
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Models of several orders, best first.
-
-    `criterion` bic, aic or cv; `rows` orders, delay, n, value of the criterion, loss, status; sorted by the
-    criterion; `fit` the best model, fitted to all data.
-    """
+    """Models of several orders, best first. `criterion` bic, aic or cv; `rows` orders, delay, n, value of the
+    criterion, loss, status; sorted by the criterion; `fit` the best model, fitted to all data."""
 
     criterion: str
     rows: tuple[dict, ...]
@@ -196,11 +189,9 @@ def select_orders(
 def automatic(
     records: Record | Sequence[Record], structure: str, orders: Any, delay: Any, **options: Any
 ) -> Fit:
-    """The model whose orders, delay or both are "auto".
-
-    Orders climb together from the smallest while that lowers the simulation error on blocks left out; the smallest that is
-    nearly the best is taken. The delay is that of a linear regression first, and that of the model itself in the end.
-    """
+    """The model whose orders, delay or both are "auto". Orders climb together from the smallest while that
+    lowers the simulation error on blocks left out; the smallest that is nearly the best is taken. The delay
+    is that of a linear regression first, and that of the model itself in the end."""
     from estimators.pem import identify
 
     for name, value in (("orders", orders), ("delay", delay)):

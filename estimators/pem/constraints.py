@@ -2,8 +2,7 @@
 
 At every point the loss is replaced by its Gauss-Newton model, which IPOPT minimises over the step under the
 constraints as they are, not linearised (sequential quadratic programming with exact constraints): so every point from
-the second on obeys them, and where the steps end the Karush-Kuhn-Tucker conditions of the loss itself hold.
-"""
+the second on obeys them, and where the steps end the Karush-Kuhn-Tucker conditions of the loss itself hold."""
 
 from __future__ import annotations
 
@@ -28,10 +27,7 @@ SLACK = 1e-8
 def constrained(
     problem: Problem, optimum: Optimum, constraints: Constraints, how: Settings
 ) -> tuple[Optimum, NDArray[np.float64]]:
-    """The optimum under constraints, from the one without them.
-
-    Shapes: returns (m, n + levels).
-    """
+    """The optimum under constraints, from the one without them: returns (m, n + levels)."""
     import casadi as ca
 
     n, width, names = problem.structure.n, problem.n_parameters, problem.structure.names

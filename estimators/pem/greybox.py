@@ -3,8 +3,7 @@
     x' = f(x, u, p)   or   x(t+1) = f(x, u, p),      y = h(x, u, p) + e
 
 The input is held between samples; continuous time is integrated by Runge-Kutta of order 4 in substeps, its error
-O((dt / substeps)^4). Sensitivities are propagated forwards, sample by sample.
-"""
+O((dt / substeps)^4). Sensitivities are propagated forwards, sample by sample."""
 
 from __future__ import annotations
 
@@ -27,12 +26,10 @@ from oed.files.objects import as_records
 
 @dataclass(frozen=True, eq=False)
 class GreyBox:
-    """A model as two functions of CasADi symbols.
-
-    `dynamics` (x, u, p) -> x' or x(t+1), each a casadi.SX column; `output` (x, u, p) -> y; `n_states` number
-    of states; `start` parameters by name with their initial guesses; their order is that of p; `continuous`
-    whether `dynamics` is a time derivative, per second; `substeps` runge-Kutta steps per sample.
-    """
+    """A model as two functions of CasADi symbols. `dynamics` (x, u, p) -> x' or x(t+1), each a casadi.SX
+    column; `output` (x, u, p) -> y; `n_states` number of states; `start` parameters by name with their
+    initial guesses; their order is that of p; `continuous` whether `dynamics` is a time derivative, per
+    second; `substeps` runge-Kutta steps per sample."""
 
     dynamics: Callable[[Any, Any, Any], Any]
     output: Callable[[Any, Any, Any], Any]
@@ -44,14 +41,11 @@ class GreyBox:
 
 @dataclass(frozen=True, eq=False)
 class GreyBoxFit:
-    """Estimated parameters of a grey-box model.
-
-    `names` of the parameters; `theta` (n,) estimates; `covariance` (n, n), for white residuals;
-    `noise_covariance` (ny, ny) of the residuals, corrected for the degrees of freedom; `fit_percent` of the
-    simulation on the data that were fitted; `residuals` (N, ny) of each record; `initial_states` (R, nx);
-    zero unless they were estimated; `status` how the search ended; `iterations` gauss-Newton steps;
-    `simulator` (u, x0) -> y.
-    """
+    """Estimated parameters of a grey-box model. `names` of the parameters; `theta` (n,) estimates;
+    `covariance` (n, n), for white residuals; `noise_covariance` (ny, ny) of the residuals, corrected for the
+    degrees of freedom; `fit_percent` of the simulation on the data that were fitted; `residuals` (N, ny) of
+    each record; `initial_states` (R, nx); zero unless they were estimated; `status` how the search ended;
+    `iterations` gauss-Newton steps; `simulator` (u, x0) -> y."""
 
     names: tuple[str, ...]
     theta: NDArray[np.float64]
@@ -70,10 +64,7 @@ class GreyBoxFit:
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     def simulate(self, u: ArrayLike, x0: ArrayLike | None = None) -> NDArray[np.float64]:
-        """Output of the model for an input.
-
-        Shapes: u (N, nu), x0 (nx,), returns (N, ny).
-        """
+        """Output of the model for an input: u (N, nu), x0 (nx,) -> (N, ny)."""
         width = self.initial_states.shape[1]
         start = np.zeros(width) if x0 is None else np.asarray(x0, dtype=float)
         return self.simulator(as_signal(u, "the input u"), start)

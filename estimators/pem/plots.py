@@ -183,8 +183,7 @@ def plot_step(fit: Fit, samples: int = 100, *, level: float = 0.95) -> Figure:
 
 def plot_order(fit: Fit) -> Figure:
     """What a subspace method went by: the singular values that tell the order, and the simulation error by
-    horizon.
-    """
+    horizon."""
     form, how = fit.model.structure, fit.subspace
     if how is None or isinstance(form, Polynomial):
         raise InputError(

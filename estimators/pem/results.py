@@ -28,10 +28,7 @@ def result(
     normals: NDArray | None = None,
     spread: NDArray | None = None,
 ) -> Fit:
-    """A fit from the optimum that was found.
-
-    Shapes: normals (m, n + levels), spread (n + levels, n + levels).
-    """
+    """A fit from the optimum that was found: normals (m, n + levels), spread (n + levels, n + levels)."""
     form, point, n = problem.structure, optimum.point, problem.structure.n
     ny, total = form.n_outputs, problem.n_observed
     n_states = problem.n_initial * len(records) if initial == "estimate" else 0

@@ -2,8 +2,7 @@
 
 The covariance of a fit holds where the model can describe the data. Where it cannot, the sandwich
 H^-1 M H^-1 does (Huber 1967; Ljung 1999, section 9.5): H the Hessian of the loss, M the long-run covariance of
-its gradient. Profile intervals (Wilks 1938) need no quadratic loss. Bands are delta-method ones.
-"""
+its gradient. Profile intervals (Wilks 1938) need no quadratic loss. Bands are delta-method ones."""
 
 from __future__ import annotations
 
@@ -26,20 +25,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """A curve with its standard errors.
-
-    `x` (K,) frequencies in rad/sample, or samples; `value` (K, ny, nu); `standard_error` (K, ny, nu).
-    """
+    """A curve with its standard errors. `x` (K,) frequencies in rad/sample, or samples; `value` (K, ny, nu);
+    `standard_error` (K, ny, nu)."""
 
     x: NDArray[np.float64]
     value: NDArray[np.float64]
     standard_error: NDArray[np.float64]
 
     def interval(self, level: float = 0.95) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Pointwise interval.
-
-        Shapes: returns (K, ny, nu).
-        """
+        """Pointwise interval: returns (K, ny, nu)."""
         from scipy.special import ndtri
 
         half = float(ndtri((1 + level) / 2)) * self.standard_error
@@ -79,17 +73,13 @@ def _problem(fit: Fit, records: Record | Sequence[Record]) -> tuple[Problem, NDA
 
 
 def sandwich(fit: Fit, records: Record | Sequence[Record], *, lags: int | None = None) -> Fit:
-    """The fit with a covariance that holds for a misspecified model too: H^-1 M H^-1.
-
-    H is half the Hessian of the loss, by central differences of its exact gradient; M the long-run covariance
-    of the gradient's terms: residuals over one minus their leverage, because fitted residuals are too small
-    (MacKinnon, White 1985: HC3), whitened by a vector autoregression of order 1, summed over lags with
-    Bartlett's weights, and coloured again (Andrews, Monahan 1992).
-
-    No covariance helps where the misspecified loss has its minimum far from the parameters in a part of the
-    samples: output error in noise much larger than the signal, at low frequencies, fits a slow mode to the
-    noise.
-    """
+    """The fit with a covariance that holds for a misspecified model too: H^-1 M H^-1. H is half the Hessian
+    of the loss, by central differences of its exact gradient; M the long-run covariance of the gradient's
+    terms: residuals over one minus their leverage, because fitted residuals are too small (MacKinnon, White
+    1985: HC3), whitened by a vector autoregression of order 1, summed over lags with Bartlett's weights, and
+    coloured again (Andrews, Monahan 1992). No covariance helps where the misspecified loss has its minimum
+    far from the parameters in a part of the samples: output error in noise much larger than the signal, at
+    low frequencies, fits a slow mode to the noise."""
     problem, z = _problem(fit, records)
     point = problem.evaluate(z)
     if point is None:
@@ -141,10 +131,7 @@ def default_lags(samples: int) -> int:
 
 def long_run(scores: list[NDArray], lags: int) -> NDArray[np.float64]:
     """Sum over all pairs of times of the covariance of a series: whitened, weighted by Bartlett, coloured
-    again.
-
-    Shapes: scores (N, n), returns (n, n).
-    """
+    again; scores (N, n) -> (n, n)."""
     n = scores[0].shape[1]
     recolour = np.eye(n)
     if lags:
@@ -166,9 +153,7 @@ def profile_interval(
     fit: Fit, records: Record | Sequence[Record], name: str, *, level: float = 0.95
 ) -> tuple[float, float]:
     """Profile-likelihood interval of a parameter: where the other parameters' best fit is not too much worse.
-
-    N log(V(theta_k) / V) <= the chi-squared quantile with one degree of freedom.
-    """
+    N log(V(theta_k) / V) <= the chi-squared quantile with one degree of freedom."""
     from scipy.optimize import brentq
     from scipy.special import chdtri
 
@@ -232,10 +217,7 @@ def _propagated(fit: Fit, function: Callable[[NDArray], NDArray]) -> tuple[NDArr
 
 
 def bode_band(fit: Fit, omega: ArrayLike) -> tuple[Band, Band]:
-    """Gain and phase of G with their standard errors.
-
-    Shapes: omega (K,).
-    """
+    """Gain and phase of G with their standard errors: omega (K,)."""
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     g, dg = fit.model.response(omega)
     relative = dg / np.where(np.abs(g) > 0, g, 1.0)[:, None]
@@ -248,10 +230,7 @@ def bode_band(fit: Fit, omega: ArrayLike) -> tuple[Band, Band]:
 
 
 def step_band(fit: Fit, samples: int = 100) -> Band:
-    """Step response with its standard errors.
-
-    Shapes: returns (samples, ny, nu).
-    """
+    """Step response with its standard errors: returns (samples, ny, nu)."""
     structure = fit.model.structure
     steps = [np.outer(np.ones(samples), row) for row in np.eye(structure.n_inputs)]
 

@@ -11,10 +11,7 @@ Parts = Sequence[NDArray[np.float64]]
 
 
 def noise_filter(residuals: Parts, most: int | None = None) -> NDArray[np.float64]:
-    """Autoregression that whitens a noise, its order chosen by Akaike's criterion.
-
-    Shapes: residuals (N,).
-    """
+    """Autoregression that whitens a noise, its order chosen by Akaike's criterion: residuals (N,)."""
     total = sum(map(len, residuals))
     most = min(40, total // 20, min(map(len, residuals)) - 1) if most is None else most
     covariance = np.array(
@@ -39,10 +36,7 @@ def noise_filter(residuals: Parts, most: int | None = None) -> NDArray[np.float6
 
 
 def delayed(x: NDArray, lags: Iterable[int]) -> NDArray:
-    """A signal at several lags.
-
-    Shapes: x (N, 1), returns (N, L).
-    """
+    """A signal at several lags: x (N, 1) -> (N, L)."""
     n, out = len(x), []
     for k in lags:
         column = np.zeros(n)
@@ -56,10 +50,7 @@ def taken_up(
     per_output: list[list[NDArray]], sensitivity: Parts, weight: NDArray, influence: Parts | None
 ) -> list[list[NDArray]]:
     """What is left of the columns once the fit has taken its part: by least squares, or by the noise's
-    influence.
-
-    Shapes: sensitivity (N, ny, n), weight (ny, ny), influence (N, ny, m).
-    """
+    influence; sensitivity (N, ny, n), weight (ny, ny), influence (N, ny, m)."""
     known = 0 if influence is None else influence[0].shape[2]
     cross = np.zeros((sensitivity[0].shape[2] - known, per_output[0][0].shape[1]))
     normal = np.zeros((len(cross), len(cross)))
@@ -83,13 +74,9 @@ def taken_up(
 
 
 def spread_of(parts: Parts, per_output: list[list[NDArray]]) -> NDArray:
-    """Covariance of columns times noise, sum_kl Y_k' Sigma_kl Y_l.
-
-    Noise k is white noise w_k filtered by 1 / A_k, the w correlated at equal times. A column against filtered
-    noise is the column through the same filter, backwards in time, against w.
-
-    Shapes: parts (N, ny), returns (L, L).
-    """
+    """Covariance of columns times noise, sum_kl Y_k' Sigma_kl Y_l: parts (N, ny) -> (L, L). Noise k is white
+    noise w_k filtered by 1 / A_k, the w correlated at equal times. A column against filtered noise is the
+    column through the same filter, backwards in time, against w."""
     from scipy.signal import lfilter
 
     filters = [noise_filter([e[:, k] for e in parts]) for k in range(len(per_output))]
@@ -109,9 +96,7 @@ def spread_of(parts: Parts, per_output: list[list[NDArray]]) -> NDArray:
 
 
 def inverse(matrix: NDArray) -> NDArray:
-    """Pseudo-inverse of a positive semidefinite matrix in units that make its diagonal 1.
-
-    Shapes: matrix (n, n), returns (n, n).
-    """
+    """Pseudo-inverse of a positive semidefinite matrix in units that make its diagonal 1: matrix (n, n) ->
+    (n, n)."""
     size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     return np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)

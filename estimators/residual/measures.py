@@ -7,10 +7,8 @@ from numpy.typing import NDArray
 
 
 def fit_percent(y: NDArray, y_hat: NDArray) -> float:
-    """100 (1 - |y - y_hat| / |y - mean y|), the mean over outputs.
-
-    Shapes: y, y_hat (N, ny), measured and modelled; rows with NaN in y are left out. 100 is perfect, 0 no better than the mean.
-    """
+    """100 (1 - |y - y_hat| / |y - mean y|), the mean over outputs: y, y_hat (N, ny), measured and modelled;
+    rows with NaN in y are left out. 100 is perfect, 0 no better than the mean."""
     values = []
     for i in range(y.shape[1]):
         known, error = y[:, i], y[:, i] - y_hat[:, i]

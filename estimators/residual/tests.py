@@ -4,8 +4,7 @@ Under the hypothesis that nothing is missing, e = M e0 with the true noise e0 an
 projection that the fit of the parameters makes (J the sensitivities). A correlation z = X'e with columns X is
 then normal with covariance (M X)' Sigma (M X): that is what is used, with Sigma the noise's own covariance
 (coloured noise included) estimated by an autoregression of the residuals. Without the projection the test of a fit's
-residuals is wrong both ways: in AR(0.9) noise it rejects 12 % at a level of 5 %, in white noise .5 %.
-"""
+residuals is wrong both ways: in AR(0.9) noise it rejects 12 % at a level of 5 %, in white noise .5 %."""
 
 from __future__ import annotations
 
@@ -217,11 +216,10 @@ def residual_tests(
 def autocorrelation(
     residuals: NDArray | Parts, *, lags: int = 25, jacobian: Parts | None = None, covariance: NDArray | None = None
 ) -> ResidualTest:  # fmt: skip
-    """Whiteness of (N,) signals whose (N, n) sensitivities to all that was fitted are given; None: nothing was fitted.
-
-    Cov(r) = (I - Gamma' P Gamma / sigma^2) / N with Gamma_l = sum_t J_t e(t - l) and P the (n, n) covariance of what was
-    fitted, by default sigma^2 (J'J)^-1: fitted parameters have removed some of the correlation (McLeod 1978, JRSS B 40, 296).
-    """
+    """Whiteness of (N,) signals whose (N, n) sensitivities to all that was fitted are given; None: nothing
+    was fitted. Cov(r) = (I - Gamma' P Gamma / sigma^2) / N with Gamma_l = sum_t J_t e(t - l) and P the (n, n)
+    covariance of what was fitted, by default sigma^2 (J'J)^-1: fitted parameters have removed some of the
+    correlation (McLeod 1978, JRSS B 40, 296)."""
     parts = _parts(residuals)
     lags = _limited(lags, parts)
     total, power = sum(map(len, parts)), sum(float(e @ e) for e in parts)
@@ -249,13 +247,12 @@ def cross_correlation(
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """Residuals with what the fit has made of them.
-
-    residuals[r] is (N, ny), sensitivity[r] (N, ny, n) to everything that was fitted (None: nothing was), weight (ny, ny) of
-    the least squares, spread (n, n) the covariance of what was fitted. known: 1 where that covariance adds to the residuals'
-    (fresh data), -1 where a posterior's has been taken from it, 0 where the fit is least squares, whose projection is exact.
-    influence[r] (N, ny, m) is what noise adds to the first m parameters where these are no least squares estimate.
-    """
+    """Residuals with what the fit has made of them. residuals[r] is (N, ny), sensitivity[r] (N, ny, n) to
+    everything that was fitted (None: nothing was), weight (ny, ny) of the least squares, spread (n, n) the
+    covariance of what was fitted. known: 1 where that covariance adds to the residuals' (fresh data), -1
+    where a posterior's has been taken from it, 0 where the fit is least squares, whose projection is exact.
+    influence[r] (N, ny, m) is what noise adds to the first m parameters where these are no least squares
+    estimate."""
 
     records: Sequence[Record]
     residuals: Parts
@@ -314,13 +311,12 @@ def _linear(fit: Any, records: Record | Sequence[Record], fresh: bool) -> _Linea
 
 
 def _against(of: _Linear, name: str, i: int, u: Parts, lags: Iterable[int] | int) -> ResidualTest:
-    """The residual of output i against an input, after a fit of all outputs together weighted by W.
-
-    e_i = e0_i - J_i P sum J' W e0 with P = (sum J' W J)^-1, so that z = sum_k Y_k' e0_k with
-    Y_k = (k = i) X - (J W)_k P (J_i' X): as many columns as lags for every output k. Of a posterior with covariance P
-    the residual has taken up X' J P J' X, the prior's share left in it. Where the first parameters are no minimum of this
-    sum but moved by sum_t kappa_t e0(t), the influence, the others alone are fitted, and Y_k gains kappa_k (sum_m J_m' Y_m).
-    """
+    """The residual of output i against an input, after a fit of all outputs together weighted by W. e_i =
+    e0_i - J_i P sum J' W e0 with P = (sum J' W J)^-1, so that z = sum_k Y_k' e0_k with Y_k = (k = i) X - (J
+    W)_k P (J_i' X): as many columns as lags for every output k. Of a posterior with covariance P the residual
+    has taken up X' J P J' X, the prior's share left in it. Where the first parameters are no minimum of this
+    sum but moved by sum_t kappa_t e0(t), the influence, the others alone are fitted, and Y_k gains kappa_k
+    (sum_m J_m' Y_m)."""
     parts = of.residuals
     if [len(x) for x in parts] != [len(x) for x in u]:
         raise InputError(

@@ -5,8 +5,7 @@ noise, fits once and then applies the optimum for the fitted model; `sequential`
 earlier experiments have told enters every design as prior information, so that the designs need not determine again
 what is known. For the peak gain `sequential` hedges: the optimum for a known plant is one sinusoid at the peak, which
 tells nothing about whether the peak is elsewhere; it applies the mean of the optima of plants drawn from what is known
-so far, a multisine as wide as the peak is uncertain.
-"""
+so far, a multisine as wide as the peak is uncertain."""
 
 from __future__ import annotations
 
@@ -103,12 +102,10 @@ def sequential(
     draws: int = 32,
     inflation: float = 3.0,
 ) -> Rule:
-    """White noise once, then redesign after 1, 2, 3, 4, 6, 8, 12, 16, 24, ... experiments.
-
-    Optimal for the peak gain is the sinusoid at the peak in the direction of the largest singular value
-    (gain-scaling theorem, `oed.theory.claim`); the mean of these sinusoids over the posterior is the design
-    that is best on average to first order where the posterior is wide.
-    """
+    """White noise once, then redesign after 1, 2, 3, 4, 6, 8, 12, 16, 24, ... experiments. Optimal for the
+    peak gain is the sinusoid at the peak in the direction of the largest singular value (gain-scaling
+    theorem, `oed.theory.claim`); the mean of these sinusoids over the posterior is the design that is best on
+    average to first order where the posterior is wide."""
     if draws < 0 or not inflation > 0:
         raise InputError(f"draws is {draws} and inflation {inflation:g}; give draws >= 0 and inflation > 0.")
     hedge = (draws, inflation) if draws and criterion == "hinf" else None
@@ -151,9 +148,7 @@ def _hedged(
 
 def _stable_responses(plant: Plant, theta: NDArray[np.float64], N: int) -> NDArray[np.complex128]:
     """Responses of the plants with these parameters on the N // 2 + 1 DFT lines, (plants, lines, ny, nu).
-
-    Unstable plants are none that could be measured, and are left out.
-    """
+    Unstable plants are none that could be measured, and are left out."""
     rows = {row[0]: row[1:5] for row in plant._parameters()}
     shape = (len(theta), plant.n_outputs, plant.n_inputs)
     length = max(len(p) for side in (plant.num, plant.den) for row in side for p in row)

@@ -3,8 +3,7 @@
 [S] Sec. 6 leaves it as future work to use data from old experiments. Every input of the power iterations
 forgets all experiments but the last, so noise of variance lambda_e enters anew each time: at lambda_e of the order of
 gamma^2 most of the input is noise. A step that shrinks averages it away, as in the iterations that [S] cites,
-Krasulina (1970) and Oja and Karhunen (1985), for the largest eigenvalue of a matrix that is seen in noise.
-"""
+Krasulina (1970) and Oja and Karhunen (1985), for the largest eigenvalue of a matrix that is seen in noise."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 Every DFT line is an arm. The posterior of its response after some experiments is complex normal with mean
 sum Y U* / sum |U|^2 and variance lambda_e / sum |U|^2; an experiment's power is shared among the lines in
-proportion to how often each has the largest gain when all are drawn from their posteriors.
-"""
+proportion to how often each has the largest gain when all are drawn from their posteriors."""
 
 from __future__ import annotations
 
@@ -72,11 +71,9 @@ def thompson_sampling(
     power: float = 1.0,
     explore: float = 0.05,
 ) -> Generator[Step, NDArray[np.float64], None]:
-    """Multisines whose powers follow the chance of each line to be the peak.
-
-    After Mueller, Valenzuela, Proutiere, Rojas, "A stochastic multi-armed bandit approach to nonparametric
-    H-infinity norm estimation", CDC 2017 (the weighted variant), with lambda_e estimated.
-    """
+    """Multisines whose powers follow the chance of each line to be the peak. After Mueller, Valenzuela,
+    Proutiere, Rojas, "A stochastic multi-armed bandit approach to nonparametric H-infinity norm estimation",
+    CDC 2017 (the weighted variant), with lambda_e estimated."""
     if (n_inputs, n_outputs) != (1, 1):
         raise InputError(
             f"Thompson sampling over frequencies needs one input and one output, not {n_inputs} and {n_outputs}."

@@ -1,7 +1,6 @@
 """Inputs that do not depend on what was measured, as rules for `run`: the yardsticks of the comparison.
 
-Every input has exactly the power asked for (summed over channels); each experiment draws a new one.
-"""
+Every input has exactly the power asked for (summed over channels); each experiment draws a new one."""
 
 from __future__ import annotations
 
@@ -69,10 +68,7 @@ def sweep(
 
 
 def fixed(u: ArrayLike, kind: str = "fixed") -> Rule:
-    """A rule that repeats one signal, such as a designed one, as it is.
-
-    Shapes: u (N, nu).
-    """
+    """A rule that repeats one signal, such as a designed one, as it is: u (N, nu)."""
     signal = as_signal(u, "the fixed input")
 
     def rule(samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator) -> Steps:

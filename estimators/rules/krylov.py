@@ -2,8 +2,7 @@
 
 Power iterations keep the last vector only; Lanczos keeps the span of all of them and takes the largest gain
 in it, so that without noise the same experiments give a lower bound that is never worse, and far better
-where singular values lie close together.
-"""
+where singular values lie close together."""
 
 from __future__ import annotations
 
@@ -29,10 +28,8 @@ def lanczos(
     limits: Limits | None = None,
     start: ArrayLike | None = None,
 ) -> Generator[Step, NDArray[np.float64], None]:
-    """Lanczos vectors as inputs: one experiment each for one channel, 1 + pq for several.
-
-    The next input is the part of T y (of G' G u) that is orthogonal to all inputs before it.
-    """
+    """Lanczos vectors as inputs: one experiment each for one channel, 1 + pq for several. The next input is
+    the part of T y (of G' G u) that is orthogonal to all inputs before it."""
     limits = limits or Limits()
     u = first_input(samples, n_inputs, rng, limits, start)
     single = n_inputs == n_outputs == 1

@@ -14,12 +14,9 @@ from oed.errors import ExperimentError, InputError
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Limits on the input; those that are None do not bind.
-
-    `power` sum over channels of the mean square, in squared input units (default 1); `energy` sum over
-    channels and samples of the squares; `amplitude` largest absolute value, common or per channel;
-    `channel_power` mean square of each channel, (nu,).
-    """
+    """Limits on the input; those that are None do not bind. `power` sum over channels of the mean square, in
+    squared input units (default 1); `energy` sum over channels and samples of the squares; `amplitude`
+    largest absolute value, common or per channel; `channel_power` mean square of each channel, (nu,)."""
 
     power: float | None = 1.0
     energy: float | None = None
@@ -45,10 +42,7 @@ class Limits:
 
 
 def scaled(x: ArrayLike, limits: Limits) -> NDArray[np.float64]:
-    """The largest positive multiple of a signal that meets the limits.
-
-    Shapes: x (N, nu), returns (N, nu).
-    """
+    """The largest positive multiple of a signal that meets the limits: x (N, nu) -> (N, nu)."""
     x = np.asarray(x, dtype=float)
     N = len(x)
     total = float(np.vdot(x, x)) / N

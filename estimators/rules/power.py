@@ -78,10 +78,8 @@ def power_iterations(
 def first_input(
     samples: int, n_inputs: int, rng: np.random.Generator, limits: Limits, start: ArrayLike | None
 ) -> NDArray[np.float64]:
-    """The start of the iterations: what the user gave, or white noise, scaled to the limits.
-
-    Shapes: start (N, nu), returns (N, nu).
-    """
+    """The start of the iterations: what the user gave, or white noise, scaled to the limits; start (N, nu) ->
+    (N, nu)."""
     if start is None:
         return white_start(samples, n_inputs, rng, limits)
     u = as_signal(start, "the start")

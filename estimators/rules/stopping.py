@@ -1,7 +1,6 @@
 """When to stop iterating: the estimate changes by less than its own standard error.
 
-The budget of experiments is an argument of `run`; this is its `stop`.
-"""
+The budget of experiments is an argument of `run`; this is its `stop`."""
 
 from __future__ import annotations
 
@@ -17,12 +16,10 @@ from oed.errors import InputError
 def settled(
     estimator: Callable[[Trace], Gains] = gain, *, window: int = 10, share: float = 1.0
 ) -> Callable[[Trace], bool]:
-    """A stopping rule: the last iterations agree with those before them.
-
-    Two neighbouring windows of iterations are compared: their means differ by less than `share` times the
-    standard error of the difference, computed from their own scatter. Without noise the scatter is the
-    remaining drift itself, and a relative change below 1e-6 stops.
-    """
+    """A stopping rule: the last iterations agree with those before them. Two neighbouring windows of
+    iterations are compared: their means differ by less than `share` times the standard error of the
+    difference, computed from their own scatter. Without noise the scatter is the remaining drift itself, and
+    a relative change below 1e-6 stops."""
     if window < 3 or not share > 0:
         raise InputError(f"window is {window} and share {share}; they must be at least 3 and positive.")
 

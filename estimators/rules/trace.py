@@ -8,8 +8,7 @@ to play (`kind`), and receives the measured output, (N, ny):
             y = yield np.ones((samples, n_inputs))
 
 `run` is the only loop. Because a rule never sees the rig, the same generator can be driven by a simulated
-plant, by a person with files, or by records played back.
-"""
+plant, by a person with files, or by records played back."""
 
 from __future__ import annotations
 
@@ -30,12 +29,9 @@ Rule = Callable[[int, int, int, np.random.Generator], Generator[Any, NDArray[np.
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """An input with its part in the method.
-
-    `u` (N, nu) the input to apply; `kind` what the experiment is for: "power", "forward", "transpose 1 2"
-    (input 1, output 2), "white", ... One iteration of a method begins at every kind that is not "transpose
-    ...".
-    """
+    """An input with its part in the method. `u` (N, nu) the input to apply; `kind` what the experiment is
+    for: "power", "forward", "transpose 1 2" (input 1, output 2), "white", ... One iteration of a method
+    begins at every kind that is not "transpose ..."."""
 
     u: NDArray[np.float64]
     kind: str = ""

@@ -8,8 +8,7 @@ each. Adjoint learning control needs nothing else: with the error e_k = r - y_k 
     u_(k+1) = u_k + a G' e_k,    noise-free e_(k+1) = (I - a G G') e_k,
 
 a contraction (in the range of G) for 0 < a < 2 / ||G_N||^2, where the power iterations of [M] (14)-(15), which
-feed G' G u back itself, are an expansion.
-"""
+feed G' G u back itself, are an expansion."""
 
 from __future__ import annotations
 
@@ -27,10 +26,7 @@ from oed.experiments import Experiment
 def apply_transpose(
     experiment: Experiment, x: ArrayLike, *, power: float | None = None
 ) -> NDArray[np.float64]:
-    """G' x by pq experiments on G.
-
-    Shapes: x (N, ny), returns (N, nu).
-    """
+    """G' x by pq experiments on G: x (N, ny) -> (N, nu)."""
     x = as_signal(x, "the signal to transpose")
     if x.shape[1] != experiment.n_outputs:
         raise InputError(
@@ -51,11 +47,8 @@ def apply_transpose(
 
 @dataclass(frozen=True, eq=False)
 class LearningControl:
-    """Trials of adjoint iterative learning control.
-
-    `u` (N, nu) last input; `errors` (trials,) root mean square of r - y in every trial, as measured; `inputs,
-    outputs` of every trial; `step` the learning gain a.
-    """
+    """Trials of adjoint iterative learning control. `u` (N, nu) last input; `errors` (trials,) root mean
+    square of r - y in every trial, as measured; `inputs, outputs` of every trial; `step` the learning gain a."""
 
     u: NDArray[np.float64]
     errors: NDArray[np.float64]
@@ -79,10 +72,7 @@ def adjoint_learning(
     relaxation: float = 1.0,
     decreasing: bool = False,
 ) -> LearningControl:
-    """Learn the input that tracks a reference, without a model.
-
-    Shapes: reference (N, ny).
-    """
+    """Learn the input that tracks a reference, without a model: reference (N, ny)."""
     r = as_signal(reference, "the reference")
     if r.shape[1] != experiment.n_outputs:
         raise InputError(
@@ -123,10 +113,8 @@ def lipschitz_constant(
 
 
 def model_error(model: object, experiment: Experiment) -> Experiment:
-    """Experiments on the model error P_model - P_true: one experiment and one simulation each.
-
-    [M] (1) and Sec. II.
-    """
+    """Experiments on the model error P_model - P_true: one experiment and one simulation each. [M] (1) and
+    Sec. II."""
     shape = (getattr(model, "n_inputs", None), getattr(model, "n_outputs", None))
     if shape != (experiment.n_inputs, experiment.n_outputs):
         raise InputError(

@@ -23,10 +23,7 @@ ROUNDING = 1e-9
 
 
 def check_input(u: Array, settings: Settings) -> None:
-    """Raise if a rig's input violates a limit, naming the limit, the channel and the sample.
-
-    Shapes: u (samples, nu).
-    """
+    """Raise if a rig's input violates a limit, naming the limit, the channel and the sample: u (samples, nu)."""
     if not np.isfinite(u).all():
         raise InputError("the input has samples that are not finite; nothing was written.")
     for name, unit, values, limits in _demands(u, settings):
@@ -42,10 +39,7 @@ def check_input(u: Array, settings: Settings) -> None:
 
 
 def fitting_factor(u: Array, settings: Settings) -> tuple[float, str]:
-    """By what the deviation from the levels must be multiplied so that every limit is met.
-
-    Shapes: u (samples, nu).
-    """
+    """By what the deviation from the levels must be multiplied so that every limit is met: u (samples, nu)."""
     factor, binding = 1.0, ""
     for name, _, values, limits in _demands(u, settings):
         largest = values.max(axis=0)
@@ -73,11 +67,8 @@ def _demands(u: Array, settings: Settings) -> Iterator[tuple[str, str, Array, tu
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The content of a recorded file.
-
-    `y` (rows, ny) outputs; NaN where a sample is missing; `u` (rows, nu) the inputs as they were recorded
-    beside them, where they were.
-    """
+    """The content of a recorded file. `y` (rows, ny) outputs; NaN where a sample is missing; `u` (rows, nu)
+    the inputs as they were recorded beside them, where they were."""
 
     y: Array
     u: Array | None
@@ -140,10 +131,7 @@ def _check_clock(t: Array, settings: Settings, name: str) -> None:
 
 
 def check_output(y: Array, rows: int, settings: Settings) -> None:
-    """Raise if an output has not the session's shape.
-
-    Shapes: y (N, ny).
-    """
+    """Raise if an output has not the session's shape: y (N, ny)."""
     if y.ndim != 2 or y.shape[1] != settings.n_outputs:
         raise InputError(
             f"the output has the shape {y.shape}; it must be ({rows}, {settings.n_outputs}), time on axis 0."
@@ -158,10 +146,7 @@ def check_output(y: Array, rows: int, settings: Settings) -> None:
 
 def check_reference(u: Array, asked: Array, before: list[Array], settings: Settings) -> None:
     """Raise if the inputs recorded beside the outputs are not those that were asked for, and say what they
-    are.
-
-    Shapes: u (rows, nu), asked (rows, nu).
-    """
+    are: u (rows, nu), asked (rows, nu)."""
     close = lambda a, b: _distance(a, b, settings) <= settings.reference_tolerance
     if not np.isfinite(u).all():
         raise InputError("the recorded input has samples that are not finite; record it again.")
@@ -206,10 +191,7 @@ def _distance(u: Array, asked: Array, settings: Settings) -> float:
 
 
 def faults(y: Array, u: Array, settings: Settings, *, silent: bool = False) -> str:
-    """What makes a measurement unfit for use, empty where nothing does.
-
-    Shapes: y (rows, ny), u (rows, nu).
-    """
+    """What makes a measurement unfit for use, empty where nothing does: y (rows, ny), u (rows, nu)."""
     for i, name in enumerate(settings.outputs):
         signal = y[:, i]
         bad = ~np.isfinite(signal)

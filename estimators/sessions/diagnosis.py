@@ -13,12 +13,9 @@ from oed.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class SessionDiagnosis:
-    """What is missing, by whichever way the session's records allow.
-
-    `of_model` corrections of the model that the session was given; `of_rig` the `Diagnosis` of what any
-    linear model of the rig lacks, None where it was not made; `proposal` the experiment that would decide
-    between the likeliest causes.
-    """
+    """What is missing, by whichever way the session's records allow. `of_model` corrections of the model that
+    the session was given; `of_rig` the `Diagnosis` of what any linear model of the rig lacks, None where it
+    was not made; `proposal` the experiment that would decide between the likeliest causes."""
 
     of_model: ModelError | None = None
     of_rig: Any = None

@@ -16,17 +16,15 @@ from oed.errors import OedError, Status
 
 @dataclass(frozen=True, eq=False)
 class SessionEstimate:
-    """Peak gain of what the session experiments on.
-
-    `value` H-infinity norm; NaN before the first measurement; `standard_error` naN where there is none yet;
-    `interval` 95 % interval; `frequency` where the gain peaks, in rad/sample; `frequency_error` its standard
-    error; infinite where the records do not say where the peak is: `frequency` is then only the place that
-    was looked at; `direction` (nu,) complex: the worst-case input direction there; `estimator` which
-    estimator the numbers are from; `status` whether they can be trusted; `gains` the method's own estimate
-    after every iteration, where it has one; `noise_floor` standard deviation of the noise on one sample of
-    each output, after averaging; from the scatter of the periods where there are several, otherwise from the
-    estimator, the same for all outputs; `message` what a reader should know; `dt` sampling time in seconds.
-    """
+    """Peak gain of what the session experiments on. `value` H-infinity norm; NaN before the first
+    measurement; `standard_error` naN where there is none yet; `interval` 95 % interval; `frequency` where the
+    gain peaks, in rad/sample; `frequency_error` its standard error; infinite where the records do not say
+    where the peak is: `frequency` is then only the place that was looked at; `direction` (nu,) complex: the
+    worst-case input direction there; `estimator` which estimator the numbers are from; `status` whether they
+    can be trusted; `gains` the method's own estimate after every iteration, where it has one; `noise_floor`
+    standard deviation of the noise on one sample of each output, after averaging; from the scatter of the
+    periods where there are several, otherwise from the estimator, the same for all outputs; `message` what a
+    reader should know; `dt` sampling time in seconds."""
 
     value: float
     standard_error: float
@@ -61,10 +59,7 @@ class SessionEstimate:
 def estimate_of(
     settings: Settings, records: Trace, own: Trace, scatter: NDArray[np.float64] | None = None
 ) -> SessionEstimate:
-    """Estimate from what was measured.
-
-    Shapes: scatter (ny,).
-    """
+    """Estimate from what was measured: scatter (ny,)."""
     nan = float("nan")
     if not len(records):
         return SessionEstimate(
@@ -112,9 +107,7 @@ def _peak(settings: Settings, records: Trace) -> tuple[PeakEstimate, str, str]:
 
 def _against_rival(records: Trace, found: PeakEstimate) -> tuple[PeakEstimate, str]:
     """The peak found, or the largest one elsewhere if that is surely larger; a word of doubt where it may be.
-
-    The iterations may settle at the lesser of two peaks for a long time ([M] Fig. 4: 296 Hz before 121 Hz).
-    """
+    The iterations may settle at the lesser of two peaks for a long time ([M] Fig. 4: 296 Hz before 121 Hz)."""
     N = len(records.records[0])
     half = min(30, max(N // 8, 1))
     step = 2 * np.pi / N

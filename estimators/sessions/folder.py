@@ -9,8 +9,7 @@
     journal.txt           one line per event: time, step, file, fingerprint
 
 The state is `session.json` and the inputs and outputs; the journal adds their fingerprints and is mended where a kill
-came between a file and its line.
-"""
+came between a file and its line."""
 
 from __future__ import annotations
 
@@ -48,10 +47,7 @@ class Folder:
         self.path = path
 
     def find(self, kind: str) -> dict[tuple[int, int], Path]:
-        """The files of a kind by step and version.
-
-        Shapes: returns (step, version).
-        """
+        """The files of a kind by step and version: returns (step, version)."""
         found = {}
         for entry in os.listdir(self.path):
             hit = NAME.fullmatch(entry)

@@ -7,8 +7,7 @@ its norm is below that of G and tends to it as N grows. Without a ramp W is the 
 Periodic: ramp in, warm-up periods, measured periods, ramp out; the measured periods are averaged, and their scatter
 is the noise floor. The ramps lie outside the periods, so they change nothing once the transient has died out.
 
-Either way a lead at the level may come first: it gives the resting output, which is taken off.
-"""
+Either way a lead at the level may come first: it gives the resting output, which is taken off."""
 
 from __future__ import annotations
 
@@ -24,11 +23,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What is left of a recorded output.
-
-    `y` (N, ny) the measured part, averaged over the periods; `noise` (ny,) variance of the noise on one
-    sample of y, from the scatter of the periods; NaN with one period.
-    """
+    """What is left of a recorded output. `y` (N, ny) the measured part, averaged over the periods; `noise`
+    (ny,) variance of the noise on one sample of y, from the scatter of the periods; NaN with one period."""
 
     y: Array
     noise: Array
@@ -43,10 +39,7 @@ def rig_samples(settings: Settings) -> int:
 
 
 def taper(settings: Settings) -> Array:
-    """The weight w of every sample of an experiment from rest.
-
-    Shapes: returns (N, 1).
-    """
+    """The weight w of every sample of an experiment from rest: returns (N, 1)."""
     w = np.ones((settings.samples, 1))
     if settings.ramp and not settings.periodic:
         rise = _rise(settings.ramp)
@@ -60,10 +53,7 @@ def _rise(ramp: int) -> Array:
 
 
 def placed(u: Array, settings: Settings) -> Array:
-    """The whole input of an experiment as the rig sees it.
-
-    Shapes: u (N, nu).
-    """
+    """The whole input of an experiment as the rig sees it: u (N, nu)."""
     if settings.periodic:
         parts = [u] * (settings.periods + settings.warm_up)
         if settings.ramp:

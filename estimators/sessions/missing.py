@@ -32,13 +32,10 @@ MAKERS = ("gain", "delay", "feedthrough", "lag", "mode")
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """A correction of the model.
-
-    `name` none, gain, delay, feedthrough, lag or mode; `sentence` what it says; `criterion` gain of Schwarz's
-    criterion over no correction, in units of twice the log-likelihood; `before, after` root mean square of
-    the model error's output on the records held out, without and with the correction; `parameters` poles and
-    coefficients by name.
-    """
+    """A correction of the model. `name` none, gain, delay, feedthrough, lag or mode; `sentence` what it says;
+    `criterion` gain of Schwarz's criterion over no correction, in units of twice the log-likelihood; `before,
+    after` root mean square of the model error's output on the records held out, without and with the
+    correction; `parameters` poles and coefficients by name."""
 
     name: str
     sentence: str
@@ -53,11 +50,9 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class ModelError:
-    """What is missing from a model, and where.
-
-    `causes` best first; "none" among them; `frequency` worst-case frequency in rad/sample; `share` (ny, nu)
-    share of each entry of the model error in its squared size at that frequency.
-    """
+    """What is missing from a model, and where. `causes` best first; "none" among them; `frequency` worst-case
+    frequency in rad/sample; `share` (ny, nu) share of each entry of the model error in its squared size at
+    that frequency."""
 
     causes: tuple[Cause, ...]
     frequency: float

@@ -18,12 +18,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """The next input, and what it is for.
-
-    `u` (N,) input; `causes` the two causes between which it decides; empty where none could be told apart;
-    `power` predicted probability of the right decision with it; NaN where there is none; `white` the same
-    with white noise of the same length within the same limits; `candidates` all that were considered.
-    """
+    """The next input, and what it is for. `u` (N,) input; `causes` the two causes between which it decides;
+    empty where none could be told apart; `power` predicted probability of the right decision with it; NaN
+    where there is none; `white` the same with white noise of the same length within the same limits;
+    `candidates` all that were considered."""
 
     u: Array
     causes: tuple[str, ...] = ()
@@ -44,8 +42,7 @@ def diagnose_next(
     known: Sequence[Array] = (),
 ) -> Generator[Step, Array, None]:
     """Experiments that find out what a linear model lacks: each decides between the two likeliest causes so
-    far.
-    """
+    far."""
     if (n_inputs, n_outputs) != (1, 1):
         raise InputError(
             f"experiments that diagnose need one input and one output, not {n_inputs} and {n_outputs}."

@@ -2,8 +2,7 @@
 
 The input is at its level for four pieces, then for every input up by a small step for one piece and back for one. A piece
 is a ninth of an experiment, so that for no number of inputs its record has the length of one. What it finds decides nothing by itself: it warns of outputs that would leave their range,
-of responses below the noise, and of delays, drifts and tails that the session's settings do not expect.
-"""
+of responses below the noise, and of delays, drifts and tails that the session's settings do not expect."""
 
 from __future__ import annotations
 
@@ -48,15 +47,13 @@ WEAK = 1.0
 
 @dataclass(frozen=True)
 class RestTest:
-    """What a rest test found; i output, j input.
-
-    `rows` of the test; `pulse` [j] height of each pulse in the input's unit; `level` [i] mean output at rest; `noise` [i]
-    standard deviation about the line of the rest; `resolution` [i] smallest step between readings where they repeat, else
-    0; `drift` [i] slope per second and its standard error; `gain` [i][j] output over input at the end of the pulse and its
-    standard error; `response` [i][j] largest output over input within it, 0 where none was seen; `settled` [i][j] whether it
-    had come to rest; `delay` [i][j] samples until it left the noise, so at most so many; None where no sample did; `tail`
-    [i][j] samples until it had died out after the pulse; None where it had not.
-    """
+    """What a rest test found; i output, j input. `rows` of the test; `pulse` [j] height of each pulse in the
+    input's unit; `level` [i] mean output at rest; `noise` [i] standard deviation about the line of the rest;
+    `resolution` [i] smallest step between readings where they repeat, else 0; `drift` [i] slope per second
+    and its standard error; `gain` [i][j] output over input at the end of the pulse and its standard error;
+    `response` [i][j] largest output over input within it, 0 where none was seen; `settled` [i][j] whether it
+    had come to rest; `delay` [i][j] samples until it left the noise, so at most so many; None where no sample
+    did; `tail` [i][j] samples until it had died out after the pulse; None where it had not."""
 
     rows: int
     pulse: tuple[float, ...]
@@ -146,10 +143,8 @@ def _sizes(s: Settings) -> Array:
 
 
 def rest_input(s: Settings, share: float) -> Array:
-    """The input of a rest test, its pulses a share of the largest deviation, within all limits.
-
-    Shapes: returns (rows, nu).
-    """
+    """The input of a rest test, its pulses a share of the largest deviation, within all limits: returns
+    (rows, nu)."""
     if not 0 < share <= 1:
         raise InputError(f"the share is {share}; it is that of the largest input, above 0 and at most 1.")
     piece = max(s.samples // 9, SHORTEST)
@@ -163,10 +158,7 @@ def rest_input(s: Settings, share: float) -> Array:
 
 
 def rest_test(u: Array, y: Array, s: Settings) -> RestTest:
-    """What the record of a rest test says.
-
-    Shapes: u (rows, nu) from `rest_input`, y (rows, ny).
-    """
+    """What the record of a rest test says: u (rows, nu) from `rest_input`, y (rows, ny)."""
     nu, ny = s.n_inputs, s.n_outputs
     piece = len(u) // (QUIET + 2 * nu)
     quiet, t = y[: QUIET * piece], np.arange(QUIET * piece) * s.dt
@@ -206,10 +198,7 @@ def rest_test(u: Array, y: Array, s: Settings) -> RestTest:
 
 
 def _answer(pulse: Array, after: Array, height: float, least: float, spread: float) -> dict[str, Any]:
-    """One output's answer to one pulse.
-
-    Shapes: pulse (piece,), after (piece,).
-    """
+    """One output's answer to one pulse: pulse (piece,), after (piece,)."""
     half = len(pulse) // 2
     end, halfway = pulse[half:].mean(), pulse[half : half + half // 2].mean()
     seen, alive = np.flatnonzero(np.abs(pulse) > least), np.flatnonzero(np.abs(after) > least)
@@ -226,10 +215,8 @@ def _answer(pulse: Array, after: Array, height: float, least: float, spread: flo
 
 
 def _expected(found: RestTest, s: Settings, *inputs: Array) -> tuple[Array, Array]:
-    """Lowest and highest output to expect at the least: that of steps as large as the inputs' largest values.
-
-    Shapes: inputs (nu,) or (rows, nu), about their levels; returns (ny,), (ny,).
-    """
+    """Lowest and highest output to expect at the least: that of steps as large as the inputs' largest values;
+    inputs (nu,) or (rows, nu), about their levels; returns (ny,), (ny,)."""
     size = np.max([np.abs(np.atleast_2d(u) - np.asarray(s.level)).max(axis=0) for u in inputs], axis=0)
     reach = np.max(np.asarray(found.response) * size, axis=1)
     return np.asarray(found.level) - reach, np.asarray(found.level) + reach
@@ -311,8 +298,5 @@ def rest_of(session: StoredSession) -> RestTest | None:
 
 
 def next_warnings(found: RestTest, s: Settings, whole: Array) -> list[str]:
-    """What the rest test says of the input that comes next.
-
-    Shapes: whole (rows, nu).
-    """
+    """What the rest test says of the input that comes next: whole (rows, nu)."""
     return _beyond(s, *_expected(found, s, whole), "halve it with `oed session next DIR --reduce`")

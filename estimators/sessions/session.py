@@ -32,12 +32,9 @@ class FlaggedMeasurement(InputError):
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """An input that waits for its output.
-
-    `step` from 1; `kind` its part in the method; `u` (N, nu) what the method asked for; `whole` (rows, nu)
-    what the rig is to apply; `factor` whole is made of factor times u; `limit` which limit demanded a factor
-    below 1, empty where none did.
-    """
+    """An input that waits for its output. `step` from 1; `kind` its part in the method; `u` (N, nu) what the
+    method asked for; `whole` (rows, nu) what the rig is to apply; `factor` whole is made of factor times u;
+    `limit` which limit demanded a factor below 1, empty where none did."""
 
     step: int
     kind: str

@@ -52,10 +52,7 @@ class ConditionNumber(Criterion):
 
 
 def condition_criterion(n: int, lengths: ArrayLike | None = None, *, name: str = "") -> ConditionNumber:
-    """Modified E: the condition number of M, the parameters in given units.
-
-    Shapes: lengths (n,).
-    """
+    """Modified E: the condition number of M, the parameters in given units; lengths (n,)."""
     unit = np.ones(n) if lengths is None else np.asarray(lengths, dtype=float)
     if unit.shape != (n,) or not (np.isfinite(unit) & (unit > 0)).all():
         raise InputError(f"the units of the parameters are {unit}; give {n} positive numbers.")

@@ -19,11 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Criterion(ABC):
-    """A loss of the information matrix.
-
-    `V` (n, s), or (K, n, s) where it is the worst of several; `name` what it is called in tables; `family` V is a
-    sample of it, which bounds the loss from below; the loss is the maximum over all of it.
-    """
+    """A loss of the information matrix. `V` (n, s), or (K, n, s) where it is the worst of several; `name`
+    what it is called in tables; `family` V is a sample of it, which bounds the loss from below; the loss is
+    the maximum over all of it."""
 
     V: NDArray[np.float64]
     name: str = ""
@@ -79,10 +77,8 @@ class Criterion(ABC):
 
     @abstractmethod
     def conic(self, cp: Any, M: Any, V: Any, square: Any) -> tuple[Any, Any] | None:
-        """Objective, and constraint whose dual is X X', over an expression M in CVXPY (`cp`); None where it has none.
-
-        `V` and `square` = V V' are arrays or parameters.
-        """
+        """Objective, and constraint whose dual is X X', over an expression M in CVXPY (`cp`); None where it
+        has none. `V` and `square` = V V' are arrays or parameters."""
 
     @property
     def n(self) -> int:
@@ -105,10 +101,8 @@ class Criterion(ABC):
         return self.curvature is not None and self.whole
 
     def loss(self, information: ArrayLike) -> float:
-        """Loss of an information matrix; infinite where it does not determine what is asked.
-
-        Shapes: information (n, n).
-        """
+        """Loss of an information matrix; infinite where it does not determine what is asked; information (n,
+        n)."""
         M = np.asarray(information, dtype=float)
         if self.family is not None:
             return self.family.worst(M)
@@ -116,10 +110,8 @@ class Criterion(ABC):
         return self.of_covariance(covariance) if covariance is not None else np.inf
 
     def loss_of_factor(self, factor: NDArray[np.float64]) -> float:
-        """Loss of the information factor factor', with twice the digits of `loss` where that is singular.
-
-        Shapes: factor (n, k).
-        """
+        """Loss of the information factor factor', with twice the digits of `loss` where that is singular:
+        factor (n, k)."""
         if self.family is not None:
             return self.family.worst(factor @ factor.T)
         covariance = covariance_of_factor(factor, self.columns)
@@ -128,20 +120,16 @@ class Criterion(ABC):
     def direction(
         self, information: NDArray[np.float64], weight: NDArray[np.float64] | None = None
     ) -> NDArray[np.float64]:
-        """The X that makes the bound tight at a nonsingular optimum: Z = X X' is minus a subgradient.
-
-        Shapes: information (n, n).
-        """
+        """The X that makes the bound tight at a nonsingular optimum: Z = X X' is minus a subgradient;
+        information (n, n)."""
         Y = solved(information, self.columns)
         return self.turned(Y, self.columns.T @ Y, weight)
 
     def second(
         self, information: NDArray[np.float64], X: NDArray[np.float64], turned: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Second derivatives of a smooth criterion (D: of its logarithm times n) along changes dM of the information.
-
-        Shapes: turned (p, n, s), dM X of each, X being `direction`; returns (p, p).
-        """
+        """Second derivatives of a smooth criterion (D: of its logarithm times n) along changes dM of the
+        information; turned (p, n, s), dM X of each, X being `direction`; returns (p, p)."""
         from scipy.linalg import solve_triangular
 
         L = np.linalg.cholesky(information)
@@ -155,10 +143,7 @@ class Criterion(ABC):
         return H
 
     def transformed(self, R: NDArray[np.float64]) -> tuple[Criterion, float]:
-        """The same criterion for parameters R theta, and the factor between the losses.
-
-        Shapes: R (n, n).
-        """
+        """The same criterion for parameters R theta, and the factor between the losses: R (n, n)."""
         from scipy.linalg import solve_triangular
 
         return self.scaled(solve_triangular(R, self.columns, trans=1))

@@ -69,8 +69,5 @@ def a_criterion(n: int, weight: ArrayLike | None = None, *, name: str = "") -> T
 
 
 def c_criterion(c: ArrayLike, *, name: str = "") -> Trace:
-    """c-optimality: the variance c' M^-1 c of one combination c' theta.
-
-    Shapes: c (n,).
-    """
+    """c-optimality: the variance c' M^-1 c of one combination c' theta; c (n,)."""
     return Trace(np.asarray(c, dtype=float).reshape(-1, 1), name or "c")

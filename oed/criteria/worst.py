@@ -1,7 +1,6 @@
 """The worst of several: G, max_k trace(V_k' M^-1 V_k), and W, max_k det(V_k' M^-1 V_k)^(1/s); V (K, n, s).
 
-Numerators sum_k trace(V_k'X_k)^2 and s sum_k det(V_k'X_k)^(2/s).
-"""
+Numerators sum_k trace(V_k'X_k)^2 and s sum_k det(V_k'X_k)^(2/s)."""
 
 from __future__ import annotations
 

@@ -58,10 +58,9 @@ def certified(found: Exchange, *, tolerance: float, solver: str) -> Design:
 
 
 def _without_trifles(found: Exchange) -> Exchange:
-    """Without the lines of so little power that the loss does not tell; its loss is that of the lines that are left.
-
-    Beside a resonance of radius .9999 a billionth of the power may be all that a parameter is known by.
-    """
+    """Without the lines of so little power that the loss does not tell; its loss is that of the lines that
+    are left. Beside a resonance of radius .9999 a billionth of the power may be all that a parameter is known
+    by."""
     if found.problem.original.family is not None:  # what the problem holds of it is a sample, and tells less
         keep = found.w > 0
         return replace(found, columns=found.columns.take(keep), w=found.w[keep])

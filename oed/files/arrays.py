@@ -18,11 +18,9 @@ STEP = ("dt", "Ts", "ts")
 
 
 def table_of_arrays(shapes: Mapping[str, tuple[int, ...]], get: Callable[[str], Any], source: str) -> Table:
-    """Table of named arrays; one that is not a vector gives the columns name1, name2, ..., time on axis 0.
-
-    A vector is one channel whichever way it lies (MATLAB's 1 x N and N x 1), except in the files that
-    `write_record` wrote. Numbers on their own are not columns; of these `dt` (or `Ts`) and `t0` are used.
-    """
+    """Table of named arrays; one that is not a vector gives the columns name1, name2, ..., time on axis 0. A
+    vector is one channel whichever way it lies (MATLAB's 1 x N and N x 1), except in the files that
+    `write_record` wrote. Numbers on their own are not columns; of these `dt` (or `Ts`) and `t0` are used."""
     own = "input_names" in shapes and "output_names" in shapes and "u" in shapes and "y" in shapes
     place: dict[str, tuple[str, int | None]] = {}
     for name, shape in shapes.items():

@@ -12,13 +12,9 @@ UNIFORM = 1e-6
 
 
 def sampling_time(t: NDArray[np.float64], source: str, *, first_row: int = 0) -> tuple[float, float]:
-    """Sampling time of uniform times t_k = t_0 + k dt, and how well the times determine it.
-
+    """Sampling time of uniform times t_k = t_0 + k dt, and how well the times determine it: t (N,).
     Deviations up to 1e-6 of the step are accepted, and so are larger ones that rounding to the digits printed
-    explains: a line through the times exists with all of them within half a unit of the last digit.
-
-    Shapes: t (N,).
-    """
+    explains: a line through the times exists with all of them within half a unit of the last digit."""
     bad = ~np.isfinite(t)
     if bad.any():
         row = int(np.argmax(bad))

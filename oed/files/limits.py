@@ -1,7 +1,6 @@
 """How much a file may ask for: small files can declare columns, nesting and gigabytes that nobody recorded.
 
-Each limit can be raised by an environment variable, which its message names.
-"""
+Each limit can be raised by an environment variable, which its message names."""
 
 from __future__ import annotations
 

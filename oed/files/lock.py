@@ -14,11 +14,9 @@ from oed.errors import CampaignError, InputError
 
 @contextlib.contextmanager
 def locked(path: Path, what: str) -> Iterator[None]:
-    """Hold the lock on `what` (words for the message) while the block runs; refuse where another process holds it.
-
-    The lock is the operating system's, on the file at `path`, and not the file's existence: when a process is
-    killed the system lets go, so that nothing stale is left to be removed.
-    """
+    """Hold the lock on `what` (words for the message) while the block runs; refuse where another process
+    holds it. The lock is the operating system's, on the file at `path`, and not the file's existence: when a
+    process is killed the system lets go, so that nothing stale is left to be removed."""
     try:
         file = path.open("a+b")
     except OSError as error:

@@ -42,8 +42,7 @@ SECONDS |= {"": 1.0, "s": 1.0, "days": 86400.0}
 
 def mat_table(content: bytes, source: str) -> Table:
     """Table of a MAT file: its arrays, or its one struct with the fields InputData and OutputData (or u and
-    y).
-    """
+    y)."""
     offsets = (
         0,
         512,

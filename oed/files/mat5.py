@@ -1,8 +1,7 @@
 """MAT files of version 5, read here: every tag and every size is checked before a byte of it is believed.
 
 Malformed files end the process inside SciPy's compiled reader, which trusts them. Numbers, characters, cells and
-structs are read; sparse matrices, objects and functions are None, as nothing here can use them.
-"""
+structs are read; sparse matrices, objects and functions are None, as nothing here can use them."""
 
 from __future__ import annotations
 

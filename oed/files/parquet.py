@@ -26,10 +26,8 @@ KEY = b"oed.record"
 
 def open_parquet(source: Path | bytes) -> parquet.ParquetFile:
     """The only way here into a Parquet file: its pages carry checksums, and no thread of Arrow's is started.
-
-    Arrow's asynchronous scanner (`read_table`, `pre_buffer`, `use_threads`) leaves a thread that may still free a
-    Python buffer when the interpreter ends; that thread then asks for the GIL, and the process aborts.
-    """
+    Arrow's asynchronous scanner (`read_table`, `pre_buffer`, `use_threads`) leaves a thread that may still
+    free a Python buffer when the interpreter ends; that thread then asks for the GIL, and the process aborts."""
     import pyarrow as pa
     from pyarrow import parquet
 

@@ -83,14 +83,11 @@ UNITS = frozenset(
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns by name, loaded only when asked for.
-
-    `source` what the table is called in messages; `names` names of the columns; `load` takes names, gives one
-    float array (N,) each; `units` unit by column name, where the source says it; `inputs, outputs` the
-    columns that the source itself marks as inputs and outputs; empty where it does not; `labels` channel name
-    by column name, where it is not the column's name; `dt, t0` sampling time and time of the first sample
-    that the source itself states.
-    """
+    """Columns by name, loaded only when asked for. `source` what the table is called in messages; `names`
+    names of the columns; `load` takes names, gives one float array (N,) each; `units` unit by column name,
+    where the source says it; `inputs, outputs` the columns that the source itself marks as inputs and
+    outputs; empty where it does not; `labels` channel name by column name, where it is not the column's name;
+    `dt, t0` sampling time and time of the first sample that the source itself states."""
 
     source: str
     names: tuple[str, ...]
@@ -309,10 +306,7 @@ def _labels(table: Table, columns: Sequence[str]) -> dict[str, tuple[str, str]]:
 
 
 def numbers(values: ArrayLike, name: str, source: str) -> NDArray[np.float64]:
-    """Values of a column as float64, refused where they are not real numbers.
-
-    Shapes: values (N,), returns (N,).
-    """
+    """Values of a column as float64, refused where they are not real numbers: values (N,) -> (N,)."""
     array = np.asarray(values)
     if array.dtype.kind in "biuf":
         return array.astype(float)

@@ -23,10 +23,8 @@ BLANK = ("", "na", "n/a", "nan", "null", "none", "-nan")
 
 def csv_table(content: bytes, source: str) -> Table:
     """Table of a CSV file: comma, semicolon or tab between the columns, lines before the header that begin
-    with #.
-
-    Decimal commas are read where semicolons or tabs part the columns and no number has a decimal point.
-    """
+    with #. Decimal commas are read where semicolons or tabs part the columns and no number has a decimal
+    point."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

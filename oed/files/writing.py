@@ -124,11 +124,9 @@ def write_bytes(path: str | os.PathLike[str], content: bytes, *, overwrite: bool
 def write_whole(
     path: Path, content: bytes | str, *, kept: str = KEPT, error: type[OedError] = InputError
 ) -> Path:
-    """The one atomic writer: a reader sees the old file or the whole new one, also after a power cut.
-
-    What cannot be written is raised as `error`, whose message ends with `kept`: what is safe, and the remedy. The
-    temporary name is short, whatever the file's own, and ends in .tmp: `tidy` removes what a kill left of it.
-    """
+    """The one atomic writer: a reader sees the old file or the whole new one, also after a power cut. What
+    cannot be written is raised as `error`, whose message ends with `kept`: what is safe, and the remedy. The
+    temporary name is short, whatever the file's own, and ends in .tmp: `tidy` removes what a kill left of it."""
     temporary = path.with_name(f".{os.getpid()}-{next(_COUNT)}.tmp")
     try:
         with temporary.open("wb") as file:

@@ -1,7 +1,6 @@
 """Parametric models: a structure (the polynomial family, state space) with its parameters.
 
-What information and design ask of any model is `response(omega) -> (G, dG)`.
-"""
+What information and design ask of any model is `response(omega) -> (G, dG)`."""
 
 from __future__ import annotations
 
@@ -25,11 +24,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A structure with its parameters: G, H and the noise covariance.
-
-    `structure` the structure; `theta` (n,) parameters; `noise_covariance` (ny, ny) covariance of the white
-    noise e; `dt` sampling time in seconds.
-    """
+    """A structure with its parameters: G, H and the noise covariance. `structure` the structure; `theta` (n,)
+    parameters; `noise_covariance` (ny, ny) covariance of the white noise e; `dt` sampling time in seconds."""
 
     structure: Polynomial | StateSpace
     theta: NDArray[np.float64]
@@ -67,10 +63,7 @@ class Model:
         return self.structure.noise_response(self.theta, omega)
 
     def simulate(self, u: NDArray) -> NDArray[np.float64]:
-        """Noise-free output from rest.
-
-        Shapes: u (N, nu), returns (N, ny).
-        """
+        """Noise-free output from rest: u (N, nu) -> (N, ny)."""
         return self.structure.simulate(self.theta, u)
 
     def to_control(self) -> Any:

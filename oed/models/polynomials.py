@@ -5,8 +5,7 @@ Every output i is a model of its own, driven by all inputs:
     A_i(q) y_i(t) = sum_j B_ij(q) / F_ij(q) u_j(t) + C_i(q) / D_i(q) e_i(t)
 
 so G_ij = B_ij / (A_i F_ij) and H_i = C_i / (A_i D_i). B_ij = b_nk q^-nk + ... (nb coefficients, the first
-at delay nk); A, C, D, F are monic. An entry with nb = 0 is absent.
-"""
+at delay nk); A, C, D, F are monic. An entry with nb = 0 is absent."""
 
 from __future__ import annotations
 
@@ -26,13 +25,10 @@ Orders = int | Sequence[int] | Sequence[Sequence[int]] | NDArray
 
 @dataclass(frozen=True, eq=False)
 class Polynomial:
-    """Orders of a polynomial model; a member of one family whatever its name.
-
-    `na` (ny,) degrees of A_i; `nb` (ny, nu) numbers of numerator coefficients; `nc, nd` (ny,) degrees of C_i
-    and D_i; `nf` (ny, nu) degrees of F_ij; `nk` (ny, nu) delays of the first coefficients of B_ij, in
-    samples; `kind` its name among `oed.models.structures`; `names` one per parameter, output
-    by output: a, b, c, d, f.
-    """
+    """Orders of a polynomial model; a member of one family whatever its name. `na` (ny,) degrees of A_i; `nb`
+    (ny, nu) numbers of numerator coefficients; `nc, nd` (ny,) degrees of C_i and D_i; `nf` (ny, nu) degrees
+    of F_ij; `nk` (ny, nu) delays of the first coefficients of B_ij, in samples; `kind` its name among
+    `oed.models.structures`; `names` one per parameter, output by output: a, b, c, d, f."""
 
     na: NDArray[np.int64]
     nb: NDArray[np.int64]
@@ -120,10 +116,7 @@ class Polynomial:
         return places
 
     def coefficients(self, theta: ArrayLike) -> list[dict[str, list[NDArray[np.float64]]]]:
-        """Polynomials in powers of q^-1, with their leading ones and delays.
-
-        Shapes: theta (n,).
-        """
+        """Polynomials in powers of q^-1, with their leading ones and delays: theta (n,)."""
         theta = np.asarray(theta, dtype=float)
         rows = []
         for i, place in enumerate(self.places()):
@@ -133,10 +126,8 @@ class Polynomial:
         return rows
 
     def response(self, theta: ArrayLike, omega: ArrayLike) -> tuple[NDArray, NDArray]:
-        """Frequency response of the input channel and its derivatives.
-
-        Shapes: theta (n,), omega (K,), returns (K, ny, nu), returns (K, n, ny, nu).
-        """
+        """Frequency response of the input channel and its derivatives: theta (n,), omega (K,) -> (K, ny, nu),
+        (K, n, ny, nu)."""
         z = _delays(omega)
         shape = (len(z(0)), self.n_outputs, self.n_inputs)
         g, dg = np.zeros(shape, complex), np.zeros((shape[0], self.n, *shape[1:]), complex)
@@ -154,10 +145,8 @@ class Polynomial:
         return g, dg
 
     def noise_response(self, theta: ArrayLike, omega: ArrayLike) -> tuple[NDArray, NDArray]:
-        """Frequency response of the noise model and its derivatives.
-
-        Shapes: theta (n,), omega (K,), returns (K, ny, ny), returns (K, n, ny, ny).
-        """
+        """Frequency response of the noise model and its derivatives: theta (n,), omega (K,) -> (K, ny, ny),
+        (K, n, ny, ny)."""
         z = _delays(omega)
         shape = (len(z(0)), self.n_outputs, self.n_outputs)
         h, dh = np.zeros(shape, complex), np.zeros((shape[0], self.n, *shape[1:]), complex)
@@ -170,10 +159,7 @@ class Polynomial:
         return h, dh
 
     def simulate(self, theta: ArrayLike, u: NDArray) -> NDArray[np.float64]:
-        """Noise-free output from rest.
-
-        Shapes: theta (n,), u (N, nu), returns (N, ny).
-        """
+        """Noise-free output from rest: theta (n,), u (N, nu) -> (N, ny)."""
         from scipy.signal import lfilter
 
         y = np.zeros((len(u), self.n_outputs))
@@ -184,10 +170,7 @@ class Polynomial:
         return y
 
     def poles(self, theta: ArrayLike) -> list[NDArray[np.complex128]]:
-        """Poles of G, entry by entry and row by row.
-
-        Shapes: theta (n,).
-        """
+        """Poles of G, entry by entry and row by row: theta (n,)."""
         return [
             np.roots(np.convolve(row["a"][0], row["f"][j])).astype(complex)
             for row in self.coefficients(theta)

@@ -4,8 +4,7 @@
 
 The state holds predictions: of output i the next n_i samples, y_i(t|t-1), ..., y_i(t + n_i - 1|t-1), with
 n_1 + ... + n_ny = n. So C picks entries, A shifts within each block, and what is free is the last row of each
-block of A, all of B and K (and D): n (2 ny + nu) numbers, as many as the model has degrees of freedom.
-"""
+block of A, all of B and K (and D): n (2 ny + nu) numbers, as many as the model has degrees of freedom."""
 
 from __future__ import annotations
 
@@ -19,13 +18,10 @@ from oed.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """Structure of an innovations model.
-
-    `blocks` n_i >= 1, the number of states that belong to each output; `n_inputs` number of inputs nu;
-    `feedthrough` whether D is free (a delay of 0); otherwise it is zero; `noise` whether K is free; otherwise
-    it is zero, an output-error model; `names` A12 is row 1, column 2 of A; B, K, D likewise; from (10) on
-    with an underscore, A1_10.
-    """
+    """Structure of an innovations model. `blocks` n_i >= 1, the number of states that belong to each output;
+    `n_inputs` number of inputs nu; `feedthrough` whether D is free (a delay of 0); otherwise it is zero;
+    `noise` whether K is free; otherwise it is zero, an output-error model; `names` A12 is row 1, column 2 of
+    A; B, K, D likewise; from (10) on with an underscore, A1_10."""
 
     blocks: tuple[int, ...]
     n_inputs: int = 1
@@ -81,10 +77,7 @@ class StateSpace:
         return [f"{letter}{i + 1}{between}{j + 1}" for letter, i, j in self.entries()]
 
     def matrices(self, theta: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """A, B, C, D and K.
-
-        Shapes: theta (n,).
-        """
+        """A, B, C, D and K: theta (n,)."""
         n, nu, ny = self.order, self.n_inputs, self.n_outputs
         shapes = {"A": (n, n), "B": (n, nu), "C": (ny, n), "D": (ny, nu), "K": (n, ny)}
         made = {letter: np.zeros(shape) for letter, shape in shapes.items()}
@@ -98,10 +91,7 @@ class StateSpace:
         return made
 
     def theta_of(self, A: NDArray, B: NDArray, C: NDArray, D: NDArray, K: NDArray) -> NDArray[np.float64]:
-        """Parameters of a model given in any coordinates.
-
-        Shapes: returns (n,).
-        """
+        """Parameters of a model given in any coordinates: returns (n,)."""
         rows = []
         for i, count in enumerate(self.blocks):
             row = C[i]
@@ -118,17 +108,13 @@ class StateSpace:
         return np.array([made[letter][i, j] for letter, i, j in self.entries()])
 
     def response(self, theta: ArrayLike, omega: ArrayLike) -> tuple[NDArray, NDArray]:
-        """Frequency response of the input channel and its derivatives.
-
-        Shapes: theta (n,), omega (K,), returns (K, ny, nu), returns (K, n, ny, nu).
-        """
+        """Frequency response of the input channel and its derivatives: theta (n,), omega (K,) -> (K, ny, nu),
+        (K, n, ny, nu)."""
         return self._channel(theta, omega, "B", "D")
 
     def noise_response(self, theta: ArrayLike, omega: ArrayLike) -> tuple[NDArray, NDArray]:
-        """Frequency response of the noise model and its derivatives.
-
-        Shapes: theta (n,), omega (K,), returns (K, ny, ny), returns (K, n, ny, ny).
-        """
+        """Frequency response of the noise model and its derivatives: theta (n,), omega (K,) -> (K, ny, ny),
+        (K, n, ny, ny)."""
         h, dh = self._channel(theta, omega, "K", "")
         return h + np.eye(self.n_outputs), dh
 
@@ -151,17 +137,11 @@ class StateSpace:
         return g, dg
 
     def poles(self, theta: ArrayLike) -> list[NDArray[np.complex128]]:
-        """Eigenvalues of A.
-
-        Shapes: theta (n,).
-        """
+        """Eigenvalues of A: theta (n,)."""
         return [np.linalg.eigvals(self.matrices(theta)["A"]).astype(complex)]
 
     def simulate(self, theta: ArrayLike, u: NDArray) -> NDArray[np.float64]:
-        """Noise-free output from rest.
-
-        Shapes: theta (n,), u (N, nu), returns (N, ny).
-        """
+        """Noise-free output from rest: theta (n,), u (N, nu) -> (N, ny)."""
         m = self.matrices(theta)
         states, x = np.zeros((len(u), self.order)), np.zeros(self.order)
         forced = u @ m["B"].T

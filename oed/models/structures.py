@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Structure:
-    """A y = (B / F) u + (C / D) e with those polynomials that it has.
-
-    `letters` its polynomials, in the order in which their orders are given; `first` order of each where none is
-    given; `step` what is added to each where the order is searched.
-    """
+    """A y = (B / F) u + (C / D) e with those polynomials that it has. `letters` its polynomials, in the order
+    in which their orders are given; `first` order of each where none is given; `step` what is added to each
+    where the order is searched."""
 
     letters: str
     first: int = 2

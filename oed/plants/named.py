@@ -1,8 +1,7 @@
 """The named plants: where the iterations and the designs are tried, the paper's own first.
 
 Each has the feature that its name says; `avis` imitates what [M] publishes of a vibration-isolation system
-and is synthetic. `hair-dryer` is identified from a record and therefore lives with the comparison.
-"""
+and is synthetic. `hair-dryer` is identified from a record and therefore lives with the comparison."""
 
 from __future__ import annotations
 
@@ -75,10 +74,8 @@ def _three_by_two() -> dict:
 
 def _avis() -> dict:
     """Two modes whose input and output directions are orthogonal, so their gains are the singular values.
-
-    Largest gain 1.997 at 121 Hz, 1.95 at 296 Hz; half-power widths 10 and 24 Hz. On a coarse grid of
-    18.5 Hz (296 = 16 lines) the peak at 121 Hz falls between two lines, so the largest value is that of 296 Hz.
-    """
+    Largest gain 1.997 at 121 Hz, 1.95 at 296 Hz; half-power widths 10 and 24 Hz. On a coarse grid of 18.5 Hz
+    (296 = 16 lines) the peak at 121 Hz falls between two lines, so the largest value is that of 296 Hz."""
     dt = 0.001
     parts = []
     for hertz, width, peak in ((121.0, 10.0, 1.997), (296.0, 24.0, 1.95)):
@@ -146,9 +143,7 @@ def named_plant(name: str, noise_variance: float = 1.0) -> Plant:
 def random_fir(
     rng: np.random.Generator, taps: int = 10, decay: float = 0.75, noise_variance: float = 0.01
 ) -> Plant:
-    """A random FIR plant, g_k = decay^k w_k with w uniform in [-1, 1].
-
-    The family of the H-infinity estimation head-to-head of Tu, Boczar and Recht (2018).
-    """
+    """A random FIR plant, g_k = decay^k w_k with w uniform in [-1, 1]. The family of the H-infinity
+    estimation head-to-head of Tu, Boczar and Recht (2018)."""
     g = rng.uniform(-1, 1, taps) * decay ** np.arange(taps)
     return Plant(g, [1.0], noise_covariance=noise_variance, name="random-fir")

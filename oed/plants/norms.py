@@ -2,8 +2,7 @@
 
 The peak is found by refining every local maximum of sigma_max(G(e^jw)) on a grid that follows the poles, and
 certified by the level-set test of Bruinsma and Steinbuch (1990): at a level slightly above the peak, a
-symplectic pencil of the plant must have no eigenvalue on the unit circle.
-"""
+symplectic pencil of the plant must have no eigenvalue on the unit circle."""
 
 from __future__ import annotations
 
@@ -31,16 +30,14 @@ FLAT = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Peak:
-    """The H-infinity norm of a plant and where it is attained.
-
-    `value` gamma = max over w of sigma_max(G(e^jw)); `frequency` w^ in [0, pi], rad/sample; the lowest where
-    several peaks are equal; `frequencies` all frequencies in [0, pi] with a peak of that height (to 1e-10
-    relative); 0 and pi where the gain is the same at all frequencies; `curvatures` H = -d2 sigma_max^2 / dw2
-    at each of them ([S] Theorem 9: H_mu); `output_direction, input_direction` left (ny,) and right (nu,)
-    singular vectors at w^; the phase makes the largest entry of the input direction real and positive;
-    `local_maxima` every local maximum found: (frequency, sigma_max), highest first; `upper_bound` certified:
-    no frequency has a larger gain.
-    """
+    """The H-infinity norm of a plant and where it is attained. `value` gamma = max over w of
+    sigma_max(G(e^jw)); `frequency` w^ in [0, pi], rad/sample; the lowest where several peaks are equal;
+    `frequencies` all frequencies in [0, pi] with a peak of that height (to 1e-10 relative); 0 and pi where
+    the gain is the same at all frequencies; `curvatures` H = -d2 sigma_max^2 / dw2 at each of them ([S]
+    Theorem 9: H_mu); `output_direction, input_direction` left (ny,) and right (nu,) singular vectors at w^;
+    the phase makes the largest entry of the input direction real and positive; `local_maxima` every local
+    maximum found: (frequency, sigma_max), highest first; `upper_bound` certified: no frequency has a larger
+    gain."""
 
     value: float
     frequency: float
@@ -76,13 +73,8 @@ def largest_gain(G: NDArray) -> NDArray[np.float64]:
 
 
 def refined_maximum(height: Callable[[NDArray], NDArray], low: float, high: float) -> float:
-    """Where a smooth function with one maximum between two close points is largest.
-
-    Off by the order of the square of a hundredth of their distance, so that the height is by its fourth
-    power.
-
-    Shapes: height (K,).
-    """
+    """Where a smooth function with one maximum between two close points is largest: height (K,). Off by the
+    order of the square of a hundredth of their distance, so that the height is by its fourth power."""
     points = np.linspace(low, high, 101)
     heights = height(points)
     k = int(heights.argmax())
@@ -96,10 +88,7 @@ def refined_maximum(height: Callable[[NDArray], NDArray], low: float, high: floa
 def response_derivatives(
     plant: Plant, omega: ArrayLike
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
-    """Frequency response with its first two derivatives in frequency.
-
-    Shapes: omega (K,).
-    """
+    """Frequency response with its first two derivatives in frequency: omega (K,)."""
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     most = max(len(p) for rows in (plant.num, plant.den) for row in rows for p in row)
     powers = np.exp(-1j * np.outer(omega, np.arange(most)))
@@ -378,13 +367,9 @@ def _assemble(plant: Plant, maxima: list[tuple[float, float]], upper_bound: floa
 
 
 def gain_gradient(plant: Plant, at: Peak | None = None) -> NDArray[np.float64]:
-    """Derivative of the H-infinity norm with respect to the unknown parameters, c = d gamma / d theta.
-
-    By the envelope theorem c_i = Re(u^* dG_i(e^jw^) v), with the singular vectors at the peak, which must be
-    unique and simple.
-
-    Shapes: returns (n,).
-    """
+    """Derivative of the H-infinity norm with respect to the unknown parameters, c = d gamma / d theta:
+    returns (n,). By the envelope theorem c_i = Re(u^* dG_i(e^jw^) v), with the singular vectors at the peak,
+    which must be unique and simple."""
     at = peak(plant) if at is None else at
     dG = plant.response([at.frequency])[1][0]
     return np.einsum("p,npq,q->n", at.output_direction.conj(), dG, at.input_direction).real

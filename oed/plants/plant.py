@@ -4,8 +4,7 @@
 
 G has ny outputs and nu inputs ([M]: p and q). The parameters of entry ij are the coefficients of B_ij
 from its first nonzero one on (what comes before is delay, not a parameter) and those of A_ij after the
-leading 1. Their names are letter and power, with the entry where there is more than one: b1, a2, b1_21.
-"""
+leading 1. Their names are letter and power, with the entry where there is more than one: b1, a2, b1_21."""
 
 from __future__ import annotations
 

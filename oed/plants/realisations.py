@@ -16,13 +16,10 @@ StateSpace = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
 
 
 def state_space(plant: Plant, *, delays: bool = True) -> StateSpace:
-    """State-space realisation of a plant's G: one companion block per entry.
-
-    Without `delays` those that a whole row or column has are left out: no singular value of the response changes.
-
-    x_(t+1) = A x_t + B u_t, y_t = C x_t + D u_t. Entries with a common denominator are realised apart, so the
-    realisation of a plant with several entries is in general not minimal (the response is exact).
-    """
+    """State-space realisation of a plant's G: one companion block per entry. Without `delays` those that a
+    whole row or column has are left out: no singular value of the response changes. x_(t+1) = A x_t + B u_t,
+    y_t = C x_t + D u_t. Entries with a common denominator are realised apart, so the realisation of a plant
+    with several entries is in general not minimal (the response is exact)."""
     blocks = []
     left_out = np.zeros((plant.n_outputs, plant.n_inputs), int) if delays else _common_delays(plant)
     for i, row in enumerate(plant.num):

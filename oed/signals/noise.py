@@ -14,8 +14,7 @@ is used, which is what lets the compiled campaigns (`estimators.montecarlo.engin
 A normal of radius r differs from the exact formula's by at most 1e-6 + 1e-7 / r, far below what any sample shows.
 
 Source: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011, Sec. 3.3 and
-Table 2: seven rounds pass every test of BigCrush. The polynomials are our own minimax fits.
-"""
+Table 2: seven rounds pass every test of BigCrush. The polynomials are our own minimax fits."""
 
 from __future__ import annotations
 
@@ -92,20 +91,14 @@ def philox(
 def standard_noise(
     key: tuple[int, int], replicate: int, experiment: int, n_samples: int, n_outputs: int = 1
 ) -> NDArray[np.float64]:
-    """Standard normal noise of one experiment.
-
-    Shapes: returns (n_samples, n_outputs).
-    """
+    """Standard normal noise of one experiment: returns (n_samples, n_outputs)."""
     return noise_series(key, replicate, [experiment], n_samples, n_outputs)[0]
 
 
 def noise_series(
     key: tuple[int, int], replicate: int, experiments: Sequence[int], n_samples: int, n_outputs: int = 1
 ) -> NDArray[np.float64]:
-    """Standard normal noise of several experiments at once.
-
-    Shapes: returns (experiments, n_samples, n_outputs).
-    """
+    """Standard normal noise of several experiments at once: returns (experiments, n_samples, n_outputs)."""
     number = np.asarray(experiments, dtype=np.uint64)[:, None, None]
     block = np.arange(-(-n_samples // 4), dtype=np.uint64)[:, None]
     output = np.arange(n_outputs, dtype=np.uint64)

@@ -31,11 +31,9 @@ def _components(spectrum: Spectrum) -> tuple[NDArray[np.float64], NDArray[np.com
 @dataclass(frozen=True, eq=False)
 class Sinusoids:
     """What all signals of one spectrum and length share: exp(j w t), t = block m + n, is a product of two
-    short tables.
-
-    `real` (m,) whether a sinusoid lies at 0 or pi; `amplitudes` (m, nu) complex, without their phases; `fine,
-    coarse` (m, block) and (m, blocks), the two tables; `samples` N; `power` the spectrum's total power.
-    """
+    short tables. `real` (m,) whether a sinusoid lies at 0 or pi; `amplitudes` (m, nu) complex, without their
+    phases; `fine, coarse` (m, block) and (m, blocks), the two tables; `samples` N; `power` the spectrum's
+    total power."""
 
     real: NDArray[np.bool_]
     amplitudes: NDArray[np.complex128]
@@ -53,8 +51,7 @@ class Sinusoids:
 @lru_cache(maxsize=4)
 def sinusoids(spectrum: Spectrum, N: int) -> Sinusoids:
     """The sinusoids of a spectrum; those of the last few are kept, since campaigns realise one again and
-    again.
-    """
+    again."""
     check_realisable(spectrum, N)
     omega, a = _components(spectrum)
     first = np.concatenate([[True], omega[1:] != omega[:-1]])

@@ -3,8 +3,7 @@
 A spectrum is a set of lines; a signal of N samples is what the plant meets. `realise` keeps the frequencies as
 they are, `multisine` moves them to the lines of the discrete Fourier transform and chooses phases for a low crest
 factor, `filtered_noise` draws a Gaussian signal, `binary` a signal of two levels. The power of the signal is the
-spectrum's exactly, except for `binary`, whose amplitude is its power.
-"""
+spectrum's exactly, except for `binary`, whose amplitude is its power."""
 
 from __future__ import annotations
 
@@ -336,12 +335,9 @@ def periodogram(u: ArrayLike) -> Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class Realised:
-    """A signal made from a design, and what it lost.
-
-    `u` (N, nu); `loss` loss per sample of the finite experiment from rest, edge effects included;
-    `design_loss, bound` of the design; `power` mean square summed over channels; `crest_factor` of the worst
-    channel.
-    """
+    """A signal made from a design, and what it lost. `u` (N, nu); `loss` loss per sample of the finite
+    experiment from rest, edge effects included; `design_loss, bound` of the design; `power` mean square
+    summed over channels; `crest_factor` of the worst channel."""
 
     u: NDArray[np.float64]
     loss: float

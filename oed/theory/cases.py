@@ -1,8 +1,7 @@
 """Cases of the map of [S] Sec. 4.2's claim: what is varied, the plant, and the limits on the input.
 
 The theorem of `oed.theory.claim` covers white noise, one limit on the total power and a free gain; each group of cases
-leaves one of these, or stays within them (damping, order, peaks, noise level) as a check.
-"""
+leaves one of these, or stays within them (damping, order, peaks, noise level) as a check."""
 
 from __future__ import annotations
 

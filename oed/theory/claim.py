@@ -21,8 +21,7 @@ x' I x <= P_y / (lambda gamma^2), and the same sinusoid attains lambda gamma^2 /
 
 It breaks where no such x exists (known gain, monic numerator), where the noise is coloured or unequal over outputs, where
 single channels or amplitudes are limited, and with an unknown offset when w^ = 0. `map_of_claim` and
-`oed.theory.cases` measure by how much.
-"""
+`oed.theory.cases` measure by how much."""
 
 from __future__ import annotations
 
@@ -193,25 +192,20 @@ def claim_row(plant: Plant, limits: dict[str, Any]) -> ClaimRow:
 
 
 def offset_row(plant: Plant, samples: int) -> ClaimRow:
-    """The map's row where a constant offset at the output is unknown.
-
-    The offset takes all information that a line at frequency 0 carries: its regressor is the same constant.
-    What is left are lines of whole periods, from 2 pi / N on.
-    """
+    """The map's row where a constant offset at the output is unknown. The offset takes all information that a
+    line at frequency 0 carries: its regressor is the same constant. What is left are lines of whole periods,
+    from 2 pi / N on."""
     row = claim_row(plant, {"band": (2 * np.pi / samples, np.pi)})
     note = f"lines from 2 pi / {samples} on" + (f"; {row.note}" if row.note else "")
     return replace(row, limit=float("nan"), white=float("nan"), note=note)
 
 
 def amplitude_row(plant: Plant, amplitude: float) -> ClaimRow:
-    """The map's row where |u| is limited, not its power.
-
-    A signal within the amplitude a has a power of at most a^2, which bounds its information; the sinusoid at
-    the peak has a^2 / 2, a square wave of its frequency a^2, of which its fundamental holds 8 / pi^2. Where
-    the gain-scaling theorem holds, x' I x is the mean square of G u / gamma over the noise variance, and for
-    plants of at most two states sums of squares bound it more tightly than the power does
-    (`oed.design.parametrisations.bounded_inputs`).
-    """
+    """The map's row where |u| is limited, not its power. A signal within the amplitude a has a power of at
+    most a^2, which bounds its information; the sinusoid at the peak has a^2 / 2, a square wave of its
+    frequency a^2, of which its fundamental holds 8 / pi^2. Where the gain-scaling theorem holds, x' I x is
+    the mean square of G u / gamma over the noise variance, and for plants of at most two states sums of
+    squares bound it more tightly than the power does (`oed.design.parametrisations.bounded_inputs`)."""
     relaxed = claim_row(plant, {"input_power": amplitude**2})
     if not np.isfinite(relaxed.bound):
         return relaxed
@@ -265,10 +259,7 @@ def _passed_share(plant: Plant, closed: bool) -> float:
 
 
 def budget_form(plant: Plant, name: str, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """The Hermitian form that a named limit puts on a line's power.
-
-    Shapes: omega (K,), returns (K, nu, nu).
-    """
+    """The Hermitian form that a named limit puts on a line's power: omega (K,) -> (K, nu, nu)."""
     if name == "output power":
         G = plant.response(omega)[0]
         return G.conj().swapaxes(1, 2) @ G

@@ -1,8 +1,7 @@
 """How good an experiment the iterations are: efficiencies of their spectra against certified optima.
 
 The efficiency of a spectrum for a criterion is the optimal loss over its own loss, at equal power; for the
-peak gain (c) it is lambda_e / (c' I^-1 c) wherever the gain-scaling theorem holds (docs/theory/design.md).
-"""
+peak gain (c) it is lambda_e / (c' I^-1 c) wherever the gain-scaling theorem holds (docs/theory/design.md)."""
 
 from __future__ import annotations
 
@@ -23,11 +22,9 @@ LOST = 1e-13
 
 @dataclass(frozen=True)
 class Losses:
-    """Losses of an information matrix under the four criteria; infinite where it is singular.
-
-    `c` c' I^-1 c, the variance of the estimated peak gain (NaN where the peak is not unique); `D`
-    det(I^-1)^(1/n); `A` trace I^-1; `E` largest eigenvalue of I^-1.
-    """
+    """Losses of an information matrix under the four criteria; infinite where it is singular. `c` c' I^-1 c,
+    the variance of the estimated peak gain (NaN where the peak is not unique); `D` det(I^-1)^(1/n); `A` trace
+    I^-1; `E` largest eigenvalue of I^-1."""
 
     c: float
     D: float
@@ -40,10 +37,7 @@ class Losses:
 
 
 def losses(information: NDArray[np.float64], c: NDArray[np.float64] | None = None) -> Losses:
-    """Losses of an information matrix under c, D, A and E.
-
-    Shapes: information (n, n), c (n,).
-    """
+    """Losses of an information matrix under c, D, A and E: information (n, n), c (n,)."""
     scale = np.sqrt(np.clip(np.diag(information), 0, None))
     if not np.all(scale > 0):
         return Losses(np.inf if c is not None else np.nan, np.inf, np.inf, np.inf)
@@ -105,15 +99,10 @@ def _singular_c(information: NDArray, c: NDArray | None) -> float:
 def peak_gain_efficiency_by_experiments(
     plant: Plant, experiments: int, optimum: float | None = None
 ) -> NDArray[np.float64]:
-    """c-efficiency of the first k experiments of Algorithm 1 together, from a white start.
-
-    Their information is summed (Lemma 13) and compared with k experiments at the optimum: lambda_e unless it is given,
-    which holds for white noise and a free gain.
-
-    Shapes: returns (experiments,).
-
-    Source: [S] Lemmas 6 and 13; table of docs/theory/design.md.
-    """
+    """c-efficiency of the first k experiments of Algorithm 1 together, from a white start: returns
+    (experiments,). Their information is summed (Lemma 13) and compared with k experiments at the optimum:
+    lambda_e unless it is given, which holds for white noise and a free gain. Source: [S] Lemmas 6 and 13;
+    table of docs/theory/design.md."""
     top = peak(plant)
     if not top.unique:
         return np.full(experiments, np.nan)

@@ -18,8 +18,7 @@ as the second (little noise, long experiments: the power gathers in few directio
 further from the truth than "edge" or diverge. There Q is replaced by its mean again, `FiniteMoments.holds` says so, and
 nothing is printed.
 
-The mean of beta_2^2 is sum_i d_i^2 E p_i of the experiment before, exactly.
-"""
+The mean of beta_2^2 is sum_i d_i^2 E p_i of the experiment before, exactly."""
 
 from __future__ import annotations
 
@@ -51,12 +50,8 @@ def _check_samples(samples: int) -> None:
 
 
 def singular_values(plant: Plant, samples: int) -> NDArray[np.float64]:
-    """Singular values of the plant over N samples from rest, largest first.
-
-    Shapes: returns (N nu,).
-
-    [S] (6): for one channel they are the absolute eigenvalues of the symmetric T G_N.
-    """
+    """Singular values of the plant over N samples from rest, largest first: returns (N nu,). [S] (6): for one
+    channel they are the absolute eigenvalues of the symmetric T G_N."""
     _check_samples(samples)
     if samples * max(plant.n_inputs, plant.n_outputs) > LARGEST:
         raise InputError(
@@ -76,13 +71,10 @@ def singular_values(plant: Plant, samples: int) -> NDArray[np.float64]:
 
 
 def finite_norm(plant: Plant, samples: int) -> float:
-    """Norm of the plant over N samples from rest, ||G_N||, the largest singular value.
-
-    Block Lanczos on G' G with products by the fast Fourier transform, started from what the worst inputs tend
-    to: sinusoids at the peaks under the windows sin(k pi t / N). O(N log N); N = 1e5 takes a second.
-
-    [S] (2), (5), Theorem 2; figures in docs/theory/finite.md. Twin: dense singular values in the tests.
-    """
+    """Norm of the plant over N samples from rest, ||G_N||, the largest singular value. Block Lanczos on G' G
+    with products by the fast Fourier transform, started from what the worst inputs tend to: sinusoids at the
+    peaks under the windows sin(k pi t / N). O(N log N); N = 1e5 takes a second. [S] (2), (5), Theorem 2;
+    figures in docs/theory/finite.md. Twin: dense singular values in the tests."""
     _check_samples(samples)
     if samples * max(plant.n_inputs, plant.n_outputs) <= DENSE:
         return float(singular_values(plant, samples)[0])
@@ -144,13 +136,11 @@ def _starts(plant: Plant, N: int) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class FiniteMoments:
-    """Means over the noise, per experiment, as one of the three descriptions gives them.
-
-    `effect` "infinite", "edge" or "random-mu"; `beta2` (M,) mean of beta_2^2 of experiments 1..M (NaN for the
-    first); `mu2` (M,) mean of mu^2; `limit_beta2, limit_mu2` their limits over the iterations; NaN for
-    "random-mu", which has none that is known; `holds` whether the expansion holds up to the last experiment;
-    True for the descriptions that are not expansions.
-    """
+    """Means over the noise, per experiment, as one of the three descriptions gives them. `effect` "infinite",
+    "edge" or "random-mu"; `beta2` (M,) mean of beta_2^2 of experiments 1..M (NaN for the first); `mu2` (M,)
+    mean of mu^2; `limit_beta2, limit_mu2` their limits over the iterations; NaN for "random-mu", which has
+    none that is known; `holds` whether the expansion holds up to the last experiment; True for the
+    descriptions that are not expansions."""
 
     effect: str
     beta2: NDArray[np.float64]
@@ -167,11 +157,9 @@ class FiniteMoments:
 def finite_moments(
     plant: Plant, samples: int, iterations: int = 60, *, effect: str = "edge"
 ) -> FiniteMoments:
-    """Means of beta_2^2 and mu^2 of Algorithm 1 from a white start, at finite N.
-
-    docs/theory/finite.md gives the first two; the third expands E[q_i / Q] in the fluctuation of Q and carries
-    the covariance of the shares through C+ = J Cov(q) J' / Q^2, J = I - p+ 1'.
-    """
+    """Means of beta_2^2 and mu^2 of Algorithm 1 from a white start, at finite N. docs/theory/finite.md gives
+    the first two; the third expands E[q_i / Q] in the fluctuation of Q and carries the covariance of the
+    shares through C+ = J Cov(q) J' / Q^2, J = I - p+ 1'."""
     check_names([effect], EFFECTS, "description")
     _check_single(plant)
     _check_samples(samples)
@@ -233,12 +221,8 @@ def _edge_limit(d2: NDArray, variance: float) -> float:
 
 def random_mu(d2: NDArray, variance: float, iterations: int) -> tuple[NDArray, NDArray, NDArray, bool]:
     """Means with the fluctuation of Q, to second order, for as long as that holds; from there on Q is its
-    mean.
-
-    The covariance of the shares is kept as a diagonal and, from every experiment, two more directions.
-
-    Shapes: d2 (N,), returns (M,), returns (M, N).
-    """
+    mean; d2 (N,) -> (M,), (M, N). The covariance of the shares is kept as a diagonal and, from every
+    experiment, two more directions."""
     N = len(d2)
     noise = variance / N
     p = np.full(N, 1 / N)

@@ -2,8 +2,7 @@
 
 In the eigenvectors v_i of the symmetric T G_N the mean of u u' stays diagonal: E u u' = N sum_i p_i v_i v_i', with
 the mean shares p_i of `oed.theory.finite` (edges, and the fluctuation of mu to second order). The information of an experiment is linear
-in u u', so its mean is N sum_i p_i F_i, with F_i the information of the signal v_i itself, from rest.
-"""
+in u u', so its mean is N sum_i p_i F_i, with F_i the information of the signal v_i itself, from rest."""
 
 from __future__ import annotations
 
@@ -21,14 +20,10 @@ LARGEST = 2000
 
 
 def finite_peak_gain_efficiency(plant: Plant, samples: int, experiments: int) -> NDArray[np.float64]:
-    """c-efficiency of the first k experiments of Algorithm 1 together, from a white start, at finite N.
-
-    Shapes: returns (experiments,).
-
-    Tends to `peak_gain_efficiency_by_experiments` ([S] Lemmas 6 and 13) as 1/N. The fluctuation of mu is
-    counted where its expansion holds; with mu replaced by its mean everywhere the result is 10 % too high at
-    N = 100. Twin: the mean information of simulated runs in the tests.
-    """
+    """c-efficiency of the first k experiments of Algorithm 1 together, from a white start, at finite N:
+    returns (experiments,). Tends to `peak_gain_efficiency_by_experiments` ([S] Lemmas 6 and 13) as 1/N. The
+    fluctuation of mu is counted where its expansion holds; with mu replaced by its mean everywhere the result
+    is 10 % too high at N = 100. Twin: the mean information of simulated runs in the tests."""
     variance = float(np.trace(plant.noise_covariance))
     top = peak(plant)
     if plant.n_inputs * plant.n_outputs != 1 or not plant.white_noise or not variance > 0 or not top.unique:

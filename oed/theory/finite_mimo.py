@@ -15,8 +15,7 @@ factor), P the power of the first stage's output, which is random too. Linear in
     "edge"       d_i of G_N; Q replaced by its mean
     "random-mu"  and the fluctuation of Q and of P, to second order
 
-The mean of gamma_2^2 of an iteration is sum_i d_i^2 E p_i of its own input, exactly: its noise is new.
-"""
+The mean of gamma_2^2 of an iteration is sum_i d_i^2 E p_i of its own input, exactly: its noise is new."""
 
 from __future__ import annotations
 
@@ -37,13 +36,10 @@ DENSE = 1200
 def finite_mimo_moments(
     plant: Plant, samples: int, iterations: int = 60, *, effect: str = "edge", scaling: str = "none"
 ) -> FiniteMoments:
-    """Means of gamma_2^2 and mu^2 of Procedure 2 from a white start, at finite N.
-
-    [M] leaves the noise open; docs/theory/finite.md has one input and one output. With deterministic Q and P
-    the recursion would be exact, so the second effect is all of their fluctuation: E[q_i / Q] is expanded in
-    it, and the covariance of the shares is carried from iteration to iteration. Twin: campaigns of the
-    compiled engine.
-    """
+    """Means of gamma_2^2 and mu^2 of Procedure 2 from a white start, at finite N. [M] leaves the noise open;
+    docs/theory/finite.md has one input and one output. With deterministic Q and P the recursion would be
+    exact, so the second effect is all of their fluctuation: E[q_i / Q] is expanded in it, and the covariance
+    of the shares is carried from iteration to iteration. Twin: campaigns of the compiled engine."""
     check_names([effect], EFFECTS, "description")
     check_names([scaling], SCALINGS, "scaling")
     variance = plant.noise_variance

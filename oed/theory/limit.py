@@ -9,8 +9,7 @@ divided by these roots before it is evaluated. Three ways to the same number:
 
 - `limit_spectrum`: quadrature on panels that shrink towards every peak;
 - `method="lyapunov"`: the integral is a squared H2 norm, of the spectral factor of mu^2 A A* - B B*;
-- `limit_spectrum_on_grid`: the eigenproblem of the matrix H_d of [S] Sec. 5.
-"""
+- `limit_spectrum_on_grid`: the eigenproblem of the matrix H_d of [S] Sec. 5."""
 
 from __future__ import annotations
 
@@ -331,11 +330,9 @@ def _integral_by_lyapunov(plant: Plant, top: Peak) -> Callable[[float], float]:
 
 
 def _factor_roots(gap: _Gap, delta: float) -> NDArray[np.complex128]:
-    """Roots in z, inside the unit circle, of delta |A|^2 + (gamma^2 |A|^2 - |B|^2).
-
-    The polynomial in x is assembled for starting values; Newton steps on its factored form then restore the
-    digits that assembling loses for the roots that close in on the peaks.
-    """
+    """Roots in z, inside the unit circle, of delta |A|^2 + (gamma^2 |A|^2 - |B|^2). The polynomial in x is
+    assembled for starting values; Newton steps on its factored form then restore the digits that assembling
+    loses for the roots that close in on the peaks."""
     product = gap.q
     divisors: list[tuple[float, int]] = [(np.cos(w), 1 if w in (0.0, np.pi) else 2) for w in gap.centres]
     for xc, times in divisors:

@@ -13,8 +13,7 @@ inputs were multiplied with:
 In the eigenvectors of M, with eigenvalues s_a^2, the limit is Phi_ab = Q_ab / (mu^2 - s_a^2 s_b^2), with Q the
 noise term; for Lambda = lambda_e I and H = 1 it is phi_i = lambda_e (s_i^2 + p r) / (mu^2 - s_i^4).
 mu normalises the two-stage map and tends to gamma^2. With one channel and scaled second stages it is
-Algorithm 1's limit exactly: two of its steps.
-"""
+Algorithm 1's limit exactly: two of its steps."""
 
 from __future__ import annotations
 
@@ -38,14 +37,12 @@ SCALINGS = ("none", "each", "common")
 
 @dataclass(frozen=True, eq=False)
 class MimoLimitSpectrum:
-    """Limit of the first-stage input spectrum of Procedure 2.
-
-    `plant` the plant with its noise; `scaling` how the second-stage inputs are scaled; `peak` H-infinity norm
-    of the plant; `mu2_excess` mu^2 - gamma^4, solved for directly; `gain2_mean` limit of E gamma_2^2 =
-    (1/2pi) int tr(G Phi G*) dw, [M] (12); `noise_gain` n^2: the noise variance that the second stage adds to
-    every input; `spectrum` phi as the nodes of a quadrature; its powers sum to 1; `spectrum_max,
-    spectrum_min` largest and smallest eigenvalue of the density over all frequencies.
-    """
+    """Limit of the first-stage input spectrum of Procedure 2. `plant` the plant with its noise; `scaling` how
+    the second-stage inputs are scaled; `peak` H-infinity norm of the plant; `mu2_excess` mu^2 - gamma^4,
+    solved for directly; `gain2_mean` limit of E gamma_2^2 = (1/2pi) int tr(G Phi G*) dw, [M] (12);
+    `noise_gain` n^2: the noise variance that the second stage adds to every input; `spectrum` phi as the
+    nodes of a quadrature; its powers sum to 1; `spectrum_max, spectrum_min` largest and smallest eigenvalue
+    of the density over all frequencies."""
 
     plant: Plant
     scaling: str
@@ -85,11 +82,8 @@ class _Terms:
 
 
 def mimo_limit_spectrum(plant: Plant, *, scaling: str = "none") -> MimoLimitSpectrum:
-    """Limit of the input spectrum under Procedure 2 with noise.
-
-    docs/theory/iterations.md, generalised to coloured and unequal noise. Twins: `mimo_recursion` iterated on a
-    uniform grid, and simulation.
-    """
+    """Limit of the input spectrum under Procedure 2 with noise. docs/theory/iterations.md, generalised to
+    coloured and unequal noise. Twins: `mimo_recursion` iterated on a uniform grid, and simulation."""
     check_names([scaling], SCALINGS, "scaling")
     if not np.trace(plant.noise_covariance) > 0:
         raise InputError(
@@ -144,11 +138,9 @@ def _terms(plant: Plant, top: Peak) -> _Terms:
 
 
 def _close_gap(plant: Plant, top: Peak, nodes: Nodes, direct: NDArray) -> NDArray:
-    """gamma^2 - s_1^2 near the peaks, where the difference has lost its digits.
-
-    There it is x^2 (H/2 + c_1 x + ... ), x the distance from the peak, with the c fitted to the direct
-    differences a little farther out, where they are exact enough.
-    """
+    """gamma^2 - s_1^2 near the peaks, where the difference has lost its digits. There it is x^2 (H/2 + c_1 x
+    + ... ), x the distance from the peak, with the c fitted to the direct differences a little farther out,
+    where they are exact enough."""
     gap = direct.copy()
     scale = top.value**2
     for centre, curvature in zip(top.frequencies, top.curvatures, strict=True):
@@ -225,10 +217,8 @@ def _scaled(plant: Plant, terms: _Terms, scaling: str) -> tuple[float, float]:
 def mimo_recursion(
     plant: Plant, iterations: int, *, scaling: str = "none"
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """E gamma_2^2 and mu^2 of the first iterations of Procedure 2 from a white start, N -> infinity.
-
-    Shapes: returns (M,).
-    """
+    """E gamma_2^2 and mu^2 of the first iterations of Procedure 2 from a white start, N -> infinity: returns
+    (M,)."""
     check_names([scaling], SCALINGS, "scaling")
     gain2, mu2 = np.empty(iterations), np.empty(iterations)
     terms = _terms(plant, peak(plant))
@@ -255,13 +245,10 @@ def _iterates(
 def procedure_2_efficiency(
     plant: Plant, marks: Sequence[int], optimum: float | None = None
 ) -> tuple[NDArray[np.float64], float]:
-    """c-efficiency of all 1 + pq experiments of the first m iterations together, m in `marks`, and of the limit.
-
-    The second stage applies every output of the first, reversed and at unit power, to every input in turn; it is counted
-    like the first. `optimum` is the certified least c' I^-1 c, lambda_e where it is not given. Twin: Procedure 2 simulated, its informations summed.
-
-    Shapes: returns (len(marks),).
-    """
+    """c-efficiency of all 1 + pq experiments of the first m iterations together, m in `marks`, and of the
+    limit: returns (len(marks),). The second stage applies every output of the first, reversed and at unit
+    power, to every input in turn; it is counted like the first. `optimum` is the certified least c' I^-1 c,
+    lambda_e where it is not given. Twin: Procedure 2 simulated, its informations summed."""
     top = peak(plant)
     if not top.unique:
         return np.full(len(marks), np.nan), float("nan")

@@ -26,11 +26,9 @@ DEEPEST = 60
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Nodes of a quadrature, kept relative to the nearest centre so that tiny distances are exact.
-
-    `centre` (K,) frequency of the centre that a node belongs to; `offset` (K,) distance from it: omega =
-    centre + offset; `weight` (K,) weights; sum(weight * f) = (1/pi) * integral of f over [0, pi].
-    """
+    """Nodes of a quadrature, kept relative to the nearest centre so that tiny distances are exact. `centre`
+    (K,) frequency of the centre that a node belongs to; `offset` (K,) distance from it: omega = centre +
+    offset; `weight` (K,) weights; sum(weight * f) = (1/pi) * integral of f over [0, pi]."""
 
     centre: NDArray[np.float64]
     offset: NDArray[np.float64]
@@ -87,11 +85,9 @@ def integral(
     edges: NDArray[np.float64],
     tolerance: float = 1e-12,
 ) -> NDArray[np.float64]:
-    """Integral of a real function omega (K,) -> (K, ..) over the panels between edges.
-
-    A panel is halved until its two halves together agree with it to `tolerance` of the integral of the absolute
-    value, entry by entry: kinks and jumps are closed in on, at one panel per halving.
-    """
+    """Integral of a real function omega (K,) -> (K, ..) over the panels between edges. A panel is halved
+    until its two halves together agree with it to `tolerance` of the integral of the absolute value, entry by
+    entry: kinks and jumps are closed in on, at one panel per halving."""
     return _adapted(function, edges, tolerance)[0]
 
 

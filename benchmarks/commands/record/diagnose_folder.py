@@ -70,10 +70,8 @@ def _version() -> str:
 
 
 def _done(out: Path, cases: list[Path]) -> set[str]:
-    """Cases whose line was made from the same files by the same version.
-
-    Lines about other content are set aside in a file of their own; the line that a killed run was writing is dropped.
-    """
+    """Cases whose line was made from the same files by the same version. Lines about other content are set
+    aside in a file of their own; the line that a killed run was writing is dropped."""
     if not out.exists():
         return set()
     wanted = {path.name: (_content(path), _version()) for path in cases}

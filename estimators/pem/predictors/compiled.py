@@ -27,10 +27,8 @@ def initial_counts(structure: Polynomial) -> tuple[list[list[int]], list[int]]:
 
 
 def _copies(structure: Polynomial, levels: bool, paths: list[list[int]], noise: list[int]) -> NDArray:
-    """The columns of the sensitivities as delayed signals, in the order in which the kernel makes these.
-
-    Shapes: returns (S, 5): row of the model, first delay, number of delays, first column, sign.
-    """
+    """The columns of the sensitivities as delayed signals, in the order in which the kernel makes these:
+    returns (S, 5): row of the model, first delay, number of delays, first column, sign."""
     rows, at = [], structure.n + structure.n_outputs * levels
     for i, place in enumerate(structure.places()):
         for j, (b, f) in enumerate(zip(place["b"], place["f"], strict=True)):

@@ -8,8 +8,7 @@ residual is e = (D / C) v, and its derivatives are delayed copies of a few filte
 
 An unknown initial state is one pulse more into every path, (X_j delta) / F_j, and into the noise filter, X delta / C; an
 unknown level is subtracted from y. Sums over two copies follow from those one sample earlier by taking off the last
-product, so that the Gauss-Newton matrix costs O(n N) and not O(n^2 N).
-"""
+product, so that the Gauss-Newton matrix costs O(n N) and not O(n^2 N)."""
 
 from __future__ import annotations
 
@@ -67,10 +66,8 @@ def _coefficients(p, first, sizes):
 
 @njit(error_model="numpy", cache=True)
 def signals(data, p, orders, entries, levels, found):
-    """Residuals (ny, N) of one record (nd, N), and into `found` (S, N) the filtered signals, row by row of the model.
-
-    Shapes: orders (4, ny): na, nc, nd, pulses; entries (3, ny, nu): nb, nf, pulses.
-    """
+    """Residuals (ny, N) of one record (nd, N), and into `found` (S, N) the filtered signals, row by row of
+    the model: orders (4, ny): na, nc, nd, pulses; entries (3, ny, nu): nb, nf, pulses."""
     ny, nu = entries.shape[1:]
     N = data.shape[1]
     present = (entries[0] > 0).sum()
@@ -154,10 +151,8 @@ def _ends(found):
 
 @njit(error_model="numpy", cache=True)
 def _gram(found, copies, weight, hessian):
-    """Adds the sums over all pairs of delayed signals, each pair at its place and with its weight.
-
-    Shapes: copies (S, 5): row of the model, first delay, number of delays, first column, sign.
-    """
+    """Adds the sums over all pairs of delayed signals, each pair at its place and with its weight: copies (S,
+    5): row of the model, first delay, number of delays, first column, sign."""
     N, ends = found.shape[1], _ends(found)
     for s in range(len(found)):
         row, i0, ni, at, sign = copies[s]
@@ -192,10 +187,8 @@ def _gram(found, copies, weight, hessian):
 
 @njit(error_model="numpy", cache=True)
 def fold(data, lengths, parameters, weight, orders, entries, levels, copies):
-    """Of each record: loss (R,), half its gradient (R, n), Gauss-Newton matrix (R, n, n), moment of the residuals.
-
-    Shapes: data (nd, N) of all records, parameters (R, n), weight (ny, ny), returns (R, ny, ny) last.
-    """
+    """Of each record: loss (R,), half its gradient (R, n), Gauss-Newton matrix (R, n, n), moment of the
+    residuals; data (nd, N) of all records, parameters (R, n), weight (ny, ny) -> (R, ny, ny) last."""
     R, n, ny = len(lengths), parameters.shape[1], len(weight)
     loss, gradient = np.zeros(R), np.zeros((R, n))
     hessian, moment = np.zeros((R, n, n)), np.zeros((R, ny, ny))

@@ -2,8 +2,7 @@
 
 CasADi evaluates the step of the recursion, mapped over blocks of 500 samples, so that memory and the time to build do
 not depend on the record's length and rounding errors do not grow with it. Nothing is compiled for a model of its own;
-the structures that are met daily have loops that are compiled once for all of them (`compiled`).
-"""
+the structures that are met daily have loops that are compiled once for all of them (`compiled`)."""
 
 from __future__ import annotations
 
@@ -20,12 +19,9 @@ _BLOCK = 500
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """What a pass over the records leaves behind, one row per record.
-
-    `loss` (R,) sum e' W e; `gradient` (R, n) sum J' W e, half the gradient of the loss; `hessian` (R, n, n)
-    sum J' W J; `covariance` (R, ny, ny) sum e e'; `log_variance` (R, 1 + n) sum of the log variances and its
-    gradient; None where they are constant.
-    """
+    """What a pass over the records leaves behind, one row per record. `loss` (R,) sum e' W e; `gradient` (R,
+    n) sum J' W e, half the gradient of the loss; `hessian` (R, n, n) sum J' W J; `covariance` (R, ny, ny) sum
+    e e'; `log_variance` (R, 1 + n) sum of the log variances and its gradient; None where they are constant."""
 
     loss: NDArray[np.float64]
     gradient: NDArray[np.float64]
@@ -36,11 +32,9 @@ class Sums:
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """A predictor ready to run.
-
-    `sums` (data (N, nd) of all records, lengths (R,), parameters (R, n), weight (ny, ny)) -> Sums; `trace` (data of one
-    record, parameters, with_jacobian) -> residuals (N, ny), jacobian (N, ny, n) or None; `n` number of parameters.
-    """
+    """A predictor ready to run. `sums` (data (N, nd) of all records, lengths (R,), parameters (R, n), weight
+    (ny, ny)) -> Sums; `trace` (data of one record, parameters, with_jacobian) -> residuals (N, ny), jacobian
+    (N, ny, n) or None; `n` number of parameters."""
 
     sums: Callable[[NDArray, NDArray, NDArray, NDArray], Sums]
     trace: Callable[[NDArray, NDArray, bool], tuple[NDArray, NDArray | None]]

@@ -43,10 +43,7 @@ def kernel_for(structure: Structure, levels: bool, initial: bool, variant: str =
 
 
 def predictor_is_stable(structure: Structure, z: NDArray) -> bool:
-    """Whether the predictor forgets: every C and F stable, or A - K C.
-
-    Shapes: z (n,).
-    """
+    """Whether the predictor forgets: every C and F stable, or A - K C; z (n,)."""
     if isinstance(structure, StateSpace):
         m = structure.matrices(z)
         closed = m["A"] - m["K"] @ m["C"]
@@ -60,8 +57,7 @@ def predictor_is_stable(structure: Structure, z: NDArray) -> bool:
 
 def projected(structure: Structure, z: NDArray, mirror: bool = True) -> NDArray:
     """Parameters with the unstable roots of C and F mirrored into the unit circle; of state space, as they
-    are.
-    """
+    are."""
     if isinstance(structure, StateSpace) or predictor_is_stable(structure, z):
         return z
     z = np.array(z)
@@ -73,12 +69,8 @@ def projected(structure: Structure, z: NDArray, mirror: bool = True) -> NDArray:
 
 
 def walls(structure: Structure, z: NDArray) -> NDArray[np.float64]:
-    """Where roots of C and F lie on the edge of stability, the gradient of their modulus.
-
-    With p(r) = 0 the root moves by dr = -r^(n-k) dz_k / p'(r), its modulus by Re(conj(r) dr) / |r|.
-
-    Shapes: z (n,), returns (m, n).
-    """
+    """Where roots of C and F lie on the edge of stability, the gradient of their modulus: z (n,) -> (m, n).
+    With p(r) = 0 the root moves by dr = -r^(n-k) dz_k / p'(r), its modulus by Re(conj(r) dr) / |r|."""
     found: list[NDArray] = []
     if isinstance(structure, StateSpace):
         return np.zeros((0, len(z)))
@@ -105,10 +97,7 @@ def walls(structure: Structure, z: NDArray) -> NDArray[np.float64]:
 
 
 def parameter_scale(structure: Structure, su: NDArray, sy: NDArray) -> NDArray[np.float64]:
-    """Factors from the parameters of scaled channels to those of the user's units.
-
-    Shapes: su, sy (nu,), returns (n,).
-    """
+    """Factors from the parameters of scaled channels to those of the user's units: su, sy (nu,) -> (n,)."""
     if isinstance(structure, StateSpace):
         sx = np.repeat(sy, structure.blocks)
         sides = {"A": (sx, sx), "B": (sx, su), "K": (sx, sy), "D": (sy, su)}
@@ -121,10 +110,7 @@ def parameter_scale(structure: Structure, su: NDArray, sy: NDArray) -> NDArray[n
 
 
 def samples(structure: Structure, u: NDArray, y: NDArray) -> NDArray[np.float64]:
-    """The rows that a kernel reads: inputs delayed entry by entry, outputs, pulse.
-
-    Shapes: u, y (N, nu), returns (N, nd).
-    """
+    """The rows that a kernel reads: inputs delayed entry by entry, outputs, pulse; u, y (N, nu) -> (N, nd)."""
     pulse = np.zeros(len(u))
     pulse[0] = 1.0
     if isinstance(structure, StateSpace):

@@ -1,7 +1,6 @@
 """Output error the plain CasADi way: one expression over the whole record, minimised by IPOPT.
 
-It is what users write first, and the slow, obvious twin of the fast path; constraints of any kind go here.
-"""
+It is what users write first, and the slow, obvious twin of the fast path; constraints of any kind go here."""
 
 from __future__ import annotations
 

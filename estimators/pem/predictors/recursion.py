@@ -8,15 +8,13 @@ from typing import Any
 
 @dataclass(frozen=True, eq=False)
 class Recursion:
-    """A predictor as one step: (state, sample, parameters) -> (state, residual, sensitivities).
-
-    `state, sample, parameters` symbols. The sample holds the inputs as delayed for each entry (all entries
-    that are present, row by row), the outputs, and the pulse (1 at the first sample, else 0). The parameters
-    are theta, one level per output (if asked), the initial state (if asked); `next_state, residual, jacobian`
+    """A predictor as one step: (state, sample, parameters) -> (state, residual, sensitivities). `state,
+    sample, parameters` symbols. The sample holds the inputs as delayed for each entry (all entries that are
+    present, row by row), the outputs, and the pulse (1 at the first sample, else 0). The parameters are
+    theta, one level per output (if asked), the initial state (if asked); `next_state, residual, jacobian`
     expressions; the residual is (ny, 1), the jacobian (ny, number of parameters); `log_variance,
     log_gradient` log of the variances by which the residuals have been divided, summed over outputs, and its
-    (1, n) derivative; None where they are constant.
-    """
+    (1, n) derivative; None where they are constant."""
 
     state: Any
     sample: Any

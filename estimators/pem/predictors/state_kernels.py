@@ -2,8 +2,7 @@
 
 With e = y - C x - D u - level and x+ = A x + B u + K e, what a change of a parameter does to the state obeys
 
-    dx+ = (A - K C) dx + dA x + dB u + dK e - K (dD u + dlevel),      de = -C dx - dD u - dlevel
-"""
+    dx+ = (A - K C) dx + dA x + dB u + dK e - K (dD u + dlevel),      de = -C dx - dD u - dlevel"""
 
 from __future__ import annotations
 
@@ -45,11 +44,9 @@ def _turned(rows, weight, N, found):
 
 @njit(error_model="numpy", cache=True)
 def run(data, state, slope, matrices, entries, e, jacobian):
-    """Residuals (N, ny) and sensitivities (N, ny, P) of some samples (N, nu + ny + ...); state and slope go on.
-
-    Shapes: state (n,), slope (n, P), entries (P', 3): matrix (A 0, B 1, K 2, D 3, level 4), row, column. The other columns
-    of the slope are the initial state's.
-    """
+    """Residuals (N, ny) and sensitivities (N, ny, P) of some samples (N, nu + ny + ...); state and slope go
+    on; state (n,), slope (n, P), entries (P', 3): matrix (A 0, B 1, K 2, D 3, level 4), row, column. The
+    other columns of the slope are the initial state's."""
     A, B, C, D, K, level, F = matrices
     n, nu, ny, P = len(A), B.shape[1], len(C), slope.shape[1]
     after, following = np.empty(n), np.empty_like(slope)
@@ -95,10 +92,8 @@ def run(data, state, slope, matrices, entries, e, jacobian):
 
 @njit(error_model="numpy", cache=True)
 def fold(data, starts, matrices, entries, weight, weights):
-    """Of one record: loss, half its gradient (P,), Gauss-Newton matrix (P, P), moment of the residuals (ny, ny).
-
-    Shapes: data (N, nd), starts (n,) and (n, P), weight (ny, ny), weights (N, ny), or (0, ny) for none.
-    """
+    """Of one record: loss, half its gradient (P,), Gauss-Newton matrix (P, P), moment of the residuals (ny,
+    ny); data (N, nd), starts (n,) and (n, P), weight (ny, ny), weights (N, ny), or (0, ny) for none."""
     state, slope = starts[0].copy(), starts[1].copy()
     ny, P = len(weight), slope.shape[1]
     e, J = np.empty((BLOCK, ny)), np.empty((BLOCK, ny, P))

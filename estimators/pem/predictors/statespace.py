@@ -16,10 +16,7 @@ def subspace_start(
     structure: StateSpace, signals: list[tuple[NDArray, NDArray]], past: int, future: int
 ) -> NDArray[np.float64]:
     """Parameters by a subspace method: the predictor's Markov parameters by least squares, their Hankel
-    matrix factored, the states regressed (Chiuso 2007, Automatica 43, 1034: PBSID).
-
-    Shapes: returns (n,).
-    """
+    matrix factored, the states regressed (Chiuso 2007, Automatica 43, 1034: PBSID); returns (n,)."""
     ny, nu, n = structure.n_outputs, structure.n_inputs, structure.order
     back, now_y, now_u = [], [], []
     for y, u in signals:
@@ -50,10 +47,7 @@ def subspace_start(
 
 
 def subspace_candidates(structure: StateSpace, problem: Any) -> list[NDArray[np.float64]]:
-    """Starts by the subspace method with several horizons.
-
-    Shapes: returns (n + levels,).
-    """
+    """Starts by the subspace method with several horizons: returns (n + levels,)."""
     nu, ny = structure.n_inputs, structure.n_outputs
     signals = [(d[:, nu : nu + ny], d[:, :nu]) for d in problem.records()]
     shortest, total = min(len(y) for y, _ in signals), problem.n_samples
@@ -69,10 +63,7 @@ def subspace_candidates(structure: StateSpace, problem: Any) -> list[NDArray[np.
 
 
 def state_space_of_armax(structure: StateSpace, armax: Polynomial, theta: NDArray) -> NDArray[np.float64]:
-    """Parameters of the state-space model that is an ARMAX model of one output.
-
-    Shapes: returns (structure.n,).
-    """
+    """Parameters of the state-space model that is an ARMAX model of one output: returns (structure.n,)."""
     row, n = armax.coefficients(theta)[0], structure.order
     a, c = row["a"][0], row["c"][0]
     A = np.zeros((n, n))

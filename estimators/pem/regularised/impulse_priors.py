@@ -9,8 +9,7 @@ Kernels are covariances of the taps g_1 ... g_n, of scale 1 (Chen, Ohlsson, Ljun
 Each is given by a factor M with K = M M' in closed form, since K itself is singular to working precision.
 
 A disturbance d_t = phi d_(t-1) + w_t under white noise e_t, var w = q var e, has with the difference operator
-D v = (v_t - phi v_(t-1)) the tridiagonal covariance q I + D D': its inverse costs O(N).
-"""
+D v = (v_t - phi v_(t-1)) the tridiagonal covariance q I + D D': its inverse costs O(N)."""
 
 from __future__ import annotations
 
@@ -23,10 +22,7 @@ KERNELS = ("tc", "dc", "ss")
 
 
 def kernel_factor(kernel: str, taps: int, decay: float, correlation: float = 0.0) -> NDArray[np.float64]:
-    """A factor M of a kernel, K = M M'.
-
-    Shapes: returns (n, n).
-    """
+    """A factor M of a kernel, K = M M': returns (n, n)."""
     k = np.arange(1, taps + 1)
     if kernel == "tc":  # a^max(i, j) = sum of a^k - a^(k+1) over k >= max(i, j)
         steps = decay**k * np.where(k < taps, 1 - decay, 1.0)
@@ -45,11 +41,9 @@ def kernel_factor(kernel: str, taps: int, decay: float, correlation: float = 0.0
 
 @dataclass(frozen=True)
 class SlowNoise:
-    """White noise of variance 1 on top of a first-order disturbance; without one, white noise.
-
-    `phi` d_t = phi d_(t-1) + w_t; 1 is a random walk, which begins at the level; below 1 it is stationary;
-    `q` variance of w; 0 leaves the white noise alone.
-    """
+    """White noise of variance 1 on top of a first-order disturbance; without one, white noise. `phi` d_t =
+    phi d_(t-1) + w_t; 1 is a random walk, which begins at the level; below 1 it is stationary; `q` variance
+    of w; 0 leaves the white noise alone."""
 
     phi: float = 0.0
     q: float = 0.0
@@ -88,10 +82,7 @@ class SlowNoise:
         return delta, lower
 
     def weighed(self, x: NDArray) -> tuple[NDArray[np.float64], float]:
-        """V^-1 x and log det V.
-
-        Shapes: x (N, m), returns (N, m).
-        """
+        """V^-1 x and log det V: x (N, m) -> (N, m)."""
         from scipy.linalg.lapack import dpttrs
 
         if self.q <= 0 or len(x) < 2:
@@ -105,10 +96,7 @@ class SlowNoise:
         return out, float(np.log(delta).sum()) - 2 * np.log(self._opening)
 
     def innovations(self, x: NDArray) -> NDArray[np.float64]:
-        """What the past does not foretell, by the Kalman filter from the first sample on.
-
-        Shapes: x (N, m), returns (N, m).
-        """
+        """What the past does not foretell, by the Kalman filter from the first sample on: x (N, m) -> (N, m)."""
         from scipy.linalg import solve_banded
 
         if self.q <= 0 or len(x) < 2:
@@ -121,10 +109,7 @@ class SlowNoise:
         return out
 
     def foretold(self, x: NDArray, ahead: int) -> NDArray[np.float64]:
-        """The disturbance expected after a record of itself and the white noise.
-
-        Shapes: x (N,), returns (ahead,).
-        """
+        """The disturbance expected after a record of itself and the white noise: x (N,) -> (ahead,)."""
         back = np.arange(len(x) - 1, -1, -1)
         spread = self.q * (len(x) - back) if self.phi >= 1 else self.q * self.phi**back / (1 - self.phi**2)
         last = float(spread @ self.weighed(x[:, None])[0][:, 0]) if self.q > 0 else 0.0

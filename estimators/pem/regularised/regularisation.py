@@ -16,10 +16,7 @@ from oed.models.model import Polynomial
 
 
 def lagged(form: Polynomial, i: int, u: NDArray) -> NDArray[np.float64]:
-    """The inputs behind the taps of output i, with zeros before the record.
-
-    Shapes: u (N, nu), returns (N, n).
-    """
+    """The inputs behind the taps of output i, with zeros before the record: u (N, nu) -> (N, n)."""
     size, columns = len(u), []
     for j in range(form.n_inputs):
         for k in range(form.nk[i, j], form.nk[i, j] + form.nb[i, j]):
@@ -30,10 +27,8 @@ def lagged(form: Polynomial, i: int, u: NDArray) -> NDArray[np.float64]:
 
 
 def transient_factor(form: Polynomial, i: int, factors: list[NDArray], size: int) -> NDArray[np.float64]:
-    """A factor of the covariance of the answer to inputs before the record, up to a factor.
-
-    Shapes: factors (nb, m), returns (T, m).
-    """
+    """A factor of the covariance of the answer to inputs before the record, up to a factor: factors (nb, m)
+    -> (T, m)."""
     reach = [form.nk[i, j] + form.nb[i, j] - 1 for j in range(form.n_inputs) if form.nb[i, j]]
     rows = min(max(reach, default=0), size)
     # Nothing is lost by shifting a kernel to the first sample: a delay holds what was applied during it.
@@ -43,17 +38,15 @@ def transient_factor(form: Polynomial, i: int, factors: list[NDArray], size: int
 
 @dataclass(frozen=True, eq=False)
 class Regularisation:
-    """Kernel, disturbance and hyperparameters of a regularised impulse response.
-
-    `kernel` expected decay and smoothness; `disturbance` beside the white noise; `scale, decay, correlation`
-    (ny, nu) c, a and rho of each entry's kernel, c in squared units of the taps; rho of dc alone; `transient`
-    (ny,) factor of the kernel of the answer to earlier inputs; 0 where the record begins at rest; `phi, q`
-    (ny,) of the disturbance; q relative to `noise`; `noise` (ny,) variance of the white noise e;
-    `input_scale` (nu,) root mean square of the inputs' deviations; `errors` per output, standard errors of
-    log scale, logit decay, ..., by name; `log_likelihood` marginal log-likelihood at the optimum, up to a
-    constant of the data; `degrees_of_freedom` effective number of parameters: the trace of the map from
-    outputs to fitted values G u, and the levels.
-    """
+    """Kernel, disturbance and hyperparameters of a regularised impulse response. `kernel` expected decay and
+    smoothness; `disturbance` beside the white noise; `scale, decay, correlation` (ny, nu) c, a and rho of
+    each entry's kernel, c in squared units of the taps; rho of dc alone; `transient` (ny,) factor of the
+    kernel of the answer to earlier inputs; 0 where the record begins at rest; `phi, q` (ny,) of the
+    disturbance; q relative to `noise`; `noise` (ny,) variance of the white noise e; `input_scale` (nu,) root
+    mean square of the inputs' deviations; `errors` per output, standard errors of log scale, logit decay,
+    ..., by name; `log_likelihood` marginal log-likelihood at the optimum, up to a constant of the data;
+    `degrees_of_freedom` effective number of parameters: the trace of the map from outputs to fitted values G
+    u, and the levels."""
 
     kernel: str
     disturbance: str | None
@@ -96,10 +89,8 @@ class Regularisation:
         return out
 
     def continued(self, form: Polynomial, v: NDArray, size: int) -> NDArray[np.float64]:
-        """Transient and disturbance expected over a record, of which the first samples are known.
-
-        Shapes: v (W, ny), returns (size, ny).
-        """
+        """Transient and disturbance expected over a record, of which the first samples are known: v (W, ny)
+        -> (size, ny)."""
         out = np.zeros((size, v.shape[1]))
         for i in range(v.shape[1]):
             out[:, i] = self._settled(form, i, v[:, i], size)
@@ -110,10 +101,8 @@ class Regularisation:
     def innovations(
         self, form: Polynomial, u: NDArray, v: NDArray, unknown: bool
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """One-step prediction errors and their sensitivities to the parameters and the levels.
-
-        Shapes: u, v (N, nu), returns (N, ny), returns (N, ny, n + ny).
-        """
+        """One-step prediction errors and their sensitivities to the parameters and the levels: u, v (N, nu)
+        -> (N, ny), (N, ny, n + ny)."""
         from scipy.signal import lfilter
 
         size, ny = v.shape

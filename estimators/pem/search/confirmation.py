@@ -9,8 +9,7 @@
 A rival would have to fit as well with another response (1) or another pair of B and F for the same response (2).
 
 Where nothing is left but B and F, or C and D, have a root in common as far as the data tell, the order is too high: the
-optimum lies in a valley, and rivals differ by where a mode that is not there fits the noise best.
-"""
+optimum lies in a valley, and rivals differ by where a mode that is not there fits the noise best."""
 
 from __future__ import annotations
 
@@ -48,10 +47,7 @@ def _channels(problem: Problem) -> list[NDArray[np.float64]]:
 
 
 def first_start(problem: Problem) -> NDArray[np.float64] | None:
-    """The start by null-space fitting of one long ARX model.
-
-    Shapes: returns (n + levels,).
-    """
+    """The start by null-space fitting of one long ARX model: returns (n + levels,)."""
     form = problem.structure
     if form.na[0] or form.nc[0] or form.nd[0] or not form.nf.any() or problem.variant:
         return None

@@ -23,12 +23,9 @@ STUDENT = 4.0
 
 @dataclass(frozen=True)
 class Settings:
-    """How a fit is made, beside the data and the structure.
-
-    `offset, unknown, missing` whether levels are estimated, initial states unknown, outputs missing; `search`
-    auto, quick or thorough; `max_iterations` most steps from each start; `tolerance` relative decrease of the
-    loss below which to stop.
-    """
+    """How a fit is made, beside the data and the structure. `offset, unknown, missing` whether levels are
+    estimated, initial states unknown, outputs missing; `search` auto, quick or thorough; `max_iterations`
+    most steps from each start; `tolerance` relative decrease of the loss below which to stop."""
 
     offset: bool
     unknown: bool
@@ -134,8 +131,7 @@ def robustly(problem: Problem, optimum: Optimum, robust: str, how: Settings) -> 
 
 def robust_factor(problem: Problem, point: Point, robust: str) -> float:
     """sigma^2 times N E[psi^2] / E[psi']^2 over the weights' sum: from (sum w J'J)^-1 to the M-estimate's
-    covariance.
-    """
+    covariance."""
     plain, ny = unweighted(problem), problem.structure.n_outputs
     e = np.concatenate(plain.residuals(point)) / plain.output_scale
     weights = problem.data[:, -1] ** 2
@@ -160,10 +156,8 @@ def robust_scale(problem: Problem, optimum: Optimum) -> float:
 
 
 def without_outliers(records: list[Record], residuals: list[NDArray]) -> list[Record]:
-    """Records whose outputs are interpolated where they jump off their neighbours or off a model.
-
-    Shapes: residuals (N, ny).
-    """
+    """Records whose outputs are interpolated where they jump off their neighbours or off a model: residuals
+    (N, ny)."""
     e = np.concatenate(residuals)
     limit = 4 * np.median(np.abs(e), axis=0) / 0.6745
     return [

@@ -22,13 +22,10 @@ HALF = 24
 
 @dataclass(frozen=True, eq=False)
 class FractionalDelay:
-    """A delay in samples, not a whole number.
-
-    `delay` total delay of the first numerator coefficient, in samples; `standard_error` from the curvature of
-    the profile likelihood; `fit` the model of the input shifted by the fraction, with the whole part as its
-    nk; the covariance of its parameters includes what the uncertainty of the delay adds; `fraction` shift of
-    the input, in samples.
-    """
+    """A delay in samples, not a whole number. `delay` total delay of the first numerator coefficient, in
+    samples; `standard_error` from the curvature of the profile likelihood; `fit` the model of the input
+    shifted by the fraction, with the whole part as its nk; the covariance of its parameters includes what the
+    uncertainty of the delay adds; `fraction` shift of the input, in samples."""
 
     delay: float
     standard_error: float
@@ -40,10 +37,7 @@ class FractionalDelay:
 
 
 def shifted(signal: NDArray, fraction: float) -> NDArray[np.float64]:
-    """A band-limited signal later by a fraction of a sample.
-
-    Shapes: signal (N, n_channels), returns (N, n_channels).
-    """
+    """A band-limited signal later by a fraction of a sample: signal (N, n_channels) -> (N, n_channels)."""
     if abs(fraction) > 4:
         raise InputError(f"the shift is {fraction} samples; it must lie between -4 and 4: the rest is nk's.")
     if fraction == 0:
@@ -66,11 +60,9 @@ def estimate_fractional_delay(
     delay: int = 1,
     **options: Any,
 ) -> FractionalDelay:
-    """The delay within one sample of nk under which a model fits best, with its standard error.
-
-    The inputs are taken as band-limited. A second numerator coefficient imitates a fraction of a delay; with
-    one the fraction is well determined.
-    """
+    """The delay within one sample of nk under which a model fits best, with its standard error. The inputs
+    are taken as band-limited. A second numerator coefficient imitates a fraction of a delay; with one the
+    fraction is well determined."""
     from scipy.optimize import minimize_scalar
 
     from estimators.pem import identify

@@ -186,10 +186,7 @@ def _signals(problem: Problem) -> list[tuple[NDArray, NDArray]]:
 
 
 def candidates(problem: Problem, known: NDArray | None = None) -> list[NDArray[np.float64]]:
-    """Starts for one output, by linear algebra alone.
-
-    Shapes: returns (n + levels,).
-    """
+    """Starts for one output, by linear algebra alone: returns (n + levels,)."""
     form, signals = problem.structure, _signals(problem)
     place, width = form.places()[0], problem.n_parameters
     nb, nf = (

@@ -2,8 +2,7 @@
 
 V(z + d) is about V + 2 g'd + d'(H + S)d. H is the Gauss-Newton matrix; S, the second-order part that it leaves out,
 starts at zero and is learned from differences of gradients (Dennis, Gay, Welsch 1981, ACM TOMS 7, 348: NL2SOL).
-The model that foretold the last step better is used for the next.
-"""
+The model that foretold the last step better is used for the next."""
 
 from __future__ import annotations
 
@@ -26,12 +25,10 @@ FLAT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """The loss at some parameters and its Gauss-Newton model.
-
-    `z` (n,) parameters; `loss` sum of weighted squares; `gradient, hessian` (n,) half the gradient, (n, n)
-    Gauss-Newton matrix; `follow` d -> whatever `evaluate` needs to evaluate at z + d (initial states that go
-    along); `extra` what the evaluation carries along.
-    """
+    """The loss at some parameters and its Gauss-Newton model. `z` (n,) parameters; `loss` sum of weighted
+    squares; `gradient, hessian` (n,) half the gradient, (n, n) Gauss-Newton matrix; `follow` d -> whatever
+    `evaluate` needs to evaluate at z + d (initial states that go along); `extra` what the evaluation carries
+    along."""
 
     z: NDArray[np.float64]
     loss: float
@@ -43,12 +40,9 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """Where the search ended.
-
-    `point` the last accepted point; `status` CONVERGED, MAX_ITERATIONS or INACCURATE; `iterations` accepted
-    and rejected steps; `decrement` gradient' hessian^-1 gradient / loss at the end: the relative decrease
-    still to be had.
-    """
+    """Where the search ended. `point` the last accepted point; `status` CONVERGED, MAX_ITERATIONS or
+    INACCURATE; `iterations` accepted and rejected steps; `decrement` gradient' hessian^-1 gradient / loss at
+    the end: the relative decrease still to be had."""
 
     point: Point
     status: Status
@@ -57,10 +51,7 @@ class Optimum:
 
 
 def units(hessian: NDArray) -> NDArray[np.float64]:
-    """Units of the parameters in which the diagonal of a matrix is 1.
-
-    Shapes: hessian (n, n), returns (n,).
-    """
+    """Units of the parameters in which the diagonal of a matrix is 1: hessian (n, n) -> (n,)."""
     diagonal = hessian.diagonal()
     return 1 / np.sqrt(np.maximum(diagonal, max(1e-14 * diagonal.max(), np.finfo(float).tiny)))
 
@@ -122,10 +113,7 @@ def minimise(
     walls: Callable[[NDArray], NDArray] | None = None,
     bounds: tuple[NDArray, NDArray] | None = None,
 ) -> Optimum:
-    """Minimise a sum of squares from a point.
-
-    Shapes: evaluate (z, extra), free (n,).
-    """
+    """Minimise a sum of squares from a point: evaluate (z, extra), free (n,)."""
     point, damping = start, 0.0
     allowed = np.ones(len(start.z), bool) if free is None else np.asarray(free)
     S, corrected = np.zeros((len(start.z), len(start.z))), False

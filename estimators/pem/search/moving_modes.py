@@ -3,8 +3,7 @@
 A local optimum differs from the global one by modes that have settled in the wrong place, mostly on top of a zero.
 With some polynomials held the residual is affine in the others (Golub, Pereyra 1973, SIAM J. Numer. Anal. 10, 413):
 in B and the levels given F, C, D; in A and B given C; in D given B, F, C. So one evaluation tells the loss at the best
-of these, and only the places of few modes are searched.
-"""
+of these, and only the places of few modes are searched."""
 
 from __future__ import annotations
 

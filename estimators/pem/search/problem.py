@@ -26,18 +26,16 @@ from oed.models.model import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The prediction-error loss of one structure on several records, in scaled units.
-
-    `structure` the structure; `kernel` its predictor; `data` (N, nd) samples of all records, one after the
-    other; `lengths` (R,) samples of each record; `scale` (n + levels,) factor from scaled parameters to the
-    user's units; `input_level, output_level, input_scale, output_scale` what was taken off each channel, and
-    divided by; `n_initial` unknown initial states per record; `weight` (ny, ny) inverse of the assumed
-    residual covariance, in scaled units; `variant` "", "weighted" or "missing": which kernel; `n_observed`
-    rows with an observed output; `n_values` observed outputs, counted one by one; `noise` (ny, ny) covariance
-    of the innovations up to a factor, in scaled units: of state-space models of several outputs with missing
+    """The prediction-error loss of one structure on several records, in scaled units. `structure` the
+    structure; `kernel` its predictor; `data` (N, nd) samples of all records, one after the other; `lengths`
+    (R,) samples of each record; `scale` (n + levels,) factor from scaled parameters to the user's units;
+    `input_level, output_level, input_scale, output_scale` what was taken off each channel, and divided by;
+    `n_initial` unknown initial states per record; `weight` (ny, ny) inverse of the assumed residual
+    covariance, in scaled units; `variant` "", "weighted" or "missing": which kernel; `n_observed` rows with
+    an observed output; `n_values` observed outputs, counted one by one; `noise` (ny, ny) covariance of the
+    innovations up to a factor, in scaled units: of state-space models of several outputs with missing
     samples, whose residuals are whitened by it; `lower, upper` bounds of the scaled parameters; equal where a
-    parameter is known; `prior_mean, prior_precision` (z - mean)' precision (z - mean) is added to the loss.
-    """
+    parameter is known; `prior_mean, prior_precision` (z - mean)' precision (z - mean) is added to the loss."""
 
     structure: Structure
     kernel: Kernel
@@ -77,10 +75,7 @@ class Problem:
     def descend(
         self, point: Point, *, max_iterations: int, tolerance: float, free: NDArray | None = None
     ) -> Optimum:
-        """Minimise from a point, within the bounds.
-
-        Shapes: free (n,).
-        """
+        """Minimise from a point, within the bounds: free (n,)."""
         bounds = None
         if self.lower is not None and self.upper is not None:
             bounds = self.lower, self.upper
@@ -91,10 +86,7 @@ class Problem:
         )  # fmt: skip
 
     def with_weights(self, weights: NDArray) -> Problem:
-        """The same problem with a weight for every sample.
-
-        Shapes: weights (N, ny).
-        """
+        """The same problem with a weight for every sample: weights (N, ny)."""
         known = self.data if self.variant == "" else self.data[:, : -self.structure.n_outputs]
         levels = self.n_parameters > self.structure.n
         return self.replace(
@@ -104,20 +96,14 @@ class Problem:
         )
 
     def with_noise(self, noise: NDArray) -> Problem:
-        """The same problem with another covariance of the innovations.
-
-        Shapes: noise (ny, ny).
-        """
+        """The same problem with another covariance of the innovations: noise (ny, ny)."""
         lower = noise[np.tril_indices(len(noise))]
         known = self.data if self.noise is None else self.data[:, : -len(lower)]
         data = np.column_stack([known, np.broadcast_to(lower, (len(known), len(lower)))])
         return self.replace(data=np.ascontiguousarray(data), noise=noise)
 
     def evaluate(self, z: NDArray, initial: Any = None) -> Point | None:
-        """Loss, gradient and Gauss-Newton matrix with the initial states eliminated.
-
-        Shapes: initial (R, m).
-        """
+        """Loss, gradient and Gauss-Newton matrix with the initial states eliminated: initial (R, m)."""
         if not predictor_is_stable(self.structure, z[: self.structure.n]):
             return None
         m, n = self.n_initial, self.n_parameters
@@ -172,10 +158,7 @@ class Problem:
         return -np.einsum("rij,rj->ri", inverse, sums.gradient[:, n:])
 
     def records(self) -> list[NDArray[np.float64]]:
-        """The samples record by record.
-
-        Shapes: returns (N, nd).
-        """
+        """The samples record by record: returns (N, nd)."""
         ends = np.cumsum(self.lengths).tolist()
         return [self.data[a:b] for a, b in zip([0, *ends[:-1]], ends, strict=True)]
 
@@ -190,10 +173,7 @@ class Problem:
         return self.replace(data=self.data[:rows], lengths=np.array(lengths), n_observed=rows)
 
     def residuals(self, point: Point) -> list[NDArray[np.float64]]:
-        """One-step prediction errors in the user's units.
-
-        Shapes: returns (N, ny).
-        """
+        """One-step prediction errors in the user's units: returns (N, ny)."""
         initial = point.extra[0]
         initial = np.zeros((len(self.lengths), 0)) if initial is None else initial
         found = [

@@ -4,8 +4,7 @@
 2. From it, by weighted null-space fitting (Galrinho, Rojas, Hjalmarsson 2019, IEEE TAC 64(7)), the entry
    B / F: with G = B_n / A_n of high order, F B_n - B A_n = 0 is linear in the coefficients of B and F.
 3. Steiglitz-McBride iterations on the data (1965): least squares of F y = B u on data filtered by 1 / F.
-4. The noise model by two-stage least squares (Hannan, Rissanen 1982).
-"""
+4. The noise model by two-stage least squares (Hannan, Rissanen 1982)."""
 
 from __future__ import annotations
 
@@ -77,10 +76,7 @@ def lagged_gram(channels: Iterable[NDArray], lags: int) -> NDArray[np.float64]:
 
 
 def high_order(gram: NDArray, order: int, lead: int) -> tuple[NDArray, list[NDArray], NDArray]:
-    """ARX model of high order: A y = sum_j B_j u_j, all of `order` coefficients.
-
-    Shapes: returns (order,).
-    """
+    """ARX model of high order: A y = sum_j B_j u_j, all of `order` coefficients; returns (order,)."""
     width, lags = gram.shape[:2]
     flat = gram.reshape(width * lags, width * lags)
     index = [k + 1 for k in range(order)]
@@ -97,10 +93,8 @@ def high_order(gram: NDArray, order: int, lead: int) -> tuple[NDArray, list[NDAr
 def null_space_fit(
     A: NDArray, B: NDArray, covariance: NDArray, nb: int, nf: int, iterations: int = 3
 ) -> tuple[NDArray, NDArray]:
-    """B / F of low order from a high-order pair, by weighted null-space fitting.
-
-    Shapes: A, B (n,), covariance (2n, 2n), returns (nb,).
-    """
+    """B / F of low order from a high-order pair, by weighted null-space fitting: A, B (n,), covariance (2n,
+    2n) -> (nb,)."""
     n = len(B)
     full = np.concatenate([[1.0], A])[:n]
     shifted = lambda x, k: np.concatenate([np.zeros(min(k, n)), x[: max(n - k, 0)]])
@@ -130,10 +124,7 @@ def null_space_fit(
 def low_order_fits(
     gram: NDArray, order: int, nb: Sequence[int], nf: Sequence[int]
 ) -> tuple[list[NDArray], list[NDArray]]:
-    """B / F of every input from one long ARX model, by weighted null-space fitting.
-
-    Shapes: returns (nb,).
-    """
+    """B / F of every input from one long ARX model, by weighted null-space fitting: returns (nb,)."""
     A, B, spread = high_order(gram, order, 1)
     bs, fs = [], []
     for j, (b_long, n_b, n_f) in enumerate(zip(B, nb, nf, strict=True)):
@@ -145,10 +136,8 @@ def low_order_fits(
 
 
 def steiglitz_mcbride(signals: Signals, nb: int, f: NDArray, iterations: int = 10) -> tuple[NDArray, NDArray]:
-    """Least squares of F y = B u on data filtered by 1 / F, repeated; one input.
-
-    Shapes: signals (y, u), f (nf,), returns (nb,).
-    """
+    """Least squares of F y = B u on data filtered by 1 / F, repeated; one input; signals (y, u), f (nf,) ->
+    (nb,)."""
     nf, longest = len(f), max(len(y) for y, _ in signals)
     seen = np.zeros((len(signals), longest))
     both = np.zeros((2, len(signals), longest))
@@ -188,10 +177,7 @@ def _delayed(x: NDArray, k: int) -> NDArray:
 
 
 def arma_start(noise: list[NDArray], nc: int, nd: int, order: int = 30) -> tuple[NDArray, NDArray]:
-    """C and D of D v = C e by two-stage least squares.
-
-    Shapes: returns (nc,).
-    """
+    """C and D of D v = C e by two-stage least squares: returns (nc,)."""
     if not nc + nd:
         return np.zeros(0), np.zeros(0)
     order = max(1, min(order, min(map(len, noise)) // 4))
@@ -209,10 +195,8 @@ def arma_start(noise: list[NDArray], nc: int, nd: int, order: int = 30) -> tuple
 def armax_start(
     signals: Signals, na: int, nb: list[int], nc: int, order: int, rounds: int = 4
 ) -> list[NDArray[np.float64]]:
-    """A, B, C of A y = B u + C e by extended least squares, its residuals first those of a long ARX model.
-
-    Shapes: signals (y, u).
-    """
+    """A, B, C of A y = B u + C e by extended least squares, its residuals first those of a long ARX model:
+    signals (y, u)."""
     channels = [np.column_stack([y, u]) for y, u in signals]
     A, B, _ = high_order(lagged_gram(channels, order + 1), order, 1)
     long_a = np.concatenate([[1.0], A])

@@ -5,8 +5,7 @@ singular values s), A and C with it; B, D, levels and initial states follow, as 
 what they are linear in. Sorted by the sample at which the noise enters, the estimate's error is a sum of terms
 kappa_t v(t), in which kappa_t depends on the past alone if v is white: what instrumental variables have. The sum's
 long-run covariance is found as that of the sandwich is, so that it holds for coloured noise and unequal variances too.
-Terms of second order in the noise and the choice of the horizon are left out.
-"""
+Terms of second order in the noise and the choice of the horizon are left out."""
 
 from __future__ import annotations
 
@@ -23,10 +22,7 @@ from oed.models.model import StateSpace
 def influence(
     form: StateSpace, problem: Problem, point: Point, found: Range, signals: list[tuple[NDArray, NDArray]]
 ) -> list[NDArray[np.float64]]:
-    """What noise in each output at each sample adds to the estimate: kappa.
-
-    Shapes: returns (N, ny, n + levels).
-    """
+    """What noise in each output at each sample adds to the estimate: kappa; returns (N, ny, n + levels)."""
     free = linear_entries(form, problem.n_parameters)
     at = np.flatnonzero(free)
     follow = np.linalg.pinv(point.hessian[at[:, None], at], rcond=1e-14, hermitian=True)
@@ -45,10 +41,8 @@ def influence(
 def covariance(
     problem: Problem, residuals: list[NDArray], terms: list[NDArray], horizon: int
 ) -> NDArray[np.float64]:
-    """Covariance of the parameters of A, B and D and of the levels.
-
-    Shapes: residuals (N, ny), terms (N, ny, n + levels), returns (n + levels, n + levels).
-    """
+    """Covariance of the parameters of A, B and D and of the levels: residuals (N, ny), terms (N, ny, n +
+    levels) -> (n + levels, n + levels)."""
     total, n, ny = problem.n_samples, problem.n_parameters, residuals[0].shape[1]
     # noise that the states colour enters a whole horizon at a time, and cancels only over all of it
     lags = max(default_lags(total), horizon)
@@ -59,10 +53,7 @@ def covariance(
 
 
 def linear_entries(form: StateSpace, count: int) -> NDArray[np.bool_]:
-    """Which parameters the simulated output is linear in.
-
-    Shapes: returns (count,).
-    """
+    """Which parameters the simulated output is linear in: returns (count,)."""
     free = np.ones(count, bool)
     free[: form.n] = [letter != "A" for letter, _, _ in form.entries()]
     return free
@@ -123,10 +114,7 @@ def _moves(found: Range, u: NDArray, y: NDArray, lever: NDArray) -> NDArray[np.f
 
 
 def range_sensitivity(found: Range, form: StateSpace) -> NDArray[np.float64]:
-    """Change of the parameters of A with noise in the future outputs times the state.
-
-    Shapes: returns (p, i ny, n).
-    """
+    """Change of the parameters of A with noise in the future outputs times the state: returns (p, i ny, n)."""
     G, A, ny = found.basis, found.A, form.n_outputs
     n, rows = len(A), len(G)
     changes = np.eye(rows * n).reshape(-1, rows, n)

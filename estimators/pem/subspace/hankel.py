@@ -19,11 +19,9 @@ CHUNK = 4096
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """Triangular factor of the rows [future inputs, past inputs and outputs, future outputs].
-
-    `R` (d, d) upper triangular, d = 2 i (nu + ny); `horizon` i, block rows that look back, and as many that
-    look forward; `n_inputs, n_outputs` nu, ny.
-    """
+    """Triangular factor of the rows [future inputs, past inputs and outputs, future outputs]. `R` (d, d)
+    upper triangular, d = 2 i (nu + ny); `horizon` i, block rows that look back, and as many that look
+    forward; `n_inputs, n_outputs` nu, ny."""
 
     R: NDArray[np.float64]
     horizon: int
@@ -57,19 +55,13 @@ def _triangle(matrix: NDArray) -> NDArray[np.float64]:
 
 def windows(signal: NDArray, rows: int, first: int, count: int) -> NDArray[np.float64]:
     """Rows of a block-Hankel matrix, transposed: what a signal does over some samples, at each of several
-    times.
-
-    Shapes: signal (N, k), returns (count, rows k).
-    """
+    times; signal (N, k) -> (count, rows k)."""
     view = sliding_window_view(signal[first : first + count + rows - 1], rows, axis=0)
     return view.transpose(0, 2, 1).reshape(count, -1)
 
 
 def lagged(signal: NDArray, lags: int, first: int, count: int) -> NDArray[np.float64]:
-    """The past of a signal at each of several times, the last sample first.
-
-    Shapes: signal (N, k), returns (count, lags k).
-    """
+    """The past of a signal at each of several times, the last sample first: signal (N, k) -> (count, lags k)."""
     past = windows(signal, lags, first, count).reshape(count, lags, -1)
     return past[:, ::-1].reshape(count, -1)
 

@@ -13,12 +13,10 @@ from oed.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Range:
-    """Range of the extended observability matrix, as estimated.
-
-    `A, C` (n, n), (ny, n) in some coordinates; `basis` (i ny, n) its columns; `singular_values` (i ny,) all
-    of them; n should stand out; `factor` the data; `weight, unweight` (i ny, i ny) what the future outputs
-    were multiplied by before the decomposition, and its inverse; `method` how; `right` (n, ...) its right vectors.
-    """
+    """Range of the extended observability matrix, as estimated. `A, C` (n, n), (ny, n) in some coordinates;
+    `basis` (i ny, n) its columns; `singular_values` (i ny,) all of them; n should stand out; `factor` the
+    data; `weight, unweight` (i ny, i ny) what the future outputs were multiplied by before the decomposition,
+    and its inverse; `method` how; `right` (n, ...) its right vectors."""
 
     A: NDArray[np.float64]
     C: NDArray[np.float64]
@@ -45,14 +43,11 @@ class Range:
 
 @dataclass(frozen=True, eq=False)
 class Subspace:
-    """How a subspace method came to its model.
-
-    `method` moesp, n4sid or cva; `horizon` block rows that look back, and as many that look forward;
-    `singular_values` (horizon ny,) from which the order is read: as many as the model has states should stand
-    out; `tried` root mean square of the simulation error on the data, over the outputs' sizes, for each
-    horizon that gave a stable model; `influence` (N, ny, n + levels) of each record: what noise in each
-    output at each sample adds to the estimate.
-    """
+    """How a subspace method came to its model. `method` moesp, n4sid or cva; `horizon` block rows that look
+    back, and as many that look forward; `singular_values` (horizon ny,) from which the order is read: as many
+    as the model has states should stand out; `tried` root mean square of the simulation error on the data,
+    over the outputs' sizes, for each horizon that gave a stable model; `influence` (N, ny, n + levels) of
+    each record: what noise in each output at each sample adds to the estimate."""
 
     method: str
     horizon: int

@@ -4,8 +4,7 @@ The future outputs, once the part due to the future inputs is taken off, lie in 
 matrix [C; CA; CA^2; ...]. The past inputs and outputs are the instruments that tell this range from noise. A and C come
 from the range (shift invariance); B, D, the levels and the initial states then are linear in the simulated output, and
 minimise its error (Van Overschee, De Moor 1996, Subspace Identification for Linear Systems, chapter 4; Verhaegen
-1994, Automatica 30, 61: PO-MOESP; Larimore 1990: CVA).
-"""
+1994, Automatica 30, 61: PO-MOESP; Larimore 1990: CVA)."""
 
 from __future__ import annotations
 

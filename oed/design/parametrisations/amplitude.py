@@ -101,10 +101,7 @@ def amplitude_design(
 
 
 def slew_limited(u: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
-    """Follow a signal as fast as a rate limit allows, from rest.
-
-    Shapes: u (N, nu), returns (N, nu).
-    """
+    """Follow a signal as fast as a rate limit allows, from rest: u (N, nu) -> (N, nu)."""
     out, last = np.empty_like(u), np.zeros(u.shape[1])
     for t, wanted in enumerate(u):
         last = last + np.clip(wanted - last, -rate, rate)

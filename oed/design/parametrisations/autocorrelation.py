@@ -9,8 +9,7 @@ Moments: for a rational plant of one input with denominator A and numerators of 
 M depends on Phi / |A A H|^2 through its moments m_0 ... m_d only; a sequence is one of moments exactly when its
 Toeplitz matrix is positive semidefinite (Caratheodory), and then a few lines have these moments.
 Source: R. Hildebrand, M. Gevers, "Identification for control: optimal input design with respect to a worst-case
-nu-gap cost function", SIAM J. Control and Optimization 41 (2003) 1586-1608.
-"""
+nu-gap cost function", SIAM J. Control and Optimization 41 (2003) 1586-1608."""
 
 from __future__ import annotations
 
@@ -33,13 +32,11 @@ from oed.plants.systems import as_plant
 
 @dataclass(frozen=True, eq=False)
 class Autocorrelated:
-    """The best spectrum of a parametrisation.
-
-    `spectrum` as lines: of a density, the nodes of a quadrature that is exact for the information;
-    `coefficients` (L + 1,) autocorrelation r_0 ... r_L, with several inputs (L + 1, nu, nu), E u(t + l)
-    u(t)'; or moments m_0 ... m_d; `loss` loss per sample at the stated power; `kind` "autocorrelation" or
-    "moments"; `power` input power as the optimiser's own variables have it.
-    """
+    """The best spectrum of a parametrisation. `spectrum` as lines: of a density, the nodes of a quadrature
+    that is exact for the information; `coefficients` (L + 1,) autocorrelation r_0 ... r_L, with several
+    inputs (L + 1, nu, nu), E u(t + l) u(t)'; or moments m_0 ... m_d; `loss` loss per sample at the stated
+    power; `kind` "autocorrelation" or "moments"; `power` input power as the optimiser's own variables have
+    it."""
 
     spectrum: Spectrum
     coefficients: NDArray[np.float64]
@@ -52,10 +49,7 @@ class Autocorrelated:
 
 
 def conic(criterion: Criterion, constraints: list, M: Any, accuracy: float = 1e-11) -> NDArray[np.float64]:
-    """Solve for the best value of a criterion over a matrix expression in CVXPY, by Clarabel.
-
-    Shapes: M (n, n).
-    """
+    """Solve for the best value of a criterion over a matrix expression in CVXPY, by Clarabel: M (n, n)."""
     import warnings
 
     import cvxpy as cp
@@ -256,10 +250,7 @@ def moment_design(
 
 def caratheodory(moments: NDArray[np.float64], tolerance: float = 1e-6) -> NDArray[np.float64]:
     """Frequencies in [0, pi] of the lines that have given cosine moments, from the Toeplitz matrix's null
-    space.
-
-    Shapes: moments (d + 1,).
-    """
+    space: moments (d + 1,)."""
     d = len(moments) - 1
     T = moments[np.abs(np.subtract.outer(np.arange(d + 1), np.arange(d + 1)))]
     values, vectors = np.linalg.eigh(T)

@@ -8,8 +8,7 @@ sums of squares sigma_0, sigma_1 in (s, u),
 
 makes the mean of y^2 at most eta (the sum over time telescopes, and s is bounded). Degree 2 gives ||F||_inf^2 again; for a
 sharp resonance degrees 4, 6, 8 give 0.889, 0.854, 0.838 of it, above the 0.811 of the square wave: the quadratures of
-|cos| by nodes of Gauss and Radau.
-"""
+|cos| by nodes of Gauss and Radau."""
 
 from __future__ import annotations
 
@@ -26,11 +25,9 @@ Polynomial = dict[tuple[int, ...], float]
 
 
 def passed_power(num: ArrayLike, den: ArrayLike, *, degree: int = 8) -> float:
-    """Certified bound on the mean square of a filter's output over all inputs with |u| <= 1.
-
-    Source: P. A. Parrilo, Mathematical Programming 96 (2003) 293-320, for sums of squares. Twin: simulated
-    square waves and greedy inputs stay below.
-    """
+    """Certified bound on the mean square of a filter's output over all inputs with |u| <= 1. Source: P. A.
+    Parrilo, Mathematical Programming 96 (2003) 293-320, for sums of squares. Twin: simulated square waves and
+    greedy inputs stay below."""
     import cvxpy as cp
 
     if degree not in (2, 4, 6, 8):

@@ -6,8 +6,7 @@ design problem, so the optimum has a certificate over all x; beside it stands th
 Autoregressive: Phi = s / |A(e^jw)|^2. With free poles this is not convex, and without a limit on the poles the
 best such spectrum degenerates into lines. Here the poles stay within a circle of radius rho < 1: A(z) = A_0(z / rho)
 with A_0 by reflection coefficients tanh(x_i), which reach every stable polynomial. The result is the best of several
-local searches; what it may lack is told by the certified bound over all spectra.
-"""
+local searches; what it may lack is told by the certified bound over all spectra."""
 
 from __future__ import annotations
 
@@ -35,14 +34,11 @@ Density = Callable[[NDArray[np.float64]], NDArray]
 
 @dataclass(frozen=True, eq=False)
 class Shaped:
-    """The best spectrum of a shape.
-
-    `spectrum` nodes of a quadrature that is exact for the information to about 1e-10; `coefficients` basis:
-    (m,) power in each basis spectrum. Autoregressive: (p + 1,) A(z) in powers of z^-1, A[0] = 1; `loss` loss
-    per sample at the stated power; `bound` no spectrum at all of this power has a smaller loss; `own_bound`
-    no spectrum of this shape has a smaller loss; NaN where the search is local (autoregressive); `power`
-    input power as the optimiser counts it; `kind` "basis" or "ar".
-    """
+    """The best spectrum of a shape. `spectrum` nodes of a quadrature that is exact for the information to
+    about 1e-10; `coefficients` basis: (m,) power in each basis spectrum. Autoregressive: (p + 1,) A(z) in
+    powers of z^-1, A[0] = 1; `loss` loss per sample at the stated power; `bound` no spectrum at all of this
+    power has a smaller loss; `own_bound` no spectrum of this shape has a smaller loss; NaN where the search
+    is local (autoregressive); `power` input power as the optimiser counts it; `kind` "basis" or "ar"."""
 
     spectrum: Spectrum
     coefficients: NDArray[np.float64]
@@ -319,10 +315,7 @@ def step_up(reflection: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def step_down(a: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Reflection coefficients of a monic polynomial.
-
-    Shapes: a (p + 1,), returns (p,).
-    """
+    """Reflection coefficients of a monic polynomial: a (p + 1,) -> (p,)."""
     reflection = np.zeros(len(a) - 1)
     for i in range(len(a) - 1, 0, -1):
         k = a[i]

@@ -17,10 +17,7 @@ def power_budgets(
     channel_power: ArrayLike | None = None,
     rate_power: ArrayLike | None = None,
 ) -> tuple[Budget, ...]:
-    """The budgets of a design.
-
-    Shapes: channel_power (nu,), rate_power (nu,).
-    """
+    """The budgets of a design: channel_power (nu,), rate_power (nu,)."""
     nu = information.n_inputs
     budgets = []
     if input_power is None and output_power is None and channel_power is None:

@@ -5,8 +5,7 @@ and every nu >= 0, trace(X' M X) <= trace(X' M_0 X) + rho sum_j nu_j, where rho 
 
     rho = max_w largest eigenvalue of S(w) against Q_nu(w) = sum_j nu_j Q_j(w),  S(w) = D(w)^* X X' D(w),
 
-by weak duality. So the pair (X, nu), wherever it came from, gives a bound; the solver's word is not needed.
-"""
+by weak duality. So the pair (X, nu), wherever it came from, gives a bound; the solver's word is not needed."""
 
 from __future__ import annotations
 

@@ -5,8 +5,7 @@ Ds:b1,b2                    D of the named parameters, the others being nuisance
 hinf                        peak gain
 static-gain, gain:0.5       largest singular value of G at 0, or at a frequency in rad/sample
 pole:1, damping:1           modulus of, and damping ratio of, the pole with the smallest damping (1), the next (2)
-I, G, I:0.1:1.0             variance of the frequency response over a band: its mean, its maximum
-"""
+I, G, I:0.1:1.0             variance of the frequency response over a band: its mean, its maximum"""
 
 from __future__ import annotations
 

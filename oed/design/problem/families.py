@@ -14,11 +14,8 @@ CHUNK = 4096
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """V(w) over a band.
-
-    `at` omega (K,) -> V (K, n, s), real; `grid` (K,) increasing frequencies between which trace(V' C V) has
-    at most one maximum for every C.
-    """
+    """V(w) over a band. `at` omega (K,) -> V (K, n, s), real; `grid` (K,) increasing frequencies between
+    which trace(V' C V) has at most one maximum for every C."""
 
     at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     grid: NDArray[np.float64]

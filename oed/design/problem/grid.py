@@ -24,10 +24,7 @@ _OFFSETS = np.concatenate([[0.0], *(side * np.geomspace(0.03, 30, 24) for side i
 def bands_of(
     band: Sequence[float] | Sequence[Sequence[float]] | None,
 ) -> tuple[tuple[float, float], ...]:
-    """Bands in increasing order, checked.
-
-    Shapes: band (low, high), returns (float, float).
-    """
+    """Bands in increasing order, checked: band (low, high) -> (float, float)."""
     if band is None:
         return ((0.0, float(np.pi)),)
     array = np.asarray(band, dtype=float)
@@ -45,10 +42,8 @@ def bands_of(
 def frequency_grid(
     information: InformationMap, bands: tuple[tuple[float, float], ...], points: int | ArrayLike
 ) -> NDArray[np.float64]:
-    """Grid in the bands: uniform, and fine near the resonances; or the frequencies that were given.
-
-    Shapes: bands (float, float), returns (K,).
-    """
+    """Grid in the bands: uniform, and fine near the resonances; or the frequencies that were given; bands
+    (float, float) -> (K,)."""
     if np.ndim(points):
         omega = np.unique(np.asarray(points, dtype=float))
         if not np.isfinite(omega).all() or omega[0] < 0 or omega[-1] > np.pi + 1e-12:

@@ -122,10 +122,7 @@ class InformationMap:
 
 
 def resonances_of(dens: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Frequencies and half widths of the poles of some denominators.
-
-    Shapes: returns (R, 2).
-    """
+    """Frequencies and half widths of the poles of some denominators: returns (R, 2)."""
     roots = [np.roots(den) for den in dens if len(den) > 1]
     poles = np.concatenate([*roots, np.zeros(0, complex)])
     poles = poles[(poles.imag >= 0) & (np.abs(poles) > 1e-3)]

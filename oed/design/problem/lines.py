@@ -4,8 +4,7 @@ Its information is F F' with F (n, m) real, and it uses the share q_j of budget 
 vector of weights w >= 0 with Q w <= 1 and M(w) = M_0 + sum_k w_k F_k F_k'. A direction X of the certificate
 prices every frequency: S(w) = sum over D(w)^* X X' D(w), (nu, nu), against the budgets' Q_nu(w) = sum_j nu_j Q_j(w).
 Parameters are scaled so that white noise carries the unit information matrix; what is computed in these
-coordinates keeps its accuracy at dampings of 1e-3 and time constants over six decades.
-"""
+coordinates keeps its accuracy at dampings of 1e-3 and time constants over six decades."""
 
 from __future__ import annotations
 
@@ -24,11 +23,9 @@ from oed.design.problem.white import white_root
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """A limit on a power that is linear in the spectrum: sum_k tr(form(w_k) P_k) <= limit.
-
-    `name` what is limited, as in messages; `form` omega (K,) -> (K, nu, nu) Hermitian, positive semidefinite;
-    `limit` positive.
-    """
+    """A limit on a power that is linear in the spectrum: sum_k tr(form(w_k) P_k) <= limit. `name` what is
+    limited, as in messages; `form` omega (K,) -> (K, nu, nu) Hermitian, positive semidefinite; `limit`
+    positive."""
 
     name: str
     form: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
@@ -38,10 +35,8 @@ class Budget:
 @dataclass(frozen=True, eq=False)
 class Columns:
     """Lines of unit power: frequencies, directions, information factors and what they use of the budgets.
-
     `omega` (m,) rad/sample; `direction` (m, nu) complex, unit length; `F` (m, n, 2 r) real; `q` (m, J) share
-    of each budget per unit of power.
-    """
+    of each budget per unit of power."""
 
     omega: NDArray[np.float64]
     direction: NDArray[np.complex128]
@@ -60,29 +55,21 @@ class Columns:
         return Columns(self.omega[keep], self.direction[keep], self.F[keep], self.q[keep])
 
     def information(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sum of the columns' information.
-
-        Shapes: w (m,), returns (n, n).
-        """
+        """Sum of the columns' information: w (m,) -> (n, n)."""
         flat = np.moveaxis(self.F * np.sqrt(w)[:, None, None], 0, 1).reshape(self.F.shape[1], -1)
         return flat @ flat.T
 
     def prices(self, X: NDArray[np.float64], nu: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Price of every column against its cost.
-
-        Shapes: X (n, s), nu (J,), returns (m,).
-        """
+        """Price of every column against its cost: X (n, s), nu (J,) -> (m,)."""
         worth = np.sum(np.einsum("mnr,ns->mrs", self.F, X) ** 2, axis=(1, 2))
         return worth / np.maximum(self.q @ nu, 1e-300)
 
 
 @dataclass(frozen=True, eq=False)
 class Prices:
-    """What each grid line is worth to a certificate direction, relative to its cost.
-
-    `ratio` (K,) largest eigenvalue of S against Q_nu: at most 1 at the optimum; `direction` (K, nu) input
-    direction in which it is attained, unit length.
-    """
+    """What each grid line is worth to a certificate direction, relative to its cost. `ratio` (K,) largest
+    eigenvalue of S against Q_nu: at most 1 at the optimum; `direction` (K, nu) input direction in which it is
+    attained, unit length."""
 
     ratio: NDArray[np.float64]
     direction: NDArray[np.complex128]
@@ -141,10 +128,7 @@ class Problem:
         return other
 
     def loss(self, columns: Columns, w: NDArray[np.float64]) -> float:
-        """Scaled loss of the weights of some columns.
-
-        Shapes: w (m,).
-        """
+        """Scaled loss of the weights of some columns: w (m,)."""
         if self.criterion.columns.shape[1] < self.map.n:
             D = np.einsum(
                 "knrq,kq->nkr", self.map.factor(columns.omega), columns.direction * np.sqrt(w)[:, None]
@@ -161,34 +145,23 @@ class Problem:
         return self.criterion.loss_of_factor(flat)
 
     def scaled_factor(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """D in scaled coordinates.
-
-        Shapes: omega (K,), returns (K, n, r, nu).
-        """
+        """D in scaled coordinates: omega (K,) -> (K, n, r, nu)."""
         flat = self._scaled(self.map.factor(omega))
         return np.moveaxis(flat[:, 0] + 1j * flat[:, 1], 0, 1)
 
     def forms_at(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """The budgets' forms over their limits.
-
-        Shapes: omega (K,), returns (K, J, nu, nu).
-        """
+        """The budgets' forms over their limits: omega (K,) -> (K, J, nu, nu)."""
         return self._forms(omega)
 
     def length_scale(self, omega: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distance in frequency over which the plant changes: to the nearest resonance, at most 0.3.
-
-        Shapes: omega (K,), returns (K,).
-        """
+        """Distance in frequency over which the plant changes: to the nearest resonance, at most 0.3; omega
+        (K,) -> (K,)."""
         centres, widths = self.map.resonances[:, 0], self.map.resonances[:, 1]
         distance = np.hypot(omega[:, None] - centres, widths)
         return np.minimum(distance.min(axis=1, initial=np.inf), 3.0 / (self.map.n + 10))
 
     def columns(self, omega: NDArray[np.float64], direction: NDArray[np.complex128]) -> Columns:
-        """Columns at given frequencies and directions.
-
-        Shapes: omega (m,), direction (m, nu).
-        """
+        """Columns at given frequencies and directions: omega (m,), direction (m, nu)."""
         D = self.map.factor(omega)
         G = np.moveaxis(np.einsum("knrq,kq->knr", D, direction), 1, 0)
         from scipy.linalg import solve_triangular
@@ -200,19 +173,13 @@ class Problem:
         return Columns(omega, direction, F, q)
 
     def prices(self, X: NDArray[np.float64], nu: NDArray[np.float64]) -> Prices:
-        """Prices on the grid.
-
-        Shapes: X (n, s), nu (J,).
-        """
+        """Prices on the grid: X (n, s), nu (J,)."""
         return _price(self.grid, self.forms, X, nu)
 
     def prices_at(
         self, omega: NDArray[np.float64], X: NDArray[np.float64], nu: NDArray[np.float64]
     ) -> Prices:
-        """Prices at any frequencies.
-
-        Shapes: omega (K,), X (n, s), nu (J,).
-        """
+        """Prices at any frequencies: omega (K,), X (n, s), nu (J,)."""
         return _price(self._scaled(self.map.factor(omega)), self._forms(omega), X, nu)
 
     def refined_maxima(

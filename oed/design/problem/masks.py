@@ -35,11 +35,9 @@ CENTRED = 15
 
 @dataclass(frozen=True, eq=False)
 class Masks:
-    """Both masks of a plant, and a ceiling on the density where they leave it free.
-
-    `information` the plant; `on_input, on_output` omega (K,) -> (K,) for one channel, or Hermitian matrices;
-    `ceiling` larger eigenvalues of the limit, infinite ones too, count as this.
-    """
+    """Both masks of a plant, and a ceiling on the density where they leave it free. `information` the plant;
+    `on_input, on_output` omega (K,) -> (K,) for one channel, or Hermitian matrices; `ceiling` larger
+    eigenvalues of the limit, infinite ones too, count as this."""
 
     information: InformationMap
     on_input: Mask | None

@@ -21,10 +21,8 @@ def information_nodes(
     beside: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
     width: float = np.pi,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Nodes (K,) on [0, pi] and weights of sum 1 that integrate the information to 1e-9.
-
-    `beside` (K, m), real, is resolved too, jumps included; no panel is wider than `width`.
-    """
+    """Nodes (K,) on [0, pi] and weights of sum 1 that integrate the information to 1e-9. `beside` (K, m),
+    real, is resolved too, jumps included; no panel is wider than `width`."""
 
     def resolved(omega: NDArray) -> NDArray[np.float64]:
         told = np.sum(np.abs(information.factor(omega)) ** 2, axis=(2, 3))
@@ -47,20 +45,15 @@ def mean_information(information: InformationMap) -> NDArray[np.float64]:
 def white_information(
     information: InformationMap, limits: Mapping[str, float], used: Mapping[str, float], power: float
 ) -> NDArray[np.float64]:
-    """Information of white noise of a given total power, equal on all channels, with the constant part.
-
-    Shapes: returns (n, n).
-    """
+    """Information of white noise of a given total power, equal on all channels, with the constant part:
+    returns (n, n)."""
     total = limits.get("input power", power)
     return information.constant + mean_information(information) * total / information.n_inputs
 
 
 def white_root(information: InformationMap, D: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Triangular R with R'R = constant + mean over the grid of the information of unit power in every
-    channel.
-
-    Shapes: D (K, n, ..), returns (n, n).
-    """
+    channel: D (K, n, ..) -> (n, n)."""
     n = information.n
     flat = np.moveaxis(D, 1, 0).reshape(n, -1) / np.sqrt(len(D))
     values, vectors = np.linalg.eigh(information.constant)

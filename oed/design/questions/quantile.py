@@ -5,8 +5,7 @@ minimax loss; it is not convex, but minimax designs of smaller subsets bound tho
 
     include plant j or give it up; a node's bound is the certified minimax bound of the plants it includes.
 
-The search ends with the optimum, or at its limit of designs with the least bound of the nodes that are open.
-"""
+The search ends with the optimum, or at its limit of designs with the least bound of the nodes that are open."""
 
 from __future__ import annotations
 

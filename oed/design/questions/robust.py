@@ -3,8 +3,7 @@
 The information about several plants, side by side, is block diagonal, and so every robust design is an ordinary one:
 average  sum_j p_j loss_j    A, c: one A criterion of the stacked sqrt(p_j) V_j;  D: the geometric mean
 minimax  max_j loss_j        A, c: a G criterion with one combination per plant;  D: the same of determinants (W);
-                             E: the E of all together
-"""
+                             E: the E of all together"""
 
 from __future__ import annotations
 

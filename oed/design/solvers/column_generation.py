@@ -1,8 +1,7 @@
 """Column generation: optimal weights on a few lines, prices over all frequencies, new lines where the price is high.
 
 The loop that every discrete design runs through, whatever its criterion. It ends when the certificate's bound,
-which counts frequencies between the grid lines too, meets the loss.
-"""
+which counts frequencies between the grid lines too, meets the loss."""
 
 from __future__ import annotations
 
@@ -41,15 +40,13 @@ Pair = tuple[Columns, NDArray[np.float64], NDArray[np.float64], NDArray[np.float
 
 @dataclass(frozen=True, eq=False)
 class Exchange:
-    """Outcome of the loop, in the scaled coordinates of the problem.
-
-    `columns` the lines; `w` (m,) their weights, within the budgets; `loss` scaled loss of these weights; `X,
-    nu` the certificate of the best bound, with the prices divided out: no price exceeds 1; `bound` scaled
-    bound; `price` largest price in the last round before it was divided out; `frequency` where that was;
-    `rounds` number of rounds; `status` CONVERGED, or why not; `problem` the problem on the grid as it has
-    grown; `pair` lines, weights and certificate of one round: each shows which of the other's parts are spent;
-    `hints` lines that Newton's method ended with, whatever they are worth by themselves.
-    """
+    """Outcome of the loop, in the scaled coordinates of the problem. `columns` the lines; `w` (m,) their
+    weights, within the budgets; `loss` scaled loss of these weights; `X, nu` the certificate of the best
+    bound, with the prices divided out: no price exceeds 1; `bound` scaled bound; `price` largest price in the
+    last round before it was divided out; `frequency` where that was; `rounds` number of rounds; `status`
+    CONVERGED, or why not; `problem` the problem on the grid as it has grown; `pair` lines, weights and
+    certificate of one round: each shows which of the other's parts are spent; `hints` lines that Newton's
+    method ended with, whatever they are worth by themselves."""
 
     columns: Columns
     w: NDArray[np.float64]
@@ -78,10 +75,7 @@ def solve_weights(
     accuracy: float = 1e-13,
     ridge: float = RIDGE,
 ) -> Weights:
-    """Optimal weights of some columns, by the method that suits the criterion.
-
-    Shapes: start (m,).
-    """
+    """Optimal weights of some columns, by the method that suits the criterion: start (m,)."""
     criterion, constant = problem.criterion, problem.constant
     if criterion.method == "eigenvalue":
         return _eigenvalue(problem, columns, start, min(max(accuracy, 1e-12), KINKED))

@@ -1,8 +1,7 @@
 """Designs in a loop that compile once: the reference problem with its data as parameters (disciplined parametrised).
 
 A sequential experiment designs anew after every fit, with the same structure and other numbers. CVXPY then only
-replaces the numbers: information of the lines, prior, combinations and budgets are parameters of one problem.
-"""
+replaces the numbers: information of the lines, prior, combinations and budgets are parameters of one problem."""
 
 from __future__ import annotations
 

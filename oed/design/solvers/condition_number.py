@@ -10,8 +10,7 @@ positive semidefinite Z_1 and Z_2 and every admissible M
 so that k is a lower bound as soon as tr[(Z_2 / tr Z_2 - k Z_1 / tr Z_1) M] >= 0 for every admissible M: with
 S_i(w) = D(w)^* Z_i D(w), traces 1 and the power P,
 
-    tr[(Z_2 - k Z_1) M_0] + P min(0, least eigenvalue over all w of S_2(w) - k S_1(w)) >= 0.
-"""
+    tr[(Z_2 - k Z_1) M_0] + P min(0, least eigenvalue over all w of S_2(w) - k S_1(w)) >= 0."""
 
 from __future__ import annotations
 
@@ -183,10 +182,9 @@ def _polished(
 def _lifted(
     setting: _Setting, omega: NDArray, Z_low: NDArray, Z_high: NDArray, k: float
 ) -> NDArray[np.float64]:
-    """Z_high with so much of the identity that S_2 - k S_1 is nowhere negative on the grid: rounding of the programme.
-
-    Most where a line tells little, for which the bound pays nothing this way; without it pays the whole relative error.
-    """
+    """Z_high with so much of the identity that S_2 - k S_1 is nowhere negative on the grid: rounding of the
+    programme. Most where a line tells little, for which the bound pays nothing this way; without it pays the
+    whole relative error."""
     n = len(Z_low)
     all_of_it = setting.forms(omega, np.eye(n))
     short = k * setting.forms(omega, Z_low) - setting.forms(omega, Z_high)
@@ -242,10 +240,8 @@ def _weights(lines: _Lines, setting: _Setting) -> tuple[NDArray, NDArray, NDArra
 
 
 def _sparse(setting: _Setting, lines: _Lines, w: NDArray) -> tuple[_Lines, NDArray[np.float64]]:
-    """The same information by few lines (Caratheodory): a vertex of the weights with this M and power.
-
-    The optimum is not unique in its lines, and an interior-point method returns their average: hundreds.
-    """
+    """The same information by few lines (Caratheodory): a vertex of the weights with this M and power. The
+    optimum is not unique in its lines, and an interior-point method returns their average: hundreds."""
     few, own, off = _explained(lines, setting.told(lines, w), float(w.sum()))
     return (few, own) if off < SAME and len(own) < np.count_nonzero(w) else (lines, w)
 

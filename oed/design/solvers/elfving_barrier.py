@@ -5,8 +5,7 @@
 
 -log det(Q_nu - S_X) is self-concordant in (X, nu) (a Schur complement of what is linear in them), so Newton's method
 follows the path of mu; there P_k = mu (Q_nu - S_X)^-1 is an admissible spectrum with (M_0 + M(P)) X = V, exact where the
-optimal information is singular. One rank-one line at a time would have to find these directions one by one.
-"""
+optimal information is singular. One rank-one line at a time would have to find these directions one by one."""
 
 from __future__ import annotations
 

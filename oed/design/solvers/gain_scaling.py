@@ -1,8 +1,7 @@
 """The peak-gain design that the gain-scaling theorem names, offered to the certificate before any search.
 
 docs/theory/design.md: where some x has sum_i x_i G'_i = G / gamma, the sinusoid at the peak is optimal and x is its
-certificate. Whether it is, here, is decided by the certificate as for every other design.
-"""
+certificate. Whether it is, here, is decided by the certificate as for every other design."""
 
 from __future__ import annotations
 

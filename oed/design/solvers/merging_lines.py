@@ -36,11 +36,9 @@ def collapsed(found: Exchange, tolerance: float) -> Exchange:
 
 
 def _balanced(found: Exchange, tolerance: float) -> Exchange:
-    """The weights moved, each by a small share of itself, until M X is what the certificate's X says it must be.
-
-    Where the price is flat there are many optimal spectra, of many lines, and an interior point stops at rounding; the
-    certificate that Newton's method found is better than its weights.
-    """
+    """The weights moved, each by a small share of itself, until M X is what the certificate's X says it must
+    be. Where the price is flat there are many optimal spectra, of many lines, and an interior point stops at
+    rounding; the certificate that Newton's method found is better than its weights."""
     problem, X = found.problem, found.X
     if problem.criterion.smooth or found.pair is None:
         return found
@@ -80,10 +78,7 @@ def _polished(found: Exchange, gathered: Callable, tolerance: float) -> Exchange
 
 
 def evaluated(found: Exchange, columns: Columns, w: NDArray, X: NDArray, nu: NDArray) -> Exchange:
-    """Loss and bound of a support and a certificate, from the beginning.
-
-    Shapes: w (m,).
-    """
+    """Loss and bound of a support and a certificate, from the beginning: w (m,)."""
     problem = found.problem
     bound, price, frequency = evaluated_bound(problem, X, nu)
     return replace(

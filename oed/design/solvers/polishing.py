@@ -6,8 +6,7 @@ Every loss is max over X of numerator(X) / tr(X' M X), so that the optimum is a 
 
 in the frequencies w_i, the complex amplitudes a_i, the multipliers nu and the certificate direction X. Where M is
 nonsingular and the loss smooth (D, A of all parameters) X is solved for beforehand. Each step solves with the exact
-second derivatives in the least-squares sense (phases are free, X may be), so that it converges quadratically.
-"""
+second derivatives in the least-squares sense (phases are free, X may be), so that it converges quadratically."""
 
 from __future__ import annotations
 
@@ -44,11 +43,8 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Polished:
-    """Support, weights and certificate after Newton's method.
-
-    `columns` one per line and direction; `w` weights within the budgets; `X, nu` certificate; `residual` norm
-    of the optimality conditions.
-    """
+    """Support, weights and certificate after Newton's method. `columns` one per line and direction; `w`
+    weights within the budgets; `X, nu` certificate; `residual` norm of the optimality conditions."""
 
     columns: Columns
     w: NDArray[np.float64]
@@ -234,10 +230,8 @@ def polish(
     nu: NDArray[np.float64],
     signs: NDArray[np.float64] | None = None,
 ) -> Polished | None:
-    """Newton's method from a support that is nearly right.
-
-    Shapes: w (m,), signs (s,): modified E, 1 for the columns of X that price the least eigenvalue, -1 for the largest's.
-    """
+    """Newton's method from a support that is nearly right: w (m,), signs (s,): modified E, 1 for the columns
+    of X that price the least eigenvalue, -1 for the largest's."""
     signs = np.ones(X.shape[1]) if signs is None else signs
     try:
         for _ in range(AT_EDGES):

@@ -5,8 +5,7 @@ A and c, by the dual, which is exact also where the optimal information is singu
     maximise 2 tr(V'X) - tr(X' M_0 X) - sum_j nu_j   over X (n, s) and nu >= 0
     subject to |F_k' X|_F^2 <= nu' q_k at every column;   the weights w_k are the multipliers.
 
-E, by the linear matrix inequality M(w) >= t V V' (t = 1 / loss), whose multiplier is Z.
-"""
+E, by the linear matrix inequality M(w) >= t V V' (t = 1 / loss), whose multiplier is Z."""
 
 from __future__ import annotations
 
@@ -46,13 +45,9 @@ def _status(solution: Any) -> Status:
 def elfving(
     columns: Columns, criterion: Criterion, constant: NDArray[np.float64], *, tolerance: float = 1e-12
 ) -> Weights:
-    """Optimal weights for an A or c criterion through the dual second-order cone programme.
-
-    Shapes: constant (n, n).
-
+    """Optimal weights for an A or c criterion through the dual second-order cone programme: constant (n, n).
     Source: G. Elfving, Annals of Mathematical Statistics 23 (1952) 255-262; G. Sagnol, Journal of Statistical
-    Planning and Inference 141 (2011) 1684-1708, for A and several outputs.
-    """
+    Planning and Inference 141 (2011) 1684-1708, for A and several outputs."""
     import clarabel
     from scipy import sparse
 
@@ -117,10 +112,7 @@ def linear_matrix_programme(
     sizes: list[int],
     tolerance: float,
 ) -> tuple[Any, NDArray[np.float64], NDArray[np.float64], Status]:
-    """Minimise objective' x subject to offset - block x in each cone, by Clarabel.
-
-    Shapes: objective (m,).
-    """
+    """Minimise objective' x subject to offset - block x in each cone, by Clarabel: objective (m,)."""
     import clarabel
     from scipy import sparse
 
@@ -131,20 +123,14 @@ def linear_matrix_programme(
 
 
 def svec(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Upper triangles column by column, off-diagonal entries times sqrt 2.
-
-    Shapes: matrices (k, n, n).
-    """
+    """Upper triangles column by column, off-diagonal entries times sqrt 2: matrices (k, n, n)."""
     n = matrices.shape[1]
     j, i = np.tril_indices(n)
     return matrices[:, i, j] * np.where(i == j, 1.0, np.sqrt(2))
 
 
 def smat(vector: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-    """The symmetric matrix of one row of `svec`.
-
-    Shapes: returns (n, n).
-    """
+    """The symmetric matrix of one row of `svec`: returns (n, n)."""
     j, i = np.tril_indices(n)
     matrix = np.zeros((n, n))
     matrix[i, j] = matrix[j, i] = vector / np.where(i == j, 1.0, np.sqrt(2))

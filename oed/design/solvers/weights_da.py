@@ -22,11 +22,8 @@ from oed.errors import Status
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Optimal weights of a set of columns, with their dual.
-
-    `w` (m,) weights; `X` (n, s) certificate direction; `nu` (J,) multipliers of the budgets; `status` how the
-    solver ended; `steps` iterations.
-    """
+    """Optimal weights of a set of columns, with their dual. `w` (m,) weights; `X` (n, s) certificate
+    direction; `nu` (J,) multipliers of the budgets; `status` how the solver ended; `steps` iterations."""
 
     w: NDArray[np.float64]
     X: NDArray[np.float64]
@@ -44,10 +41,7 @@ def interior_point(
     tolerance: float = 1e-13,
     max_steps: int = 80,
 ) -> Weights:
-    """Optimal weights for a smooth criterion.
-
-    Shapes: constant (n, n), start (m,).
-    """
+    """Optimal weights for a smooth criterion: constant (n, n), start (m,)."""
     m, n, r = columns.F.shape
     Q = columns.q.T
     flat = np.moveaxis(columns.F, 0, 1).reshape(n, m * r)
@@ -120,10 +114,7 @@ def _solved(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np
 
 
 def inside(w: NDArray[np.float64], Q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A strictly feasible point near w.
-
-    Shapes: w (m,), Q (J, m), returns (m,).
-    """
+    """A strictly feasible point near w: w (m,), Q (J, m) -> (m,)."""
     w = np.maximum(w, 1e-3 * w.sum() / len(w))
     return w * (0.95 / (Q @ w).max())
 
@@ -175,10 +166,7 @@ def _squares(one: NDArray[np.float64], other: NDArray[np.float64], r: int) -> ND
 
 
 def blocks(flat: NDArray[np.float64], r: int) -> NDArray[np.float64]:
-    """The columns apart.
-
-    Shapes: flat (n, m r), returns (m, n, r).
-    """
+    """The columns apart: flat (n, m r) -> (m, n, r)."""
     return flat.reshape(len(flat), -1, r).swapaxes(0, 1)
 
 
@@ -193,10 +181,8 @@ def _inverse_root(M: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def gathered(product: NDArray[np.float64], r: int) -> NDArray[np.float64]:
-    """Sums over the r x r blocks of a Gram matrix: one entry per pair of columns.
-
-    Shapes: product (m r, m r), returns (m, m).
-    """
+    """Sums over the r x r blocks of a Gram matrix: one entry per pair of columns; product (m r, m r) -> (m,
+    m)."""
     # Strided slices are several times faster than a sum over two short axes.
     rows = product[0::r].copy()
     for k in range(1, r):

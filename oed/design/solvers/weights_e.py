@@ -4,8 +4,7 @@
 
 with multipliers Z of S (the certificate, tr V'ZV = 1), nu and z. The direction is that of Helmberg, Rendl,
 Vanderbei and Wolkowicz (SIAM J. Optimization 6 (1996) 342-361): dZ = mu S^-1 - Z - sym(S^-1 dS Z), whose normal
-equations tr(A_k S^-1 A_l Z) are entrywise products of two Gram matrices of the columns' factors.
-"""
+equations tr(A_k S^-1 A_l Z) are entrywise products of two Gram matrices of the columns' factors."""
 
 from __future__ import annotations
 
@@ -43,10 +42,7 @@ def eigenvalue_weights(
     tolerance: float = 1e-12,
     max_steps: int = 60,
 ) -> Weights:
-    """Optimal weights for an E criterion.
-
-    Shapes: constant (n, n), start (m,).
-    """
+    """Optimal weights for an E criterion: constant (n, n), start (m,)."""
     m, n, r = columns.F.shape
     Q, V = columns.q.T, criterion.columns
     problem = _Problem(columns, constant, np.moveaxis(columns.F, 0, 1).reshape(n, m * r), Q, V)

@@ -29,10 +29,7 @@ def minimax_weights(
     tolerance: float = 1e-12,
     max_steps: int = 80,
 ) -> Weights:
-    """Optimal weights for a G or W criterion.
-
-    Shapes: constant (n, n), start (m,).
-    """
+    """Optimal weights for a G or W criterion: constant (n, n), start (m,)."""
     m, n, r = columns.F.shape
     K, _, size = criterion.V.shape
     Q, V = columns.q.T, criterion.columns

@@ -17,8 +17,7 @@ from oed.errors import InputError, SolverFailure, Status
 
 def reference_exchange(problem: Problem, *, refine: bool, tolerance: float) -> Exchange:
     """Designs on the whole grid, to which the maxima of the sensitivity function are added until the gap
-    closes.
-    """
+    closes."""
     q = problem.map.n_inputs
     if q > 1 and not refine:
         raise InputError("the clarabel solver on a fixed grid is for one input; use solver='newton'.")
@@ -56,10 +55,7 @@ def solve_cvxpy(problem: Any, accuracy: float) -> Status:
 def cvxpy_weights(
     columns: Columns, criterion: Criterion, constant: NDArray[np.float64], accuracy: float = 1e-11
 ) -> Weights:
-    """Optimal weights of given columns, modelled in CVXPY.
-
-    Shapes: constant (n, n).
-    """
+    """Optimal weights of given columns, modelled in CVXPY: constant (n, n)."""
     import cvxpy as cp
 
     m, n, _ = columns.F.shape
