@@ -11,10 +11,7 @@ from oed.lazily import exporting
 
 if TYPE_CHECKING:
     from estimators.diagnosis.loop import diagnose
-    from estimators.montecarlo.additivity import (
-        additivity_by_monte_carlo,
-        additivity_of_records,
-    )
+    from estimators.montecarlo.additivity import additivity_by_monte_carlo
     from estimators.pem import identify
     from estimators.rules.power import power_iterations
     from estimators.rules.trace import Trace, run
@@ -22,7 +19,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Trace",
     "additivity_by_monte_carlo",
-    "additivity_of_records",
     "diagnose",
     "identify",
     "power_iterations",
@@ -34,7 +30,6 @@ __getattr__, __dir__ = exporting(
     {
         "Trace": "estimators.rules.trace",
         "additivity_by_monte_carlo": "estimators.montecarlo.additivity",
-        "additivity_of_records": "estimators.montecarlo.additivity",
         "diagnose": "estimators.diagnosis.loop",
         "identify": "estimators.pem",
         "power_iterations": "estimators.rules.power",

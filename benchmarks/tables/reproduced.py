@@ -39,26 +39,22 @@ def row(
     return dict(zip(KEYS, (name, source, published, computed, tolerance, why, holds, kind), strict=True))
 
 
-def _modules() -> dict[str, str]:
+def modules() -> dict[str, str]:
+    """Name -> module of everything that can be reproduced."""
     import benchmarks.reproductions as home
 
     found = sorted(info.name for info in pkgutil.iter_modules(home.__path__))
     return {name.replace("_", "-"): f"{home.__name__}.{name}" for name in found}
 
 
-def row_names() -> tuple[str, ...]:
-    """Names of what can be reproduced."""
-    return tuple(_modules())
-
-
 def rows_of(name: str | None = None) -> list[dict[str, Any]]:
     """Reproduce one published item, or all."""
-    modules = _modules()
+    known = modules()
     if name is not None:
-        check_names([name], tuple(modules), "reproduction")
+        check_names([name], tuple(known), "reproduction")
     rows = []
-    chosen = [name] if name else list(modules)
+    chosen = [name] if name else list(known)
     for k, each in enumerate(chosen):
         stage("published items", k, len(chosen))
-        rows += import_module(modules[each]).rows()
+        rows += import_module(known[each]).rows()
     return rows

@@ -12,7 +12,7 @@ With the pytest plugin that the package registers, the fixture `information_adds
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from estimators.rules.trace import Rule, Trace, run
 from oed.errors import InputError
 from oed.experiments import decoloured, simulated
-from oed.information import covariance, information_of_records, information_of_signal, signal_gradient
+from oed.information import covariance, information_of_signal, signal_gradient
 from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 
@@ -39,10 +39,8 @@ EMPTY = 1e-10
 @dataclass(frozen=True, eq=False)
 class Additivity:
     """Outcome of a check; true where the information is additive. `holds` whether no statistic is beyond its
-    threshold; `discrepancy` largest relative entry of the difference for the exact check; the smallest
-    p-value for the Monte-Carlo check; `threshold` what it is held against; `measured, summed` (n, n) the two
-    sides of the equation; `standard_error` (n, n) of `measured - summed`; zero for the exact check; `message`
-    the sentence a user reads; `resolution` relative error of the information in a single direction that would
+    threshold; `discrepancy` the smallest p-value; `threshold` what it is held against; `measured, summed` (n, n)
+    the two sides of the equation; `standard_error` (n, n) of their difference; `message` the sentence a user reads; `resolution` relative error of the information in a single direction that would
     have been found with a probability of 90 %; `p_values` what was tested of the joint law, and how likely a
     discrepancy at least as large is where it holds."""
 
@@ -62,55 +60,6 @@ class Additivity:
     def __repr__(self) -> str:
         rows = [f"  {name}: p = {p:.2g}{' <-' * (p < self.threshold)}" for name, p in self.p_values.items()]
         return "\n".join([f"{'additive' if self.holds else 'NOT additive'}: {self.message}", *rows])
-
-
-def additivity_of_records(plant: Plant, inputs: Sequence[Any], *, tolerance: float = 1e-5) -> Additivity:
-    """Whether the curvature of the joint likelihood of several finite experiments is the sum of informations.
-
-    The joint side is computed apart from the summed one: the outputs of all experiments are simulated at
-    shifted parameters and the expected squared shift of the whitened predictions is the information.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    inputs : sequence of array_like
-        (N_k, nu) each; the lengths may differ.
-    tolerance : float
-        Relative; central differences with a step of 1e-6 of each parameter's standard deviation scale leave
-        about 1e-8.
-
-    Returns
-    -------
-    Additivity
-        True where it holds.
-    """
-    if len(inputs) < 2:
-        raise InputError(f"{len(inputs)} inputs were given; additivity is a statement about at least two.")
-    signals = [np.asarray(u, dtype=float).reshape(len(u), -1) for u in inputs]
-    theta = plant.theta
-    columns = []
-    for i in range(len(theta)):
-        step = 1e-6 * max(abs(theta[i]), 1e-2)
-        shift = step * np.eye(len(theta))[i]
-        up, down = plant.with_theta(theta + shift), plant.with_theta(theta - shift)
-        parts = [
-            (_whitened(plant, up.simulate(u)) - _whitened(plant, down.simulate(u))).ravel() for u in signals
-        ]
-        columns.append(np.concatenate(parts) / (2 * step))
-    psi = np.array(columns)
-    summed, together = information_of_records(plant, signals), psi @ psi.T
-    scale = np.sqrt(np.outer(np.diag(summed), np.diag(summed)))
-    off = float(np.max(np.abs(together - summed) / np.where(scale > 0, scale, 1.0)))
-    message = f"information of all records together and the sum differ by at most {off:.2g} relative (tolerance {tolerance:.2g})"
-    return Additivity(
-        bool(off <= tolerance), off, tolerance, together, summed, np.zeros_like(summed), message, tolerance
-    )
-
-
-def _whitened(plant: Plant, v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lambda^-1/2 H^-1 v, from rest."""
-    return np.linalg.solve(np.linalg.cholesky(plant.noise_covariance), decoloured(plant, v).T).T
 
 
 def additivity_by_monte_carlo(

@@ -22,7 +22,7 @@ from estimators.rules.procedure2 import SCALINGS
 from estimators.rules.trace import run
 from oed.data import frozen
 from oed.errors import InputError, check_names
-from oed.experiments import Experiment, noise_factor, simulated
+from oed.experiments import Experiment, noise_factor
 from oed.plants.plant import Plant
 from oed.signals.noise import START, noise_key, standard_noise
 
@@ -210,28 +210,6 @@ def plain_batch(
     third = rayleigh(trace).values if each == 1 else np.full(len(energy), np.nan)
     rows = [np.array(v)[None] for v in (values[0].squares, values[1].squares, third, energy)]
     return Batch(replicate, *rows)
-
-
-def twin_batch(
-    plant: Plant,
-    algorithm: str,
-    samples: int,
-    iterations: int,
-    seed: int,
-    replicate: int,
-    scaling: str = "none",
-) -> Batch:
-    """The run of the compiled engine, by the plain loop."""
-    return plain_batch(
-        simulated(plant, seed=seed, replicate=replicate),
-        algorithm,
-        samples,
-        iterations,
-        seed,
-        replicate,
-        scaling,
-        counter_start(plant, samples, seed=seed, replicate=replicate),
-    )
 
 
 def monte_carlo(

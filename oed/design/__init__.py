@@ -16,8 +16,7 @@ The public verb and what it returns:
     Design.efficiency(s)    bound over the loss of another Spectrum
     Design.to_dict(), str(design)
 
-Beside it: `robust_design` (several plants: average, minimax; D, A, E, c), `quantile_design` (most of them), `RepeatedDesign`
-(a loop that compiles once), `least_power_design` and `application_criterion`,
+Beside it: `robust_design` (several plants: average, minimax; D, A, E, c), `quantile_design` (most of them), `least_power_design` and `application_criterion`,
 `closed_loop_map` (the reference of a loop with a known controller), `masked_design` (limits per frequency),
 `amplitude_design` (finite signals within an amplitude and a rate), `moment_design` and `autocorrelation_design` (other
 parametrisations, by CVXPY), `basis_design` and `autoregressive_design` (spectra of a given shape). Figures are in `oed.design.plots`.
@@ -49,14 +48,12 @@ if TYPE_CHECKING:
     from oed.design.questions.quantile import QuantileDesign, quantile_design
     from oed.design.questions.robust import robust_design
     from oed.design.solve import solve_design
-    from oed.design.solvers.compiled_once import RepeatedDesign
 
 __all__ = [
     "Certificate",
     "Design",
     "InformationMap",
     "QuantileDesign",
-    "RepeatedDesign",
     "amplitude_design",
     "application_criterion",
     "autocorrelation_design",
@@ -92,7 +89,6 @@ __getattr__, __dir__ = exporting(
         "moment_design": "oed.design.parametrisations.autocorrelation",
         "QuantileDesign": "oed.design.questions.quantile",
         "quantile_design": "oed.design.questions.quantile",
-        "RepeatedDesign": "oed.design.solvers.compiled_once",
         "robust_design": "oed.design.questions.robust",
         "solve_design": "oed.design.solve",
     },

@@ -116,9 +116,3 @@ def peak_gain_efficiency_by_experiments(
         total = total + (weighted.real.T @ weighted.real + weighted.imag.T @ weighted.imag)
         efficiency[k] = best / ((k + 1) * losses(total, c).c)
     return efficiency
-
-
-def flat_spectrum(plant: Plant, points: int = 4000) -> Spectrum:
-    """White noise of unit power as the lines of a midpoint rule."""
-    omega = (np.arange(points) + 0.5) * np.pi / points
-    return Spectrum(omega, np.tile(np.eye(plant.n_inputs) / (plant.n_inputs * points), (points, 1, 1)))

@@ -9,7 +9,6 @@ I, G, I:0.1:1.0             variance of the frequency response over a band: its 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -74,19 +73,6 @@ def criterion_of(
         return a_criterion(n, _mean_response(model, information, (low, high)), name=criterion)
     which = int(_one(numbers, criterion, f"the pole's number, such as {name}:1")) if numbers else 1
     return c_criterion(_pole_gradient(_plant(model, name), which, name), name=criterion)
-
-
-def scalar_criterion(
-    model: Plant, function: Callable[[Plant], float], *, name: str = "c", step: float = 1e-6
-) -> Criterion:
-    """The variance of any differentiable scalar of a plant, by central differences."""
-    theta = model.theta
-    c = np.zeros(len(theta))
-    for i, h in enumerate(step * np.maximum(np.abs(theta), 1e-2 * np.abs(theta).max())):
-        shift = h * np.eye(len(theta))[i]
-        ahead, behind = function(model.with_theta(theta + shift)), function(model.with_theta(theta - shift))
-        c[i] = (ahead - behind) / (2 * h)
-    return c_criterion(c, name=name)
 
 
 def _responses(model: Any, omega: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Information additivity (Lemma 13): of spectra, of records, and of adaptive experiments by Monte Carlo."""
+"""Information additivity (Lemma 13): of adaptive experiments by Monte Carlo."""
 
 import tomllib
 from importlib.metadata import entry_points
@@ -12,7 +12,6 @@ from estimators.montecarlo.additivity import (
     _found_at,
     _p_values,
     additivity_by_monte_carlo,
-    additivity_of_records,
 )
 from estimators.rules.inputs import white
 from estimators.rules.power import power_iterations
@@ -23,21 +22,6 @@ from oed.information import information_of_signal
 from oed.plants.named import named_plant
 
 REFERENCE = named_plant("reference")
-
-
-@pytest.mark.parametrize("name", ["reference", "delay", "three-by-two"])
-def test_records_of_different_lengths(name):
-    plant = named_plant(name)
-    rng = np.random.default_rng(2)
-    result = additivity_of_records(plant, [rng.standard_normal((n, plant.n_inputs)) for n in (50, 120, 80)])
-    assert result, result
-
-
-def test_records_in_coloured_noise():
-    plant = REFERENCE.replace(noise_num=(1.0, 0.3), noise_den=(1.0, -0.5))
-    rng = np.random.default_rng(3)
-    result = additivity_of_records(plant, [rng.standard_normal(60), rng.standard_normal(90)])
-    assert result, result
 
 
 @pytest.mark.parametrize("variance", [1.0, 9.0])
@@ -87,8 +71,6 @@ def test_negative_control_an_input_that_foresees_the_noise_is_caught():
 def test_refusals():
     with pytest.raises(InputError, match="replicates is 5"):
         additivity_by_monte_carlo(REFERENCE, white, replicates=5)
-    with pytest.raises(InputError, match="at least two"):
-        additivity_of_records(REFERENCE, [])
     with pytest.raises(InputError, match="resolution is 2"):
         additivity_by_monte_carlo(REFERENCE, white, resolution=2)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.montecarlo.engine import batches, counter_start, monte_carlo, twin_batch
+from estimators.montecarlo.engine import batches, counter_start, monte_carlo, plain_batch
 from estimators.montecarlo.noise_ahead import noise_of_replicates
 from oed.errors import InputError
 from oed.experiments import Experiment, simulated
@@ -20,6 +20,13 @@ def coloured(name):
 
 def correlated():
     return named_plant("three-by-two").replace(noise_covariance=[[1, 0.3, 0], [0.3, 2, 0.1], [0, 0.1, 0.5]])
+
+
+def twin_batch(plant, algorithm, samples, iterations, seed, replicate, scaling="none"):
+    """The run of the compiled engine, by the plain loop."""
+    start = counter_start(plant, samples, seed=seed, replicate=replicate)
+    experiment = simulated(plant, seed=seed, replicate=replicate)
+    return plain_batch(experiment, algorithm, samples, iterations, seed, replicate, scaling, start)
 
 
 def compare(plant, algorithm, scaling="none", samples=201, iterations=6, replicate=66):

@@ -10,7 +10,6 @@ import pytest
 from oed.criteria import a_criterion
 from oed.data import Spectrum
 from oed.design import (
-    RepeatedDesign,
     amplitude_design,
     autocorrelation_design,
     masked_design,
@@ -220,24 +219,3 @@ def test_quantile_designs_against_every_subset(plant):
         quantile_design(plants, quantile=0.0)
     with pytest.raises(InputError, match="at least one plant"):
         quantile_design([])
-
-
-@pytest.mark.parametrize("criterion", ["D", "A", "E"])
-def test_a_loop_of_designs_compiles_once(plant, criterion):
-    omega = np.linspace(0.4, 1.8, 60)
-    loop, compiled = RepeatedDesign(omega, criterion), set()
-    for k, other in enumerate(_plants(plant, 3)):
-        prior = None if k == 0 else 0.1 * np.eye(4)
-        found = loop.design(other, input_power=1.0 + k, prior=prior)
-        twin = solve_design(
-            other, criterion, input_power=1.0 + k, prior=prior, points=omega, refine=False, band=(0.4, 1.8)
-        )
-        assert found.loss == pytest.approx(twin.loss, rel=1e-5)
-        assert -1e-12 <= found.gap < 1e-5
-        assert found.bound <= twin.loss * (1 + 1e-9)
-        # CVXPY kept the compiled problem: it is the same object in every round.
-        compiled.add(id(loop.problem.get_problem_data("CLARABEL")[0]["param_prob"]))
-    assert loop.problem.is_dcp(dpp=True)
-    assert loop.compilations == len(compiled) == 1
-    with pytest.raises(InputError, match="no repeated form"):
-        RepeatedDesign(omega, "hinf").design(plant)

@@ -10,7 +10,7 @@ from oed.criteria import c_criterion, d_criterion, g_criterion
 from oed.data import Spectrum
 from oed.design import InformationMap, information_map, solve_design
 from oed.design.parametrisations.autocorrelation import autocorrelation_design, moment_design
-from oed.design.problem.criteria_by_name import criterion_of, scalar_criterion
+from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.questions.closed_loop import closed_loop_map
 from oed.design.questions.least_power import application_criterion, least_power_design
 from oed.design.questions.robust import robust_design
@@ -64,7 +64,10 @@ def test_gradients_of_named_scalars_by_differences(plant):
     }
     for name, function in cases.items():
         exact = criterion_of(name, plant, information_map(plant)).V[:, 0]
-        by_differences = scalar_criterion(plant, function).V[:, 0]
+        by_differences = [
+            (function(plant.with_theta(plant.theta + h)) - function(plant.with_theta(plant.theta - h))) / 2e-6
+            for h in 1e-6 * np.eye(len(plant.theta))
+        ]
         np.testing.assert_allclose(exact, by_differences, rtol=1e-6, atol=1e-7)
 
 

@@ -16,7 +16,6 @@ import pytest
 
 from oed.criteria import c_criterion
 from oed.design import InformationMap, autocorrelation_design, information_map, solve_design
-from oed.plants.named import named_plant
 from oed.plants.plant import Plant
 
 
@@ -142,17 +141,3 @@ def test_fir_optima_are_flat_in_every_parametrisation():
         expected = {"D": 1.0, "A": 3.0, "E": 1.0}[name]
         assert found.loss == pytest.approx(expected, rel=1e-6)
         np.testing.assert_allclose(found.coefficients[1:3], 0.0, atol=1e-4)
-
-
-@pytest.mark.slow
-def test_how_fast_autocorrelations_approach():
-    """A finite moving average has no lines: it stays above the certified optimum and nears it about like 1 / L."""
-    from oed.design.parametrisations.plots import plot_autocorrelation
-
-    lags = [8, 16, 24, 32, 48]
-    axes = plot_autocorrelation(named_plant("reference"), "D", lags)
-    excess = np.asarray(axes.get_lines()[0].get_ydata(), dtype=float)
-    assert np.all(excess > 0)
-    assert np.all(np.diff(excess) < 0)
-    slope = np.polyfit(np.log(lags), np.log(excess), 1)[0]
-    assert -2 < slope < -0.9
