@@ -196,6 +196,7 @@ def _outcome(
         gain = bench.over(step.unused[0], base.unused[0][:, i])
         echoes = bench.feedback and not gain.beyond(setting.policy.searched[0])
         steps.append(replace(step, admitted=not echoes))
+    steps = [steps[0], *(_as_started(s, steps[0], train, i, setting) for s in steps[1:])]
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     least = int(len(out) > 0)
@@ -215,6 +216,18 @@ def _outcome(
     if rest is not None:
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     return Outcome(i, found, named, ladder, share, left, discovery, bench.inverse)
+
+
+def _as_started(step: Step, linear: Step, train: Record, i: int, setting: Setting) -> Step:
+    """The step; only shown where a run from the record's own start, set as a test record's will be, is worse than the linear one.
+
+    Blocks have a window that sets their state: they do not see what a model takes for granted of a start.
+    """
+    y = train.y[:, i]
+    use = np.isfinite(y) & (np.arange(len(y)) >= setting.skip)
+    with np.errstate(over="ignore"):
+        errors = [float(np.sum((s.simulate(train, setting.skip) - y)[use] ** 2)) for s in (linear, step)]
+    return replace(step, admitted=step.admitted and errors[1] <= errors[0])
 
 
 def _remainder_step(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot
+from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
 from estimators.diagnosis.effects.names import numbered
 
 Array = NDArray[Any]
@@ -76,7 +76,13 @@ def _rate_limited_samples(x: Array, p: Array, clock: Clock) -> Array:
 def _play(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.recursion_kernels import play
 
-    return play(np.ascontiguousarray(x), abs(p[0]))
+    return play(np.ascontiguousarray(x), abs(p[0]), stood(x, abs(p[0]), p[1]))
+
+
+def stood(x: Array, half: float, start: float) -> float:
+    """Where what has a gap stood before the record: `start` of half the gap from the first command. Nothing in its later
+    motion says so, and a record that rests at first would begin with an error as wide as the gap."""
+    return level_before(x) + half * float(np.clip(start, -1.0, 1.0))
 
 
 def _hysteretic(x: Array, p: Array, clock: Clock) -> Array:
@@ -98,7 +104,8 @@ def _sticky(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.recursion_kernels import sticky
 
     half = abs(p[0])
-    return sticky(np.ascontiguousarray(x), half, half * float(np.clip(p[1], 0.0, 1.0)))
+    left = half * float(np.clip(p[1], 0.0, 1.0))
+    return sticky(np.ascontiguousarray(x), half, left, stood(x, half, p[2]))
 
 
 def _rate_driven(x: Array, p: Array, clock: Clock) -> Array:
@@ -132,7 +139,7 @@ def _rates(s: Sizes) -> Grid:
 
 
 def _widths(s: Sizes) -> Grid:
-    return [[f * s.su] for f in (0.08, 0.16, 0.3, 0.5, 0.8)], [s.su]
+    return [[f * s.su, 0.0] for f in (0.08, 0.16, 0.3, 0.5, 0.8)], [s.su, 1.0]
 
 
 def _corners(count: int, order: int) -> list[tuple[str, str]]:
@@ -282,11 +289,12 @@ INPUT = (
     _moving("rate_limit_sampled", "rate_limiter", "the command cannot change faster than the rate from one sample to the next",
             parameters={"rate": "u/sample"}, trials=6, reversing=True, family="rates", apply=_rate_limited_samples,
             starts=_rates),
-    _moving("backlash_input", "backlash", "play in the actuator", parameters={"half_width": "u"}, trials=6, reversing=True,
+    _moving("backlash_input", "backlash", "play in the actuator", parameters={"half_width": "u", "start": "1"}, trials=6, reversing=True,
             apply=_play, starts=_widths),
     _moving("stiction", "stiction", "the actuator sticks until its command is far enough off, then jumps", trials=12,
-            parameters={"half_width": "u", "left": "1"}, reversing=True, apply=_sticky,
-            starts=lambda s: ([[f * s.su, r] for f in np.linspace(0.1, 1.4, 14) for r in (0.0, 0.4, 0.8)], [s.su, 1.0])),
+            parameters={"half_width": "u", "left": "1", "start": "1"}, reversing=True, apply=_sticky,
+            starts=lambda s: ([[f * s.su, r, 0.0] for f in np.linspace(0.1, 1.4, 14) for r in (0.0, 0.4, 0.8)],
+                              [s.su, 1.0, 1.0])),
     _moving("hysteresis", "backlash",
             "the input acts with hysteresis (Bouc-Wen): a share of it bends off and returns on another way",
             parameters={"share": "1", "width": "u"}, trials=10, reversing=True, apply=_hysteretic,

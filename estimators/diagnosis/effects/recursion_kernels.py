@@ -18,10 +18,10 @@ def compiled(function):
 
 
 @compiled
-def play(signal, half_width):  # pragma: no cover - compiled
-    """Output of a play (backlash) operator that starts at the middle of its gap."""
+def play(signal, half_width, start=0.0):  # pragma: no cover - compiled
+    """Output of a play (backlash) operator that stands at `start` before the record."""
     out = np.empty_like(signal)
-    m = 0.0
+    m = start
     for k in range(signal.shape[0]):
         v = signal[k]
         if m < v - half_width:
@@ -47,10 +47,10 @@ def relay(signal, half_width):  # pragma: no cover - compiled
 
 
 @compiled
-def sticky(signal, stays, left):  # pragma: no cover - compiled
-    """A stem that stays while its command is within `stays` of it, and then jumps to `left` short of the command."""
+def sticky(signal, stays, left, start):  # pragma: no cover - compiled
+    """A stem that stays at `start` while its command is within `stays` of it, and then jumps to `left` short of the command."""
     out = np.empty_like(signal)
-    m = 0.0
+    m = start
     for k in range(signal.shape[0]):
         gap = signal[k] - m
         if gap > stays:

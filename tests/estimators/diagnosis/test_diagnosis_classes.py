@@ -12,8 +12,9 @@ from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.effects.recursion_kernels import relay
 from estimators.diagnosis.loop import diagnose
-from estimators.diagnosis.model.fitting import Channel, Fit
+from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.selection import significance
@@ -92,6 +93,27 @@ def test_effects_of_two_inputs_are_named_and_removed_and_linear_records_are_left
     assert found.effect == key
     assert found.rmse_after.value < 0.2 * found.rmse_before.value
     assert diagnose(drawn(1, 0.0, 0.05, 0.8)).nature == "noise"
+
+
+@pytest.mark.parametrize("key, q", [("stiction", [1.5, 0.4]), ("backlash_input", [1.2])])
+def test_where_a_stem_stood_before_a_record_on_a_level_is_fitted(key, q):
+    """From the middle of its gap, as from the command itself, the record's first rest would be off by most of the gap."""
+    rng, e = np.random.default_rng(5), named(key)
+    u = 40.0 + excitation(rng, N) * 2.0
+    u[:20] = 40.0
+    truth = np.array([*q, -0.6])
+    channel = Channel(u[:, None], np.zeros(N), Clock(np.arange(float(N)), N), np.ones(N, dtype=bool))
+    s = Structure(1).adding(Part(OFFSET)).adding(Part(INITIAL)).adding(Part(e))
+    p = np.array([-0.8, 0.2, 0.0, 8.0, *truth])
+    stem = e.apply(u, truth, channel.clock)
+    assert stem[0] == pytest.approx(40.0 - 0.6 * q[0])
+    p[3] = 0.8 * stem[0]
+    y = simulate(s, p, channel.u, channel.clock) + NOISE * rng.standard_normal(N)
+    start = p.copy()
+    start[-1] = 0.0
+    f = fit(replace(channel, y=y), s, start, np.array([1.0, 0.2, 1.0, 8.0, *q, 1.0]))
+    assert f.p[-1] == pytest.approx(-0.6, abs=0.05)
+    assert error(f) < 1.1 * NOISE
 
 
 def test_relay_is_its_definition():

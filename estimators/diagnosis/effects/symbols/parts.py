@@ -22,8 +22,14 @@ SAMPLES = 64
 SIZES = (0.01, 0.1, 1.0, 10.0)
 
 
+def _stood(w: Wiring, x: Any, p: Array, start: int) -> Any:
+    """State of what has a gap of half width p[0]; p[start], where it has one, is the share of it that it stood off."""
+    off = float(np.clip(p[start], -1.0, 1.0)) * abs(p[0]) if len(p) > start else 0.0
+    return w.state((w.value(x) if len(p) > start else 0.0) + off)
+
+
 def _play(w: Wiring, x: Any, p: Array) -> Any:
-    s = w.state()
+    s = _stood(w, x, p, 1)
     s.after = terms.play_step()(s.x, x, abs(p[0]))
     return s.after
 
@@ -39,7 +45,7 @@ def _rate(which: int) -> Callable[[Wiring, Any, Array], Any]:
 
 
 def _stiction(w: Wiring, x: Any, p: Array) -> Any:
-    s, half = w.state(), abs(p[0])
+    s, half = _stood(w, x, p, 2), abs(p[0])
     left, gap = half * float(np.clip(p[1], 0.0, 1.0)), x - s.x
     s.after = w.ca.if_else(gap > half, x - left, w.ca.if_else(gap < -half, x + left, s.x))
     return s.after
