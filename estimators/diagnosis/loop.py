@@ -309,7 +309,7 @@ def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:
 
 def _linear_step(base: Baseline, i: int, rest: bool, adds: tuple[str, ...] = ()) -> Step:
     m = base.outputs[i]
-    answer = LinearAnswer(i, m.inputs, m.model, replace(m.prior, rest=rest))
+    answer = LinearAnswer(i, m.inputs, m.model, m.prior, rest)
     size = m.model.order + m.model.num.size
     return Step(Kind.LINEAR, adds, tuple(u[:, i] for u in base.unused), answer, size, noise=m.noise[1:])
 

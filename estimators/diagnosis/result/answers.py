@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -67,24 +67,33 @@ class LinearAnswer:
     inputs: tuple[int, ...]
     model: LinearModel
     prior: Prior
+    rest: bool = (
+        False  # where no sample tells its state, a record starts at rest, as the training record seems to
+    )
+
+    @property
+    def untold(self) -> Prior:
+        """The prior of a record without samples that set its state."""
+        return replace(self.prior, rest=self.prior.rest or self.rest)
 
     def simulate(self, record: Record, window: int) -> Array:
         """(N,) free run."""
         u, y = record.u[:, list(self.inputs)], record.y[:, self.output]
-        return self.model.free_run(self.prior, u, y, window)
+        prior = self.prior if np.isfinite(y[:window]).any() else self.untold
+        return self.model.free_run(prior, u, y, window)
 
     def symbols(self, w: Wiring) -> Any:
         """A filter whose states are those of the transposed direct form."""
         from estimators.diagnosis.effects.symbols import models
 
-        return models.linear(w, self.inputs, self.model, self.prior)
+        return models.linear(w, self.inputs, self.model, self.untold)
 
     def to_dict(self) -> dict[str, Any]:
         """Coefficients and how the state is set."""
         m = {"den": self.model.den.tolist(), "num": self.model.num.tolist(), "constant": self.model.constant,
              "moved": self.model.moved.tolist()}  # fmt: skip
         return {"kind": "linear", "output": self.output, "inputs": list(self.inputs), "model": m,
-                "prior": _plain(asdict(self.prior))}  # fmt: skip
+                "prior": _plain(asdict(self.prior)), "rest": self.rest}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +221,9 @@ def read_answer(data: dict[str, Any], effects: tuple[Effect, ...] = CATALOGUE) -
         model = LinearModel(
             np.array(m["den"]), np.array(m["num"]), m["constant"], np.array(m.get("moved", ()))
         )
-        return LinearAnswer(data["output"], tuple(data["inputs"]), model, _prior_of(data["prior"]))
+        return LinearAnswer(
+            data["output"], tuple(data["inputs"]), model, _prior_of(data["prior"]), data.get("rest", False)
+        )
     if data["kind"] == "named":
         return _named(data, effects)
     if data["kind"] == "discovered":

@@ -72,6 +72,17 @@ def test_a_run_without_a_window_starts_settled_under_its_first_input():
     np.testing.assert_allclose(model.simulate(np.full(30, 2.0))[:, 0], level, atol=1e-3)
 
 
+def test_where_samples_tell_the_state_a_record_does_not_start_at_rest():
+    """A record that begins in full swing, after a training record that began at rest."""
+    swing = LinearModel(np.array([1.0, -1.8, 0.98]), np.array([[0.0, 0.1]]))
+    resting = LinearAnswer(0, (0,), swing, PRIOR, rest=True)
+    truth = resting.simulate(Record(np.ones(300), np.full(300, np.nan), dt=0.5), 0)
+    late = Record(np.ones(200), truth[30:230], dt=0.5)
+    assert truth[0] == 0.0
+    assert np.abs(resting.simulate(late, 20) - truth[30:230])[20:].max() < 0.01 * np.ptp(truth)
+    assert np.abs(resting.simulate(late, 0) - truth[30:230]).max() > 0.1 * np.ptp(truth)
+
+
 def test_the_interval_covers_as_often_as_it_says():
     """95 % of 4000 measured samples with the noise that the model states: five standard deviations of the count."""
     model = DiagnosedModel(
