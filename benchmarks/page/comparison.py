@@ -17,39 +17,17 @@ from benchmarks.campaign.processes import at_once
 from benchmarks.campaign.registry import words_of
 from benchmarks.campaign.settings import Settings
 from benchmarks.page import comparison_figures as figures
-from benchmarks.page.comparison_words import (
-    CAPTIONS,
-    DATA,
-    HEADLINE,
-    PAIRS,
-    PERFORMANCE,
-    advice_sentences,
-    details,
-    short_answer,
-)
+from benchmarks.page.comparison_words import advice_sentences, details, short_answer
 from benchmarks.page.content import Figure, Page, Section, Table
 from benchmarks.page.skeleton import save_page
-from benchmarks.tables.answer import ADVICE, ANSWER, advice_rows, answer_rows, answer_sentences
-from benchmarks.tables.claim_map import COLUMNS as CLAIM
-from benchmarks.tables.claim_map import claim_tasks
-from benchmarks.tables.columns import (
-    COLUMNS,
-    INFORMATION_COLUMNS,
-    NOT_RUN,
-    is_number,
-    made,
-    not_run_rows,
-    save_summary,
-)
+from benchmarks.tables.answer import advice_rows, answer_rows, answer_sentences
+from benchmarks.tables.columns import SAID, TEXTS, columns, is_number, made, not_run_rows, save_summary
 from benchmarks.tables.formats import to_markdown
-from benchmarks.tables.growth import GROWTH, growth_rows
+from benchmarks.tables.growth import growth_rows
 from benchmarks.tables.hair_dryer import hair_dryer_story
-from benchmarks.tables.head_to_head import (
-    HEAD_TO_HEAD,
-    head_to_head_rows,
-    head_to_head_sentence,
-    head_to_head_tasks,
-)
+from benchmarks.tables.head_to_head import head_to_head_rows, head_to_head_sentence, head_to_head_tasks
+from benchmarks.tables.predictions import claim_tasks
+from benchmarks.tables.profiles import TOLERANCE
 from benchmarks.tables.statistics import Target
 from benchmarks.tables.tabulation import Tables
 from oed.theory.efficiency import peak_gain_efficiency_by_experiments
@@ -96,18 +74,17 @@ def write_comparison(
     if answer:
         head = head_to_head_rows(list(done))
         sentences.append(head_to_head_sentence(head))
-        sections.append(Section("The public head-to-head, settled", [sentences[-1], CAPTIONS["protocol"]],
-                                [Table("head_to_head", CAPTIONS["head_to_head"], HEAD_TO_HEAD, head, ["median"])],
-                                [figures.head_to_head_figure(head)]))  # fmt: skip
+        sections.append(Section("The public head-to-head, settled", [sentences[-1], TEXTS["protocol"]],
+                                shown("head_to_head", head), [figures.head_to_head_figure(head)]))  # fmt: skip
     if claims:
-        sections.append(Section("In theory: the map of the claim", [CAPTIONS["map"]],
-                                [Table("claim_map", CAPTIONS["claim_map"], CLAIM, mapped)], [figures.claim_figure(mapped)]))  # fmt: skip
+        sections.append(Section("In theory: the map of the claim", [TEXTS["map"]], shown("claim_map", mapped),
+                                [figures.claim_figure(mapped)]))  # fmt: skip
     theory = [figure for p in siso for figure in found[f"theory of {p}"]]
     sections += [Section("The theory beside it", figures=theory)] if theory else []
     sections += [_hair_dryer(found["hair dryer"])] if "hair dryer" in found else []
     words = sentences or said
     sections.append(Section("In words", words))
-    save_summary(folder, [*words, *said], to_markdown(best, HEADLINE))
+    save_summary(folder, [*words, *said], to_markdown(best, columns("headline")))
     used = [*settings.methods, *settings.estimators]
     page = Page(
         "comparison", "Which input is worth applying for the H-infinity norm?", short_answer(answer, best, settings),
@@ -139,21 +116,28 @@ def _runs(settings: Settings, replicates: int) -> dict[str, str]:
     return found
 
 
+def shown(name: str, rows: Sequence[Row]) -> list[Table]:
+    """A table of `columns.toml`, where it has rows."""
+    own = SAID["tables"][name]
+    caption = own["caption"].format(tolerance=100 * TOLERANCE)
+    return (
+        [Table(name, caption, columns(name), rows, own.get("shade", ()), own.get("repeat", False))]
+        if rows
+        else []
+    )
+
+
 def _answer(tables: Tables, rows: list[Row]) -> list[Section]:
     if not rows:
         return []
     growth = growth_rows(tables, rows)
-    advice = advice_rows(tables)
-    saved = [Table("answer", CAPTIONS["answer"], ANSWER, rows, ["c_efficiency", "d_efficiency"])]
-    saved += [Table("advice", CAPTIONS["advice"], ADVICE, advice, ["c_efficiency"])] if advice else []
-    by_budget = [Section("By budget, up to the limit", [CAPTIONS["growth"]],
-                         [Table("growth", "The first so many experiments together.", GROWTH, growth, ["c_efficiency", "predicted"])],
+    by_budget = [Section("By budget, up to the limit", [TEXTS["growth"]], shown("growth", growth),
                          [figures.growth_figure(growth)])] if growth else []  # fmt: skip
     return [
         Section(
             "The answer to [S] Sec. 4.2: are the iterations optimal experiment design?",
-            [CAPTIONS["below"], CAPTIONS["shared"]],
-            saved,
+            [TEXTS["below"], TEXTS["shared"]],
+            [*shown("answer", rows), *shown("advice", advice_rows(tables))],
             [figures.where_figure(rows), figures.advice_figure(rows)],
         ),
         *by_budget,
@@ -161,37 +145,23 @@ def _answer(tables: Tables, rows: list[Row]) -> list[Section]:
 
 
 def _inputs(best: list[Row], said: list[str]) -> list[Section]:
-    caption = CAPTIONS["headline"]
-    return [Section("What each input carries, and the estimator that made most of it", said,
-                    [Table("headline", caption, HEADLINE, best, ["c_efficiency", "d_efficiency"], repeat=True)])]  # fmt: skip
+    title = "What each input carries, and the estimator that made most of it"
+    return [Section(title, said, shown("headline", best))]
 
 
 def _comparison(rows: list[Row], settings: Settings, replicates: int) -> list[Section]:
     fewer = " or as often as the column runs says" if settings.limits else ""
-    text = [CAPTIONS["budget"].format(s=settings, replicates=replicates, fewer=fewer), CAPTIONS["oracle"]]
-    table = Table("comparison", "Bias, RMSE and rho, each with its Monte-Carlo standard error.", COLUMNS, rows,
-                  ["c_efficiency", "d_efficiency"], repeat=True)  # fmt: skip
-    absent = not_run_rows(settings, replicates)
-    saved = [table, Table("not_run", CAPTIONS["not_run"], NOT_RUN, absent)] if absent else [table]
+    text = [TEXTS["budget"].format(s=settings, replicates=replicates, fewer=fewer), TEXTS["oracle"]]
+    saved = [*shown("comparison", rows), *shown("not_run", not_run_rows(settings, replicates))]
     return [Section("The comparison", text, saved, [figures.rho_figure(rows)])]
 
 
 def _profiles(tables: Tables, pairs: list[Row]) -> list[Section]:
-    saved = [Table("pairs", CAPTIONS["pairs"], PAIRS, pairs)] if pairs else []
-    saved += (
-        [
-            Table(
-                "performance",
-                CAPTIONS["performance"],
-                PERFORMANCE,
-                _summary(tables.performance),
-                ["within_2"],
-            )
-        ]
-        if tables.performance
-        else []
-    )
-    saved += [Table("data_profiles", CAPTIONS["data"], DATA, tables.data, ["share"])] if tables.data else []
+    saved = [
+        *shown("pairs", pairs),
+        *shown("performance", _summary(tables.performance)),
+        *shown("data_profiles", tables.data),
+    ]
     drawn = figures.profile_figures(tables.performance, tables.data) if tables.performance else []
     return [Section("Who is better, and is it chance?", [], saved, [f for f in drawn if f.rows])]
 
@@ -204,7 +174,7 @@ def _summary(performance: Sequence[Row]) -> list[Row]:
         name = wanted.get(r["ratio"])
         if name:
             row = rows.setdefault(
-                (r["method"], r["estimator"]), {key: r[key] for key in PERFORMANCE if key in r}
+                (r["method"], r["estimator"]), {key: r[key] for key in columns("performance") if key in r}
             )
             row |= {name: r["share"], f"{name}_se": (r["high"] - r["low"]) / (2 * 1.96), "n": r["n"]}
     return sorted(rows.values(), key=lambda row: -row["within_2"])
@@ -222,14 +192,8 @@ def _information(
     } if "power" in settings.methods else {}  # fmt: skip
     drawn = [figures.efficiency_figure(information, plant, predicted(plant))
              for plant in siso if any(row["plant"] == plant for row in information)]  # fmt: skip
-    table = Table(
-        "information",
-        CAPTIONS["information"],
-        INFORMATION_COLUMNS,
-        information,
-        ["c_efficiency", "d_efficiency"],
-    )
-    return [Section("What each input carries, by budget", [CAPTIONS["efficiency"]], [table], drawn)]
+    carried = shown("information", information)
+    return [Section("What each input carries, by budget", [TEXTS["efficiency"]], carried, drawn)]
 
 
 def headline_rows(rows: Sequence[Row]) -> list[Row]:
@@ -287,14 +251,5 @@ def _estimated_gain(settings: Settings, known: Targets, plant: str) -> Figure:
 
 
 def _hair_dryer(story: Any) -> Section:
-    columns = {"model": "model", "delay": "nk", "simulation_rmse": "simulation error (V)", "one_step_rmse": "one-step error (V)",
-               "fit_percent": "fit of the simulation (%)", "smallest_p_value": "p, input-residual lags 1-10"}  # fmt: skip
-    table = Table(
-        "hair_dryer", "Errors on the second half of the record, which no model has seen.", columns, story.rows
-    )
-    return Section(
-        "The loop closed on a real record: the hair dryer",
-        story.sentences,
-        [table],
-        figures.hair_dryer_figures(story),
-    )
+    title = "The loop closed on a real record: the hair dryer"
+    return Section(title, story.sentences, shown("hair_dryer", story.rows), figures.hair_dryer_figures(story))

@@ -1,4 +1,4 @@
-"""What the page of a comparison says: the answer in a sentence, what to do, captions, and what columns mean."""
+"""What the page of a comparison says: the answer in a sentence, what to do, and what the numbers say plant by plant."""
 
 from __future__ import annotations
 
@@ -10,79 +10,10 @@ from benchmarks.campaign.plants import family_of
 from benchmarks.campaign.registry import Told
 from benchmarks.campaign.settings import Settings
 from benchmarks.tables.answer import OPTIMAL
-from benchmarks.tables.columns import BUDGET, is_number
+from benchmarks.tables.columns import is_number
 from benchmarks.tables.formats import format_value
-from benchmarks.tables.profiles import TOLERANCE
 
 Row = dict[str, Any]
-HEADLINE = {
-    "plant": "plant", "noise_variance": "noise", "method": "input", "known": "is told", **BUDGET,
-    "c_efficiency": "efficiency, peak gain",
-    "d_efficiency": "efficiency, D", "best_estimator": "best estimator", "rho": "its rho", "rho_predicted": "rho predicted",
-}  # fmt: skip
-PAIRS = {
-    "plant": "plant", "noise_variance": "noise", "question": "which", "method": "input", "estimator": "estimator",
-    "against_method": "against input", "against_estimator": "against estimator", "rho2_difference": "difference of rho²",
-    "closer": "closer in", "n": "pairs", "known": "is told", "against_known": "against one told", "p_holm": "p (Holm)", "differs": "differs", "samples": "samples",
-    "experiments": "experiments", "energy": "energy", "peak_amplitude": "peak |u|", "against_samples": "samples against",
-    "against_experiments": "experiments against", "against_energy": "energy against",
-    "against_peak_amplitude": "peak |u| against",
-}  # fmt: skip
-_SOLVER = {
-    "method": "input", "estimator": "estimator", "known": "is told", "channels": "channels", "samples": "samples", "experiments": "experiments",
-    "energy": "energy", "peak_amplitude": "peak |u|",
-}  # fmt: skip
-PERFORMANCE = {
-    **_SOLVER,
-    "within_1": "best",
-    "within_2": "within 2x",
-    "within_10": "within 10x",
-    "n": "problems",
-}
-DATA = {**_SOLVER, "share": "solved", "low": "95 % from", "high": "to", "n": "problems"}
-CAPTIONS = {
-    "oracle": "The input oracle-hinf is the optimum for the gain at a peak whose frequency is known: one sinusoid there. With PEM "
-    "its rho is nevertheless large, because the records say nothing about where the peak is: the fitted gain at the true peak "
-    "frequency meets the bound, but the norm of the fitted model is its largest gain over all frequencies, which lies above.",
-    "budget": "Every input had {s.experiments} experiments of {s.samples} samples at unit power, the same plants and the same noise, "
-    "{replicates} times{fewer}. rho is the root mean square error of the estimated H-infinity norm times the root of the input "
-    "energy over the noise variance: no unbiased method gets below 1 (a bound that holds locally and for large samples). The "
-    "column predicted is what the Fisher information of the same inputs promises to an efficient estimator.",
-    "answer": "Where the iterations are optimal design for the peak gain at this budget (at least 90 % of the certified optimum; over "
-    "half; better than white: 1.5 times) and in the limit of experiments without end; and the best way to the norm for whoever knows "
-    "the structure (orders and delay), for whoever knows nothing, and with the iterations' own estimators, which know nothing either. "
-    "Chosen on one half of the problems and judged on the other: replicates of a plant, plants of a family. What ties with it is "
-    "within two standard errors there. Data wasted: mean square error over that of PEM on the same records. Energy over all "
-    "experiments and channels, the 1 + pq of Procedure 2 counted one by one.",
-    "not_run": "What has no number, and why. An estimator that is made for other records (the iterations' own) is not listed.",
-    "below": "rho is at least 1 for unbiased estimators, locally and for large samples. A rho below 1 is chance (see its error), or a "
-    "biased estimator whose bias happens to help here; the column remark says which.",
-    "shared": "All inputs of a plant meet the same noise, and its noise levels share their draws, only scaled: differences between "
-    "inputs, and between levels, are less uncertain than the intervals of either alone suggest.",
-    "growth": "The verdict is one of this budget. Of several channels an iteration costs 1 + pq experiments, so that 20 of them are few "
-    "iterations. Predicted for long experiments; measured ones are of finite length. Samples and energy beside.",
-    "advice": "Which input to apply, by budget: the one that carries most for the peak gain without knowing the plant.",
-    "headline": "What every input carries, in shares of the certified optimum, and the estimator that made most of it.",
-    "efficiency": "Efficiency is the certified optimal loss over the loss of the information that the inputs carried, both at the "
-    "same energy: for the variance of the peak gain, and for D, A and E of all parameters. The information of the first n "
-    "experiments is the sum of their informations (Lemma 13).",
-    "information": "Efficiencies of the first n experiments together, against certified optima; jackknife standard errors.",
-    "pairs": "Inputs against the iterations with the same estimator, estimators against PEM on the same records: mean difference of "
-    "rho squared over the same replicates (negative: the first is better), the share of replicates in which the first is closer, "
-    "and p-values corrected by Holm over the whole table.",
-    "performance": "Performance profiles: share of all problems (plant, noise level, replicate) in which the error is at most so "
-    "many times the smallest; failed runs solve nothing. Standard errors are binomial. Budgets are those of a run, the energy in "
-    "the mean over the problems.",
-    "data": f"Data profiles: share of problems solved to a relative error of {100 * TOLERANCE:g} % by budget, for plants with one "
-    "channel and with several apart (those from a whole iteration of Procedure 2 on).",
-    "map": "Efficiency for the peak gain of the sinusoid at the peak, of the limit spectrum of the iterations and of white noise, "
-    "against a certified optimum, as the problem is varied.",
-    "claim_map": "Every case with the gap of its certificate, per sample at unit power.",
-    "protocol": "Random FIR plants of length 10 (decay 0.75), 200 experiments of 50 samples, input norm 1, noise of standard "
-    "deviation 0.1. The second stage of the printed two-experiment scheme is not normalised, so its energy is its own and stated. "
-    "Printed: medians of a re-run of the published protocol on other plants.",
-    "head_to_head": "Median relative errors with intervals from order statistics.",
-}  # fmt: skip
 
 
 def short_answer(answer: Sequence[Row], best: Sequence[Row], settings: Settings) -> str:

@@ -22,13 +22,7 @@ ITERATIONS = ("power", "procedure-2", "two-experiment")
 OPTIMAL, GOOD, BETTER = 0.9, 0.5, 1.5
 """Shares of the optimum that count as optimal and as over half of it, and the factor over white noise that counts as better."""
 
-BUDGET = {
-    "samples": "samples",
-    "experiments": "experiments",
-    "energy": "energy",
-    "energy_per_input": "per input",
-    "peak_amplitude": "peak |u|",
-}
+BUDGET = ("samples", "experiments", "energy", "energy_per_input", "peak_amplitude")
 MOST_LISTED = 16
 """Plants and noise levels that a sentence lists one by one."""
 KINDS = {
@@ -37,44 +31,6 @@ KINDS = {
     "own": "the iterations with their own estimator",
 }
 """The three columns of the answer."""
-ANSWER = {
-    "case": "plant",
-    "channels": "channels",
-    "parameters": "parameters",
-    "noise_variance": "noise",
-    "experiments": "experiments",
-    "c_efficiency": "of the optimum",
-    "limit": "in the limit",
-    "over_white": "times white",
-    "verdict": "so the iterations are",
-    **{f"{what}_{kind}": f"{words}: {name}" if what == "best" else name
-       for kind, words in KINDS.items() for what, name in (("best", "input / estimator"), ("rho", "its rho"))},
-    **{f"{kind}_ties": f"tie with it ({words})" for kind, words in KINDS.items()},
-    "waste": "data wasted by (7)",
-    "waste_own": "by the best own",
-    "remark": "remark",
-    "d_efficiency": "of D",
-    "iterations": "iterations",
-    "samples": "samples",
-    "energy": "energy",
-    "energy_per_input": "per input",
-    "peak_amplitude": "peak |u|",
-}  # fmt: skip
-"""The columns of the answer, the most important ones first."""
-
-ADVICE = {
-    "plant": "plant",
-    "channels": "channels",
-    "parameters": "parameters",
-    "noise_variance": "noise",
-    "experiments": "experiments",
-    "input": "best input",
-    "c_efficiency": "of the optimum",
-    "iterations_efficiency": "iterations",
-    "white_efficiency": "white",
-    "oracle_efficiency": "oracle",
-    **{key: name for key, name in BUDGET.items() if key != "experiments"},
-}
 
 
 def _oracle(method: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import tomllib
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
@@ -18,48 +19,15 @@ from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.store import versions
 from oed.files.writing import write_whole
 
-BUDGET = {
-    "channels": "channels",
-    "samples": "samples",
-    "experiments": "experiments",
-    "energy": "energy",
-    "energy_per_input": "per input",
-    "peak_amplitude": "peak |u|",
-}
-COLUMNS = {
-    "plant": "plant",
-    "noise_variance": "noise",
-    "method": "input",
-    "estimator": "estimator",
-    "known": "is told",
-    **BUDGET,
-    "rho": "rho",
-    "rho_predicted": "predicted",
-    "bias": "bias",
-    "rmse": "RMSE",
-    "c_efficiency": "eff. peak gain",
-    "d_efficiency": "eff. D",
-    "coverage": "coverage",
-    "n": "runs",
-    "n_failed": "failed",
-    "failures": "how",
-    "remark": "remark",
-}
-INFORMATION_COLUMNS = {
-    "plant": "plant",
-    "noise_variance": "noise",
-    "method": "input",
-    "known": "is told",
-    **BUDGET,
-    "c_efficiency": "peak gain",
-    "d_efficiency": "D",
-    "a_efficiency": "A",
-    "e_efficiency": "E",
-    "rho_predicted": "best rho",
-}
+SAID = tomllib.loads((Path(__file__).parent / "columns.toml").read_text(encoding="utf-8"))
+TEXTS: dict[str, str] = SAID["texts"]
 
 
-NOT_RUN = {"plant": "plant", "noise": "noise", "method": "input", "estimator": "estimator", "why": "why not"}
+def columns(table: str) -> dict[str, str]:
+    """Key -> heading of every column of a table, in their order; `columns.toml` has them."""
+    own = SAID["tables"][table]
+    headings = SAID["headings"] | own.get("headings", {})
+    return {key: headings.get(key, key.replace("_", " ")) for key in own["columns"]}
 
 
 def not_run_rows(settings: Settings, replicates: int) -> list[dict[str, Any]]:
@@ -68,15 +36,8 @@ def not_run_rows(settings: Settings, replicates: int) -> list[dict[str, Any]]:
     table = []
     for plant, method in product(families, settings.methods):
         if not fits(method, load_plant(plant)):
-            table.append(
-                {
-                    "plant": plant,
-                    "noise": "all",
-                    "method": method,
-                    "estimator": "all",
-                    "why": "made for one channel",
-                }
-            )
+            row = {"plant": plant, "noise": "all", "method": method, "estimator": "all"}
+            table.append(row | {"why": "made for one channel"})
             continue
         for estimator in ("", *(e for e in settings.estimators if compatible(method, e))):
             count = partial(settings.replicates_of, replicates, plant, method, estimator)
@@ -95,24 +56,24 @@ def not_run_rows(settings: Settings, replicates: int) -> list[dict[str, Any]]:
 
 def command_line(settings: Settings, replicates: int, out: Path) -> str:
     """The command that repeats a comparison."""
-    words = ["oed", "compare"]
+    words: list[Any] = ["oed", "compare"]
     for plant in settings.plants:
         words += ["--plant", plant]
     for variance in settings.noise_variances:
         words += ["--noise-variance", f"{variance:g}"]
     for limit in settings.limits:
         words += ["--limit", ",".join(f"{k}={v}" for k, v in asdict(limit).items() if k == "replicates" or v)]
-    words += ["--samples", str(settings.samples), "--experiments", str(settings.experiments)]
     words += [
+        "--samples",
+        settings.samples,
+        "--experiments",
+        settings.experiments,
         "--replicates",
-        str(replicates),
-        "--methods",
-        *settings.methods,
-        "--estimators",
-        *settings.estimators,
+        replicates,
     ]
-    words += ["--profile-replicates", str(settings.profile_replicates)]
-    return shlex.join([*words, "--seed", str(settings.seed), "--out", str(out)])
+    words += ["--methods", *settings.methods, "--estimators", *settings.estimators]
+    words += ["--profile-replicates", settings.profile_replicates, "--seed", settings.seed, "--out", out]
+    return shlex.join(map(str, words))
 
 
 def made(settings: Settings, replicates: int, out: Path) -> dict[str, str]:

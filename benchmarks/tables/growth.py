@@ -17,20 +17,6 @@ FARTHEST = 1000
 """Experiments up to which the theory is followed: four of the five rows of theory.md's table are within 4 % of the limit by then."""
 NEAR_LIMIT = 0.9
 """Share of the limit that counts as having reached it."""
-GROWTH = {
-    "plant": "plant",
-    "channels": "channels",
-    "noise_variance": "noise",
-    "iterations": "input",
-    "experiments": "experiments",
-    "samples": "samples",
-    "energy": "energy",
-    "c_efficiency": "of the optimum, measured",
-    "predicted": "predicted",
-    "limit": "in the limit",
-    "white": "white noise",
-    "needed": "experiments to 90 % of the limit",
-}
 
 
 def growth_of(

@@ -12,21 +12,6 @@ from benchmarks.reproductions.head_to_head import CASES, plants, traces
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
 
-HEAD_TO_HEAD = {
-    "name": "input and estimator",
-    "samples": "samples",
-    "experiments": "experiments",
-    "energy": "energy",
-    "peak_amplitude": "peak |u|",
-    "median": "median relative error",
-    "low": "95 % from",
-    "high": "to",
-    "published": "printed (re-run)",
-    "in_print": "in print",
-    "n": "plants",
-    "n_failed": "failed",
-}
-
 
 def median_interval(values: Sequence[float], level: float = 0.95) -> tuple[float, float]:
     """Interval of a median from order statistics, whatever the distribution."""

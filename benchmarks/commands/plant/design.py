@@ -15,45 +15,24 @@ EXAMPLE = "oed design --plant reference --criterion D --realise 1000 --out input
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add_plant_arguments(parser)
-    parser.add_argument(
-        "--criterion", default="D", metavar="D|A|E|hinf|..", help="what the input is optimal for"
-    )
-    parser.add_argument(
-        "--parametrisation",
-        choices=("grid", "moments", "autocorrelation", "ar", "bands", "multisine"),
-        default="grid",
-        help="of the spectrum; ar: --lags poles, bands: --lags flat bands",
-    )
-    parser.add_argument(
-        "--lags", type=int, metavar="L", help="of the autocorrelation, the basis (default 20), the poles (4)"
-    )
-    parser.add_argument(
-        "--points", type=int, default=400, metavar="K", help="uniform part of the first frequency grid"
-    )
-    parser.add_argument(
-        "--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="rad/sample, default 0 pi"
-    )
-    parser.add_argument("--input-power", type=float, metavar="p", help="limit on the input power (default 1)")
-    parser.add_argument(
-        "--output-power", type=float, metavar="p", help="limit on the output's noise-free power"
-    )
-    parser.add_argument(
-        "--channel-power", type=float, nargs="+", metavar="p", help="limit on every input channel's power"
-    )
-    parser.add_argument("--amplitude", type=float, metavar="a", help="largest absolute input of the signal")
-    parser.add_argument("--rate", type=float, metavar="r", help="largest change of the input per sample")
-    parser.add_argument(
-        "--solver", choices=("newton", "clarabel"), default="newton", help="how weights are found"
-    )
-    parser.add_argument("--realise", type=int, metavar="N", help="also make a signal of N samples")
-    parser.add_argument(
-        "--signal", choices=("multisine", "realise", "filtered-noise", "binary"), default="multisine"
-    )
-    parser.add_argument(
-        "--out",
-        metavar="FILE",
-        help="write the signal (.csv), the design (.json), or both with a page into a new folder",
-    )
+    add = parser.add_argument
+    # fmt: off
+    add("--criterion", default="D", metavar="D|A|E|hinf|..", help="what the input is optimal for")
+    add("--parametrisation", choices=("grid", "moments", "autocorrelation", "ar", "bands", "multisine"), default="grid",
+        help="of the spectrum; ar: --lags poles, bands: --lags flat bands")
+    add("--lags", type=int, metavar="L", help="of the autocorrelation, the basis (default 20), the poles (4)")
+    add("--points", type=int, default=400, metavar="K", help="uniform part of the first frequency grid")
+    add("--band", type=float, nargs=2, metavar=("LOW", "HIGH"), help="rad/sample, default 0 pi")
+    add("--input-power", type=float, metavar="p", help="limit on the input power (default 1)")
+    add("--output-power", type=float, metavar="p", help="limit on the output's noise-free power")
+    add("--channel-power", type=float, nargs="+", metavar="p", help="limit on every input channel's power")
+    add("--amplitude", type=float, metavar="a", help="largest absolute input of the signal")
+    add("--rate", type=float, metavar="r", help="largest change of the input per sample")
+    add("--solver", choices=("newton", "clarabel"), default="newton", help="how weights are found")
+    add("--realise", type=int, metavar="N", help="also make a signal of N samples")
+    add("--signal", choices=("multisine", "realise", "filtered-noise", "binary"), default="multisine")
+    add("--out", metavar="FILE", help="write the signal (.csv), the design (.json), or both with a page into a new folder")
+    # fmt: on
 
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:

@@ -15,23 +15,15 @@ EXAMPLE = "oed theory --plant reference --noise-variance 1 --json"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add_plant_arguments(parser)
-    parser.add_argument(
-        "--algorithm", choices=("siso", "two-experiment", "mimo"), help="default: siso, mimo for a MIMO plant"
-    )
-    parser.add_argument(
-        "--scaling", choices=("none", "each", "common"), default="none", help="of Procedure 2's second stage"
-    )
-    parser.add_argument(
-        "--experiments", type=int, default=50, metavar="n", help="efficiencies of the first 1..n (default 50)"
-    )
-    parser.add_argument(
-        "--samples", type=int, metavar="N", help="also the prediction for experiments of N samples"
-    )
-    parser.add_argument(
-        "--claim-map",
-        action="store_true",
-        help="instead: where the sinusoid at the peak and the limit spectrum are optimal, this plant first",
-    )
+    add = parser.add_argument
+    # fmt: off
+    add("--algorithm", choices=("siso", "two-experiment", "mimo"), help="default: siso, mimo for a MIMO plant")
+    add("--scaling", choices=("none", "each", "common"), default="none", help="of Procedure 2's second stage")
+    add("--experiments", type=int, default=50, metavar="n", help="efficiencies of the first 1..n (default 50)")
+    add("--samples", type=int, metavar="N", help="also the prediction for experiments of N samples")
+    add("--claim-map", action="store_true",
+        help="instead: where the sinusoid at the peak and the limit spectrum are optimal, this plant first")
+    # fmt: on
 
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
@@ -61,9 +53,13 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 def _claim_map(plant: Any) -> tuple[dict[str, Any], str]:
     """This plant's row and those of the usual cases, each with its certificate."""
-    from benchmarks.tables.claim_map import COLUMNS, claim_rows, row_of
+    from benchmarks.tables.columns import columns
     from benchmarks.tables.formats import to_text
+    from benchmarks.tables.predictions import claim_row, claim_tasks
     from oed.theory import map_of_claim
 
-    rows = [row_of("this plant", map_of_claim([plant])[0]), *claim_rows()]
-    return {"claim_map": rows}, to_text(rows, COLUMNS)
+    rows = [
+        claim_row("this plant", map_of_claim([plant])[0]),
+        *(row for task in claim_tasks() for row in task()),
+    ]
+    return {"claim_map": rows}, to_text(rows, columns("claim_map"))

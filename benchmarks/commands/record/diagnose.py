@@ -12,39 +12,20 @@ EXAMPLE = "oed diagnose train.csv --test test.csv --meta meta.json --json"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
-    parser.add_argument(
-        "train",
-        metavar="TRAIN",
-        nargs="+",
-        help="training record, or several of one system; FILE[a:b] takes rows a to b-1",
-    )
-    parser.add_argument(
-        "--test", metavar="TEST", help="held-out record; without it blocked cross-validation inside TRAIN"
-    )
-    parser.add_argument(
-        "--meta", metavar="META.json", help="sampling time, structure and order known beforehand"
-    )
-    parser.add_argument(
-        "--skip", type=int, default=0, metavar="n", help="test samples that may set the initial state"
-    )
-    parser.add_argument(
-        "--order", type=int, help="order of the linear model (default: from --meta, else chosen)"
-    )
-    parser.add_argument("--inputs", metavar="NAMES", help="input columns, separated by commas")
-    parser.add_argument("--outputs", metavar="NAMES", help="output columns, separated by commas")
-    parser.add_argument("--dt", type=float, help="sampling time in seconds")
-    parser.add_argument(
-        "--alpha", type=float, default=0.01, help="false-alarm rate over all tests (default 0.01)"
-    )
-    parser.add_argument(
-        "--effort",
-        choices=("quick", "normal", "thorough"),
-        default="normal",
-        help="how much work it may be (default normal)",
-    )
-    parser.add_argument(
-        "--out", metavar="DIR", help="write the result, the simulated outputs, figures and report.html there"
-    )
+    add = parser.add_argument
+    # fmt: off
+    add("train", metavar="TRAIN", nargs="+", help="training record, or several of one system; FILE[a:b] takes rows a to b-1")
+    add("--test", metavar="TEST", help="held-out record; without it blocked cross-validation inside TRAIN")
+    add("--meta", metavar="META.json", help="sampling time, structure and order known beforehand")
+    add("--skip", type=int, default=0, metavar="n", help="test samples that may set the initial state")
+    add("--order", type=int, help="order of the linear model (default: from --meta, else chosen)")
+    add("--inputs", metavar="NAMES", help="input columns, separated by commas")
+    add("--outputs", metavar="NAMES", help="output columns, separated by commas")
+    add("--dt", type=float, help="sampling time in seconds")
+    add("--alpha", type=float, default=0.01, help="false-alarm rate over all tests (default 0.01)")
+    add("--effort", choices=("quick", "normal", "thorough"), default="normal", help="how much work it may be (default normal)")
+    add("--out", metavar="DIR", help="write the result, the simulated outputs, figures and report.html there")
+    # fmt: on
 
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:

@@ -14,75 +14,37 @@ DEFAULTS = {name: [one.first] * len(one.letters) for name, one in STRUCTURES.ite
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of `oed identify`."""
-    parser.add_argument(
-        "data",
-        nargs="+",
-        metavar="DATA",
-        help="csv, mat, parquet or npz; FILE[a:b] takes rows; several: one model",
-    )
-    parser.add_argument("--structure", choices=tuple(ORDERS), default="oe")
-    parser.add_argument(
-        "--orders",
-        nargs="+",
-        type=_order,
-        metavar="n",
-        help="; ".join(f"{k}: {' '.join(v)}" for k, v in ORDERS.items())
-        + " (default: 2); or auto, by blocks left out",
-    )
-    parser.add_argument("--delay", default="1", help="nk in samples, or auto (default 1)")
-    parser.add_argument("--diagonal", action="store_true", help="input i drives output i alone")
-    parser.add_argument(
-        "--no-offset", action="store_true", help="signals are deviations; no offset is estimated"
-    )
-    parser.add_argument("--remove-means", action="store_true", help="take the means as the offset")
-    parser.add_argument(
-        "--initial",
-        choices=("zero", "estimate", "backcast"),
-        help="initial states (default: estimate; with --no-offset zero)",
-    )
-    parser.add_argument(
-        "--iterations", type=int, default=100, metavar="n", help="most steps of the search (default 100)"
-    )
-    parser.add_argument(
-        "--search",
-        choices=("quick", "auto", "thorough"),
-        default="auto",
-        help="how hard the optimum is looked for",
-    )
-    parser.add_argument(
-        "--method", choices=("pem", "moesp", "n4sid", "cva"), default="pem",
-        help="of ss: prediction errors (default), or a subspace method, which needs no search",
-    )  # fmt: skip
-    parser.add_argument(
-        "--horizon",
-        type=int,
-        metavar="i",
-        help="block rows of the subspace method (default: chosen from the data)",
-    )
-    parser.add_argument("--missing", action="store_true", help="NaN in the outputs marks missing samples")
-    parser.add_argument("--robust", choices=("huber", "student"), help="a loss that withstands outliers")
-    parser.add_argument(
-        "--regularisation", choices=("tc", "dc", "ss"),
-        help="of fir: a kernel that expects the response to decay, its hyperparameters by marginal likelihood",
-    )  # fmt: skip
-    parser.add_argument(
-        "--disturbance", choices=("ar1", "walk"), help="with --regularisation: a slow disturbance beside the noise"
-    )  # fmt: skip
-    parser.add_argument(
-        "--folds", type=int, metavar="n",
-        help="also simulate each of n blocks (or of several records) by a model of the others; --skip holds for each",
-    )  # fmt: skip
-    parser.add_argument("--test", metavar="DATA", help="fresh data: the errors there are reported too")
-    parser.add_argument(
-        "--skip", type=int, default=0, metavar="n",
-        help="the first n samples of --test are left out of its errors and, unless --initial zero, set the initial state",
-    )  # fmt: skip
-    parser.add_argument("--inputs", help="input columns, with commas (default: those that begin with u)")
-    parser.add_argument("--outputs", help="output columns, with commas (default: those that begin with y)")
-    parser.add_argument("--dt", type=float, help="sampling time in seconds")
-    parser.add_argument(
-        "--out", metavar="DIR", help="write model.json, residuals.csv and report.html into this new folder"
-    )
+    add = parser.add_argument
+    # fmt: off
+    add("data", nargs="+", metavar="DATA", help="csv, mat, parquet or npz; FILE[a:b] takes rows; several: one model")
+    add("--structure", choices=tuple(ORDERS), default="oe")
+    add("--orders", nargs="+", type=_order, metavar="n",
+        help="; ".join(f"{k}: {' '.join(v)}" for k, v in ORDERS.items()) + " (default: 2); or auto, by blocks left out")
+    add("--delay", default="1", help="nk in samples, or auto (default 1)")
+    add("--diagonal", action="store_true", help="input i drives output i alone")
+    add("--no-offset", action="store_true", help="signals are deviations; no offset is estimated")
+    add("--remove-means", action="store_true", help="take the means as the offset")
+    add("--initial", choices=("zero", "estimate", "backcast"), help="initial states (default: estimate; with --no-offset zero)")
+    add("--iterations", type=int, default=100, metavar="n", help="most steps of the search (default 100)")
+    add("--search", choices=("quick", "auto", "thorough"), default="auto", help="how hard the optimum is looked for")
+    add("--method", choices=("pem", "moesp", "n4sid", "cva"), default="pem",
+        help="of ss: prediction errors (default), or a subspace method, which needs no search")
+    add("--horizon", type=int, metavar="i", help="block rows of the subspace method (default: chosen from the data)")
+    add("--missing", action="store_true", help="NaN in the outputs marks missing samples")
+    add("--robust", choices=("huber", "student"), help="a loss that withstands outliers")
+    add("--regularisation", choices=("tc", "dc", "ss"),
+        help="of fir: a kernel that expects the response to decay, its hyperparameters by marginal likelihood")
+    add("--disturbance", choices=("ar1", "walk"), help="with --regularisation: a slow disturbance beside the noise")
+    add("--folds", type=int, metavar="n",
+        help="also simulate each of n blocks (or of several records) by a model of the others; --skip holds for each")
+    add("--test", metavar="DATA", help="fresh data: the errors there are reported too")
+    add("--skip", type=int, default=0, metavar="n",
+        help="the first n samples of --test are left out of its errors and, unless --initial zero, set the initial state")
+    add("--inputs", help="input columns, with commas (default: those that begin with u)")
+    add("--outputs", help="output columns, with commas (default: those that begin with y)")
+    add("--dt", type=float, help="sampling time in seconds")
+    add("--out", metavar="DIR", help="write model.json, residuals.csv and report.html into this new folder")
+    # fmt: on
 
 
 def run(args: argparse.Namespace) -> tuple[dict, str]:

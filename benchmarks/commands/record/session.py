@@ -26,96 +26,62 @@ def configure(parser: argparse.ArgumentParser) -> None:
             epilog=f"example: {example}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        sub.add_argument("folder", metavar="DIR", help="the session's folder")
+        add = sub.add_argument
+        # fmt: off
+        add("folder", metavar="DIR", help="the session's folder")
         if name == "start":
             _configure_start(sub)
         elif name == "rest":
-            sub.add_argument(
-                "file", metavar="FILE", nargs="?", help="what the rig wrote; without it the input is written"
-            )
-            sub.add_argument(
-                "--share",
-                type=float,
-                metavar="s",
-                help="height of the pulses over the largest input (default 0.1)",
-            )
+            add("file", metavar="FILE", nargs="?", help="what the rig wrote; without it the input is written")
+            add("--share", type=float, metavar="s", help="height of the pulses over the largest input (default 0.1)")
         elif name == "status":
-            sub.add_argument(
-                "--picture", metavar="FILE", help="draw it: .html (the page), .svg, .png or .pdf"
-            )
+            add("--picture", metavar="FILE", help="draw it: .html (the page), .svg, .png or .pdf")
         elif name == "next":
-            sub.add_argument(
-                "--reduce", action="store_true", help="halve it and all that follow (after an abort)"
-            )
+            add("--reduce", action="store_true", help="halve it and all that follow (after an abort)")
         elif name == "record":
-            sub.add_argument(
-                "file", metavar="FILE", help="CSV, MAT, Parquet or npz with the outputs' columns"
-            )
-            sub.add_argument(
-                "--accept", action="store_true", help="use it although it looks saturated or held"
-            )
+            add("file", metavar="FILE", help="CSV, MAT, Parquet or npz with the outputs' columns")
+            add("--accept", action="store_true", help="use it although it looks saturated or held")
         elif name == "watch":
-            sub.add_argument("inbox", metavar="INBOX", help="where the rig writes its outputs")
-            sub.add_argument(
-                "--every", type=float, default=1.0, metavar="s", help="look that often (default 1)"
-            )
-            sub.add_argument("--once", action="store_true", help="take what is there, and end")
+            add("inbox", metavar="INBOX", help="where the rig writes its outputs")
+            add("--every", type=float, default=1.0, metavar="s", help="look that often (default 1)")
+            add("--once", action="store_true", help="take what is there, and end")
         elif name == "estimate":
-            sub.add_argument(
-                "--diagnose", action="store_true", help="say what is missing (in the model, if given)"
-            )
-        for option, words in (
-            ("--json", "print one JSON object and nothing else"),
-            ("--quiet", "no progress"),
-        ):
-            sub.add_argument(option, action="store_true", default=argparse.SUPPRESS, help=words)
-        sub.add_argument(
-            "--seed", type=int, default=argparse.SUPPRESS, help="seed of everything random (default 0)"
-        )
+            add("--diagnose", action="store_true", help="say what is missing (in the model, if given)")
+        add("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON object and nothing else")
+        add("--quiet", action="store_true", default=argparse.SUPPRESS, help="no progress")
+        add("--seed", type=int, default=argparse.SUPPRESS, help="seed of everything random (default 0)")
+        # fmt: on
 
 
 def _configure_start(sub: argparse.ArgumentParser) -> None:
     numbers = {"type": _numbers, "metavar": "X[,X..]"}
-    sub.add_argument("--method", required=True, choices=METHODS)
-    sub.add_argument(
-        "--samples", type=int, required=True, metavar="N", help="samples of one experiment (or period)"
-    )
-    sub.add_argument("--dt", type=float, required=True, metavar="s", help="sampling time in seconds")
-    sub.add_argument("--experiments", type=int, default=20, help="budget (default 20)")
-    sub.add_argument(
-        "--inputs", type=_names, default=("u",), metavar="NAMES", help="with units: force_N,torque_Nm"
-    )
-    sub.add_argument("--outputs", type=_names, default=("y",), metavar="NAMES", help="with units: position_m")
-    sub.add_argument(
-        "--power", type=float, metavar="P", help="mean square, summed over the inputs (default 1)"
-    )
-    sub.add_argument("--amplitude", **numbers, help="largest deviation from the level, per input")
-    sub.add_argument("--rate", **numbers, help="largest change per second, per input")
-    sub.add_argument("--energy", **numbers, help="largest sum of squares over the samples, per input")
-    sub.add_argument("--level", **numbers, help="operating level of each input (default 0)")
-    sub.add_argument(
-        "--lead", type=int, default=0, metavar="n", help="samples at the level before, for the resting output"
-    )
-    sub.add_argument(
-        "--ramp", type=int, default=0, metavar="n", help="samples in which the input comes in and goes out"
-    )
-    sub.add_argument(
-        "--rest", type=int, default=0, metavar="n", help="samples at the level after each experiment"
-    )
-    sub.add_argument("--periods", type=int, default=1, metavar="P", help="periods measured and averaged")
-    sub.add_argument("--warm-up", type=int, default=0, metavar="P", help="periods discarded before them")
-    sub.add_argument("--centre", action="store_true", help="take the mean off every output")
-    sub.add_argument("--abort", **numbers, help="outputs beyond it are not used, per output")
-    sub.add_argument("--range", type=_ranges, metavar="LOW:HIGH[,..]", help="sensor range, per output")
-    sub.add_argument(
-        "--orders", type=int, nargs=2, default=(2, 2), metavar=("nb", "nf"), help="for two-stage, sequential"
-    )
-    sub.add_argument("--delay", type=int, default=1, metavar="nk")
-    sub.add_argument(
-        "--criterion", default="hinf", help="what two-stage and sequential minimise (default hinf)"
-    )
-    sub.add_argument("--scaling", choices=("none", "each", "common"), default="each", help="for procedure-2")
-    sub.add_argument("--model", metavar="MODEL.json", help="iterate on this model minus the rig")
+    add = sub.add_argument
+    # fmt: off
+    add("--method", required=True, choices=METHODS)
+    add("--samples", type=int, required=True, metavar="N", help="samples of one experiment (or period)")
+    add("--dt", type=float, required=True, metavar="s", help="sampling time in seconds")
+    add("--experiments", type=int, default=20, help="budget (default 20)")
+    add("--inputs", type=_names, default=("u",), metavar="NAMES", help="with units: force_N,torque_Nm")
+    add("--outputs", type=_names, default=("y",), metavar="NAMES", help="with units: position_m")
+    add("--power", type=float, metavar="P", help="mean square, summed over the inputs (default 1)")
+    add("--amplitude", **numbers, help="largest deviation from the level, per input")
+    add("--rate", **numbers, help="largest change per second, per input")
+    add("--energy", **numbers, help="largest sum of squares over the samples, per input")
+    add("--level", **numbers, help="operating level of each input (default 0)")
+    add("--lead", type=int, default=0, metavar="n", help="samples at the level before, for the resting output")
+    add("--ramp", type=int, default=0, metavar="n", help="samples in which the input comes in and goes out")
+    add("--rest", type=int, default=0, metavar="n", help="samples at the level after each experiment")
+    add("--periods", type=int, default=1, metavar="P", help="periods measured and averaged")
+    add("--warm-up", type=int, default=0, metavar="P", help="periods discarded before them")
+    add("--centre", action="store_true", help="take the mean off every output")
+    add("--abort", **numbers, help="outputs beyond it are not used, per output")
+    add("--range", type=_ranges, metavar="LOW:HIGH[,..]", help="sensor range, per output")
+    add("--orders", type=int, nargs=2, default=(2, 2), metavar=("nb", "nf"), help="for two-stage, sequential")
+    add("--delay", type=int, default=1, metavar="nk")
+    add("--criterion", default="hinf", help="what two-stage and sequential minimise (default hinf)")
+    add("--scaling", choices=("none", "each", "common"), default="each", help="for procedure-2")
+    add("--model", metavar="MODEL.json", help="iterate on this model minus the rig")
+    # fmt: on
 
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:

@@ -26,77 +26,33 @@ PLAIN = (
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add = parser.add_argument
-    add(
-        "--config",
-        metavar="FILE",
-        help="TOML file with any of these options as keys (plants, noise_variances, [[limit]] ..); what is given on the "
-        "command line goes before it",
-    )
-    add(
-        "--plant",
-        action="append",
-        metavar="P",
-        help="named plant, random-fir-1, random-fir-2 .., or JSON file; repeat for several (default reference, hair-dryer, random-fir-1, three-by-two)",
-    )
-    add(
-        "--noise-variance",
-        action="append",
-        type=float,
-        metavar="V",
-        help="repeat for several (default 1, 4, 9); for hair-dryer in multiples of the identified one",
-    )
+    # fmt: off
+    add("--config", metavar="FILE",
+        help="TOML file with any of these options as keys (plants, noise_variances, [[limit]] ..); what is given on the command line goes before it")
+    add("--plant", action="append", metavar="P",
+        help="named plant, random-fir-1, random-fir-2 .., or JSON file; repeat for several (default reference, hair-dryer, random-fir-1, three-by-two)")
+    add("--noise-variance", action="append", type=float, metavar="V",
+        help="repeat for several (default 1, 4, 9); for hair-dryer in multiples of the identified one")
     add("--samples", type=int, metavar="N", help="length of every experiment (default 1000)")
     add("--experiments", type=int, metavar="n", help="experiments per run (default 20)")
     add("--replicates", type=int, metavar="R", help="Monte-Carlo runs of everything (default 100)")
-    add(
-        "--methods",
-        nargs="+",
-        metavar="M",
-        help="inputs to compare (default white multisine power procedure-2 sequential sequential-selected oracle-D oracle-hinf); your own as FILE.py:FUNCTION",
-    )
-    add(
-        "--estimators",
-        nargs="+",
-        metavar="E",
-        help="estimators (default rayleigh gain mu corrected fir-selected fir-regularised pem pem-selected); your own as FILE.py:FUNCTION",
-    )
-    add(
-        "--limit",
-        action="append",
-        metavar="replicates=R[,plant=P][,method=M][,estimator=E]",
-        help="fewer replicates of what is named; repeat for several",
-    )
-    add(
-        "--profile-replicates",
-        type=int,
-        metavar="R",
-        help="replicates in which the estimators also run after parts of the budget (default 3)",
-    )
-    add(
-        "--time-limit",
-        type=float,
-        metavar="SECONDS",
-        help="for one run of a method, and for one estimate (default 300); what takes longer is a row that says so",
-    )
-    add(
-        "--out",
-        metavar="DIR",
-        help="results folder; the same settings resume it (default results/compare)",
-    )
-    add(
-        "--merge",
-        nargs="+",
-        metavar="DIR",
-        help="put the results of these folders together in --out first, then compute what is missing",
-    )
-    add(
-        "--against",
-        metavar="DIR",
-        help="say what is better, worse and within the error of an earlier comparison, such as docs/results",
-    )
+    add("--methods", nargs="+", metavar="M",
+        help="inputs to compare (default white multisine power procedure-2 sequential sequential-selected oracle-D oracle-hinf); your own as FILE.py:FUNCTION")
+    add("--estimators", nargs="+", metavar="E",
+        help="estimators (default rayleigh gain mu corrected fir-selected fir-regularised pem pem-selected); your own as FILE.py:FUNCTION")
+    add("--limit", action="append", metavar="replicates=R[,plant=P][,method=M][,estimator=E]",
+        help="fewer replicates of what is named; repeat for several")
+    add("--profile-replicates", type=int, metavar="R",
+        help="replicates in which the estimators also run after parts of the budget (default 3)")
+    add("--time-limit", type=float, metavar="SECONDS",
+        help="for one run of a method, and for one estimate (default 300); what takes longer is a row that says so")
+    add("--out", metavar="DIR", help="results folder; the same settings resume it (default results/compare)")
+    add("--merge", nargs="+", metavar="DIR", help="put the results of these folders together in --out first, then compute what is missing")
+    add("--against", metavar="DIR", help="say what is better, worse and within the error of an earlier comparison, such as docs/results")
     add("--jobs", type=int, metavar="J", help="worker processes (default: one per core)")
     add("--scheduler", metavar="ADDRESS", help="address of a Dask scheduler to run on instead")
     add("--dry-run", action="store_true", help="only say what would be run, after trying it on a tiny size")
+    # fmt: on
 
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
