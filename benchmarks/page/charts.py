@@ -44,15 +44,11 @@ def chart(figure: Figure) -> dict[str, Any]:
 
     names = series_of(figure)
     styles = [style(k) for k in range(len(names))]
-    colour = alt.Color(
-        "series:N", legend=None, scale=alt.Scale(domain=names, range=[s["colour"] for s in styles])
-    )
-    dash = alt.StrokeDash(
-        "series:N", legend=None, scale=alt.Scale(domain=names, range=[s["dash"] for s in styles])
-    )
-    shape = alt.Shape(
-        "series:N", legend=None, scale=alt.Scale(domain=names, range=[s["shape"] for s in styles])
-    )
+    encodings: list[Any] = [
+        kind("series:N", legend=None, scale=alt.Scale(domain=names, range=[s[key] for s in styles]))
+        for kind, key in ((alt.Color, "colour"), (alt.StrokeDash, "dash"), (alt.Shape, "shape"))
+    ]
+    colour, dash, shape = encodings
     value, place = ("x", "y") if figure.sideways else ("y", "x")
     axis = {key: _axis(figure, key, alt) for key in "xy"}
     base = alt.Chart(alt.NamedData("rows"))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.page.content import Figure
+from benchmarks.page.content import Figure, line
 from benchmarks.tables.answer import KINDS
 from benchmarks.tables.formats import format_value
 from benchmarks.tables.profiles import TOLERANCE
@@ -140,11 +140,11 @@ def efficiency_figure(rows: Sequence[Row], plant: str, theory: Mapping[float, ND
             points.append(
                 at(row, x=row["experiments"], panel=panel, series=row["method"]) | measured(row, key)
             )
-    for variance, line in theory.items():
+    for variance, values in theory.items():
         points += [
             {"plant": plant, "noise_variance": variance, "method": "power", "x": n + 1, "y": float(v), "series": "power, theory",
              "panel": f"peak gain, noise {variance:g}", "text": format_value(float(v))}
-            for n, v in enumerate(line)
+            for n, v in enumerate(values)
         ]  # fmt: skip
     names = {str(p["series"]) for p in points}
     return Figure(
@@ -212,17 +212,13 @@ def _fine(centres: Sequence[float]) -> NDArray[np.float64]:
     return omega[(omega >= 0) & (omega <= np.pi)]
 
 
-def _line(x: Any, y: Any, name: str, **more: Any) -> list[dict[str, Any]]:
-    return [{"x": float(a), "y": float(b), "series": name, **more} for a, b in zip(x, y, strict=True)]
-
-
 def limit_spectrum_figures(plant: Plant, name: str, noise_variances: Sequence[float]) -> list[Figure]:
     """[S] Fig. 2: magnitude of G, and the limit spectra at several noise levels."""
     limits = [limit_spectrum(plant.replace(noise_variance=v)) for v in noise_variances]
     omega = _fine(limits[0].peak.frequencies)
-    gain = _line(omega, np.abs(plant.response(omega)[0][:, 0, 0]), "|G|")
+    gain = line(omega, np.abs(plant.response(omega)[0][:, 0, 0]), "|G|")
     density = [row for v, limit in zip(noise_variances, limits, strict=True)
-               for row in _line(omega, limit.density(omega), f"noise variance {v:.3g}")]  # fmt: skip
+               for row in line(omega, limit.density(omega), f"noise variance {v:.3g}")]  # fmt: skip
     top = limits[0].peak
     return [
         Figure(f"magnitude-{name}", f"{name}: magnitude of the plant, {top.value:.4f} at {top.frequency:.4f} rad/sample.",
@@ -241,12 +237,12 @@ def spectra_figure(
         s = limit_spectrum(plant.replace(noise_variance=variance)).spectrum
         keep = np.unique(np.linspace(0, len(s.omega) - 1, GRID).astype(int))
         share = np.cumsum(s.power[:, 0, 0].real) / s.total_power
-        points += _line(s.omega[keep], share[keep], f"iterations, noise variance {variance:.3g}")
-    points += _line((0.0, np.pi), (0.0, 1.0), "white noise")
+        points += line(s.omega[keep], share[keep], f"iterations, noise variance {variance:.3g}")
+    points += line((0.0, np.pi), (0.0, 1.0), "white noise")
     for key, spectrum in optima.items():
         order = np.argsort(spectrum.omega)
         steps = np.cumsum(spectrum.power[order, 0, 0].real)
-        points += _line(
+        points += line(
             [0.0, *spectrum.omega[order], np.pi], [0.0, *(steps / steps[-1]), 1.0], f"optimal for {key}"
         )
     return Figure(
@@ -262,8 +258,8 @@ def estimated_gain_figure(
 ) -> Figure:  # fmt: skip
     """[S] Fig. 3: estimated gain over the iterations, one run (M,) and averages."""
     n = np.arange(1, len(single) + 1)
-    points = _line(n, single, f"one run, noise variance {single_variance:.3g}")
-    points += [row for v, mean in averages.items() for row in _line(n, mean, f"mean, noise variance {v:.3g}")]
+    points = line(n, single, f"one run, noise variance {single_variance:.3g}")
+    points += [row for v, mean in averages.items() for row in line(n, mean, f"mean, noise variance {v:.3g}")]
     return Figure(
         f"estimated-gain-{name}", f"{name}: estimated gain beta_2 during the iterations ([S] Fig. 3), {size}; the thin line is the "
         "finite-time norm. Runs whose square is negative are left out of that iteration's mean.",
@@ -276,12 +272,12 @@ def hair_dryer_figures(story: Any) -> list[Figure]:
     """The hair dryer: input-residual correlation, and the simulation on the second half, before and after."""
     delays = dict(zip(("before", "after"), (story.before_delay, story.delay), strict=True))
     lags = [
-        row for k, v in story.correlations.items() for row in _line(story.lags, v, f"{k} (nk = {delays[k]})")
+        row for k, v in story.correlations.items() for row in line(story.lags, v, f"{k} (nk = {delays[k]})")
     ]
     t = story.test.t
-    runs = _line(t, story.test.y[:, 0], "measured")
+    runs = line(t, story.test.y[:, 0], "measured")
     runs += [row for k, r in zip(("before", "after"), story.rows, strict=True)
-             for row in _line(t, story.simulated[k][:, 0], f"{k}: {r['simulation_rmse']:.3f} V rms")]  # fmt: skip
+             for row in line(t, story.simulated[k][:, 0], f"{k}: {r['simulation_rmse']:.3f} V rms")]  # fmt: skip
     return [
         Figure("hair-dryer", "What the residual says: correlation of input and residual (thin lines: 99 % bounds).",
                "Correlation of input and residual against the lag, before and after the delay was added.", lags,

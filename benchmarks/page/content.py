@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -128,16 +129,9 @@ FIGURE = keyed(
     ("name", "caption", "alt", "rows"),
 )  # fmt: skip
 TABLE = keyed(
-    {
-        "name": TEXT,
-        "caption": TEXT,
-        "columns": WORDS,
-        "rows": ROWS,
-        "shade": _listed(TEXT, "texts"),
-        "repeat": FLAG,
-    },
+    {"name": TEXT, "caption": TEXT, "columns": WORDS, "rows": ROWS, "shade": _listed(TEXT, "texts"), "repeat": FLAG},
     ("name", "caption", "columns", "rows"),
-)
+)  # fmt: skip
 SECTION = keyed(
     {"title": TEXT, "text": _listed(TEXT, "texts"), "tables": _listed(TABLE, "tables"),
      "figures": _listed(FIGURE, "figures")}, ("title",),
@@ -175,6 +169,22 @@ def series_of(figure: Figure) -> list[str]:
     return list(dict.fromkeys(str(row.get("series") or "") for row in figure.rows))
 
 
+def headed(*keys: str, **others: str) -> dict[str, str]:
+    """Headings of a table's columns: keys that are words already, then those with a heading of their own."""
+    return {key: key.replace("_", " ") for key in keys} | others
+
+
+def line(x: Any, y: Any, series: str, error: Any = None, **more: Any) -> list[Row]:
+    """A series as rows, x and y (N,); with `error` (N,) the interval y +- error, where that is finite."""
+    rows = [{"x": float(a), "y": float(b), "series": series, **more} for a, b in zip(x, y, strict=True)]
+    if error is None:
+        return rows
+    ends = [
+        {"low": row["y"] - float(e), "high": row["y"] + float(e)} for row, e in zip(rows, error, strict=True)
+    ]
+    return [row | end for row, end in zip(rows, ends, strict=True) if isfinite(end["high"])]
+
+
 def thinned(x: Any, columns: Mapping[str, Any]) -> list[Row]:
     """Rows of long signals, x (N,) and each (N,): the least and the largest of every piece where there are too many."""
     import numpy as np
@@ -187,7 +197,7 @@ def thinned(x: Any, columns: Mapping[str, Any]) -> list[Row]:
             pieces = [at[k : k + size] for k in range(0, len(at), size)]
             filled = np.nan_to_num(y)
             at = np.unique([k for p in pieces for k in (p[filled[p].argmin()], p[filled[p].argmax()])])
-        rows += [{"x": float(x[k]), "y": float(y[k]), "series": name} for k in at]
+        rows += line(x[at], y[at], name)
     return rows
 
 

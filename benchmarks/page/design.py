@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.page.content import Figure, Page, Row, Section, Table, thinned
+from benchmarks.page.content import Figure, Page, Row, Section, Table, headed, line, thinned
 from benchmarks.page.skeleton import save_page
 from oed.data import Spectrum
 from oed.design import Design
@@ -69,17 +69,11 @@ def write_design(
     omega = np.linspace(0, np.pi, POINTS)
     power = np.einsum("kii->k", design.spectrum.power).real
     gain = np.linalg.svd(design.map.gain(omega), compute_uv=False)[:, 0]
-    lines = [
-        {"x": float(w) / turn, "y": float(p), "series": "power of the lines"}
-        for w, p in zip(design.spectrum.omega, power, strict=True)
-    ]
-    shape = [{"x": float(w) / turn, "y": float(g), "series": "gain of the plant, scaled"}
-             for w, g in zip(omega, power.max() * gain / gain.max(), strict=True)]  # fmt: skip
-    fine = np.unique(np.concatenate([omega, design.spectrum.omega]))
-    price = [{"x": float(w) / turn, "y": float(s), "series": "sensitivity"}
-             for w, s in zip(fine, design.certificate.sensitivity(fine), strict=True)]  # fmt: skip
-    price += [{"x": float(w) / turn, "y": float(s), "series": "support"}
-              for w, s in zip(design.spectrum.omega, design.certificate.sensitivity(design.spectrum.omega), strict=True)]  # fmt: skip
+    at, price_at = design.spectrum.omega, design.certificate.sensitivity
+    lines = line(at / turn, power, "power of the lines")
+    shape = line(omega / turn, power.max() * gain / gain.max(), "gain of the plant, scaled")
+    fine = np.unique(np.concatenate([omega, at]))
+    price = line(fine / turn, price_at(fine), "sensitivity") + line(at / turn, price_at(at), "support")
     spectrum = Figure("spectrum", "Where the power lies: the lines of the optimal spectrum over the gain of the plant.",
                       "Power of the lines over frequency.", [*lines, *shape], where, "power (input unit squared)",
                       {"power of the lines": "stems"}, rules=(0.0,))  # fmt: skip
@@ -87,15 +81,8 @@ def write_design(
                          "admissible spectrum is better by more than the gap.", "Sensitivity over frequency with the support marked.",
                          price, where, "sensitivity", {"support": "points"}, rules=(1.0,))  # fmt: skip
     others, limits = _alternatives(design, plant), _limits(design)
-    bars = [
-        {
-            "x": r["efficiency"],
-            "y": r["input"],
-            "series": "efficiency",
-            "text": f"{100 * r['efficiency']:.3g} %",
-        }
-        for r in others
-    ]
+    bars = [{"x": (share := r["efficiency"]), "y": r["input"], "series": "efficiency", "text": f"{100 * share:.3g} %"}
+            for r in others]  # fmt: skip
     runs = []
     if signal is not None:
         u = np.asarray(signal)
@@ -119,32 +106,19 @@ def write_design(
         )
     if binding:
         todo.append(f"To do better, allow more of what limits it: {', '.join(binding)}.")
-    columns = {
-        "limit": "limit",
-        "used": "used",
-        "allowed": "allowed",
-        "binds": "binds",
-        "worth": "worth of one unit more",
-    }
+    columns = headed("limit", "used", "allowed", "binds", worth="worth of one unit more")
     support = [{"frequency": r["x"], "power": r["y"]} for r in lines]
     sections = [
         Section("Why it is optimal", figures=[sensitivity]),
         *([Section("The signal", figures=runs)] if runs else []),
         Section("What limits it", [], [Table("limits", "Every limit, how much of it is used, and its price.", columns, limits)]),
-        Section("Alternatives", [], [Table("alternatives", "Efficiency at the same power.", {"input": "input", "efficiency": "efficiency"},
+        Section("Alternatives", [], [Table("alternatives", "Efficiency at the same power.", headed("input", "efficiency"),
                                            others, ["efficiency"])],
                 [Figure("alternatives", "What else one might apply, in shares of the certified optimum.", "Efficiencies as bars.", bars,
                         "share of the optimum", "", {"efficiency": "bars"}, sideways=True, rules=(1.0,))]),
-        Section("Lines", [], [Table("support", "Lines of the spectrum, one-sided.", {"frequency": where, "power": "power (input unit squared)"}, support)]),
+        Section("Lines", [], [Table("support", "Lines of the spectrum, one-sided.", headed(frequency=where, power="power (input unit squared)"), support)]),
     ]  # fmt: skip
-    page = Page(
-        "design",
-        "An optimal input",
-        answer,
-        sure,
-        todo,
-        [spectrum],
-        sections,
-        {k: str(v) for k, v in made.items()},
+    stated = {k: str(v) for k, v in made.items()}
+    return save_page(
+        folder, Page("design", "An optimal input", answer, sure, todo, [spectrum], sections, stated)
     )
-    return save_page(folder, page)

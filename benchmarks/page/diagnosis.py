@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.page.content import Figure, Page, Section, Table, thinned
+from benchmarks.page.content import Figure, Page, Section, Table, headed, line, thinned
 from benchmarks.page.skeleton import save_page
 from benchmarks.tables.formats import format_value
 
@@ -64,8 +64,8 @@ def _ladder(result: Diagnosis) -> tuple[Figure, Table]:
     caption = "The ladder: root mean square error of the free run on data not used, step by step, with 95 % intervals."
     figure = Figure("ladder", caption, "Error of every step of the ladder, from the linear model down to the noise floor.",
                     points, f"error ({unit or 'output units'})", "", marks, sideways=True, rules=(0.0, result.noise_floor))  # fmt: skip
-    columns = {"step": "step", "adds": "adds", "rmse_unused": "error, unused blocks", "low": "from", "high": "to",
-               "rmse_test": f"error, {result.held_out}", "low_test": "from ", "high_test": "to ", "verdict": "why"}  # fmt: skip
+    columns = headed("step", "adds", rmse_unused="error, unused blocks", low="from", high="to",
+                     rmse_test=f"error, {result.held_out}", low_test="from ", high_test="to ", verdict="why")  # fmt: skip
     return figure, Table(
         "ladder", "Every step that was tried, on the same data that it did not see.", columns, rows
     )
@@ -92,13 +92,8 @@ def _errors(result: Diagnosis) -> Table:
                 "high": high,
             }
         )
-    columns = {"error": "error", "value": "value", "low": "2.5 %", "high": "97.5 %"}
-    return Table(
-        "errors",
-        "Root mean square errors with intervals of a block bootstrap, in units of the output.",
-        columns,
-        rows,
-    )
+    caption = "Root mean square errors with intervals of a block bootstrap, in units of the output."
+    return Table("errors", caption, headed("error", "value", low="2.5 %", high="97.5 %"), rows)
 
 
 def _runs(result: Diagnosis, i: int) -> Figure:
@@ -131,14 +126,9 @@ def _residuals(result: Diagnosis, i: int) -> list[Figure]:
     points, spectra = [], []
     for label, r in pairs.items():
         centre, mean, error = binned(against[best], r)
-        points += [{"x": float(x), "y": float(m), "low": float(m - 2 * e), "high": float(m + 2 * e), "series": label}
-                   for x, m, e in zip(centre, mean, error, strict=True)]  # fmt: skip
+        points += line(centre, mean, label, 2 * error)
         frequency, power = welch(r, 1 / test.dt, nperseg=min(256, len(r)))
-        spectra += [
-            {"x": float(f), "y": float(np.sqrt(p)), "series": label}
-            for f, p in zip(frequency[1:], power[1:], strict=True)
-            if p > 0
-        ]
+        spectra += [row for row in line(frequency[1:], np.sqrt(power[1:]), label) if row["y"] > 0]
     return [
         Figure(f"residual-{i + 1}", f"Mean residual of {name} against the variable that reveals most of it: {best} (bars: two "
                "standard errors). A flat line at zero has nothing left to explain.", f"Mean residual against {best}, before and after.",
@@ -153,11 +143,8 @@ def _curves(result: Diagnosis, i: int) -> list[Figure]:
 
     drawn = []
     for k, c in enumerate(characteristics(result, i)):
-        rows = [{"x": float(a), "y": float(b), "low": float(b - e), "high": float(b + e), "series": "found, with its 95 % band"}
-                for a, b, e in zip(c.x, c.y, c.band, strict=True) if np.isfinite([a, b, e]).all()]  # fmt: skip
-        rows += (
-            [{"x": float(a), "y": float(a), "series": "linear"} for a in c.x[[0, -1]]] if c.identity else []
-        )
+        rows = [row for row in line(c.x, c.y, "found, with its 95 % band", c.band) if np.isfinite(row["x"])]
+        rows += line(c.x[[0, -1]], c.x[[0, -1]], "linear") if c.identity else []
         drawn.append(Figure(f"curve-{i + 1}-{k + 1}", _capital(c.sentence), f"The effect's curve: {c.sentence}.", rows,
                             c.argument, "acts as"))  # fmt: skip
     return drawn
@@ -182,14 +169,7 @@ def _tried(result: Diagnosis) -> list[Table]:
             )
         rows.append({"cause": c.cause.replace("_", " "), "variant": c.key, "output": i + 1, "gain": float(c.gain),
                      "p_value": float(c.p_value), "why": why})  # fmt: skip
-    columns = {
-        "cause": "cause",
-        "variant": "variant",
-        "output": "output",
-        "gain": "gain",
-        "p_value": "corrected p",
-        "why": "why",
-    }
+    columns = headed("cause", "variant", "output", "gain", p_value="corrected p", why="why")
     caption = ("Each effect by itself: gain of Schwarz's criterion over the linear model, and its p-value corrected for the shapes "
                "and effects tried.")  # fmt: skip
     return [Table("causes", caption, columns, rows, ["gain"])] if rows else []
@@ -202,24 +182,10 @@ def _linear(result: Diagnosis) -> list[Section]:
         {"pole": k + 1, "frequency": f or None, "damping": d if f else None, "time_constant": t}
         for k, (f, d, t) in enumerate(result.linear["poles"])
     ]
-    columns = {
-        "pole": "pole",
-        "frequency": "frequency (Hz)",
-        "damping": "damping",
-        "time_constant": "time constant (s)",
-    }
-    tables = (
-        [Table("poles", "Poles of the linear model; a real pole has a time constant only.", columns, rows)]
-        if rows
-        else []
-    )
-    return [
-        Section(
-            "The linear model",
-            [f"{result.linear['structure']}.", *(f"{why}." for why in result.linear.get("why", ()))],
-            tables,
-        )
-    ]
+    columns = headed("pole", frequency="frequency (Hz)", damping="damping", time_constant="time constant (s)")
+    poles = Table("poles", "Poles of the linear model; a real pole has a time constant only.", columns, rows)
+    said = [f"{result.linear['structure']}.", *(f"{why}." for why in result.linear.get("why", ()))]
+    return [Section("The linear model", said, [poles] if rows else [])]
 
 
 def _next(result: Diagnosis) -> tuple[list[Section], list[str], dict[str, str]]:
@@ -232,16 +198,9 @@ def _next(result: Diagnosis) -> tuple[list[Section], list[str], dict[str, str]]:
     (first, second), experiment = designed
     words = (f"Apply the input of next_input.csv to tell {first.replace('_', ' ')} from {second.replace('_', ' ')}, within the "
              f"amplitude of the training record: {experiment}.")  # fmt: skip
-    rows = [{"x": k, "y": float(u)} for k, u in enumerate(experiment.u)]
-    figure = Figure(
-        "next-input",
-        "The input to apply next.",
-        "The proposed input over its samples.",
-        rows,
-        "sample",
-        "u",
-        zoom=True,
-    )
+    rows = line(range(len(experiment.u)), experiment.u, "")
+    figure = Figure("next-input", "The input to apply next.", "The proposed input over its samples.", rows, "sample", "u",
+                    zoom=True)  # fmt: skip
     text = "u\n" + "".join(f"{v:.9g}\n" for v in experiment.u)
     return [Section("What to measure next", [words], figures=[figure])], [words], {"next_input.csv": text}
 
@@ -297,8 +256,7 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, A
     evidence = [_capital(s) for s in result.evidence] + (
         [f"In the units of the record: {result.equation}"] if result.equation else []
     )
-    share = result.explainable
-    if share:
+    if share := result.explainable:
         found = [f"{100 * max(share[key], 0.0):.0f}" for key in ("share", "low", "high")]
         evidence.append(
             f"Of the linear model's residual {found[0]} % [{found[1]}, {found[2]}] can be explained by what was measured."
@@ -310,11 +268,8 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, A
         Section("What was tried, and why it lost", [], [*([steps] if steps else []), *_tried(result)]),
         *following,
         *_linear(result),
-        Section(
-            "The data",
-            [_capital(w) for w in result.data] or ["The checks of the record found nothing to report."],
-        ),
-    ]
+        Section("The data", [_capital(w) for w in result.data] or ["The checks of the record found nothing to report."]),
+    ]  # fmt: skip
     page = Page("diagnosis", "What the linear model lacks", answer, sure, [*what, *todo], [ladder] if ladder else [], sections,
                 {k: str(v) for k, v in (made or {}).items()}, downloads=downloads)  # fmt: skip
     return save_page(folder, page)

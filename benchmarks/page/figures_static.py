@@ -8,19 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.page.charts import DASHES, style
+from benchmarks.page.charts import DASHES, SHAPES, style
 from benchmarks.page.content import Figure, series_of
 from oed.files.writing import write_figure
 
 LINES = ("-", "--", ":", "-.")
-MARKERS = {
-    "circle": "o",
-    "square": "s",
-    "triangle-up": "^",
-    "diamond": "D",
-    "cross": "P",
-    "triangle-down": "v",
-}
+MARKERS = dict(zip(SHAPES, "os^DPv", strict=True))
 ACROSS = 4
 """Panels in a row."""
 
@@ -96,15 +89,8 @@ def _panel(ax: Any, figure: Figure, rows: list[dict[str, Any]], names: list[str]
         number = partial(_numbers, mine)
         x = number("x")
         y = np.array([-float(order.index(row["y"])) for row in mine]) if figure.sideways else number("y")
-        _series(
-            ax,
-            figure,
-            figure.marks.get(name, "line"),
-            x,
-            y,
-            (number("low"), number("high")),
-            style(k) | {"label": name},
-        )
+        ends, look = (number("low"), number("high")), style(k) | {"label": name}
+        _series(ax, figure, figure.marks.get(name, "line"), x, y, ends, look)
     for key in figure.log:
         (ax.set_xscale if key == "x" else ax.set_yscale)("log")
     if figure.square:
@@ -118,11 +104,7 @@ def _series(
 ) -> None:
     low, high = ends
     colour = look["colour"]
-    line = {
-        "color": colour,
-        "linewidth": 1.2,
-        "linestyle": LINES[DASHES.index(tuple(look["dash"]))],
-    }
+    line = {"color": colour, "linewidth": 1.2, "linestyle": LINES[DASHES.index(tuple(look["dash"]))]}
     if mark in ("line", "step", "both"):
         how = {"drawstyle": "steps-post"} if mark == "step" else {}
         ax.plot(x, y, label=look["label"], **line, **how)

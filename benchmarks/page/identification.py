@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.page.content import Figure, Page, Row, Section, Table, thinned
+from benchmarks.page.content import Figure, Page, Row, Section, Table, headed, line, thinned
 from benchmarks.page.skeleton import save_page
 from oed.data import Record
 
@@ -30,9 +30,7 @@ ORDERS = 5
 
 
 def _banded(x: Any, value: Any, error: Any, series: str, factor: float = 1.0) -> list[Row]:
-    value, error = factor * np.asarray(value), factor * LEVEL * np.asarray(error)
-    return [{"x": float(a), "y": float(v), "low": float(v - e), "high": float(v + e), "series": series}
-            for a, v, e in zip(x, value, error, strict=True) if np.isfinite([v, e]).all()]  # fmt: skip
+    return line(x, factor * np.asarray(value), series, factor * LEVEL * np.asarray(error))
 
 
 def _entries(fit: Fit) -> list[tuple[int, int, str]]:
@@ -76,15 +74,12 @@ def _poles(fit: Fit) -> tuple[Figure, Table]:
 
     turn = np.linspace(0, 2 * np.pi, 61)
     circle = np.stack([np.cos(turn), np.sin(turn)])
-    points = [{"x": float(a), "y": float(b), "series": "unit circle"} for a, b in circle.T]
+    points = line(circle[0], circle[1], "unit circle")
     rows = []
     for pole, covariance in pole_covariances(fit):
         values, vectors = np.linalg.eigh(covariance)
         ring = (vectors * (ELLIPSE * np.sqrt(np.maximum(values, 0)))) @ circle
-        points += [
-            {"x": pole.real + float(a), "y": pole.imag + float(b), "series": "95 % ellipse"}
-            for a, b in ring.T
-        ]
+        points += line(pole.real + ring[0], pole.imag + ring[1], "95 % ellipse")
         points.append({"x": None, "y": None, "series": "95 % ellipse"})  # the next ring is a line of its own
         points.append({"x": pole.real, "y": pole.imag, "series": "pole", "text": f"{pole:.4g}"})
         continuous = np.log(pole) / fit.model.dt if pole else complex(-np.inf)
@@ -95,8 +90,8 @@ def _poles(fit: Fit) -> tuple[Figure, Table]:
             "time_constant": -1 / continuous.real if continuous.real < 0 else None,
             "error": float(np.sqrt(np.trace(covariance))),
         })  # fmt: skip
-    columns = {"pole": "pole", "size": "size", "frequency_hz": "frequency (Hz)", "damping": "damping",
-               "time_constant": "time constant (s)", "error": "standard error"}  # fmt: skip
+    columns = headed("pole", "size", frequency_hz="frequency (Hz)", damping="damping",
+                     time_constant="time constant (s)", error="standard error")  # fmt: skip
     figure = Figure("poles", "Poles with 95 % ellipses and the unit circle.", "Poles in the complex plane.", points, "real", "imaginary",
                     {"pole": "points", "95 % ellipse": "line", "unit circle": "line"}, square=True)  # fmt: skip
     return figure, Table("poles", "Poles; frequencies in Hz where the sampling time is known.", columns, rows)
@@ -108,15 +103,19 @@ def _residual(tests: Mapping[str, ResidualTest]) -> tuple[list[Figure], list[Tab
     points, rows = [], []
     for name, test in tests.items():
         panel = f"{name}: {p_stated(test.p_value)}"
-        points += [{"x": int(k), "y": float(r), "series": "correlation", "panel": panel}
-                   for k, r in zip(test.lags, test.correlation, strict=True)]  # fmt: skip
-        points += [{"x": int(k), "y": 0.0, "low": float(-2.576 * d), "high": float(2.576 * d), "series": "99 % where nothing is missing",
-                    "panel": panel} for k, d in zip(test.lags, test.deviation, strict=True)]  # fmt: skip
+        points += line(test.lags, test.correlation, "correlation", panel=panel)
+        points += line(
+            test.lags,
+            0 * test.deviation,
+            "99 % where nothing is missing",
+            2.576 * test.deviation,
+            panel=panel,
+        )
         rows.append({"test": name, "p_value": test.p_value, "p": p_stated(test.p_value), "lags": in_ranges(test.significant()) or "none",
                      "verdict": "something is missing" if test.p_value < SUSPECT else "nothing to see"})  # fmt: skip
     if not rows:
         return [], []
-    columns = {"test": "test", "p": "p-value", "lags": "significant lags", "verdict": "so"}
+    columns = headed("test", p="p-value", lags="significant lags", verdict="so")
     figure = Figure("residuals", "Correlations of the residual over their lags.", "Correlations of the residual, one panel per test.",
                     points, "lag (samples)", "correlation", {"correlation": "stems"}, shared=False)  # fmt: skip
     return [figure], [
@@ -217,7 +216,7 @@ def write_identification(
         Section("What the residual says", list(payload.get("notes", ())), tables, drawn),
         Section("Orders", figures=_orders(fit, records, payload["structure"], payload["orders"], payload["options"] | {"delay": payload["delay"]})),
         Section("Parameters", [payload["letters"]], [Table("parameters", "Parameters with their standard errors.",
-                                         {"parameter": "parameter", "value": "value ± standard error"}, parameters)]),
+                                         headed("parameter", value="value ± standard error"), parameters)]),
     ]  # fmt: skip
     page = Page("identification", "A model of measured data", answer, sure, todo, measured[:1],
                 [Section("Further outputs", figures=measured[1:])] * bool(measured[1:]) + sections,

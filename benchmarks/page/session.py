@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.page.content import Figure, Page, Section, Table, thinned
+from benchmarks.page.content import Figure, Page, Section, Table, headed, line, thinned
 from benchmarks.progress import in_words
 from oed.errors import InputError
 from oed.files.writing import write_whole
@@ -40,11 +40,7 @@ def _curve(session: Any) -> list[dict[str, Any]]:
             points.append(point | ({"low": low, "high": high} if np.isfinite([low, high]).all() else {}))
     gains = session.estimate().gains
     if len(gains) == len(ends):
-        points += [
-            {"x": e, "y": g, "series": "the method's own gain"}
-            for e, g in zip(ends, gains, strict=True)
-            if np.isfinite(g)
-        ]
+        points += [row for row in line(ends, gains, "the method's own gain") if np.isfinite(row["y"])]
     return points
 
 
@@ -87,17 +83,13 @@ def session_page(folder: Path) -> Page:
          "output_rms": float(np.sqrt(np.mean(r.y**2))), "output_peak": float(np.abs(r.y).max())}
         for k, r in enumerate(records)
     ]  # fmt: skip
-    columns = {"experiment": "experiment", "rows": "samples", "input_rms": "input, rms", "input_peak": "input, peak",
-               "output_rms": "output, rms", "output_peak": "output, peak"}  # fmt: skip
+    columns = headed("experiment", rows="samples", input_rms="input, rms", input_peak="input, peak",
+                     output_rms="output, rms", output_peak="output, peak")  # fmt: skip
     signals = []
     if records:
         last = records[-1]
-        for name, side in (("input", last.u), ("output", last.y)):
-            names, units = (
-                (last.input_names, last.input_units)
-                if name == "input"
-                else (last.output_names, last.output_units)
-            )
+        for name, side, names, units in (("input", last.u, last.input_names, last.input_units),
+                                         ("output", last.y, last.output_names, last.output_units)):  # fmt: skip
             column = lambda channel, unit: f"{channel} ({unit})" if unit else channel
             signals.append(Figure(f"last-{name}", f"The {name} of the last experiment.", f"The {name} over time.",
                                   thinned(last.t, dict(zip(names, side.T, strict=True))), "time (s)", ", ".join(map(column, names, units)), zoom=True))  # fmt: skip
@@ -139,41 +131,20 @@ def session_page(folder: Path) -> Page:
                    _curve(session) if done else [], "experiments", "peak gain",
                    {"estimate, with its 95 % interval": "both", "the method's own gain": "points"})  # fmt: skip
     sections = [
-        Section(
-            "Records",
-            [],
-            [Table("records", "Every experiment that is used.", columns, rows)] if rows else [],
-            signals,
-        ),
+        Section("Records", [], [Table("records", "Every experiment that is used.", columns, rows)] if rows else [], signals),
         Section("The rig at rest", tested),
-        Section(
-            "Limits",
-            [],
-            [
-                Table(
-                    "limits",
-                    "What the rig allows and what was used.",
-                    {"limit": "limit", "value": "value"},
-                    limits,
-                )
-            ],
-        ),
-    ]
-    title = f"A session of {s.method}"
-    made = {
-        "method": s.method,
-        "samples": str(s.samples),
-        "sampling time (s)": f"{s.dt:g}",
-        "seed": str(s.seed),
-        "state": status["status"],
-    }
+        Section("Limits", [], [Table("limits", "What the rig allows and what was used.", headed("limit", "value"), limits)]),
+    ]  # fmt: skip
+    made = {"method": s.method, "samples": str(s.samples), "sampling time (s)": f"{s.dt:g}", "seed": str(s.seed),
+            "state": status["status"]}  # fmt: skip
+    hero = [curve] if curve.rows else []
     return Page(
         "session",
-        title,
+        f"A session of {s.method}",
         answer,
         sure,
         todo,
-        [curve] if curve.rows else [],
+        hero,
         sections,
         made,
         progress=(done, budget),
