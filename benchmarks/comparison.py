@@ -17,7 +17,7 @@ from benchmarks.campaign.plants import expanded
 from benchmarks.campaign.settings import Limit, Settings, default_limits
 from benchmarks.campaign.users_own import Own
 from benchmarks.campaign.whole_campaign import TIME_LIMIT, fill_store, stored_runs
-from benchmarks.tables.columns import columns, is_number
+from benchmarks.tables.columns import headings, is_number
 from benchmarks.tables.formats import to_text
 from benchmarks.tables.tabulation import tabulate
 from oed.errors import CampaignError, InputError
@@ -51,7 +51,7 @@ class Comparison:
 
     def __str__(self) -> str:
         where = [f"report: {self.page}"] if self.page else []
-        table = [to_text(self.rows, columns("comparison")), ""] if self.rows else []
+        table = [to_text(self.rows, headings("comparison")), ""] if self.rows else []
         return "\n".join([*table, *self.sentences, *where])
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from benchmarks.tables.columns import SAID, TEXTS, columns
+from benchmarks.tables.columns import SAID, TEXTS, headings
 from benchmarks.tables.formats import from_parquet, to_markdown
 from benchmarks.tables.growth import FARTHEST
 from benchmarks.tables.head_to_head import head_to_head_sentence
@@ -30,7 +30,7 @@ def with_headline(text: str, table: str) -> str:
     return f"{head}{START}\n{table}\n{END}{rest.split(END, 1)[1]}"
 
 
-ANSWER = columns("answer")
+ANSWER = headings("answer")
 SHOWN = {
     key: ANSWER[key] for key in ("case", "noise_variance", "c_efficiency", "limit", "best_structure")
 } | {
@@ -127,7 +127,7 @@ def write_results(results: Path, folder: Path, name: str, commit: str) -> None:
         "Made by a program from the campaign's tables; [the page](report.html) has every figure and table, the CSV files all digits.",
         "", to_markdown(rows, {key: ANSWER[key] for key in TWO_PAGES}), SAID["tables"]["answer"]["caption"], "", TEXTS["below"], "",
         TEXTS["shared"], "", "## In words", "", *(f"- {words.strip()}" for words in summary[1:] if words.strip()), "",
-        "## By budget", "", TEXTS["growth"], "", to_markdown(told, columns("growth")), "## What it is and what it cost", "",
+        "## By budget", "", TEXTS["growth"], "", to_markdown(told, headings("growth")), "## What it is and what it cost", "",
         *(f"- {key.replace('_', ' ')}: {value}" for key, value in made.items()), "",
         f"Command: `{metadata['command']}`", "",
     ]  # fmt: skip

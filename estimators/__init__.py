@@ -16,23 +16,12 @@ if TYPE_CHECKING:
     from estimators.rules.power import power_iterations
     from estimators.rules.trace import Trace, run
 
-__all__ = [
-    "Trace",
-    "additivity_by_monte_carlo",
-    "diagnose",
-    "identify",
-    "power_iterations",
-    "run",
-]
+__all__ = ["Trace", "additivity_by_monte_carlo", "diagnose", "identify", "power_iterations", "run"]
 
-__getattr__, __dir__ = exporting(
-    __name__,
-    {
-        "Trace": "estimators.rules.trace",
-        "additivity_by_monte_carlo": "estimators.montecarlo.additivity",
-        "diagnose": "estimators.diagnosis.loop",
-        "identify": "estimators.pem",
-        "power_iterations": "estimators.rules.power",
-        "run": "estimators.rules.trace",
-    },
-)
+__getattr__, __dir__ = exporting(__name__, {
+    "estimators.rules.trace": "Trace run",
+    "estimators.montecarlo.additivity": "additivity_by_monte_carlo",
+    "estimators.diagnosis.loop": "diagnose",
+    "estimators.pem": "identify",
+    "estimators.rules.power": "power_iterations",
+})  # fmt: skip

@@ -21,8 +21,9 @@ def extra_named(error: ModuleNotFoundError) -> str:
     return remedy if package in EXTRAS else ""
 
 
-def exporting(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package that exports each name from its home module."""
+def exporting(package: str, names: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package that exports names, given by their home modules: "Record Spectrum"."""
+    homes = {name: home for home, those in names.items() for name in those.split()}
 
     def attribute(name: str) -> Any:
         if name in homes:

@@ -21,7 +21,7 @@ from benchmarks.page.comparison_words import advice_sentences, details, short_an
 from benchmarks.page.content import Figure, Page, Section, Table
 from benchmarks.page.skeleton import save_page
 from benchmarks.tables.answer import advice_rows, answer_rows, answer_sentences
-from benchmarks.tables.columns import SAID, TEXTS, columns, is_number, made, not_run_rows, save_summary
+from benchmarks.tables.columns import SAID, TEXTS, headings, is_number, made, not_run_rows, save_summary
 from benchmarks.tables.formats import to_markdown
 from benchmarks.tables.growth import growth_rows
 from benchmarks.tables.hair_dryer import hair_dryer_story
@@ -84,7 +84,7 @@ def write_comparison(
     sections += [_hair_dryer(found["hair dryer"])] if "hair dryer" in found else []
     words = sentences or said
     sections.append(Section("In words", words))
-    save_summary(folder, [*words, *said], to_markdown(best, columns("headline")))
+    save_summary(folder, [*words, *said], to_markdown(best, headings("headline")))
     used = [*settings.methods, *settings.estimators]
     page = Page(
         "comparison", "Which input is worth applying for the H-infinity norm?", short_answer(answer, best, settings),
@@ -121,7 +121,7 @@ def shown(name: str, rows: Sequence[Row]) -> list[Table]:
     own = SAID["tables"][name]
     caption = own["caption"].format(tolerance=100 * TOLERANCE)
     return (
-        [Table(name, caption, columns(name), rows, own.get("shade", ()), own.get("repeat", False))]
+        [Table(name, caption, headings(name), rows, own.get("shade", ()), own.get("repeat", False))]
         if rows
         else []
     )
@@ -174,7 +174,7 @@ def _summary(performance: Sequence[Row]) -> list[Row]:
         name = wanted.get(r["ratio"])
         if name:
             row = rows.setdefault(
-                (r["method"], r["estimator"]), {key: r[key] for key in columns("performance") if key in r}
+                (r["method"], r["estimator"]), {key: r[key] for key in headings("performance") if key in r}
             )
             row |= {name: r["share"], f"{name}_se": (r["high"] - r["low"]) / (2 * 1.96), "n": r["n"]}
     return sorted(rows.values(), key=lambda row: -row["within_2"])

@@ -23,11 +23,11 @@ SAID = tomllib.loads((Path(__file__).parent / "columns.toml").read_text(encoding
 TEXTS: dict[str, str] = SAID["texts"]
 
 
-def columns(table: str) -> dict[str, str]:
+def headings(table: str) -> dict[str, str]:
     """Key -> heading of every column of a table, in their order; `columns.toml` has them."""
     own = SAID["tables"][table]
-    headings = SAID["headings"] | own.get("headings", {})
-    return {key: headings.get(key, key.replace("_", " ")) for key in own["columns"]}
+    said = SAID["headings"] | own.get("headings", {})
+    return {key: said.get(key, key.replace("_", " ")) for key in own["columns"]}
 
 
 def not_run_rows(settings: Settings, replicates: int) -> list[dict[str, Any]]:

@@ -45,19 +45,10 @@ if TYPE_CHECKING:
     from estimators.pem.fit import Fit
     from estimators.pem.frequency_response import ResponseFit, identify_response
 
-__all__ = [
-    "Fit",
-    "ResponseFit",
-    "identify",
-    "identify_response",
-]
+__all__ = ["Fit", "ResponseFit", "identify", "identify_response"]
 
-__getattr__, __dir__ = exporting(
-    __name__,
-    {
-        "Fit": "estimators.pem.fit",
-        "ResponseFit": "estimators.pem.frequency_response",
-        "identify_response": "estimators.pem.frequency_response",
-        "identify": "estimators.pem.estimation",
-    },
-)
+__getattr__, __dir__ = exporting(__name__, {
+    "estimators.pem.fit": "Fit",
+    "estimators.pem.frequency_response": "ResponseFit identify_response",
+    "estimators.pem.estimation": "identify",
+})  # fmt: skip

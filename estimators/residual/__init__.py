@@ -9,21 +9,8 @@ from oed.lazily import exporting
 if TYPE_CHECKING:
     from estimators.residual.tests import ResidualTest, feedback, input_correlation, residual_tests, whiteness
 
-__all__ = [
-    "ResidualTest",
-    "feedback",
-    "input_correlation",
-    "residual_tests",
-    "whiteness",
-]
+__all__ = ["ResidualTest", "feedback", "input_correlation", "residual_tests", "whiteness"]
 
-__getattr__, __dir__ = exporting(
-    __name__,
-    {
-        "ResidualTest": "estimators.residual.tests",
-        "feedback": "estimators.residual.tests",
-        "input_correlation": "estimators.residual.tests",
-        "residual_tests": "estimators.residual.tests",
-        "whiteness": "estimators.residual.tests",
-    },
-)
+__getattr__, __dir__ = exporting(__name__, {
+    "estimators.residual.tests": "ResidualTest feedback input_correlation residual_tests whiteness",
+})  # fmt: skip

@@ -23,24 +23,14 @@ if TYPE_CHECKING:
     from estimators.sessions.stored import StoredSession, open_session
 
 __all__ = [
-    "FlaggedMeasurement",
-    "Session",
-    "Settings",
-    "StoredSession",
-    "open_session",
-    "start_session",
+    "FlaggedMeasurement", "Session", "Settings", "StoredSession", "open_session", "start_session",
     "what_is_missing",
-]
+]  # fmt: skip
 
-__getattr__, __dir__ = exporting(
-    __name__,
-    {
-        "FlaggedMeasurement": "estimators.sessions.session",
-        "Session": "estimators.sessions.session",
-        "Settings": "estimators.sessions.settings",
-        "StoredSession": "estimators.sessions.stored",
-        "open_session": "estimators.sessions.stored",
-        "start_session": "estimators.sessions.starting",
-        "what_is_missing": "estimators.sessions.missing",
-    },
-)
+__getattr__, __dir__ = exporting(__name__, {
+    "estimators.sessions.session": "FlaggedMeasurement Session",
+    "estimators.sessions.settings": "Settings",
+    "estimators.sessions.stored": "StoredSession open_session",
+    "estimators.sessions.starting": "start_session",
+    "estimators.sessions.missing": "what_is_missing",
+})  # fmt: skip

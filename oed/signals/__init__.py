@@ -17,25 +17,8 @@ if TYPE_CHECKING:
         realise,
     )
 
-__all__ = [
-    "binary",
-    "crest_factor",
-    "filtered_noise",
-    "multisine",
-    "periodogram",
-    "prbs",
-    "realise",
-]
+__all__ = ["binary", "crest_factor", "filtered_noise", "multisine", "periodogram", "prbs", "realise"]
 
-__getattr__, __dir__ = exporting(
-    __name__,
-    {
-        "binary": "oed.signals.synthesis",
-        "crest_factor": "oed.signals.synthesis",
-        "filtered_noise": "oed.signals.synthesis",
-        "multisine": "oed.signals.synthesis",
-        "periodogram": "oed.signals.synthesis",
-        "prbs": "oed.signals.synthesis",
-        "realise": "oed.signals.synthesis",
-    },
-)
+__getattr__, __dir__ = exporting(__name__, {
+    "oed.signals.synthesis": "binary crest_factor filtered_noise multisine periodogram prbs realise",
+})  # fmt: skip

@@ -10,7 +10,7 @@ from benchmarks.campaign.registry import told, words_of
 from benchmarks.page import comparison_figures as figures
 from benchmarks.page.comparison import FILTERS, headline_rows
 from benchmarks.page.content import Figure, Page, Section, Table, thinned
-from benchmarks.tables.columns import columns
+from benchmarks.tables.columns import headings
 
 PLANTS = ("reference", "hair-dryer", "random-fir-1", "three-by-two")
 NOISES = (1.0, 4.0, 9.0)
@@ -29,7 +29,7 @@ def comparison_rows(
                 share = float(rng.uniform(0.02, 0.99))
                 for estimator in estimators:
                     rho = float(rng.uniform(1, 30))
-                    row = dict.fromkeys(columns("comparison"), 0.0) | {
+                    row = dict.fromkeys(headings("comparison"), 0.0) | {
                         "plant": plant, "noise_variance": noise, "method": method, "estimator": estimator, "channels": "1 x 1",
                         "samples": 20000, "experiments": 20, "energy": 20000.0, "peak_amplitude": 4.2, "rho": rho,
                         "rho_se": 0.05 * rho, "rho_predicted": 0.9 * rho, "bias": 0.01, "bias_se": 0.003, "rmse": 0.1,
@@ -52,8 +52,8 @@ def small_page(rows: list[dict[str, Any]] | None = None) -> Page:
     ]
     sections = [
         Section("What each input carries", ["One sentence & <b>another</b>."],
-                [Table("headline", "What every input carries.", columns("headline"), best, ["c_efficiency"], repeat=True)]),
-        Section("The comparison", [], [Table("comparison", "Bias, RMSE and rho.", columns("comparison"), rows, ["c_efficiency"], repeat=True)],
+                [Table("headline", "What every input carries.", headings("headline"), best, ["c_efficiency"], repeat=True)]),
+        Section("The comparison", [], [Table("comparison", "Bias, RMSE and rho.", headings("comparison"), rows, ["c_efficiency"], repeat=True)],
                 [figures.rho_figure(rows)]),
         Section("Signals", figures=[Figure("signals", "Measured and simulated.", "Two sinusoids over time.", signals, "time (s)",
                                            "y", zoom=True),

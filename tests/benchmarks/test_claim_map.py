@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.page.comparison_figures import claim_figure
 from benchmarks.page.figures_static import drawn
-from benchmarks.tables.columns import columns
+from benchmarks.tables.columns import headings
 from benchmarks.tables.formats import to_markdown
 from benchmarks.tables.predictions import claim_tasks
 from oed.theory import ClaimCase, claim_cases
@@ -22,7 +22,7 @@ def test_rows_become_a_table_and_a_figure():
     assert [row["theorem"] for row in rows] == [True, False, True]
     assert rows[0]["limit"] == pytest.approx(0.81125, abs=5e-6)
     assert math.isnan(rows[2]["limit"])
-    text = to_markdown(rows, columns("claim_map"))
+    text = to_markdown(rows, headings("claim_map"))
     assert text.count("\n") == len(rows) + 2
     figure = claim_figure(rows)
     shown = [p["x"] for p in figure.rows if p["series"] == "limit of the iterations"]

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 def _claim_map(plant: Any) -> tuple[dict[str, Any], str]:
     """This plant's row and those of the usual cases, each with its certificate."""
-    from benchmarks.tables.columns import columns
+    from benchmarks.tables.columns import headings
     from benchmarks.tables.formats import to_text
     from benchmarks.tables.predictions import claim_row, claim_tasks
     from oed.theory import map_of_claim
@@ -62,4 +62,4 @@ def _claim_map(plant: Any) -> tuple[dict[str, Any], str]:
         claim_row("this plant", map_of_claim([plant])[0]),
         *(row for task in claim_tasks() for row in task()),
     ]
-    return {"claim_map": rows}, to_text(rows, columns("claim_map"))
+    return {"claim_map": rows}, to_text(rows, headings("claim_map"))
