@@ -27,27 +27,11 @@ Result = tuple[Part, list[dict[str, Any]], dict[str, str]]
 
 
 def run_campaign(
-    settings: Settings,
-    replicates: int,
-    folder: Path,
-    *,
-    jobs: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    time_limit: float | None = TIME_LIMIT,
-    own: Own | None = None,
-) -> list[Runs]:
-    """Run or resume a campaign, and read all of it."""
-    store = fill_store(
-        settings,
-        replicates,
-        folder,
-        jobs=jobs,
-        scheduler=scheduler,
-        progress=progress,
-        time_limit=time_limit,
-        own=own,
-    )
+    settings: Settings, replicates: int, folder: Path, *, time_limit: float | None = TIME_LIMIT, own: Own | None = None,
+    **how: Any,
+) -> list[Runs]:  # fmt: skip
+    """Run or resume a campaign as `fill_store` does, and read all of it."""
+    store = fill_store(settings, replicates, folder, time_limit=time_limit, own=own, **how)
     return list(stored_runs(store, settings, replicates, time_limit=time_limit, own=own))
 
 

@@ -31,7 +31,7 @@ initial=None, start=None, ...) -> Fit`
 `identify_response`: the same of a measured frequency response, its lines weighted by their variance; a `ResponseFit`.
 
 Beside it: `pem.uncertainty` (sandwich, profile_interval, bode_band, step_band, pole_covariances), `pem.greybox`
-(physically parametrised models), `pem.plots`, `estimators.residual.tests`, `estimators.pem.choice`, `estimators.pem.search.fractional_delay`.
+(physically parametrised models), `pem.plots`, `estimators.residual.tests`, `estimators.pem.choice`.
 """
 
 from __future__ import annotations

@@ -12,7 +12,6 @@ from scipy.signal import lfilter
 from estimators.pem import identify
 from estimators.pem.choice import estimate_delay
 from estimators.pem.greybox import GreyBox, identify_grey_box
-from estimators.pem.search.fractional_delay import estimate_fractional_delay
 from estimators.pem.uncertainty import sandwich
 from oed.data import Record
 from oed.models.statespaces import state_space
@@ -191,26 +190,6 @@ def test_coverage_with_an_estimated_delay(record_figure) -> None:
         return found.fit.theta - theta, found.fit.standard_errors
 
     check("bj with an estimated delay", one, record_figure)
-
-
-@pytest.mark.validate
-def test_coverage_of_a_fractional_delay(record_figure) -> None:
-    """The delay and the parameters beside it; the input is band-limited and periodic, so that it can be shifted exactly."""
-    lines = 2 * np.pi * np.arange(1, int(0.3 * SAMPLES)) / SAMPLES
-    t, truth = np.arange(SAMPLES), np.array([2.4, 0.5, -0.8])
-
-    def one(rng):
-        phases = rng.uniform(0, 2 * np.pi, len(lines))
-        signal = lambda s: np.cos(np.outer(s, lines) + phases).sum(axis=1) / np.sqrt(len(lines) / 2)
-        y = lfilter([0, 0, 0.5], [1, -0.8], signal(t - 0.4)) + 0.3 * rng.normal(size=SAMPLES)
-        found = estimate_fractional_delay(
-            Record(signal(t), y), "oe", (1, 1), 2, initial="estimate", search="quick", offset=False
-        )
-        return np.r_[found.delay, found.fit.theta] - truth, np.r_[
-            found.standard_error, found.fit.standard_errors
-        ]
-
-    check("oe with a fractional delay", one, record_figure)
 
 
 @pytest.mark.validate
