@@ -113,11 +113,7 @@ def stored_runs(
 
 
 def _results(
-    settings: Settings,
-    missing: list[Part],
-    jobs: int | None,
-    scheduler: str | None,
-    options: dict[str, Any],
+    settings: Settings, missing: list[Part], jobs: int | None, scheduler: str | None, options: dict[str, Any]
 ) -> Iterator[Result]:
     """Parts with their rows and the versions that made them, as they are finished, whoever does the work."""
     jobs = min(jobs or os.cpu_count() or 1, max(len(missing), 1))

@@ -71,18 +71,14 @@ def _mimo_rows() -> list[dict[str, Any]]:
         measured, error, off, holds = mimo_prediction_errors(name, samples, variance, scaling, runs)
         before, edge, both = (abs(off[effect]) for effect in EFFECTS)
         found.append(
-            row(
-                f"error of the prediction for Procedure 2 as effects are added, {name}, N = {samples}, variance "
-                f"{variance:g}, second stage scaled: {scaling}",
-                "theory, sections 3 and 6, joined here",
-                "falls with each",
-                ", ".join(f"{effect} {value:+.4f}" for effect, value in off.items()),
-                None,
+            row(f"error of the prediction for Procedure 2 as effects are added, {name}, N = {samples}, variance "
+            f"{variance:g}, second stage scaled: {scaling}",
+                "theory, sections 3 and 6, joined here", "falls with each",
+                ", ".join(f"{effect} {value:+.4f}" for effect, value in off.items()), None,
                 f"mean of gamma_2^2 over iterations 21-30, measured {measured:.4f} +- {error:.4f} ({runs} runs); each "
                 f"must be the smaller. {_ending(holds)}",
-                bool(before > edge > both if holds else before > edge and both <= edge + 4 * error),
-            )
-        )
+                bool(before > edge > both if holds else before > edge and both <= edge + 4 * error))
+        )  # fmt: skip
     return found
 
 
@@ -93,26 +89,17 @@ def rows() -> list[dict[str, Any]]:
         measured, error, off, holds = prediction_errors(samples, variance)
         where = f"N = {samples}, variance {variance:g}"
         found.append(
-            row(
-                f"root mean beta_2^2 over iterations 30-60, {where}",
-                "theory, section 6",
-                published,
-                measured,
+            row(f"root mean beta_2^2 over iterations 30-60, {where}", "theory, section 6", published, measured,
                 float(4 * np.hypot(spread, error)),
-                f"4 standard errors of the difference of two campaigns ({RUNS} runs here, +- {error:.5f}).",
-            )
-        )
+                f"4 standard errors of the difference of two campaigns ({RUNS} runs here, +- {error:.5f}).")
+        )  # fmt: skip
         before, edge, both = (abs(off[effect]) for effect in EFFECTS)
         found.append(
-            row(
-                f"error of the prediction as effects are added, {where}",
-                "theory, section 6, and the second effect it asks for",
-                "falls with each",
-                ", ".join(f"{effect} {value:+.5f}" for effect, value in off.items()),
-                None,
+            row(f"error of the prediction as effects are added, {where}",
+                "theory, section 6, and the second effect it asks for", "falls with each",
+                ", ".join(f"{effect} {value:+.5f}" for effect, value in off.items()), None,
                 "prediction less measurement: N to infinity, then the edges, then the fluctuation of mu to second "
                 f"order; each must be the smaller. {_ending(holds)} Standard error {error:.5f}.",
-                bool(before > edge > both if holds else before > edge and both <= edge + 4 * error),
-            )
-        )
+                bool(before > edge > both if holds else before > edge and both <= edge + 4 * error))
+        )  # fmt: skip
     return found + _mimo_rows()

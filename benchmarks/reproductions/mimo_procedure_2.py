@@ -41,16 +41,10 @@ def _identities() -> list[dict[str, Any]]:
         w = transposed_output(trace, trace.iterations[0]).ravel()
         u = trace.records[0].u.ravel()
         found.append(
-            row(
-                f"G' G u by 1 + pq experiments, {name}",
-                "[M] (8)-(11), Procedure 2",
-                0.0,
-                float(np.abs(w - G.T @ (G @ u)).max()),
-                1e-11,
-                "against the dense matrix, 40 samples; rounding only.",
-                kind="statement",
-            )
-        )
+            row(f"G' G u by 1 + pq experiments, {name}", "[M] (8)-(11), Procedure 2", 0.0,
+                float(np.abs(w - G.T @ (G @ u)).max()), 1e-11, "against the dense matrix, 40 samples; rounding only.",
+                kind="statement")
+        )  # fmt: skip
     plant, N = named_plant("three-by-two", 0.0), 12
     trace, gains = iterate(
         simulated(plant), algorithm="mimo", samples=N, iterations=600, rng=np.random.default_rng(0)
@@ -58,21 +52,11 @@ def _identities() -> list[dict[str, Any]]:
     values = gains["gain"].values
     norm = finite_norm(plant, N)
     found.append(
-        row(
-            "gamma_2 tends to ||Delta||_i2 without noise",
-            "[M] (12), Sec. III-C",
-            norm,
-            float(values[-1]),
-            1e-6 * norm,
-            "12 samples, 600 iterations, rising at every step and never above the norm.",
-            bool(
-                abs(values[-1] / norm - 1) < 1e-6
-                and (np.diff(values) > -1e-12).all()
-                and values.max() <= norm * (1 + 1e-12)
-            ),
-            "statement",
-        )
-    )
+        row("gamma_2 tends to ||Delta||_i2 without noise", "[M] (12), Sec. III-C", norm, float(values[-1]),
+            1e-6 * norm, "12 samples, 600 iterations, rising at every step and never above the norm.",
+            bool(abs(values[-1] / norm - 1) < 1e-6 and (np.diff(values) > -1e-12).all() and values.max() <= norm * (1 + 1e-12)),
+            "statement")
+    )  # fmt: skip
     return found
 
 

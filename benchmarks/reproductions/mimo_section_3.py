@@ -46,25 +46,12 @@ def _equations() -> list[dict[str, Any]]:
     top = values[np.argmax(np.abs(values))]
     trace = _from(power_iterations, PLAIN, SAMPLES, 400)
     return [
-        row(
-            "||Delta||_i2 is the eigenvalue of T Delta of largest modulus",
-            "[M] (5), with |lambda|",
-            float(singular_values(PLAIN, SAMPLES)[0]),
-            float(abs(top)),
-            1e-12,
-            f"{SAMPLES} samples; without the modulus (5) would say {values.max():.6g}.",
-            kind="statement",
-        ),
-        row(
-            "gamma_1 tends to that eigenvalue",
-            "[M] (6), with |lambda|",
-            float(top),
-            rayleigh(trace).last,
-            1e-9,
-            f"Procedure 1, {SAMPLES} samples, 400 experiments without noise.",
-            kind="statement",
-        ),
-    ]
+        row("||Delta||_i2 is the eigenvalue of T Delta of largest modulus", "[M] (5), with |lambda|",
+            float(singular_values(PLAIN, SAMPLES)[0]), float(abs(top)), 1e-12,
+            f"{SAMPLES} samples; without the modulus (5) would say {values.max():.6g}.", kind="statement"),
+        row("gamma_1 tends to that eigenvalue", "[M] (6), with |lambda|", float(top), rayleigh(trace).last, 1e-9,
+            f"Procedure 1, {SAMPLES} samples, 400 experiments without noise.", kind="statement"),
+    ]  # fmt: skip
 
 
 def _scaling() -> list[dict[str, Any]]:
@@ -74,17 +61,12 @@ def _scaling() -> list[dict[str, Any]]:
         for how in ("none", "each")
     ]
     return [
-        row(
-            f"estimates with inputs scaled to their limits over those without, {name}",
-            "[M] (13)",
-            1.0,
-            float((a / b)[np.argmax(np.abs(a / b - 1))]),
-            1e-10,
+        row(f"estimates with inputs scaled to their limits over those without, {name}", "[M] (13)", 1.0,
+            float((a / b)[np.argmax(np.abs(a / b - 1))]), 1e-10,
             "the largest difference over all iterations from one start, without noise; rounding only.",
-            kind="statement",
-        )
+            kind="statement")
         for name, (a, b) in (("Procedure 1", single), ("Procedure 2", several))
-    ]
+    ]  # fmt: skip
 
 
 def _unscaled(iterations: int) -> np.ndarray:
@@ -104,15 +86,10 @@ def _response() -> dict[str, Any]:
     found = frequency_response(trace)
     size = np.linalg.norm(found.response, 2, axis=(1, 2))
     k = int(np.argmax(size))
-    return row(
-        "frequency response by experiments: its peak",
-        "[M] Fig. 4, on a synthetic plant built to its numbers",
-        None,
-        float(size[k]),
-        None,
+    return row("frequency response by experiments: its peak", "[M] Fig. 4, on a synthetic plant built to its numbers",
+        None, float(size[k]), None,
         f"at {found.omega[k] / (2 * np.pi * plant.dt):.1f} Hz, on lines of {1 / (2000 * plant.dt):.2g} Hz ([M]: 1.95 at 296 Hz on a "
-        f"coarser grid; the norm of the plant is {finite_norm(plant, 2000):.4f}); the plant was built to show it.",
-    )
+        f"coarser grid; the norm of the plant is {finite_norm(plant, 2000):.4f}); the plant was built to show it.")  # fmt: skip
 
 
 def _map() -> list[dict[str, Any]]:
@@ -121,28 +98,16 @@ def _map() -> list[dict[str, Any]]:
     sizes = np.array([np.linalg.norm(r.y) for r in trace.records])
     ratios = [_amplified(plant, r.y[::-1]) for r in (trace.records[0], trace.records[-1])]
     return [
-        row(
-            "the output grows with every iteration",
-            "[M] Sec. V-B, below (15)",
-            "59 of 59",
-            f"{int(np.sum(np.diff(sizes) > 0))} of 59",
-            None,
+        row("the output grows with every iteration", "[M] Sec. V-B, below (15)", "59 of 59",
+            f"{int(np.sum(np.diff(sizes) > 0))} of 59", None,
             f"reference plant, N = {N}, 60 iterations without noise; inputs of one size.",
-            bool((np.diff(sizes) > 0).all()),
-            "statement",
-        ),
-        row(
-            "the map (15) is no contraction",
-            "[M] Sec. V-B",
-            "a small difference grows",
-            f"{ratios[0]:.3f} times at the first iteration, {ratios[1]:.3f} at the last",
-            None,
+            bool((np.diff(sizes) > 0).all()), "statement"),
+        row("the map (15) is no contraction", "[M] Sec. V-B", "a small difference grows",
+            f"{ratios[0]:.3f} times at the first iteration, {ratios[1]:.3f} at the last", None,
             "largest singular value of the map's derivative, by experiments with small differences: above 1 at a white input. "
             "Towards the limit it falls to 1 and below, which the text does not say: there the iteration converges.",
-            bool(ratios[0] > 1),
-            "statement",
-        ),
-    ]
+            bool(ratios[0] > 1), "statement"),
+    ]  # fmt: skip
 
 
 def _amplified(plant: Plant, reversed_output: np.ndarray) -> float:

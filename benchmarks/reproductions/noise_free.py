@@ -42,28 +42,19 @@ def _plant(name: str) -> list[dict[str, Any]]:
     close = krylov >= norm * (1 - NEAR)
     steps = _steps(d, shares, single)
     return [
-        row(
-            f"every gain is that of the dense-matrix power iteration, {name}",
-            "[S] Algorithm 1 and (7), [M] Procedure 2 and (12)",
-            0.0,
-            float(np.abs(found / expected - 1).max()),
-            1e-9,
+        row(f"every gain is that of the dense-matrix power iteration, {name}",
+            "[S] Algorithm 1 and (7), [M] Procedure 2 and (12)", 0.0, float(np.abs(found / expected - 1).max()), 1e-9,
             f"largest relative difference over {M} iterations from one start, N = {N}, by the singular value "
             "decomposition of the Toeplitz matrix; rounding only.",
-            kind="statement",
-        ),
-        row(
-            f"how slowly the finite-time norm is neared, and what Krylov saves, {name}",
-            "[S] Remark 5: singular values in pairs of nearly equal size",
-            None,
+            kind="statement"),
+        row(f"how slowly the finite-time norm is neared, and what Krylov saves, {name}",
+            "[S] Remark 5: singular values in pairs of nearly equal size", None,
             f"{1 - values[-1] / norm:.1e} left after {M * each} experiments; to {NEAR:g} it takes {steps * each}. "
-            f"Krylov is as near after {closer * each}"
-            + (f" and at {NEAR:g} after {(int(np.argmax(close)) + 1) * each}" if close.any() else ""),
+            f"Krylov is as near after {closer * each}" + (f" and at {NEAR:g} after {(int(np.argmax(close)) + 1) * each}" if close.any() else ""),
             None,
             f"relative to ||G_N||_2 = {norm:.9g}, whose next different singular value is {1 - d[2] / norm:.1e} below it; "
-            "an illustration: Krylov's estimate is the largest over all that the iterations span.",
-        ),
-    ]
+            "an illustration: Krylov's estimate is the largest over all that the iterations span."),
+    ]  # fmt: skip
 
 
 def _coordinates(plant: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

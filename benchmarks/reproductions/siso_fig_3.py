@@ -25,42 +25,27 @@ def rows() -> list[dict[str, Any]]:
         mean, error = campaign.gain_mean[1:], campaign.error("gain")[1:]
         means.append(mean[-1])
         found.append(
-            row(
-                f"mean gain strictly below the finite-time norm, variance {variance:g}",
-                SOURCE,
+            row(f"mean gain strictly below the finite-time norm, variance {variance:g}", SOURCE,
                 f"below {norm:.8g} at every iteration",
-                f"largest mean {mean.max():.5f} +- {error[np.argmax(mean)]:.5f}",
-                None,
+                f"largest mean {mean.max():.5f} +- {error[np.argmax(mean)]:.5f}", None,
                 "the mean must lie below by 4 of its standard errors at every iteration.",
-                bool((mean + 4 * error < norm).all()),
-                "statement",
-            )
-        )
+                bool((mean + 4 * error < norm).all()), "statement")
+        )  # fmt: skip
         square = campaign.mean["gain_square"][-1]
         predicted = finite_moments(plant, samples, iterations, effect="random-mu").beta2[-1]
         spread = campaign.error("gain_square")[-1]
         found.append(
-            row(
-                f"mean of beta_2^2 at iteration 50, variance {variance:g}",
-                "[S] Lemma 11 at finite N (theory: edges and random mu)",
-                float(predicted),
-                float(square),
+            row(f"mean of beta_2^2 at iteration 50, variance {variance:g}",
+                "[S] Lemma 11 at finite N (theory: edges and random mu)", float(predicted), float(square),
                 float(4 * spread + 0.02 * variance**2 / samples),
-                "4 standard errors of 1000 runs, and 0.02 variance^2 / N for the third-order effect left out.",
-            )
-        )
+                "4 standard errors of 1000 runs, and 0.02 variance^2 / N for the third-order effect left out.")
+        )  # fmt: skip
     found.append(
-        row(
-            "the bias grows with the noise",
-            "[S] Fig. 3 right",
-            "mean gain at variance 1 > 4 > 9",
-            " > ".join(f"{m:.4f}" for m in means),
-            None,
-            "an ordering; the differences are hundreds of standard errors.",
-            bool(means[0] > means[1] > means[2]),
-            "statement",
-        )
-    )
+        row("the bias grows with the noise", "[S] Fig. 3 right", "mean gain at variance 1 > 4 > 9",
+            " > ".join(f"{m:.4f}" for m in means), None,
+            "an ordering; the differences are hundreds of standard errors.", bool(means[0] > means[1] > means[2]),
+            "statement")
+    )  # fmt: skip
     return [*found, _single()]
 
 
@@ -74,14 +59,10 @@ def _single() -> dict[str, Any]:
     one, mean, spread = gains[0], gains.mean(axis=0), gains.std(axis=0)
     inside = float(np.mean(np.abs(one - mean) < 4 * spread))
     noise = float(np.std(one - mean) / np.median(spread))
-    return row(
-        "one realisation is noisy, the average smooth, both below the norm, variance 9",
-        "[S] Fig. 3 left",
+    return row("one realisation is noisy, the average smooth, both below the norm, variance 9", "[S] Fig. 3 left",
         "one run scatters about the mean, which lies below the norm",
         f"scatter {noise:.2f} of that between runs, {inside:.0%} within 4 of it; mean {mean[-1]:.4f} of {finite_norm(plant, samples):.4f}",
         None,
         "scatter along one run within a factor of two of that between runs (its iterations depend on each other), and over 10 "
         "times that of the average.",
-        bool(0.5 < noise < 2 and inside > 0.95 and np.std(np.diff(mean)) < 0.1 * np.std(np.diff(one))),
-        "statement",
-    )
+        bool(0.5 < noise < 2 and inside > 0.95 and np.std(np.diff(mean)) < 0.1 * np.std(np.diff(one))), "statement")  # fmt: skip

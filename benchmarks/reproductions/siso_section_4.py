@@ -39,77 +39,50 @@ def _bias(variance: float) -> dict[str, Any]:
     )
     mu = np.concatenate([np.sqrt(b.mu_squares[:, late]).mean(axis=1) for b in parts]) - gamma
     error = lambda x: float(x.std(ddof=1) / np.sqrt(len(x)))
-    return row(
-        f"mu has less bias than beta_2 at little noise, variance {variance:g}",
-        "[S] after Theorem 12",
+    return row(f"mu has less bias than beta_2 at little noise, variance {variance:g}", "[S] after Theorem 12",
         "|bias of mu| < |bias of beta_2|",
-        f"{mu.mean():+.5f} +- {error(mu):.5f} and {beta.mean():+.5f} +- {error(beta):.5f}",
-        None,
+        f"{mu.mean():+.5f} +- {error(mu):.5f} and {beta.mean():+.5f} +- {error(beta):.5f}", None,
         f"{RUNS} runs, iterations {ITERATIONS // 2} to {ITERATIONS}, N = {SAMPLES}; by 4 standard errors. What is left of mu's "
         "is the transient.",
-        bool(abs(mu.mean()) + 4 * (error(mu) + error(beta)) < abs(beta.mean())),
-        "statement",
-    )
+        bool(abs(mu.mean()) + 4 * (error(mu) + error(beta)) < abs(beta.mean())), "statement")  # fmt: skip
 
 
 def _lemma_13() -> list[dict[str, Any]]:
     plant = named_plant("reference", 4.0)
     check = additivity_by_monte_carlo(plant, power_iterations, samples=100, experiments=5, replicates=400)
     found = [
-        row(
-            "the information of adaptive experiments adds up",
-            "[S] Lemma 13, (19)",
-            "scores follow their joint law",
-            f"smallest p-value {check.discrepancy:.2g}",
-            None,
-            f"variance 4; {check.message}.",
-            check.holds,
-            "statement",
-        )
-    ]
+        row("the information of adaptive experiments adds up", "[S] Lemma 13, (19)", "scores follow their joint law",
+            f"smallest p-value {check.discrepancy:.2g}", None, f"variance 4; {check.message}.", check.holds,
+            "statement")
+    ]  # fmt: skip
     nodes, Phi, _ = spectra_of_iterations(plant, COUNTS[-1])
     of = lambda density: information_of_spectrum(plant, Spectrum(nodes.omega, nodes.weight * density))
     limit = of(limit_spectrum(plant).density(nodes.omega))
     off = [float(np.linalg.norm(of(Phi[:n].mean(axis=0)) - limit) / np.linalg.norm(limit)) for n in COUNTS]
     found.append(
-        row(
-            "order in n of I_theta / n less its limit",
-            "[S] after Lemma 13",
-            -1.0,
-            float(np.polyfit(np.log(COUNTS), np.log(off), 1)[0]),
-            0.01,
+        row("order in n of I_theta / n less its limit", "[S] after Lemma 13", -1.0,
+            float(np.polyfit(np.log(COUNTS), np.log(off), 1)[0]), 0.01,
             f"a Cesaro sum whose terms converge exponentially; variance 4, n = {COUNTS[0]} to {COUNTS[-1]}, where "
             f"{off[-1]:.2%} is left.",
-            kind="statement",
-        )
-    )
+            kind="statement")
+    )  # fmt: skip
     return found
 
 
 def _claim() -> list[dict[str, Any]]:
     loss = lambda variance: _efficiency(named_plant("reference", variance))
     found = [
-        row(
-            "loss of the limit spectrum for the peak gain, over the noise variance, as both vanish",
-            "[S] Sec. 4.2: optimal as lambda_e -> 0",
-            1.0,
-            (1 - loss(1e-3)) / (1 - loss(1e-4)) / 10,
-            0.02,
+        row("loss of the limit spectrum for the peak gain, over the noise variance, as both vanish",
+            "[S] Sec. 4.2: optimal as lambda_e -> 0", 1.0, (1 - loss(1e-3)) / (1 - loss(1e-4)) / 10, 0.02,
             f"the efficiency tends to 1 in proportion to the noise: {loss(1e-4):.6f} at variance 1e-4.",
-            kind="statement",
-        )
-    ]
+            kind="statement")
+    ]  # fmt: skip
     for variance, other in EFFICIENCIES:
         found.append(
-            row(
-                f"efficiency of the limit spectrum for the peak gain, variance {variance:g}",
-                "theory, section 4: the claim of [S] Sec. 4.2 away from its limit",
-                other,
-                loss(variance),
-                1e-5,
-                "lambda_e / (c' I^-1 c) against one sinusoid at the peak; to the digits of the table.",
-            )
-        )
+            row(f"efficiency of the limit spectrum for the peak gain, variance {variance:g}",
+                "theory, section 4: the claim of [S] Sec. 4.2 away from its limit", other, loss(variance), 1e-5,
+                "lambda_e / (c' I^-1 c) against one sinusoid at the peak; to the digits of the table.")
+        )  # fmt: skip
     return found
 
 

@@ -35,17 +35,12 @@ def rows() -> list[dict[str, Any]]:
                 Phi = output / (weight @ output)
                 distances.append(np.abs(Phi - target).max() / target.max())
             found.append(
-                row(
-                    f"distance from the limit, variance {variance:g}, start: {name}",
-                    "[S] Theorem 10",
-                    0.0,
-                    float(distances[-1]),
-                    1e-6,
+                row(f"distance from the limit, variance {variance:g}, start: {name}", "[S] Theorem 10", 0.0,
+                    float(distances[-1]), 1e-6,
                     f"after {count} iterations of Lemma 6, relative to the largest value; the error falls by "
                     f"gamma^2 / mu^2 = {np.exp(rate):.5f} each, and quadrature leaves 1e-7.",
-                    kind="statement",
-                )
-            )
+                    kind="statement")
+            )  # fmt: skip
     return found
 
 

@@ -35,67 +35,38 @@ def rows() -> list[dict[str, Any]]:
         limits = [limit_spectrum(plant.replace(noise_variance=v)) for v in VARIANCES]
         delta = np.array([limit.mu2_excess for limit in limits])
         found.append(
-            row(
-                f"order of mu^2 - gamma^2 in the noise variance, {name}",
-                source,
-                2.0,
-                _slope(VARIANCES, delta),
-                0.02,
+            row(f"order of mu^2 - gamma^2 in the noise variance, {name}", source, 2.0, _slope(VARIANCES, delta), 0.02,
                 "slope of a line through variances 1e-5 to 1e-2; the next term is 3 % at the upper end.",
-                kind="statement",
-            )
-        )
+                kind="statement")
+        )  # fmt: skip
         ratio = delta[0] * H / VARIANCES[0] ** 2
         found.append(
-            row(
-                f"its constant times H, {name}",
-                source,
-                factor,
-                float(ratio),
-                1e-3 * factor,
+            row(f"its constant times H, {name}", source, factor, float(ratio), 1e-3 * factor,
                 "at variance 1e-5; the relative error falls in proportion to the variance.",
-                kind="in print" if name == "reference" else "two ways",
-            )
-        )
+                kind="in print" if name == "reference" else "two ways")
+        )  # fmt: skip
     plant = named_plant("reference")
     gamma = peak(plant).value
     bias = np.array(
         [gamma**2 - _mean_square(limit_spectrum(plant.replace(noise_variance=v))) for v in NOISES]
     )
     found.append(
-        row(
-            "bias of beta_2^2 in units of -lambda_e",
-            "[S] Theorem 12",
-            1.0,
-            float(bias[0] / NOISES[0]),
-            1e-4,
+        row("bias of beta_2^2 in units of -lambda_e", "[S] Theorem 12", 1.0, float(bias[0] / NOISES[0]), 1e-4,
             f"|G|^2 integrated over the limit spectrum, (15), at variance {NOISES[0]:g}, where the next term is 2e-5 of it.",
-            kind="in print",
-        )
-    )
+            kind="in print")
+    )  # fmt: skip
     left = np.array(NOISES) - bias
     found.append(
-        row(
-            "constant of lambda_e^2 in what is left, times H",
-            "[S] Theorem 12",
-            2.0,
-            float(left[1] * peak(plant).curvature / NOISES[1] ** 2),
-            0.1,
+        row("constant of lambda_e^2 in what is left, times H", "[S] Theorem 12", 2.0,
+            float(left[1] * peak(plant).curvature / NOISES[1] ** 2), 0.1,
             f"the same integral at variance {NOISES[1]:g}; the true excess there is 3.5 % above the first term (theory, section 1).",
-            kind="in print",
-        )
-    )
+            kind="in print")
+    )  # fmt: skip
     found.append(
-        row(
-            "bias of beta_2 in units of -lambda_e / (2 gamma)",
-            "[S] after Theorem 12",
-            1.0,
-            float((gamma - np.sqrt(gamma**2 - bias[0])) * 2 * gamma / NOISES[0]),
-            1e-3,
-            "at the same variance; second order in the variance over gamma^2.",
-            kind="in print",
-        )
-    )
+        row("bias of beta_2 in units of -lambda_e / (2 gamma)", "[S] after Theorem 12", 1.0,
+            float((gamma - np.sqrt(gamma**2 - bias[0])) * 2 * gamma / NOISES[0]), 1e-3,
+            "at the same variance; second order in the variance over gamma^2.", kind="in print")
+    )  # fmt: skip
     return [*found, _damping()]
 
 
@@ -116,13 +87,8 @@ def _damping() -> dict[str, Any]:
         )
     excess = [limit_spectrum(p).mu2_excess for p in plants]
     curved = [peak(p).curvature for p in plants]
-    return row(
-        "the less damped the peak, the less mu^2 exceeds gamma^2",
-        "[S] after Theorem 9, read as theory, section 1, does",
-        "falls as H rises",
-        ", ".join(f"H {h:.3g}: {d:.3g}" for h, d in zip(curved, excess, strict=True)),
-        None,
+    return row("the less damped the peak, the less mu^2 exceeds gamma^2",
+        "[S] after Theorem 9, read as theory, section 1, does", "falls as H rises",
+        ", ".join(f"H {h:.3g}: {d:.3g}" for h, d in zip(curved, excess, strict=True)), None,
         "pole radii .8 to .99 at noise variance .01, the peak gain always 1.",
-        bool(np.all(np.diff(curved) > 0) and np.all(np.diff(excess) < 0)),
-        "statement",
-    )
+        bool(np.all(np.diff(curved) > 0) and np.all(np.diff(excess) < 0)), "statement")  # fmt: skip

@@ -5,12 +5,11 @@ and solves its problem in every call, as a user's script would; its tolerances a
 
 from __future__ import annotations
 
-import statistics
-import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+
+from benchmarks.tables.timed import in_turn, speed_row
 
 GAP = 1e-6
 
@@ -36,18 +35,6 @@ def _all_columns(problem: Any) -> Any:
     return problem.columns(problem.omega, np.ones((len(problem.omega), 1), dtype=complex))
 
 
-def _median(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, tuple[float, Any]]:
-    """Median seconds and last result of each call, taken in turn."""
-    taken: dict[str, list[float]] = {name: [] for name in calls}
-    results = {}
-    for _ in range(repeats):
-        for name, call in calls.items():
-            begin = time.perf_counter()
-            results[name] = call()
-            taken[name].append(time.perf_counter() - begin)
-    return {name: (statistics.median(taken[name]), results[name]) for name in calls}
-
-
 def against_cvxpy(criterion: str, parameters: int, frequencies: int, target: float, repeats: int = 5) -> dict:
     """One criterion on one grid: ours against CVXPY with Clarabel."""
     from oed.design.solvers.column_generation import evaluated_bound, exchange
@@ -55,30 +42,18 @@ def against_cvxpy(criterion: str, parameters: int, frequencies: int, target: flo
 
     problem = _problem(parameters, frequencies, criterion)
     columns = _all_columns(problem)
-    both = _median(
-        {
-            "ours": lambda: exchange(problem, refine=False, tolerance=GAP),
-            "cvxpy": lambda: cvxpy_weights(columns, problem.criterion, problem.constant, 1e-8),
-        },
-        repeats,
+    (seconds, found), (other, weights) = in_turn(
+        lambda: exchange(problem, refine=False, tolerance=GAP),
+        lambda: cvxpy_weights(columns, problem.criterion, problem.constant, 1e-8),
+        rounds=repeats,
     )
-    seconds, found = both["ours"]
-    other, weights = both["cvxpy"]
     w = weights.w / (columns.q.T @ weights.w).max()
     bound = evaluated_bound(problem, weights.X, weights.nu, refine=False)[0]
     gap = problem.loss(columns, w) / bound - 1
-    return {
-        "name": f"{criterion} design",
-        "size": f"{parameters} parameters, {frequencies} frequencies",
-        "seconds": seconds,
-        "baseline": "CVXPY, Clarabel",
-        "baseline_seconds": other,
-        "ratio": other / seconds,
-        "target": target,
-        "holds": bool(other / seconds >= target and found.gap <= GAP),
-        "peak_mb": None,
-        "note": f"gap {found.gap:.1e}, baseline's {gap:.1e}",
-    }
+    return speed_row(
+        f"{criterion} design", f"{parameters} parameters, {frequencies} frequencies", seconds, "CVXPY, Clarabel", other,
+        target, same=found.gap <= GAP, note=f"gap {found.gap:.1e}, baseline's {gap:.1e}",
+    )  # fmt: skip
 
 
 def elfving_dual(repeats: int = 5) -> dict:
@@ -101,27 +76,13 @@ def elfving_dual(repeats: int = 5) -> dict:
             tolerance=GAP,
         )
 
-    both = _median(
-        {
-            "ours": lambda: dual(peak),
-            "cvxpy": lambda: cvxpy_weights(columns, D.criterion, D.constant, 1e-8),
-        },
-        repeats,
+    (seconds, found), (other, _) = in_turn(
+        lambda: dual(peak), lambda: cvxpy_weights(columns, D.criterion, D.constant, 1e-8), rounds=repeats
     )
-    seconds, found = both["ours"]
-    other = both["cvxpy"][0]
-    return {
-        "name": "hinf design by the dual cone",
-        "size": "4 parameters, 1000 frequencies",
-        "seconds": seconds,
-        "baseline": "CVXPY, Clarabel, D design",
-        "baseline_seconds": other,
-        "ratio": other / seconds,
-        "target": 25 / 15,
-        "holds": bool(other / seconds >= 25 / 15 and found.gap <= GAP),
-        "peak_mb": None,
-        "note": f"gap {found.gap:.1e}",
-    }
+    return speed_row(
+        "hinf design by the dual cone", "4 parameters, 1000 frequencies", seconds, "CVXPY, Clarabel, D design", other,
+        25 / 15, same=found.gap <= GAP, note=f"gap {found.gap:.1e}",
+    )  # fmt: skip
 
 
 def rows(repeats: int = 5) -> list[dict]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -11,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.speed.iterations import _peak_mb, lfilter_campaign
+from benchmarks.speed.iterations import lfilter_campaign
 from benchmarks.speed.pem import _case
+from benchmarks.tables.timed import Call, peak_mb, speed_row, timed
 from oed.data import Record
 
-Call = Callable[[], Any]
 ROUNDS = 3
 """Times that a call is repeated; the quickest counts, the others waited for something else."""
 
@@ -40,12 +39,7 @@ def exponent(sizes: tuple[int, ...], values: list[float]) -> float:
 
 def _seconds(call: Call) -> float:
     call()  # imports and compiles
-    taken = []
-    for _ in range(ROUNDS):
-        begin = time.perf_counter()
-        call()
-        taken.append(time.perf_counter() - begin)
-    return min(taken)
+    return min(timed(call)[0] for _ in range(ROUNDS))
 
 
 def measured(verb: Verb) -> dict[str, Any]:
@@ -54,26 +48,17 @@ def measured(verb: Verb) -> dict[str, Any]:
     for size in verb.sizes:
         own, other = verb.made(size)
         ours.append(_seconds(own))
-        memory.append(_peak_mb(own))
+        memory.append(peak_mb(own))
         if other is not None:
             theirs.append(_seconds(other))
     grown = partial(exponent, verb.sizes)
     compared = len(theirs) == len(ours)
-    return {
-        "name": f"growth-{verb.name}",
-        "size": f"{verb.grows} {verb.sizes[0]} to {verb.sizes[-1]}",
-        "seconds": ours[-1],
-        "baseline": verb.peer if compared else None,
-        "baseline_seconds": theirs[-1] if compared else None,
-        "ratio": theirs[-1] / ours[-1] if compared else None,
-        "target": None,
-        "holds": None,
-        "peak_mb": memory[-1],
-        "exponent": grown(ours),
-        "memory_exponent": grown(memory),
-        "baseline_exponent": grown(theirs) if compared else None,
-        "points": {"sizes": list(verb.sizes), "ours": ours, "peer": theirs if compared else [], "mb": memory},
-    }
+    return speed_row(
+        f"growth-{verb.name}", f"{verb.grows} {verb.sizes[0]} to {verb.sizes[-1]}", ours[-1],
+        verb.peer if compared else None, theirs[-1] if compared else None, None, peak=memory[-1],
+        exponent=grown(ours), memory_exponent=grown(memory), baseline_exponent=grown(theirs) if compared else None,
+        points={"sizes": list(verb.sizes), "ours": ours, "peer": theirs if compared else [], "mb": memory},
+    )  # fmt: skip
 
 
 def _identified(order: int, samples: int) -> tuple[Call, Call]:

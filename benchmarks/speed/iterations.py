@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import time
-import tracemalloc
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from benchmarks.tables.timed import Call, in_turn, peak_mb, speed_row, timed
 
 if TYPE_CHECKING:
     from oed.plants.plant import Plant
@@ -65,42 +65,12 @@ def lfilter_mimo_campaign(
     return squares
 
 
-def _in_turn(ours: Callable[[], Any], theirs: Callable[[], Any], rounds: int) -> tuple[float, float]:
-    """Medians of the seconds of both, measured alternately after one unmeasured call of each."""
+def _in_turn(ours: Call, theirs: Call, rounds: int) -> tuple[float, float]:
+    """Medians of the seconds of both, after one unmeasured call of each."""
     ours()
     theirs()
-    seconds: tuple[list[float], list[float]] = ([], [])
-    for _ in range(rounds):
-        for kept, work in zip(seconds, (ours, theirs), strict=True):
-            begin = time.perf_counter()
-            work()
-            kept.append(time.perf_counter() - begin)
-    return float(np.median(seconds[0])), float(np.median(seconds[1]))
-
-
-def _peak_mb(work: Callable[[], Any]) -> float:
-    tracemalloc.start()
-    work()
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return most / 2**20
-
-
-def _row(
-    name: str, size: str, ours: float, baseline: str, theirs: float, target: float, peak_mb: float
-) -> dict[str, Any]:
-    ratio = theirs / ours
-    return {
-        "name": name,
-        "size": size,
-        "seconds": ours,
-        "baseline": baseline,
-        "baseline_seconds": theirs,
-        "ratio": ratio,
-        "target": target,
-        "holds": bool(ratio >= target),
-        "peak_mb": peak_mb,
-    }
+    (mine, _), (other, _) = in_turn(ours, theirs, rounds=rounds)
+    return mine, other
 
 
 def siso_campaign() -> list[dict[str, Any]]:
@@ -110,7 +80,7 @@ def siso_campaign() -> list[dict[str, Any]]:
 
     plants = [named_plant("reference", v) for v in (1.0, 4.0, 9.0)]
     theirs = lambda: [lfilter_campaign(1000, 50, 8, plant.noise_variance) for plant in plants]
-    flat = _peak_mb(lambda: monte_carlo(plants[0], 1000, 50, 640))
+    flat = peak_mb(lambda: monte_carlo(plants[0], 1000, 50, 640))
     size = "N=1000, 50 iterations, 1000 runs, 3 variances"
     found = []
     for name, threads in (("iterations-siso", 1), ("iterations-siso-threads", os.cpu_count() or 1)):
@@ -119,8 +89,14 @@ def siso_campaign() -> list[dict[str, Any]]:
         ]
         a, b = _in_turn(ours, theirs, 7)
         found.append(
-            _row(
-                name, f"{size}, threads: {threads}", a, "loop over scipy.signal.lfilter", b * 125, 20.0, flat
+            speed_row(
+                name,
+                f"{size}, threads: {threads}",
+                a,
+                "loop over scipy.signal.lfilter",
+                b * 125,
+                20.0,
+                peak=flat,
             )
         )
     return found
@@ -133,13 +109,13 @@ def mimo_campaign() -> list[dict[str, Any]]:
 
     plant = named_plant("three-by-two")
     theirs = lambda: lfilter_mimo_campaign(plant, 1000, 10, 8)
-    flat = _peak_mb(lambda: monte_carlo(plant, 1000, 10, 320, algorithm="mimo"))
+    flat = peak_mb(lambda: monte_carlo(plant, 1000, 10, 320, algorithm="mimo"))
     found = []
     for name, threads in (("iterations-mimo", 1), ("iterations-mimo-threads", os.cpu_count() or 1)):
         ours = lambda threads=threads: monte_carlo(plant, 1000, 10, 256, algorithm="mimo", threads=threads)
         a, b = _in_turn(ours, theirs, 5)
         size = f"3 x 2, N=1000, 10 iterations, 256 runs, threads: {threads}"
-        found.append(_row(name, size, a, "loop over scipy.signal.lfilter", b * 32, 20.0, flat))
+        found.append(speed_row(name, size, a, "loop over scipy.signal.lfilter", b * 32, 20.0, peak=flat))
     return found
 
 
@@ -150,11 +126,9 @@ def finite_time_norm() -> list[dict[str, Any]]:
 
     plant = named_plant("reference")
     finite_norm(plant, 1000)
-    begin = time.perf_counter()
-    finite_norm(plant, 100_000)
-    seconds = time.perf_counter() - begin
-    flat = _peak_mb(lambda: finite_norm(plant, 100_000))
-    return [_row("finite-norm", "N=1e5", seconds, "one second", 1.0, 1.0, flat)]
+    seconds, _ = timed(lambda: finite_norm(plant, 100_000))
+    flat = peak_mb(lambda: finite_norm(plant, 100_000))
+    return [speed_row("finite-norm", "N=1e5", seconds, "one second", 1.0, 1.0, peak=flat)]
 
 
 def hinf_norm() -> list[dict[str, Any]]:
@@ -190,8 +164,10 @@ def hinf_norm() -> list[dict[str, Any]]:
             lambda system=system: control.linfnorm(system, tol=1e-10),
             9,
         )
-        memory = _peak_mb(lambda plant=plant: peak(plant, tolerance=1e-10))
-        rows.append(_row(f"hinf-norm-{order}", f"order {order}, 1e-10", a, "slycot ab13dd", b, 0.5, memory))
+        memory = peak_mb(lambda plant=plant: peak(plant, tolerance=1e-10))
+        rows.append(
+            speed_row(f"hinf-norm-{order}", f"order {order}, 1e-10", a, "slycot ab13dd", b, 0.5, peak=memory)
+        )
     return rows
 
 

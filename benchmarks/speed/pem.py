@@ -5,16 +5,13 @@ medians; the first call of each, which compiles or builds, is not counted."""
 
 from __future__ import annotations
 
-import statistics
 import subprocess
 import sys
-import time
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.tables.timed import in_turn, speed_row, timed
 from oed.data import Record
 
 RADIUS, NOISE = 0.9, 0.3
@@ -35,33 +32,6 @@ def _case(order: int, samples: int) -> tuple[Record, NDArray, NDArray]:
     return record, theta * (1 + 0.005 * rng.normal(size=len(theta))), theta
 
 
-def _times(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    taken, result = [], None
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        result = call()
-        taken.append(time.perf_counter() - begin)
-    return statistics.median(taken), result
-
-
-def _row(
-    name: str, size: str, seconds: float, baseline: str, other: float | None, target: float, **more: Any
-) -> dict:
-    ratio = None if other is None else other / seconds
-    return {
-        "name": name,
-        "size": size,
-        "seconds": seconds,
-        "baseline": baseline,
-        "baseline_seconds": other,
-        "ratio": ratio,
-        "target": target,
-        "holds": None if ratio is None else bool(ratio >= target and more.get("same", True)),
-        "peak_mb": more.get("peak_mb"),
-        "note": more.get("note", ""),
-    }
-
-
 def against_scipy(order: int, samples: int, repeats: int = 15) -> dict:
     """Our fit against `scipy.optimize.least_squares` with `lfilter` and finite differences."""
     from scipy.optimize import least_squares
@@ -75,18 +45,11 @@ def against_scipy(order: int, samples: int, repeats: int = 15) -> dict:
     residual = lambda x: y - np.asarray(lfilter(np.r_[0.0, x[:order]], np.r_[1.0, x[order:]], u))
     theirs = lambda: least_squares(residual, start)
     fit = ours()
-    taken, other = [], []
-    solution = None
-    for _ in range(repeats):
-        taken.append(_times(ours, 1)[0])
-        seconds, solution = _times(theirs, 1)
-        other.append(seconds)
-    same = fit.loss <= (2 * solution.cost / samples if solution is not None else np.inf) * (1 + 1e-6)
+    (seconds, _), (other, solution) = in_turn(ours, theirs, rounds=repeats)
+    same = fit.loss <= 2 * solution.cost / samples * (1 + 1e-6)
     target = 2.0 if samples >= 10_000 else 0.0
-    return _row(
-        "pem-oe", f"order {order}, N = {samples}", statistics.median(taken),
-        "scipy least_squares with lfilter", statistics.median(other), target, same=same,
-    )  # fmt: skip
+    size = f"order {order}, N = {samples}"
+    return speed_row("pem-oe", size, seconds, "scipy least_squares with lfilter", other, target, same=same)
 
 
 def against_casadi(order: int, samples: int) -> dict:
@@ -97,10 +60,10 @@ def against_casadi(order: int, samples: int) -> dict:
     record, start, _ = _case(order, samples)
     ours = lambda: identify(record, "oe", (order, order), start=start, offset=False)
     fit = ours()
-    seconds, _ = _times(ours, 5)
+    ((seconds, _),) = in_turn(ours, rounds=5)
     solve = plain_output_error(record, order)
-    other, (_, loss) = _times(lambda: solve(start), 1)
-    return _row(
+    other, (_, loss) = timed(lambda: solve(start))
+    return speed_row(
         "pem-oe", f"order {order}, N = {samples}", seconds, "CasADi mapaccum with IPOPT", other, 100.0,
         same=fit.loss <= loss * (1 + 1e-6),
     )  # fmt: skip
@@ -113,21 +76,21 @@ def against_sippy(samples: int = 10_000) -> dict:
     record, _, _ = _case(2, samples)
     ours = lambda: identify(record, "oe", (2, 2), offset=False)
     fit = ours()
-    seconds, _ = _times(ours, 5)
+    ((seconds, _),) = in_turn(ours, rounds=5)
     size = f"order 2, N = {samples}"
     try:
         from sippy_unipi import system_identification  # pyright: ignore[reportMissingImports]
     except ImportError:
-        return _row("pem-oe", size, seconds, "SIPPY", None, 100.0, note="sippy-unipi is not installed")
+        return speed_row("pem-oe", size, seconds, "SIPPY", None, 100.0, note="sippy-unipi is not installed")
     from scipy.signal import lfilter
 
     theirs = lambda: system_identification(
         record.y.T, record.u.T, "OE", OE_orders=[2, 2, 0], max_iterations=300
     )
-    other, model = _times(theirs, 1)
+    other, model = timed(theirs)
     b, f = np.ravel(model.NUMERATOR), np.ravel(model.DENOMINATOR)
     loss = float(np.mean((record.y[:, 0] - np.asarray(lfilter(np.r_[0.0, b], f, record.u[:, 0]))) ** 2))
-    return _row(
+    return speed_row(
         "pem-oe", size, seconds, "SIPPY", other, 100.0, same=fit.loss <= loss * (1 + 1e-6),
         note=f"loss {fit.loss:.8g}, SIPPY's {loss:.8g}",
     )  # fmt: skip
@@ -155,8 +118,8 @@ def monte_carlo(replicates: int = 1000, samples: int = 1000, jobs: int = 2) -> d
     parts = [list(range(k, replicates, jobs)) for k in range(jobs)]
     with Parallel(n_jobs=jobs) as workers:
         workers(delayed(_fits)([0], samples) for _ in range(2 * jobs))  # imports and the compiled kernel
-        seconds, losses = _times(lambda: list(workers(delayed(_fits)(part, samples) for part in parts)), 1)
-    row = _row("pem-monte-carlo", f"{replicates} fits, N = {samples}", seconds, "limit", 10.0, 1.0)
+        seconds, losses = timed(lambda: list(workers(delayed(_fits)(part, samples) for part in parts)))
+    row = speed_row("pem-monte-carlo", f"{replicates} fits, N = {samples}", seconds, "limit", 10.0, 1.0)
     mean = sum(map(float, losses)) / replicates
     return row | {"note": f"wall time of {jobs} processes; mean loss {mean:.4f}"}
 
@@ -184,8 +147,8 @@ def memory(order: int = 6, samples: int = 100_000) -> dict:
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     seconds, peak = map(float, done.stdout.split())
-    row = _row(
-        "pem-memory", f"order {order}, N = {samples}", seconds, "limit 150 MB", None, 150.0, peak_mb=peak
+    row = speed_row(
+        "pem-memory", f"order {order}, N = {samples}", seconds, "limit 150 MB", None, 150.0, peak=peak
     )
     return row | {"holds": peak <= 150.0}
 

@@ -131,11 +131,7 @@ def _scaled(criterion: Criterion, columns: NDArray[np.float64]) -> tuple[Criteri
 
 
 def _log_sum(
-    W: NDArray[np.float64],
-    share: NDArray[np.float64],
-    slope: float,
-    bends: tuple[float, float],
-    second: bool,
+    W: NDArray[np.float64], share: NDArray[np.float64], slope: float, bends: tuple[float, float], second: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
     """Gradient and second derivatives of the logarithm of a sum whose parts have the slopes `slope` W_k and the
     second derivatives bends[0] W_k W_k - bends[1] W_k' W_k, relative to themselves; `share` is what each part is of it.

@@ -160,9 +160,7 @@ def _beside_the_grid(design: Design, omega: NDArray[np.float64]) -> Design:
     return replace(
         design,
         certificate=replace(
-            design.certificate,
-            elsewhere=max(1.0, float(prices[top])),
-            elsewhere_frequency=float(omega[top]),
+            design.certificate, elsewhere=max(1.0, float(prices[top])), elsewhere_frequency=float(omega[top])
         ),
     )
 

@@ -261,13 +261,7 @@ def _crossings(plant: Plant, level: float) -> NDArray[np.float64]:
             [D.T @ C, B.T, D.T @ D - level**2 * np.eye(nu)],
         ]
     )
-    N = np.block(
-        [
-            [np.eye(n), np.zeros((n, n + nu))],
-            [C.T @ C, A.T, C.T @ D],
-            [np.zeros((nu, 2 * n + nu))],
-        ]
-    )
+    N = np.block([[np.eye(n), np.zeros((n, n + nu))], [C.T @ C, A.T, C.T @ D], [np.zeros((nu, 2 * n + nu))]])
     alpha, beta = _generalised_eigenvalues(M, N)
     modulus_gap = np.abs(np.abs(alpha) - np.abs(beta)) / np.maximum(
         np.maximum(np.abs(alpha), np.abs(beta)), 1e-300

@@ -132,12 +132,7 @@ def _nearest_free(used: NDArray[np.float64], k: int) -> int:
 
 
 def multisine(
-    spectrum: Spectrum,
-    N: int,
-    rng: np.random.Generator,
-    *,
-    crest: bool = True,
-    iterations: int = 200,
+    spectrum: Spectrum, N: int, rng: np.random.Generator, *, crest: bool = True, iterations: int = 200
 ) -> NDArray[np.float64]:
     """A periodic sum of sinusoids on the lines 2 pi k / N, with phases chosen for a low crest factor.
 

@@ -31,10 +31,7 @@ def finite_peak_gain_efficiency(plant: Plant, samples: int, experiments: int) ->
             f"the plant {plant.name} has {plant.n_inputs} inputs, {plant.n_outputs} outputs and noise variance "
             f"{plant.noise_variance:g}; this theory needs one of each, white noise and a unique peak."
         )
-    for name, value, least, most in (
-        ("samples", samples, 2, LARGEST),
-        ("experiments", experiments, 1, 500),
-    ):
+    for name, value, least, most in (("samples", samples, 2, LARGEST), ("experiments", experiments, 1, 500)):
         if not isinstance(value, int | np.integer) or not least <= value <= most:
             raise InputError(f"{name} is {value!r}; it must be an integer from {least} to {most}.")
     g = plant.impulse_response(samples)[:, 0, 0]

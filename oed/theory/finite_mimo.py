@@ -71,13 +71,7 @@ def _gathered(p: int, scaling: str) -> tuple[float, float]:
 
 
 def _moments(
-    d2: NDArray,
-    N: int,
-    p: int,
-    variance: float,
-    gathered: tuple[float, float],
-    iterations: int,
-    effect: str,
+    d2: NDArray, N: int, p: int, variance: float, gathered: tuple[float, float], iterations: int, effect: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
     """Means of gamma_2^2 and mu^2 per iteration, and whether the expansion holds; the covariance of the shares is dense, (qN, qN)."""
     n = len(d2)

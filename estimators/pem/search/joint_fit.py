@@ -36,11 +36,7 @@ def fit_together(problem: Problem, z: NDArray, iterations: int, how: Settings) -
         before = problem.evaluate(point.z, point.extra[0])
         if before is None:
             break
-        optimum = problem.descend(
-            before,
-            max_iterations=4,
-            tolerance=how.tolerance,
-        )
+        optimum = problem.descend(before, max_iterations=4, tolerance=how.tolerance)
         iterations += optimum.iterations
         moved = optimum.point.z - before.z
         point = optimum.point

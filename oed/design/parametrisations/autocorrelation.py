@@ -106,11 +106,7 @@ def _prepared(
 
 
 def autocorrelation_design(
-    model: Any,
-    criterion: str | Criterion = "D",
-    *,
-    lags: int = 20,
-    input_power: float = 1.0,
+    model: Any, criterion: str | Criterion = "D", *, lags: int = 20, input_power: float = 1.0
 ) -> Autocorrelated:
     """The best moving-average spectrum with a given number of lags (MOOSE2's FIR parametrisation).
 

@@ -21,9 +21,7 @@ MOST = 20_000
 _OFFSETS = np.concatenate([[0.0], *(side * np.geomspace(0.03, 30, 24) for side in (-1, 1))])
 
 
-def bands_of(
-    band: Sequence[float] | Sequence[Sequence[float]] | None,
-) -> tuple[tuple[float, float], ...]:
+def bands_of(band: Sequence[float] | Sequence[Sequence[float]] | None) -> tuple[tuple[float, float], ...]:
     """Bands in increasing order, checked: band (low, high) -> (float, float)."""
     if band is None:
         return ((0.0, float(np.pi)),)

@@ -21,8 +21,7 @@ from oed.theory.quadrature import graded_edges, integral, panel_nodes, resolved_
 
 
 def closed_loop_map(
-    model: Plant | Model,
-    controller: Callable[[NDArray[np.float64]], NDArray[np.complex128]],
+    model: Plant | Model, controller: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 ) -> InformationMap:
     """Information map of the reference of a feedback loop.
 

@@ -93,10 +93,7 @@ def minimax_weights(
         left = (J.T * (lam / slack)) @ J
         left[:m, :m] += H + np.diag(z / w) + (Q.T * (nu / s)) @ Q
         right = -np.concatenate(
-            [
-                df.T @ (target / slack) + Q.T @ (target / s) - target / w,
-                [1 - (target / slack).sum()],
-            ]
+            [df.T @ (target / slack) + Q.T @ (target / s) - target / w, [1 - (target / slack).sum()]]
         )
         try:
             solution = np.linalg.solve(left, right)
