@@ -24,6 +24,6 @@ def rows() -> list[dict[str, Any]]:
             row(f"limit spectrum by H_d over that by the factorisation, variance {variance:g}",
                 "[S] Fig. 2 right and H_d of Sec. 5", 1.0, float(ratio[np.argmax(np.abs(ratio - 1))]), 1e-8,
                 f"the worst of {points} lines; the midpoint rule is exact once the lines are closer than the peak is wide "
-                f"(half-width {np.sqrt(2 * exact.mu2_excess / exact.peak.curvature):.2g} rad/sample), which the 1000 lines " "of the paper are not at variance 1.")
+                f"(half-width {np.sqrt(2 * exact.mu2_excess / exact.peak.curvature):.2g} rad/sample), which the 1000 lines of the paper are not at variance 1.")
         )  # fmt: skip
     return found

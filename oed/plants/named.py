@@ -33,43 +33,9 @@ def parallel(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[list[float], l
     return num.tolist(), den.tolist()
 
 
-def _reference() -> dict:
-    return {"num": [0, 0.2155, 0.2012], "den": [1, -0.9854, 0.8187]}
-
-
-def _two_peaks() -> dict:
-    num, den = parallel([bandpass(0.7, 0.95, 2.0), bandpass(2.0, 0.9, 1.97)])
+def _summed(*parts: tuple[np.ndarray, np.ndarray]) -> dict:
+    num, den = parallel(list(parts))
     return {"num": num, "den": den}
-
-
-def _peak_at_zero() -> dict:
-    return {"num": [0, 0.4], "den": [1, -0.8]}
-
-
-def _peak_at_pi() -> dict:
-    return {"num": [0, 0.4], "den": [1, 0.8]}
-
-
-def _delay() -> dict:
-    return {"num": [0, 0, 0, 0, 0, 0.3, 0.15], "den": [1, -1.2, 0.72]}
-
-
-def _nonminimum_phase() -> dict:
-    return {"num": [0, -0.3, 0.48], "den": [1, -0.6, 0.7]}
-
-
-def _order_20() -> dict:
-    parts = [bandpass(0.25 + 0.28 * k, 0.93 - 0.01 * k, 2.0 / (1 + 0.35 * abs(k - 3))) for k in range(10)]
-    num, den = parallel(parts)
-    return {"num": num, "den": den}
-
-
-def _three_by_two() -> dict:
-    slow, fast = [1, -1.1, 0.72], [1, 0.4, 0.5]
-    return {
-        "num": [[[0, 0.5, 0.2], [0, -0.3]], [[0, 0.25], [0, 0, 0.4]], [[0, -0.2, 0.1], [0, 0.35, 0.15]]],
-        "den": [[slow, [1, -0.5]], [[1, -0.7], slow], [fast, fast]],
-    }
 
 
 def _avis() -> dict:
@@ -95,22 +61,23 @@ def _avis() -> dict:
     return {"num": num, "den": den, "dt": dt}
 
 
-def _bandit_fir() -> dict:
-    taps = [0.0, 0.2, 0.45, 0.6, 0.35, -0.15, -0.5, -0.45, -0.1, 0.15, 0.2]
-    return {"num": taps, "den": [1]}
-
-
+_SLOW, _FAST = [1, -1.1, 0.72], [1, 0.4, 0.5]
 _PLANTS = {
-    "reference": _reference,
-    "two-peaks": _two_peaks,
-    "peak-at-zero": _peak_at_zero,
-    "peak-at-pi": _peak_at_pi,
-    "delay": _delay,
-    "nonminimum-phase": _nonminimum_phase,
-    "order-20": _order_20,
-    "three-by-two": _three_by_two,
-    "avis": _avis,
-    "bandit-fir": _bandit_fir,
+    "reference": {"num": [0, 0.2155, 0.2012], "den": [1, -0.9854, 0.8187]},
+    "two-peaks": _summed(bandpass(0.7, 0.95, 2.0), bandpass(2.0, 0.9, 1.97)),
+    "peak-at-zero": {"num": [0, 0.4], "den": [1, -0.8]},
+    "peak-at-pi": {"num": [0, 0.4], "den": [1, 0.8]},
+    "delay": {"num": [0, 0, 0, 0, 0, 0.3, 0.15], "den": [1, -1.2, 0.72]},
+    "nonminimum-phase": {"num": [0, -0.3, 0.48], "den": [1, -0.6, 0.7]},
+    "order-20": _summed(
+        *(bandpass(0.25 + 0.28 * k, 0.93 - 0.01 * k, 2.0 / (1 + 0.35 * abs(k - 3))) for k in range(10))
+    ),
+    "three-by-two": {
+        "num": [[[0, 0.5, 0.2], [0, -0.3]], [[0, 0.25], [0, 0, 0.4]], [[0, -0.2, 0.1], [0, 0.35, 0.15]]],
+        "den": [[_SLOW, [1, -0.5]], [[1, -0.7], _SLOW], [_FAST, _FAST]],
+    },
+    "avis": _avis(),
+    "bandit-fir": {"num": [0.0, 0.2, 0.45, 0.6, 0.35, -0.15, -0.5, -0.45, -0.1, 0.15, 0.2], "den": [1]},
 }
 
 NAMES: tuple[str, ...] = tuple(_PLANTS)
@@ -137,7 +104,7 @@ def named_plant(name: str, noise_variance: float = 1.0) -> Plant:
         If there is no plant of that name.
     """
     check_names([name], NAMES, "plant")
-    return Plant(**_PLANTS[name](), noise_covariance=noise_variance, name=name)
+    return Plant(**_PLANTS[name], noise_covariance=noise_variance, name=name)
 
 
 def random_fir(

@@ -62,62 +62,41 @@ def claim_cases() -> list[ClaimCase]:
     list of ClaimCase
         In the order of the table.
     """
-    reference = named_plant("reference")
-    cases = [ClaimCase("damping", _second_order(z)) for z in (0.002, 0.01, 0.05, 0.2, 0.5)]
-    cases += [
-        ClaimCase("peaks and order", named_plant(name).replace(noise_variance=1.0))
-        for name in ("two-peaks", "peak-at-zero", "peak-at-pi", "delay", "nonminimum-phase", "order-20")
-    ]
-    cases += [
-        ClaimCase("noise level", reference.replace(noise_variance=v, name=f"reference, variance {v:g}"))
-        for v in (0.01, 0.1, 1.0, 4.0, 9.0)
-    ]
-    slow = reference.replace(noise_den=[1, -0.9], name="reference, noise pole 0.9 at 0")
-    cases += [ClaimCase("noise colour", slow)]
-    for radius, offset in ((0.9, 0.03), (0.95, 0.06), (0.97, 0.03), (0.97, 0.1), (0.99, 0.01)):
-        cases.append(ClaimCase("noise colour", _ringing(reference, radius, offset)))
-    cases.append(ClaimCase("noise colour", _ringing(named_plant("two-peaks"), 0.99, 0.01)))
-    known = reference.replace(free=("a1", "a2"), name="reference, b1 and b2 known")
-    cases += [
-        ClaimCase("known gain", known),
-        ClaimCase(
-            "known gain",
-            known.replace(name="reference, b1 and b2 known, output power"),
-            {"output_power": 1.0},
-        ),
-        ClaimCase("known gain", reference.replace(free=("b2", "a1", "a2"), name="reference, b1 known")),
-        ClaimCase("known gain", reference.replace(free=("b1", "b2"), name="reference, poles known")),
-        ClaimCase("limits", reference.replace(name="reference, output power"), {"output_power": 1.0}),
-        ClaimCase("limits", reference.replace(name="reference, band below 0.9"), {"band": (0.0, 0.9)}),
-    ]
+    reference, at_zero = named_plant("reference"), named_plant("peak-at-zero")
     three = named_plant("three-by-two").replace(noise_variance=1.0)
-    uneven = np.diag([0.1, 1.0, 10.0])
+    known = reference.replace(free=("a1", "a2"), name="reference, b1 and b2 known")
+    cases: list[Any] = [("damping", _second_order(z)) for z in (0.002, 0.01, 0.05, 0.2, 0.5)]
+    names = ("two-peaks", "peak-at-zero", "peak-at-pi", "delay", "nonminimum-phase", "order-20")
+    cases += [("peaks and order", named_plant(name).replace(noise_variance=1.0)) for name in names]
+    levels = (0.01, 0.1, 1.0, 4.0, 9.0)
     cases += [
-        ClaimCase(
-            "limits", three.replace(name="three-by-two, equal channels"), {"channel_power": [0.5, 0.5]}
-        ),
-        ClaimCase(
-            "limits", three.replace(name="three-by-two, uneven channels"), {"channel_power": [0.9, 0.1]}
-        ),
-        ClaimCase(
-            "limits", three.replace(name="three-by-two, second channel strong"), {"channel_power": [0.1, 0.9]}
-        ),
-        ClaimCase("amplitude", reference.replace(name="reference, amplitude 1"), amplitude=1.0),
-        ClaimCase(
-            "amplitude", named_plant("peak-at-zero").replace(name="peak-at-zero, amplitude 1"), amplitude=1.0
-        ),
-        ClaimCase("offset", reference.replace(name="reference, unknown offset"), offset=1000),
-        ClaimCase(
-            "offset", named_plant("peak-at-zero").replace(name="peak-at-zero, unknown offset"), offset=1000
-        ),
-        ClaimCase("several inputs and outputs", three),
-        ClaimCase("several inputs and outputs", named_plant("avis").replace(noise_variance=1e-3)),
-        ClaimCase(
-            "several inputs and outputs",
-            three.replace(noise_covariance=uneven, name="three-by-two, unequal noise"),
-        ),
+        ("noise level", reference.replace(noise_variance=v, name=f"reference, variance {v:g}"))
+        for v in levels
     ]
-    return cases
+    rings = ((0.9, 0.03), (0.95, 0.06), (0.97, 0.03), (0.97, 0.1), (0.99, 0.01))
+    cases += [("noise colour", reference.replace(noise_den=[1, -0.9], name="reference, noise pole 0.9 at 0"))]
+    cases += [("noise colour", _ringing(reference, radius, offset)) for radius, offset in rings]
+    cases += [
+        ("noise colour", _ringing(named_plant("two-peaks"), 0.99, 0.01)),
+        ("known gain", known),
+        ("known gain", known.replace(name="reference, b1 and b2 known, output power"), {"output_power": 1.0}),
+        ("known gain", reference.replace(free=("b2", "a1", "a2"), name="reference, b1 known")),
+        ("known gain", reference.replace(free=("b1", "b2"), name="reference, poles known")),
+        ("limits", reference.replace(name="reference, output power"), {"output_power": 1.0}),
+        ("limits", reference.replace(name="reference, band below 0.9"), {"band": (0.0, 0.9)}),
+        ("limits", three.replace(name="three-by-two, equal channels"), {"channel_power": [0.5, 0.5]}),
+        ("limits", three.replace(name="three-by-two, uneven channels"), {"channel_power": [0.9, 0.1]}),
+        ("limits", three.replace(name="three-by-two, second channel strong"), {"channel_power": [0.1, 0.9]}),
+        ("amplitude", reference.replace(name="reference, amplitude 1"), {}, 1.0),
+        ("amplitude", at_zero.replace(name="peak-at-zero, amplitude 1"), {}, 1.0),
+        ("offset", reference.replace(name="reference, unknown offset"), {}, None, 1000),
+        ("offset", at_zero.replace(name="peak-at-zero, unknown offset"), {}, None, 1000),
+        ("several inputs and outputs", three),
+        ("several inputs and outputs", named_plant("avis").replace(noise_variance=1e-3)),
+        ("several inputs and outputs",
+         three.replace(noise_covariance=np.diag([0.1, 1.0, 10.0]), name="three-by-two, unequal noise")),
+    ]  # fmt: skip
+    return [ClaimCase(*case) for case in cases]
 
 
 def claim_map(cases: list[ClaimCase] | None = None) -> list[tuple[str, ClaimRow]]:
