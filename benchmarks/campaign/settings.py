@@ -47,25 +47,11 @@ class Settings:
     plants: tuple[str, ...] = ("reference", "hair-dryer", "random-fir-1", "three-by-two")
     noise_variances: tuple[float, ...] = (1.0, 4.0, 9.0)
     methods: tuple[str, ...] = (
-        "white",
-        "multisine",
-        "power",
-        "procedure-2",
-        "sequential",
-        "sequential-selected",
-        "oracle-D",
-        "oracle-hinf",
-    )
+        "white", "multisine", "power", "procedure-2", "sequential", "sequential-selected", "oracle-D", "oracle-hinf",
+    )  # fmt: skip
     estimators: tuple[str, ...] = (
-        "rayleigh",
-        "gain",
-        "mu",
-        "corrected",
-        "fir-selected",
-        "fir-regularised",
-        "pem",
-        "pem-selected",
-    )
+        "rayleigh", "gain", "mu", "corrected", "fir-selected", "fir-regularised", "pem", "pem-selected",
+    )  # fmt: skip
     samples: int = 1000
     experiments: int = 20
     seed: int = 0

@@ -45,20 +45,8 @@ def synthetic_store(folder: Path, runs: int) -> tuple[Any, int]:
         tables = []
         for name in settings.estimators:
             replicate = np.arange(part.start, part.stop)
-            tables.append(
-                _columns(
-                    part,
-                    n,
-                    replicate,
-                    name,
-                    20,
-                    10000.0,
-                    2.41 + 0.02 * rng.standard_normal(n),
-                    True,
-                    0,
-                    [[np.nan]] * n,
-                )
-            )
+            estimate, nothing = 2.41 + 0.02 * rng.standard_normal(n), [[np.nan]] * n
+            tables.append(_columns(part, n, replicate, name, 20, 10000.0, estimate, True, 0, nothing))
         m = len(marks)
         carried = [(n * k * 500 * matrix).tolist() for k in marks]
         tables.append(
@@ -72,17 +60,9 @@ def synthetic_store(folder: Path, runs: int) -> tuple[Any, int]:
 
 
 def _columns(
-    part: Any,
-    n: int,
-    replicate: Any,
-    estimator: str,
-    experiments: Any,
-    energy: Any,
-    estimate: Any,
-    final: bool,
-    count: int,
-    information: Any,
-) -> Any:
+    part: Any, n: int, replicate: Any, estimator: str, experiments: Any, energy: Any, estimate: Any, final: bool,
+    count: int, information: Any,
+) -> Any:  # fmt: skip
     import pyarrow as pa
 
     number = lambda value: pa.array(np.broadcast_to(np.asarray(value, dtype=float), n))

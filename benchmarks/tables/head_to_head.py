@@ -40,21 +40,11 @@ def head_to_head_rows(found: Sequence[Any]) -> list[dict[str, Any]]:
         low, high = median_interval(list(values))
         spent = found[-1][1][case.method]
         table.append(
-            {
-                "name": case.name,
-                "samples": spent.samples,
-                "experiments": spent.experiments,
-                "energy": spent.energy,
-                "peak_amplitude": spent.peak,
-                "median": float(np.median(values)),
-                "low": low,
-                "high": high,
-                "published": case.published,
-                "in_print": case.in_print,
-                "n": len(values),
-                "n_failed": int(np.sum(~np.isfinite(values))),
-            }
-        )
+            {"name": case.name, "samples": spent.samples, "experiments": spent.experiments, "energy": spent.energy,
+             "peak_amplitude": spent.peak, "median": float(np.median(values)), "low": low, "high": high,
+             "published": case.published, "in_print": case.in_print, "n": len(values),
+             "n_failed": int(np.sum(~np.isfinite(values)))}
+        )  # fmt: skip
     return sorted(table, key=lambda row: row["median"])
 
 

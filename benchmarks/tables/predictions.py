@@ -61,22 +61,9 @@ def siso_prediction(plant: Plant, *, experiments: int, samples: int | None) -> t
     few = len(plant.free) <= MOST_PARAMETERS
     optimum = None if usual else optimal_loss(plant, "c") if few else float("nan")
     together = peak_gain_efficiency_by_experiments(plant, experiments, optimum)
-    payload: dict[str, Any] = {
-        "plant": plant.name,
-        "noise_variance": plant.noise_variance,
-        "algorithm": "siso",
-        "hinf_norm": limit.peak.value,
-        "peak_frequency": limit.peak.frequency,
-        "peak_curvature": limit.peak.curvature,
-        "mu2": limit.mu2,
-        "mu2_excess": limit.mu2_excess,
-        "beta2_mean": limit.beta2_mean,
-        "spectrum_max": limit.spectrum_max,
-        "spectrum_min": limit.spectrum_min,
-        **_efficiencies(plant, limit.spectrum),
-        "c_efficiency_by_experiments": together,
-        "peak_frequencies": list(limit.peak.frequencies),
-    }
+    payload = _predicted(plant, limit, algorithm="siso", beta2_mean=limit.beta2_mean) | {
+        "c_efficiency_by_experiments": together, "peak_frequencies": list(limit.peak.frequencies),
+    }  # fmt: skip
     if plant.dt != 1:
         payload["peak_frequency_hz"] = limit.peak.frequency / (2 * np.pi * plant.dt)
     if samples is not None:
@@ -146,6 +133,20 @@ def _some(n: int) -> list[int]:
     return sorted({k for k in (0, 1, 4, 9, 49, 199, n - 1) if k < n})
 
 
+def _predicted(plant: Plant, limit: Any, **more: Any) -> dict[str, Any]:
+    """What both limits have in common, under the keys of the command line."""
+    peak = {
+        "hinf_norm": limit.peak.value,
+        "peak_frequency": limit.peak.frequency,
+        "peak_curvature": limit.peak.curvature,
+    }
+    stated = ("mu2", "mu2_excess", "spectrum_max", "spectrum_min")
+    return {
+        "plant": plant.name, "noise_variance": plant.noise_variance, **more, **peak,
+        **{name: getattr(limit, name) for name in stated}, **_efficiencies(plant, limit.spectrum),
+    }  # fmt: skip
+
+
 def mimo_prediction(
     plant: Plant, algorithm: str, scaling: str, *, experiments: int, samples: int | None
 ) -> tuple[dict[str, Any], str]:
@@ -153,21 +154,7 @@ def mimo_prediction(
     from oed.theory.mimo import mimo_limit_spectrum
 
     limit = mimo_limit_spectrum(plant, scaling=scaling)
-    payload: dict[str, Any] = {
-        "plant": plant.name,
-        "noise_variance": plant.noise_variance,
-        "algorithm": algorithm,
-        "scaling": scaling,
-        "hinf_norm": limit.peak.value,
-        "peak_frequency": limit.peak.frequency,
-        "peak_curvature": limit.peak.curvature,
-        "mu2": limit.mu2,
-        "mu2_excess": limit.mu2_excess,
-        "beta2_mean": limit.gain2_mean,
-        "spectrum_max": limit.spectrum_max,
-        "spectrum_min": limit.spectrum_min,
-        **_efficiencies(plant, limit.spectrum),
-    }
+    payload = _predicted(plant, limit, algorithm=algorithm, scaling=scaling, beta2_mean=limit.gain2_mean)
     text = [
         f"Procedure 2 on {plant.name}, noise variance {plant.noise_variance:g}, second stage scaled: {scaling}",
         f"  H-infinity norm      {payload['hinf_norm']:.12g} at {payload['peak_frequency']:.10g} rad/sample, {_hertz(plant, payload)}",

@@ -37,6 +37,11 @@ def noise_free(model: Model) -> tuple[Polynomial | StateSpace, NDArray[np.float6
     return Polynomial(none, form.nb, none, none, degree, form.nk, "oe"), np.concatenate(theta)
 
 
+_STATED = ("noise_variance", "loss", "fit_percent", "simulation_fit_percent", "aic", "bic", "hinf_frequency_error",
+           "n_samples", "initial")  # fmt: skip
+"""Numbers of a fit that `to_dict` gives as they are."""
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """The result of a prediction-error identification.
@@ -340,18 +345,10 @@ class Fit:
             "output_level": [
                 [float(v), float(s)] for v, s in zip(self.output_level, self.output_level_errors, strict=True)
             ],
-            "noise_variance": self.noise_variance,
+            **{name: getattr(self, name) for name in _STATED},
             "noise_covariance": self.noise_covariance.tolist(),
-            "loss": self.loss,
-            "fit_percent": self.fit_percent,
-            "simulation_fit_percent": self.simulation_fit_percent,
-            "aic": self.aic,
-            "bic": self.bic,
             "hinf_norm": [gamma, error],
             "hinf_frequency": omega,
-            "hinf_frequency_error": self.hinf_frequency_error,
-            "n_samples": self.n_samples,
-            "initial": self.initial,
             "status": self.status.name,
             "notes": list(self.notes),
             **({"regularisation": self.regularisation.to_dict()} if self.regularisation else {}),

@@ -33,18 +33,8 @@ class SessionDiagnosis:
             }  # fmt: skip
         if self.of_rig is not None:
             full = self.of_rig.to_dict()
-            found |= {
-                k: full[k]
-                for k in (
-                    "effect",
-                    "detected",
-                    "p_value",
-                    "rmse_before",
-                    "rmse_after",
-                    "noise_floor",
-                    "evidence",
-                )
-            }
+            kept = ("effect", "detected", "p_value", "rmse_before", "rmse_after", "noise_floor", "evidence")
+            found |= {k: full[k] for k in kept}
             found["ranked_effects"] = full["ranked"]
         if self.proposal is not None:
             found["next"] = {

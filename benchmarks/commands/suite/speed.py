@@ -10,19 +10,10 @@ HELP = "speed benchmarks: ours against a baseline, same work, medians"
 EXAMPLE = "oed speed pem --json"
 
 COLUMNS = {
-    "name": "benchmark",
-    "size": "size",
-    "seconds": "seconds",
-    "baseline": "baseline",
-    "baseline_seconds": "its seconds",
-    "ratio": "ratio",
-    "target": "target",
-    "holds": "holds",
-    "peak_mb": "peak MB",
-    "exponent": "grows as",
-    "baseline_exponent": "its growth",
-    "memory_exponent": "memory",
-}
+    "name": "benchmark", "size": "size", "seconds": "seconds", "baseline": "baseline", "baseline_seconds": "its seconds",
+    "ratio": "ratio", "target": "target", "holds": "holds", "peak_mb": "peak MB", "exponent": "grows as",
+    "baseline_exponent": "its growth", "memory_exponent": "memory",
+}  # fmt: skip
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -126,22 +126,20 @@ class Design:
         )
         return {
             "criterion": self.criterion.name,
-            "loss": self.loss,
-            "bound": self.bound,
-            "gap": self.gap,
+            **{
+                name: getattr(self, name)
+                for name in ("loss", "bound", "gap", "efficiency_white", "solver", "rounds")
+            },
             "support": [
                 {"frequency": float(w), "power": entries(P)}
                 for w, P in zip(self.spectrum.omega, self.spectrum.power, strict=True)
             ],
-            "efficiency_white": self.efficiency_white,
             "status": self.status.name,
             "input_power": self.spectrum.total_power,
             "power_used": dict(self.power_used),
             "limits": dict(self.limits),
             "largest_price": self.certificate.largest_price,
             "price_beside_grid": self.certificate.elsewhere,
-            "solver": self.solver,
-            "rounds": self.rounds,
             "parameters": list(self.names),
             "information": self.information.tolist(),
         }
