@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.tables.timed import speed_row, timed
+from benchmarks.tables.timings import speed_row, timed
 
 RUNS = 1_000_000
 CORES = os.cpu_count() or 1

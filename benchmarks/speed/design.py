@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.tables.timed import in_turn, speed_row
+from benchmarks.tables.timings import in_turn, speed_row
 
 GAP = 1e-6
 

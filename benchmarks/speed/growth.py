@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.speed.iterations import lfilter_campaign
 from benchmarks.speed.pem import _case
-from benchmarks.tables.timed import Call, peak_mb, speed_row, timed
+from benchmarks.tables.timings import Call, peak_mb, speed_row, timed
 from oed.data import Record
 
 ROUNDS = 3

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.tables.timed import Call, in_turn, peak_mb, speed_row, timed
+from benchmarks.tables.timings import Call, in_turn, peak_mb, speed_row, timed
 
 if TYPE_CHECKING:
     from oed.plants.plant import Plant

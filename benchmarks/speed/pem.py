@@ -11,7 +11,7 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.tables.timed import in_turn, speed_row, timed
+from benchmarks.tables.timings import in_turn, speed_row, timed
 from oed.data import Record
 
 RADIUS, NOISE = 0.9, 0.3
