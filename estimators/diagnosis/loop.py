@@ -189,8 +189,10 @@ def _outcome(
         steps.append(_linear_step(clean, i, bench.rest, tuple(sig.key for sig in found.signatures)))
     if named.step is not None:  # no parameter of it saw the other records
         unseen = [named.step.simulate(r, base.blocks.window) for r in others]
-        named = replace(named, step=replace(named.step, unused=(*named.step.unused, *unseen)))
-    steps += [named.step] if named.step is not None else []
+        radii = base.outputs[i].model.radius, bench.answer(named.fit).radius
+        slow = [base.blocks.slow(radius) for radius in radii] == [False, True]
+        named = replace(named, step=replace(named.step, unused=(*named.step.unused, *unseen), slow=slow))
+        steps.append(named.step)
     if discovery.model is not None:
         step = _discovered_step(discovery, discovery.model, i)
         gain = bench.over(step.unused[0], base.unused[0][:, i])

@@ -47,6 +47,10 @@ class Blocks:
     guard: int
     blocks: tuple[Block, ...]
 
+    def slow(self, radius: float) -> bool:
+        """Whether a pole of this radius remembers longer than the shortest block."""
+        return radius > 1.0 - 1.0 / min(b.stop - b.start for b in self.blocks)
+
     def training(self, held_out: Block) -> list[NDArray[np.bool_]]:
         """The samples that a fit may use while a block is held out."""
         rows = [np.ones(n, dtype=bool) for n in self.lengths]

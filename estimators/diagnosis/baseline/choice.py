@@ -76,9 +76,8 @@ def tried(
         record = records[block.record]
         run = model.free_run(prior, record.u[: block.stop], record.y[: block.stop, output], blocks.window)
         unused[block.record][block.rows] = run[block.rows]
-    shortest = min(b.stop - b.start for b in blocks.blocks)
-    slow = candidate.models[-1].radius > 1.0 - 1.0 / shortest
-    return Trial(candidate, unused, batch_squares(unused, records, output, blocks), slow)
+    squares = batch_squares(unused, records, output, blocks)
+    return Trial(candidate, unused, squares, blocks.slow(candidate.models[-1].radius))
 
 
 def batch_squares(unused: Sequence[Array], records: Sequence[Record], output: int, blocks: Blocks) -> Array:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.baseline.choice import SLOW
 from estimators.diagnosis.policy import Policy
 from oed.data import Record
 
@@ -53,6 +54,7 @@ class Step:
     below: Step | None = None  # the step that it adds to; the linear model where none is named
     nature: str = ""  # the kind of cause, where the step has no name for it
     rivals: tuple[Answer, ...] = ()  # models with other causes that unused blocks cannot tell from it
+    slow: bool = False  # a pole remembers longer than a block, and none of the linear model's does
 
     def simulate(self, record: Record, window: int) -> Array:
         """(N,) free run; the first `window` measured samples may set the state."""
@@ -174,6 +176,15 @@ def unused_error(
     return Rung(step, float(np.sqrt(mean)), low, high)
 
 
+def _charged(measured: Sequence[Array], step: Step) -> Sequence[Array]:
+    """The step's unused runs, with the errors that a pole slower than a block is charged for."""
+    return (
+        [y - SLOW * (y - run) for y, run in zip(measured, step.unused, strict=True)]
+        if step.slow
+        else step.unused
+    )
+
+
 def climb(
     measured: Sequence[Array],
     steps: Sequence[Step],
@@ -201,7 +212,8 @@ def climb(
     ]
     answer = able[0]
     for i in able[1:]:
-        gain = paired_gain(measured, rungs[answer].step.unused, rungs[i].step.unused, counted, policy)
+        before, after = (_charged(measured, rungs[k].step) for k in (answer, i))
+        gain = paired_gain(measured, before, after, counted, policy)
         searched = rungs[i].step.kind in (Kind.DISCOVERED, Kind.REMAINDER)
         if gain.meets(policy.searched if searched else policy.claimed):
             answer = i
