@@ -129,14 +129,8 @@ def compare(
         return _dry_run(settings, replicates, Path(out), options)
     folder, began = Path(out), time.monotonic()
     store = fill_store(
-        settings,
-        replicates,
-        folder,
-        jobs=jobs,
-        scheduler=scheduler,
-        progress=_Progress(quiet, folder),
-        **options,
-    )
+        settings, replicates, folder, jobs=jobs, scheduler=scheduler, progress=_Progress(quiet, folder), **options,
+    )  # fmt: skip
     workers = jobs or os.cpu_count() or 1
     _add_cost(folder, time.monotonic() - began, workers)
     from benchmarks.page.comparison import write_comparison

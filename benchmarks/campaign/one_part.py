@@ -293,16 +293,8 @@ def _estimated(
 
 def _row(head: Row, estimator: str, **values: Any) -> Row:
     blank = {
-        "experiments": 0,
-        "samples": 0,
-        "energy": float("nan"),
-        "peak_amplitude": float("nan"),
-        "estimate": float("nan"),
-        "standard_error": float("nan"),
-        "status": Status.FAILED.name,
-        "message": "",
-        "final": False,
-        "count": 0,
-        "information": [float("nan")],
-    }
+        "experiments": 0, "samples": 0, "energy": float("nan"), "peak_amplitude": float("nan"),
+        "estimate": float("nan"), "standard_error": float("nan"), "status": Status.FAILED.name, "message": "",
+        "final": False, "count": 0, "information": [float("nan")],
+    }  # fmt: skip
     return blank | head | {"estimator": estimator} | values

@@ -139,16 +139,8 @@ def session_page(folder: Path) -> Page:
             "state": status["status"]}  # fmt: skip
     hero = [curve] if curve.rows else []
     return Page(
-        "session",
-        f"A session of {s.method}",
-        answer,
-        sure,
-        todo,
-        hero,
-        sections,
-        made,
-        progress=(done, budget),
-    )
+        "session", f"A session of {s.method}", answer, sure, todo, hero, sections, made, progress=(done, budget),
+    )  # fmt: skip
 
 
 def draw_session(folder: Path, file: Path) -> Path:

@@ -90,15 +90,9 @@ def siso_campaign() -> list[dict[str, Any]]:
         a, b = _in_turn(ours, theirs, 7)
         found.append(
             speed_row(
-                name,
-                f"{size}, threads: {threads}",
-                a,
-                "loop over scipy.signal.lfilter",
-                b * 125,
-                20.0,
-                peak=flat,
+                name, f"{size}, threads: {threads}", a, "loop over scipy.signal.lfilter", b * 125, 20.0, peak=flat,
             )
-        )
+        )  # fmt: skip
     return found
 
 

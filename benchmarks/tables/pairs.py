@@ -53,18 +53,12 @@ def paired_rows(solvers: Mapping[Solver, Estimates], gamma: float, scale: float)
         a, b = solvers[first], solvers[second]
         rows.append(
             {
-                "question": question,
-                "method": first[0],
-                "estimator": first[1],
-                "against_method": second[0],
-                "against_estimator": second[1],
-                "known": told(*first).value,
-                "against_known": told(*second).value,
-                **a.spent,
-                **{f"against_{name}": value for name, value in b.spent.items()},
+                "question": question, "method": first[0], "estimator": first[1], "against_method": second[0],
+                "against_estimator": second[1], "known": told(*first).value, "against_known": told(*second).value,
+                **a.spent, **{f"against_{name}": value for name, value in b.spent.items()},
                 **_difference(a, b, gamma, scale),
             }
-        )
+        )  # fmt: skip
     return rows
 
 
@@ -158,16 +152,9 @@ BUDGET = ("noise_variance", "samples", "experiments")
 SURE = 0.05
 """Chance of any wrong "better" or "worse" in the whole table where nothing has changed, by Holm's rule."""
 AGAINST = {
-    "plant": "plant",
-    "noise_variance": "noise",
-    "method": "input",
-    "estimator": "estimator",
-    "rho": "rho here",
-    "rho_there": "rho there",
-    "difference": "difference",
-    "p_holm": "p (Holm)",
-    "verdict": "so it is",
-}
+    "plant": "plant", "noise_variance": "noise", "method": "input", "estimator": "estimator", "rho": "rho here",
+    "rho_there": "rho there", "difference": "difference", "p_holm": "p (Holm)", "verdict": "so it is",
+}  # fmt: skip
 
 
 def against_rows(rows: Sequence[Row], folder: str | Path) -> list[Row]:

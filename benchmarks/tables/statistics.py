@@ -148,21 +148,11 @@ def comparison_rows(runs: Runs, information: Sequence[Row], target: Target) -> l
         rmse_se = mse_se / (2 * rmse) if rmse > 0 else float("nan")
         scale = float(np.sqrt(spent["energy"] / target.plant.noise_variance))
         row: Row = {
-            "plant": runs.plant,
-            "noise_variance": runs.noise_variance,
-            "method": runs.method,
-            "estimator": estimator,
-            "known": told(runs.method, estimator).value,
-            **_budget(target, *spent.values()),
-            "rho": rmse * scale,
-            "rho_se": rmse_se * scale,
-            "rho_predicted": float("nan"),
-            "bias": bias,
-            "bias_se": bias_se,
-            "bias_predicted": float("nan"),
-            "rmse": rmse,
-            "rmse_se": rmse_se,
-        }
+            "plant": runs.plant, "noise_variance": runs.noise_variance, "method": runs.method,
+            "estimator": estimator, "known": told(runs.method, estimator).value, **_budget(target, *spent.values()),
+            "rho": rmse * scale, "rho_se": rmse_se * scale, "rho_predicted": float("nan"), "bias": bias,
+            "bias_se": bias_se, "bias_predicted": float("nan"), "rmse": rmse, "rmse_se": rmse_se,
+        }  # fmt: skip
         source = carried.get(row["experiments"], {})
         for name in ("c_efficiency", "d_efficiency", "a_efficiency", "e_efficiency"):
             row[name] = source.get(name, float("nan"))

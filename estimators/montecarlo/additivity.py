@@ -148,16 +148,8 @@ def additivity_by_monte_carlo(
     )
     spread = (outer - expected).std(axis=0, ddof=1) / np.sqrt(replicates)
     return Additivity(
-        bool(worst >= threshold),
-        worst,
-        threshold,
-        outer.mean(axis=0),
-        mean,
-        spread,
-        message,
-        smallest,
-        p_values,
-    )
+        bool(worst >= threshold), worst, threshold, outer.mean(axis=0), mean, spread, message, smallest, p_values,
+    )  # fmt: skip
 
 
 def _replicates(

@@ -228,15 +228,9 @@ def monte_carlo(
     negative, energy = np.zeros(iterations), np.zeros(iterations)
     gain_first = np.full(iterations, np.nan)
     parts = batches(
-        system,
-        algorithm=algorithm,
-        samples=samples,
-        iterations=iterations,
-        replicates=replicates,
-        seed=seed,
-        scaling=scaling,
-        threads=threads,
-    )
+        system, algorithm=algorithm, samples=samples, iterations=iterations, replicates=replicates, seed=seed,
+        scaling=scaling, threads=threads,
+    )  # fmt: skip
     for batch in parts:
         square = batch.gain_squares
         rows = {
@@ -258,15 +252,9 @@ def monte_carlo(
             mean[name] = frozen(np.where(count > 0, average, np.nan))
             deviation[name] = frozen(np.where(count > 1, np.sqrt(squares / (count - 1)), np.nan))
     return Campaign(
-        replicates,
-        mean,
-        deviation,
-        frozen(negative),
-        frozen(energy / replicates),
-        frozen(gain_first),
-        samples,
+        replicates, mean, deviation, frozen(negative), frozen(energy / replicates), frozen(gain_first), samples,
         system if isinstance(system, Plant) else None,
-    )
+    )  # fmt: skip
 
 
 def _accumulate(sums: list[NDArray], values: NDArray[np.float64]) -> None:

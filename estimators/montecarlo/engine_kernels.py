@@ -325,20 +325,9 @@ def procedure_block(
                 _filter_add(Y[i], Z[j], samples, num[i, j], den[i, j], one, True)
                 experiment = first + 1 + j * p + i
                 _noise_add(
-                    Z[j],
-                    samples,
-                    weights[i],
-                    noise_num,
-                    noise_den,
-                    k0,
-                    k1,
-                    experiment,
-                    replicate,
-                    divisor,
-                    True,
-                    small,
-                    X,
-                )
+                    Z[j], samples, weights[i], noise_num, noise_den, k0, k1, experiment, replicate, divisor, True,
+                    small, X,
+                )  # fmt: skip
         total[:] = 0.0
         small[:] = 0.0
         for j in range(q):

@@ -121,15 +121,10 @@ def _average(found: list[tuple[float, PeakEstimate]]) -> PeakEstimate:
         weights @ [np.hypot(getattr(e, error), getattr(e, value) - mean(value)) for _, e in usable]
     )
     return replace(
-        best,
-        value=mean("value"),
-        standard_error=wide("standard_error", "value"),
-        frequency=mean("frequency"),
-        frequency_error=wide("frequency_error", "frequency"),
-        curvature=mean("curvature"),
-        noise_variance=mean("noise_variance"),
-        shape=np.tensordot(weights, [e.shape for _, e in usable], 1),
-    )
+        best, value=mean("value"), standard_error=wide("standard_error", "value"), frequency=mean("frequency"),
+        frequency_error=wide("frequency_error", "frequency"), curvature=mean("curvature"),
+        noise_variance=mean("noise_variance"), shape=np.tensordot(weights, [e.shape for _, e in usable], 1),
+    )  # fmt: skip
 
 
 def _fit(band: Band, orders: tuple[int, int, int], N: int) -> tuple[float, PeakEstimate, float]:

@@ -60,14 +60,8 @@ def corrected(trace: Trace) -> PeakEstimate:
     upper = 1.15 * height + 3 * deviation  # the ends of the records and the window hide some of a sharp peak
     line = np.arange(len(upper))
     rough = lambda k: PeakEstimate(
-        float(height[k]),
-        float(deviation[k]),
-        2 * np.pi * k / N,
-        0.0,
-        0.0,
-        first.noise_variance,
-        Status.INACCURATE,
-    )
+        float(height[k]), float(deviation[k]), 2 * np.pi * k / N, 0.0, 0.0, first.noise_variance, Status.INACCURATE,
+    )  # fmt: skip
     reach = min(30, max(N // 8, 1))
     peaks, apart = [first], np.abs(line - first.frequency * N / (2 * np.pi)) > reach
     for _ in range(RIVALS):

@@ -355,15 +355,9 @@ def _test(name: str, lags: NDArray, r: NDArray, covariance: NDArray) -> Residual
     turned = vectors[:, keep].T @ z[told]
     statistic, freedom = float(np.sum(turned**2 / values[keep])), int(keep.sum())
     return ResidualTest(
-        name,
-        frozen(lags, int),
-        frozen(r),
-        frozen(size),
-        frozen(np.where(told, erfc(np.abs(z) / np.sqrt(2)), 1.0)),
-        statistic,
-        freedom,
-        float(chdtrc(freedom, statistic)) if freedom else 1.0,
-    )
+        name, frozen(lags, int), frozen(r), frozen(size), frozen(np.where(told, erfc(np.abs(z) / np.sqrt(2)), 1.0)),
+        statistic, freedom, float(chdtrc(freedom, statistic)) if freedom else 1.0,
+    )  # fmt: skip
 
 
 def _limited(lags: int, parts: Parts) -> int:

@@ -22,16 +22,9 @@ from oed.criteria.trace import a_criterion, c_criterion
 from oed.criteria.worst import g_criterion, worst_d_criterion
 
 __all__ = [
-    "NAMED",
-    "Criterion",
-    "a_criterion",
-    "c_criterion",
-    "condition_criterion",
-    "d_criterion",
-    "e_criterion",
-    "g_criterion",
-    "worst_d_criterion",
-]
+    "NAMED", "Criterion", "a_criterion", "c_criterion", "condition_criterion", "d_criterion", "e_criterion",
+    "g_criterion", "worst_d_criterion",
+]  # fmt: skip
 
 for _info in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_info.name}")

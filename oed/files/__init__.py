@@ -8,14 +8,6 @@ from oed.files.reading import read_record, read_table
 from oed.files.writing import write_bytes, write_record
 
 __all__ = [
-    "from_control",
-    "from_pandas",
-    "from_xarray",
-    "read_record",
-    "read_table",
-    "to_control",
-    "to_pandas",
-    "to_xarray",
-    "write_bytes",
-    "write_record",
-]
+    "from_control", "from_pandas", "from_xarray", "read_record", "read_table", "to_control", "to_pandas",
+    "to_xarray", "write_bytes", "write_record",
+]  # fmt: skip

@@ -60,16 +60,9 @@ def table_of_arrays(shapes: Mapping[str, tuple[int, ...]], get: Callable[[str], 
         )
     start = scalar(get("t0"), "t0", source) if "t0" in shapes and _single(shapes["t0"]) else None
     return Table(
-        source,
-        tuple(place),
-        load,
-        units=channels["units"],
-        inputs=marked.get("u", ()),
-        outputs=marked.get("y", ()),
-        labels=channels["names"],
-        dt=step,
-        t0=start,
-    )
+        source, tuple(place), load, units=channels["units"], inputs=marked.get("u", ()),
+        outputs=marked.get("y", ()), labels=channels["names"], dt=step, t0=start,
+    )  # fmt: skip
 
 
 def _single(shape: tuple[int, ...]) -> bool:

@@ -16,17 +16,11 @@ from oed.files.mat5 import is_mat5, read_mat5
 from oed.files.tables import Table, numbers
 
 FIELDS = {
-    "u": ("inputdata", "u"),
-    "y": ("outputdata", "y"),
-    "dt": ("ts", "dt"),
-    "t0": ("tstart", "t0"),
-    "t": ("samplinginstants", "t"),
-    "input_names": ("inputname", "input_names"),
-    "output_names": ("outputname", "output_names"),
-    "input_units": ("inputunit", "input_units"),
-    "output_units": ("outputunit", "output_units"),
-    "time_unit": ("timeunit",),
-}
+    "u": ("inputdata", "u"), "y": ("outputdata", "y"), "dt": ("ts", "dt"), "t0": ("tstart", "t0"),
+    "t": ("samplinginstants", "t"), "input_names": ("inputname", "input_names"),
+    "output_names": ("outputname", "output_names"), "input_units": ("inputunit", "input_units"),
+    "output_units": ("outputunit", "output_units"), "time_unit": ("timeunit",),
+}  # fmt: skip
 """Our names, and the names of iddata's fields in lower case that stand for them."""
 
 SECONDS = {

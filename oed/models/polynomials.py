@@ -89,14 +89,8 @@ class Polynomial:
         """The model of output i alone."""
         rows = slice(i, i + 1)
         return Polynomial(
-            self.na[rows],
-            self.nb[rows],
-            self.nc[rows],
-            self.nd[rows],
-            self.nf[rows],
-            self.nk[rows],
-            self.kind,
-        )
+            self.na[rows], self.nb[rows], self.nc[rows], self.nd[rows], self.nf[rows], self.nk[rows], self.kind,
+        )  # fmt: skip
 
     def places(self) -> tuple[dict[str, list[slice]], ...]:
         """Where each polynomial's coefficients stand in theta."""

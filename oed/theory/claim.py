@@ -176,19 +176,11 @@ def claim_row(plant: Plant, limits: dict[str, Any]) -> ClaimRow:
     if allowed and set(design.limits) == {"input power"} and "band" not in limits:
         limit, note = _limit_efficiency(plant, design)
     return ClaimRow(
-        plant=plant.name,
-        noise_variance=plant.noise_variance,
-        closed=closed,
-        sinusoid=design.bound / loss,
-        limit=limit,
-        white=nan if "band" in limits else design.efficiency_white,
-        optimum=design.loss / plant.noise_variance,
-        gap=design.gap,
-        note=note,
-        bound=design.bound,
-        largest_price=design.certificate.largest_price,
-        price_frequency=design.certificate.frequency,
-    )
+        plant=plant.name, noise_variance=plant.noise_variance, closed=closed, sinusoid=design.bound / loss,
+        limit=limit, white=nan if "band" in limits else design.efficiency_white,
+        optimum=design.loss / plant.noise_variance, gap=design.gap, note=note, bound=design.bound,
+        largest_price=design.certificate.largest_price, price_frequency=design.certificate.frequency,
+    )  # fmt: skip
 
 
 def offset_row(plant: Plant, samples: int) -> ClaimRow:

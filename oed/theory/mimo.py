@@ -103,16 +103,9 @@ def mimo_limit_spectrum(plant: Plant, *, scaling: str = "none") -> MimoLimitSpec
     eigenvalues = np.linalg.eigvalsh(Phi)
     gain2 = float(np.einsum("k,ka,kaa->", terms.nodes.weight, terms.s2, Phi).real)
     return MimoLimitSpectrum(
-        plant,
-        scaling,
-        top,
-        delta,
-        gain2,
-        n2,
-        Spectrum(terms.nodes.omega, power),
-        float(eigenvalues.max()),
+        plant, scaling, top, delta, gain2, n2, Spectrum(terms.nodes.omega, power), float(eigenvalues.max()),
         float(eigenvalues.min()),
-    )
+    )  # fmt: skip
 
 
 def _terms(plant: Plant, top: Peak) -> _Terms:

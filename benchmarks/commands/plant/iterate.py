@@ -50,14 +50,10 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         raise InputError(f"--replicate is {args.replicate}; it must be at least 0.")
     plant = load_plant(args.plant, args.noise_variance)
     trace, gains = iterate(
-        simulated(plant, seed=args.seed, replicate=args.replicate),
-        algorithm=args.algorithm,
-        samples=args.samples,
-        iterations=args.iterations,
-        scaling=args.scaling,
-        rng=np.random.default_rng([args.seed, args.replicate]),
+        simulated(plant, seed=args.seed, replicate=args.replicate), algorithm=args.algorithm, samples=args.samples,
+        iterations=args.iterations, scaling=args.scaling, rng=np.random.default_rng([args.seed, args.replicate]),
         stop=settled() if args.until_settled else None,
-    )
+    )  # fmt: skip
     worst = worst_case(trace)
     local, reason = None, ""
     try:

@@ -75,18 +75,11 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         orders = "auto"
     offset = "mean" if args.remove_means else not args.no_offset
     options = {
-        "offset": offset,
-        "initial": args.initial,
-        "diagonal": args.diagonal,
-        "missing": args.missing,
-        "robust": args.robust,
-        "max_iterations": args.iterations,
-        "search": args.search,
-        "regularisation": args.regularisation,
-        "disturbance": args.disturbance,
-        "method": args.method,
+        "offset": offset, "initial": args.initial, "diagonal": args.diagonal, "missing": args.missing,
+        "robust": args.robust, "max_iterations": args.iterations, "search": args.search,
+        "regularisation": args.regularisation, "disturbance": args.disturbance, "method": args.method,
         "horizon": args.horizon,
-    }
+    }  # fmt: skip
     stage("the fit")
     delay = "auto" if args.delay == "auto" else _whole(args.delay)
     fit = identify(records, args.structure, orders, delay, **options)

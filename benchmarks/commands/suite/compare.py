@@ -12,15 +12,8 @@ EXAMPLE = "oed compare --plant reference --noise-variance 1 --replicates 100 --o
 
 LISTS = {"plant": "plants", "noise_variance": "noise_variances", "limit": "limits"}
 PLAIN = (
-    "methods",
-    "estimators",
-    "samples",
-    "experiments",
-    "replicates",
-    "profile_replicates",
-    "time_limit",
-    "out",
-)
+    "methods", "estimators", "samples", "experiments", "replicates", "profile_replicates", "time_limit", "out",
+)  # fmt: skip
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

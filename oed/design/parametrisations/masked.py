@@ -335,13 +335,8 @@ class _Search:
             loss=loss,
             bound=bound,
             certificate=Certificate(
-                X=X,
-                multipliers={"input power": one.nu},
-                numerator=numerator,
-                value=numerator / bound,
-                bound=bound,
-                largest_price=float(prices.max()),
-                frequency=float(spectrum.omega[np.argmax(prices)]),
+                X=X, multipliers={"input power": one.nu}, numerator=numerator, value=numerator / bound, bound=bound,
+                largest_price=float(prices.max()), frequency=float(spectrum.omega[np.argmax(prices)]),
                 price=lambda omega: problem.prices_at(omega, one.X, unit).ratio,
             ),
             status=Status.OK if loss - bound <= self.tolerance * bound else Status.INACCURATE,
@@ -351,7 +346,7 @@ class _Search:
             limits={"input power": self.limit},
             solver="newton",
             rounds=1,
-        )
+        )  # fmt: skip
 
 
 def _check_open(panels: _Panels, masks: Masks) -> None:

@@ -141,19 +141,10 @@ def exchange(
         omega, peaks = _maxima(problem, prices, weights, refine)
         price = float(peaks.ratio.max())
         here = Exchange(
-            columns,
-            w,
-            problem.loss(columns, w),
-            weights.X,
-            weights.nu,
-            lower_bound(problem, weights.X, weights.nu, price),
-            price,
-            float(omega[np.argmax(peaks.ratio)]),
-            rounds,
-            status,
-            problem,
-            (columns, w, weights.X, weights.nu),
-        )
+            columns, w, problem.loss(columns, w), weights.X, weights.nu,
+            lower_bound(problem, weights.X, weights.nu, price), price, float(omega[np.argmax(peaks.ratio)]), rounds,
+            status, problem, (columns, w, weights.X, weights.nu),
+        )  # fmt: skip
         best = here if best is None else better(best, here)
         hints = None
         if finish is not None and tolerance < best.gap < tried:
@@ -182,15 +173,9 @@ def exchange(
         raise InputError("the design was given no columns to begin with.")
     bound, price, frequency = evaluated_bound(problem, best.X, best.nu, refine=refine)
     return replace(
-        best,
-        nu=best.nu * price,
-        bound=bound,
-        price=price,
-        frequency=frequency,
-        rounds=rounds,
-        status=status,
+        best, nu=best.nu * price, bound=bound, price=price, frequency=frequency, rounds=rounds, status=status,
         problem=problem,
-    )
+    )  # fmt: skip
 
 
 def better(one: Exchange, other: Exchange) -> Exchange:

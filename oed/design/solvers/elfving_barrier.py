@@ -175,15 +175,9 @@ def direction_exchange(problem: Problem, *, refine: bool, tolerance: float, max_
         raise SolverFailure("no round was run; allow at least one.")
     bound, price, frequency = evaluated_bound(problem, best.X, best.nu, refine=refine)
     return replace(
-        best,
-        bound=bound,
-        nu=best.nu * price,
-        price=best.price * price,
-        frequency=frequency,
-        rounds=rounds,
-        status=status,
-        problem=problem,
-    )
+        best, bound=bound, nu=best.nu * price, price=best.price * price, frequency=frequency, rounds=rounds,
+        status=status, problem=problem,
+    )  # fmt: skip
 
 
 def _lines(

@@ -82,16 +82,9 @@ def evaluated(found: Exchange, columns: Columns, w: NDArray, X: NDArray, nu: NDA
     problem = found.problem
     bound, price, frequency = evaluated_bound(problem, X, nu)
     return replace(
-        found,
-        columns=columns,
-        w=w,
-        loss=problem.loss(columns, w),
-        X=X,
-        nu=nu * price,
-        bound=bound,
-        price=price,
+        found, columns=columns, w=w, loss=problem.loss(columns, w), X=X, nu=nu * price, bound=bound, price=price,
         frequency=frequency,
-    )
+    )  # fmt: skip
 
 
 def _merged(

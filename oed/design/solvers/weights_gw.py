@@ -116,15 +116,9 @@ def minimax_weights(
             left_over = t + length * dt - new[0]
             if np.all(left_over > 0.02 * slack * (1 - length)) and left_over.min() > 0:
                 after = residual(
-                    w + length * dw,
-                    new[1],
-                    left_over,
-                    s + length * ds,
-                    lam + length * dlam,
-                    z + length * dz,
-                    nu + length * dnu,
-                    target,
-                )
+                    w + length * dw, new[1], left_over, s + length * ds, lam + length * dlam, z + length * dz,
+                    nu + length * dnu, target,
+                )  # fmt: skip
                 if after <= (1 - 0.01 * length) * before:
                     break
             length *= 0.5
