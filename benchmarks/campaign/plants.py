@@ -54,15 +54,11 @@ def content_of(spec: str) -> str:
 
 def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
     """Add `--plant` and `--noise-variance`."""
-    parser.add_argument(
-        "--plant", required=True, metavar="NAME|FILE.json", help="a named plant or a JSON file"
-    )
-    parser.add_argument(
-        "--noise-variance",
-        type=float,
-        metavar="V",
-        help="noise variance on every output (for hair-dryer: in multiples of the identified one)",
-    )
+    add = parser.add_argument
+    # fmt: off
+    add("--plant", required=True, metavar="NAME|FILE.json", help="a named plant or a JSON file")
+    add("--noise-variance", type=float, metavar="V", help="noise variance on every output (for hair-dryer: in multiples of the identified one)")
+    # fmt: on
 
 
 def load_plant(spec: str, noise_variance: float | None = None) -> Plant:

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.campaign.plants import check_plants, content_of
 from benchmarks.campaign.registry import ESTIMATORS, METHODS
 from oed.errors import InputError, check_names
-from oed.files.documents import keyed, read_document
+from oed.files.documents import NUMBER, TEXT, WHOLE, keyed, listed, read_document
 
 
 @dataclass(frozen=True)
@@ -136,22 +136,18 @@ def default_limits(
     )
 
 
-WHOLE = {"type": "integer", "description": "a whole number"}
-TEXT = {"type": "string", "description": "a text"}
-TEXTS = {"type": "array", "items": TEXT, "description": "a list of texts"}
-NUMBER = {"type": "number", "description": "a number"}
 LIMIT = keyed(
     {"replicates": WHOLE, "plant": TEXT, "method": TEXT, "estimator": TEXT, "noise_variance": NUMBER},
     ("replicates",),
 )
 CAMPAIGN = keyed(
     {
-        **dict.fromkeys(("plants", "methods", "estimators"), TEXTS),
-        "noise_variances": {"type": "array", "items": NUMBER, "description": "a list of numbers"},
+        **dict.fromkeys(("plants", "methods", "estimators"), listed(TEXT, "texts")),
+        "noise_variances": listed(NUMBER, "numbers"),
         **dict.fromkeys(("samples", "experiments", "seed", "profile_replicates", "replicates"), WHOLE),
         "time_limit": NUMBER,
         "out": TEXT,
-        "limit": {"type": "array", "items": LIMIT, "description": "a list of tables [[limit]]"},
+        "limit": listed(LIMIT, "tables [[limit]]"),
     }
 )
 """What a campaign file may hold."""

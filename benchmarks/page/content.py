@@ -7,14 +7,14 @@ file, so a folder from somebody else can fill a page with wrong numbers and with
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from benchmarks.tables.formats import format_value
 from oed.errors import CampaignError, InputError
-from oed.files.documents import keyed, read_document
+from oed.files.documents import FLAG, NUMBER, TEXT, keyed, listed, read_document
 
 Row = dict[str, Any]
 MARKS = ("line", "points", "both", "ticks", "stems", "bars", "step")
@@ -106,43 +106,28 @@ class Page:
         return asdict(self)
 
 
-TEXT = {"type": "string", "description": "a text"}
-FLAG = {"type": "boolean", "description": "true or false"}
-WORDS = keyed({}, others=TEXT)
 VALUE = {
     "type": ["string", "number", "boolean", "null"],
     "description": "a text, a number, true, false or null",
 }
-NUMBER = {"type": "number", "description": "a number"}
+ROWS, WORDS = listed(keyed({}, others=VALUE), "rows"), keyed({}, others=TEXT)
+NUMBERS = listed(NUMBER, "numbers")
+KINDS = {"str": TEXT, "bool": FLAG, "Sequence[str]": listed(TEXT, "texts"), "Sequence[Row]": ROWS, "Sequence[float]": NUMBERS,
+         "Sequence[int]": NUMBERS, "Mapping[str, str]": WORDS}  # fmt: skip
+"""What a field holds, by its annotation."""
 
 
-def _listed(items: Mapping[str, Any], what: str) -> dict[str, Any]:
-    return {"type": "array", "items": items, "description": f"a list of {what}"}
+def _schema(kind: Any, **own: Any) -> dict[str, Any]:
+    """Schema of a dataclass from its fields; `own` of those that hold more than their annotation says."""
+    needed = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
+    return keyed({f.name: own.get(f.name) or KINDS[str(f.type)] for f in fields(kind)}, tuple(needed))
 
 
-ROWS = _listed(keyed({}, others=VALUE), "rows")
-FIGURE = keyed(
-    dict.fromkeys(("name", "caption", "alt", "x", "y"), TEXT)
-    | dict.fromkeys(("sideways", "zoom", "shared", "square"), FLAG)
-    | {"rows": ROWS, "rules": _listed(NUMBER, "numbers"), "log": {"enum": ["", "x", "y", "xy"]}}
-    | {"marks": keyed({}, others={"enum": list(MARKS), "description": "one of " + ", ".join(MARKS)})},
-    ("name", "caption", "alt", "rows"),
-)  # fmt: skip
-TABLE = keyed(
-    {"name": TEXT, "caption": TEXT, "columns": WORDS, "rows": ROWS, "shade": _listed(TEXT, "texts"), "repeat": FLAG},
-    ("name", "caption", "columns", "rows"),
-)  # fmt: skip
-SECTION = keyed(
-    {"title": TEXT, "text": _listed(TEXT, "texts"), "tables": _listed(TABLE, "tables"),
-     "figures": _listed(FIGURE, "figures")}, ("title",),
-)  # fmt: skip
-PAGE = keyed(
-    dict.fromkeys(("kind", "title", "answer", "matrix"), TEXT)
-    | dict.fromkeys(("made", "filters", "repeat", "runs", "names", "downloads"), WORDS)
-    | {key: _listed(TEXT, "texts") for key in ("sure", "todo")}
-    | {"hero": _listed(FIGURE, "figures"), "sections": _listed(SECTION, "sections"), "progress": _listed(NUMBER, "numbers")},
-    ("kind", "title", "answer"),
-)  # fmt: skip
+DRAWN = keyed({}, others={"enum": list(MARKS), "description": "one of " + ", ".join(MARKS)})
+FIGURE = _schema(Figure, log={"enum": ["", "x", "y", "xy"]}, marks=DRAWN)
+FIGURES = listed(FIGURE, "figures")
+SECTION = _schema(Section, tables=listed(_schema(Table), "tables"), figures=FIGURES)
+PAGE = _schema(Page, hero=FIGURES, sections=listed(SECTION, "sections"))
 """What report.json holds."""
 
 

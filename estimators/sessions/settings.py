@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from oed.errors import CampaignError, InputError, check_names
-from oed.files.documents import checked, keyed, parsed_json
+from oed.files.documents import FLAG, NUMBER, TEXT, WHOLE, checked, keyed, parsed_json
 
 SCHEMA = 1
 METHOD_NAMES = ("power", "procedure-2", "two-stage", "sequential", "bandit", "diagnose-next")
@@ -216,9 +216,6 @@ def _list_of(kind: dict[str, Any]) -> dict[str, Any]:
     return {"type": "array", "items": kind, "description": f"a list, each entry {kind['description']}"}
 
 
-WHOLE = {"type": "integer", "description": "a whole number"}
-NUMBER = {"type": "number", "description": "a number"}
-TEXT = {"type": "string", "description": "a text"}
 SESSION = keyed(
     {
         **dict.fromkeys(("method", "criterion", "scaling"), TEXT),
@@ -231,7 +228,7 @@ SESSION = keyed(
         **dict.fromkeys(("amplitude", "rate", "energy", "abort"), _or_null(_list_of(NUMBER))),
         "level": _list_of(NUMBER),
         "orders": _list_of(WHOLE),
-        "centre": {"type": "boolean", "description": "true or false"},
+        "centre": FLAG,
         "sensor_range": _or_null(_list_of(_list_of(NUMBER))),
         "model": _or_null({"type": "object", "description": "a plant"}),
     },

@@ -1,20 +1,12 @@
 """Optimal inputs by convex optimisation, each with a certificate that is computed here.
 
-The public verb and what it returns:
+The public verb:
 
     solve_design(model, criterion="D", *, input_power=None, output_power=None, channel_power=None,
                  band=None, points=400, prior=None, solver="newton", refine=True, tolerance=1e-7) -> Design
 
-    Design.spectrum         Spectrum: the optimal lines (one-sided; powers sum to the input power)
-    Design.loss             D: det(I^-1)^(1/n), A: trace I^-1, E: largest eigenvalue of I^-1, c: c'I^-1 c;
-                            per sample, at the stated power and the plant's own noise
-    Design.bound, .gap      no admissible spectrum has a smaller loss than bound; gap = (loss - bound) / bound
-    Design.certificate      Certificate: X (Z = X X'), sensitivity(omega), value, bound
-    Design.status           Status.OK, or INACCURATE where the gap is above the tolerance
-    Design.information      (n, n) Fisher information per sample
-    Design.efficiency_white loss bound over the loss of white noise of the same input power
-    Design.efficiency(s)    bound over the loss of another Spectrum
-    Design.to_dict(), str(design)
+A `Design` holds the spectrum, its loss per sample at the stated power and the plant's own noise, and a `Certificate`, computed
+here: no admissible spectrum has a smaller loss than `bound`.
 
 Beside it: `robust_design` (several plants: average, minimax; D, A, E, c), `quantile_design` (most of them), `least_power_design` and `application_criterion`,
 `closed_loop_map` (the reference of a loop with a known controller), `masked_design` (limits per frequency),

@@ -23,6 +23,17 @@ SHOWN = 60
 """Characters of a wrong value that a message repeats."""
 
 
+TEXT = {"type": "string", "description": "a text"}
+FLAG = {"type": "boolean", "description": "true or false"}
+WHOLE = {"type": "integer", "description": "a whole number"}
+NUMBER = {"type": "number", "description": "a number"}
+
+
+def listed(items: Mapping[str, Any], what: str, **limits: int) -> dict[str, Any]:
+    """Schema of a list of `what`."""
+    return {"type": "array", "items": items, "description": f"a list of {what}", **limits}
+
+
 def read_document(
     path: str | Path, schema: Mapping[str, Any], what: str, *, error: type[OedError] = InputError
 ) -> dict[str, Any]:

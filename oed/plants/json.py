@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from oed.errors import InputError
-from oed.files.documents import checked, keyed, read_document
+from oed.files.documents import NUMBER, WHOLE, checked, keyed, listed, read_document
 from oed.models.model import saved_model
 from oed.plants.plant import Plant
 
 LONGEST_NUM, LONGEST_DEN = 20_000, 2_000
 """Coefficients: poles are eigenvalues of a matrix of that size, zeros are not computed."""
-NUMBER = {"type": "number", "description": "a number"}
 
 
 def _polynomials(longest: int) -> dict[str, Any]:
@@ -46,13 +45,9 @@ PLANT = keyed(
                 "filter": keyed({name: _polynomials(LONGEST_DEN) for name in ("num", "den")}, ("num", "den")),
             }
         ),
-        "free": {
-            "type": "array",
-            "items": {"type": "string", "description": "the name of a parameter"},
-            "description": "a list of parameters' names",
-        },
+        "free": listed({"type": "string", "description": "the name of a parameter"}, "parameters' names"),
         "name": {"type": "string", "minLength": 1, "description": "a text"},
-        "schema_version": {"type": "integer", "description": "a whole number"},
+        "schema_version": WHOLE,
     }
 )
 """What a plant file may hold."""
