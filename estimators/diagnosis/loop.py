@@ -20,8 +20,9 @@ from estimators.diagnosis.baseline.search import LONG
 from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
+from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, climb, paired_gain
-from estimators.diagnosis.ladder.verdicts import Outcome, verdict
+from estimators.diagnosis.ladder.verdicts import verdict
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.admission import LEAST, together
 from estimators.diagnosis.record.measurement import held_samples, observations, resting_samples

@@ -64,6 +64,27 @@ class Blocks:
             counts[: self.window] = False
         return out
 
+    def scattered(self, each: int) -> list[tuple[list[Block], list[NDArray[np.bool_]]]]:
+        """As many folds as blocks, each of `each` stretches all over the records, with the samples that a fit may use.
+
+        For what goes one way through its range, as a charge that is used up: a whole block held out is a part of the range
+        that no other block has seen.
+        """
+        parts = [
+            Block(b.record, i, j)
+            for b in self.blocks
+            for i, j in itertools.pairwise(np.linspace(b.start, b.stop, each + 1).astype(int).tolist())
+        ]
+        fine = Blocks(
+            self.lengths, self.window, min(self.guard, (parts[0].stop - parts[0].start) // 4), tuple(parts)
+        )
+        folds = [parts[k :: len(self.blocks)] for k in range(len(self.blocks))]
+        masks = [
+            [np.logical_and.reduce(m) for m in zip(*(fine.training(b) for b in fold), strict=True)]
+            for fold in folds
+        ]
+        return list(zip(folds, masks, strict=True))
+
     def batches(self, each: int) -> list[Block]:
         """The units of standard errors."""
         out = []

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, run_piece
 from estimators.diagnosis.discovery.form import Assembly
-from estimators.diagnosis.discovery.model import DiscoveredModel, FoundTerm
-from estimators.diagnosis.discovery.search import Budget, greedy_search
+from estimators.diagnosis.discovery.model import DiscoveredModel, FoundTerm, leading_nature, strongest_first
+from estimators.diagnosis.discovery.search import Budget, bends, greedy_search
 from estimators.diagnosis.discovery.starts import Scales, pieces_of, scales_of
-from estimators.diagnosis.discovery.uncertainty import covariance, pruned
+from estimators.diagnosis.discovery.uncertainty import beyond_linear, covariance, pruned
 from estimators.diagnosis.discovery.validation import ahead, free_run, start_prior, unused
 from oed.data import Record
 
@@ -36,7 +36,7 @@ class Discovery:
     """What was found, or that nothing was.
 
     `model` none where no model with terms is better on unused blocks than the linear one by more than the
-    error; `terms` the strongest first; `equation, nature` in the user's units; of the strongest term;
+    error; `terms` the strongest first; `equation, nature` in the user's units; of most of the terms' weight;
     `unused` per record (N, ny): every block predicted by the same form fitted to the others; `rmse_unused`
     (ny,) on the samples that count; `gain` by how many standard errors the blocks got better than the
     baseline's; `considered` the models that were compared and their errors on unused blocks over the
@@ -78,18 +78,18 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     short = [Piece(q.d[:most], q.y[:most], q.weight[:most]) for q in pieces]
     front = _front(greedy_search(short, scales, [y[:most] for y in smooth], zeros, budget, own))
     again = (fit(f.form, f.theta, f.starts, pieces, iterations=budget.rounds) for f in front)
-    front = [f for f in again if f is not None and forgets(f, pieces)]
+    front = [f for f in again if f is not None and forgets(f, pieces) and bends(f, pieces, 0)]
     whole, gain, considered = _chosen(_pruned(front, pieces, budget.rounds), judge)
     predictions = None if whole is None else judge.unused(whole, False)
     if whole is None or predictions is None or not judge.better(predictions):
         return Discovery(None, considered=considered, gain=gain)
     model = _model(whole, records, pieces, scales)
-    terms = model.found()
+    terms = strongest_first(model.found(), beyond_linear(whole, pieces))
     return Discovery(
         model,
         tuple(terms),
         model.equation(),
-        terms[0].nature,
+        leading_nature(terms),
         tuple(predictions),
         judge.rmse(predictions),
         gain,

@@ -157,13 +157,15 @@ def _slow(names, signals, zeros, samples, y, u, v) -> list[Candidate]:
     for factor_ in SLOW:
         rate = 1 / min(factor_ * samples, length / 2)
         drivers = [Factor(k, b, zeros.get(b, 0.0)) for b in u for k in (Kind.LINEAR, Kind.SQUARE, Kind.ABS)]
-        drivers += [Factor(Kind.ABS, b, 0.0) for b in v] + [Factor(Kind.SQUARE, b, 0.0) for b in y]
+        drivers += [Factor(k, b, 0.0) for b in v for k in (Kind.ABS, Kind.SQUARE)] + [
+            Factor(Kind.SQUARE, b, 0.0) for b in y
+        ]
         for d in drivers:
             first = Term((d,), "slow", rate=rate)
             state = Factor(Kind.LINEAR, "s", float(values(first, signals).mean()))
             out += [
                 Candidate((first, Term((state, Factor(Kind.LINEAR, b, float(signals[b].mean()))))))
-                for b in [*u, *y]
+                for b in [*u, *y, *v]
             ]
             if d.kind != Kind.LINEAR:
                 out.append(Candidate((first, Term((state,)))))

@@ -32,6 +32,7 @@ Array = NDArray[Any]
 GRID = 41  # points of a curve
 EDGE = 0.005  # quantile of the training signal where a curve ends
 BAND = 1.96
+MOST = 0.6  # of the terms' weight, that one nature must have to be the equation's
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,20 +59,34 @@ class FoundTerm:
     same_as: str
     parameters: dict[str, tuple[float, float, str]]
     curve: Curve
+    weight: float = (
+        0.0  # squares of the outputs (in their spreads) that its curve moves beyond a linear model, by term
+    )
 
 
-def strongest_first(terms: Sequence[FoundTerm]) -> list[FoundTerm]:
-    """Terms by the range of the curve that they make together with those of the same signal and meaning: two may nearly cancel."""
+def strongest_first(terms: Sequence[FoundTerm], bent: Array) -> list[FoundTerm]:
+    """Terms with their weights, the heaviest first; `bent` (samples, terms) is what each moves beyond a linear model.
 
-    def curve(t: FoundTerm) -> float:
+    Terms of the same signal and meaning are one curve and share its weight: two may nearly cancel.
+    """
+    out = []
+    for t in terms:
         alike = [
-            q.curve.value
-            for q in terms
-            if (q.slot, q.meaning, q.curve.signal) == (t.slot, t.meaning, t.curve.signal)
+            i
+            for i, q in enumerate(terms)
+            if (q.slot, q.output, q.meaning, q.curve.signal) == (t.slot, t.output, t.meaning, t.curve.signal)
         ]
-        return -float(np.ptp(np.sum(alike, axis=0)))
+        power = float(np.sum(np.sum(bent[:, alike], axis=1) ** 2))
+        out.append(replace(t, weight=power / len(alike)))
+    return sorted(out, key=lambda t: -t.weight)
 
-    return sorted(terms, key=curve)
+
+def leading_nature(terms: Sequence[FoundTerm]) -> str:
+    """The nature that has most of the terms' weight; where none has, several places act at once, which is dynamic."""
+    total = sum(t.weight for t in terms)
+    natures = {t.nature: sum(q.weight for q in terms if q.nature == t.nature) for t in terms}
+    top = max(natures, key=lambda n: natures[n])
+    return top if natures[top] >= MOST * total else "dynamic nonlinearity"
 
 
 @dataclass(frozen=True, eq=False)

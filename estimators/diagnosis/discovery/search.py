@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.discovery.dictionary import PERIODS, SHARP, Kind
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, run_piece
 from estimators.diagnosis.discovery.form import FREE, Assembly
 from estimators.diagnosis.discovery.recursion_kernels import factor_values
@@ -20,6 +21,9 @@ Array = NDArray[Any]
 BEND = (
     0.03  # share of a term's spread that is not linear in its signals: below it the term is linear dynamics
 )
+WAVES, STEPS = (Kind.SIN, Kind.COS), (Kind.TANH, Kind.BELL)
+FINEST_WAVE, FINEST_STEP = 2.0 * PERIODS[-1], 1.0 / SHARP
+"""Per standard deviation of the signal: twice the wave number of the finest start, and a step as sharp as a softened sign."""
 ROUGH = 1e-3
 """Share of the squared error that a round must gain for another: enough to rank candidates, the few that are left are ended."""
 GAINED = 0.01
@@ -101,19 +105,25 @@ def grown(fitted: Fitted, s: Screened, pieces: Sequence[Piece], rounds: int) -> 
 
 
 def bends(f: Fitted, pieces: Sequence[Piece], count: int) -> bool:
-    """Whether each of the last terms differs, where the model goes, from a linear combination of its signals."""
+    """Whether each of the last `count` terms differs, where the model goes, from a linear combination of its signals, and every
+    term is a curve there: waves and steps far finer than samples lie are noise, and fed back they let no run find its way twice.
+    """
     asm = Assembly(f.form)
     signals = np.vstack([run_piece(asm, f.theta, s, p.d).signals for s, p in zip(f.starts, pieces)])
     clipped = np.clip(signals, asm.bounds[:, 0], asm.bounds[:, 1])
     heads, kinds, which, q, _ = asm.fill(f.theta).table
-    for t in range(len(f.form.terms) - count, len(f.form.terms)):
-        if f.form.terms[t].slot == "slow":
-            continue
+    for t, term in enumerate(f.form.terms):
         value = np.ones(len(signals))
         for k in range(heads[t], heads[t + 1]):
-            value *= factor_values(
-                kinds[k], np.ascontiguousarray(clipped[:, which[k]]), q[2 * k], q[2 * k + 1]
+            x = np.ascontiguousarray(clipped[:, which[k]])
+            value *= factor_values(kinds[k], x, q[2 * k], q[2 * k + 1])
+            fine = (
+                abs(q[2 * k + 1]) * x.std() if kinds[k] in WAVES else x.std() / max(abs(q[2 * k + 1]), 1e-300)
             )
+            if kinds[k] in (*WAVES, *STEPS) and fine > (FINEST_WAVE if kinds[k] in WAVES else FINEST_STEP):
+                return False
+        if term.slot == "slow" or t < len(f.form.terms) - count:
+            continue
         X = np.column_stack([np.ones(len(value)), signals[:, sorted({*which[heads[t] : heads[t + 1]]})]])
         left = value - X @ np.linalg.lstsq(X, value, rcond=None)[0]
         if left.std() < BEND * value.std() + 1e-12:

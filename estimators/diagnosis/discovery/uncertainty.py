@@ -49,6 +49,31 @@ def covariance(fitted: Fitted, pieces: Sequence[Piece]) -> Array:
     return (inverse @ S @ inverse)[:p, :p]
 
 
+def beyond_linear(fitted: Fitted, pieces: Sequence[Piece]) -> Array:
+    """(samples, terms that act): what each term moves in the outputs that neither the linear part nor the starts could.
+
+    To first order; a term that is nearly proportional to its signal hides a part of the linear model, and moves little here.
+    """
+    asm, form = Assembly(fitted.form), fitted.form
+    p, nx = form.linear_size, asm.chain_states
+    acting = [(b, form.taps(t)) for t, b in zip(form.terms, form.blocks) if t.slot != "slow"]
+    columns, bases = [], []
+    for r, (piece, state) in enumerate(zip(pieces, fitted.starts)):
+        _, dy, *_ = sensitivities(asm, fitted.theta, state, piece.d)
+        J = (dy * piece.weight[:, :, None]).reshape(-1, dy.shape[2])
+        columns.append(
+            np.stack(
+                [J[:, b.start : b.start + m] @ fitted.theta[b.start : b.start + m] for b, m in acting], 1
+            )
+        )
+        base = np.zeros((len(J), p + nx * len(pieces)))
+        base[:, :p], base[:, p + nx * r : p + nx * (r + 1)] = J[:, :p], J[:, len(fitted.theta) :]
+        bases.append(base)
+    X, B = np.vstack(columns), np.vstack(bases)
+    B = B / np.maximum(np.linalg.norm(B, axis=0), 1e-300)
+    return X - B @ np.linalg.lstsq(B, X, rcond=1e-9)[0]
+
+
 def error_of(function: Callable[[Array], Array], theta: Array, cov: Array) -> Array:
     """Standard errors of a function (m,) of theta by the delta method."""
     middle = np.atleast_1d(function(theta))

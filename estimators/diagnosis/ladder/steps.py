@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.choice import SLOW
+from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.policy import Policy
 from oed.data import Record
 
@@ -52,7 +53,7 @@ class Step:
     )  # AR coefficients that whiten its simulation error
     admitted: bool = True  # False where the stage's own cross-validation refuses it: shown, never the answer
     below: Step | None = None  # the step that it adds to; the linear model where none is named
-    nature: str = ""  # the kind of cause, where the step has no name for it
+    nature: str = ""  # the kind of its first cause
     rivals: tuple[Answer, ...] = ()  # models with other causes that unused blocks cannot tell from it
     slow: bool = False  # a pole remembers longer than a block, and none of the linear model's does
 
@@ -197,7 +198,8 @@ def climb(
 
     `measured` and `counted` are (N,) per training record; the first step is the linear model. By construction the
     answer is no worse there than the linear model, whatever a stage claims of itself. Steps before `least` are shown only:
-    a linear model fitted to samples that are no measurements.
+    a linear model fitted to samples that are no measurements. A named cause that runs by the clock gives way to discovered
+    terms that do as well without one: they say what happens when it all begins again.
     """
     counted = tuple(
         use & np.isfinite(first) for use, first in zip(counted, steps[0].unused, strict=True)
@@ -217,4 +219,7 @@ def climb(
         searched = rungs[i].step.kind in (Kind.DISCOVERED, Kind.REMAINDER)
         if gain.meets(policy.searched if searched else policy.claimed):
             answer = i
+        elif rungs[i].step.kind is Kind.DISCOVERED and rungs[answer].step.nature == Nature.TIME:
+            back = paired_gain(measured, rungs[i].step.unused, rungs[answer].step.unused, counted, policy)
+            answer = answer if back.meets(policy.claimed) else i
     return Ladder(rungs, answer, counted)

@@ -7,60 +7,28 @@ what the linear model lacks, and takes the first place only where nothing of the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
-from estimators.diagnosis.discovery import Discovery
-from estimators.diagnosis.discovery.model import strongest_first
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot, named
 from estimators.diagnosis.ladder.held_out import HeldOut
-from estimators.diagnosis.ladder.steps import Kind, Ladder
+from estimators.diagnosis.ladder.outcome import Outcome
+from estimators.diagnosis.ladder.steps import Kind
 from estimators.diagnosis.model.fitting import Fit, ar_model, innovations
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.leftover import Leftover, leftovers
-from estimators.diagnosis.search.examination import Examined
-from estimators.diagnosis.search.named import Claim, Named
+from estimators.diagnosis.search.named import Claim
 from estimators.diagnosis.search.selection import FAMILY
-from estimators.diagnosis.share import Share
 from estimators.residual.measures import p_stated
 
 UNKNOWN, NONE = "unknown", "none"
 UNCLAIMED = "no cause found that holds on unused data"
 NOTHING = "nothing is missing from the linear model that data not used could show"
 ECHO = "the input answers the noise of its own sample: no cause can be told from the controller's answer"
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """Everything found for one output."""
-
-    index: int
-    examined: Examined
-    named: Named
-    ladder: Ladder
-    share: Share
-    left: Share  # of what the named model leaves
-    discovery: Discovery
-    # the present input answers the present noise: a model may predict better by being the controller's inverse as well
-    inverse: bool = False
-
-    def value(self, kind: Kind) -> float:
-        """Least error on unused blocks of the steps of a kind; infinite where there is none."""
-        return min((r.value for r in self.ladder.rungs if r.step.kind is kind), default=np.inf)
-
-    def named_carries(self, policy: Policy, agreed: bool = False) -> bool:
-        """Whether the named model is so near the answer on unused blocks that its names stand for both: less, if alike."""
-        linear, answer = self.value(Kind.LINEAR) ** 2, self.ladder.rungs[self.ladder.answer].value ** 2
-        named, (share, factor) = self.value(Kind.NAMED) ** 2, policy.carried
-        share = policy.agreed if agreed else share
-        first = [t.nature for t in self.discovery.terms[:1]]
-        alike = first == [c.part.effect.nature for c in self.named.claims[:1]]
-        near = named <= factor**2 * answer or (alike and self.ladder.chosen.kind is Kind.DISCOVERED)
-        return linear - named >= share * (linear - answer) and answer < linear and near
 
 
 @dataclass(frozen=True)
@@ -168,25 +136,25 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     kinds = {s.kind for s in o.ladder.chosen.chain}
     if o.inverse:
         return []
-    claimed = _claimed(o, tag)
+    claimed = _supported(o, _claimed(o, tag), policy)
     if Kind.NAMED in kinds:
         gained = sum(f.weight for f in claimed)
         return _nameless(o, tag, policy, gained) + claimed
     if Kind.DISCOVERED not in kinds and Kind.REMAINDER not in kinds:
         return []
-    if o.named_carries(policy):
+    agree = Kind.DISCOVERED not in kinds or [f.nature for f in claimed[:1]] == [o.discovered]
+    if agree and o.named_carries(policy):
         return claimed
     weight = 1.0 - (o.ladder.rungs[o.ladder.answer].value / o.ladder.rungs[0].value) ** 2
     d = o.discovery
-    mine = strongest_first([t for t in d.terms if t.output == o.index])
+    mine = [t for t in d.terms if t.output == o.index]
     if Kind.DISCOVERED in kinds and mine:
         words = f"blocks not used are simulated with {_percent(o):.3g} % less error with the terms{tag}: {d.equation}"
-        natures = {t.nature for t in mine}
-        agreed = [f for f in claimed if f.nature in natures]
+        agreed = [f for f in claimed if f.nature == o.discovered]
         if agreed and o.named_carries(policy, agreed=True):
             return [*agreed, Finding("", agreed[0].cause, agreed[0].nature, 0.0, 0.0, words)]
-        cause = mine[0].same_as or UNKNOWN
-        return [Finding("", cause, mine[0].nature, weight, 0.0, words)] + [
+        cause = next((t.same_as for t in mine[:1] if t.nature == o.discovered and t.same_as), UNKNOWN)
+        return [Finding("", cause, o.discovered, weight, 0.0, words)] + [
             Finding("", t.same_as, t.nature, 0.1 * weight / (2 + k), 0.0, f"{t.meaning}{tag}: {t.text}")
             for k, t in enumerate(mine[1:]) if t.same_as and t.same_as != cause
         ]  # fmt: skip
@@ -195,6 +163,22 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
         o.share.nature if o.share.explainable else Nature.DYNAMIC
     )  # it has memory, which the other natures need not
     return [Finding("", UNKNOWN, nature, weight, 0.0, words)]
+
+
+def _supported(o: Outcome, claimed: list[Finding], policy: Policy) -> list[Finding]:
+    """The claims, first of those that may have come first one of the nature that the regression of the residual saw.
+
+    What a joint model loses without one of its effects says little of which that was: each bends towards the other. One may
+    have that gains half as much as the first, or that explains alone nearly all that the joint model does.
+    """
+    squares = lambda f: float(np.sum(f.residual**2))
+    a, least = o.examined.attribution, policy.carried[0]
+    limit = squares(a.base) - least * (squares(a.base) - squares(o.named.fit))
+    alone = {g.structure.effects[0].key for g in a.alternatives if squares(g) <= limit}
+    for f in claimed if o.share.explainable else ():
+        if f.nature == o.share.nature and (f.weight >= policy.agreed * claimed[0].weight or f.key in alone):
+            return [replace(f, weight=claimed[0].weight), *(g for g in claimed if g is not f)]
+    return claimed
 
 
 def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,10 +21,18 @@ WORTH = 2.0  # by which an exchange must lower Schwarz's criterion
 KEEP = 6.0  # by which an effect must lower it to stay, as it had to when it came
 
 
-def without(channel: Channel, f: Fit, position: int) -> Fit:
-    """A model fitted again without one of its parts, by least squares, its noise model chosen from its residual."""
+def without(channel: Channel, f: Fit, position: int, known: Sequence[Fit] = ()) -> Fit:
+    """A model fitted again without one of its parts, by least squares, its noise model chosen from its residual.
+
+    Beside the part that goes the others were bent to it, and the fit may end far from what they are worth: a `known` fit with
+    the same effects is another start.
+    """
     s, at = f.structure.keeping([i != position for i in range(len(f.structure.parts))])
-    return fit(channel, s, f.p[at], f.scales[at], iterations=20)
+    keys = sorted(part.key for part in s.effects)
+    alike = [g for g in known if keys and sorted(part.key for part in g.structure.effects) == keys]
+    fits = [fit(channel, s, f.p[at], f.scales[at], iterations=20)]
+    fits += [fit(channel, g.structure, g.p, g.scales, iterations=20) for g in alike]
+    return min(fits, key=lambda g: float(np.sum(g.residual**2)))
 
 
 def exchanged(channel: Channel, f: Fit, menu: Menu) -> tuple[Fit, dict[str, tuple[Fit, Fit]], dict[str, Fit]]:

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import FAR, LinearModel, Prior
 from estimators.diagnosis.effects import Clock
-from estimators.diagnosis.effects.path import INITIAL
+from estimators.diagnosis.effects.path import INITIAL, STORE_CURVE
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, levenberg_marquardt
 from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices
 from estimators.diagnosis.model.simulation import simulate
@@ -29,6 +29,8 @@ LONGEST = 3000
 """Samples of constant input before a record; a pole within `FAR` of the circle has settled to 5 % by then."""
 LEVELS = slice(8, 10)
 """Where the levels at the first sample stand among the parameters of two tanks."""
+STRETCHES = 5
+"""Of a fold that is scattered over a record: each a twenty-fifth of it, beyond which a curve of five bends is hardly carried."""
 STEPS = 6
 """Gauss-Newton steps without a block, from the fit to all blocks: more than the two or three that change anything."""
 
@@ -197,17 +199,21 @@ def blocked(channel: Channel, f: Fit, blocks: Blocks, thin: int, start: Start, *
     own = not tanks and not any(part.effect is INITIAL for part in f.structure.parts[: f.structure.base])
     window = max(blocks.window // thin, 2 * f.structure.order) if blocks.window else 0
     y = np.where(channel.keep, channel.y, np.nan)
-    for block in blocks.blocks:
-        keep = channel.keep & blocks.training(block)[0][::thin][:n]
+    folds = [([block], blocks.training(block)) for block in blocks.blocks]
+    if any(part.effect is STORE_CURVE for part in f.structure.parts):
+        folds = blocks.scattered(STRETCHES)
+    for fold, mask in folds:
+        keep = channel.keep & mask[0][::thin][:n]
         g = fit(
             replace(channel, keep=keep), f.structure, f.p, scales, noise=None if white else f.noise,
             iterations=STEPS, colour=False,
         )  # fmt: skip
         if np.isfinite(g.deviance):
-            rows = slice(block.start // thin, min(-(-block.stop // thin), n))
             if own:  # at rest, or from an initial state that is the effect
                 run = simulate(g.structure, g.p, channel.u, channel.clock)
             else:
                 run = free_run(g, channel.u, channel.clock, y, window, start)
-            out[rows] = run[rows]
+            for block in fold:
+                rows = slice(block.start // thin, min(-(-block.stop // thin), n))
+                out[rows] = run[rows]
     return lengthened(out, thin, blocks.lengths[0])

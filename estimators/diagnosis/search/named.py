@@ -16,6 +16,7 @@ from scipy.stats import chi2
 
 from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.effects import Nature, Slot, named
+from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.model.forces import effective_samples
@@ -168,7 +169,7 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             form = part.effect.slot is Slot.FORM
             if form and not part.effect.block and len(f.structure.effects) > 1:
                 continue  # the others were fitted in this form: without it there is no model of them
-            rest = a.base if form else without(bench.channel, f, position)
+            rest = a.base if form else without(bench.channel, f, position, a.alternatives)
             same = len(a.base.residual) == len(rest.residual)  # not of a record thinned less
             if same and not rest.structure.effects and np.sum(a.base.residual**2) < np.sum(rest.residual**2):
                 rest = a.base  # the linear model was fitted from more starts
@@ -203,6 +204,10 @@ def _bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Cla
     """
     c, s = bench.channel, f.structure
     middle = np.mean(c.u, axis=0)
+    if any(
+        part.effect is STORE_CURVE for part in s.parts
+    ):  # it bends along the way that the mean input takes it
+        middle = 0.0 * middle
     runs = [simulate(s, f.p, middle + size * (c.u - middle), c.clock) for size in (0.0, SMALL, -1.0, 1.0)]
     if not all(np.all(np.isfinite(run)) for run in runs):
         return held
@@ -362,7 +367,7 @@ def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
 def _step(bench: Bench, f: Fit, claims: list[Claim], unused: Array) -> Step:
     return Step(
         Kind.NAMED, tuple(c.key for c in claims), (unused,), bench.answer(f), len(f.p), parameters_of(f),
-        tuple(c.part.effect.sentence for c in claims), noise=f.noise,
+        tuple(c.part.effect.sentence for c in claims), noise=f.noise, nature=claims[0].part.effect.nature.value,
     )  # fmt: skip
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from estimators.diagnosis.baseline import best_linear
 from estimators.diagnosis.baseline.linear_model import Prior
-from estimators.diagnosis.discovery import Curve, FoundTerm
-from estimators.diagnosis.discovery.model import strongest_first
+from estimators.diagnosis.discovery import Curve, FoundTerm, discover
+from estimators.diagnosis.discovery.model import leading_nature, strongest_first
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
@@ -183,13 +185,30 @@ def test_rivals_that_disagree_leave_a_run_undecided(rng) -> None:
 
 
 def test_terms_that_nearly_cancel_are_as_strong_as_they_are_together() -> None:
-    def term(text: str, signal: str, value: np.ndarray) -> FoundTerm:
-        curve = Curve(signal, "", np.arange(3.0), value, np.zeros(3), "")
-        return FoundTerm(text, "force", 0, "dynamic nonlinearity", signal, "", {}, curve)
+    def term(text: str, signal: str, nature: str) -> FoundTerm:
+        curve = Curve(signal, "", np.arange(3.0), np.zeros(3), np.zeros(3), "")
+        return FoundTerm(text, "force", 0, nature, signal, "", {}, curve)
 
     slope = np.array([0.0, 5.0, 10.0])
-    terms = [term("a", "rate(y)", slope), term("b", "rate(y)", -0.95 * slope), term("c", "u", 0.2 * slope)]
-    assert [t.text for t in strongest_first(terms)] == ["c", "a", "b"]
+    terms = [term("a", "rate(y)", "dynamic"), term("b", "rate(y)", "dynamic"), term("c", "u", "static")]
+    found = strongest_first(terms, np.stack([slope, -0.95 * slope, 0.2 * slope], axis=1))
+    assert [t.text for t in found] == ["c", "a", "b"]
+    assert leading_nature(found) == "static"
+    found = strongest_first(terms, np.stack([slope, 0.1 * slope, slope], axis=1))
+    assert leading_nature(found) == "dynamic nonlinearity"  # neither has most of it
+
+
+@pytest.mark.slow
+def test_a_curve_that_is_nearly_straight_moves_little_beyond_a_linear_model(rng) -> None:
+    """A logarithm far from its zero is a gain: by the range of its curve it is the strongest term, by what it bends the weakest."""
+    u = np.repeat(rng.uniform(90.0, 110.0, N // 20), 20)
+    y = np.zeros(N)
+    for k in range(N - 1):
+        y[k + 1] = y[k] + 0.2 * (u[k] - 100.0 - y[k] - 0.02 * y[k] ** 3)
+    record = Record(u[:, None], (y + 0.02 * rng.standard_normal(N))[:, None], 1.0)
+    found = discover([record], best_linear([record]), "quick")
+    assert found.nature == "dynamic nonlinearity"
+    assert all(a.weight >= b.weight > 0.0 for a, b in pairwise(found.terms))
 
 
 def test_a_linear_fit_of_a_record_that_begins_in_a_transient_finds_its_order(rng) -> None:

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from estimators.diagnosis.baseline.blocks import Block, Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.ladder import Kind, Step, climb, paired_gain
-from estimators.diagnosis.ladder.verdicts import Outcome
+from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.answers import LinearAnswer
 
@@ -92,7 +93,10 @@ def test_a_finite_prediction_gains_all_over_one_that_is_not() -> None:
 def test_named_effects_lend_their_names_only_to_an_answer_that_they_nearly_are() -> None:
     """Nine tenths of a large error go with a curve that is nearly right: what it leaves must be near the answer's too."""
     same, other = (
-        SimpleNamespace(nature=x, part=SimpleNamespace(effect=SimpleNamespace(nature=x))) for x in "ab"
+        SimpleNamespace(
+            nature=x, weight=1.0, output=0, part=SimpleNamespace(effect=SimpleNamespace(nature=x))
+        )
+        for x in "ab"
     )
     for named, claim, lent in (
         (0.34, other, True),
@@ -109,6 +113,24 @@ def test_named_effects_lend_their_names_only_to_an_answer_that_they_nearly_are()
         found, terms = SimpleNamespace(claims=[claim]), SimpleNamespace(terms=[same])
         o = Outcome(0, None, found, ladder, None, None, terms)  # pyright: ignore[reportArgumentType]
         assert o.named_carries(POLICY) is lent
+
+
+def test_what_runs_by_the_clock_gives_way_to_terms_that_do_as_well_without_it() -> None:
+    y, steps = _case(3, 1.0, 0.5, 0.49)
+    for nature, kind in (("time variation", Kind.DISCOVERED), ("dynamic nonlinearity", Kind.NAMED)):
+        chosen = climb(y, [steps[0], replace(steps[1], nature=nature), steps[2]], COUNTED, POLICY).chosen
+        assert chosen.kind is kind
+
+
+def test_scattered_folds_are_all_samples_once_and_leave_their_neighbourhood_out() -> None:
+    blocks = Blocks((500,), 20, 40, tuple(Block(0, a, a + 100) for a in range(0, 500, 100)))
+    folds = blocks.scattered(5)
+    rows = np.concatenate([np.arange(b.start, b.stop) for fold, _ in folds for b in fold])
+    assert len(folds) == 5
+    assert sorted(rows) == list(range(500))
+    for fold, (use,) in folds:
+        assert use.sum() > 200  # every stretch of 100 has samples of every fold
+        assert not any(use[max(0, b.start - 5) : b.stop + 5].any() for b in fold)
 
 
 def test_the_best_of_hundreds_gains_less_by_luck_than_what_needs_no_second_search() -> None:

@@ -1,0 +1,51 @@
+"""What was found for one output, before anything is said of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimators.diagnosis.discovery import Discovery
+from estimators.diagnosis.discovery.model import leading_nature
+from estimators.diagnosis.ladder.steps import Kind, Ladder
+from estimators.diagnosis.policy import Policy
+from estimators.diagnosis.search.examination import Examined
+from estimators.diagnosis.search.named import Named
+from estimators.diagnosis.share import Share
+
+__all__ = ["Outcome"]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Everything found for one output."""
+
+    index: int
+    examined: Examined
+    named: Named
+    ladder: Ladder
+    share: Share
+    left: Share  # of what the named model leaves
+    discovery: Discovery
+    # the present input answers the present noise: a model may predict better by being the controller's inverse as well
+    inverse: bool = False
+
+    def value(self, kind: Kind) -> float:
+        """Least error on unused blocks of the steps of a kind; infinite where there is none."""
+        return min((r.value for r in self.ladder.rungs if r.step.kind is kind), default=np.inf)
+
+    @property
+    def discovered(self) -> str:
+        """The nature of the terms discovered for this output; empty where there are none."""
+        mine = [t for t in self.discovery.terms if t.output == self.index]
+        return leading_nature(mine) if mine else ""
+
+    def named_carries(self, policy: Policy, agreed: bool = False) -> bool:
+        """Whether the named model is so near the answer on unused blocks that its names stand for both: less, if alike."""
+        linear, answer = self.value(Kind.LINEAR) ** 2, self.ladder.rungs[self.ladder.answer].value ** 2
+        named, (share, factor) = self.value(Kind.NAMED) ** 2, policy.carried
+        share = policy.agreed if agreed else share
+        alike = [self.discovered] == [c.part.effect.nature for c in self.named.claims[:1]]
+        near = named <= factor**2 * answer or (alike and self.ladder.chosen.kind is Kind.DISCOVERED)
+        return linear - named >= share * (linear - answer) and answer < linear and near
