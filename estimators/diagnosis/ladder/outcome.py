@@ -14,8 +14,6 @@ from estimators.diagnosis.search.examination import Examined
 from estimators.diagnosis.search.named import Named
 from estimators.diagnosis.share import Share
 
-__all__ = ["Outcome"]
-
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
