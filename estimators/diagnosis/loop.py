@@ -214,7 +214,7 @@ def _outcome(
             steps, ladder = without, other
     above = share if ladder.chosen.kind is Kind.LINEAR else left
     rest = None
-    if discovery.sought:
+    if discovery.sought and above.explainable:  # else unused blocks have said that nothing of it lasts
         rest = _remainder_step(records, i, base, ladder, above, setting)
     if rest is not None:
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)

@@ -325,3 +325,32 @@ def fit(
                 J = np.asarray(lfilter(np.concatenate(([1.0], again)), [1.0], J, axis=0))
             noise, variance, deviance = again, v, n * np.log(max(v, 1e-300))
     return Fit(structure, p, noise, variance, deviance, r, n, J, scales)
+
+
+def parameters_of(f: Fit, prefix: str = "") -> dict[str, tuple[float, float, str]]:
+    """Parameters of a fit's parts, with standard errors that know of the noise's correlation."""
+    if not f.jacobian.size:
+        return {}
+    J, e = f.jacobian, innovations(f.residual, f.noise)[: len(f.jacobian)]
+    norms = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
+    H = np.linalg.pinv((J / norms).T @ (J / norms))
+    errors = np.sqrt(np.maximum(np.diag(H @ _score_covariance(J / norms, e) @ H), 0.0)) / norms
+    out: dict[str, tuple[float, float, str]] = {}
+    for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
+        for i, (name, unit) in enumerate(part.parameters(f.structure.order)):
+            label = f"{prefix}{part.key}.{name}"
+            if label in out:  # the same effect at another input
+                label += f"_{part.channel + 1}"
+            out[label] = (float(f.p[sl.start + i]), float(errors[sl.start + i]), unit)
+    return out
+
+
+def _score_covariance(J: Array, e: Array) -> Array:
+    """Covariance of J'e by Bartlett's weights (Newey and West), its lag growing as the cube root of the record."""
+    scores = J * e[:, None]
+    lags = int(np.ceil(1.3 * len(e) ** (1 / 3)))
+    S = scores.T @ scores
+    for k in range(1, lags + 1):
+        C = scores[k:].T @ scores[:-k]
+        S += (1.0 - k / (lags + 1.0)) * (C + C.T)
+    return S * len(e) / max(len(e) - J.shape[1], 1)

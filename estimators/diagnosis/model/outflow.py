@@ -51,9 +51,9 @@ def tanks(channel: Channel, base: Fit) -> Fit | None:
         plain = fit(
             channel, s, np.concatenate((p, [top] * (s.size - 10))), scales, iterations=40, colour=False
         )
-        if not np.isfinite(plain.deviance):
-            continue
         found.append(plain)
+    plain = min(found, key=lambda f: f.deviance)
+    if np.sum(plain.residual**2) < np.sum(base.residual**2):  # else these are no tanks
         from estimators.diagnosis.effects.recursion_kernels import tank_levels
 
         q = plain.p

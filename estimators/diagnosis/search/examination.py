@@ -249,7 +249,7 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
         else:
             found = attribute(replace(channel, keep=keep & ~wild), s, menu, alpha=setting.alpha)
     else:
-        found = attribute(channel, s, menu, alpha=setting.alpha)
+        found = attribute(channel, s, menu, alpha=setting.alpha, base=None if channel.step else first)
         if channel.step == 0.0 and found.chosen:
             residual = y - simulate(found.final.structure, found.final.p, channel.u, clock)
             wild = _enough(wild_samples(residual, keep), n)

@@ -18,7 +18,7 @@ from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.effects import Nature, Slot, named
 from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
-from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
+from estimators.diagnosis.model.fitting import Channel, Fit, fit, parameters_of
 from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
@@ -101,6 +101,9 @@ class Bench:
     # the present input answers the present noise: a model may also be the controller's inverse, so that it gets no claims;
     # its free runs are judged as any other's, as one-step errors would be in favour of the inverse
     inverse: bool = False
+    known: dict[Fit, Array] = field(
+        default_factory=dict
+    )  # free runs of blocks by fits that were asked before
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -112,9 +115,11 @@ class Bench:
 
     def unused(self, f: Fit) -> Array:
         """(N,) free run of every block by parameters that did not see it."""
-        start = start_of(f, self.channel, self.base.outputs[self.output].prior, self.rest)
-        run = blocked(self.channel, f, self.base.blocks, self.thin, start, white=self.white)
-        return self.rounded(run)
+        if f not in self.known:
+            start = start_of(f, self.channel, self.base.outputs[self.output].prior, self.rest)
+            run = blocked(self.channel, f, self.base.blocks, self.thin, start, white=self.white)
+            self.known[f] = self.rounded(run)
+        return self.known[f]
 
     def rounded(self, run: Array) -> Array:
         """As the sensor rounds."""
@@ -229,6 +234,8 @@ TRIED = 8
 records the right one stood among the first five where the search, which goes by one-step errors, preferred another."""
 PAIRED = 3
 """Of them, those that a second effect is looked for beside: where two are needed, the right one need not be the best alone."""
+HALF = 1.5
+"""Error on the record itself, of the least on unused blocks, from which on a single effect is neither an answer nor half of one."""
 
 
 def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
@@ -243,30 +250,34 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
 
     linear = bench.base.unused[0][:, bench.output]
 
-    def judged(fits: Iterable[Fit]) -> list[Named]:
-        finals = [fit(bench.channel, f.structure, f.p, f.scales, iterations=40) for f in fits]
-        found = [
-            named_steps(bench, replace(a, final=f, rivals={})) for f in finals if np.isfinite(f.deviance)
-        ]
-        gains = [(n, bench.over(n.unused, linear)) for n in found if len(n.unused) and n.whole]
-        return [
-            n for n, gain in gains if gain.meets(bench.policy.claimed)
-        ]  # each is significant in its own fit besides
+    def judged(fits: Iterable[Fit], share: float, known: Iterable[Named]) -> list[Named]:
+        """Those that hold; what is far off on the record itself is not put before unused blocks."""
+        found, least = [], min((n.step_error(bench) for n in known if n.step is not None), default=np.inf)
+        for f in fits:
+            f = fit(bench.channel, f.structure, f.p, f.scales, iterations=40)
+            if not _spread(f) <= share * least:
+                continue
+            n = named_steps(bench, replace(a, final=f, rivals={}))
+            if len(n.unused) and n.whole and bench.over(n.unused, linear).meets(bench.policy.claimed):
+                found.append(n)  # each is significant in its own fit besides
+                least = min(least, n.step_error(bench))
+        return sorted(found, key=lambda n: n.step_error(bench))
 
     # what is only added has a search of its own, and fits any one record
-    lasting = lambda f: f.structure.effects[-1].effect.nature is not Nature.ADDED
-    singles = sorted(
-        judged([f for f in a.alternatives if lasting(f)][:TRIED]), key=lambda n: n.step_error(bench)
-    )
-    few = max(
-        1, round(PAIRED * min(1.0, FULL / len(bench.channel)))
-    )  # longer records tell more of them apart
-    pairs = judged(
-        f
-        for n in singles[:few]
-        for f in second(bench.channel, n.fit, menu, coloured=False)[:PAIRED]
-        if lasting(f)
-    )
+    lasting = lambda e: e.nature is not Nature.ADDED
+    alone = [f for f in a.alternatives if lasting(f.structure.effects[-1].effect)][:TRIED]
+    singles = judged(alone, HALF, [first])
+    few = max(1, round(PAIRED * min(1.0, FULL / len(bench.channel))))  # longer records tell more apart
+    menu = replace(menu, effects=tuple(filter(lasting, menu.effects)))
+    told = 1.0 / (1.0 - bench.policy.searched[1])
+    pairs = []
+    for n in singles[:few]:
+        least = min(x.step_error(bench) for x in (first, *singles) if x.step is not None or x is n)
+        if n.step_error(bench) > HALF * least:
+            break
+        needed = 2.0 * n.fit.n * float(np.log(max(_spread(n.fit) / (told * least), 1.0)))
+        more = second(bench.channel, n.fit, menu, coloured=False, needed=needed)
+        pairs += judged(more[:PAIRED], told, (first, *singles, *pairs))
     options = sorted(
         (n for n in (first, *singles, *pairs) if n.step is not None), key=lambda n: n.step_error(bench)
     )
@@ -281,6 +292,11 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
                    if n.claims[0].cause != head.cause and not _worse(bench, n, options[0]))  # fmt: skip
     step = None if best.step is None else replace(best.step, rivals=others)
     return replace(best, claims=(replace(head, rivals=rivals), *best.claims[1:]), step=step)
+
+
+def _spread(f: Fit) -> float:
+    """Root mean square simulation error on the record that a fit saw."""
+    return float(np.sqrt(np.sum(f.residual**2) / f.n)) if np.isfinite(f.deviance) else float("inf")
 
 
 def _worse(bench: Bench, n: Named, best: Named) -> bool:
@@ -369,32 +385,3 @@ def _step(bench: Bench, f: Fit, claims: list[Claim], unused: Array) -> Step:
         Kind.NAMED, tuple(c.key for c in claims), (unused,), bench.answer(f), len(f.p), parameters_of(f),
         tuple(c.part.effect.sentence for c in claims), noise=f.noise, nature=claims[0].part.effect.nature.value,
     )  # fmt: skip
-
-
-def parameters_of(f: Fit, prefix: str = "") -> dict[str, tuple[float, float, str]]:
-    """Parameters of a fit's parts, with standard errors that know of the noise's correlation."""
-    if not f.jacobian.size:
-        return {}
-    J, e = f.jacobian, innovations(f.residual, f.noise)[: len(f.jacobian)]
-    norms = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
-    H = np.linalg.pinv((J / norms).T @ (J / norms))
-    errors = np.sqrt(np.maximum(np.diag(H @ _score_covariance(J / norms, e) @ H), 0.0)) / norms
-    out: dict[str, tuple[float, float, str]] = {}
-    for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
-        for i, (name, unit) in enumerate(part.parameters(f.structure.order)):
-            label = f"{prefix}{part.key}.{name}"
-            if label in out:  # the same effect at another input
-                label += f"_{part.channel + 1}"
-            out[label] = (float(f.p[sl.start + i]), float(errors[sl.start + i]), unit)
-    return out
-
-
-def _score_covariance(J: Array, e: Array) -> Array:
-    """Covariance of J'e by Bartlett's weights (Newey and West), its lag growing as the cube root of the record."""
-    scores = J * e[:, None]
-    lags = int(np.ceil(1.3 * len(e) ** (1 / 3)))
-    S = scores.T @ scores
-    for k in range(1, lags + 1):
-        C = scores[k:].T @ scores[:-k]
-        S += (1.0 - k / (lags + 1.0)) * (C + C.T)
-    return S * len(e) / max(len(e) - J.shape[1], 1)

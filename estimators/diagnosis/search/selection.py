@@ -159,13 +159,15 @@ def _per_key(fits: list[Fit], position: int) -> list[Fit]:
 
 
 def attribute(
-    channel: Channel, s: Structure, menu: Menu = EVERYTHING, *, alpha: float = 0.01, most: int = 3, feedback: bool = True
+    channel: Channel, s: Structure, menu: Menu = EVERYTHING, *, alpha: float = 0.01, most: int = 3, feedback: bool = True,
+    base: Fit | None = None,
 ) -> Attribution:  # fmt: skip
     """Find what a linear model of one output lacks: at most `most` effects of a menu, the noise model not counted.
 
-    alpha is the false-alarm rate over all effects together; `feedback` whether to test for it.
+    alpha is the false-alarm rate over all effects together; `feedback` whether to test for it; `base` the linear model where
+    it is known.
     """
-    base = fit_linear(channel, s)
+    base = fit_linear(channel, s) if base is None else base
     coloured = base
     if len(base.noise):
         coloured = refit(channel, base, iterations=25)
@@ -267,7 +269,7 @@ def _more_effects(
         options: list[tuple[Fit, Fit]] = []
         tried: dict[int, list[Fit]] = {}
         bases, several = [final], max(1, round(BASES * min(1.0, FULL / len(channel))))
-        if depth == 1:
+        if depth == 1 and not first.structure.base:  # else pairs are put before unused blocks afterwards
             causes = {good[0].cause}
             for claim in good[1:]:
                 near = claim.gain > 0.15 * good[0].gain
