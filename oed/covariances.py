@@ -17,6 +17,12 @@ T = TypeVar("T")
 OUTSIDE = 1e-6
 
 
+def square_root(matrix: NDArray) -> NDArray:
+    """R with R R^* = a positive semidefinite matrix, or each of a stack; what rounding leaves below 0 is cut off."""
+    values, vectors = np.linalg.eigh(matrix)
+    return vectors * np.sqrt(np.clip(values, 0, None))[..., None, :]
+
+
 def diagonal_blocks(matrix: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Square blocks on the diagonal: matrix (K s, K s) -> (K, s, s)."""
     size = len(matrix) // count

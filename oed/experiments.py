@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.covariances import square_root
 from oed.data import Record, as_signal
 from oed.errors import ExperimentError, InputError
 from oed.plants.plant import Plant
@@ -173,8 +174,7 @@ def noise_factor(plant: Plant) -> NDArray[np.float64]:
     deviations = np.sqrt(np.diag(plant.noise_covariance))
     if np.count_nonzero(plant.noise_covariance) == np.count_nonzero(deviations):
         return np.diag(deviations)
-    values, vectors = np.linalg.eigh(plant.noise_covariance)
-    return vectors * np.sqrt(np.clip(values, 0, None))
+    return square_root(plant.noise_covariance)
 
 
 def coloured(plant: Plant, e: NDArray[np.float64]) -> NDArray[np.float64]:

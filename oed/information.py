@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from oed.covariances import square_root
 from oed.data import Spectrum, as_signal
 from oed.errors import InputError, NotIdentifiable
 
@@ -99,8 +100,7 @@ def power_root(spectrum: Spectrum) -> NDArray[np.complex128]:
     """R_k with R_k R_k^* = P_k for every line: returns (K, nu, nu)."""
     if spectrum.n_inputs == 1:
         return np.sqrt(np.clip(spectrum.power.real, 0, None)).astype(complex)
-    values, vectors = np.linalg.eigh(spectrum.power)
-    return vectors * np.sqrt(np.clip(values, 0, None))[:, None, :]
+    return square_root(spectrum.power)
 
 
 def information_of_signal(plant: Responding, u: ArrayLike) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from oed.covariances import square_root
 from oed.errors import InputError
 
 if TYPE_CHECKING:
@@ -114,14 +115,10 @@ def _poles_seen(A: NDArray, b: NDArray, c: NDArray, order: int) -> NDArray:
     """Poles of the balanced truncation to the minimal order (exact, since what is cut is zero)."""
     from scipy.linalg import solve_discrete_lyapunov, svd
 
-    def root(gramian: NDArray) -> NDArray:
-        values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
-        return vectors * np.sqrt(np.clip(values, 0, None))
-
     if np.abs(np.linalg.eigvals(A)).max(initial=0) >= 1:
         return np.linalg.eigvals(A)  # unstable: kept whole, so that the check of the plant can say so
-    R = root(solve_discrete_lyapunov(A, np.outer(b, b)))
-    L = root(solve_discrete_lyapunov(A.T, np.outer(c, c)))
+    reached, seen = solve_discrete_lyapunov(A, np.outer(b, b)), solve_discrete_lyapunov(A.T, np.outer(c, c))
+    R, L = square_root((reached + reached.T) / 2), square_root((seen + seen.T) / 2)
     U, s, V = svd(L.T @ R)
     U, V, scale = U[:, :order], V[:order].T, 1 / np.sqrt(s[:order])
     return np.linalg.eigvals((scale[:, None] * U.T) @ L.T @ A @ R @ (V * scale))

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.covariances import square_root
 from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.criteria_by_name import criterion_of
@@ -86,8 +87,7 @@ def conic(criterion: Criterion, constraints: list, M: Any, accuracy: float = 1e-
     if largest is None:
         return criterion.direction(np.asarray(M.value, dtype=float))
     Z = np.asarray(largest.dual_value, dtype=float)
-    values, vectors = np.linalg.eigh((Z + Z.T) / 2)
-    return vectors * np.sqrt(np.clip(values, 0, None))
+    return square_root((Z + Z.T) / 2)
 
 
 def _prepared(

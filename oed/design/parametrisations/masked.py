@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.covariances import on_one_thread
+from oed.covariances import on_one_thread, square_root
 from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.budgets import power_budgets
@@ -225,8 +225,7 @@ class _Search:
             for p in np.flatnonzero(wanted):
                 own = piece == p
                 flat = np.moveaxis(told[own], 1, 0).reshape(D.shape[1], -1)
-                values, vectors = np.linalg.eigh((flat @ flat.conj().T).real)
-                F.append(vectors * np.sqrt(np.clip(values, 0, None)))
+                F.append(square_root((flat @ flat.conj().T).real))
                 shares.append(np.append(power[own].sum() / self.limit, np.arange(PIECES) == p))
         direction = np.full((len(F), D.shape[3]), 1 / np.sqrt(D.shape[3]), dtype=complex)
         return Columns(np.zeros(len(F)), direction, np.stack(F), np.stack(shares)), phi

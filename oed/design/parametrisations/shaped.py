@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.covariances import on_one_thread
+from oed.covariances import on_one_thread, square_root
 from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.budgets import power_budgets
@@ -184,8 +184,7 @@ def _normalised(
 def _factor(D: NDArray[np.complex128], P: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Square root (n, n) of sum_k Re D P D^*."""
     M = np.einsum("knpq,kqr,kmpr->nm", D, P, D.conj(), optimize=True).real
-    values, vectors = np.linalg.eigh((M + M.T) / 2)
-    return vectors * np.sqrt(np.clip(values, 0, None))
+    return square_root((M + M.T) / 2)
 
 
 @on_one_thread

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.covariances import square_root
 from oed.criteria import Criterion
 from oed.design.problem.families import local_maxima, maxima_between
 from oed.design.problem.information_maps import InformationMap
@@ -135,13 +136,11 @@ class Problem:
             )
             flat = np.concatenate([D.real, D.imag], axis=2).reshape(self.map.n, -1)
             if np.any(self.map.constant):
-                values, vectors = np.linalg.eigh(self.map.constant)
-                flat = np.concatenate([flat, vectors * np.sqrt(np.clip(values, 0, None))], axis=1)
+                flat = np.concatenate([flat, square_root(self.map.constant)], axis=1)
             return self.original.loss_of_factor(flat) / self.scale
         flat = np.moveaxis(columns.F * np.sqrt(w)[:, None, None], 0, 1).reshape(self.map.n, -1)
         if np.any(self.constant):
-            values, vectors = np.linalg.eigh(self.constant)
-            flat = np.concatenate([flat, vectors * np.sqrt(np.clip(values, 0, None))], axis=1)
+            flat = np.concatenate([flat, square_root(self.constant)], axis=1)
         return self.criterion.loss_of_factor(flat)
 
     def scaled_factor(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.covariances import square_root
 from oed.design.problem.information_maps import InformationMap
 from oed.errors import InfeasibleDesign, NotIdentifiable
 from oed.information import null_directions
@@ -56,9 +57,7 @@ def white_root(information: InformationMap, D: NDArray[np.complex128]) -> NDArra
     channel: D (K, n, ..) -> (n, n)."""
     n = information.n
     flat = np.moveaxis(D, 1, 0).reshape(n, -1) / np.sqrt(len(D))
-    values, vectors = np.linalg.eigh(information.constant)
-    prior = (vectors * np.sqrt(np.clip(values, 0, None))).T
-    rows = np.concatenate([flat.real.T, flat.imag.T, prior])
+    rows = np.concatenate([flat.real.T, flat.imag.T, square_root(information.constant).T])
     scale = np.linalg.norm(rows, axis=0)
     if not np.isfinite(rows).all():
         raise InfeasibleDesign(

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.covariances import square_root
 from oed.criteria import Criterion
 from oed.design.problem.lines import Columns
 from oed.design.solvers.weights_da import Weights
@@ -99,8 +100,7 @@ def largest_eigenvalue(
         tolerance,
     )
     k = n * (n + 1) // 2
-    values, vectors = np.linalg.eigh(smat(z[:k], n))
-    X = vectors * np.sqrt(np.clip(values, 0, None))
+    X = square_root(smat(z[:k], n))
     w = np.maximum(x[:m], 0.0)
     return Weights(w, X, np.maximum(z[k : k + J], 0), status, int(solution.iterations))
 

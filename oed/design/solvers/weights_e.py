@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.covariances import square_root
 from oed.criteria import Criterion
 from oed.design.problem.lines import Columns
 from oed.design.solvers.weights_da import Weights, blocks, gathered, inside, reach
@@ -63,9 +64,7 @@ def eigenvalue_weights(
             now = problem.next(now, mu)
         except np.linalg.LinAlgError:
             break
-    values, vectors = np.linalg.eigh(now.Z)
-    X = vectors * np.sqrt(np.clip(values, 0, None))
-    return Weights(np.maximum(now.w, 0.0), X[:, ::-1], now.nu, status, step)
+    return Weights(np.maximum(now.w, 0.0), square_root(now.Z)[:, ::-1], now.nu, status, step)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.covariances import square_root
 from oed.criteria import Criterion
 from oed.criteria.trace import Trace
 from oed.design.problem.lines import Columns, Problem
@@ -78,8 +79,7 @@ def cvxpy_weights(
     if largest is None:
         X = criterion.direction(constant + columns.information(weights))
     else:
-        values, vectors = np.linalg.eigh(np.asarray(largest.dual_value, dtype=float))
-        X = vectors * np.sqrt(np.clip(values, 0, None))
+        X = square_root(np.asarray(largest.dual_value, dtype=float))
     return Weights(weights, X, nu, status, 0)
 
 
@@ -96,8 +96,7 @@ def _elfving(
     turned = np.swapaxes(columns.F, 1, 2).reshape(m * r, -1)
     body = cp.reshape(turned @ X, (m, r * V.shape[1]), order="C")
     cone = cp.SOC(cost + 1, cp.hstack([cp.reshape(cost - 1, (m, 1), order="C"), 2 * body]), axis=1)
-    values, vectors = np.linalg.eigh(constant)
-    root = (vectors * np.sqrt(np.clip(values, 0, None))).T
+    root = square_root(constant).T
     objective = 2 * cp.sum(cp.multiply(V, X)) - cp.sum(nu) - cp.sum_squares(root @ X)
     status = solve_cvxpy(cp.Problem(cp.Maximize(objective), [cone]), accuracy)
     first, rest = (np.asarray(part, dtype=float) for part in cone.dual_value)  # type: ignore[union-attr]
