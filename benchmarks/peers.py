@@ -38,9 +38,8 @@ HALVES = {
     "gas-furnace": Benchmark("gas_furnace.csv[0:200]", "gas_furnace.csv[200:296]", 20, "%", ""),
 }
 """Records of one file, split as their meta.json says."""
-CPU_LIMIT = (
-    600  # seconds; the slowest that ends, the recurrent network on 65 000 samples, needs about as many
-)
+# Seconds; the slowest that ends, the recurrent network on 65 000 samples, needs about as many.
+CPU_LIMIT = 600
 WALL = 20  # times as long on the clock: other work may share the machine, and a tool that waits uses no CPU
 COLUMNS = {"record": "record", "tool": "tool", "rmse": "error, free run", "parameters": "parameters", "cpu_s": "CPU s",
            "explains": "explains", "remark": "remark"}  # fmt: skip

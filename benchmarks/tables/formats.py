@@ -69,9 +69,8 @@ def _digits(value: float, se: Any, whole: bool) -> tuple[str, str | None, int | 
     value, error = value * scale, error * scale
     decimals = 1 - int(f"{error:.1e}".split("e")[1])
     most = 4 - math.floor(math.log10(abs(value))) if value else decimals
-    if (
-        decimals > most + 1
-    ):  # nobody reads a sixth digit: say that the error is smaller than the last one shown
+    # Nobody reads a sixth digit: say that the error is smaller than the last one shown.
+    if decimals > most + 1:
         most = max(0, most)
         return f"{value:.{most}f}", f"<{10.0**-most:.{most}f}", exponent
     value, error = round(value, decimals) + 0.0, round(error, decimals)  # no -0.00

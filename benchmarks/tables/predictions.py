@@ -55,9 +55,8 @@ def siso_prediction(plant: Plant, *, experiments: int, samples: int | None) -> t
     from oed.theory.efficiency import peak_gain_efficiency_by_experiments
 
     limit = limit_spectrum(plant)
-    usual = (
-        plant.white_noise and plant.free == plant.all_names
-    )  # where the gain-scaling theorem gives the optimum
+    # Where the gain-scaling theorem gives the optimum.
+    usual = plant.white_noise and plant.free == plant.all_names
     few = len(plant.free) <= MOST_PARAMETERS
     optimum = None if usual else optimal_loss(plant, "c") if few else float("nan")
     together = peak_gain_efficiency_by_experiments(plant, experiments, optimum)

@@ -81,9 +81,8 @@ def _parse(
     if not body.strip():
         return [np.empty(0) for _ in wanted]
     where = [names.index(name) for name in wanted]
-    if (
-        delimiter != "," and "," in body and "." not in body
-    ):  # decimal commas, and no point that they could group
+    # Decimal commas, and no point that they could group.
+    if delimiter != "," and "," in body and "." not in body:
         body = body.replace(",", ".")
     try:
         table = np.loadtxt(io.StringIO(body), delimiter=delimiter, usecols=where, ndmin=2, comments=None)

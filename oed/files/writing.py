@@ -183,9 +183,8 @@ def tidy(folder: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    if (
-        os.name != "posix"
-    ):  # elsewhere a folder cannot be opened, and the rename is in the file system's journal
+    # Elsewhere a folder cannot be opened, and the rename is in the file system's journal.
+    if os.name != "posix":
         return
     handle = os.open(folder, os.O_RDONLY)
     try:

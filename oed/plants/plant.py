@@ -258,9 +258,8 @@ class Plant:
         for i, row in enumerate(self.num):
             for j, B in enumerate(row):
                 A = self.den[i][j]
-                short = (
-                    len(A) == 1 and A[0] == 1.0
-                )  # SciPy's detour for FIR filters costs more than the filter
+                # SciPy's detour for FIR filters costs more than the filter.
+                short = len(A) == 1 and A[0] == 1.0
                 y[:, i] += np.convolve(B, u[:, j])[: len(u)] if short else lfilter(B, A, u[:, j])
         return y
 

@@ -125,9 +125,8 @@ def _told(z: NDArray, spread: NDArray, top: slice, bottom: slice, monic: bool) -
     variance = float(slope @ spread[np.ix_(at, at)] @ slope)
     if variance == 0.0:  # no coefficient moves it
         return np.inf
-    return (
-        float(singular[-1] / np.sqrt(variance)) if variance > 0 else 0.0
-    )  # below zero the information is singular
+    # Below zero the information is singular.
+    return float(singular[-1] / np.sqrt(variance)) if variance > 0 else 0.0
 
 
 def _nothing_left(problem: Problem, optimum: Optimum) -> bool:

@@ -90,9 +90,8 @@ def _explored(problem: Problem, best: Optimum, how: Settings) -> Optimum:
     known = Standing.OPEN if hard else standing(problem, best)
     if known is Standing.CONFIRMED:
         return best
-    real = (
-        known is not Standing.OVER_ORDERED
-    )  # else the modes that are too many fit noise, wherever they are put
+    # Else the modes that are too many fit noise, wherever they are put.
+    real = known is not Standing.OVER_ORDERED
     closely = hard or (problem.n_samples <= SOME and modes <= MOST and real)
     draws = int(modes * DRAWS * min(1.0, 1000 / problem.n_samples)) * closely * (4 if hard else 1)
     rng, width = np.random.default_rng(0), 3 if closely else 1
