@@ -18,9 +18,9 @@ from estimators.sessions.folder import KEPT, Folder
 from estimators.sessions.session import FlaggedMeasurement, Session
 from estimators.sessions.settings import settings_from_json
 from oed.errors import CampaignError, InputError
+from oed.files.csv import csv_table
 from oed.files.lock import locked
 from oed.files.tables import column_name
-from oed.files.text import csv_table
 from oed.files.writing import write_whole
 
 Array = NDArray[np.float64]

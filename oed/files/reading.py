@@ -15,11 +15,11 @@ from typing import Any
 from oed.data import Record
 from oed.errors import InputError, OedError
 from oed.files.arrays import npz_table
+from oed.files.csv import csv_table
 from oed.files.limits import check_limit
 from oed.files.mat import mat_table
 from oed.files.parquet import parquet_table
 from oed.files.tables import Table, record_of
-from oed.files.text import csv_table
 from oed.lazily import extra_named
 
 READERS = {

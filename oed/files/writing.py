@@ -14,9 +14,9 @@ from typing import Any
 from oed.data import Record
 from oed.errors import InputError, OedError
 from oed.files.arrays import npz_bytes
+from oed.files.csv import csv_bytes
 from oed.files.mat import mat_bytes
 from oed.files.parquet import parquet_bytes
-from oed.files.text import csv_bytes
 
 WRITERS = {".csv": csv_bytes, ".mat": mat_bytes, ".npz": npz_bytes, ".parquet": parquet_bytes}
 
