@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
 
@@ -21,6 +22,10 @@ _recent: deque[tuple[tuple[Any, ...], Array]] = deque(
     maxlen=8
 )  # of one shape: the linear part changes more often
 FASTEST = 5.0  # rate per sample above which a process is no different from none
+NEAR, DOUBLINGS = (
+    1e-3,
+    20,
+)  # first step towards a rest in sizes of the input, and how often it is doubled: as far as it matters
 LEAST_FLOW = 1e-3  # of the mean flow: what stands still takes for ever
 
 
@@ -54,18 +59,21 @@ def _exchange(p, v, u, q, s, c):
 
 
 def _rest(force: Callable[..., Any], u: float, c: Array, start: float) -> float:
-    """Level at which the process rests under a constant input, by secant steps."""
-    x, h = start, 1e-6 * (abs(u) + abs(start) + 1e-9)
-    for _ in range(40):
-        g = u - x - float(force(x, 0.0, u, 0.0, 0.0, c))
-        slope = (u - x - h - float(force(x + h, 0.0, u, 0.0, 0.0, c)) - g) / h
-        if not np.isfinite(g) or slope == 0.0:
-            return start
-        step = float(np.clip(g / slope, -(abs(u) + abs(start)), abs(u) + abs(start)))
-        x -= step
-        if abs(step) < h:
-            break
-    return x
+    """Level at which the process comes to rest under a constant input: it goes the way it moves until that turns.
+
+    Newton's steps leave a force that ends at zero for where no level is.
+    """
+    move = lambda x: u - x - float(force(x, 0.0, u, 0.0, 0.0, c))
+    x, now, step = start, move(start), NEAR * (abs(u) + abs(start) + 1e-9)
+    for _ in range(DOUBLINGS):
+        ahead = x + float(np.copysign(step, now))
+        then = move(ahead)
+        if not np.isfinite(then) or now == 0.0:
+            return x if now == 0.0 else start
+        if now * then <= 0.0:
+            return float(brentq(move, x, ahead))  # pyright: ignore[reportArgumentType]
+        x, now, step = ahead, then, 2.0 * step
+    return start
 
 
 def passed(force: Callable[..., Any], u: Array, p: Array, *, start: float | None = None) -> Array:

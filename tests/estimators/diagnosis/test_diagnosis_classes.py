@@ -172,6 +172,16 @@ def test_a_process_takes_the_slow_pole_that_the_linear_model_had(seed):
     assert all(error(f) > 0.99 * error(base) for f in augmented(channel, base, Menu((named("vessel"),))))
 
 
+@pytest.mark.parametrize("k", [2.0, 4.0, 8.53, 16.0])
+@pytest.mark.parametrize("widening", [0.0, 0.1, 1.0])
+def test_a_vessel_rests_where_its_outflow_is_the_inflow(k, widening):
+    """From the level of the inflow itself Newton's steps leave for negative levels where the vessel widens much."""
+    for u in (0.5, 50.0, 50.1, 200.0):
+        c = np.array([0.6, k, widening])
+        assert named("vessel").apply.start(u, c) == pytest.approx((u / k) ** 2, rel=1e-6)
+        assert named("loss").apply.start(u, np.array([0.6, 0.0, widening])) <= u
+
+
 def test_readings_that_age_are_looked_for_only_where_their_age_shows():
     """Twenty linear records, 1e-4 stated for a line in each: none; with refreshes every 3.37 samples the period to 1e-3."""
     for seed in range(20):
