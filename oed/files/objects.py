@@ -18,29 +18,15 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-def from_pandas(
-    frame: pd.DataFrame,
-    *,
-    inputs: Sequence[str] | str | None = None,
-    outputs: Sequence[str] | str | None = None,
-    dt: float | None = None,
-    missing: bool = False,
-    notes: list[str] | None = None,
-) -> Record:
+def from_pandas(frame: pd.DataFrame, **options: Any) -> Record:
     """Record of a DataFrame, one row per sample; the times are a column or the index called t or time, or an index of dates.
 
     Parameters
     ----------
     frame : DataFrame
         Columns as in `oed.files.read_record`.
-    inputs, outputs : sequence of str or str, optional
-        Names of the columns; by default those that begin with u and with y.
-    dt : float, optional
-        Sampling time in seconds.
-    missing : bool
-        Whether NaN is allowed, as the mark of a missing sample.
-    notes : list of str, optional
-        Sentences on what was assumed or left out are appended to it.
+    **options : object
+        As for `oed.files.read_record`: inputs, outputs, dt, missing, notes.
 
     Returns
     -------
@@ -66,7 +52,7 @@ def from_pandas(
     elif seconds_per(str(frame.index.name)):
         extra[str(frame.index.name)] = frame.index.to_numpy()
     elif (
-        dt is None
+        options.get("dt") is None
         and index.dtype.kind == "f"
         and np.any(index.to_numpy() % 1)
         and not any(map(seconds_per, names))
@@ -84,7 +70,7 @@ def from_pandas(
         ]
 
     table = Table(source, (*names, *extra), load)
-    return record_of(table, inputs=inputs, outputs=outputs, dt=dt, missing=missing, notes=notes)
+    return record_of(table, **options)
 
 
 def _values(column: pd.Series) -> NDArray:
@@ -118,15 +104,7 @@ def to_pandas(record: Record) -> pd.DataFrame:
     return pd.DataFrame(np.hstack([record.u, record.y]), index=pd.Index(record.t, name="t"), columns=columns)
 
 
-def from_xarray(
-    dataset: xr.Dataset,
-    *,
-    inputs: Sequence[str] | str | None = None,
-    outputs: Sequence[str] | str | None = None,
-    dt: float | None = None,
-    missing: bool = False,
-    notes: list[str] | None = None,
-) -> Record:
+def from_xarray(dataset: xr.Dataset, **options: Any) -> Record:
     """Record of a Dataset whose variables have time as their only dimension, one variable per channel.
 
     Parameters
@@ -134,14 +112,8 @@ def from_xarray(
     dataset : Dataset
         The attributes `units` of the variables and, where it has them, `role` (input or output) are used, and
         the coordinate t or time, otherwise that of the dimension.
-    inputs, outputs : sequence of str or str, optional
-        Names of the variables; by default by role, otherwise those that begin with u and with y.
-    dt : float, optional
-        Sampling time in seconds.
-    missing : bool
-        Whether NaN is allowed, as the mark of a missing sample.
-    notes : list of str, optional
-        Sentences on what was assumed or left out are appended to it.
+    **options : object
+        As for `oed.files.read_record`: inputs, outputs (by default by role), dt, missing, notes.
 
     Returns
     -------
@@ -181,7 +153,7 @@ def from_xarray(
         dt=None if step is None else float(step),
         t0=None if start is None else float(start),
     )
-    return record_of(table, inputs=inputs, outputs=outputs, dt=dt, missing=missing, notes=notes)
+    return record_of(table, **options)
 
 
 def to_xarray(record: Record) -> xr.Dataset:
