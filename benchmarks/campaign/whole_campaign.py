@@ -36,16 +36,10 @@ def run_campaign(
 
 
 def fill_store(
-    settings: Settings,
-    replicates: int,
-    folder: Path,
-    *,
-    jobs: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    time_limit: float | None = TIME_LIMIT,
+    settings: Settings, replicates: int, folder: Path, *, jobs: int | None = None, scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None, time_limit: float | None = TIME_LIMIT,
     own: Own | None = None,
-) -> Store:
+) -> Store:  # fmt: skip
     """Run or resume a campaign; the results stay on disk."""
     if replicates < 2:
         raise InputError(f"replicates is {replicates}; standard errors need at least 2.")
@@ -88,13 +82,9 @@ def fill_store(
 
 
 def stored_runs(
-    store: Store,
-    settings: Settings,
-    replicates: int,
-    *,
-    time_limit: float | None = TIME_LIMIT,
+    store: Store, settings: Settings, replicates: int, *, time_limit: float | None = TIME_LIMIT,
     own: Own | None = None,
-) -> Iterator[Runs]:
+) -> Iterator[Runs]:  # fmt: skip
     """The combinations of a finished campaign one after the other, so that memory holds one at a time."""
     grouped: dict[tuple[str, float, str], list[Part]] = {}
     for part in parts(settings, replicates):

@@ -56,13 +56,8 @@ def _limits(design: Design) -> list[Row]:
 
 
 def write_design(
-    folder: Path,
-    design: Design,
-    plant: Plant,
-    payload: Mapping[str, Any],
-    signal: Any,
-    made: Mapping[str, Any],
-) -> Path:
+    folder: Path, design: Design, plant: Plant, payload: Mapping[str, Any], signal: Any, made: Mapping[str, Any],
+) -> Path:  # fmt: skip
     """Write report.json, its tables and the page of an optimal input."""
     turn, unit = (1.0, "rad/sample") if plant.dt == 1 else (2 * np.pi * plant.dt, "Hz")
     where = f"frequency ({unit})"

@@ -204,13 +204,9 @@ def to_csv(
 
 
 def to_parquet(
-    rows: Sequence[Row],
-    path: str | os.PathLike[str],
-    metadata: Mapping[str, Any] | None = None,
-    columns: Columns = None,
-    *,
-    overwrite: bool = False,
-) -> Path:
+    rows: Sequence[Row], path: str | os.PathLike[str], metadata: Mapping[str, Any] | None = None,
+    columns: Columns = None, *, overwrite: bool = False,
+) -> Path:  # fmt: skip
     """Table as Parquet, with metadata that says what made it."""
     import pyarrow as pa
 

@@ -20,15 +20,9 @@ KINDS = {
 
 
 def row(
-    name: str,
-    source: str,
-    published: float | str | None,
-    computed: float | str,
-    tolerance: float | None,
-    why: str,
-    holds: bool | None = None,
-    kind: str = "two ways",
-) -> dict[str, Any]:
+    name: str, source: str, published: float | str | None, computed: float | str, tolerance: float | None, why: str,
+    holds: bool | None = None, kind: str = "two ways",
+) -> dict[str, Any]:  # fmt: skip
     """One published statement and what comes out here."""
     kind = "illustration" if published is None else kind
     check_names([kind], tuple(KINDS), "kind of row")

@@ -153,13 +153,8 @@ def additivity_by_monte_carlo(
 
 
 def _replicates(
-    plant: Plant,
-    method: Rule | Callable[..., Trace],
-    samples: int,
-    experiments: int,
-    replicates: int,
-    seed: int,
-) -> Iterator[Any]:
+    plant: Plant, method: Rule | Callable[..., Trace], samples: int, experiments: int, replicates: int, seed: int,
+) -> Iterator[Any]:  # fmt: skip
     from inspect import isgeneratorfunction
 
     rule = isgeneratorfunction(getattr(method, "func", method))  # also a functools.partial of a rule

@@ -92,17 +92,9 @@ def counter_start(
 
 
 def batches(
-    system: Plant | Callable[[int], Experiment],
-    *,
-    algorithm: str = "siso",
-    samples: int,
-    iterations: int,
-    replicates: int,
-    seed: int = 0,
-    first: int = 0,
-    scaling: str = "none",
-    threads: int = 1,
-) -> Iterator[Batch]:
+    system: Plant | Callable[[int], Experiment], *, algorithm: str = "siso", samples: int, iterations: int,
+    replicates: int, seed: int = 0, first: int = 0, scaling: str = "none", threads: int = 1,
+) -> Iterator[Batch]:  # fmt: skip
     """Run the iterations many times, a few runs at a time."""
     check_names([scaling], SCALINGS, "scaling")
     for name, value, least in (
@@ -184,15 +176,9 @@ def _padded(matrix: Any, length: int) -> NDArray[np.float64]:
 
 
 def plain_batch(
-    experiment: Experiment,
-    algorithm: str,
-    samples: int,
-    iterations: int,
-    seed: int,
-    replicate: int,
-    scaling: str = "none",
-    start: Any = None,
-) -> Batch:
+    experiment: Experiment, algorithm: str, samples: int, iterations: int, seed: int, replicate: int,
+    scaling: str = "none", start: Any = None,
+) -> Batch:  # fmt: skip
     """One run by the plain loop: the slow path, and the twin of the kernels."""
     from estimators.norm.gains import gain, mu, rayleigh
 
@@ -213,16 +199,9 @@ def plain_batch(
 
 
 def monte_carlo(
-    system: Plant | Callable[[int], Experiment],
-    samples: int,
-    iterations: int,
-    replicates: int,
-    seed: int = 0,
-    *,
-    algorithm: str = "siso",
-    scaling: str = "none",
-    threads: int = 1,
-) -> Campaign:
+    system: Plant | Callable[[int], Experiment], samples: int, iterations: int, replicates: int, seed: int = 0, *,
+    algorithm: str = "siso", scaling: str = "none", threads: int = 1,
+) -> Campaign:  # fmt: skip
     """Mean and spread of the iterations' estimates over many runs."""
     sums: dict[str, list[NDArray]] = {}
     negative, energy = np.zeros(iterations), np.zeros(iterations)

@@ -209,22 +209,9 @@ def _dot_add(a, b, samples, reverse, out):
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def power_block(
-    samples,
-    iterations,
-    num,
-    den,
-    noise_num,
-    noise_den,
-    weights,
-    k0,
-    k1,
-    start,
-    replicate,
-    gain,
-    mu,
-    rayleigh,
+    samples, iterations, num, den, noise_num, noise_den, weights, k0, k1, start, replicate, gain, mu, rayleigh,
     signals,
-):
+):  # fmt: skip
     """Algorithm 1 for B replicates: weights (1,), gain, mu, rayleigh (B, iterations), signals (2, samples *
     B)."""
     U, V, X = signals[0], signals[1], np.empty(samples * B)
@@ -271,22 +258,9 @@ def power_block(
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def procedure_block(
-    samples,
-    iterations,
-    num,
-    den,
-    noise_num,
-    noise_den,
-    weights,
-    k0,
-    k1,
-    start,
-    replicate,
-    scaling,
-    gain,
-    mu,
+    samples, iterations, num, den, noise_num, noise_den, weights, k0, k1, start, replicate, scaling, gain, mu,
     energy,
-):
+):  # fmt: skip
     """Procedure 2 for B replicates; the two-experiment scheme where there is one channel; num, den (p, q, n +
     1), weights (p, p), gain, mu, energy (B, iterations)."""
     p, q = num.shape[:2]

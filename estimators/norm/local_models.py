@@ -71,13 +71,9 @@ def _centre(trace: Trace, spectra: Spectra) -> int:
 
 
 def local_peak(
-    trace: Trace,
-    *,
-    lines: int = 30,
-    orders: tuple[int, int, int] | None = None,
-    centre: int | None = None,
+    trace: Trace, *, lines: int = 30, orders: tuple[int, int, int] | None = None, centre: int | None = None,
     spectra: Spectra | None = None,
-) -> PeakEstimate:
+) -> PeakEstimate:  # fmt: skip
     """Peak of a local rational model fitted to all records of a trace."""
     lengths = {len(r) for r in trace.records}
     if len(lengths) != 1:
@@ -158,14 +154,9 @@ def _principal(G: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def _peak_of_model(
-    theta: NDArray,
-    information: NDArray,
-    band: Band,
-    orders: tuple[int, int, int],
-    shape: tuple[int, int],
-    noise: float,
-    N: int,
-) -> tuple[PeakEstimate, float]:
+    theta: NDArray, information: NDArray, band: Band, orders: tuple[int, int, int], shape: tuple[int, int],
+    noise: float, N: int,
+) -> tuple[PeakEstimate, float]:  # fmt: skip
     nu, ny = shape
 
     def square(x: NDArray) -> NDArray:

@@ -59,13 +59,9 @@ class Delay:
 
 
 def estimate_delay(
-    records: Record | Sequence[Record],
-    structure: str = "oe",
-    orders: Any = (2, 2),
-    *,
-    delays: Iterable[int] = range(9),
-    **options: Any,
-) -> Delay:
+    records: Record | Sequence[Record], structure: str = "oe", orders: Any = (2, 2), *,
+    delays: Iterable[int] = range(9), **options: Any,
+) -> Delay:  # fmt: skip
     """The delay nk under which a structure of given orders leaves the smallest residual. All candidates have
     the same number of parameters, so that the loss alone decides: it is the profile likelihood of the delay.
     Every candidate is fitted with the quick search; those that come near the best are fitted once more with
@@ -135,15 +131,9 @@ class Choice:
 
 
 def select_orders(
-    records: Record | Sequence[Record],
-    structure: str,
-    orders: Iterable[Sequence[int]] | Sequence[Iterable[int]],
-    *,
-    delays: Iterable[int] = (1,),
-    criterion: str = "bic",
-    folds: int = 5,
-    **options: Any,
-) -> Choice:
+    records: Record | Sequence[Record], structure: str, orders: Iterable[Sequence[int]] | Sequence[Iterable[int]],
+    *, delays: Iterable[int] = (1,), criterion: str = "bic", folds: int = 5, **options: Any,
+) -> Choice:  # fmt: skip
     """Fit models of many orders and rank them."""
     from estimators.pem import identify
 

@@ -117,13 +117,9 @@ def _prepared(
 
 
 def identify_grey_box(
-    records: Record | Sequence[Record],
-    model: GreyBox,
-    *,
-    initial: str = "zero",
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    max_iterations: int = 200,
-) -> GreyBoxFit:
+    records: Record | Sequence[Record], model: GreyBox, *, initial: str = "zero",
+    bounds: Mapping[str, tuple[float, float]] | None = None, max_iterations: int = 200,
+) -> GreyBoxFit:  # fmt: skip
     """Parameters that minimise the simulation error of a physically parametrised model."""
     given = as_records(records)
     if not given or initial not in ("zero", "estimate"):

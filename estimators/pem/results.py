@@ -19,15 +19,9 @@ from oed.models.structures import ORDERS
 
 
 def result(
-    problem: Problem,
-    optimum: Optimum,
-    records: list[Record],
-    offset: bool,
-    initial: str,
-    robust: str | None = None,
-    normals: NDArray | None = None,
-    spread: NDArray | None = None,
-) -> Fit:
+    problem: Problem, optimum: Optimum, records: list[Record], offset: bool, initial: str,
+    robust: str | None = None, normals: NDArray | None = None, spread: NDArray | None = None,
+) -> Fit:  # fmt: skip
     """A fit from the optimum that was found: normals (m, n + levels), spread (n + levels, n + levels)."""
     form, point, n = problem.structure, optimum.point, problem.structure.n
     ny, total = form.n_outputs, problem.n_observed

@@ -77,14 +77,9 @@ def _designed(
 
 
 def two_stage(
-    orders: Any = (2, 2),
-    delay: Any = 1,
-    *,
-    criterion: str = "hinf",
-    experiments: int = 20,
-    share: float = 0.2,
+    orders: Any = (2, 2), delay: Any = 1, *, criterion: str = "hinf", experiments: int = 20, share: float = 0.2,
     power: float = 1.0,
-) -> Rule:
+) -> Rule:  # fmt: skip
     """White noise first, then the optimal input for the model fitted to it."""
     if not 0 < share < 1:
         raise InputError(f"share is {share:g}; the first stage takes a share strictly between 0 and 1.")
@@ -93,15 +88,9 @@ def two_stage(
 
 
 def sequential(
-    orders: Any = (2, 2),
-    delay: Any = 1,
-    *,
-    criterion: str = "hinf",
-    experiments: int = 20,
-    power: float = 1.0,
-    draws: int = 32,
-    inflation: float = 3.0,
-) -> Rule:
+    orders: Any = (2, 2), delay: Any = 1, *, criterion: str = "hinf", experiments: int = 20, power: float = 1.0,
+    draws: int = 32, inflation: float = 3.0,
+) -> Rule:  # fmt: skip
     """White noise once, then redesign after 1, 2, 3, 4, 6, 8, 12, 16, 24, ... experiments. Optimal for the
     peak gain is the sinusoid at the peak in the direction of the largest singular value (gain-scaling
     theorem, `oed.theory.claim`); the mean of these sinusoids over the posterior is the design that is best on
@@ -178,15 +167,9 @@ def _peak_line(G: NDArray[np.complex128]) -> tuple[int, NDArray[np.complex128]]:
 
 
 def _redesigning(
-    orders: Any,
-    delay: Any,
-    criterion: str,
-    power: float,
-    due: Any,
-    first: int,
-    budget: int,
+    orders: Any, delay: Any, criterion: str, power: float, due: Any, first: int, budget: int,
     hedge: tuple[int, float] | None = None,
-) -> Rule:
+) -> Rule:  # fmt: skip
     def rule(samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator) -> Steps:
         from oed.signals.synthesis import realise
 

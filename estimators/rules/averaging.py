@@ -19,15 +19,9 @@ from oed.errors import InputError
 
 
 def averaged_iterations(
-    samples: int,
-    n_inputs: int,
-    n_outputs: int,
-    rng: np.random.Generator,
-    *,
-    exponent: float = 0.5,
-    limits: Limits | None = None,
-    start: ArrayLike | None = None,
-) -> Generator[Step, NDArray[np.float64], None]:
+    samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, exponent: float = 0.5,
+    limits: Limits | None = None, start: ArrayLike | None = None,
+) -> Generator[Step, NDArray[np.float64], None]:  # fmt: skip
     """Power iterations whose input moves towards the new one by a step that shrinks.
 
         u^(n+1) ~ (1 - a_n) u^(n-1) + a_n T y^(n) / mu^(n),   a_n = n^-exponent,   n = 2, 3, ...

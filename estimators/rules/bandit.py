@@ -63,14 +63,9 @@ def _posterior(
 
 
 def thompson_sampling(
-    samples: int,
-    n_inputs: int,
-    n_outputs: int,
-    rng: np.random.Generator,
-    *,
-    power: float = 1.0,
+    samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, power: float = 1.0,
     explore: float = 0.05,
-) -> Generator[Step, NDArray[np.float64], None]:
+) -> Generator[Step, NDArray[np.float64], None]:  # fmt: skip
     """Multisines whose powers follow the chance of each line to be the peak. After Mueller, Valenzuela,
     Proutiere, Rojas, "A stochastic multi-armed bandit approach to nonparametric H-infinity norm estimation",
     CDC 2017 (the weighted variant), with lambda_e estimated."""

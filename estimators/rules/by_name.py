@@ -34,16 +34,9 @@ def algorithm_rule(
 
 
 def iterate(
-    experiment: Experiment,
-    *,
-    algorithm: str = "siso",
-    samples: int,
-    iterations: int,
-    scaling: str = "none",
-    limits: Limits | None = None,
-    rng: np.random.Generator,
-    stop: Callable[[Trace], bool] | None = None,
-) -> tuple[Trace, dict[str, Gains]]:
+    experiment: Experiment, *, algorithm: str = "siso", samples: int, iterations: int, scaling: str = "none",
+    limits: Limits | None = None, rng: np.random.Generator, stop: Callable[[Trace], bool] | None = None,
+) -> tuple[Trace, dict[str, Gains]]:  # fmt: skip
     """Run an algorithm and evaluate its estimators."""
     rule, each = algorithm_rule(
         algorithm, experiment.n_inputs, experiment.n_outputs, scaling=scaling, limits=limits

@@ -20,14 +20,9 @@ from oed.errors import InputError
 
 
 def lanczos(
-    samples: int,
-    n_inputs: int,
-    n_outputs: int,
-    rng: np.random.Generator,
-    *,
-    limits: Limits | None = None,
+    samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, limits: Limits | None = None,
     start: ArrayLike | None = None,
-) -> Generator[Step, NDArray[np.float64], None]:
+) -> Generator[Step, NDArray[np.float64], None]:  # fmt: skip
     """Lanczos vectors as inputs: one experiment each for one channel, 1 + pq for several. The next input is
     the part of T y (of G' G u) that is orthogonal to all inputs before it."""
     limits = limits or Limits()

@@ -16,15 +16,9 @@ SCALINGS = ("none", "each", "common")
 
 
 def procedure_2(
-    samples: int,
-    n_inputs: int,
-    n_outputs: int,
-    rng: np.random.Generator,
-    *,
-    limits: Limits | None = None,
-    scaling: str = "none",
-    start: ArrayLike | None = None,
-) -> Generator[Step, NDArray[np.float64], None]:
+    samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, limits: Limits | None = None,
+    scaling: str = "none", start: ArrayLike | None = None,
+) -> Generator[Step, NDArray[np.float64], None]:  # fmt: skip
     """Power iterations for G' G by experiments on G alone.
 
         x = T G u,   z = sum_ij I_ij G (I_ij x),   w = T z = G' G u,   next u = w / mu

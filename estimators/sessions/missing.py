@@ -210,13 +210,8 @@ def _residual(d: _Data, regressors: Regressors | None, coefficients: Array | Non
 
 
 def _judged(
-    name: str,
-    sentence: str,
-    data: list[_Data],
-    regressors: Regressors | None,
-    size: int,
-    found: dict[str, float],
-) -> Cause:
+    name: str, sentence: str, data: list[_Data], regressors: Regressors | None, size: int, found: dict[str, float],
+) -> Cause:  # fmt: skip
     train, test = data
     coefficients = None if regressors is None else _solve(train, regressors)
     fitted = lambda r: np.maximum(np.mean(r**2, axis=(0, 1)), 1e-300)

@@ -31,16 +31,9 @@ class Proposal:
 
 
 def diagnose_next(
-    samples: int,
-    n_inputs: int,
-    n_outputs: int,
-    rng: np.random.Generator,
-    *,
-    power: float = 1.0,
-    amplitude: float = 3.0,
-    seed: int = 0,
-    known: Sequence[Array] = (),
-) -> Generator[Step, Array, None]:
+    samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, power: float = 1.0,
+    amplitude: float = 3.0, seed: int = 0, known: Sequence[Array] = (),
+) -> Generator[Step, Array, None]:  # fmt: skip
     """Experiments that find out what a linear model lacks: each decides between the two likeliest causes so
     far."""
     if (n_inputs, n_outputs) != (1, 1):

@@ -110,14 +110,9 @@ class _Reader:
         return name.decode("latin-1"), self.value(kind, int(flags[0]), shape, size, parts, depth)
 
     def value(
-        self,
-        kind: int,
-        flags: int,
-        shape: tuple[int, ...],
-        size: int,
-        parts: Iterator[tuple[int, bytes]],
+        self, kind: int, flags: int, shape: tuple[int, ...], size: int, parts: Iterator[tuple[int, bytes]],
         depth: int,
-    ) -> Any:
+    ) -> Any:  # fmt: skip
         """What follows the name: numbers, characters, cells or the fields of a struct."""
         if kind in CLASSES:
             real = self.numbers(next(parts, (0, b"")), size)

@@ -73,15 +73,10 @@ def column_name(name: str, unit: str) -> str:
 
 
 def record_of(
-    table: Table,
-    *,
-    inputs: Sequence[str] | str | None = None,
-    outputs: Sequence[str] | str | None = None,
-    dt: float | None = None,
-    missing: bool = False,
-    rows: tuple[int | None, int | None] = (None, None),
+    table: Table, *, inputs: Sequence[str] | str | None = None, outputs: Sequence[str] | str | None = None,
+    dt: float | None = None, missing: bool = False, rows: tuple[int | None, int | None] = (None, None),
     notes: list[str] | None = None,
-) -> Record:
+) -> Record:  # fmt: skip
     """Record of some columns of a table; the arguments are those of `oed.files.read_record`."""
     notes = [] if notes is None else notes
     if dt is not None and not (np.isfinite(dt) and dt > 0):

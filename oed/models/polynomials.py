@@ -197,14 +197,9 @@ def _value(coefficients: NDArray, z) -> NDArray:
 
 
 def polynomial(
-    kind: str,
-    orders: int | Sequence[Orders],
-    delay: Orders = 1,
-    *,
-    n_outputs: int = 1,
-    n_inputs: int = 1,
+    kind: str, orders: int | Sequence[Orders], delay: Orders = 1, *, n_outputs: int = 1, n_inputs: int = 1,
     diagonal: bool = False,
-) -> Polynomial:
+) -> Polynomial:  # fmt: skip
     """A polynomial structure by its name and orders."""
     if kind not in STRUCTURES:
         raise InputError(f"the structure {kind!r} is unknown; choose one of {', '.join(ORDERS)}.")

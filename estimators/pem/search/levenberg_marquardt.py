@@ -102,17 +102,11 @@ def _along(normals: NDArray, point: Point, moves: NDArray) -> NDArray:
 
 
 def minimise(
-    evaluate: Callable[[NDArray, Any], Point | None],
-    start: Point,
-    *,
-    tolerance: float = 1e-16,
-    max_iterations: int = 100,
-    free: NDArray | None = None,
-    project: Callable[[NDArray], NDArray] | None = None,
-    clip: Callable[[NDArray], NDArray] | None = None,
-    walls: Callable[[NDArray], NDArray] | None = None,
+    evaluate: Callable[[NDArray, Any], Point | None], start: Point, *, tolerance: float = 1e-16,
+    max_iterations: int = 100, free: NDArray | None = None, project: Callable[[NDArray], NDArray] | None = None,
+    clip: Callable[[NDArray], NDArray] | None = None, walls: Callable[[NDArray], NDArray] | None = None,
     bounds: tuple[NDArray, NDArray] | None = None,
-) -> Optimum:
+) -> Optimum:  # fmt: skip
     """Minimise a sum of squares from a point: evaluate (z, extra), free (n,)."""
     point, damping = start, 0.0
     allowed = np.ones(len(start.z), bool) if free is None else np.asarray(free)

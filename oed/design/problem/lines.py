@@ -80,13 +80,9 @@ class Problem:
     """A design problem in scaled coordinates, with its grid."""
 
     def __init__(
-        self,
-        information: InformationMap,
-        criterion: Criterion,
-        budgets: tuple[Budget, ...],
-        omega: NDArray[np.float64],
-        bands: tuple[tuple[float, float], ...] = ((0.0, np.pi),),
-    ) -> None:
+        self, information: InformationMap, criterion: Criterion, budgets: tuple[Budget, ...],
+        omega: NDArray[np.float64], bands: tuple[tuple[float, float], ...] = ((0.0, np.pi),),
+    ) -> None:  # fmt: skip
         self.map, self.budgets, self.omega, self.bands = information, budgets, omega, bands
         self.band = np.searchsorted([low for low, _ in bands], omega, side="right")
         self.original = criterion
@@ -182,13 +178,8 @@ class Problem:
         return _price(self._scaled(self.map.factor(omega)), self._forms(omega), X, nu)
 
     def refined_maxima(
-        self,
-        prices: Prices,
-        X: NDArray[np.float64],
-        nu: NDArray[np.float64],
-        above: float,
-        divisions: int = 13,
-    ) -> tuple[NDArray[np.float64], Prices]:
+        self, prices: Prices, X: NDArray[np.float64], nu: NDArray[np.float64], above: float, divisions: int = 13,
+    ) -> tuple[NDArray[np.float64], Prices]:  # fmt: skip
         """The local maxima of the price between grid lines, where the grid's own reach a level."""
         at = local_maxima(prices.ratio)
         at = at[prices.ratio[at] >= above]

@@ -111,16 +111,10 @@ def _gap_within(problem: Problem, columns: Columns, weights: Weights) -> float:
 
 
 def exchange(
-    problem: Problem,
-    *,
-    master: Master | None = None,
-    columns: Columns | None = None,
-    refine: bool = True,
-    tolerance: float = 1e-9,
-    max_rounds: int = 40,
-    accuracy: float = 1e-4,
+    problem: Problem, *, master: Master | None = None, columns: Columns | None = None, refine: bool = True,
+    tolerance: float = 1e-9, max_rounds: int = 40, accuracy: float = 1e-4,
     finish: Callable[[Exchange], Exchange] | None = None,
-) -> Exchange:
+) -> Exchange:  # fmt: skip
     """Run the loop; `finish` makes the last digits of an outcome that is nearly right, and is tried on the way."""
     master = master or solve_weights
     columns = seed_columns(problem) if columns is None else columns

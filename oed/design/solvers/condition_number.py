@@ -268,14 +268,8 @@ def _unit_trace(Z: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _bound(
-    setting: _Setting,
-    omega: NDArray,
-    bands: Bands,
-    Z_low: NDArray,
-    Z_high: NDArray,
-    loss: float,
-    refine: bool,
-) -> tuple[float, NDArray[np.float64]]:
+    setting: _Setting, omega: NDArray, bands: Bands, Z_low: NDArray, Z_high: NDArray, loss: float, refine: bool,
+) -> tuple[float, NDArray[np.float64]]:  # fmt: skip
     """Largest certified k, and the grid with the maxima that decided it."""
     if not np.isfinite(loss):
         return 0.0, omega
@@ -305,16 +299,9 @@ def _bound(
 
 
 def _as_design(
-    setting: _Setting,
-    lines: _Lines,
-    w: NDArray,
-    Z_low: NDArray,
-    Z_high: NDArray,
-    bound: float,
-    omega: NDArray,
-    rounds: int,
-    tolerance: float,
-) -> Design:
+    setting: _Setting, lines: _Lines, w: NDArray, Z_low: NDArray, Z_high: NDArray, bound: float, omega: NDArray,
+    rounds: int, tolerance: float,
+) -> Design:  # fmt: skip
     criterion = setting.problem.original
     keep = w > 1e-9 * w.max()
     frequencies, where = np.unique(lines.omega[keep], return_inverse=True)

@@ -223,13 +223,9 @@ def _real_form(Q: NDArray[np.complex128]) -> NDArray[np.float64]:
 
 
 def polish(
-    problem: Problem,
-    columns: Columns,
-    w: NDArray[np.float64],
-    X: NDArray[np.float64],
-    nu: NDArray[np.float64],
+    problem: Problem, columns: Columns, w: NDArray[np.float64], X: NDArray[np.float64], nu: NDArray[np.float64],
     signs: NDArray[np.float64] | None = None,
-) -> Polished | None:
+) -> Polished | None:  # fmt: skip
     """Newton's method from a support that is nearly right: w (m,), signs (s,): modified E, 1 for the columns
     of X that price the least eigenvalue, -1 for the largest's."""
     signs = np.ones(X.shape[1]) if signs is None else signs

@@ -33,14 +33,9 @@ class Weights:
 
 
 def interior_point(
-    columns: Columns,
-    criterion: Criterion,
-    constant: NDArray[np.float64],
-    *,
-    start: NDArray[np.float64] | None = None,
-    tolerance: float = 1e-13,
-    max_steps: int = 80,
-) -> Weights:
+    columns: Columns, criterion: Criterion, constant: NDArray[np.float64], *,
+    start: NDArray[np.float64] | None = None, tolerance: float = 1e-13, max_steps: int = 80,
+) -> Weights:  # fmt: skip
     """Optimal weights for a smooth criterion: constant (n, n), start (m,)."""
     m, n, r = columns.F.shape
     Q = columns.q.T

@@ -35,14 +35,9 @@ def _psd_reach(L: NDArray[np.float64], dS: NDArray[np.float64]) -> float:
 
 
 def eigenvalue_weights(
-    columns: Columns,
-    criterion: Criterion,
-    constant: NDArray[np.float64],
-    *,
-    start: NDArray[np.float64] | None = None,
-    tolerance: float = 1e-12,
-    max_steps: int = 60,
-) -> Weights:
+    columns: Columns, criterion: Criterion, constant: NDArray[np.float64], *,
+    start: NDArray[np.float64] | None = None, tolerance: float = 1e-12, max_steps: int = 60,
+) -> Weights:  # fmt: skip
     """Optimal weights for an E criterion: constant (n, n), start (m,)."""
     m, n, r = columns.F.shape
     Q, V = columns.q.T, criterion.columns

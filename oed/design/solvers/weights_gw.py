@@ -21,14 +21,9 @@ from oed.errors import Status
 
 
 def minimax_weights(
-    columns: Columns,
-    criterion: Criterion,
-    constant: NDArray[np.float64],
-    *,
-    start: NDArray[np.float64] | None = None,
-    tolerance: float = 1e-12,
-    max_steps: int = 80,
-) -> Weights:
+    columns: Columns, criterion: Criterion, constant: NDArray[np.float64], *,
+    start: NDArray[np.float64] | None = None, tolerance: float = 1e-12, max_steps: int = 80,
+) -> Weights:  # fmt: skip
     """Optimal weights for a G or W criterion: constant (n, n), start (m,)."""
     m, n, r = columns.F.shape
     K, _, size = criterion.V.shape
