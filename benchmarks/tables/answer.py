@@ -71,7 +71,7 @@ def answer_rows(tables: Tables) -> list[Row]:
             "plant": plants[0] if len(plants) == 1 else case,
             "case": plants[0] if len(plants) == 1 else f"{case}, {len(plants)} plants",
             "noise_variance": variance,
-            "parameters": _range([len(target.plant.free) for target in targets]),
+            "parameters": str(_range([len(target.plant.free) for target in targets])),
             "iterations": name,
             **{k: first[k] for k in BUDGET},
             "channels": _range([target.channels for target in targets]),

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from benchmarks.campaign.plants import load_plant
 from benchmarks.campaign.settings import Limit, Settings
+from benchmarks.tables.answer import answer_rows
 from benchmarks.tables.columns import not_run_rows
-from benchmarks.tables.formats import to_csv
+from benchmarks.tables.formats import to_csv, to_parquet
 from benchmarks.tables.growth import growth_of
 from benchmarks.tables.pairs import against_rows, against_sentence, chosen_and_judged, ratio_of_means
 from benchmarks.tables.statistics import below_one
-from benchmarks.tables.tabulation import judged_ways
+from benchmarks.tables.tabulation import Tables, judged_ways
 from estimators.rules.procedure2 import procedure_2
 from estimators.rules.trace import run
 from oed.errors import InputError
@@ -172,6 +176,36 @@ def test_against_nothing_comparable_is_refused(rng, tmp_path):
     (folder / "comparison.csv").write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="is no table of a comparison"):
         against_rows(rows, folder)
+
+
+def test_a_family_of_plants_of_several_sizes_stands_beside_a_plant(tmp_path):
+    names = ("reference", "random-many-1", "random-many-2")
+    plants = {name: load_plant(name) for name in names}
+    assert len({len(plants[name].free) for name in names[1:]}) > 1
+    known = {
+        (name, 1.0): SimpleNamespace(
+            plant=p, channels=f"{p.n_outputs} x {p.n_inputs}", optimum=SimpleNamespace(c=1e-3)
+        )
+        for name, p in plants.items()
+    }
+    budget = {
+        "experiments": 20,
+        "samples": 2000,
+        "energy": 2000.0,
+        "energy_per_input": 2000.0,
+        "peak_amplitude": 3.0,
+        "noise_variance": 1.0,
+        "c_efficiency_se": 0.01,
+    }
+    methods = {
+        name: "power" if plants[name].n_inputs == plants[name].n_outputs == 1 else "procedure-2"
+        for name in names
+    }
+    rows = [{"plant": n, "method": methods[n], "c_efficiency": 0.5, "d_efficiency": 0.5, "d_efficiency_se": 0.01} | budget
+            for n in names]  # fmt: skip
+    table = answer_rows(Tables([], rows, [], [], [], known))  # pyright: ignore[reportArgumentType]
+    assert [row["case"] for row in table] == ["reference", "random-many, 2 plants"]
+    to_parquet(table, tmp_path / "answer.parquet")
 
 
 def test_what_was_not_run_has_its_reason():
