@@ -31,7 +31,7 @@ Method = Callable[..., Trace]
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimate of the H-infinity norm. `value` naN where the estimator failed; `standard_error` as the
+    """An estimate of the H-infinity norm. `value` NaN where the estimator failed; `standard_error` as the
     estimator states it; NaN where it states none; `status` how it ended; `message` why, where it failed."""
 
     value: float

@@ -39,9 +39,10 @@ EMPTY = 1e-10
 @dataclass(frozen=True, eq=False)
 class Additivity:
     """Outcome of a check; true where the information is additive. `holds` whether no statistic is beyond its
-    threshold; `discrepancy` the smallest p-value; `threshold` what it is held against; `measured, summed` (n, n)
-    the two sides of the equation; `standard_error` (n, n) of their difference; `message` the sentence a user reads; `resolution` relative error of the information in a single direction that would
-    have been found with a probability of 90 %; `p_values` what was tested of the joint law, and how likely a
+    threshold; `discrepancy` the smallest p-value; `threshold` what it is held against; `measured, summed` (n,
+    n) the two sides of the equation; `standard_error` (n, n) of their difference; `message` the sentence a
+    user reads; `resolution` relative error of the information in a single direction that would have been
+    found with a probability of 90 %; `p_values` what was tested of the joint law, and how likely a
     discrepancy at least as large is where it holds."""
 
     holds: bool

@@ -29,7 +29,7 @@ class GreyBox:
     """A model as two functions of CasADi symbols. `dynamics` (x, u, p) -> x' or x(t+1), each a casadi.SX
     column; `output` (x, u, p) -> y; `n_states` number of states; `start` parameters by name with their
     initial guesses; their order is that of p; `continuous` whether `dynamics` is a time derivative, per
-    second; `substeps` runge-Kutta steps per sample."""
+    second; `substeps` Runge-Kutta steps per sample."""
 
     dynamics: Callable[[Any, Any, Any], Any]
     output: Callable[[Any, Any, Any], Any]
@@ -45,7 +45,7 @@ class GreyBoxFit:
     `covariance` (n, n), for white residuals; `noise_covariance` (ny, ny) of the residuals, corrected for the
     degrees of freedom; `fit_percent` of the simulation on the data that were fitted; `residuals` (N, ny) of
     each record; `initial_states` (R, nx); zero unless they were estimated; `status` how the search ended;
-    `iterations` gauss-Newton steps; `simulator` (u, x0) -> y."""
+    `iterations` Gauss-Newton steps; `simulator` (u, x0) -> y."""
 
     names: tuple[str, ...]
     theta: NDArray[np.float64]

@@ -17,7 +17,7 @@ from oed.errors import OedError, Status
 @dataclass(frozen=True, eq=False)
 class SessionEstimate:
     """Peak gain of what the session experiments on. `value` H-infinity norm; NaN before the first
-    measurement; `standard_error` naN where there is none yet; `interval` 95 % interval; `frequency` where the
+    measurement; `standard_error` NaN where there is none yet; `interval` 95 % interval; `frequency` where the
     gain peaks, in rad/sample; `frequency_error` its standard error; infinite where the records do not say
     where the peak is: `frequency` is then only the place that was looked at; `direction` (nu,) complex: the
     worst-case input direction there; `estimator` which estimator the numbers are from; `status` whether they
