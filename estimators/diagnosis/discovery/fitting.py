@@ -120,9 +120,10 @@ def normal_equations(
         e = ((piece.y - got.y) * piece.weight).ravel()
         J = (got.dy * piece.weight[:, :, None]).reshape(len(e), -1)
         where = np.concatenate([np.arange(p), p + nx * r + np.arange(nx)])
-        H[np.ix_(where, where)] += J.T @ J  # pyright: ignore[reportCallIssue]
-        g[where] += J.T @ e
-        sse += float(e @ e)
+        with np.errstate(over="ignore", invalid="ignore"):  # sensitivities explode before a run does
+            H[np.ix_(where, where)] += J.T @ J  # pyright: ignore[reportCallIssue]
+            g[where] += J.T @ e
+            sse += float(e @ e)
     return (H, g, sse) if np.isfinite(sse) and np.isfinite(H).all() else None
 
 

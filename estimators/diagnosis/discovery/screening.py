@@ -16,6 +16,9 @@ from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Term
 
 Array = NDArray[Any]
 SMOOTH = 1.0  # samples over which measured outputs are smoothed before they enter a candidate, over the pace
+BEND = (
+    0.03  # share of a term's spread that is not linear in its signals: below it the term is linear dynamics
+)
 LEAST = 1e-8  # share of a column that must be left once the model's own columns are taken out
 ELEMENTS = (
     4_000_000  # of all candidates' sensitivities at once; a longer record is screened on its worst part
@@ -118,17 +121,28 @@ def _signals(
 
 
 def _scored(fitted: Fitted, parts: Sequence[_Part], signals, listed: Sequence[Candidate]) -> list[Screened]:
-    """Every listed candidate in every slot and shape."""
+    """Every listed candidate in every slot and shape, without what is linear in its signals.
+
+    That is the linear model's own; and of signals as measured it holds the residual itself, which it would then explain.
+    """
     form = fitted.form
     per_part = []
     for pair in signals:
         columns = []
         for own in pair:
+            straight: dict[tuple[str, ...], Array] = {}
             for c in listed:
                 s = dict(own)
                 for t in c.terms[:-1]:
                     s["s"] = values(t, own)
-                columns.append(values(c.terms[-1], s))
+                names = tuple(sorted({f.signal for f in c.terms[-1].factors if f.signal[0] != "s"}))
+                if names not in straight:
+                    straight[names] = np.linalg.qr(
+                        np.array([np.ones(len(own["y0"])), *(own[n] for n in names)]).T
+                    )[0]
+                w, Q = values(c.terms[-1], s), straight[names]
+                left = w - Q @ (Q.T @ w)
+                columns.append(left if left.std() > BEND * w.std() else 0.0 * w)
         per_part.append(np.array(columns).T)
     size = np.sqrt(np.mean(np.vstack(per_part) ** 2, axis=0)) + 1e-300
     residual, X = _projected(Assembly(form), fitted, parts, [w / size for w in per_part])

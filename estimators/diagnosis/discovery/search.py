@@ -14,13 +14,10 @@ from estimators.diagnosis.discovery.dictionary import PERIODS, SHARP, Kind
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, run_piece
 from estimators.diagnosis.discovery.form import FREE, Assembly
 from estimators.diagnosis.discovery.recursion_kernels import factor_values
-from estimators.diagnosis.discovery.screening import Screened, screen, terms_of
+from estimators.diagnosis.discovery.screening import BEND, Screened, screen, terms_of
 from estimators.diagnosis.discovery.starts import Scales, linear_fit
 
 Array = NDArray[Any]
-BEND = (
-    0.03  # share of a term's spread that is not linear in its signals: below it the term is linear dynamics
-)
 WAVES, STEPS = (Kind.SIN, Kind.COS), (Kind.TANH, Kind.BELL)
 FINEST_WAVE, FINEST_STEP = 2.0 * PERIODS[-1], 1.0 / SHARP
 """Per standard deviation of the signal: twice the wave number of the finest start, and a step as sharp as a softened sign."""
@@ -124,7 +121,10 @@ def bends(f: Fitted, pieces: Sequence[Piece], count: int) -> bool:
                 return False
         if term.slot == "slow" or t < len(f.form.terms) - count:
             continue
-        X = np.column_stack([np.ones(len(value)), signals[:, sorted({*which[heads[t] : heads[t + 1]]})]])
+        own = sorted(
+            i for i in {*which[heads[t] : heads[t + 1]]} if asm.signals[i][0] != "s"
+        )  # a slow state bends already
+        X = np.column_stack([np.ones(len(value)), signals[:, own]])
         left = value - X @ np.linalg.lstsq(X, value, rcond=None)[0]
         if left.std() < BEND * value.std() + 1e-12:
             return False

@@ -10,6 +10,8 @@ from estimators.diagnosis.baseline import best_linear
 from estimators.diagnosis.discovery import DiscoveredModel, discover, recursion_kernels
 from estimators.diagnosis.discovery.dictionary import Kind
 from estimators.diagnosis.discovery.form import FREE, Assembly, Factor, Form, Term
+from estimators.diagnosis.discovery.screening import screen
+from estimators.diagnosis.discovery.starts import linear_fit, pieces_of, scales_of
 from oed.data import Record
 
 KINDS = range(16)
@@ -170,3 +172,19 @@ def test_axes_that_push_each_other_are_found_and_named() -> None:
 def test_two_linear_axes_yield_nothing() -> None:
     record = polar_arm(0.0, noise=0.1, seed=4)
     assert not discover([record], best_linear([record]), "quick").found
+
+
+def test_measured_signals_promise_nothing_by_the_residual_that_they_hold() -> None:
+    """|u| of a binary input is a constant: times the measured output it is the output, which holds the residual."""
+    rng = np.random.default_rng(6)
+    u = np.repeat(rng.choice([-1.0, 1.0], 200), 4)
+    u[:12] = 0.0
+    y = lfilter([0.1], [1.0, -0.9], u) + lfilter([0.03], [1.0, -0.8], rng.standard_normal(800))
+    record = Record(u[:, None], y[:, None], 1.0)
+    scales = scales_of([record], [y[:, None]], np.zeros(1, int))
+    pieces = pieces_of([record], [np.ones((800, 1), bool)], scales)
+    base = linear_fit((1,), pieces, scales, [(y[:, None] - scales.y) / scales.sy], feedthrough=True)
+    assert base is not None
+    found = screen(base, pieces, {"y0": 0.0, "u0": 0.0})
+    assert found
+    assert max(s.gain for s in found) < 0.25 * base.sse
