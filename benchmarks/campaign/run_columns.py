@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -22,7 +23,8 @@ UNUSABLE = (Status.FAILED.name, Status.TIME_LIMIT.name)
 class Estimates:
     """All estimates of one estimator, in the order of the replicates. `replicate, experiments, samples,
     energy, peak_amplitude, estimate, standard_error` (R,) columns of the store; `good` (R,) whether there is
-    a number that counts; `statuses` how often each status occurred; `messages` different messages, the first
+    a number that counts: not where its own standard error is above it, by which the estimator says itself that the
+    records do not determine the norm; `statuses` how often each status occurred; `messages` different messages, the first
     few."""
 
     replicate: NDArray[np.float64]
@@ -103,18 +105,14 @@ def _estimates(table: pa.Table, chosen: NDArray[np.bool_]) -> Estimates:
 
     mine = table.take(np.flatnonzero(chosen))
     columns = {name: np.asarray(mine[name].to_numpy(), dtype=float) for name in NUMBERS}
-    counted = {entry["values"]: entry["counts"] for entry in pc.value_counts(mine["status"]).to_pylist()}
-    unusable = np.asarray(pc.is_in(mine["status"], value_set=_unusable()).to_numpy(zero_copy_only=False))
+    status = np.asarray(mine["status"].to_pylist(), dtype=object)
+    with np.errstate(invalid="ignore"):  # NaN where an estimator states no error
+        lost = columns["standard_error"] > np.abs(columns["estimate"])
+    status[lost] = Status.SINGULAR.name
     messages = [text for text in pc.unique(mine["message"]).to_pylist() if text]
     return Estimates(
         **columns,
-        good=np.isfinite(columns["estimate"]) & ~unusable.astype(bool),
-        statuses=dict(sorted(counted.items())),
+        good=np.isfinite(columns["estimate"]) & ~lost & ~np.isin(status, UNUSABLE),
+        statuses=dict(sorted(Counter(status.tolist()).items())),
         messages=tuple(messages[:5]),
     )
-
-
-def _unusable() -> Any:
-    import pyarrow as pa
-
-    return pa.array(UNUSABLE)

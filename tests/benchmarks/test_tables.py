@@ -7,8 +7,10 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
+from benchmarks.campaign.run_columns import runs_of
 from benchmarks.tables.formats import (
     escape_latex,
     format_value,
@@ -149,3 +151,16 @@ def test_refusals(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         from_parquet(path)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["b.csv"]
+
+
+def test_an_estimate_below_its_own_standard_error_is_a_run_that_failed():
+    """The second run says itself that it knows nothing; the third states no error, the fourth ran out of time."""
+    table = pa.table({
+        **{name: [0.0, 1.0, 2.0, 3.0] for name in ("replicate", "experiments", "samples", "energy", "peak_amplitude")},
+        "estimate": [2.0, 8000.0, 2.1, 2.2], "standard_error": [0.1, 1e8, np.nan, 0.1], "estimator": ["pem"] * 4,
+        "status": ["CONVERGED", "CONVERGED", "OK", "TIME_LIMIT"], "message": [""] * 4, "final": [True] * 4,
+        "information": [None] * 4, "plant": ["p"] * 4, "method": ["white"] * 4,
+    })  # fmt: skip
+    found = runs_of(("p", 1.0, "white"), [table]).final["pem"]
+    assert found.good.tolist() == [True, False, True, False]
+    assert found.statuses == {"CONVERGED": 1, "OK": 1, "SINGULAR": 1, "TIME_LIMIT": 1}
