@@ -8,6 +8,7 @@ import numpy as np
 
 from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.discovery.model import leading_nature
+from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.ladder.steps import Kind, Ladder
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.search.examination import Examined
@@ -39,11 +40,20 @@ class Outcome:
         mine = [t for t in self.discovery.terms if t.output == self.index]
         return leading_nature(mine) if mine else ""
 
+    def agrees(self, nature: str, cause: str) -> bool:
+        """Whether a named cause is what the discovered terms are: of their nature, and of a term's name where many causes have it."""
+        names = (
+            {t.same_as for t in self.discovery.terms if t.output == self.index}
+            if nature == Nature.DYNAMIC
+            else {cause}
+        )
+        return nature == self.discovered and cause in names
+
     def named_carries(self, policy: Policy, agreed: bool = False) -> bool:
         """Whether the named model is so near the answer on unused blocks that its names stand for both: less, if alike."""
         linear, answer = self.value(Kind.LINEAR) ** 2, self.ladder.rungs[self.ladder.answer].value ** 2
         named, (share, factor) = self.value(Kind.NAMED) ** 2, policy.carried
         share = policy.agreed if agreed else share
-        alike = [self.discovered] == [c.part.effect.nature for c in self.named.claims[:1]]
+        alike = any(self.agrees(c.part.effect.nature, c.part.effect.cause) for c in self.named.claims[:1])
         near = named <= factor**2 * answer or (alike and self.ladder.chosen.kind is Kind.DISCOVERED)
         return linear - named >= share * (linear - answer) and answer < linear and near

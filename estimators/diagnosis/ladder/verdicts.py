@@ -150,7 +150,7 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     mine = [t for t in d.terms if t.output == o.index]
     if Kind.DISCOVERED in kinds and mine:
         words = f"blocks not used are simulated with {_percent(o):.3g} % less error with the terms{tag}: {d.equation}"
-        agreed = [f for f in claimed if f.nature == o.discovered]
+        agreed = [f for f in claimed if o.agrees(f.nature, f.cause)]
         if agreed and o.named_carries(policy, agreed=True):
             return [*agreed, Finding("", agreed[0].cause, agreed[0].nature, 0.0, 0.0, words)]
         cause = next((t.same_as for t in mine[:1] if t.nature == o.discovered and t.same_as), UNKNOWN)

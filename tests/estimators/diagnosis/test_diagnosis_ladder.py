@@ -94,7 +94,7 @@ def test_named_effects_lend_their_names_only_to_an_answer_that_they_nearly_are()
     """Nine tenths of a large error go with a curve that is nearly right: what it leaves must be near the answer's too."""
     same, other = (
         SimpleNamespace(
-            nature=x, weight=1.0, output=0, part=SimpleNamespace(effect=SimpleNamespace(nature=x))
+            nature=x, weight=1.0, output=0, part=SimpleNamespace(effect=SimpleNamespace(nature=x, cause=x))
         )
         for x in "ab"
     )
@@ -113,6 +113,13 @@ def test_named_effects_lend_their_names_only_to_an_answer_that_they_nearly_are()
         found, terms = SimpleNamespace(claims=[claim]), SimpleNamespace(terms=[same])
         o = Outcome(0, None, found, ladder, None, None, terms)  # pyright: ignore[reportArgumentType]
         assert o.named_carries(POLICY) is lent
+        assert o.agrees("a", "anything") is (terms.terms[0].nature == "a")
+    drag = SimpleNamespace(nature="dynamic nonlinearity", weight=1.0, output=0, same_as="nonlinear_drag")
+    o = Outcome(0, None, None, None, None, None, SimpleNamespace(terms=[drag]))  # pyright: ignore[reportArgumentType]
+    assert o.agrees("dynamic nonlinearity", "nonlinear_drag")
+    assert not o.agrees(
+        "dynamic nonlinearity", "slow_hidden_state"
+    )  # most causes are dynamic: that says little
 
 
 def test_what_runs_by_the_clock_gives_way_to_terms_that_do_as_well_without_it() -> None:
