@@ -157,15 +157,10 @@ TRANSIENT = 0.05
 """Of the deviance per sample, that starts with an initial state must win: a twentieth of the error's power."""
 
 
-def fit_linear(
-    channel: Channel,
-    s: Structure,
-    *,
-    noise: Array | None = None,
-    extra: list[Array] | None = None,
-    rough: bool = False,
-) -> Fit:
-    """Output-error fit of the linear model from several starts."""
+def begun_linear(
+    channel: Channel, s: Structure, noise: Array | None = None, extra: list[Array] | None = None
+) -> list[Fit]:
+    """A few steps of the linear model's output-error fit from several starts, the best first."""
     y, U = channel.y, channel.u[:, list(s.inputs)]
     level, means = 0.0, np.zeros(U.shape[1])
     if any(p.effect is OFFSET for p in s.parts):  # both about their means: a start knows of no level
@@ -189,7 +184,15 @@ def fit_linear(
     # a start that knows of no transient bends the rest to it where the record begins in one
     least = [min((f.deviance for f in found), default=np.inf) for found in (fits, off)]
     fits = off if least[1] < least[0] - TRANSIENT * len(y) else fits
-    fits.sort(key=lambda x: x.deviance)
+    return sorted(fits, key=lambda x: x.deviance)
+
+
+def fit_linear(
+    channel: Channel, s: Structure, *, noise: Array | None = None, extra: list[Array] | None = None, rough: bool = False,
+    begun: list[Fit] | None = None,
+) -> Fit:  # fmt: skip
+    """Output-error fit of the linear model from several starts, or on from those that are `begun`."""
+    fits = begun_linear(channel, s, noise, extra) if begun is None else begun
     if rough:
         return fit(channel, s, fits[0].p, fits[0].scales, noise=noise, iterations=10, colour=False)
     distinct = [fits[0]]

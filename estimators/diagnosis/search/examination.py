@@ -14,7 +14,7 @@ from estimators.diagnosis.effects.input import LINES, SANDWICH
 from estimators.diagnosis.effects.path import INITIAL, OUTFLOW
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.model.forces import balanced_fit, force_balance
-from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.linear import begun_linear, fit_linear
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Effort, Setting
@@ -105,9 +105,8 @@ def _order(channel: Channel, record: Record, setting: Setting, i: int, known: Kn
     errors = []
     for order in range(1, PHYSICAL + 3):
         s = replace(_structure(setting, record, i, order)[0], delay=known.delay)
-        fits = [
-            fit_linear(channel, s, rough=rough) for rough in (True, False)
-        ]  # they may end in different minima
+        begun = begun_linear(channel, s)  # the two ends may be different minima
+        fits = [fit_linear(channel, s, rough=rough, begun=begun) for rough in (True, False)]
         errors.append(min(float(np.sqrt(np.mean(f.residual**2))) for f in fits))
     return next((order for order, e in enumerate(errors, start=1) if e <= 1.25 * min(errors)), 2)
 
