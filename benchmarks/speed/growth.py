@@ -22,13 +22,14 @@ ROUNDS = 3
 @dataclass(frozen=True, eq=False)
 class Verb:
     """A verb and what of its work is made larger. `name` of the verb; `grows` what has the sizes; `made` size
-    -> (our call, the peer's call or None); `peer` its name."""
+    -> (our call, the peer's call or None); `peer` its name; `rounds` how often a call is timed."""
 
     name: str
     grows: str
     sizes: tuple[int, ...]
     made: Callable[[int], tuple[Call, Call | None]]
     peer: str = ""
+    rounds: int = ROUNDS
 
 
 def exponent(sizes: tuple[int, ...], values: list[float]) -> float:
@@ -37,9 +38,9 @@ def exponent(sizes: tuple[int, ...], values: list[float]) -> float:
     return float((x - x.mean()) @ y / ((x - x.mean()) @ (x - x.mean())))
 
 
-def _seconds(call: Call) -> float:
+def _seconds(call: Call, rounds: int) -> float:
     call()  # imports and compiles
-    return min(timed(call)[0] for _ in range(ROUNDS))
+    return min(timed(call)[0] for _ in range(rounds))
 
 
 def measured(verb: Verb) -> dict[str, Any]:
@@ -47,10 +48,10 @@ def measured(verb: Verb) -> dict[str, Any]:
     ours, theirs, memory = [], [], []
     for size in verb.sizes:
         own, other = verb.made(size)
-        ours.append(_seconds(own))
+        ours.append(_seconds(own, verb.rounds))
         memory.append(peak_mb(own))
         if other is not None:
-            theirs.append(_seconds(other))
+            theirs.append(_seconds(other, verb.rounds))
     grown = partial(exponent, verb.sizes)
     compared = len(theirs) == len(ours)
     return speed_row(
@@ -142,8 +143,19 @@ def _campaign(runs: int) -> tuple[Call, Call]:
     return partial(monte_carlo, plant, 1000, 10, runs), partial(lfilter_campaign, 1000, 10, runs, 4.0)
 
 
+def _diagnosed(samples: int) -> tuple[Call, None]:
+    """A plant behind an input that saturates."""
+    from scipy.signal import lfilter
+
+    from estimators.diagnosis.loop import diagnose
+
+    u, e = np.random.default_rng(samples).normal(size=(2, samples, 1))
+    y = np.asarray(lfilter([0, 0.2155, 0.2012], [1, -0.9854, 0.8187], np.clip(u, -0.8, 0.8), axis=0))
+    return partial(diagnose, Record(u, y + 0.05 * e)), None
+
+
 def verbs() -> Iterator[Verb]:
-    """What is measured, small enough for a minute on a quiet machine."""
+    """What is measured, small enough for some minutes on a quiet machine."""
     least = "scipy least_squares with lfilter"
     yield Verb("identify", "samples", (1000, 4000, 16_000, 64_000), partial(_identified, 2), least)
     yield Verb("identify", "order", (2, 4, 8), lambda order: _identified(order, 2000), least)
@@ -152,6 +164,7 @@ def verbs() -> Iterator[Verb]:
     yield Verb("design", "lines", (250, 1000, 4000), partial(_designed, 4), "CVXPY, Clarabel")
     yield Verb("design", "parameters", (10, 20, 40), lambda n: _designed(n, 200), "CVXPY, Clarabel")
     yield Verb("norm", "order", (10, 20, 40), _peaked, "slycot ab13dd")
+    yield Verb("diagnose", "samples", (500, 1000, 2000, 4000), _diagnosed, rounds=1)
     yield Verb("campaign", "runs", (16, 64, 256), _campaign, "loop over scipy.signal.lfilter")
 
 
