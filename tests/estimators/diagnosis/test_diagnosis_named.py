@@ -18,8 +18,12 @@ from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.leftover import leftovers
+from estimators.diagnosis.search import named as stage
+from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.named import Claim, _with_rivals
+from estimators.diagnosis.search.selection import Attribution
 from oed.data import Record
 from oed.errors import InputError
 
@@ -107,3 +111,37 @@ def test_what_a_pole_explains_as_well_is_linear_dynamics(rng) -> None:
             rivals={}, claims=[SimpleNamespace(effect=named("lag"), cause="sensor_lag", fit=rival)]
         )
         assert _with_rivals([claim], a, good)[0].cause == cause  # pyright: ignore[reportArgumentType]
+
+
+def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(monkeypatch) -> None:
+    effects = [SimpleNamespace(effect=named("input_cubic"))]
+    fits = [
+        SimpleNamespace(structure=SimpleNamespace(effects=effects), p=error, scales=None, n=4, deviance=0.0, noise=np.ones(1),
+                        residual=np.full(4, error))
+        for error in (0.5, 0.9, 1.0, 0.99 * stage.HALF, 1.01 * stage.HALF)
+    ]  # fmt: skip
+    asked, paired = [], []
+
+    def steps(bench, a):
+        asked.append(a.final)
+        error = max(a.final.p, 1.0)
+        return SimpleNamespace(
+            step=None, fit=a.final, unused=np.ones(1), whole=True, step_error=lambda b: error
+        )
+
+    def second(channel, f, menu, coloured, needed):
+        paired.append(f)
+        return []
+
+    monkeypatch.setattr(
+        stage, "fit", lambda channel, structure, p, *a, **k: next(f for f in fits if f.p == p)
+    )
+    monkeypatch.setattr(stage, "named_steps", steps)
+    monkeypatch.setattr(stage, "second", second)
+    gain = SimpleNamespace(meets=lambda limits: True)
+    base = SimpleNamespace(unused=[np.zeros((1, 1))])
+    bench = SimpleNamespace(base=base, output=0, channel=range(100), over=lambda *a: gain, policy=Policy())
+    a = Attribution(None, None, fits[0], [], [], 1.0, alternatives=tuple(fits[1:]))  # type: ignore[arg-type]
+    stage.best_named(bench, a, Menu())  # type: ignore[arg-type]
+    assert asked == fits[:4]  # the search's own, and all but the last
+    assert paired == fits[1:4]
