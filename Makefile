@@ -7,10 +7,10 @@
 #   make validate  the tests that are too long for `make test`; writes validation.json
 #   make fuzz      hostile files and documents, $(FUZZ) of them (100000; `make test` has a fixed thousand)
 #   make mutants   which changes of the code its tests would not notice, by mutmut (hours; FILES="oed/criteria.py" for some)
-#   make campaign, make speed, make report    the large campaign, the speed benchmarks, the HTML report again
+#   make campaign  the published campaign, from which README's table and pictures and docs/results are made again
+#   make speed, make report    the speed benchmarks, the HTML report again
 #   make peers     other people's tools beside ours on the records in $(OED_DATA), in results/peers (PEERS_ARGS="--only emps")
 #   make docs      the documentation site in build/docs, warnings as errors
-#   make readme    the README's table and pictures and docs/results again, from the small campaign
 #   make lock      requirements.lock again from pyproject.toml (asks the package index)
 #
 # Another Python beside the first: make test PYTHON=python3.12 VENV=.venv-3.12
@@ -52,7 +52,7 @@ PYTHON_IS = $(or $(shell $(PYTHON) -V 2>/dev/null),nothing that runs here)
 
 .DEFAULT_GOAL := help
 
-.PHONY: help map readme setup compare test lint validate fuzz mutants campaign speed report peers docs lock clean
+.PHONY: help map setup compare test lint validate fuzz mutants campaign speed report peers docs lock clean
 
 help:
 	@sed -n 's/^# \{0,1\}//p;/^$$/q' $(firstword $(MAKEFILE_LIST))
@@ -73,9 +73,6 @@ $(STAMP): requirements.lock pyproject.toml
 compare: $(STAMP)
 	$(BIN)/oed compare --out results/compare
 
-readme:
-	$(MAKE) campaign CAMPAIGN=small
-
 test: $(STAMP)
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(PYTEST_ARGS)
 
@@ -94,7 +91,7 @@ fuzz: $(STAMP)
 mutants: $(STAMP)
 	$(BIN)/python tests/mutants.py $(FILES)
 
-# Killed, it resumes. make campaign CAMPAIGN=small is the one that docs/results says it is.
+# Killed, it resumes. docs/results says which campaign made it: CAMPAIGN=small takes minutes.
 CAMPAIGN ?= published
 campaign: $(STAMP)
 	$(BIN)/oed compare --config benchmarks/campaigns/$(CAMPAIGN).toml --out results/$(CAMPAIGN)

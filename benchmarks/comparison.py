@@ -128,10 +128,15 @@ def compare(
     if dry_run:
         return _dry_run(settings, replicates, Path(out), options)
     folder, began = Path(out), time.monotonic()
-    store = fill_store(
-        settings, replicates, folder, jobs=jobs, scheduler=scheduler, progress=_Progress(quiet, folder), **options,
-    )  # fmt: skip
     workers = jobs or os.cpu_count() or 1
+    try:
+        store = fill_store(
+            settings, replicates, folder, jobs=jobs, scheduler=scheduler, progress=_Progress(quiet, folder), **options,
+        )  # fmt: skip
+    except KeyboardInterrupt:
+        if folder.is_dir():
+            _add_cost(folder, time.monotonic() - began, workers)
+        raise
     _add_cost(folder, time.monotonic() - began, workers)
     from benchmarks.page.comparison import write_comparison
 
@@ -155,7 +160,7 @@ def _add_cost(folder: Path, wall: float, workers: int) -> None:
     cost = {
         "wall_seconds": round(before.get("wall_seconds", 0.0) + wall, 1),
         "workers": workers,
-        "megabytes_of_parts": round(sum(p.stat().st_size for p in (folder / "parts").iterdir()) / 1e6, 1),
+        "megabytes_of_parts": round(sum(p.stat().st_size for p in folder.glob("parts/*")) / 1e6, 1),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}",
     }
     write_whole(file, json.dumps(cost, indent=1) + "\n", error=CampaignError)

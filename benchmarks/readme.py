@@ -1,4 +1,4 @@
-"""Write the README's answer and docs/results from a finished comparison (`make readme`, `make campaign`)."""
+"""Write the README's answer and docs/results from a finished comparison (`make campaign`)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from benchmarks.tables.head_to_head import head_to_head_sentence
 from oed.errors import InputError
 from oed.files.writing import write_whole
 
-START = "<!-- headline: made by `make readme` from the small campaign -->"
+START = "<!-- headline: made by `make campaign` -->"
 END = "<!-- end of headline -->"
 
 
@@ -39,6 +39,8 @@ SHOWN = {
     "rho_own": "rho, iterations and their own estimator",
 }
 """At most eight columns: a reader takes in no more; the page has the rest."""
+CASES = ("reference", "hair-dryer", "three-by-two")
+"""Plants in the README's table, beside the families of random ones: the paper's, a real process, several channels."""
 PICTURES = {
     "efficiency-reference": "efficiency",
     "answer-where": "answer-where",
@@ -89,7 +91,7 @@ def write_readme(results: Path, readme: Path) -> None:
         "channels (of Procedure 2 each of the 1 + pq experiments of an iteration counts); `oed report` has them beside every "
         f"row, with the peak amplitude. At most {metadata['replicates']} runs of each, chosen on one half and judged on the other.",
         "",
-        to_markdown(rows, SHOWN),
+        to_markdown([row for row in rows if row["plant"] in CASES or row["plant"] != row["case"]], SHOWN),
         head_to_head_sentence(head),
         *(["", oracle_sentence(compared)] if oracle_sentence(compared) else []),
     ]
@@ -129,7 +131,7 @@ def write_results(results: Path, folder: Path, name: str, commit: str) -> None:
         TEXTS["shared"], "", "## In words", "", *(f"- {words.strip()}" for words in summary[1:] if words.strip()), "",
         "## By budget", "", TEXTS["growth"], "", to_markdown(told, headings("growth")), "## What it is and what it cost", "",
         *(f"- {key.replace('_', ' ')}: {value}" for key, value in made.items()), "",
-        f"Command: `{metadata['command']}`", "",
+        f"Command: `make campaign CAMPAIGN={name}`", "",
     ]  # fmt: skip
     write_whole(folder / "README.md", "\n".join(lines))
     for table in PUBLISHED_TABLES:

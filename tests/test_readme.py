@@ -62,7 +62,7 @@ def test_a_wrong_example_is_caught() -> None:
 
 
 def typed_figures(text: str) -> list[str]:
-    """Figures with a +- outside what `make readme` writes and outside code, which runs."""
+    """Figures with a +- outside what `make campaign` writes and outside code, which runs."""
     outside = re.sub(r"<!-- headline.*?<!-- end of headline -->", "", text, flags=re.DOTALL)
     return re.findall(r"[\d.]+ ±[^,;)\n]*", re.sub(r"```.*?```", "", outside, flags=re.DOTALL))
 
