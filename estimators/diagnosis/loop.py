@@ -192,8 +192,8 @@ def _outcome(
         unseen = [named.step.simulate(r, base.blocks.window) for r in others]
         radii = base.outputs[i].model.radius, bench.answer(named.fit).radius
         slow = [base.blocks.slow(radius) for radius in radii] == [False, True]
-        named = replace(named, step=replace(named.step, unused=(*named.step.unused, *unseen), slow=slow))
-        steps.append(named.step)
+        steps.append(replace(named.step, unused=(*named.step.unused, *unseen), slow=slow))
+        named = replace(named, step=steps[-1])
     if discovery.model is not None:
         step = _discovered_step(discovery, discovery.model, i)
         gain = bench.over(step.unused[0], base.unused[0][:, i])

@@ -121,9 +121,9 @@ def _signals(
 
 
 def _scored(fitted: Fitted, parts: Sequence[_Part], signals, listed: Sequence[Candidate]) -> list[Screened]:
-    """Every listed candidate in every slot and shape, without what is linear in its signals.
+    """Every listed candidate in every slot and shape, but for those that are linear in their signals.
 
-    That is the linear model's own; and of signals as measured it holds the residual itself, which it would then explain.
+    Signals as measured hold the residual itself, which such candidates would then explain.
     """
     form = fitted.form
     per_part = []
@@ -135,14 +135,14 @@ def _scored(fitted: Fitted, parts: Sequence[_Part], signals, listed: Sequence[Ca
                 s = dict(own)
                 for t in c.terms[:-1]:
                     s["s"] = values(t, own)
+                w = values(c.terms[-1], s)
                 names = tuple(sorted({f.signal for f in c.terms[-1].factors if f.signal[0] != "s"}))
                 if names not in straight:
                     straight[names] = np.linalg.qr(
                         np.array([np.ones(len(own["y0"])), *(own[n] for n in names)]).T
                     )[0]
-                w, Q = values(c.terms[-1], s), straight[names]
-                left = w - Q @ (Q.T @ w)
-                columns.append(left if left.std() > BEND * w.std() else 0.0 * w)
+                left = w - straight[names] @ (straight[names].T @ w)
+                columns.append(w if left.std() > BEND * w.std() else 0.0 * w)
         per_part.append(np.array(columns).T)
     size = np.sqrt(np.mean(np.vstack(per_part) ** 2, axis=0)) + 1e-300
     residual, X = _projected(Assembly(form), fitted, parts, [w / size for w in per_part])

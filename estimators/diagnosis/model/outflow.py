@@ -57,7 +57,8 @@ def tanks(channel: Channel, base: Fit) -> Fit | None:
         from estimators.diagnosis.effects.recursion_kernels import tank_levels
 
         q = plain.p
-        flow = np.array([np.exp(q[0]), q[1], np.exp(q[2]), np.exp(q[3]), np.exp(q[4]), 1e9, 0.0])
+        with np.errstate(over="ignore"):  # a rate beyond every number is a tank that empties at once
+            flow = np.array([np.exp(q[0]), q[1], np.exp(q[2]), np.exp(q[3]), np.exp(q[4]), 1e9, 0.0])
         highest = float(tank_levels(np.ascontiguousarray(u), flow, np.abs(q[8:10]), 4)[:, 0].max())
         for fraction in (0.95, 0.8, 0.65):
             for spilt in (0.1, 0.5):
