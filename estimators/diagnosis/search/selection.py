@@ -269,7 +269,7 @@ def _more_effects(
         options: list[tuple[Fit, Fit]] = []
         tried: dict[int, list[Fit]] = {}
         bases, several = [final], max(1, round(BASES * min(1.0, FULL / len(channel))))
-        if depth == 1 and not first.structure.base:  # else pairs are put before unused blocks afterwards
+        if depth == 1:
             causes = {good[0].cause}
             for claim in good[1:]:
                 near = claim.gain > 0.15 * good[0].gain
