@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import doctest
 import io
 import os
@@ -83,3 +84,20 @@ def test_the_sentence_on_the_optimum_is_made_from_the_comparison() -> None:
     ]
     assert oracle_sentence(rows).endswith("with PEM on reference: rho 3.03 ± 0.29 at noise 9.")
     assert oracle_sentence(rows[1:2]) == ""
+
+
+def test_what_the_readme_says_of_the_claim_is_in_the_published_table():
+    """Its words after the table: halves, quarters and fifths of the optimum, and where white noise is nearly as good."""
+    with (README.parent / "docs" / "results" / "answer.csv").open(encoding="utf-8") as file:
+        rows = [r for r in csv.DictReader(file) if "plants" not in r["case"]]
+    number = lambda r, key: float(r[key])
+    hard = ("two-peaks", "three-by-two")
+    for r in rows:
+        noise, share = number(r, "noise_variance"), number(r, "c_efficiency")
+        if noise == 0.1:
+            assert number(r, "limit") > 0.9 or r["case"] == "three-by-two"
+            assert 0.2 < share < 0.33 if r["case"] in hard else share > 0.5
+        if noise == 9 and r["case"] != "hair-dryer":
+            assert number(r, "over_white") < 1.7
+        near = (r["case"], noise) == ("bandit-fir", 9.0)
+        assert number(r, "d_efficiency") > 0.9 if near else 0.2 < number(r, "d_efficiency") < 0.82
