@@ -32,6 +32,7 @@ from estimators.diagnosis.result.model import diagnosed_model
 from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.examination import PHYSICAL, Examined, Known, as_motion, examine
+from estimators.diagnosis.search.free_runs import denominator, largest_pole
 from estimators.diagnosis.search.named import Bench, Named, best_named, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback
@@ -190,7 +191,8 @@ def _outcome(
         steps.append(_linear_step(clean, i, bench.rest, tuple(sig.key for sig in found.signatures)))
     if named.step is not None:  # no parameter of it saw the other records
         unseen = [named.step.simulate(r, base.blocks.window) for r in others]
-        radii = base.outputs[i].model.radius, bench.answer(named.fit).radius
+        # From sample to sample of the record as it is.
+        radii = base.outputs[i].model.radius, largest_pole(denominator(named.fit)) ** (1.0 / bench.thin)
         slow = [base.blocks.slow(radius) for radius in radii] == [False, True]
         steps.append(replace(named.step, unused=(*named.step.unused, *unseen), slow=slow))
         named = replace(named, step=steps[-1])
@@ -199,7 +201,7 @@ def _outcome(
         gain = bench.over(step.unused[0], base.unused[0][:, i])
         echoes = bench.feedback and not gain.beyond(setting.policy.searched[0])
         steps.append(replace(step, admitted=not echoes))
-    steps = [steps[0], *(_as_started(s, steps[0], train, i, setting) for s in steps[1:])]
+    steps = _as_started(steps, train, i, setting)
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     least = int(len(out) > 0)
@@ -221,16 +223,16 @@ def _outcome(
     return Outcome(i, found, named, ladder, share, left, discovery, bench.inverse)
 
 
-def _as_started(step: Step, linear: Step, train: Record, i: int, setting: Setting) -> Step:
-    """The step; only shown where a run from the record's own start, set as a test record's will be, is worse than the linear one.
+def _as_started(steps: Sequence[Step], train: Record, i: int, setting: Setting) -> list[Step]:
+    """The steps; only shown where a run from the record's own start, set as a test record's will be, is worse than the linear one.
 
     Blocks have a window that sets their state: they do not see what a model takes for granted of a start.
     """
     y = train.y[:, i]
     use = np.isfinite(y) & (np.arange(len(y)) >= setting.skip)
     with np.errstate(over="ignore"):
-        errors = [float(np.sum((s.simulate(train, setting.skip) - y)[use] ** 2)) for s in (linear, step)]
-    return replace(step, admitted=step.admitted and errors[1] <= errors[0])
+        errors = [float(np.sum((s.simulate(train, setting.skip) - y)[use] ** 2)) for s in steps]
+    return [replace(s, admitted=s.admitted and e <= errors[0]) for s, e in zip(steps, errors, strict=True)]
 
 
 def _remainder_step(

@@ -14,7 +14,7 @@ from estimators.diagnosis.effects import CATALOGUE, Clock, Effect, named
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.remainder.mixture import Remainder
 from estimators.diagnosis.remainder.storage import from_json, to_json
-from estimators.diagnosis.search.free_runs import Start, denominator, lead_in, on_record
+from estimators.diagnosis.search.free_runs import Start, lead_in, on_record
 from oed.data import Record
 from oed.errors import InputError
 
@@ -108,11 +108,6 @@ class NamedAnswer:
     thin: int = 1
     step: float = 0.0  # of the sensor's rounding
     ahead: bool = False  # the input acts in the sample in which it is measured
-
-    @property
-    def radius(self) -> float:
-        """Largest magnitude of a pole of its linear part, from sample to sample of the record."""
-        return float(np.abs(np.roots(denominator(self))).max(initial=0.0)) ** (1.0 / self.thin)
 
     def simulate(self, record: Record, window: int) -> Array:
         """(N,) free run."""

@@ -68,7 +68,7 @@ def start_of(f: Fit, channel: Channel, prior: Prior, rest: bool) -> Start:
     covariance, own = _products(r, len(prior.covariance), len(r)), np.zeros(len(r))
     if f.structure.layout != "tanks" and np.all(np.isfinite(run)):
         own = np.where(channel.keep, channel.y - run - r, 0.0)
-    first = prior.covariance[0] * (np.abs(np.roots(denominator(f))).max(initial=0.0) >= FAR)
+    first = prior.covariance[0] * (largest_pole(denominator(f)) >= FAR)
     first += _products(own[: OPENING + len(covariance)], len(covariance), OPENING)
     noise = min(prior.noise, float(np.mean(r**2)))
     return Start(replace(prior, mean=0.0, covariance=covariance + first, noise=noise, rest=False), rest)
@@ -93,12 +93,16 @@ def denominator(f: Shaped) -> Array:
     return np.real(np.poly(np.linalg.eigvals(expm(A))))
 
 
+def largest_pole(den: Array) -> float:
+    """Magnitude of the slowest pole of a denominator; 0 where it has none."""
+    return float(np.abs(np.roots(den)).max(initial=0.0))
+
+
 def lead_in(f: Shaped, start: Start) -> int:
     """Samples of constant input before a record that bring the linear part to rest; 0 where it has none, or is at rest."""
     if start.rest:
         return 0
-    den = denominator(f)
-    radius = float(np.abs(np.roots(den)).max(initial=0.0))
+    radius = largest_pole(denominator(f))
     if radius >= FAR:
         return 0
     return min(LONGEST, 2 + f.structure.delay + int(np.log(SETTLED) / np.log(max(radius, 0.05))))
@@ -121,7 +125,7 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
         return run
     if np.isfinite(y[: max(window, 0)]).any():
         return run + _corrected(den, y - run, window, start)
-    prior, integrates = start.prior, np.abs(np.roots(den)).max(initial=0.0) >= FAR
+    prior, integrates = start.prior, largest_pole(den) >= FAR
     first = u[0] if len(prior.held) == u.shape[1] else u[0, list(f.structure.inputs)]
     if integrates and np.isfinite(prior.level) and np.array_equal(first, prior.held):
         run = run + (
@@ -132,7 +136,7 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
 
 def _corrected(den: Array, error: Array, window: int, start: Start) -> Array:
     """(N,) free response that the error in the window asks for."""
-    if window <= 0 or len(den) < 2 or np.abs(np.roots(den)).max(initial=0.0) > 1.0 + SETTLED:
+    if window <= 0 or len(den) < 2 or largest_pole(den) > 1.0 + SETTLED:
         return np.zeros(len(error))
     model = LinearModel(den, np.zeros((1, 1)))
     return model.free_run(start.prior, np.zeros((len(error), 1)), error, window)

@@ -30,6 +30,7 @@ from estimators.diagnosis.search.exchange import without
 from estimators.diagnosis.search.free_runs import blocked, start_of
 from estimators.diagnosis.search.selection import FULL, Attribution, second
 from estimators.diagnosis.share.feedback import autoregression, whitened
+from estimators.residual.measures import p_stated
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -354,11 +355,11 @@ def _why(c: Claim, bench: Bench) -> str:
         return "blocks not used do not get better by more than their standard error"
     if c.gain.share <= bench.policy.claimed[1]:
         return f"it explains {100 * max(c.gain.share, 0.0):.2g} % of the error on unused blocks"
+    if not _gains(c, bench):
+        return "unused blocks get better with it, but not by what a search of times asks"
     if c.part.effect.nature is Nature.LINEAR and c.p_value < bench.alpha:
         return "unused blocks get better with it, but not by what a search of linear models asks"
-    return (
-        f"unused blocks get better with it, but it is not significant in the joint fit (p = {c.p_value:.2g})"
-    )
+    return f"unused blocks get better with it, but it is not significant in the joint fit ({p_stated(c.p_value)})"
 
 
 def _bent(c: Claim) -> bool:
