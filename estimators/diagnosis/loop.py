@@ -36,6 +36,7 @@ from estimators.diagnosis.search.free_runs import denominator, largest_pole
 from estimators.diagnosis.search.named import Bench, Named, best_named, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback
+from estimators.diagnosis.share.news import NEWS, Predictor
 from oed.covariances import on_one_thread
 from oed.data import Record
 from oed.files.objects import as_records
@@ -201,9 +202,16 @@ def _outcome(
         gain = bench.over(step.unused[0], base.unused[0][:, i])
         echoes = bench.feedback and not gain.beyond(setting.policy.searched[0])
         steps.append(replace(step, admitted=not echoes))
-    steps = _as_started(steps, train, i, setting)
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
+    steps = _as_started(steps, train, i, setting)
+    predictor = Predictor.of(records, base.y_model, i, counted)
+    steps = [
+        s if s.linear else replace(s, admitted=s.admitted and predictor.news(s.unused) > NEWS) for s in steps
+    ]
+    if named.step is not None and not next(s for s in steps if s.kind is Kind.NAMED).admitted:
+        refused = tuple((c.key, "no news to a linear predictor of the output") for c in named.claims)
+        named = replace(named, dropped=named.dropped + refused)
     least = int(len(out) > 0)
     ladder = climb(y, steps, counted, setting.policy, least=least)
     if ladder.chosen.kind is Kind.DISCOVERED:
@@ -316,7 +324,8 @@ def _linear_step(base: Baseline, i: int, rest: bool, adds: tuple[str, ...] = ())
     m = base.outputs[i]
     answer = LinearAnswer(i, m.inputs, m.model, m.prior, rest)
     size = m.model.order + m.model.num.size
-    return Step(Kind.LINEAR, adds, tuple(u[:, i] for u in base.unused), answer, size, noise=m.noise[1:])
+    unused = tuple(u[:, i] for u in base.unused)
+    return Step(Kind.LINEAR, adds, unused, answer, size, noise=m.noise[1:], linear=True)
 
 
 def _starts_at_rest(train: Record, i: int, base: Baseline) -> bool:
@@ -378,19 +387,8 @@ def _diagnosis(
         rmse_before=held.rmse_before, rmse_after=held.rmse_after, pred_rmse_before=held.pred_before,
         pred_rmse_after=held.pred_after, difference=held.difference, noise_floor=floor, room=held.room,
         yhat_before=held.before, yhat_after=held.after, held_out=words,
-        warnings=tuple(notes), model=diagnosed_model(records, held.answered, [o.ladder for o in outcomes]), linear=_linear(base), ladder=held.rungs,
+        warnings=tuple(notes), model=diagnosed_model(records, held.answered, [o.ladder for o in outcomes]), linear=base.described, ladder=held.rungs,
         extra={"outputs": [o.examined for o in outcomes], "finals": [o.named.fit for o in outcomes], "train": train,
                "test": train if test is None else test},
         **found,
     )  # fmt: skip
-
-
-def _linear(base: Baseline) -> dict[str, Any]:
-    """The linear model in words: one entry where there is one output."""
-    poles = [
-        [p.frequency_hz, p.damping, p.time_constant] for i in range(len(base.outputs)) for p in base.poles(i)
-    ]
-    return {
-        "structure": base.structure, "orders": [m.orders for m in base.outputs],
-        "delay": [list(m.delays) for m in base.outputs], "poles": poles, "why": list(base.why),
-    }  # fmt: skip

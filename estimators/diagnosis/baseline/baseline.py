@@ -126,6 +126,19 @@ class Baseline:
         """Sentences: what was chosen for each output, and why."""
         return tuple(sentence for m in self.outputs for sentence in m.why)
 
+    @property
+    def described(self) -> dict[str, Any]:
+        """The linear model in words: one entry where there is one output."""
+        poles = [
+            [p.frequency_hz, p.damping, p.time_constant]
+            for i in range(len(self.outputs))
+            for p in self.poles(i)
+        ]
+        return {
+            "structure": self.structure, "orders": [m.orders for m in self.outputs],
+            "delay": [list(m.delays) for m in self.outputs], "poles": poles, "why": list(self.why),
+        }  # fmt: skip
+
     def poles(self, output: int = 0) -> tuple[Pole, ...]:
         """Poles of one output's model, slowest first; a conjugate pair is one row."""
         rows = []

@@ -158,10 +158,11 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
             Finding("", t.same_as, t.nature, 0.1 * weight / (2 + k), 0.0, f"{t.meaning}{tag}: {t.text}")
             for k, t in enumerate(mine[1:]) if t.same_as and t.same_as != cause
         ]  # fmt: skip
+    nature = o.share.nature if o.share.explainable else Nature.DYNAMIC  # it has memory, as others need not
+    if nature == Nature.LINEAR:
+        words = f"what is left{tag} can be predicted by more linear dynamics"
+        return [Finding("order", named("order").cause, nature, weight, 0.0, words)]
     words = f"what is left{tag} can be predicted, but neither a name nor an equation was found for it"
-    nature = (
-        o.share.nature if o.share.explainable else Nature.DYNAMIC
-    )  # it has memory, which the other natures need not
     return [Finding("", UNKNOWN, nature, weight, 0.0, words)]
 
 
@@ -185,7 +186,11 @@ def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     """What a regression predicts of the linear model's residual on unused blocks, where no model of it could be given."""
     least = policy.searched[1]
     known = o.share.feedback or bool(o.examined.signatures)
-    if known or not o.share.low > least or o.share.nature in (Nature.LINEAR, Nature.NOISE):
+    if (
+        known
+        or not (o.share.explainable and o.share.low > least)
+        or o.share.nature in (Nature.LINEAR, Nature.NOISE)
+    ):
         return []
     words = f"no model of it holds on unused blocks{tag}, but there is more than noise: {o.share.natures[0].sentence}"
     return [Finding("", UNKNOWN, o.share.nature, o.share.share, 0.0, words)]
@@ -295,8 +300,8 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
         noisy = item.nature == Nature.NOISE
         if item.p_value >= (SURE if noisy else limit) or item.nature == Nature.LINEAR:
             continue  # the linear model is the best there is on unused blocks: another is no cause
-        added = item.nature == Nature.ADDED  # which slow or narrow noise looks like
-        telling = item.gain > TELLING * f.n and item.p_value < FIRM and not added
+        clocked = item.nature in (Nature.ADDED, Nature.TIME)  # which slow or narrow noise looks like
+        telling = item.gain > TELLING * f.n and item.p_value < FIRM and not clocked
         if not noisy and not o.left.explainable and not telling:
             continue  # a significant dependence that predicts nothing on unused blocks
         if (noisy and not o.named.claims and not len(f.noise)) or (
@@ -329,7 +334,8 @@ SURE = 1e-6
 """Significance under a noise model or beside an effect is less sure than it says."""
 TELLING, FIRM = 0.08, 1e-12
 """Likelihood ratio per sample (a twelfth of the innovations' variance) and significance from which on a dependence is no
-accident of a noise model, though no regression predicts it on unused blocks; but slow or narrow noise is a trend or a line."""
+accident of a noise model, though no regression predicts it on unused blocks; but slow or narrow noise is a trend, a line, or a
+gain that swings."""
 LEAST = 6.0
 """Of Schwarz's criterion: odds of twenty to one."""
 

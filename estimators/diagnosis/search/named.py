@@ -385,4 +385,5 @@ def _step(bench: Bench, f: Fit, claims: list[Claim], unused: Array) -> Step:
     return Step(
         Kind.NAMED, tuple(c.key for c in claims), (unused,), bench.answer(f), len(f.p), parameters_of(f),
         tuple(c.part.effect.sentence for c in claims), noise=f.noise, nature=claims[0].part.effect.nature.value,
+        linear=all(c.part.effect.nature is Nature.LINEAR for c in claims),
     )  # fmt: skip

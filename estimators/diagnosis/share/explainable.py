@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.share.feedback import autoregression, delayed, has_feedback, whitened
+from estimators.diagnosis.share.news import NEWS, Predictor
 from estimators.diagnosis.share.regression import Folds, Regression, folds_of
 from estimators.diagnosis.share.signals import Columns, bank_of, columns_of
 from oed.data import Record
@@ -59,7 +60,7 @@ class Share:
     of the noise, with its interval; `unused` per record (N,): the regression's prediction of the residual
     with the sample's block unused; NaN where no sample counts; `feedback` whether the input answers the
     noise: then residual and columns are whitened, and the shares are those of the one-step prediction, which
-    feedback leaves honest.
+    feedback leaves honest; `news` standard errors by which that belongs beside a linear one-step prediction.
     """
 
     share: float
@@ -72,11 +73,12 @@ class Share:
     noise_high: float
     unused: tuple[Array, ...]
     feedback: bool = False
+    news: float = np.inf
 
     @property
     def explainable(self) -> bool:
-        """Whether the interval leaves zero out: something other than noise is in the residual."""
-        return self.low > 0.0
+        """Whether the interval leaves zero out, and it is news to a linear predictor: something other than noise is in it."""
+        return self.low > 0.0 and self.news > NEWS
 
     @property
     def nature(self) -> str:
@@ -141,7 +143,12 @@ def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0
     }
     noise, least, most = (float(np.sqrt(max(x, 0.0))) for x in (floor, floor - error, floor + error))
     natures = _ranked(regression.target, alone, owner, NORMAL if feedback else 1.0) if low > 0 else ()
-    return Share(share, low, high, by, natures, noise, least, most, _spread(best, counts, folds), feedback)
+    unused, told = _spread(best, counts, folds), np.inf
+    if low > 0 and not feedback:  # there the shares are those of one-step predictions
+        told = Predictor.of(records, base.y_model, output, counts).news(
+            [y[:, output] + x for y, x in zip(base.y_model, unused, strict=True)]
+        )
+    return Share(share, low, high, by, natures, noise, least, most, unused, feedback, told)
 
 
 def _columns(base: Baseline, records: list[Record], output: int) -> list[Columns]:

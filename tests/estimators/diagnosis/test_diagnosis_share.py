@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import best_linear
 from estimators.diagnosis.share import explainable_share
+from estimators.diagnosis.share.news import NEWS, Predictor
 from oed.data import Record
 
 N = 600
@@ -115,3 +116,34 @@ def test_two_records_and_missing_samples_are_one_answer() -> None:
     assert share.explainable
     assert [len(p) for p in share.unused] == [700, 800]
     assert np.isnan(share.unused[0][200:220]).all()
+
+
+def _news(u: np.ndarray, y: np.ndarray, run: np.ndarray) -> float:
+    record = Record(u, y)
+    base = best_linear([record])
+    counted = [c[:, 0] for c in base.blocks.counting([record])]
+    return Predictor.of([record], base.y_model, 0, counted).news([run])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["white", "coloured", "level", "feedback"])
+def test_a_curve_fitted_to_the_very_samples_of_a_linear_record_is_no_news(kind: str) -> None:
+    """Of 8 records a kind, with the best of 6 curves by least squares on all samples: 3 errors are exceeded in one at most."""
+    found = []
+    for seed in range(8):
+        u, y = _linear(seed, kind)
+        x = (u - u.mean()) / u.std()
+        left = y - _plant(u) - np.mean(y - _plant(u))
+        curves = [_plant(f(x)) for f in (np.square, np.abs, np.sign, np.tanh, np.exp, np.sin)]
+        fits = [c * float(c @ left) / float(c @ c) for c in curves]
+        best = min(fits, key=lambda c: float(np.sum((left - c) ** 2)))
+        found.append(_news(u, y, y - left + best))
+    assert np.sum(np.array(found) > 3.0) <= 1
+
+
+def test_what_a_bent_input_does_is_news_though_noise_hides_half_of_it() -> None:
+    rng = np.random.default_rng(3)
+    u = _input(rng, 1200)
+    y = _plant(u + 0.3 * u**2) + 0.2 * rng.standard_normal(1200)
+    assert _news(u, y, _plant(u + 0.3 * u**2)) > 5.0
+    assert _news(u, y, _plant(u - 0.3 * u**2)) < NEWS  # the wrong way round
