@@ -21,7 +21,7 @@ from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, Discovery, 
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
 from estimators.diagnosis.ladder.outcome import Outcome
-from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, climb, paired_gain
+from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, climb, paired_gain, refused
 from estimators.diagnosis.ladder.verdicts import verdict
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.admission import LEAST, together
@@ -204,18 +204,19 @@ def _outcome(
         steps.append(replace(step, admitted=not echoes))
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
-    steps = _as_started(steps, train, i, setting)
+    started = _as_started(steps, train, i, setting)
     predictor = Predictor.of(records, base.y_model, i, counted)
     steps = [
-        s if s.linear else replace(s, admitted=s.admitted and predictor.news(s.unused) > NEWS) for s in steps
+        replace(s, admitted=s.admitted and (s.linear or predictor.news(s.unused) > NEWS)) for s in started
     ]
-    if named.step is not None and not next(s for s in steps if s.kind is Kind.NAMED).admitted:
-        refused = tuple((c.key, "no news to a linear predictor of the output") for c in named.claims)
-        named = replace(named, dropped=named.dropped + refused)
+    for s, first in zip(steps, started, strict=True):
+        if s.kind is Kind.NAMED and not s.admitted:
+            why = NO_NEWS if first.admitted else BAD_START
+            named = replace(named, dropped=(*named.dropped, *((c.key, why) for c in named.claims)))
     least = int(len(out) > 0)
     ladder = climb(y, steps, counted, setting.policy, least=least)
     if ladder.chosen.kind is Kind.DISCOVERED:
-        without = [replace(s, admitted=s.kind is not Kind.DISCOVERED) for s in steps]
+        without = refused(steps, Kind.DISCOVERED)
         other = climb(y, without, counted, setting.policy, least=least)
         gain = paired_gain(y, other.chosen.unused, ladder.chosen.unused, ladder.counted, setting.policy)
         if not gain.meets(setting.policy.unchecked) and not _confirmed(
@@ -229,6 +230,10 @@ def _outcome(
     if rest is not None:
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     return Outcome(i, found, named, ladder, share, left, discovery, bench.inverse)
+
+
+NO_NEWS = "a linear predictor of the output gains nothing from it"
+BAD_START = "a run from the record's own start is worse with it than the linear model's"
 
 
 def _as_started(steps: Sequence[Step], train: Record, i: int, setting: Setting) -> list[Step]:

@@ -7,7 +7,7 @@ see, and simulates any record. The stages do not know of each other here; a new 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
@@ -185,6 +185,11 @@ def _charged(measured: Sequence[Array], step: Step) -> Sequence[Array]:
         if step.slow
         else step.unused
     )
+
+
+def refused(steps: Sequence[Step], kind: Kind) -> list[Step]:
+    """The steps, those of a kind shown only; what was refused before stays so."""
+    return [replace(s, admitted=s.admitted and s.kind is not kind) for s in steps]
 
 
 def climb(

@@ -137,6 +137,9 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     if o.inverse:
         return []
     claimed = _supported(o, _claimed(o, tag), policy)
+    if claimed and all(f.nature == Nature.LINEAR for f in claimed) and o.bent:
+        words = f"unused blocks get better with other linear dynamics{tag}, but there is more: {o.share.natures[0].sentence}"
+        claimed = [Finding("", UNKNOWN, o.share.nature, claimed[0].weight, 0.0, words)]
     if Kind.NAMED in kinds:
         gained = sum(f.weight for f in claimed)
         return _nameless(o, tag, policy, gained) + claimed
@@ -186,11 +189,7 @@ def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     """What a regression predicts of the linear model's residual on unused blocks, where no model of it could be given."""
     least = policy.searched[1]
     known = o.share.feedback or bool(o.examined.signatures)
-    if (
-        known
-        or not (o.share.explainable and o.share.low > least)
-        or o.share.nature in (Nature.LINEAR, Nature.NOISE)
-    ):
+    if known or not (o.bent and o.share.low > least):
         return []
     words = f"no model of it holds on unused blocks{tag}, but there is more than noise: {o.share.natures[0].sentence}"
     return [Finding("", UNKNOWN, o.share.nature, o.share.share, 0.0, words)]

@@ -187,8 +187,10 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             held = sorted((c for c in claims if _holds(c, bench)), key=lambda c: -c.gain.value)
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             held = _bending(bench, f, held, unused)
-            step = _step(bench, f, held, unused) if held else None
-            return Named(f, tuple(_with_rivals(held, a, f)), tuple(dropped), step, unused)
+            claims = tuple(_with_rivals(held, a, f))
+            linear = all(c.part.effect.nature is Nature.LINEAR for c in claims)  # or as good as that
+            step = replace(_step(bench, f, held, unused), linear=linear) if held else None
+            return Named(f, claims, tuple(dropped), step, unused)
         worst = min(weak, key=lambda i: claims[i].gain.value)
         dropped.append((claims[worst].key, _why(claims[worst], bench)))
         f, unused = rests[worst]
@@ -385,5 +387,4 @@ def _step(bench: Bench, f: Fit, claims: list[Claim], unused: Array) -> Step:
     return Step(
         Kind.NAMED, tuple(c.key for c in claims), (unused,), bench.answer(f), len(f.p), parameters_of(f),
         tuple(c.part.effect.sentence for c in claims), noise=f.noise, nature=claims[0].part.effect.nature.value,
-        linear=all(c.part.effect.nature is Nature.LINEAR for c in claims),
     )  # fmt: skip

@@ -19,8 +19,8 @@ from oed.data import Record
 
 Array = NDArray[np.float64]
 
-LAGS = 40
-"""Lags of all outputs and inputs that the predictor knows: with 10 or 20, poles of several plants in one output and slow noise
+LAGS = 60
+"""Lags of all outputs and inputs that the predictor knows: with 10 to 40, poles of several plants in one output and slow noise
 were news to it on linear records."""
 OWN = 10
 """Lags of the linear model's simulated outputs beside them: what few of the record's own lags express badly, slow poles."""

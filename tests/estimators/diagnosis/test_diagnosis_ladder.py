@@ -11,6 +11,7 @@ from estimators.diagnosis.baseline.blocks import Block, Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.ladder import Kind, Step, climb, paired_gain
 from estimators.diagnosis.ladder.outcome import Outcome
+from estimators.diagnosis.ladder.steps import refused
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.answers import LinearAnswer
 
@@ -156,3 +157,11 @@ def test_the_best_of_hundreds_gains_less_by_luck_than_what_needs_no_second_searc
         half = paired_gain([noise], [0.0 * noise], [0.6 * noise], use, POLICY)
         assert half.share > most
         assert half.beyond(errors)
+
+
+def test_without_one_kind_of_step_what_was_refused_stays_refused() -> None:
+    y, steps = _case(5, 1.0, 0.3, 0.3)
+    steps[1] = replace(steps[1], admitted=False)
+    rest = refused(steps, Kind.DISCOVERED)
+    assert [s.admitted for s in rest] == [True, False, False]
+    assert climb(y, rest, COUNTED, POLICY).answer == 0
