@@ -33,9 +33,14 @@ def extent(
     low, high = min(found), max(found)
     if log:
         room = max((high / low) ** ROOM, 1.05)
-        return [low / room, high * room]
+        return [_near(low / room), _near(high * room)]
     room = ROOM * (high - low) or ROOM * abs(high) or 1.0
-    return [low - room * (low != 0), high + room * (high != 0)]
+    return [_near(low - room * (low != 0), room), _near(high + room * (high != 0), room)]
+
+
+def _near(limit: float, room: float = 0.0) -> float:
+    """A limit with as many digits as a pixel is worth."""
+    return round(limit, 3 - math.floor(math.log10(room or limit)))
 
 
 def chart(figure: Figure) -> dict[str, Any]:
@@ -101,7 +106,6 @@ def chart(figure: Figure) -> dict[str, Any]:
                                    for k, v in enumerate(_limits(figure, "x"))))  # fmt: skip
     spec = whole.to_dict()
     spec.pop("$schema", None)
-    spec["config"] = CONFIG
     return spec
 
 

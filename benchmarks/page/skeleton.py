@@ -16,16 +16,16 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from benchmarks.page.charts import chart, extent, style
+from benchmarks.page.charts import CONFIG, chart, extent, style
 from benchmarks.page.content import Figure, Page, Table, cell, read_page, series_of
-from benchmarks.tables.formats import to_csv, to_latex, to_markdown, to_parquet
+from benchmarks.tables.formats import ABSENT, to_csv, to_latex, to_markdown, to_parquet
 from oed.files.writing import write_whole
 
 LONGEST_NAME = 100
 """Characters of a file's name that come from the names of plants and methods; file systems allow 255 bytes."""
-DIGITS = 9
-"""Of a number in the page: more than anyone reads; the files in tables/ have all of them."""
-DRAWN = 6
+DIGITS = 6
+"""Of a number in the page: more than anyone reads or sorts by; the files in tables/ have all of them."""
+DRAWN = 5
 """Of a number in a figure: a pixel is a thousandth of it, and what is said of a point comes as text where it matters."""
 PREFER = ("power", "procedure-2", "two-experiment")
 """Inputs that the answer's matrix shows first: the iterations, whichever the plant's channels allow."""
@@ -106,14 +106,32 @@ def _short(value: Any, digits: int) -> Any:
 
 
 def _columns(rows: Any, keys: Any, digits: int = DIGITS) -> dict[str, Any]:
-    """Rows as columns; one that repeats its texts as the different ones and which of them every row has."""
-    found: dict[str, Any] = {}
-    for key in keys:
-        values = [_short(row.get(key), digits) for row in rows]
-        texts = list(dict.fromkeys(values)) if all(isinstance(v, str) for v in values) else []
-        few = texts and 2 * len(texts) <= len(values)
-        found[key] = {"of": texts, "at": [texts.index(v) for v in values]} if few else values
-    return found
+    """Rows as columns; one that repeats its values as the different ones and which of them every row has, where that is shorter."""
+    return {key: _packed([_short(row.get(key), digits) for row in rows]) for key in keys}
+
+
+FIRST, LETTERS = ord("0"), ord("~") - ord("0") + 1
+"""The places of few values are one letter each, from the first on."""
+
+
+def _packed(values: list[Any]) -> Any:
+    keys = [(isinstance(value, bool), value) for value in values]  # True is no 1
+    at = {key: k for k, key in enumerate(dict.fromkeys(keys))}
+    places: Any = [at[key] for key in keys]
+    if len(at) <= LETTERS:
+        places = "".join(chr(FIRST + k) for k in places)
+    packed = {"of": [value for _, value in at], "at": places}
+    return min(values, packed, key=lambda way: len(_text(way)))
+
+
+def _text(content: Any) -> str:
+    return json.dumps(content, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+
+
+def _read(value: Any) -> str:
+    """What the page's script makes of a value that has no text of its own."""
+    short = _short(value, DIGITS)
+    return ABSENT if short is None else f"{short:.5g}" if isinstance(short, int | float) else str(short)
 
 
 def _keys(rows: Any) -> list[str]:
@@ -127,7 +145,6 @@ def _table_data(table: Table, filters: Any) -> dict[str, Any]:
         and all(isinstance(row.get(key), int | float) and not isinstance(row.get(key), bool)
                 for row in table.rows if row.get(key) is not None)
     ]  # fmt: skip
-    words = [key for key in table.columns if key not in numeric]
     hidden = [
         key
         for key in (*filters, "method", "estimator")
@@ -137,9 +154,8 @@ def _table_data(table: Table, filters: Any) -> dict[str, Any]:
         "name": table.name, "caption": table.caption, "columns": table.columns, "numeric": numeric,
         "shade": [key for key in table.shade if key in numeric], "repeat": table.repeat,
         "values": _columns(table.rows, (*table.columns, *hidden)),
-        "text": {key: [cell(row, key) for row in table.rows] for key in numeric}
-        | {key: [cell(row, key) for row in table.rows] for key in words
-           if any(not isinstance(row.get(key), str) for row in table.rows)},
+        "text": {key: _packed(texts) for key in table.columns
+                 if (texts := [cell(row, key) for row in table.rows]) != [_read(row.get(key)) for row in table.rows]},
     }  # fmt: skip
 
 
@@ -194,15 +210,13 @@ def html(page: Page, *, live: bool = False) -> str:
     filters = _filter_values(page)
     figures = {f"figure-{file_name(f.name)}": _figure_data(f, filters) for f in page.figures if f.rows}
     tables = {f"table-{file_name(t.name)}": _table_data(t, filters) for t in page.tables if t.rows}
-    answer = next((t for t in page.tables if t.name == page.matrix), None)
+    answer = f"table-{file_name(page.matrix)}"
     data = {
         "filters": filters, "figures": figures, "tables": tables, "names": page.names, "repeat": page.repeat,
-        "runs": page.runs, "downloads": page.downloads, "live": live,
-        "matrix": {"table": _table_data(answer, filters), "prefer": PREFER} if answer and answer.rows else None,
+        "config": CONFIG, "runs": page.runs, "downloads": page.downloads, "live": live,
+        "matrix": {"table": answer, "prefer": PREFER} if answer in tables else None,
     }  # fmt: skip
-    embedded = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace(
-        "<", "\\u003c"
-    )
+    embedded = _text(data).replace("<", "\\u003c")
     scripts = [_bundle(), _source("page.js")]
     digests = " ".join(f"'sha256-{base64.b64encode(sha256(s.encode()).digest()).decode()}'" for s in scripts)
     policy = f"default-src 'none'; script-src {digests}; style-src 'unsafe-inline'; img-src data: blob:; "

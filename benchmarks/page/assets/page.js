@@ -12,7 +12,7 @@ const make = (tag, attributes = {}, ...children) => {
   return node;
 };
 const rowsOf = columns => {
-  const entries = Object.entries(columns).map(([key, value]) => [key, value.of ? value.at.map(k => value.of[k]) : value]);
+  const entries = Object.entries(columns).map(([key, value]) => [key, value.of ? Array.from(value.at, k => value.of[typeof k === 'string' ? k.charCodeAt(0) - 48 : k]) : value]);
   return entries.length ? entries[0][1].map((_, at) => Object.assign({_at: at}, ...entries.map(([key, values]) => ({[key]: values[at]})))) : [];
 };
 const save = (name, text, kind) => {
@@ -71,6 +71,7 @@ function filters() {
 }
 
 // ---- tables
+const textOf = (texts, row, key) => texts[row._at]?.[key] ?? (row[key] === null || row[key] === undefined ? '–' : digits(row[key]));
 function table(root, content) {
   const rows = rowsOf(content.values), keys = Object.keys(content.columns), number = new Set(content.numeric);
   const texts = rowsOf(content.text), sortKey = `sort.${content.name}`;
@@ -93,10 +94,10 @@ function table(root, content) {
   let seen = [];
   const bar = make('div', {class: 'bar'}, box, count, make('button', {type: 'button',
     onclick: () => save(`${content.name}.csv`, csv(keys, seen), 'text/csv')}, 'save CSV'));
-  const lines = rows.map((row, n) => {
+  const lines = rows.map(row => {
     const line = make('tr');
     keys.forEach((key, k) => {
-      const text = texts[n]?.[key] ?? (row[key] === null ? '–' : digits(row[key]));
+      const text = textOf(texts, row, key);
       const cell = make(k ? 'td' : 'th', {class: number.has(key) ? null : text.length > 60 ? 'word long' : 'word', scope: k ? null : 'row'});
       if (range[key] && typeof row[key] === 'number') {
         const [low, high] = range[key];
@@ -155,8 +156,8 @@ function repeat(row, before = []) {
 // ---- the answer: plants x noise levels, in shares of the optimum
 function matrix() {
   const root = $('#matrix');
-  if (!root) return;
-  const {table: content, prefer} = data.matrix, rows = rowsOf(content.values), texts = rowsOf(content.text);
+  if (!root || !data.matrix) return;
+  const {table: answer, prefer} = data.matrix, content = data.tables[answer], rows = rowsOf(content.values), texts = rowsOf(content.text);
   const unique = key => [...new Set(rows.map(row => row[key]))], noises = unique('noise_variance');
   const choice = make('select', {id: 'matrix-input'}, ...unique('method').map(name => make('option', {}, name)));
   const asked = prefer.find(name => unique('method').includes(name));
@@ -166,17 +167,23 @@ function matrix() {
     const wanted = choice.value === asked ? prefer : [choice.value];
     return wanted.map(name => here.find(row => row.method === name)).find(Boolean);
   };
+  const percent = row => {  // digits follow the error, which the row's text has
+    const share = 100 * row.c_efficiency, found = 100 * Number((textOf(texts, row, 'c_efficiency').split(' ± ')[1] ?? '').replace('<', '') || NaN);
+    if (!(found > 0)) return [`${share.toFixed(share < 10 ? 1 : 0)} %`];
+    const places = Math.min(Math.max(-Math.floor(Math.log10(found)), 0), 2);
+    return [`${share.toFixed(places)} %`, make('small', {}, ` ± ${found.toFixed(places)}`)];
+  };
   const detail = (plant, noise) => {
     set('cell', `${plant}|${noise}`);
     const here = rows.filter(row => row.plant === plant && row.noise_variance === noise), root = make('div');
     table_plain(root, content, here, texts);
     const free = here.filter(row => !row.method.startsWith('oracle') && typeof row.rho === 'number').sort((a, b) => a.rho - b.rho)[0];
     repeat({plant, noise_variance: noise, method: cell(plant, noise)?.method}, [
-      make('p', {}, free ? `Smallest error without knowing the plant: ${free.method} with ${free.best_estimator}, rho ${texts[free._at].rho}.` : ''), root]);
+      make('p', {}, free ? `Smallest error without knowing the plant: ${free.method} with ${free.best_estimator}, rho ${textOf(texts, free, 'rho')}.` : ''), root]);
   };
   const update = () => {
     const caption = make('caption', {}, 'Share of the certified optimum for the peak gain that the input ');
-    caption.append(make('label', {for: 'matrix-input', class: 'hidden'}, 'input'), choice, ' carries; noise variance across. Press a cell for its row.');
+    caption.append(make('label', {for: 'matrix-input', class: 'hidden'}, 'input'), choice, ' carries ± standard error; noise variance across. Press a cell for its row.');
     const body = make('tbody');
     unique('plant').filter(plant => shown({plant})).forEach(plant => {
       const line = make('tr', {}, make('th', {scope: 'row'}, plant));
@@ -184,7 +191,7 @@ function matrix() {
         const row = cell(plant, noise), share = row?.c_efficiency;
         line.append(make('td', {}, typeof share === 'number' ? make('button', {type: 'button', style: `--share:${(100 * share).toFixed(1)}%`,
           'aria-label': `${plant}, noise ${noise}: ${(100 * share).toFixed(0)} % of the optimum by ${row.method}`,
-          onclick: () => detail(plant, noise)}, `${(100 * share).toFixed(share < 0.1 ? 1 : 0)} %`) : '–'));
+          onclick: () => detail(plant, noise)}, ...percent(row)) : '–'));
       });
       body.append(line);
     });
@@ -203,7 +210,7 @@ function table_plain(root, content, rows, texts) {
   root.append(make('div', {class: 'scroll', tabindex: 0, role: 'region', 'aria-label': 'inputs'}, make('table', {class: 'data'},
     make('thead', {}, make('tr', {}, ...keys.map(key => make('th', {scope: 'col'}, content.columns[key])))),
     make('tbody', {}, ...rows.map(row => make('tr', {}, ...keys.map((key, k) =>
-      word(texts[row._at]?.[key] ?? String(row[key] ?? '–'), make(k ? 'td' : 'th', {scope: k ? null : 'row', class: content.numeric.includes(key) ? null : 'word'})))))))));
+      word(textOf(texts, row, key), make(k ? 'td' : 'th', {scope: k ? null : 'row', class: content.numeric.includes(key) ? null : 'word'})))))))));
 }
 
 // ---- figures
@@ -279,7 +286,7 @@ function figure(root, content) {
     const start = async () => {
       if (view) return;
       const spec = structuredClone(content.spec);
-      spec.datasets = {...spec.datasets, rows: mine};
+      Object.assign(spec, {config: data.config, datasets: {...spec.datasets, rows: mine}});
       view = 'starting';
       view = (await vegaEmbed(plot, spec, {renderer: 'svg', actions: false, ast: true, tooltip: false, loader: {http: {}}})).view;
       views.push(view); named(); panel.dataset.drawn = 'yes'; read();
