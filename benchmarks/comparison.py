@@ -7,7 +7,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -96,8 +96,10 @@ def compare(
     time_limit: float | None = TIME_LIMIT,
     dry_run: bool = False,
     quiet: bool = False,
+    tell: Callable[[Comparison], None] = lambda result: None,
 ) -> Comparison:
-    """Compare inputs and estimators for the H-infinity norm in Monte Carlo, at equal budgets."""
+    """Compare inputs and estimators for the H-infinity norm in Monte Carlo, at equal budgets. `tell` hears the result
+    before its theory is computed and its figures are drawn, which takes a minute where there are many plants."""
     brought = Own(methods or (), estimators or ())
     plants = expanded(plants) if plants else None
     given = {
@@ -144,13 +146,18 @@ def compare(
         with locked(folder / "lock", f"the campaign {folder}"):
             tables = tabulate(stored_runs(store, settings, replicates, **options), settings, workers)
             check_contents(settings, *settings.plants)
-            sentences, page = write_comparison(folder, settings, replicates, tables, workers)
+            result = lambda words, page: Comparison(
+                tables.rows, tables.information, folder, page, words, tables.pairs
+            )
+            found = write_comparison(
+                folder, settings, replicates, tables, workers, lambda words: tell(result(words, None))
+            )
     except OSError as error:
         raise CampaignError(
             f"cannot write the tables and figures in {folder} ({error.strerror or error}); all runs are kept: make room and "
             "run again."
         ) from None
-    return Comparison(tables.rows, tables.information, folder, page, sentences, tables.pairs)
+    return result(*found)
 
 
 def _add_cost(folder: Path, wall: float, workers: int) -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from benchmarks.tables.answer import KINDS, tied
 from benchmarks.tables.columns import SAID, TEXTS, headings
 from benchmarks.tables.formats import from_parquet, to_markdown
-from benchmarks.tables.growth import FARTHEST
 from benchmarks.tables.head_to_head import head_to_head_sentence
 from oed.errors import InputError
 from oed.files.writing import write_whole
@@ -80,18 +80,43 @@ def session_picture(file: Path) -> None:
         draw_session(Path(folder), file)
 
 
+REMARKED = "what a reader should doubt:"
+"""Leads to the remarks on rows whose rho is below the bound, or made by a few problems."""
+
+
+def with_ties(row: dict) -> dict:
+    """A row whose best ways say how many others tie with them."""
+    return row | {f"best_{kind}": tied(row, kind) for kind in KINDS}
+
+
 def write_readme(results: Path, readme: Path) -> None:
     """Put a comparison's answer, its sentences and its pictures into a README."""
     rows, metadata = from_parquet(results / "tables" / "answer.parquet")
     head, _ = from_parquet(results / "tables" / "head_to_head.parquet")
     compared, _ = from_parquet(results / "tables" / "comparison.parquet")
     spent = rows[0]
+    shown = [row for row in rows if row["plant"] in CASES or row["plant"] != row["case"]]
+    remarks = [
+        f"- {row['case']}, noise {row['noise_variance']:g}: {row['remark']}."
+        for row in shown
+        if row["remark"]
+    ]
     lines = [
         f"Every input had {spent['experiments']} experiments, {spent['samples']} samples and energy {spent['energy']:.6g} over all "
         "channels (of Procedure 2 each of the 1 + pq experiments of an iteration counts); `oed report` has them beside every "
         f"row, with the peak amplitude. At most {metadata['replicates']} runs of each, chosen on one half and judged on the other.",
         "",
-        to_markdown([row for row in rows if row["plant"] in CASES or row["plant"] != row["case"]], SHOWN),
+        to_markdown([with_ties(row) for row in shown], SHOWN),
+        *(
+            [
+                f"Noise is the variance at the output, of hair-dryer in multiples of the identified one; ± is one standard error; {REMARKED}",
+                "",
+                *remarks,
+                "",
+            ]
+            if remarks
+            else []
+        ),
         head_to_head_sentence(head),
         *(["", oracle_sentence(compared)] if oracle_sentence(compared) else []),
     ]
@@ -115,7 +140,11 @@ def write_results(results: Path, folder: Path, name: str, commit: str) -> None:
     summary = (results / "summary.md").read_text(encoding="utf-8").split("\n\n")
     answer = json.loads((results / "report.json").read_text(encoding="utf-8"))
     cost = json.loads((results / "cost.json").read_text(encoding="utf-8"))
-    told = [row for row in growth if row["experiments"] in (1, rows[0]["experiments"], FARTHEST)]
+    last = {
+        (row["plant"], row["noise_variance"]): row["experiments"] for row in growth
+    }  # near FARTHEST, in whole iterations
+    told = [row for row in growth
+            if row["experiments"] in (1, rows[0]["experiments"], last[row["plant"], row["noise_variance"]])]  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     made = {
         "campaign": name,
@@ -127,8 +156,9 @@ def write_results(results: Path, folder: Path, name: str, commit: str) -> None:
         "---", "orphan: true", "---", "",
         f"# Are the iterations optimal experiment design? The {name} campaign", "", f"**{answer['answer']}**", "",
         "Made by a program from the campaign's tables; [the page](report.html) has every figure and table, the CSV files all digits.",
-        "", to_markdown(rows, {key: ANSWER[key] for key in TWO_PAGES}), SAID["tables"]["answer"]["caption"], "", TEXTS["below"], "",
-        TEXTS["shared"], "", "## In words", "", *(f"- {words.strip()}" for words in summary[1:] if words.strip()), "",
+        "", to_markdown([with_ties(row) for row in rows], {key: ANSWER[key] for key in TWO_PAGES}), SAID["tables"]["answer"]["caption"], "", TEXTS["below"], "",
+        TEXTS["shared"], "", *(f"- {row['case']}, noise {row['noise_variance']:g}: {row['remark']}." for row in rows if row["remark"]),
+        "", "## In words", "", *(f"- {words.strip()}" for words in summary[1:] if words.strip()), "",
         "## By budget", "", TEXTS["growth"], "", to_markdown(told, headings("growth")), "## What it is and what it cost", "",
         *(f"- {key.replace('_', ' ')}: {value}" for key, value in made.items()), "",
         f"Command: `make campaign CAMPAIGN={name}`", "",

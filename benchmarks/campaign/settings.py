@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +20,15 @@ from oed.files.documents import NUMBER, TEXT, WHOLE, keyed, listed, read_documen
 class Limit:
     """At most so many replicates of what is named; what is not named matches everything. `replicates` the
     most; 0 leaves it out; `plant, method, estimator` names, "" for any, and of plants a pattern such as
-    `random-*`; `noise_variance` that level, 0 for any. With an estimator only its estimates are limited, not
-    the runs."""
+    `random-*`; `noise_variance` that level, 0 for any; `why` the reason, which tables repeat and which decides
+    no number. With an estimator only its estimates are limited, not the runs."""
 
     replicates: int
     plant: str = ""
     method: str = ""
     estimator: str = ""
     noise_variance: float = 0.0
+    why: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         if self.replicates < 0:
@@ -90,24 +91,42 @@ class Settings:
         self, replicates: int, plant: str, method: str, estimator: str = "", noise_variance: float = 0.0
     ) -> int:
         """How many replicates a combination has; of an estimate where an estimator is named."""
-        most = [replicates]
-        for limit in self.limits:
-            if limit.method not in ("", method) or limit.noise_variance not in (0.0, noise_variance):
-                continue
-            if limit.estimator in ("", estimator) and (
-                not limit.plant or fnmatch.fnmatchcase(plant, limit.plant)
-            ):
-                most.append(limit.replicates)
-        return min(most)
+        concerned = self._limits_of(plant, method, estimator, noise_variance)
+        return min([replicates, *(limit.replicates for limit in concerned)])
+
+    def why_not(self, plant: str, method: str, estimator: str = "", noise_variance: float = 0.0) -> str:
+        """The reason for which a combination is left out, where its limit has one."""
+        concerned = self._limits_of(plant, method, estimator, noise_variance)
+        return next((limit.why for limit in concerned if limit.replicates == 0 and limit.why), "")
+
+    def _limits_of(self, plant: str, method: str, estimator: str, noise_variance: float) -> list[Limit]:
+        return [
+            limit
+            for limit in self.limits
+            if limit.method in ("", method)
+            and limit.noise_variance in (0.0, noise_variance)
+            and limit.estimator in ("", estimator)
+            and (not limit.plant or fnmatch.fnmatchcase(plant, limit.plant))
+        ]
+
+    def deciding(self) -> dict[str, Any]:
+        """What a store is bound to: everything here but the reasons of limits."""
+        values = asdict(self)
+        for limit in values["limits"]:
+            del limit["why"]
+        return values
+
+
+TWICE = "one channel: Procedure 2 is the power iterations twice over"
 
 
 DEFAULT_LIMITS = (
     Limit(10, plant="three-by-two"),
     Limit(40, plant="random-fir-1"),
     Limit(40, plant="hair-dryer"),
-    Limit(0, plant="reference", method="procedure-2"),  # one channel: the iterations twice over
-    Limit(0, plant="hair-dryer", method="procedure-2"),
-    Limit(0, plant="random-fir-1", method="procedure-2"),
+    Limit(0, plant="reference", method="procedure-2", why=TWICE),
+    Limit(0, plant="hair-dryer", method="procedure-2", why=TWICE),
+    Limit(0, plant="random-fir-1", method="procedure-2", why=TWICE),
     Limit(40, method="sequential"),
     Limit(16, method="sequential-selected"),
     Limit(60, estimator="pem"),
@@ -137,7 +156,14 @@ def default_limits(
 
 
 LIMIT = keyed(
-    {"replicates": WHOLE, "plant": TEXT, "method": TEXT, "estimator": TEXT, "noise_variance": NUMBER},
+    {
+        "replicates": WHOLE,
+        "plant": TEXT,
+        "method": TEXT,
+        "estimator": TEXT,
+        "noise_variance": NUMBER,
+        "why": TEXT,
+    },
     ("replicates",),
 )
 CAMPAIGN = keyed(

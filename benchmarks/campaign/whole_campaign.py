@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -61,7 +60,7 @@ def fill_store(
             f"no estimator asked for can be applied to the records of {', '.join(settings.methods)}: they are made for other "
             f"inputs ({made_for}); add one of these inputs, or another estimator such as pem."
         )
-    store = Store(folder, asdict(settings))
+    store = Store(folder, settings.deciding())
     with locked(folder / "lock", f"the campaign {folder}"):
         store.tidy()
         missing = [part for part in todo if not store.holds(part.key, time_limit)]

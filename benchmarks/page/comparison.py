@@ -37,13 +37,15 @@ Targets = Mapping[tuple[str, float], Target]
 FIG3_ITERATIONS = 50
 FIG3_REPLICATES = 1000
 HEAD_TO_HEAD_PLANTS = 40
+CLAIM = "Are power iterations optimal experiment design for the H-infinity norm?"
 FILTERS = {"plant": "plant", "noise_variance": "noise", "method": "input", "known": "what is known"}
 
 
 def write_comparison(
-    folder: Path, settings: Settings, replicates: int, tables: Tables, jobs: int = 1
-) -> tuple[list[str], Path]:
-    """Write tables, figures and the page of a comparison."""
+    folder: Path, settings: Settings, replicates: int, tables: Tables, jobs: int = 1,
+    tell: Callable[[list[str]], None] = lambda words: None,
+) -> tuple[list[str], Path]:  # fmt: skip
+    """Write tables, figures and the page of a comparison; `tell` hears what the runs say before anything is drawn."""
     known = tables.known
     # Of a family's plants the page shows what they give together; tables/ has every one of them.
     information, rows, pairs = (
@@ -53,6 +55,7 @@ def write_comparison(
     answer = answer_rows(tables)
     best, sentences = headline_rows(rows), answer_sentences(answer, settings)
     said = details(rows, information, settings)
+    tell(list(sentences or said))
     siso = [
         p
         for p in settings.plants
@@ -85,11 +88,14 @@ def write_comparison(
     words = sentences or said
     sections.append(Section("In words", words))
     save_summary(folder, [*words, *said], to_markdown(best, headings("headline")))
+    families = [row for row in answer if row["plant"] != row["case"]]
     used = [*settings.methods, *settings.estimators]
     page = Page(
-        "comparison", "Which input is worth applying for the H-infinity norm?", short_answer(answer, best, settings),
+        "comparison", CLAIM if answer else "Which input is worth applying for the H-infinity norm?", short_answer(answer, best, settings),
         [f"At most {replicates} runs (every row says how many) of {settings.experiments} experiments of {settings.samples} samples each, everything on the same "
          "plants and the same noise; every value has its Monte-Carlo standard error, every optimum its certificate.",
+         *([f"Of the {len(answer)} cases {len(families)} are families of random plants: in the table of the answer, not in the matrix."]
+           if families else []),
          "Differences are tested in pairs and corrected for how many there are (Holm): see 'Who is better, and is it chance?'."],
         advice_sentences(answer, best), sections=sections, made=made(settings, replicates, folder), filters=FILTERS,
         matrix="headline" if information else "", repeat=_repeat(settings, replicates), runs=_runs(settings, replicates),
@@ -111,6 +117,8 @@ def _runs(settings: Settings, replicates: int) -> dict[str, str]:
     """By plant, noise and input, the file of the first part, with a star for the others."""
     found: dict[str, str] = {}
     for part in parts(settings, replicates):
+        if family_of(part.plant):  # no row of the page is one of its plants
+            continue
         name = part.key.rsplit("-", 2)[0]
         found[f"{part.plant}|{part.noise_variance:g}|{part.method}"] = f"parts/{name}-*.parquet"
     return found

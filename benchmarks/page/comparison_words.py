@@ -6,10 +6,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from benchmarks.campaign.plants import family_of
 from benchmarks.campaign.registry import Told
 from benchmarks.campaign.settings import Settings
-from benchmarks.tables.answer import OPTIMAL
+from benchmarks.tables.answer import OPTIMAL, between
 from benchmarks.tables.columns import is_number
 from benchmarks.tables.formats import format_value
 
@@ -27,28 +29,40 @@ def short_answer(answer: Sequence[Row], best: Sequence[Row], settings: Settings)
                 f"optimum on {top['plant']} at noise {top['noise_variance']:g}.")  # fmt: skip
     good, most = [r for r in answer if r["c_efficiency"] >= OPTIMAL], len(answer)
     budget = sorted({r["experiments"] for r in answer})
-    sentence = (f"With {budget[0]} experiments the iterations are an optimal input for the peak gain in {len(good)} of {most} cases "
-                "(plant or family, and noise level)")  # fmt: skip
-    ratios = sorted(
-        r["rho_own"] / r["rho_nothing"]
-        for r in answer
-        if is_number(r["rho_own"]) and is_number(r["rho_nothing"])
-    )
-    if not ratios:
-        return f"{sentence}."
-    least, most_ = (format(v, ".2g") for v in (ratios[0], ratios[-1]))
-    return (f"{sentence}; their own estimators have {least} to {most_} times the error of the best way that knows as little, "
-            "which is nothing.")  # fmt: skip
+    limit = sum(r["limit"] >= OPTIMAL for r in answer)
+    return (f"{'Yes' if len(good) == most else 'Not in general' if good else 'No'}: with {budget[0]} experiments of {settings.samples} "
+            f"samples the iterations reach {100 * OPTIMAL:.0f} % of the certified optimum for the peak gain in {len(good)} of {most} "
+            f"cases (a plant or family at a noise level); with experiments without end, in {limit}.")  # fmt: skip
+
+
+def _counted(rows: Sequence[Row], key: str) -> str:
+    """The two most common names with how often."""
+    return " or ".join(f"{name} ({count})" for name, count in Counter(r[key] for r in rows).most_common(2))
+
+
+def _over_blind(row: Row) -> Row:
+    """Rho of the iterations' own estimator over that of the best blind way, with an error as if the two had no run in common."""
+    ratio = row["rho_own"] / row["rho_nothing"]
+    relative = np.hypot(*(row[f"rho_{k}_se"] / row[f"rho_{k}"] for k in ("own", "nothing")))
+    same = row["best_own"] == row["best_nothing"]
+    return row | {"ratio": ratio, "ratio_se": 0.0 if same else ratio * float(relative)}
 
 
 def advice_sentences(answer: Sequence[Row], best: Sequence[Row]) -> list[str]:
-    """What to do, most common first: knowing the structure, and knowing nothing."""
+    """What to apply and what to estimate with, knowing the structure and knowing nothing; and what not to do."""
     lines = []
-    for kind, knows in (("structure", "With the structure known"), ("nothing", "With nothing known")):
-        ways = Counter(r[f"best_{kind}"] for r in answer if r[f"best_{kind}"])
-        for way, count in ways.most_common(3):
-            where = ", ".join(dict.fromkeys(r["plant"] for r in answer if r[f"best_{kind}"] == way))
-            lines.append(f"{knows}: {way} is chosen in {count} of {len(answer)} cases ({where}).")
+    for kind, knows in (("structure", "Knowing orders and delay"), ("nothing", "Knowing nothing")):
+        here = [r for r in answer if r[f"best_{kind}"]]
+        if here:
+            inputs, fits = (_counted(here, f"{kind}_{part}") for part in ("input", "estimator"))
+            ties = sum(bool(r[f"{kind}_ties"]) for r in here)
+            lines.append(f"{knows}, apply {inputs} and estimate with {fits} (so often the best of {len(here)} cases; others tie with "
+                         f"it in {ties}).")  # fmt: skip
+    ratios = sorted((_over_blind(r) for r in answer if is_number(r["rho_own"]) and is_number(r["rho_nothing"])),
+                    key=lambda r: r["ratio"])  # fmt: skip
+    if ratios:
+        lines.append("The iterations' own estimators have an error that is between " + between(ratios[0], ratios[-1], "ratio")
+                     + " that of the best way which is told as little: nothing.")  # fmt: skip
     free = [r for r in best if is_number(r["rho"]) and r["known"] != Told.PLANT.value]
     if not lines and free:
         top = min(free, key=lambda r: r["rho"])
@@ -75,7 +89,7 @@ def details(rows: Sequence[Row], information: Sequence[Row], settings: Settings)
 
 
 def _carried(at: Mapping[Any, Row], plant: str, settings: Settings) -> str:
-    share = lambda row, key: f"{100 * row[key]:.1f} %"
+    share = lambda row, key: f"{format_value(100 * row[key], 100 * row[f'{key}_se'])} %"
     listed = "; ".join(
         f"at noise {v:g}, {share(power, 'c_efficiency')} of the optimum for the peak gain (white noise "
         f"{share(white, 'c_efficiency')}) and {share(power, 'd_efficiency')} for D (white {share(white, 'd_efficiency')})"

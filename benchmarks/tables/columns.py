@@ -39,18 +39,24 @@ def not_run_rows(settings: Settings, replicates: int) -> list[dict[str, Any]]:
             row = {"plant": plant, "noise": "all", "method": method, "estimator": "all"}
             table.append(row | {"why": "made for one channel"})
             continue
+        said: list[float] = []  # levels at which the input itself is left out
         for estimator in ("", *(e for e in settings.estimators if compatible(method, e))):
             count = partial(settings.replicates_of, replicates, plant, method, estimator)
-            left = [f"{v:g}" for v in settings.noise_variances if count(v) == 0]
+            left = [v for v in settings.noise_variances if v not in said and count(v) == 0]
             if not left:
                 continue
-            every = len(left) == len(settings.noise_variances)
-            row = {"plant": plant, "noise": "all" if every else ", ".join(left), "method": method}
+            said = said if estimator else left
+            named = "all" if len(left) == len(settings.noise_variances) else ", ".join(f"{v:g}" for v in left)
+            why = settings.why_not(plant, method, estimator, left[0]) or "left out by a limit of the campaign"
             table.append(
-                row | {"estimator": estimator or "all", "why": "left out by a limit of the campaign"}
+                {
+                    "plant": plant,
+                    "noise": named,
+                    "method": method,
+                    "estimator": estimator or "all",
+                    "why": why,
+                }
             )
-            if not estimator and every:
-                break
     return table
 
 
@@ -62,7 +68,10 @@ def command_line(settings: Settings, replicates: int, out: Path) -> str:
     for variance in settings.noise_variances:
         words += ["--noise-variance", f"{variance:g}"]
     for limit in settings.limits:
-        words += ["--limit", ",".join(f"{k}={v}" for k, v in asdict(limit).items() if k == "replicates" or v)]
+        words += [
+            "--limit",
+            ",".join(f"{k}={v}" for k, v in asdict(limit).items() if k == "replicates" or (v and k != "why")),
+        ]
     words += [
         "--samples",
         settings.samples,

@@ -60,7 +60,9 @@ def _digits(value: float, se: Any, whole: bool) -> tuple[str, str | None, int | 
         mantissa, exponent = f"{value:.3e}".split("e")
         if value and not -4 <= int(exponent) <= 5:
             return mantissa, None, int(exponent)
-        return f"{value:.{max(0, 3 - int(exponent))}f}" if value else "0", None, None
+        shown = f"{value:.{max(0, 3 - int(exponent))}f}"
+        # A setting such as 0.1 is exactly that; 0.1000 would say that it was measured.
+        return (shown.rstrip("0") if float(shown) == value and "." in shown else shown), None, None
     if error == 0:
         return f"{value:.6g}", "0", None
     size = math.floor(math.log10(max(abs(value), error)))

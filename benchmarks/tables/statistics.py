@@ -163,11 +163,9 @@ def comparison_rows(runs: Runs, information: Sequence[Row], target: Target) -> l
             row["bias_predicted"] = _predicted_bias(target, estimator)
         row |= _coverage(found, target.gamma)
         failed = {k: n for k, n in found.statuses.items() if not Status[k].ok}
+        row |= {"hinf_norm": target.gamma, "n": len(found), "n_failed": int(np.sum(~found.good))}
         row |= {
-            "hinf_norm": target.gamma,
-            "n": len(found),
-            "n_failed": int(np.sum(~found.good)),
-            "remark": "; ".join(filter(None, (below_one(row), _coarse(row)))),
+            "remark": "; ".join(filter(None, (below_one(row | {"n": len(errors)}), _coarse(row)))),
             "failures": ", ".join(f"{n} {k.lower().replace('_', ' ')}" for k, n in failed.items()),
         }
         table.append(row)
@@ -183,19 +181,22 @@ def _coarse(row: Row) -> str:
 
 
 def below_one(row: Row) -> str:
-    """Why a rho is below 1, the bound; empty where it is not."""
+    """Why a rho is below 1, the bound; empty where it is not. n rho^2 of an estimator that attains the bound is
+    chi-squared with n degrees of freedom, n the problems of the mean: how often it is as small as this."""
     if not row["rho"] < 1:
         return ""
-    within = row["rho"] + 2 * row["rho_se"] >= 1
-    why = "within two standard errors of the bound, which" if within else "below the bound, which"
-    more = (
-        f"; the information of these inputs predicts {row['rho_predicted']:.3g}"
-        if row["rho_predicted"] == row["rho_predicted"]
-        else ""
-    )
-    biased = abs(row["bias"]) > 2 * row["bias_se"]
-    return f"{why} holds for unbiased estimators, locally and for large samples{more}" + (
-        "; this one is biased here" if biased else ""
+    from scipy.stats import chi2
+
+    promised = row.get("rho_predicted", 1.0)
+    promised = 1.0 if promised != promised else promised
+    chance = chi2.cdf(row["n"] * (row["rho"] / max(promised, 1.0)) ** 2, row["n"])
+    most = "under 0.001" if chance < 0.001 else f"{chance:.2g}"
+    words = f"by chance, of so few as {row['n']} problems, with probability {most}"
+    if promised > 1:
+        words += f" where the information of these inputs promises {promised:.3g}"
+    biased = abs(row.get("bias", 0.0)) > 2 * row.get("bias_se", 0.0)
+    return words + (
+        "; and this estimator is biased here, for which the bound does not hold" if biased else ""
     )
 
 

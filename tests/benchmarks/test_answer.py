@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 
 from benchmarks.campaign.plants import load_plant
 from benchmarks.campaign.settings import Limit, Settings
-from benchmarks.tables.answer import answer_rows
+from benchmarks.page.comparison_words import advice_sentences, short_answer
+from benchmarks.readme import with_ties
+from benchmarks.tables.answer import FEW, answer_rows, carried_by
 from benchmarks.tables.columns import not_run_rows
 from benchmarks.tables.formats import to_csv, to_parquet
 from benchmarks.tables.growth import growth_of
@@ -93,12 +96,46 @@ def test_the_error_of_a_ratio_is_its_spread(rng):
     assert abs(values.std() / errors.mean() - 1) < 0.1
 
 
-def test_a_rho_below_one_says_why():
-    row = {"rho": 0.97, "rho_se": 0.1, "rho_predicted": 1.04, "bias": 0.0, "bias_se": 0.1}
-    assert below_one(row).startswith("within two standard errors of the bound")
-    assert "predicts 1.04" in below_one(row)
-    assert below_one(row | {"rho": 0.5, "bias": -0.4}).endswith("this one is biased here")
+def test_a_rho_below_one_says_how_probable_that_is_and_why(rng):
+    """4000 means of 16 squared errors at the bound: as small as stated in the stated share of them (bound 4 standard errors)."""
+    row = {"rho": 0.78, "rho_se": 0.1, "rho_predicted": 1.05, "bias": 0.0, "bias_se": 0.1, "n": 16}
+    stated = float(re.findall(r"with probability ([\d.]+)", below_one(row))[0])
+    drawn = 1.05 * np.sqrt(rng.chisquare(16, 4000) / 16)
+    assert abs(np.mean(drawn <= 0.78) - stated) < 4 * np.sqrt(stated / 4000) + 0.005  # two digits are stated
+    assert "of so few as 16 problems" in below_one(row)
+    assert "promises 1.05" in below_one(row)
+    assert below_one(row | {"rho": 0.5, "bias": -0.4, "n": 400}).endswith("for which the bound does not hold")
+    assert "probability under 0.001" in below_one(row | {"rho": 0.5, "n": 400})
     assert below_one(row | {"rho": 1.01}) == ""
+
+
+def test_a_mean_square_that_few_problems_make_is_named(rng):
+    """Kish's number from mean and error alone is that of the squares themselves; of normal errors it is a third of them."""
+    for squares in (rng.chisquare(1, 30), np.array([400.0, *rng.chisquare(1, 19)])):
+        n, rho = len(squares), np.sqrt(squares.mean())
+        error = squares.std(ddof=1) / np.sqrt(n) / (2 * rho)
+        assert np.isclose(carried_by(rho, error, n), squares.sum() ** 2 / (squares**2).sum())
+    assert np.isclose(carried_by(1.0, np.sqrt(2 / 3000) / 2, 3000), 1000, rtol=0.01)
+    assert carried_by(rho, error, n) < FEW * n  # one of twenty is ten times the others' size
+
+
+def test_the_first_sentence_has_the_budget_and_the_threshold_and_the_advice_its_errors():
+    row = {"case": "a", "plant": "a", "noise_variance": 1.0, "c_efficiency": 0.8, "limit": 0.95, "experiments": 20,
+           "rho_own": 3.0, "rho_own_se": 0.3, "rho_nothing": 1.5, "rho_nothing_se": 0.15, "rho_structure": 1.2,
+           "best_own": "power / corrected", "best_nothing": "power / frf", "best_structure": "power / pem",
+           **{f"{kind}_{part}": name for kind in ("structure", "nothing", "own") for part, name in (("input", "power"), ("estimator", "pem"))},
+           "structure_ties": "b / pem, c / pem, d / pem, 9 more", "nothing_ties": "", "own_ties": ""}  # fmt: skip
+    said = short_answer([row], [], Settings())
+    assert (
+        "No: with 20 experiments of 1000 samples the iterations reach 90 % of the certified optimum" in said
+    )
+    assert "in 0 of 1 cases" in said
+    assert said.endswith("without end, in 1.")
+    assert short_answer([row | {"c_efficiency": 0.95}], [], Settings()).startswith("Yes:")
+    advice = advice_sentences([row, row | {"case": "b", "best_own": "power / frf", "rho_own": 1.5}], [])
+    assert "1 ± 0 times (b, noise 1) and 2.00 ± 0.28 times (a, noise 1)" in advice[-1]
+    assert with_ties(row)["best_structure"] == "power / pem (12 tie)"
+    assert with_ties(row)["best_nothing"] == "power / frf"
 
 
 def test_efficiency_by_budget_is_the_theory_table():
@@ -211,13 +248,14 @@ def test_a_family_of_plants_of_several_sizes_stands_beside_a_plant(tmp_path):
 def test_what_was_not_run_has_its_reason():
     settings = Settings(
         plants=("reference", "three-by-two"), methods=("white", "power", "oracle-D"), estimators=("gain", "pem"),
-        noise_variances=(1.0, 9.0), limits=(Limit(0, plant="reference", method="oracle-D"), Limit(0, estimator="pem", noise_variance=9.0)),
+        noise_variances=(1.0, 9.0),
+        limits=(Limit(0, plant="reference", method="oracle-D", why="an hour"), Limit(0, estimator="pem", noise_variance=9.0)),
     )  # fmt: skip
     rows = {
         (r["plant"], r["method"], r["estimator"], r["noise"]): r["why"] for r in not_run_rows(settings, 5)
     }
     assert rows["three-by-two", "power", "all", "all"] == "made for one channel"
-    assert "limit" in rows["reference", "oracle-D", "all", "all"]
+    assert rows["reference", "oracle-D", "all", "all"] == "an hour"
     assert "limit" in rows["reference", "white", "pem", "9"]
     assert ("reference", "power", "gain", "all") not in rows
     assert len(rows) == 6  # three on either plant: what is left out as a whole is said once

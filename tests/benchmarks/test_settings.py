@@ -43,6 +43,19 @@ def test_the_published_campaign_is_what_it_says():
     }  # fmt: skip
 
 
+def test_the_reason_of_a_limit_binds_nothing():
+    """A store made before a reason was written is resumed after."""
+    without, with_reason = (
+        Settings(plants=("reference",), limits=(Limit(0, method="power", why=why),)) for why in ("", "time")
+    )
+    assert without == with_reason
+    assert without.deciding() == with_reason.deciding()
+    assert with_reason.why_not("reference", "power") == "time"
+    assert (
+        without.deciding() != Settings(plants=("reference",), limits=(Limit(1, method="power"),)).deciding()
+    )
+
+
 def test_a_limit_of_many_plants_at_one_noise_level():
     """A pattern limits the plants that it names at the level that it names, and nothing else."""
     limit = limit_from_text("replicates=1,plant=random-light-*,noise_variance=9")

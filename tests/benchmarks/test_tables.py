@@ -44,6 +44,8 @@ ROWS = [
         (1.23456, None, "1.235"),
         (1.23456, math.nan, "1.235"),
         (123456.7, None, "123457"),
+        (0.1, None, "0.1"),  # a noise level that was set, not measured
+        (0.98104, None, "0.9810"),
         (1.5e-9, None, "1.500e-09"),
         (0.0, None, "0"),
         (np.float64(0.5), np.float64(0.02), "0.500 ± 0.020"),

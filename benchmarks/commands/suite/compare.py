@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from pathlib import Path
 
     from benchmarks.campaign.settings import campaign_from_toml, limit_from_text
-    from benchmarks.comparison import compare
+    from benchmarks.comparison import Comparison, compare
 
     options: dict[str, Any] = {"seed": args.seed}
     merged: dict[str, Any] = {}
@@ -73,14 +73,25 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     own = [*options.get("methods", ()), *options.get("estimators", ())]
     for file in dict.fromkeys(name.rpartition(":")[0] for name in own if ".py:" in name):
         print(f"oed compare: running the code in {file}", file=sys.stderr)
+    told: list[str] = []
+
+    def tell(early: Comparison) -> None:
+        """The answer first: the figures take their time."""
+        print(early, flush=True)
+        told.extend(early.sentences)
+
     result = compare(
         **options,
         jobs=args.jobs,
         scheduler=args.scheduler,
         dry_run=args.dry_run,
         quiet=args.quiet or args.json,
+        **({} if args.json else {"tell": tell}),
     )
     payload, text = result.to_dict(), str(result)
+    if told:
+        new = [sentence for sentence in result.sentences if sentence not in told]
+        text = "\n".join([*new, f"report: {result.page}"])
     if args.against and not args.dry_run:
         from benchmarks.tables.formats import to_text
         from benchmarks.tables.pairs import AGAINST, against_rows, against_sentence
