@@ -77,8 +77,9 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     def tell(early: Comparison) -> None:
         """The answer first: the figures take their time."""
-        print(early, flush=True)
-        told.extend(early.sentences)
+        if not args.json:
+            print(early, flush=True)
+            told.extend(early.sentences)
 
     result = compare(
         **options,
@@ -86,7 +87,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         scheduler=args.scheduler,
         dry_run=args.dry_run,
         quiet=args.quiet or args.json,
-        **({} if args.json else {"tell": tell}),
+        tell=tell,
     )
     payload, text = result.to_dict(), str(result)
     if told:
