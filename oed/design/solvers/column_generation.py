@@ -91,7 +91,7 @@ def _eigenvalue(
 ) -> Weights:
     """E by our interior-point method; where that stalls on few columns, by Clarabel if its gap is smaller."""
     criterion, constant = problem.criterion, problem.constant
-    own = eigenvalue_weights(columns, criterion, constant, start=start, tolerance=accuracy)
+    own = eigenvalue_weights(columns, criterion, constant, tolerance=accuracy)
     if own.status.ok or len(columns) * criterion.n**2 > CONIC:
         return own
     try:

@@ -2,9 +2,10 @@
 
     maximise t subject to S = M(w) - t V V' positive semidefinite, Q w <= 1, w >= 0   (t = 1 / loss)
 
-with multipliers Z of S (the certificate, tr V'ZV = 1), nu and z. The direction is that of Helmberg, Rendl,
-Vanderbei and Wolkowicz (SIAM J. Optimization 6 (1996) 342-361): dZ = mu S^-1 - Z - sym(S^-1 dS Z), whose normal
-equations tr(A_k S^-1 A_l Z) are entrywise products of two Gram matrices of the columns' factors."""
+with multipliers Z of S (the certificate, tr V'ZV = 1), nu and z. The direction is that of Nesterov and Todd (SIAM J.
+Optimization 8 (1998) 324-364): in coordinates in which S and Z are the same diagonal matrix, and w and z, s and nu
+the same vectors, the multipliers' step is what is left of a least-squares problem for the weights' step. Solved by an
+orthogonal decomposition, never by its normal equations: those lose the multipliers' digits at a gap of 1e-7."""
 
 from __future__ import annotations
 
@@ -13,72 +14,47 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.covariances import square_root
 from oed.criteria import Criterion
 from oed.design.problem.lines import Columns
-from oed.design.solvers.weights_da import Weights, blocks, gathered, inside, reach
+from oed.design.solvers.weights_da import Weights, blocks, inside, reach
 from oed.errors import Status
 
-PATIENCE = 3
-"""Steps that do not come nearer after which rounding is all that is left."""
+PATIENCE = 6
+"""Steps that do not halve the gap after which rounding is all that is left."""
 BEFORE = 0.95
 """Share of the way to the boundary of the cone that a step goes."""
 
 
-def _psd_reach(L: NDArray[np.float64], dS: NDArray[np.float64]) -> float:
-    """Largest step that keeps L L' + step dS positive semidefinite."""
-    from scipy.linalg import solve_triangular
-
-    half = solve_triangular(L, solve_triangular(L, dS, lower=True).T, lower=True)
-    lowest = float(np.linalg.eigvalsh((half + half.T) / 2)[0])
-    return -1 / lowest if lowest < 0 else np.inf
-
-
 def eigenvalue_weights(
-    columns: Columns, criterion: Criterion, constant: NDArray[np.float64], *,
-    start: NDArray[np.float64] | None = None, tolerance: float = 1e-12, max_steps: int = 60,
+    columns: Columns, criterion: Criterion, constant: NDArray[np.float64], *, tolerance: float = 1e-12, max_steps: int = 60
 ) -> Weights:  # fmt: skip
-    """Optimal weights for an E criterion: constant (n, n), start (m,)."""
+    """Optimal weights for an E criterion: constant (n, n)."""
     m, n, r = columns.F.shape
-    Q, V = columns.q.T, criterion.columns
-    problem = _Problem(columns, constant, np.moveaxis(columns.F, 0, 1).reshape(n, m * r), Q, V)
-    now = problem.first(inside(np.ones(m) if start is None else start, Q), criterion)
-    status, step, left, stalled = Status.MAX_ITERATIONS, 0, np.inf, 0
+    flat = np.moveaxis(columns.F, 0, 1).reshape(n, m * r)
+    problem = _Problem(columns, constant, flat, columns.q.T, criterion.columns)
+    now = best = problem.first(criterion)
+    status, step, least, reference, stalled = Status.MAX_ITERATIONS, 0, np.inf, np.inf, 0
     while step < max_steps:
         step += 1
-        mu = float(now.w @ now.z + now.s @ now.nu + np.sum(now.S * now.Z)) / problem.count
-        dual = Q.T @ now.nu - problem.worth(now.Z) - now.z
-        off = float(np.abs(dual * now.w).sum()) / now.t
-        if mu * problem.count <= tolerance * now.t:
-            stalled = 0 if off < left else stalled + 1
-            if min(off, left) <= tolerance or stalled == PATIENCE:
-                status = Status.CONVERGED if off <= tolerance else Status.INACCURATE
-                break
-            left = min(left, off)
-        try:
-            now = problem.next(now, mu)
-        except np.linalg.LinAlgError:
+        gap = problem.gap(now)
+        if gap < least:
+            least, best = gap, now
+        stalled, reference = (0, least) if least < 0.5 * reference else (stalled + 1, reference)
+        if least <= tolerance or stalled == PATIENCE:
+            status = Status.CONVERGED if least <= tolerance else Status.INACCURATE
             break
-    return Weights(np.maximum(now.w, 0.0), square_root(now.Z)[:, ::-1], now.nu, status, step)
+        try:
+            now = problem.next(now)
+        except np.linalg.LinAlgError:
+            status = Status.INACCURATE
+            break
+    X, size, _ = np.linalg.svd(best.Z)
+    return Weights(np.maximum(best.w, 0.0), X * size, best.nu, status, step)
 
 
 @dataclass(frozen=True, eq=False)
 class _Iterate:
-    """Weights w, t and slacks s = 1 - Q w; S = L L'; multipliers Z of S, z of w and nu of the budgets."""
-
-    w: NDArray[np.float64]
-    t: float
-    s: NDArray[np.float64]
-    S: NDArray[np.float64]
-    L: NDArray[np.float64]
-    Z: NDArray[np.float64]
-    z: NDArray[np.float64]
-    nu: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """Changes of the parts of an iterate of the same names."""
+    """Weights w, t and slacks s = 1 - Q w; factors of S and of its multiplier Z; multipliers z of w, nu of the budgets."""
 
     w: NDArray[np.float64]
     t: float
@@ -99,100 +75,88 @@ class _Problem:
     Q: NDArray[np.float64]
     V: NDArray[np.float64]
 
-    def worth(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
-        """tr(A_k Z) of every column."""
-        return np.einsum("nk,nk->k", self.flat, Z @ self.flat).reshape(self.Q.shape[1], -1).sum(axis=1)
+    def slack(self, w: NDArray[np.float64], t: float) -> NDArray[np.float64]:
+        """The factor of S; LinAlgError where rounding leaves the cone."""
+        S = self.constant + self.columns.information(w) - t * (self.V @ self.V.T)
+        return np.asarray(np.linalg.cholesky(S), dtype=np.float64)
 
-    def first(self, w: NDArray[np.float64], criterion: Criterion) -> _Iterate:
-        """An iterate inside, from weights inside."""
+    def worth(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """tr(A_k Z Z') of every column."""
+        return np.sum((Z.T @ self.flat) ** 2, axis=0).reshape(self.Q.shape[1], -1).sum(axis=1)
+
+    def first(self, criterion: Criterion) -> _Iterate:
+        """An iterate well inside, with equal weights: near the optimum of other columns it takes more steps."""
         Q, V = self.Q, self.V
-        M = self.constant + self.columns.information(w)
-        t = 0.7 / criterion.loss(M)
-        S = M - t * (V @ V.T)
-        L = np.asarray(np.linalg.cholesky(S), dtype=np.float64)
-        Y = np.asarray(np.linalg.inv(S), dtype=np.float64)
-        Z = np.asarray(Y / np.trace(V.T @ Y @ V), dtype=np.float64)
+        w = inside(np.ones(Q.shape[1]), Q)
+        t = 0.7 / criterion.loss(self.constant + self.columns.information(w))
+        S = self.slack(w, t)
+        Z = np.asarray(np.linalg.inv(S).T, dtype=np.float64)
+        Z /= np.linalg.norm(Z.T @ V)
         worth = self.worth(Z)
         nu = np.full(len(Q), float(worth @ w) / len(Q))
-        z = np.maximum(Q.T @ nu - worth, 0.1 * float(worth @ w) / len(w))
-        return _Iterate(w, t, 1 - Q @ w, S, L, Z, z, nu)
+        return _Iterate(
+            w, t, 1 - Q @ w, S, Z, np.maximum(Q.T @ nu - worth, 0.1 * float(worth @ w) / len(w)), nu
+        )
 
-    def next(self, now: _Iterate, mu: float) -> _Iterate:
-        """One predictor-corrector step from complementarity mu; LinAlgError where rounding leaves the cone."""
-        from scipy.linalg.lapack import dgetrf, dgetrs
+    def gap(self, now: _Iterate) -> float:
+        """Relative gap between t and the bound of the multipliers, made admissible."""
+        worth = self.worth(now.Z)
+        price = float((worth / (self.Q.T @ now.nu)).max())
+        fixed = float(np.sum(now.Z * (self.constant @ now.Z)))
+        return float((price * now.nu.sum() + fixed) / np.sum((self.V.T @ now.Z) ** 2) / now.t - 1)
 
-        left, towards = self._normal_equations(now)
-        root = np.asarray(np.linalg.inv(now.L), dtype=np.float64)
-        half = np.asarray(np.linalg.cholesky(now.Z), dtype=np.float64)
-        Y = root.T @ root
-        lu, pivots, singular = dgetrf(left)
-        if singular:
-            raise np.linalg.LinAlgError
-
-        def step(target: float, bent: _Step | None) -> _Step:
-            right = target * towards
-            right[-1] += 1
-            C, cz, cs = np.zeros(Y.shape), np.zeros(len(now.w)), np.zeros(len(now.s))
-            if bent is not None:  # what the predictor's changes do to one another
-                C = Y @ bent.S @ bent.Z
-                C, cz, cs = (C + C.T) / 2, bent.w * bent.z / now.w, bent.s * bent.nu / now.s
-                right -= np.append(self.worth(C) + cz - self.Q.T @ cs, -np.sum(self.V * (C @ self.V)))
-            solution = np.asarray(dgetrs(lu, pivots, right)[0], dtype=np.float64)
-            dw, dt = solution[:-1], float(solution[-1])
-            dS = (self.flat * np.repeat(dw, self.flat.shape[1] // len(dw))) @ self.flat.T - dt * (
-                self.V @ self.V.T
-            )
-            turned = Y @ dS @ now.Z
-            ds = -self.Q @ dw
-            return _Step(
-                dw, dt, ds, dS,
-                target * Y - now.Z - (turned + turned.T) / 2 - C,
-                target / now.w - now.z - now.z / now.w * dw - cz,
-                target / now.s - now.nu - now.nu / now.s * ds - cs,
-            )  # fmt: skip
-
-        def reaches(d: _Step) -> tuple[float, float]:
-            ahead = min(_psd_reach(now.L, d.S), reach(now.w, d.w), reach(now.s, d.s))
-            return ahead, min(_psd_reach(half, d.Z), reach(now.z, d.z), reach(now.nu, d.nu))
-
-        d = step(0.0, None)
-        p, q = (min(1.0, length) for length in reaches(d))
-        after = (now.w + p * d.w) @ (now.z + q * d.z) + (now.s + p * d.s) @ (now.nu + q * d.nu)
-        after += np.sum((now.S + p * d.S) * (now.Z + q * d.Z))
-        d = step(mu * min(1.0, float(after) / (mu * self.count)) ** 3, d)
-        p, q = (min(1.0, BEFORE * length) for length in reaches(d))
-        w, t = now.w + p * d.w, now.t + p * d.t
-        S = self.constant + self.columns.information(w) - t * (self.V @ self.V.T)
-        L = np.asarray(np.linalg.cholesky(S), dtype=np.float64)
-        return _Iterate(w, t, now.s + p * d.s, S, L, now.Z + q * d.Z, now.z + q * d.z, now.nu + q * d.nu)
-
-    @property
-    def count(self) -> int:
-        """Number of complementary pairs."""
-        return self.Q.shape[1] + len(self.Q) + len(self.constant)
-
-    def _normal_equations(self, now: _Iterate) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Matrix for the steps of w and t together, and what complementarity 1 has on the right-hand side."""
+    def next(self, now: _Iterate) -> _Iterate:
+        """One predictor-corrector step; LinAlgError where rounding leaves the cone."""
         from scipy.linalg import solve_triangular
 
-        Q, V, flat, L, Z = self.Q, self.V, self.flat, now.L, now.Z
-        n, m, r = len(flat), len(now.w), flat.shape[1] // len(now.w)
-        half = np.asarray(solve_triangular(L, flat, lower=True), dtype=np.float64)
-        ZF, ZV = Z @ flat, Z @ V
-        YV = np.asarray(np.linalg.solve(L.T, np.linalg.solve(L, V)), dtype=np.float64)
-        # tr(A_k S^-1 A_l Z) entry by entry, or as products of n x n blocks: whichever is less work.
-        if n * n <= r * r * (2 * n + 20):
-            G = blocks(half, r) @ blocks(flat, r).swapaxes(1, 2)
-            H = G.reshape(m, -1) @ (G @ Z).reshape(m, -1).T
-        else:
-            H = gathered((half.T @ half) * (flat.T @ ZF), r)
-        h = np.sum((flat.T @ YV) * (flat.T @ ZV), axis=1).reshape(m, r).sum(axis=1)
-        left = np.zeros((m + 1, m + 1))
-        left[:m, :m] = H + np.diag(now.z / now.w) + (Q.T * (now.nu / now.s)) @ Q
-        left[:m, m] = left[m, :m] = -h
-        left[m, m] = float(np.sum((V.T @ YV) * (V.T @ ZV)))
-        right = np.empty(m + 1)
-        spread = np.sum(half**2, axis=0).reshape(m, r).sum(axis=1)
-        right[:m] = spread + 1 / now.w - Q.T @ (1 / now.s)
-        right[m] = -float(np.trace(V.T @ YV))
-        return left, right
+        n, m, r = len(self.V), len(now.w), self.columns.F.shape[2]
+        # R'ZZ'R = R^-1 SS'R^-T = diag(lam); the pairs of vectors alike.
+        U, lam, _ = np.linalg.svd(now.Z.T @ now.S)
+        down = (now.Z @ U / np.sqrt(lam)).T  # R^-1
+        x, y = np.concatenate([now.w, now.s]), np.concatenate([now.z, now.nu])
+        root, unit = np.sqrt(x * y), np.sqrt(x / y)
+        upper = np.triu_indices(n)
+        twice = np.where(upper[0] == upper[1], 1.0, np.sqrt(2.0))
+        vector = lambda A: A[..., upper[0], upper[1]] * twice
+
+        def matrix(v: NDArray[np.float64]) -> NDArray[np.float64]:
+            A = np.zeros((n, n))
+            A[upper] = v / twice
+            return A + np.triu(A, 1).T
+
+        half, turned = blocks(down @ self.flat, r), down @ self.V
+        B = np.zeros((len(upper[0]) + len(x), m + 1))
+        N = len(upper[0])
+        B[:N, :m] = vector(half @ half.swapaxes(1, 2)).T
+        B[:N, m] = -vector(turned @ turned.T)
+        B[N : N + m, :m] = np.diag(1 / unit[:m])
+        B[N + m :, :m] = -self.Q / unit[m:, None]
+        basis, T = np.linalg.qr(B)
+        price = basis @ solve_triangular(T, np.eye(m + 1)[m], trans=1)
+        here = np.concatenate([vector(np.diag(lam)), root])
+        sums = vector(lam[:, None] + lam) / twice / 2
+
+        def step(target: float, C: NDArray[np.float64], c: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
+            """The changes of the slacks and of the multipliers, in these coordinates."""
+            wanted = np.concatenate(
+                [vector(target * np.eye(n) - np.diag(lam**2) - C) / sums, (target - root**2 - c) / root]
+            )
+            ahead = basis @ (basis.T @ (here + wanted)) + price
+            return ahead, wanted - ahead
+
+        def reaches(d: NDArray[np.float64]) -> float:
+            lowest = float(np.linalg.eigvalsh(matrix(d[:N]) / np.sqrt(np.outer(lam, lam)))[0])
+            return min(-1 / lowest if lowest < 0 else np.inf, reach(root, d[N:]))
+
+        mu = float(here @ here) / (n + len(x))
+        a, b = step(0.0, np.zeros((n, n)), np.zeros(len(x)))
+        p, q = min(1.0, reaches(a)), min(1.0, reaches(b))
+        after = float((here + p * a) @ (here + q * b)) / (n + len(x))
+        C = matrix(a[:N]) @ matrix(b[:N])
+        a, b = step(mu * min(1.0, after / mu) ** 3, (C + C.T) / 2, a[N:] * b[N:])
+        p, q = min(1.0, BEFORE * reaches(a)), min(1.0, BEFORE * reaches(b))
+        dy = solve_triangular(T, basis.T @ a)
+        w, t = now.w + p * dy[:m], now.t + p * dy[m]
+        z = y + q * b[N:] / unit
+        factor = np.linalg.cholesky(np.diag(lam) + q * matrix(b[:N]))
+        return _Iterate(w, t, 1 - self.Q @ w, self.slack(w, t), down.T @ factor, z[:m], z[m:])

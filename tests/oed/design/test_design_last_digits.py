@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 
 from oed.criteria import a_criterion, c_criterion, d_criterion, e_criterion, g_criterion, worst_d_criterion
-from oed.design import solve_design
+from oed.design import information_map, solve_design
+from oed.design.problem.budgets import power_budgets
+from oed.design.problem.lines import Problem
+from oed.design.solvers.column_generation import seed_columns
+from oed.design.solvers.weights_e import eigenvalue_weights
+from oed.design.solvers.whole_grid import cvxpy_weights
 from oed.errors import Status
+from oed.plants.plant import Plant
 from tests.oed.design.test_design_random import random_plant
 
 RNG = np.random.default_rng(0)
@@ -63,3 +69,53 @@ def test_a_design_that_is_not_closed_says_so_first():
     assert "not closed" not in str(design)
     open_one = replace(design, status=Status.INACCURATE)
     assert "not closed" in str(open_one).splitlines()[0]
+
+
+def four_by_four(seed):
+    """Two inputs and outputs, 32 parameters: every entry of order 4, with poles of radius .3 to .98."""
+    rng, num, den = np.random.default_rng(seed), [], []
+    for _ in range(2):
+        num.append([])
+        den.append([])
+        for _ in range(2):
+            poles = rng.uniform(0.3, 0.98, 2) * np.exp(1j * rng.uniform(0.1, 3, 2))
+            den[-1].append(np.poly([*poles, *poles.conj()]).real)
+            num[-1].append(np.r_[0, rng.normal(size=4)])
+    return Plant(num, den)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_small_parts_of_an_eigenvalues_certificate_are_kept(seed):
+    """A millionth of the certificate is what 1e-5 of the power at lines of its own makes parameters known by."""
+    design = solve_design(four_by_four(seed), "E", tolerance=1e-9)
+    assert design.gap <= 1e-9
+    assert len(design.spectrum) <= design.map.n
+    assert design.certificate.check(points=20_001) <= 1 + 1e-8
+    found = np.linalg.eigvalsh(design.information)[0]
+    assert 1 / found == pytest.approx(design.loss, rel=1e-6)
+
+
+def columns_for_an_eigenvalue(plant):
+    """The columns that a design begins with."""
+    map_ = information_map(plant)
+    omega = (np.arange(400) + 0.5) * np.pi / 400
+    problem = Problem(map_, e_criterion(map_.n), power_budgets(map_, 1.0), omega)
+    return problem, seed_columns(problem)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_weights_for_an_eigenvalue_to_ten_digits(seed):
+    """The interior point itself, 32 parameters and 148 columns: Clarabel fails, normal equations stay at 1e-8."""
+    problem, columns = columns_for_an_eigenvalue(four_by_four(seed))
+    found = eigenvalue_weights(columns, problem.criterion, problem.constant, tolerance=1e-11)
+    assert found.status is Status.CONVERGED
+    bound = problem.criterion.numerator(found.X) / (columns.prices(found.X, found.nu).max() * found.nu.sum())
+    assert bound <= problem.loss(columns, found.w) <= bound * (1 + 1e-10)
+
+
+def test_weights_for_an_eigenvalue_are_those_of_a_cone_programme():
+    problem, columns = columns_for_an_eigenvalue(random_plant(np.random.default_rng(3), several=True))
+    ours = eigenvalue_weights(columns, problem.criterion, problem.constant, tolerance=1e-11)
+    theirs = cvxpy_weights(columns, problem.criterion, problem.constant, 1e-9)
+    w = theirs.w / (columns.q.T @ theirs.w).max()
+    assert problem.loss(columns, ours.w) == pytest.approx(problem.loss(columns, w), rel=1e-7)
