@@ -209,10 +209,11 @@ def _outcome(
     steps = [
         replace(s, admitted=s.admitted and (s.linear or predictor.news(s.unused) > NEWS)) for s in started
     ]
-    for s, first in zip(steps, started, strict=True):
-        if s.kind is Kind.NAMED and not s.admitted:
-            why = NO_NEWS if first.admitted else BAD_START
-            named = replace(named, dropped=(*named.dropped, *((c.key, why) for c in named.claims)))
+    if any(
+        s.kind is Kind.NAMED and first.admitted > s.admitted for s, first in zip(steps, started, strict=True)
+    ):
+        dropped = tuple((c.key, NO_NEWS) for c in named.claims)
+        named = replace(named, claims=(), dropped=named.dropped + dropped)
     least = int(len(out) > 0)
     ladder = climb(y, steps, counted, setting.policy, least=least)
     if ladder.chosen.kind is Kind.DISCOVERED:
@@ -233,7 +234,6 @@ def _outcome(
 
 
 NO_NEWS = "a linear predictor of the output gains nothing from it"
-BAD_START = "a run from the record's own start is worse with it than the linear model's"
 
 
 def _as_started(steps: Sequence[Step], train: Record, i: int, setting: Setting) -> list[Step]:

@@ -31,9 +31,8 @@ class Outcome:
     inverse: bool = False
 
     def value(self, kind: Kind) -> float:
-        """Least error on unused blocks of the steps of a kind that may be an answer; infinite where there is none."""
-        rungs = (r for r in self.ladder.rungs if r.step.kind is kind and r.step.admitted)
-        return min((r.value for r in rungs), default=np.inf)
+        """Least error on unused blocks of the steps of a kind; infinite where there is none."""
+        return min((r.value for r in self.ladder.rungs if r.step.kind is kind), default=np.inf)
 
     @property
     def bent(self) -> bool:
