@@ -19,6 +19,11 @@ FAR = 3.0  # times the linear model's squares, beyond which a start is given up 
 DAMPED = 0.5  # damping ratio from which on nothing swings more than once: a sine is then any curve
 TURNS = 1500  # angles per record among which the period of a force is looked for
 PHASES = ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))  # of a periodic force, in sizes of the input
+SLOW = 0.03  # loss per speed and sample where the balance shows none
+BALANCE = (
+    3  # samples of the inputs in the balance of forces: the hold, half a sample either way, and a quick drive
+)
+FINE = 81  # angles about a peak: a fortieth of a turn over the record, beyond which the force's phase is lost
 LEAST_TURNS = 3  # in a record, for its force to repeat
 PEAK = 25.0  # times the mean power over all angles: by chance in one record of millions
 WINDOWS = (0.15, 0.35, 0.7, 1.0)
@@ -129,16 +134,12 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         return
     inputs, beside = _joint(channel, base)[0]
     j, at_first = inputs[0], s.order + s.inputs.index(inputs[0]) * s.taps
-    poles = np.roots(np.concatenate(([1.0], base.p[: s.order])))
-    real = sorted((z.real for z in poles if abs(z.imag) < 1e-9 and 0.02 < z.real < 0.9995), reverse=True)
-    slow = real[0] if real else float(np.abs(poles).max())
-    rates = [-np.log(np.clip(slow, 0.05, 0.999))]
     n, keep = len(channel), channel.keep
     speed = np.where(keep, channel.y, channel.y - base.residual)
     angle = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))))
     span = float(np.ptp(angle)) + 1e-300
-    force = np.diff(base.residual, append=base.residual[-1]) + rates[0] * base.residual
-    force = np.where(keep, force - force.mean(), 0.0)
+    own = channel.u[:, list(dict.fromkeys((j, *inputs)))]
+    force = _balance(speed, own, keep)[0]
     turns = 2 * np.pi * np.arange(LEAST_TURNS, TURNS) / span
     power = np.array([abs(np.vdot(np.exp(1j * w * angle), force)) ** 2 for w in turns])
     peaks = [i for i in np.argsort(-power)[:2] if power[i] > PEAK * float(power.mean())]
@@ -146,14 +147,20 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     gain /= float(1.0 + np.sum(base.p[: s.order]))  # output per unit of input
     spread = float(np.std(channel.y)) + 1e-300
     turning = replace(s, order=2, taps=2, layout="integrator", delay=0, inputs=inputs)
-    further = np.outer(beside, [0.0, rates[0]]).ravel()
     for w in turns[peaks]:
+        near = w + np.linspace(-1.0, 1.0, FINE) * (turns[1] - turns[0])
+        balances = [(w, *_balance(speed, own, keep, w * angle)) for w in near]
+        w, _, loss, push, c = min(balances, key=lambda found: float(found[1] @ found[1]))
+        rate, phases = SLOW, [size * np.array(phase) for phase in PHASES]
+        if loss > 0.0 and push * gain > 0.0:
+            rate, gain, phases = loss, push / loss, [c / push]
+        further = np.outer(beside, [0.0, rate]).ravel()
         found: list[tuple[float, Array, Array, Any]] = []
         for first in (0, 1):  # without and with a lag of the drive
             part = Part(POSITION, j, first=first)
             new = turning.adding(part)
             scales = np.full(new.size, spread)
-            scales[:3], scales[3 : new.plant_size] = (1.0, abs(gain), abs(gain)), rates[0]
+            scales[:3], scales[3 : new.plant_size] = (1.0, abs(gain), abs(gain)), rate
             at = new.slices()[-1]
             scales[at] = [1.0] * first + [size, size, 1e-3 * abs(w * gain)]
             for q, sl in zip(new.parts, new.slices(), strict=True):
@@ -163,16 +170,33 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
             for share in WINDOWS:
                 few = replace(channel, keep=keep & (np.arange(n) < share * n))
                 begun = [p for _, p in sorted(trials, key=lambda trial: trial[0])[:1]]
-                for a, b in () if begun else PHASES:
+                for phase in () if begun else phases:
                     p = np.zeros(new.size)
-                    p[:3], p[3 : new.plant_size] = (np.log(rates[0]), 0.0, gain), further
-                    p[at] = [-0.5] * first + [a * size, b * size, w * gain]
+                    p[:3], p[3 : new.plant_size] = (np.log(rate), 0.0, gain), further
+                    p[at] = [-0.5] * first + [*phase, w * gain]
                     begun.append(p)
                 fits = [fit(few, new, p, scales, iterations=8, colour=False) for p in begun]
                 trials = [(f.deviance, f.p) for f in fits if np.isfinite(f.deviance)]
             found += [(deviance, p, scales, new) for deviance, p in trials]
         for _, p, scales, new in sorted(found, key=lambda entry: entry[0])[:1]:
             yield fit(channel, new, p, scales, noise=base.noise, iterations=30)
+
+
+def _balance(
+    speed: Array, u: Array, keep: Array, angle: Array | None = None
+) -> tuple[Array, float, float, Array]:
+    """Balance of a turning part's forces, from its speed and inputs: no linear model stands in it that has bent towards a force.
+
+    What it leaves of the speed's change (N,); the loss per speed, the push per unit of the first input, and the cosine and
+    sine of an angle that oppose it, where one is given.
+    """
+    late = lambda x, by: np.concatenate((np.repeat(x[:1], by, axis=0), x[: len(x) - by]))
+    columns = [speed, np.ones(len(speed)), *(late(u, by) for by in range(BALANCE))]
+    columns += [] if angle is None else [np.cos(angle), np.sin(angle)]
+    X, change = np.column_stack(columns), np.gradient(speed)
+    c = np.linalg.lstsq(X[keep], change[keep], rcond=None)[0]
+    left = np.where(keep, change - X @ c, 0.0)
+    return left, float(-c[0]), float(np.sum(c[2 :: u.shape[1]][:BALANCE])), -c[-2:]
 
 
 def _turned(
