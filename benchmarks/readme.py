@@ -80,8 +80,7 @@ def session_picture(file: Path) -> None:
         draw_session(Path(folder), file)
 
 
-REMARKED = "what a reader should doubt:"
-"""Leads to the remarks on rows whose rho is below the bound, or made by a few problems."""
+UNITS = "Noise is the variance at the output, of hair-dryer in multiples of the identified one; ± is one standard error."
 
 
 def with_ties(row: dict) -> dict:
@@ -96,27 +95,17 @@ def write_readme(results: Path, readme: Path) -> None:
     compared, _ = from_parquet(results / "tables" / "comparison.parquet")
     spent = rows[0]
     shown = [row for row in rows if row["plant"] in CASES or row["plant"] != row["case"]]
-    remarks = [
-        f"- {row['case']}, noise {row['noise_variance']:g}: {row['remark']}."
-        for row in shown
-        if row["remark"]
-    ]
+    doubts = "; ".join(
+        f"{r['case']}, noise {r['noise_variance']:g}: {r['remark']}" for r in shown if r["remark"]
+    )
     lines = [
         f"Every input had {spent['experiments']} experiments, {spent['samples']} samples and energy {spent['energy']:.6g} over all "
         "channels (of Procedure 2 each of the 1 + pq experiments of an iteration counts); `oed report` has them beside every "
         f"row, with the peak amplitude. At most {metadata['replicates']} runs of each, chosen on one half and judged on the other.",
         "",
         to_markdown([with_ties(row) for row in shown], SHOWN),
-        *(
-            [
-                f"Noise is the variance at the output, of hair-dryer in multiples of the identified one; ± is one standard error; {REMARKED}",
-                "",
-                *remarks,
-                "",
-            ]
-            if remarks
-            else []
-        ),
+        f"{UNITS} To be doubted: {doubts}." if doubts else UNITS,
+        "",
         head_to_head_sentence(head),
         *(["", oracle_sentence(compared)] if oracle_sentence(compared) else []),
     ]

@@ -61,7 +61,7 @@ def advice_sentences(answer: Sequence[Row], best: Sequence[Row]) -> list[str]:
     ratios = sorted((_over_blind(r) for r in answer if is_number(r["rho_own"]) and is_number(r["rho_nothing"])),
                     key=lambda r: r["ratio"])  # fmt: skip
     if ratios:
-        lines.append("The iterations' own estimators have an error that is between " + between(ratios[0], ratios[-1], "ratio")
+        lines.append("The error of the iterations' own estimators is " + between(ratios[0], ratios[-1], "ratio")
                      + " that of the best way which is told as little: nothing.")  # fmt: skip
     free = [r for r in best if is_number(r["rho"]) and r["known"] != Told.PLANT.value]
     if not lines and free:

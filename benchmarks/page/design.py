@@ -21,6 +21,10 @@ TIGHT = 1e-3
 """Share of a budget that may be left where it still counts as what limits the design."""
 
 
+MOST_NAMED = 4
+"""Lines whose frequencies the answer names."""
+
+
 def _alternatives(design: Design, plant: Plant) -> list[Row]:
     """Efficiency of what somebody might apply instead, at the same power."""
     from oed.plants.norms import peak
@@ -86,7 +90,8 @@ def write_design(
         runs = [Figure("signal", "The signal to apply; input.csv has every sample.", "The input over time.", rows,
                        "time (s)" if plant.dt != 1 else "sample", "input", zoom=True)]  # fmt: skip
     binding = [r["limit"] for r in limits if r["binds"] == "yes"]
-    answer = (f"The {design.criterion.name}-optimal input puts its power on {len(design.spectrum)} line{'s' * (len(design.spectrum) > 1)}; white noise of the same "
+    near = ", ".join(f"{w / turn:.3g}" for w in at[:MOST_NAMED]) + (", .." if len(at) > MOST_NAMED else "")
+    answer = (f"The {design.criterion.name}-optimal input puts its power on {len(at)} line{'s' * (len(at) > 1)} ({near} {unit}); white noise of the same "
               f"power reaches {100 * design.efficiency_white:.3g} % of it.")  # fmt: skip
     sure = [f"Loss {design.loss:.6g}, and no admissible spectrum has less than {design.bound:.6g}: a certified gap of {design.gap:.1e}.",
             f"{design.status.name}: {design.status.value}"]  # fmt: skip

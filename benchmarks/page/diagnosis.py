@@ -208,6 +208,7 @@ def _next(result: Diagnosis) -> tuple[list[Section], list[str], dict[str, str]]:
 def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
     unit = _unit(result)
     before, after = result.rmse_before, result.rmse_after
+    nothing = not result.detected or result.system.startswith("nothing")
     if result.detected:
         what = result.system.split("; error on fresh data")[0] or result.effect.replace("_", " ")
         same = f"{before.value:.3g}" == f"{after.value:.3g}"
@@ -227,7 +228,10 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
     low, high = result.difference.low, result.difference.high
     sure = [f"Error on the {result.held_out}: {before}{unit} before, {after}{unit} after (95 % intervals); the difference is "
             f"{result.difference.value:.3g} [{low:.3g}, {high:.3g}]."]  # fmt: skip
-    sure += [f"Corrected p-value {result.p_value:.2g}, all tests together."] if result.detected else []
+    if result.detected:
+        many = "all tests together, corrected for how many they are"
+        sure.append(f"That the linear model's residual is white noise has p = {result.p_value:.2g} ({many})"
+                    + (f"; what is left in it: {result.evidence[0]}." if nothing and result.evidence else "."))  # fmt: skip
     sure += (
         [f"This record cannot tell it from: {', '.join(c.replace('_', ' ') for c in result.confusable)}."]
         if result.confusable
@@ -235,6 +239,10 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
     )
     sure += [_capital(w) for w in result.warnings]
     todo = [f"What the final residual still shows: {result.remaining}."] if result.remaining else []
+    if nothing:
+        todo.append(
+            "Keep the linear model. A longer record, or an input that goes further or faster, may show what this one cannot."
+        )
     return answer, sure, todo
 
 
@@ -245,7 +253,7 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, A
     answer, sure, todo = _words(result)
     following, what, downloads = _next(result)
     if result.model is not None:
-        todo.append("Use the whole answer: DiagnosedModel.load of model.json simulates any record with it.")
+        todo.append("To simulate the answer on any record: DiagnosedModel.load of model.json.")
     curves = [figure for i in outputs for figure in _curves(result, i)]
     parameters = [
         {"parameter": k, "value": v, "value_se": se, "unit": unit}

@@ -193,7 +193,7 @@ def write_identification(
     orders = " ".join(map(str, payload["orders"]))
     answer = f"A model of structure {payload['structure'].upper()} with orders {orders} {does} % of the output; {suffices}."
     sure = [f"Peak gain {gamma:.4g} ± {error:.2g} {per} at {omega / (2 * np.pi * fit.model.dt):.4g} Hz; standard errors hold if the model can describe the data.",
-            f"{fit.n_samples} samples; {fit.status.value}"]  # fmt: skip
+            f"Fitted to {fit.n_samples} samples; the search ended: {fit.status.value[:1].lower()}{fit.status.value[1:]}"]  # fmt: skip
     if "test" in payload:
         sure.append(
             f"On fresh data it simulates {payload['test']['simulation_fit_percent']:.1f} % of the output."

@@ -108,7 +108,8 @@ def session_page(folder: Path) -> Page:
     tested = [f"{words}." for words in rest.sentences(s)] if rest else ["There is no rest test."]
     step = {"READY": f"Ask for the next input: oed session next {folder.name}.",
             "WAITING": f"Apply {Path(status['input']).name if status['input'] else 'the input'} and hand over what was measured: "
-            f"oed session record {folder.name} FILE."}.get(status["status"], f"The session has ended: {status['message']}.")  # fmt: skip
+            f"oed session record {folder.name} FILE."}.get(status["status"], f"The session has ended: {status['message'].rstrip('.')}. "
+            "Use the estimate; every record is in the folder, input-0001.csv with output-0001.csv and so on.")  # fmt: skip
     where = ""
     if np.isfinite(found.frequency_error):
         where = f" at {found.frequency / (2 * np.pi * s.dt):.4g} Hz"

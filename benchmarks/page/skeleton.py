@@ -57,6 +57,8 @@ def save_page(folder: Path, page: Page, *, static: bool = False) -> Path:
         from benchmarks.page.figures_static import save_figure
 
         for figure in page.figures:
+            if not figure.rows:  # as on the page: there is nothing to draw
+                continue
             save_figure(folder / "figures", figure, file_name(figure.name))
     for name, text in page.downloads.items():
         write_whole(folder / file_name(name), text)

@@ -141,7 +141,7 @@ def _remark(row: Row, compared: Sequence[Row]) -> str:
             way = row["plant"], row["noise_variance"], row[f"{kind}_input"], row[f"{kind}_estimator"]
             keys = ("plant", "noise_variance", "method", "estimator")
             whole = next((r for r in compared if tuple(r[k] for k in keys) == way), row)
-            said[f"{name} is below 1 {below_one(whole | judged)}"] = None
+            said[f"{name} is {below_one(whole | judged)}"] = None
     return "; ".join(said)
 
 
@@ -224,7 +224,7 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
         rest = f" The best of their estimators wastes {between(own[0], own[-1], 'waste_own')}." if own else ""
         sentences.append(
             "Their printed estimator (7) wastes what the input gains: PEM, which is told orders and delay as (7) is not, needs "
-            f"between {between(least, most, 'waste')} less data of the same records for the same error.{rest}"
+            f"{between(least, most, 'waste')} less data of the same records for the same error.{rest}"
         )
     for kind, who in KINDS.items():
         ways: dict[str, list[Row]] = {}
@@ -250,7 +250,7 @@ def between(least: Row, most: Row, key: str) -> str:
         f"{format_value(r[key], r[f'{key}_se'])} times ({r['case']}, noise {r['noise_variance']:g})"
         for r in (least, most)
     ]
-    return " and ".join(at)
+    return f"between {at[0]} and {at[1]}" if least is not most else at[0]
 
 
 def tied(row: Row, kind: str) -> str:

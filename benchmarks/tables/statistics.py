@@ -191,9 +191,12 @@ def below_one(row: Row) -> str:
     promised = 1.0 if promised != promised else promised
     chance = chi2.cdf(row["n"] * (row["rho"] / max(promised, 1.0)) ** 2, row["n"])
     most = "under 0.001" if chance < 0.001 else f"{chance:.2g}"
-    words = f"by chance, of so few as {row['n']} problems, with probability {most}"
-    if promised > 1:
-        words += f" where the information of these inputs promises {promised:.3g}"
+    where = (
+        "1, at which"
+        if promised <= 1
+        else f"1; at the {promised:.3g} that the information of these inputs promises,"
+    )
+    words = f"below the bound {where} {row['n']} problems give as little with probability {most}"
     biased = abs(row.get("bias", 0.0)) > 2 * row.get("bias_se", 0.0)
     return words + (
         "; and this estimator is biased here, for which the bound does not hold" if biased else ""

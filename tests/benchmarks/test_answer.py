@@ -102,8 +102,7 @@ def test_a_rho_below_one_says_how_probable_that_is_and_why(rng):
     stated = float(re.findall(r"with probability ([\d.]+)", below_one(row))[0])
     drawn = 1.05 * np.sqrt(rng.chisquare(16, 4000) / 16)
     assert abs(np.mean(drawn <= 0.78) - stated) < 4 * np.sqrt(stated / 4000) + 0.005  # two digits are stated
-    assert "of so few as 16 problems" in below_one(row)
-    assert "promises 1.05" in below_one(row)
+    assert "at the 1.05 that the information of these inputs promises, 16 problems" in below_one(row)
     assert below_one(row | {"rho": 0.5, "bias": -0.4, "n": 400}).endswith("for which the bound does not hold")
     assert "probability under 0.001" in below_one(row | {"rho": 0.5, "n": 400})
     assert below_one(row | {"rho": 1.01}) == ""

@@ -30,9 +30,16 @@ def test_the_answer_is_a_sentence(system, after, answer):
     result = SimpleNamespace(
         detected=True, system=f"{system}; error on fresh data", effect="x", nature="static", rmse_before=figure(0.2),
         rmse_after=figure(after), difference=figure(0.0), held_out="test record", p_value=1e-9, confusable=(), warnings=(),
+        evidence=["the noise is correlated in time"],
         remaining="", extra={"test": SimpleNamespace(output_units=("",))},
     )  # fmt: skip
-    assert _words(result)[0] == answer  # type: ignore[arg-type]
+    said, sure, todo = _words(result)  # type: ignore[arg-type]
+    assert said == answer
+    # a tiny p beside "nothing is missing" was read as its opposite: it says what is left
+    assert any("what is left in it: the noise is correlated" in words for words in sure) is system.startswith(
+        "nothing"
+    )
+    assert any("Keep the linear model" in words for words in todo) is system.startswith("nothing")
 
 
 @pytest.mark.slow

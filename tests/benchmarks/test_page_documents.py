@@ -7,6 +7,7 @@ import json
 import re
 from dataclasses import replace
 from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -64,6 +65,12 @@ def test_the_page_is_made_again_from_report_json(tmp_path):
     assert (tmp_path / "in.csv").read_text() == "a < b"
     for suffix in (".parquet", ".csv", ".md", ".tex"):
         assert (tmp_path / "tables" / f"t{suffix}").stat().st_size
+
+
+def test_a_figure_without_rows_is_left_out_of_the_page_and_of_the_files(tmp_path):
+    """Two replicates choose no best way: the figure of what knowledge is worth is empty, and ended a comparison at its last step."""
+    save_page(tmp_path, Page("comparison", "t", "a", hero=[Figure("empty", "c", "a", [])]), static=True)
+    assert not list(tmp_path.glob("figures/*"))
 
 
 @pytest.mark.parametrize(
@@ -157,3 +164,9 @@ def test_long_signals_keep_their_extremes():
     assert (min(r["y"] for r in rows), max(r["y"] for r in rows)) == (y.min(), y.max())
     assert [r["x"] for r in rows] == sorted(r["x"] for r in rows)
     assert len(thinned(np.arange(10), {"a": y[:10], "b": y[:10]})) == 20
+
+
+def test_the_published_page_is_at_most_two_megabytes():
+    """It was 2.8: one file that a browser reads before it shows anything."""
+    published = Path(__file__).resolve().parents[2] / "docs" / "results" / "report.html"
+    assert published.stat().st_size < 2_000_000

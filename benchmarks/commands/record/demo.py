@@ -22,6 +22,7 @@ oed identify "record.csv[0:500]" --structure oe --orders 2 2 --delay auto --test
 oed diagnose "record.csv[0:500]" --test "record.csv[500:1000]" --skip 20 --out diagnosis
 oed design --plant model/model.json --criterion D --amplitude 2 --realise 500 --out input.csv
 oed theory --plant model/model.json
+oed compare --plant model/model.json --noise-variance 0.0088 --methods white power sequential --estimators gain pem --replicates 20 --out mine
 oed session start rig --method power --samples 500 --dt 0.08 --amplitude 2
 oed session rest rig
 oed session next rig
