@@ -28,13 +28,14 @@ extensions = [
 ]
 exclude_patterns = [
     "_build",
-    "**/README.md",
+    "README.md",
     "sg_execution_times.rst",
     "gallery/*.ipynb",
     "gallery/*.py",
     "gallery/*.json",
 ]
 html_theme = "furo"  # maintained, light, dark mode
+html_extra_path = ["results/report.html"]  # beside the site's pages, and opened as it is
 html_static_path, html_css_files = ["assets"], ["oed.css"]
 html_title = "oed"
 html_math_renderer = "mathml"
