@@ -31,7 +31,7 @@ SCHEMA_VERSION = 1
 BAD_INPUT = (InputError, NotIdentifiable, InfeasibleDesign, CampaignError)
 
 
-NUMBERS = {"int": "a whole number", "float": "a number"}
+NUMBERS = {"int": "a whole number", "float": "a number", "_order": "a whole number or auto"}
 """What the message of a wrong argument calls its type."""
 
 

@@ -57,7 +57,9 @@ def _load(spec: str) -> Callable[..., Any]:
     try:
         source = Path(file).read_text(encoding="utf-8")
     except OSError as error:
-        raise InputError(f"the file of {spec} cannot be read ({error.strerror}).") from None
+        raise InputError(
+            f"the file of {spec} cannot be read ({error.strerror}); check the name and the folder."
+        ) from None
     # Executed, not imported: pickled by value, the functions reach workers that cannot see the file.
     space: dict[str, Any] = {"__name__": Path(file).stem, "__file__": file}
     try:

@@ -159,7 +159,7 @@ AGAINST = {
 
 def against_rows(rows: Sequence[Row], folder: str | Path) -> list[Row]:
     """Rho of every way that both have at the same budget, its difference, and whether that is more than chance."""
-    there = {_key(row): row for row in _published(Path(folder))}
+    there = {_key(row): row for row in published_rows(Path(folder))}
     both = [(row, there[_key(row)]) for row in rows if _key(row) in there]
     if not both:
         raise InputError(
@@ -201,7 +201,7 @@ def _key(row: Row) -> tuple[Any, ...]:
     return (*(row[key] for key in KEY), *(float(row[key]) for key in BUDGET))
 
 
-def _published(folder: Path) -> list[Row]:
+def published_rows(folder: Path) -> list[Row]:
     """comparison.csv of a published folder, or of the tables of a results folder."""
     for file in (folder / "comparison.csv", folder / "tables" / "comparison.csv"):
         if file.is_file():

@@ -45,6 +45,11 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         raise InputError(f"--out is {args.out}; a figure is svg, pdf or png: choose one of these suffixes.")
     if not target.parent.is_dir():
         raise InputError(f"the folder {target.parent} does not exist; make it first.")
+    if args.data.endswith(".json"):
+        raise InputError(
+            f"{args.data} is a model, and figures are of a model and its record; give the record, or open report.html beside the "
+            "model: oed identify --out made it."
+        )
     reading = {"inputs": args.inputs, "outputs": args.outputs, "dt": args.dt}
     record = read_record(args.data, **reading)
     stage("the fit")

@@ -152,7 +152,8 @@ def steiglitz_mcbride(signals: Signals, nb: int, f: NDArray, iterations: int = 1
         for k in range(nf):
             columns[nb + k, :, k + 1 :] = -shaped[0, :, : longest - k - 1]
         flat = (columns * seen).reshape(nb + nf, -1)
-        gram, right = flat @ flat.T, flat @ shaped[0].ravel()
+        with np.errstate(over="ignore", invalid="ignore"):  # of far too many orders; the next line looks
+            gram, right = flat @ flat.T, flat @ shaped[0].ravel()
         if not np.isfinite(gram).all():
             break
         _, theta, failed = dposv(gram, right)
