@@ -171,7 +171,7 @@ function matrix() {
     const share = 100 * row.c_efficiency, found = 100 * Number((textOf(texts, row, 'c_efficiency').split(' ± ')[1] ?? '').replace('<', '') || NaN);
     if (!(found > 0)) return [`${share.toFixed(share < 10 ? 1 : 0)} %`];
     const places = Math.min(Math.max(-Math.floor(Math.log10(found)), 0), 2);
-    return [`${share.toFixed(places)} %`, make('small', {}, ` ± ${found.toFixed(places)}`)];
+    return [make('span', {}, `${share.toFixed(places)} %`), make('small', {}, ` ± ${found.toFixed(places)}`)];
   };
   const detail = (plant, noise) => {
     set('cell', `${plant}|${noise}`);
