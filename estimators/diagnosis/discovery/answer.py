@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -67,6 +67,8 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
         if _same_inputs(baseline, records[0])
         else np.zeros(records[0].n_inputs, int)
     )
+    late = tuple(f"u{j}" for j, least in enumerate(_least_delays(baseline, records[0])) if least > 0)
+    budget = replace(budget, late=late)
     scales = scales_of(records, baseline.y_model, np.maximum(delays - 1, 0).astype(int))
     pieces = pieces_of(records, [np.ones(r.y.shape, bool) for r in records], scales)
     smooth = [(y - scales.y) / scales.sy for y in baseline.y_model]
@@ -95,6 +97,12 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
         gain,
         considered,
     )
+
+
+def _least_delays(baseline: Baseline, record: Record) -> list[int]:
+    """Of each input, over the outputs that it acts on in the linear model; none acts in its own sample where it acts on none."""
+    acts = [dict(zip(m.inputs, m.delays, strict=True)) for m in baseline.outputs]
+    return [min((own[j] for own in acts if j in own), default=1) for j in range(record.n_inputs)]
 
 
 def _same_inputs(baseline: Baseline, record: Record) -> bool:

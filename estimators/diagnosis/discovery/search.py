@@ -40,6 +40,9 @@ class Budget:
     beam: int = 3
     terms: int = 4
     rounds: int = 12
+    late: tuple[str, ...] = ()
+    # inputs that act on no output in their own sample by the linear model: a term that passes one straight on to an output would
+    # be the inverse of a controller that answers the output at once
 
     def about(self, orders: tuple[int, ...], terms: int) -> Budget:
         """For a second search, of chains as long as those of a model and of no more terms; other lengths stay rivals."""
@@ -54,9 +57,15 @@ def criterion(f: Fitted) -> float:
     return f.count * math.log(max(f.mse, 1e-300)) + f.free * math.log(f.count)
 
 
-def _ranked(fitted: Fitted, pieces: Sequence[Piece], zeros: dict[str, float], width: int) -> list[Screened]:
-    """The best `width` candidates by either way of taking the arguments; of one function and slot only the best shape."""
-    found = screen(fitted, pieces, zeros)
+def _ranked(
+    fitted: Fitted, pieces: Sequence[Piece], zeros: dict[str, float], budget: Budget
+) -> list[Screened]:
+    """The best candidates by either way of taking the arguments; of one function and slot only the best shape."""
+    found = [
+        s
+        for s in screen(fitted, pieces, zeros)
+        if s.slot != "output" or not any(f.signal in budget.late for f in s.candidate.terms[-1].factors)
+    ]
     n = fitted.count
 
     def merit(s: Screened) -> float:
@@ -69,7 +78,7 @@ def _ranked(fitted: Fitted, pieces: Sequence[Piece], zeros: dict[str, float], wi
             continue
         seen.add(key)
         out.append(s)
-        if len(out) == width:
+        if len(out) == budget.width:
             break
     return out
 
@@ -151,7 +160,7 @@ def greedy_search(
     every = [
         *beam,
         *rivals,
-        *_climbed(beam, budget.beam if ny == 1 else 1, budget.terms, pieces, zeros, budget),
+        *_climbed(beam, budget.beam if ny == 1 else 1, ny * budget.terms, pieces, zeros, budget),
     ]
     if ny > 1:
         own = tuple(min(max(n, 1), max(budget.orders)) for n in own)
@@ -174,7 +183,7 @@ def _climbed(
     every: list[Fitted] = []
     best = math.inf
     for _ in range(terms):
-        trials = ((f, s) for f in beam for s in _ranked(f, pieces, zeros, budget.width))
+        trials = ((f, s) for f in beam for s in _ranked(f, pieces, zeros, budget))
         new = [g for f, s in trials if (g := grown(f, s, pieces, budget.rounds)) is not None]
         if not new:
             break

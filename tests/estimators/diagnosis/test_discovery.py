@@ -188,3 +188,17 @@ def test_measured_signals_promise_nothing_by_the_residual_that_they_hold() -> No
     products = [s for s in found if {f.signal for f in s.candidate.terms[-1].factors} == {"u0", "y0"}]
     assert products
     assert max(s.gain for s in products) < 0.1 * base.sse
+
+
+def test_the_inverse_of_a_controller_that_answers_at_once_is_no_discovery() -> None:
+    """u = r - 0.4 y without any error and with r of two values: y is a curve of u, which no plant is that acts a sample later."""
+    rng, n = np.random.default_rng(2), 700
+    r = np.repeat(rng.choice([-1.0, 1.0], n // 5), 5)
+    e = np.asarray(lfilter([1.0], [1.0, -1.3, 0.6], 0.1 * rng.standard_normal(n)))
+    y, u, x = np.zeros(n), np.zeros(n), 0.0
+    for k in range(n):
+        y[k] = x + e[k]
+        u[k] = r[k] - 0.4 * y[k]
+        x = 0.8 * x + 0.2 * u[k]
+    record = Record(u, y)
+    assert not discover([record], best_linear([record]), "quick").found
