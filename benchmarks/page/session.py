@@ -24,8 +24,7 @@ def _curve(session: Any) -> list[dict[str, Any]]:
     """The estimate after every experiment, as the session gave it then."""
     from estimators.sessions.estimates import estimate_of
 
-    s = session.session
-    trace, own = s.trace, s.own_trace
+    trace, own = session.trace, session.own_trace
     most = MOST_FITTED if session.settings.method in ("two-stage", "sequential") else MOST
     ends = [part.stop for part in own.iterations]
     keep = (
@@ -77,7 +76,7 @@ def session_page(folder: Path) -> Page:
     session = open_session(folder)
     s, status, found = session.settings, session.status(), session.estimate()
     done, budget = status["experiments"], status["budget"]
-    records = session.session.rig_records
+    records = session.rig_records
     rows = [
         {"experiment": k + 1, "rows": len(r), "input_rms": float(np.sqrt(np.mean(r.u**2))), "input_peak": float(np.abs(r.u).max()),
          "output_rms": float(np.sqrt(np.mean(r.y**2))), "output_peak": float(np.abs(r.y).max())}

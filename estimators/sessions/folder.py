@@ -17,10 +17,13 @@ import hashlib
 import itertools
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
 from oed.errors import CampaignError
+from oed.files.lock import locked
 from oed.files.writing import append_line, renamed, tidy
 
 NAME = re.compile(r"(input|output|flagged|rest-input|rest-output)-(\d{4,})(?:-(\d+))?\.csv")
@@ -63,14 +66,17 @@ class Folder:
         """Name of an output file."""
         return self.path / f"output-{step:04d}.csv"
 
-    def tidy(self) -> None:
-        """Remove what a killed process left half written, and add the journal lines it could not add."""
-        tidy(self.path)
-        known = self.fingerprints()
-        for kind in ("input", "output", "flagged", "rest-input", "rest-output"):
-            for (step, _), file in self.find(kind).items():
-                if file.name not in known:
-                    self.note(step, kind, file)
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """No other process works here meanwhile; what a killed one left half written, or not yet in the journal, is mended."""
+        with locked(self.path / "lock", f"the session {self.path}"):
+            tidy(self.path)
+            known = self.fingerprints()
+            for kind in ("input", "output", "flagged", "rest-input", "rest-output"):
+                for (step, _), file in self.find(kind).items():
+                    if file.name not in known:
+                        self.note(step, kind, file)
+            yield
 
     def note(self, step: int, event: str, file: Path | None, words: str = "") -> None:
         """Add a line to the journal."""

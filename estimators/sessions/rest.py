@@ -27,7 +27,6 @@ from estimators.sessions.layout import rig_samples
 from estimators.sessions.settings import Settings
 from estimators.sessions.stored import StoredSession, read_signal, signal_csv
 from oed.errors import InputError
-from oed.files.lock import locked
 from oed.files.writing import write_whole
 
 Array = NDArray[np.float64]
@@ -238,8 +237,7 @@ def _beyond(s: Settings, low: Array, high: Array, remedy: str) -> list[str]:
 def ask_rest(session: StoredSession, share: float | None = None) -> Path:
     """Write the input of a rest test, or find it written where none of another share is asked for."""
     s, folder = session.settings, session.folder
-    with locked(session.path / "lock", f"the session {session.path}"):
-        folder.tidy()
+    with folder.alone():
         made, done = folder.find("rest-input"), folder.find("rest-output")
         last = max(made, default=(0, 1))
         u = rest_input(s, SHARE if share is None else share)
@@ -258,8 +256,7 @@ def ask_rest(session: StoredSession, share: float | None = None) -> Path:
 def record_rest(session: StoredSession, path: Path) -> RestTest:
     """Check the output of the rest test that waits, store it, and say what it shows."""
     s, folder = session.settings, session.folder
-    with locked(session.path / "lock", f"the session {session.path}"):
-        folder.tidy()
+    with folder.alone():
         made = folder.find("rest-input")
         if not made:
             raise InputError(f"no rest test was asked for; do so with `oed session rest {session.path}`.")

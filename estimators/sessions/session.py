@@ -141,25 +141,10 @@ class Session:
         FlaggedMeasurement
             If it is unfit for use; measure again.
         """
-        asked = self.asked()
-        values = self.checked(y, u, accept=accept)
-        self.use(asked, values)
+        self._use(self.asked(), self._checked(y, u, accept))
 
-    def checked(self, y: ArrayLike, u: ArrayLike | None = None, *, accept: bool = False) -> Array:
-        """Check an output as `tell` does, without using it.
-
-        Parameters
-        ----------
-        y, u : array_like
-            As for `tell`.
-        accept : bool
-            As for `tell`.
-
-        Returns
-        -------
-        ndarray
-            (rows, ny).
-        """
+    def _checked(self, y: ArrayLike, u: ArrayLike | None, accept: bool) -> Array:
+        """The output (rows, ny), fit for use."""
         asked = self.asked()
         try:
             values = np.array(y, dtype=float)
@@ -185,7 +170,7 @@ class Session:
 
     def _check_new(self, values: Array) -> None:
         for k, record in enumerate(self._rig, start=1):
-            again = np.array_equal(record.u, self.ask())
+            again = np.array_equal(record.u, self.asked().whole)
             if not again and values.any() and np.array_equal(record.y, values):
                 raise InputError(
                     f"this is the output of step {k}, which is recorded; the output of step {self.step} is waited for."
@@ -275,16 +260,8 @@ class Session:
         check_input(whole, s)
         return Asked(len(self._records) + 1, step.kind, u, frozen(whole), factor, limit)
 
-    def use(self, asked: Asked, y: Array) -> None:
-        """Use an output that has been checked: from here on nothing can fail but the method itself.
-
-        Parameters
-        ----------
-        asked : Asked
-            From `asked`.
-        y : ndarray
-            (rows, ny) from `checked`.
-        """
+    def _use(self, asked: Asked, y: Array) -> None:
+        """Use an output that has been checked: from here on nothing can fail but the method itself."""
         s = self.settings
         names: dict[str, Any] = {
             "dt": s.dt, "input_names": s.inputs, "output_names": s.outputs,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.sessions.checking import read_output
-from estimators.sessions.estimates import SessionEstimate
 from estimators.sessions.folder import KEPT, Folder
-from estimators.sessions.session import FlaggedMeasurement, Session
-from estimators.sessions.settings import settings_from_json
+from estimators.sessions.session import Asked, FlaggedMeasurement, Session
+from estimators.sessions.settings import Settings, settings_from_json
 from oed.errors import CampaignError, InputError
 from oed.files.csv import csv_table
-from oed.files.lock import locked
 from oed.files.tables import column_name
 from oed.files.writing import write_whole
 
@@ -48,8 +47,8 @@ def open_session(path: str | os.PathLike[str]) -> StoredSession:
     return StoredSession(Path(path))
 
 
-class StoredSession:
-    """A session whose state is a folder; several processes may take turns at it, one at a time.
+class StoredSession(Session):
+    """A session whose state is a folder, its inputs and outputs files; several processes may take turns at it, one at a time.
 
     Parameters
     ----------
@@ -67,40 +66,37 @@ class StoredSession:
             ) from None
         self.path = path
         self.folder = Folder(path)
-        self.settings = settings_from_json(text, str(file))
-        self.session = Session(self.settings, self._known())
-        self._halved = 0
-        self.refresh()
+        self._play(settings_from_json(text, str(file)))
 
-    def _known(self) -> list[Array]:
+    def _play(self, settings: Settings) -> None:
+        """Begin anew with what is on record."""
+        super().__init__(settings, self._known(settings))
+        self._halved = 0
+        self._refresh()
+
+    def _known(self, s: Settings) -> list[Array]:
         """The inputs on record, where they are the method's own to the last bit."""
-        s = self.settings
         altered = s.lead or s.ramp or any(s.level) or s.rate or s.energy
         inputs = self.folder.find("input")
         if s.method != "diagnose-next" or altered or any(version > 1 for _, version in inputs):
             return []
         return [read_signal(file, s.inputs)[: s.samples] for file in inputs.values()]
 
-    @property
-    def step(self) -> int | None:
-        """Number of the step whose output is waited for, None when the session is finished."""
-        return self.session.step
+    @contextmanager
+    def _up_to_date(self) -> Iterator[None]:
+        with self.folder.alone():
+            self._refresh()
+            yield
 
-    def refresh(self) -> None:
-        """Take in what the folder holds beyond what is known.
-
-        Raises
-        ------
-        CampaignError
-            If a file is missing, was changed or belongs to another session.
-        """
+    def _refresh(self) -> None:
+        """Take in what the folder holds beyond what is known."""
         outputs, inputs = self.folder.find("output"), self.folder.find("input")
         steps = [step for step, _ in outputs]
         if steps != list(range(1, len(steps) + 1)):
             gap = next(k for k, step in enumerate([*steps, 0], start=1) if k != step)
             raise CampaignError(f"output-{gap:04d}.csv is missing from {self.path}; restore it.")
-        for step in range(len(self.session.rig_records) + 1, len(steps) + 1):
-            if self.session.step is None:
+        for step in range(len(self.rig_records) + 1, len(steps) + 1):
+            if self.step is None:
                 raise CampaignError(
                     f"{outputs[step, 1]} is beyond the end of the session; it is of another session."
                 )
@@ -113,27 +109,25 @@ class StoredSession:
             content = outputs[step, 1].read_bytes()
             self.folder.check_unchanged(outputs[step, 1], content)
             y = read_signal(outputs[step, 1], self.settings.outputs)
-            self.session.use(self.session.asked(), y)
-        if self.session.step is not None:
-            self._current_input(self.session.step, inputs)
+            self._use(self.asked(), y)
+        if self.step is not None:
+            self._current_input(self.step, inputs)
 
-    def _current_input(self, step: int, inputs: dict[tuple[int, int], Path]) -> Path | None:
+    def _current_input(self, step: int, inputs: dict[tuple[int, int], Path] | None = None) -> Path | None:
         """The latest version of a step's input; the session is halved as often as the versions say."""
+        inputs = self.folder.find("input") if inputs is None else inputs
         versions = [version for at, version in inputs if at == step]
         if not versions:
             return None
         earlier = sum(1 for at, version in inputs if version > 1 and at < step)
         while self._halved < earlier + max(versions) - 1:
-            self.session.reduce()
+            self.reduce()
             self._halved += 1
         return inputs[step, max(versions)]
 
     def _check_input(self, file: Path) -> None:
-        asked = self.session.asked()
-        content = file.read_bytes()
-        if content == signal_csv(
-            asked.whole, self.settings.inputs, self.settings.input_units, self.settings.dt
-        ):
+        asked, content = self.asked(), file.read_bytes()
+        if content == self._input_csv(asked):
             return
         self.folder.check_unchanged(file, content)
         u = read_signal(file, self.settings.inputs)
@@ -143,6 +137,9 @@ class StoredSession:
                 f"{file} is not the input that step {asked.step} of this session has; it is of another session or "
                 "was written by another version: go on with the folder and version that wrote it."
             )
+
+    def _input_csv(self, asked: Asked) -> bytes:
+        return signal_csv(asked.whole, self.settings.inputs, self.settings.input_units, self.settings.dt)
 
     def next_input(self, *, reduce: bool = False) -> Path | None:
         """Write the next input, or find it written.
@@ -164,27 +161,22 @@ class StoredSession:
         CampaignError
             If another process is at it, or the folder is damaged.
         """
-        with locked(self.path / "lock", f"the session {self.path}"):
-            self.folder.tidy()
-            self.refresh()
-            step = self.session.step
+        with self._up_to_date():
+            step = self.step
             if step is None:
                 return None
-            written = self._current_input(step, self.folder.find("input"))
+            written = self._current_input(step)
             if reduce:
                 if written is None:
                     raise InputError(f"step {step} has no input yet that could be reduced; ask for it first.")
-                self.session.reduce()
+                self.reduce()
                 self._halved += 1
             elif written is not None:
                 self._check_input(written)
                 return written
-            asked = self.session.asked()
+            asked = self.asked()
             version = 1 + sum(at == step for at, _ in self.folder.find("input"))
-            content = signal_csv(
-                asked.whole, self.settings.inputs, self.settings.input_units, self.settings.dt
-            )
-            file = write_whole(self.folder.input_path(step, version), content, kept=KEPT)
+            file = write_whole(self.folder.input_path(step, version), self._input_csv(asked), kept=KEPT)
             words = f"{asked.kind}" + (f", times {asked.factor:.6g}: {asked.limit}" if asked.limit else "")
             self.folder.note(step, "input", file, words)
             return file
@@ -213,13 +205,11 @@ class StoredSession:
         FlaggedMeasurement
             If it is unfit for use: it is kept as a flagged file, and the step waits for another measurement.
         """
-        with locked(self.path / "lock", f"the session {self.path}"):
-            self.folder.tidy()
-            self.refresh()
-            done, step = len(self.session.rig_records), self.session.step
-            waiting = step is not None and self._current_input(step, self.folder.find("input")) is not None
+        with self._up_to_date():
+            done, step = len(self.rig_records), self.step
+            waiting = step is not None and self._current_input(step) is not None
             reading = read_output(Path(path), self.settings, step if step and waiting else done)
-            if not waiting and done and np.array_equal(reading.y, self.session.rig_records[-1].y):
+            if not waiting and done and np.array_equal(reading.y, self.rig_records[-1].y):
                 return done, self.folder.output_path(done)  # the same command once more
             if step is None:
                 raise InputError(f"the session is finished after {done} experiments; it waits for no output.")
@@ -244,28 +234,25 @@ class StoredSession:
         InputError
             If nothing is recorded.
         """
-        with locked(self.path / "lock", f"the session {self.path}"):
-            self.folder.tidy()
-            self.refresh()
-            done = len(self.session.rig_records)
+        with self._up_to_date():
+            done = len(self.rig_records)
             if not done:
                 raise InputError("nothing is recorded yet, so that nothing can be taken back.")
             for (step, _), file in self.folder.find("input").items():
                 if step > done:  # first: without them the session stands where it stood before it asked
                     self.folder.set_aside(step, file)
             aside = self.folder.set_aside(done, self.folder.output_path(done))
-            self.session, self._halved = Session(self.settings, self._known()), 0
-            self.refresh()
+            self._play(self.settings)
             return done, aside
 
     def _store(self, step: int, y: Array, u: Array | None, accept: bool) -> Path:
-        asked = self.session.asked()
+        asked = self.asked()
         names, units = self.settings.outputs, self.settings.output_units
         if u is not None:
             names, units = (*self.settings.inputs, *names), (*self.settings.input_units, *units)
         stored = signal_csv(y if u is None else np.column_stack([u, y]), names, units, self.settings.dt)
         try:
-            values = self.session.checked(y, u, accept=accept)
+            values = self._checked(y, u, accept)
         except FlaggedMeasurement as fault:
             flagged = [file for (at, _), file in self.folder.find("flagged").items() if at == step]
             if not any(file.read_bytes() == stored for file in flagged):
@@ -276,7 +263,7 @@ class StoredSession:
             raise
         file = write_whole(self.folder.output_path(step), stored, kept=KEPT)
         self.folder.note(step, "output", file)
-        self.session.use(asked, values)
+        self._use(asked, values)
         return file
 
     def ask(self) -> Array:
@@ -288,7 +275,7 @@ class StoredSession:
             (rows, nu).
         """
         self.next_input()
-        return self.session.ask()
+        return super().ask()
 
     def tell(self, y: ArrayLike, u: ArrayLike | None = None, *, accept: bool = False) -> None:
         """Hand over the output, as `Session.tell`; it is stored.
@@ -300,48 +287,18 @@ class StoredSession:
         accept : bool
             Whether to use it although it looks saturated or held.
         """
-        before = self.session.step
-        with locked(self.path / "lock", f"the session {self.path}"):
-            self.folder.tidy()
-            self.refresh()
-            step = self.session.step
+        before = self.step
+        with self._up_to_date():
+            step = self.step
             if step is None or step != before:
                 raise InputError(
                     f"step {before} was recorded meanwhile by another process; ask for the next input."
                 )
-            if self._current_input(step, self.folder.find("input")) is None:
+            if self._current_input(step) is None:
                 raise InputError(f"step {step} has no input yet; ask for it first.")
             rows = np.asarray(y, dtype=float)
             beside = None if u is None else np.asarray(u, dtype=float).reshape(len(rows), -1)
             self._store(step, rows[:, None] if rows.ndim == 1 else rows, beside, accept)
-
-    def run(self, apply: Callable[[Array], object]) -> SessionEstimate:
-        """Go on to the end with a rig that is a Python callable.
-
-        Parameters
-        ----------
-        apply : callable
-            (rows, nu) -> (rows, ny).
-
-        Returns
-        -------
-        SessionEstimate
-            The final estimate.
-        """
-        while self.session.step:
-            y: Any = apply(self.ask())
-            self.tell(y)
-        return self.estimate()
-
-    def estimate(self) -> SessionEstimate:
-        """The estimate so far, as `Session.estimate`.
-
-        Returns
-        -------
-        SessionEstimate
-            Value, interval, frequency, direction.
-        """
-        return self.session.estimate()
 
     def status(self) -> dict[str, Any]:
         """Where the session stands.
@@ -352,22 +309,20 @@ class StoredSession:
             Method, step, the file of the input that waits, the last output stored, experiments, energy, flagged
             files, and the status: READY (ask for the next input), WAITING (for an output), or how it ended.
         """
-        s, done = self.session, len(self.session.rig_records)
-        step = s.step
-        waiting = None if step is None else self._current_input(step, self.folder.find("input"))
-        state = s.finished.name if s.finished else "WAITING" if waiting else "READY"
-        usage = s.trace.usage
+        step, done, usage = self.step, len(self.rig_records), self.trace.usage
+        waiting = None if step is None else self._current_input(step)
+        state = self.finished.name if self.finished else "WAITING" if waiting else "READY"
         return {
             "method": self.settings.method, "step": step, "input": None if waiting is None else str(waiting),
             "output": str(self.folder.output_path(done)) if done else None,
             "experiments": done, "budget": self.settings.experiments, "samples": usage.samples,
             "energy": usage.energy, "peak": usage.peak,
             "flagged": [str(file) for file in self.folder.find("flagged").values()],
-            "status": state, "message": s.message,
+            "status": state, "message": self.message,
         }  # fmt: skip
 
     def __repr__(self) -> str:
-        return f"{self.session!r} in {self.path}"
+        return f"{super().__repr__()} in {self.path}"
 
 
 def signal_csv(signal: Array, names: tuple[str, ...], units: tuple[str, ...], dt: float) -> bytes:

@@ -123,7 +123,7 @@ def _next(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
             payload,
             f"the session is finished: {payload['message']} See `oed session estimate {args.folder}`.",
         )
-    asked = session.session.asked()
+    asked = session.asked()
     payload |= {"kind": asked.kind, "factor": asked.factor, "limit": asked.limit, "rows": len(asked.whole)}
     scaled = f", times {asked.factor:.4g} ({asked.limit})" if asked.limit else ""
     lines = [f"step {asked.step}: apply {file} ({asked.kind}{scaled})", _time_left(payload)]
@@ -170,7 +170,7 @@ def _estimate(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], s
     if args.diagnose:
         from estimators.sessions.diagnosis import diagnosis_of
 
-        found = diagnosis_of(session.session)
+        found = diagnosis_of(session)
         payload, text = payload | {"diagnosis": found.to_dict()}, f"{text}\n{found}"
     return payload, text
 

@@ -108,13 +108,13 @@ def test_diagnose_next_finds_the_cause_and_proposes_the_experiment_that_decides(
     session = start_session(tmp_path / "rig", settings)
     session.tell(saturating(session.ask()))
     session.tell(saturating(session.ask()))
-    assert session.session.trace.kinds == ("levels", "decide")
+    assert session.trace.kinds == ("levels", "decide")
     again = open_session(tmp_path / "rig")  # plays the recorded inputs back instead of designing them again
-    for mine, theirs in zip(again.session.trace.records, session.session.trace.records, strict=True):
+    for mine, theirs in zip(again.trace.records, session.trace.records, strict=True):
         np.testing.assert_array_equal(mine.u, theirs.u)
         assert np.abs(mine.u).max() <= 2.5 * (1 + 1e-9)
         assert not mine.u[-30:].any()
-    found = diagnosis_of(again.session)
+    found = diagnosis_of(again)
     assert found.of_rig.effect == "input_saturation"
     assert found.of_rig.rmse_after.value < 0.3 * found.of_rig.rmse_before.value
     assert found.proposal is not None

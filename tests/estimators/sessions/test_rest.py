@@ -122,7 +122,7 @@ def test_in_a_folder(tmp_path):
     assert asked is not None
     assert unasked is not None
     assert asked.read_bytes() == unasked.read_bytes()  # the experiments do not know of it
-    whole = session.session.asked().whole
+    whole = session.asked().whole
     assert "beyond its range" in next_warnings(found, s, whole)[0]
     assert next_warnings(found, s, whole / 100) == []
     larger = ask_rest(session, 0.12)

@@ -61,7 +61,7 @@ def test_the_vibration_isolation_rig_through_files_alone_is_the_direct_call_bit_
         step, stored = open_session(folder).record(rig(file, tmp_path / "measured.csv", experiment))
         assert stored.name == f"output-{step:04d}.csv"
     session = open_session(folder)
-    for mine, theirs in zip(session.session.trace.records, direct.records, strict=True):
+    for mine, theirs in zip(session.trace.records, direct.records, strict=True):
         np.testing.assert_array_equal(mine.u, theirs.u)
         np.testing.assert_array_equal(mine.y, theirs.y)
     mine, theirs = session.estimate(), estimate_of(ISOLATION, direct, direct)
@@ -180,7 +180,7 @@ def test_an_abort_is_remembered_by_the_files(tmp_path):
             open_session(folder).next_input(reduce=True)
             halved += 1
     assert halved == len(list(folder.glob("input-*-2.csv"))) + len(list(folder.glob("input-*-3.csv"))) > 0
-    whole = [np.abs(r.y).max() for r in open_session(folder).session.rig_records]
+    whole = [np.abs(r.y).max() for r in open_session(folder).rig_records]
     assert max(whole) <= 2
     assert open_session(folder).estimate().gains[1:] == session.estimate().gains[1:]
 
