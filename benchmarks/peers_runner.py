@@ -17,10 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 LAGS = 10  # of output and input where a tool leaves them to its user (the first examples have 2, too few for a delay)
-STATES, HIDDEN = (
-    3,
-    5,
-)  # of the recurrent network; the tool's documentation has 5 hidden neurons and leaves the states open
+STATES, HIDDEN = 3, 5
+"""Of the recurrent network; the tool's documentation has 5 hidden neurons and leaves the states open."""
 NEEDS = {
     "sysidentpy": ("sysidentpy.model_structure_selection", "sysidentpy.basis_function"),
     "pysindy": ("pysindy",),

@@ -39,6 +39,11 @@ class Estimate:
     status: Status = Status.OK
     message: str = ""
 
+    @classmethod
+    def of(cls, value: float, standard_error: float, status: Status) -> Estimate:
+        """An estimate whose message is its status in words."""
+        return cls(value, standard_error, status, "" if status.ok else status.value)
+
 
 class Told(Enum):
     """What an input or an estimator is told beforehand; the values are the words of the tables, least first."""
@@ -178,9 +183,7 @@ def complete(trace: Trace) -> Trace:
 def _from_gains(compute: Callable[[Trace], Any]) -> Callable[[Trace], Estimate]:
     def estimate(trace: Trace) -> Estimate:
         gains = compute(complete(trace))
-        return Estimate(
-            gains.last, status=gains.status, message="" if gains.status.ok else gains.status.value
-        )
+        return Estimate.of(gains.last, float("nan"), gains.status)
 
     return estimate
 
@@ -229,7 +232,7 @@ def _norm_of(fitted: Callable[[], Any]) -> Estimate:
         return Estimate(float("nan"), status=Status.FAILED, message=str(failure))
     if not np.isfinite(value):
         return Estimate(float("nan"), status=fit.status if not fit.status.ok else Status.NOT_FINITE)
-    return Estimate(float(value), float(error), fit.status, "" if fit.status.ok else fit.status.value)
+    return Estimate.of(float(value), float(error), fit.status)
 
 
 def _peak_estimator(module: str, function: str) -> Callable[[Trace], Estimate]:
@@ -244,9 +247,7 @@ def _peak_estimator(module: str, function: str) -> Callable[[Trace], Estimate]:
 
 
 def _from_peak(found: Any) -> Estimate:
-    return Estimate(
-        found.value, found.standard_error, found.status, "" if found.status.ok else found.status.value
-    )
+    return Estimate.of(found.value, found.standard_error, found.status)
 
 
 REGULARISED = 60

@@ -30,9 +30,7 @@ class Own:
         elif callable(given):
             function, name = given, getattr(given, "__name__", type(given).__name__)
         else:
-            raise InputError(
-                f"{given!r} is no method; give a name, a function, or FILE.py:FUNCTION as a text."
-            )
+            raise InputError(f"{given!r} is no method; give a name, a function or FILE.py:FUNCTION as text.")
         self.functions[name] = wrap(function)
         self.sources.append((name, _digest(function)))
         return name
@@ -80,8 +78,7 @@ def _digest(function: Callable[..., Any]) -> str:
         try:
             text = inspect.getsource(function)
         except (OSError, TypeError):
-            code = getattr(
-                function, "__code__", None
-            )  # typed at a prompt: no file to read, but what it compiles to
+            # typed at a prompt: no file to read, but what it compiles to
+            code = getattr(function, "__code__", None)
             text = f"{code.co_code!r} {code.co_names}" if code else repr(type(function))
     return blake2b(text.encode(), digest_size=8).hexdigest()

@@ -19,9 +19,8 @@ def median_interval(values: Sequence[float], level: float = 0.95) -> tuple[float
 
     ordered = np.sort(np.asarray(values, dtype=float))
     n = len(ordered)
-    rank = int(
-        stats.binom.ppf((1 - level) / 2, n, 0.5)
-    )  # P(fewer than `rank` below the median) <= (1 - level) / 2
+    # P(fewer than `rank` below the median) <= (1 - level) / 2
+    rank = int(stats.binom.ppf((1 - level) / 2, n, 0.5))
     return float(ordered[max(rank - 1, 0)]), float(ordered[min(n - rank, n - 1)])
 
 

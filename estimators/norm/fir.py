@@ -149,9 +149,8 @@ def _tc(R: NDArray, f: NDArray, noise: float, taps: int, nu: int) -> NDArray:
         v = L.T @ f / noise
         return float(np.linalg.slogdet(inner)[1] - v @ np.linalg.solve(inner, v))
 
-    return kernel(
-        minimize(minus_log_likelihood, [0.0, 2.0], method="Nelder-Mead", options={"maxiter": 200}).x
-    )
+    found = minimize(minus_log_likelihood, [0.0, 2.0], method="Nelder-Mead", options={"maxiter": 200})
+    return kernel(found.x)
 
 
 def select_taps(data: Trace | Sequence[Record], candidates: Sequence[int] = CANDIDATES) -> int:
@@ -208,6 +207,4 @@ def peak_of_fir(model: FirModel, points: int = 4096) -> PeakEstimate:
     bend = -(squares[2] - 2 * squares[1] + squares[0]) / h**2
     status = Status.OK if np.isfinite(s[0]) else Status.NOT_FINITE
     error = float(np.sqrt(max(variance, 0.0)))
-    return PeakEstimate(
-        float(s[0]), error, omega, float("nan"), float(bend), float(model.noise.mean()), status
-    )
+    return PeakEstimate(float(s[0]), error, omega, np.nan, float(bend), float(model.noise.mean()), status)

@@ -294,9 +294,8 @@ def refine(U, Y, powers, orders, floor, freedom, steps, settled, theta, informat
         _left_over(U, Y, theta, A, powers, orders, inverse, errors, squares, model)
         for i in range(ny):
             noise[i] = max(squares[i] / freedom, floor[i])
-            change = max(
-                change, abs(noise[i] * scale[i] - 1)
-            )  # the information has the scale of the step before
+            # the information has the scale of the step before
+            change = max(change, abs(noise[i] * scale[i] - 1))
             scale[i] = 1 / noise[i]
         if change < settled:
             break

@@ -183,9 +183,7 @@ def _peak_of_model(
     spread = lambda g: sqrt(max(float((g @ covariance @ np.conj(g)).real) / 2, 0.0))
     error = spread(height) / (2 * value)
     per_line = 2 * np.pi / N
-    where_error = (
-        spread((above - below) / (2 * h)) / bend * band.half * per_line if bend > 0 else float("inf")
-    )
+    where_error = spread((above - below) / (2 * h)) / bend * band.half * per_line if bend > 0 else np.inf
     sharp = bend > 0 and where_error < 0.25 * band.half * per_line
     trusted = inside and sharp and error < 0.1 * value
     estimate = PeakEstimate(

@@ -68,37 +68,26 @@ def estimate_delay(
     the search that was asked for."""
     from estimators.pem import identify
 
-    tried = np.array(sorted(set(delays)), dtype=int)
-    fits: list[Fit | None] = []
+    tried = sorted({int(nk) for nk in delays})
+    fits: dict[int, Fit] = {}
     for k, nk in enumerate(tried):
         stage("delays", k, len(tried))
         try:
-            fits.append(identify(records, structure, orders, int(nk), **{**options, "search": "quick"}))
-        except InputError:
-            if nk == tried[-1] and not any(fits):
-                raise
-            fits.append(None)
+            fits[nk] = identify(records, structure, orders, nk, **{**options, "search": "quick"})
         except OedError:
-            fits.append(None)
-    best_aic = min((f.aic for f in fits if f is not None), default=np.inf)
-    for k, found in enumerate(fits):
-        if found is not None and found.aic < best_aic + NEAR and options.get("search") != "quick":
-            fits[k] = identify(records, structure, orders, int(tried[k]), **options)
-    loss = np.array([f.loss if f is not None else np.nan for f in fits])
-    if not np.isfinite(loss).any():
-        raise InputError(f"no delay of {tried.tolist()} gives a model that can be fitted; lower the orders.")
-    best = fits[int(np.nanargmin(loss))]
-    aic = np.array([f.aic if f is not None else np.inf for f in fits])
+            if nk == tried[-1] and not fits:
+                raise
+    if not fits:
+        raise InputError(f"no delay of {tried} gives a model that can be fitted; lower the orders.")
+    best_aic = min(fit.aic for fit in fits.values())
+    for nk, found in fits.items():
+        if found.aic < best_aic + NEAR and options.get("search") != "quick":
+            fits[nk] = identify(records, structure, orders, nk, **options)
+    loss = np.array([fits[nk].loss if nk in fits else np.nan for nk in tried])
+    aic = np.array([fits[nk].aic if nk in fits else np.inf for nk in tried])
     weights = np.exp(-(aic - aic.min()) / 2)
-    if best is None:
-        raise InputError("no delay gives a finite loss; lower the orders.")
-    return Delay(
-        int(tried[np.nanargmin(loss)]),
-        frozen(tried, int),
-        frozen(loss),
-        frozen(weights / weights.sum()),
-        best,
-    )
+    best = tried[int(np.nanargmin(loss))]
+    return Delay(best, frozen(tried, int), frozen(loss), frozen(weights / weights.sum()), fits[best])
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +110,8 @@ class Choice:
 
     def __repr__(self) -> str:
         head = f"orders by {self.criterion}: {self.orders} with delay {self.rows[0]['delay']}"
-        return "\n".join(
-            [head]
-            + [
-                f"  {row['orders']!s:>16} nk {row['delay']}: {row['value']:.6g} (loss {row['loss']:.5g}, {row['status']})"
-                for row in self.rows[:10]
-            ]
-        )
+        told = "  {orders!s:>16} nk {delay}: {value:.6g} (loss {loss:.5g}, {status})"
+        return "\n".join([head, *(told.format(**row) for row in self.rows[:10])])
 
 
 def select_orders(
@@ -160,16 +144,8 @@ def select_orders(
             first_error = first_error or error
             continue
         fits[chosen, nk] = fit
-        rows.append(
-            {
-                "orders": chosen,
-                "delay": int(nk),
-                "n": fit.model.structure.n,
-                "value": value,
-                "loss": fit.loss,
-                "status": fit.status.name,
-            }
-        )
+        told = {"value": value, "loss": fit.loss, "status": fit.status.name}
+        rows.append({"orders": chosen, "delay": int(nk), "n": fit.model.structure.n} | told)
     if not rows:
         raise InputError(f"none of {len(tuples)} orders could be fitted; the first said: {first_error}")
     rows.sort(key=lambda row: (row["value"], row["n"]))

@@ -218,11 +218,9 @@ def identify(
             again = prepare(form, cleaned, offset=offset, initial=how.unknown)
             z = _fitted(form, cleaned, with_limits(again, fixed or {}, bounds or {}), None, how)[1].point.z
             z = z * again.scale / problem.scale
-            point = problem.evaluate(problem.projected(z))
-            if point is not None:
-                ends.append(
-                    robustly(problem, Optimum(point, Status.OK, optimum.iterations, np.inf), robust, how)
-                )
+            for point in problem.points([z]):
+                begun = Optimum(point, Status.OK, optimum.iterations, np.inf)
+                ends.append(robustly(problem, begun, robust, how))
         problem, optimum = min(ends, key=lambda end: robust_scale(*end))
     return restored(result(problem, optimum, experiments, offset, initial, robust, normals))
 
@@ -274,9 +272,7 @@ def _fit_with_gaps(
         posed = joint.with_noise(factor @ factor.T)
         point = posed.evaluate(z)
         if point is None:
-            raise InputError(
-                "no start of the state-space model has a stable predictor; raise or lower the order."
-            )
+            raise InputError("no start of the state-space model has a stable predictor; try another order.")
         optimum = posed.descend(point, max_iterations=how.max_iterations, tolerance=how.tolerance)
         z, iterations = optimum.point.z, iterations + optimum.iterations
         if optimum.point.loss > before * (1 - 1e-9):
@@ -358,9 +354,7 @@ def _fit_state_space(
         starts = subspace_candidates(form, joint)
     points = [p for z in starts if (p := joint.evaluate(z)) is not None]
     if not points:
-        raise InputError(
-            "no start of the state-space model has a stable predictor; raise or lower the order."
-        )
+        raise InputError("no start of the state-space model has a stable predictor; try another order.")
     points.sort(key=lambda p: np.linalg.slogdet(p.extra[1])[1])
     found = []
     for point in points[:4]:

@@ -229,9 +229,7 @@ class Fit:
         short = prepare(structure, [record[:window]], initial=True, scales=ones).replace(data=data[:window])
         point = short.evaluate(theta)
         if point is None:
-            raise InputError(
-                "the model is unstable, so that its initial state cannot be told from its output."
-            )
+            raise InputError("the model is unstable, so its initial state cannot be told from its output.")
         e = short.kernel.trace(data, np.concatenate([theta, point.extra[0][0]]), False)[0]
         return record.y - e
 

@@ -137,16 +137,18 @@ def identify_grey_box(
     blocks = [np.column_stack([r.u, r.y, np.eye(len(r), 1)]) for r in given]
     data, lengths = np.ascontiguousarray(np.concatenate(blocks)), np.array([len(r) for r in given])
     width, per = n + m, model.n_states if m else 0
+    own = np.array(
+        [np.r_[0:n, n + r * per : n + (r + 1) * per] for r in range(len(given))]
+    )  # of every record
+    parts = np.split(data, np.cumsum(lengths)[:-1])
 
     def evaluate(z: NDArray, _: Any = None) -> Point | None:
-        rows = [np.concatenate([z[:n], z[n + r * per : n + (r + 1) * per]]) for r in range(len(given))]
         with np.errstate(over="ignore", invalid="ignore"):
-            sums = kernel.sums(data, lengths, np.array(rows), weight)
+            sums = kernel.sums(data, lengths, z[own], weight)
         loss, gradient, hessian = float(sums.loss.sum()), np.zeros(width), np.zeros((width, width))
         if not (np.isfinite(loss) and np.isfinite(sums.hessian).all()):
             return None
-        for r in range(len(given)):
-            at = np.r_[0:n, n + r * per : n + (r + 1) * per]
+        for r, at in enumerate(own):
             gradient[at] += sums.gradient[r]
             hessian[np.ix_(at, at)] += sums.hessian[r]
         return Point(z, loss, gradient, hessian, lambda d: None, sums.covariance.sum(axis=0) / len(data))
@@ -176,23 +178,14 @@ def identify_grey_box(
     if ny == 1:
         spread = inverse * float(best.point.extra[0, 0]) * freedom
     else:  # outputs weighted equally in units of their size: the sandwich of that weighting
-        spread, start = np.zeros((width, width)), 0
-        for r, length in enumerate(lengths):
-            part = np.concatenate([z[:n], z[n + r * per : n + (r + 1) * per]])
-            jacobian = np.asarray(kernel.trace(data[start : start + length], part, True)[1])
-            start += length
-            at = np.r_[0:n, n + r * per : n + (r + 1) * per]
-            moment = weight @ best.point.extra @ weight * freedom
-            middle = np.einsum("tij,ik,tkl->jl", jacobian, moment, jacobian)
-            spread[np.ix_(at, at)] += middle
-        spread = inverse @ spread @ inverse
+        middle, moment = np.zeros((width, width)), weight @ best.point.extra @ weight * freedom
+        for part, at in zip(parts, own, strict=True):
+            jacobian = np.asarray(kernel.trace(part, z[at], True)[1])
+            middle[np.ix_(at, at)] += np.einsum("tij,ik,tkl->jl", jacobian, moment, jacobian)
+        spread = inverse @ middle @ inverse
     covariance = np.asarray(spread[:n, :n] * np.outer(size, size), dtype=np.float64)
     states = z[n:].reshape(len(given), per) if m else np.zeros((len(given), model.n_states))
-    residuals, start = [], 0
-    for r, length in enumerate(lengths):
-        part = np.concatenate([z[:n], z[n + r * per : n + (r + 1) * per]])
-        residuals.append(kernel.trace(data[start : start + length], part, False)[0])
-        start += length
+    residuals = [kernel.trace(part, z[at], False)[0] for part, at in zip(parts, own, strict=True)]
     simulation = [r.y - e for r, e in zip(given, residuals, strict=True)]
     theta = z[:n] * size
 

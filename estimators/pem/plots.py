@@ -129,9 +129,8 @@ def plot_bode(fits: Fit | Mapping[str, Fit], *, level: float = 0.95, points: int
                     name,
                 )
     for column, (i, j) in enumerate(entries):
-        there = any(
-            line.get_ydata().max() > 0 for line in axes[0, column].lines
-        )  # an absent entry has no logarithm
+        # an absent entry has no logarithm
+        there = any(line.get_ydata().max() > 0 for line in axes[0, column].lines)
         axes[0, column].set(xscale="log", yscale="log" if there else "linear")
         axes[0, column].set_title(f"input {j + 1} to output {i + 1}" if len(entries) > 1 else "")
         axes[1, column].set_xlabel(f"frequency [{unit}]")
@@ -186,9 +185,7 @@ def plot_order(fit: Fit) -> Figure:
     horizon."""
     form, how = fit.model.structure, fit.subspace
     if how is None or isinstance(form, Polynomial):
-        raise InputError(
-            'this fit has no singular values; it takes one with method="moesp", "n4sid" or "cva".'
-        )
+        raise InputError('this fit has no singular values; fits by "moesp", "n4sid" and "cva" have.')
     n, many = form.order, len(how.tried) > 1
     figure = Figure(figsize=(8 if many else 4.5, 3), layout="constrained")
     axes = figure.subplots(1, 2 if many else 1, squeeze=False)[0]

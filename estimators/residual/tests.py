@@ -323,9 +323,7 @@ def _against(of: _Linear, name: str, i: int, u: Parts, lags: Iterable[int] | int
             f"the residuals have {[len(x) for x in parts]} samples and the inputs {[len(x) for x in u]}; "
             "they must be equal, record by record."
         )
-    chosen = (
-        np.arange(_limited(lags, parts) + 1) if isinstance(lags, int) else np.array(list(lags), dtype=int)
-    )
+    chosen = np.arange(_limited(lags, parts) + 1) if isinstance(lags, int) else np.array([*lags], int)
     average = sum(x.sum() for x in u) / sum(map(len, u))
     columns = [delayed(x[:, None] - average, chosen) for x in u]
     power = sum(float(e[:, i] @ e[:, i]) for e in parts)

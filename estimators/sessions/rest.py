@@ -167,9 +167,8 @@ def rest_test(u: Array, y: Array, s: Settings) -> RestTest:
     half = len(about) // HALVES
     means = about[: HALVES * half].reshape(HALVES, half, ny).mean(axis=1)
     spread = np.sqrt(np.sum(means**2, axis=0) / (HALVES - 2))
-    spread = np.maximum(
-        spread, noise / np.sqrt(half)
-    )  # of the mean of half a piece; white noise is the least
+    # of the mean of half a piece; white noise is the least
+    spread = np.maximum(spread, noise / np.sqrt(half))
     centres = (np.arange(HALVES) - (HALVES - 1) / 2) * half * s.dt
     slope_error = spread / np.sqrt(np.sum(centres**2))
     steps = [np.diff(np.unique(column)) for column in quiet.T]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from oed.files.limits import check_limit
 from oed.files.tables import Table, numbers
 
 STEP = ("dt", "Ts", "ts")
+TEXTS = ("input_names", "input_units", "output_names", "output_units")
 
 
 def table_of_arrays(shapes: Mapping[str, tuple[int, ...]], get: Callable[[str], Any], source: str) -> Table:
@@ -55,9 +56,7 @@ def table_of_arrays(shapes: Mapping[str, tuple[int, ...]], get: Callable[[str], 
         (scalar(get(name), name, source) for name in STEP if name in shapes and _single(shapes[name])), None
     )
     if step is not None and not (np.isfinite(step) and step > 0):
-        raise InputError(
-            f"{source} states the sampling time {step}; it must be a positive number of seconds."
-        )
+        raise InputError(f"{source} states the sampling time {step}; it must be positive, in seconds.")
     start = scalar(get("t0"), "t0", source) if "t0" in shapes and _single(shapes["t0"]) else None
     return Table(
         source, tuple(place), load, units=channels["units"], inputs=marked.get("u", ()),
@@ -129,20 +128,9 @@ def _member(archive: Any, name: str, source: str) -> NDArray:
 def arrays_of(record: Record) -> dict[str, Any]:
     """A record as arrays by name, the form of npz and MAT files."""
     return {
-        "u": record.u,
-        "y": record.y,
-        "dt": np.array(record.dt),
-        "t0": np.array(record.t0),
-        **{
-            f"{side}_{what}": _text_array(getattr(record, f"{side}_{what}"))
-            for side in ("input", "output")
-            for what in ("names", "units")
-        },
+        **{name: np.asarray(getattr(record, name)) for name in ("u", "y", "dt", "t0")},
+        **{name: np.array(getattr(record, name), dtype=str) for name in TEXTS},
     }
-
-
-def _text_array(entries: Iterable[str]) -> NDArray[np.str_]:
-    return np.array(list(entries), dtype=str)
 
 
 def npz_bytes(record: Record) -> bytes:

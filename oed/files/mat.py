@@ -10,7 +10,7 @@ import numpy as np
 
 from oed.data import Record
 from oed.errors import InputError
-from oed.files.arrays import arrays_of, first_line, scalar, table_of_arrays, texts
+from oed.files.arrays import TEXTS, arrays_of, first_line, scalar, table_of_arrays, texts
 from oed.files.limits import check_limit
 from oed.files.mat5 import is_mat5, read_mat5
 from oed.files.tables import Table, numbers
@@ -24,26 +24,16 @@ FIELDS = {
 """Our names, and the names of iddata's fields in lower case that stand for them."""
 
 SECONDS = {
-    "nanoseconds": 1e-9,
-    "microseconds": 1e-6,
-    "milliseconds": 1e-3,
-    "seconds": 1.0,
-    "minutes": 60.0,
-    "hours": 3600.0,
-}
-SECONDS |= {"": 1.0, "s": 1.0, "days": 86400.0}
+    "nanoseconds": 1e-9, "microseconds": 1e-6, "milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0,
+    "": 1.0, "s": 1.0, "days": 86400.0,
+}  # fmt: skip
 
 
 def mat_table(content: bytes, source: str) -> Table:
     """Table of a MAT file: its arrays, or its one struct with the fields InputData and OutputData (or u and
     y)."""
-    offsets = (
-        0,
-        512,
-        1024,
-        2048,
-    )  # where HDF5 allows its signature to stand; MATLAB writes 512 bytes of text first
-    hdf5 = any(content[k : k + 8] == b"\x89HDF\r\n\x1a\n" for k in offsets)
+    # where HDF5 allows its signature to stand; MATLAB writes 512 bytes of text first
+    hdf5 = any(content[k : k + 8] == b"\x89HDF\r\n\x1a\n" for k in (0, 512, 1024, 2048))
     reader = _read_hdf5 if hdf5 else _read_v5
     try:
         variables = reader(content, source)
@@ -191,9 +181,7 @@ def mat_bytes(record: Record) -> bytes:
     from scipy.io import savemat
 
     variables = arrays_of(record)
-    for name in variables:
-        if name.endswith(("_names", "_units")):
-            variables[name] = variables[name].astype(object)[:, None]
+    variables |= {name: variables[name].astype(object)[:, None] for name in TEXTS}
     stream = io.BytesIO()
     savemat(stream, variables, do_compression=True, oned_as="column")
     return stream.getvalue()

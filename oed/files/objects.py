@@ -46,9 +46,8 @@ def from_pandas(frame: pd.DataFrame, **options: Any) -> Record:
     index = frame.index.to_timestamp() if isinstance(frame.index, pd.PeriodIndex) else frame.index
     if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex):
         zoned = isinstance(index, pd.DatetimeIndex) and index.tz is not None
-        extra["t"] = (
-            index.tz_convert(None) if zoned else index
-        ).to_numpy()  # to UTC: clocks change, time does not
+        # to UTC: clocks change, time does not
+        extra["t"] = (index.tz_convert(None) if zoned else index).to_numpy()
     elif seconds_per(str(frame.index.name)):
         extra[str(frame.index.name)] = frame.index.to_numpy()
     elif (

@@ -134,7 +134,7 @@ def _understood(name: str, read: Callable[[], Any]) -> Any:
         raise InputError(f"{name} cannot be read here: {extra_named(error) or error}.") from None
     except MemoryError:
         raise InputError(
-            f"{name} needs more memory than there is; read fewer columns or rows of it."
+            f"{name} needs more memory than there is; read fewer of its columns or rows."
         ) from None
     except Exception as error:
         words = " ".join(str(error).split())[:200]

@@ -96,15 +96,12 @@ def record_of(
         )
     clocks = [name for name in named if seconds_per(name) and name not in (*u_columns, *y_columns)]
     clocks.sort(key=lambda name: name not in TIME)
-    loaded = dict(
-        zip([*u_columns, *y_columns, *clocks[:1]], table.load([*u_columns, *y_columns, *clocks[:1]]))
-    )
+    wanted = [*u_columns, *y_columns, *clocks[:1]]
+    loaded = dict(zip(wanted, table.load(wanted)))
     lengths = {name: len(values) for name, values in loaded.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
-        raise InputError(
-            f"the columns of {table.source} have unequal lengths ({listed}); they must be equal."
-        )
+        raise InputError(f"the columns of {table.source} have unequal lengths ({listed}); make them equal.")
     length = next(iter(lengths.values()))
     if length == 0:
         raise InputError(f"{table.source} has no rows of data; at least one is needed.")
@@ -194,9 +191,8 @@ def _clock(
     """Sampling time and time of the first row, from what is given, what the source states and the column of times."""
     stated, tolerance, t0 = table.dt, 0.0, table.t0
     where = f"the sampling time that {table.source} states"
-    if t is not None and not _follows(
-        t, stated, t0, start
-    ):  # the column rules: rows may have been taken away
+    # the column rules: rows may have been taken away
+    if t is not None and not _follows(t, stated, t0, start):
         t0 = float(t[0])
         if len(t) > 1:
             where = f"the column {clocks[0]} of {table.source}"
@@ -256,9 +252,7 @@ def numbers(values: ArrayLike, name: str, source: str) -> NDArray[np.float64]:
         return since / np.timedelta64(1, "s")
     if array.dtype.kind == "O":
         for row, value in enumerate(array.ravel()):
-            if not (value is None or isinstance(value, int | float | np.number)) or isinstance(
-                value, complex
-            ):
+            if not (value is None or isinstance(value, int | float | np.integer | np.floating)):
                 raise InputError(
                     f"column {name} of {source} holds {value!r} in row {row} (counting from 0); "
                     "samples must be real numbers: correct the entry or leave the column out."

@@ -42,9 +42,7 @@ class Model:
         if covariance.ndim == 0:
             covariance = covariance * np.eye(ny)
         if covariance.shape != (ny, ny):
-            raise InputError(
-                f"the noise covariance has the shape {covariance.shape}; it must be ({ny}, {ny})."
-            )
+            raise InputError(f"the noise covariance has the shape {covariance.shape}; it must be {(ny, ny)}.")
         object.__setattr__(self, "theta", theta)
         object.__setattr__(self, "noise_covariance", frozen(covariance))
         object.__setattr__(self, "dt", float(self.dt))

@@ -234,7 +234,5 @@ def polynomial(
         for letter in "bf":
             full[f"n{letter}"] = full[f"n{letter}"] * np.eye(n_outputs, dtype=int)
     if (full["nk"] < 0).any():
-        raise InputError(
-            f"the delay is {np.min(full['nk'])} samples; a causal model has a delay of 0 or more."
-        )
+        raise InputError(f"the delay is {np.min(full['nk'])} samples; a causal model delays by 0 or more.")
     return Polynomial(**full, kind=kind)

@@ -64,9 +64,7 @@ def entries_of_state_space(
         A, B, C = (np.atleast_2d(np.array(m, dtype=float)) for m in (A, B, C))
         D = np.zeros((len(C), B.shape[1])) if D is None else np.atleast_2d(np.array(D, dtype=float))
     except (TypeError, ValueError):
-        raise InputError(
-            "A, B, C and D must be matrices of real numbers, each row of equal length."
-        ) from None
+        raise InputError("A, B, C and D must be real matrices, each row of equal length.") from None
     n, nu, ny = len(A), B.shape[1], len(C)
     if A.shape != (n, n) or B.shape != (n, nu) or C.shape != (ny, n) or D.shape != (ny, nu):
         raise InputError(

@@ -58,9 +58,8 @@ def losses_of_spectrum(model: Responding, spectrum: Spectrum, c: NDArray[np.floa
     if not np.all(scale > 0):
         return losses(rows.T @ rows, c)
     rows = rows / scale
-    rows = rows[
-        np.argsort(-np.linalg.norm(rows, axis=1), kind="stable")
-    ]  # large first: small ones keep theirs
+    # large first: small ones keep theirs
+    rows = rows[np.argsort(-np.linalg.norm(rows, axis=1), kind="stable")]
     found = qr(rows, mode="r", pivoting=True, check_finite=False)
     triangle, order = np.asarray(found[0])[: len(scale)], np.asarray(found[-1])
     sizes = np.abs(np.diag(triangle))

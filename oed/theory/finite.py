@@ -179,7 +179,7 @@ def finite_moments(
         beta2, mu2 = _edge(d2, variance, iterations)
         mu2_limit = _edge_limit(d2, variance)
         return FiniteMoments(effect, beta2, mu2, mu2_limit - variance, mu2_limit)
-    beta2, mu2, _, holds = random_mu(d2, variance, iterations)
+    beta2, mu2, holds = _random_mu(d2, variance, iterations)
     return FiniteMoments(effect, beta2, mu2, np.nan, np.nan, holds)
 
 
@@ -219,9 +219,9 @@ def _edge_limit(d2: NDArray, variance: float) -> float:
     return top + float(np.exp(np.asarray(brentq(f, low, np.log(variance) + 1, xtol=1e-15))))
 
 
-def random_mu(d2: NDArray, variance: float, iterations: int) -> tuple[NDArray, NDArray, NDArray, bool]:
+def _random_mu(d2: NDArray, variance: float, iterations: int) -> tuple[NDArray, NDArray, bool]:
     """Means with the fluctuation of Q, to second order, for as long as that holds; from there on Q is its
-    mean; d2 (N,) -> (M,), (M, N). The covariance of the shares is kept as a diagonal and, from every
+    mean; d2 (N,) -> (M,). The covariance of the shares is kept as a diagonal and, from every
     experiment, two more directions."""
     N = len(d2)
     noise = variance / N
@@ -257,7 +257,7 @@ def random_mu(d2: NDArray, variance: float, iterations: int) -> tuple[NDArray, N
         columns[:, :used] /= Q
         p = share - row / Q**2 + share * total / Q**2
     told = shares @ d2
-    return np.concatenate([[np.nan], told[:-1]]), told + variance, shares, holds
+    return np.concatenate([[np.nan], told[:-1]]), told + variance, holds
 
 
 def within_expansion(variance: float, shares: NDArray[np.float64]) -> bool:

@@ -48,18 +48,12 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     plant = load_plant(args.plant, args.noise_variance)
     writer = _writer(args.out, args.realise)
     limits = {
-        "input_power": args.input_power,
-        "output_power": args.output_power,
-        "band": args.band,
-        "solver": args.solver,
-        "points": args.points,
+        name: getattr(args, name) for name in ("input_power", "output_power", "band", "solver", "points")
     }
     if args.parametrisation == "multisine":
         # The lines of a period of N samples and no others.
         if args.realise is None:
-            raise InputError(
-                "--parametrisation multisine puts the lines on 2 pi k / N; say N with --realise."
-            )
+            raise InputError("--parametrisation multisine has its lines at 2 pi k / N; say N with --realise.")
         limits |= {"points": 2 * np.pi * np.arange(args.realise // 2 + 1) / args.realise, "refine": False}
     made = None
     stage("the spectrum and its certificate")
@@ -84,21 +78,12 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     u = None
     if args.realise is not None:
         stage("the signal")
-        how = {
-            "multisine": signals.multisine,
-            "realise": signals.realise,
-            "filtered-noise": signals.filtered_noise,
-            "binary": signals.binary,
-        }[args.signal]
+        how = getattr(signals, args.signal.replace("-", "_"))
         if made is None:
             made = signals.realisation(plant, design, args.realise, np.random.default_rng(args.seed), how=how)
         u = made.u
-        payload |= {
-            "realised_loss": made.loss,
-            "crest_factor": made.crest_factor,
-            "realised_power": made.power,
-            "realised_efficiency": made.efficiency,
-        }
+        payload |= {"realised_loss": made.loss, "crest_factor": made.crest_factor}
+        payload |= {"realised_power": made.power, "realised_efficiency": made.efficiency}
         text += f"\n{made!r}"
     if writer is not None:
         if not args.json:  # the answer first: figures take their time
@@ -124,27 +109,23 @@ def _parametrised(args: argparse.Namespace, plant: Any, design: Any, payload: di
         moment_design,
     )
 
-    if (
-        args.output_power is not None
-        or args.channel_power is not None
-        or args.band is not None
-        or args.amplitude
+    if args.amplitude or any(
+        limit is not None for limit in (args.output_power, args.channel_power, args.band)
     ):
         raise InputError(
             f"--parametrisation {args.parametrisation} knows a limit on the input power only; leave out "
             "--output-power, --channel-power, --band and --amplitude, or use --parametrisation grid."
         )
     power = 1.0 if args.input_power is None else args.input_power
+    lags = args.lags if args.lags is not None else 4 if args.parametrisation == "ar" else 20
     if args.parametrisation == "moments":
         found = moment_design(plant, args.criterion, input_power=power)
     elif args.parametrisation == "ar":
-        order = 4 if args.lags is None else args.lags
-        found = autoregressive_design(plant, args.criterion, order=order, input_power=power)
+        found = autoregressive_design(plant, args.criterion, order=lags, input_power=power)
     elif args.parametrisation == "bands":
-        edges = np.linspace(0, np.pi, (20 if args.lags is None else args.lags) + 1)
-        found = basis_design(plant, args.criterion, band_basis(edges), input_power=power)
+        basis = band_basis(np.linspace(0, np.pi, lags + 1))
+        found = basis_design(plant, args.criterion, basis, input_power=power)
     else:
-        lags = 20 if args.lags is None else args.lags
         found = autocorrelation_design(plant, args.criterion, lags=lags, input_power=power)
     design = replace(
         design,
@@ -166,11 +147,8 @@ def _parametrised(args: argparse.Namespace, plant: Any, design: Any, payload: di
         "power_used": design.power_used,
         "information": design.information.tolist(),
     }
-    return (
-        design,
-        payload,
-        f"{found!r}\nat least {design.bound:.12g} for every admissible spectrum (gap {design.gap:.1e})",
-    )
+    text = f"{found!r}\nat least {design.bound:.12g} for every admissible spectrum (gap {design.gap:.1e})"
+    return design, payload, text
 
 
 def _writer(out: str | None, samples: int | None):
@@ -178,13 +156,14 @@ def _writer(out: str | None, samples: int | None):
     if out is None:
         return None
     import json
+    from functools import partial
     from pathlib import Path
 
-    from oed.files.writing import write_whole
+    from oed.files.writing import new_folder, write_whole
 
     path = Path(out)
     if not path.suffix:
-        return _page_writer(out)
+        return partial(_write_page, new_folder(out, "--out"))
     if path.exists():
         raise InputError(f"{out} exists already; choose another name or remove it.")
     if not path.parent.is_dir():
@@ -205,22 +184,15 @@ def _csv(u: Any) -> str:
     return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in u.tolist())])
 
 
-def _page_writer(out: str):
+def _write_page(folder: Any, payload: dict[str, Any], u: Any, design: Any, plant: Any) -> None:
     """Writes the design, its signal and its page into a new folder."""
     import json
 
-    from oed.files.writing import new_folder, write_whole
+    from benchmarks.page.design import write_design
+    from oed.files.writing import write_whole
 
-    folder = new_folder(out, "--out")
-
-    def write(payload: dict[str, Any], u: Any, design: Any, plant: Any) -> None:
-        from benchmarks.page.design import write_design
-
-        folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / "design.json", json.dumps(payload, indent=1) + "\n")
-        if u is not None:
-            write_whole(folder / "input.csv", _csv(u) + "\n")
-        made = {"criterion": payload["criterion"], "plant": plant.name, "solver": design.solver}
-        write_design(folder, design, plant, payload, u, made)
-
-    return write
+    write_whole(folder / "design.json", json.dumps(payload, indent=1) + "\n")
+    if u is not None:
+        write_whole(folder / "input.csv", _csv(u) + "\n")
+    made = {"criterion": payload["criterion"], "plant": plant.name, "solver": design.solver}
+    write_design(folder, design, plant, payload, u, made)

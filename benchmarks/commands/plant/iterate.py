@@ -7,29 +7,22 @@ import argparse
 HELP = "run the power iterations on a plant; estimates per iteration"
 EXAMPLE = "oed iterate --plant reference --algorithm siso --samples 1000 --iterations 50 --noise-variance 1"
 
-ALGORITHMS = ("siso", "procedure-1", "two-experiment", "mimo")
-
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of `oed iterate`."""
-    parser.add_argument("--plant", default="reference", help="name or JSON file of the plant")
-    parser.add_argument("--algorithm", choices=ALGORITHMS, default="siso")
-    parser.add_argument("--samples", type=int, default=1000, help="samples per experiment")
-    parser.add_argument("--iterations", type=int, default=50)
-    parser.add_argument("--noise-variance", type=float, default=None)
-    parser.add_argument(
-        "--scaling",
-        choices=("none", "each", "common"),
-        default="none",
-        help="scaling of the second-stage inputs of mimo and two-experiment",
-    )
-    parser.add_argument("--replicate", type=int, default=0, help="which noise (of the same seed) is met")
-    parser.add_argument(
-        "--until-settled",
-        action="store_true",
-        help="stop before --iterations when the gain changes by less than its standard error",
-    )
-    parser.add_argument("--out", default=None, help="write inputs and outputs to this .npz or .csv file")
+    add = parser.add_argument
+    # fmt: off
+    add("--plant", default="reference", help="name or JSON file of the plant")
+    add("--algorithm", choices=("siso", "procedure-1", "two-experiment", "mimo"), default="siso")
+    add("--samples", type=int, default=1000, help="samples per experiment")
+    add("--iterations", type=int, default=50)
+    add("--noise-variance", type=float)
+    add("--scaling", choices=("none", "each", "common"), default="none",
+        help="scaling of the second-stage inputs of mimo and two-experiment")
+    add("--replicate", type=int, default=0, help="which noise (of the same seed) is met")
+    add("--until-settled", action="store_true", help="stop before --iterations when the gain changes by less than its standard error")
+    add("--out", help="write inputs and outputs to this .npz or .csv file")
+    # fmt: on
 
 
 def run(args: argparse.Namespace) -> tuple[dict, str]:
@@ -65,32 +58,26 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
 
         write_trace(trace, args.out)
     complex_pairs = lambda v: [[float(x.real), float(x.imag)] for x in v]
+    usage, last = trace.usage, gains["gain"]
     payload = {
-        "plant": plant.name,
-        "algorithm": args.algorithm,
-        "scaling": args.scaling,
+        "plant": plant.name, "algorithm": args.algorithm, "scaling": args.scaling,
         "gain": {name: g.values.tolist() for name, g in gains.items()},
         "gain_status": {name: [s.name for s in g.statuses] for name, g in gains.items()},
-        "estimate": gains["gain"].last,
-        "estimate_status": gains["gain"].status.name,
-        "frequency": worst.frequency,
-        "frequency_hz": worst.frequency_hz,
+        "estimate": last.last, "estimate_status": last.status.name,
+        "frequency": worst.frequency, "frequency_hz": worst.frequency_hz,
         "direction": complex_pairs(worst.input_direction),
         "output_direction": complex_pairs(worst.output_direction),
         "corrected": None if local is None else [local.value, local.standard_error],
         "corrected_interval": None if local is None else list(local.interval()),
         "corrected_frequency": [local.frequency, local.frequency_error] if local and local.located else None,
         "corrected_status": "FAILED" if local is None else local.status.name,
-        "experiments_used": trace.usage.experiments,
-        "samples": trace.usage.samples,
-        "energy": trace.usage.energy,
-        "status": trace.status.name,
-        "message": trace.message,
-    }
+        "experiments_used": usage.experiments, "samples": usage.samples, "energy": usage.energy,
+        "status": trace.status.name, "message": trace.message,
+    }  # fmt: skip
     lines = [f"{plant}", f"{trace}"]
     lines += [f"  {g}" for g in gains.values()]
-    if not gains["gain"].status.ok:
-        lines.append(f"  last gain: {gains['gain'].status.value}")
+    if not last.status.ok:
+        lines.append(f"  last gain: {last.status.value}")
     lines.append(f"  corrected: {local}" if local else f"  corrected: none. {reason}")
     lines.append(f"  {worst}")
     if args.out:

@@ -53,6 +53,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         # fmt: on
 
 
+AS_GIVEN = ("method", "samples", "dt", "experiments", "power", "amplitude", "rate", "energy", "lead", "ramp", "rest", "periods",
+            "warm_up", "centre", "abort", "delay", "criterion", "scaling", "seed")  # fmt: skip
+"""Settings that are the options of the same names."""
+
+
 def _configure_start(sub: argparse.ArgumentParser) -> None:
     numbers = {"type": _numbers, "metavar": "X[,X..]"}
     add = sub.add_argument
@@ -119,10 +124,8 @@ def _next(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
     file = session.next_input(reduce=args.reduce)
     payload, found = _stand(session)
     if file is None:
-        return (
-            payload,
-            f"the session is finished: {payload['message']} See `oed session estimate {args.folder}`.",
-        )
+        said = f"the session is finished: {payload['message']} See `oed session estimate {args.folder}`."
+        return payload, said
     asked = session.asked()
     payload |= {"kind": asked.kind, "factor": asked.factor, "limit": asked.limit, "rows": len(asked.whole)}
     scaled = f", times {asked.factor:.4g} ({asked.limit})" if asked.limit else ""
@@ -143,9 +146,8 @@ def _record(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str
 
 def _undo(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
     step, file = session.undo()
-    return _payload(session) | {
-        "undone": step
-    }, f"step {step} waits again for its output; the one taken back is {file}"
+    said = f"step {step} waits again for its output; the one taken back is {file}"
+    return _payload(session) | {"undone": step}, said
 
 
 def _status(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
@@ -248,19 +250,15 @@ def _start(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if args.model is not None:
         from oed.plants.json import plant_from_json, plant_to_json
 
-        model = plant_to_json(plant_from_json(args.model))
-        model = json.loads(json.dumps(model))
+        model = json.loads(json.dumps(plant_to_json(plant_from_json(args.model))))
     inputs, outputs = ([split_unit(name) for name in side] for side in (args.inputs, args.outputs))
     if Path(args.folder).is_file():
         raise InputError(f"{args.folder} is a file; give a folder for the session.")
     settings = Settings(
-        method=args.method, samples=args.samples, dt=args.dt, experiments=args.experiments,
         inputs=tuple(n for n, _ in inputs), outputs=tuple(n for n, _ in outputs),
         input_units=tuple(unit for _, unit in inputs), output_units=tuple(unit for _, unit in outputs),
-        power=args.power, amplitude=args.amplitude, rate=args.rate, energy=args.energy, level=args.level or (),
-        lead=args.lead, ramp=args.ramp, rest=args.rest, periods=args.periods, warm_up=args.warm_up, centre=args.centre,
-        abort=args.abort, sensor_range=args.range, orders=tuple(args.orders), delay=args.delay,
-        criterion=args.criterion, scaling=args.scaling, seed=args.seed, model=model,
+        level=args.level or (), sensor_range=args.range, orders=tuple(args.orders), model=model,
+        **{name: getattr(args, name) for name in AS_GIVEN},
     )  # fmt: skip
     session = start_session(args.folder, settings)
     payload, found = _stand(session)
@@ -280,23 +278,16 @@ def _stand(session: Any) -> tuple[dict[str, Any], Any]:
     estimate, s, status, rest = session.estimate(), session.settings, session.status(), rest_of(session)
     rows = rig_samples(s)
     payload = status | {
-        "rows": rows,
-        "rate_hz": 1 / s.dt,
-        "seconds_each": rows * s.dt,
+        "rows": rows, "rate_hz": 1 / s.dt, "seconds_each": rows * s.dt,
         "seconds_left": rows * s.dt * (status["budget"] - status["experiments"]),
         "rest": None if rest is None else rest.to_dict(),
         "warnings": [] if rest is None else rest.warnings(s),
-        "estimate": estimate.value,
-        "standard_error": estimate.standard_error,
-        "interval": list(estimate.interval),
+        "estimate": estimate.value, "standard_error": estimate.standard_error, "interval": list(estimate.interval),
         **_frequency(estimate, 2 * pi * session.settings.dt),
         "direction": [[float(d.real), float(d.imag)] for d in estimate.direction],
-        "estimator": estimate.estimator,
-        "estimate_status": estimate.status.name,
-        "estimate_message": estimate.message,
-        "gains": list(estimate.gains),
-        "noise_floor": list(estimate.noise_floor),
-    }
+        "estimator": estimate.estimator, "estimate_status": estimate.status.name, "estimate_message": estimate.message,
+        "gains": list(estimate.gains), "noise_floor": list(estimate.noise_floor),
+    }  # fmt: skip
     return payload, rest
 
 

@@ -52,9 +52,7 @@ def with_limits(
     for name, (low, high) in {**bounds, **{k: (v, v) for k, v in fixed.items()}}.items():
         k = _index(problem, name)
         if not low <= high or np.isnan(low) or np.isnan(high):
-            raise InputError(
-                f"the bounds of {name} are {low} and {high}; the lower must not exceed the upper."
-            )
+            raise InputError(f"the bounds of {name} are {low}, {high}; the lower must not exceed the upper.")
         lower[k], upper[k] = low / problem.scale[k], high / problem.scale[k]
     return problem.replace(lower=lower, upper=upper)
 
@@ -96,6 +94,17 @@ def unweighted(problem: Problem) -> Problem:
     )
 
 
+def _scatter(e: NDArray, weights: NDArray, robust: str) -> NDArray:
+    if robust == "huber":
+        return np.diag((np.median(np.abs(e), axis=0) / 0.6745) ** 2)
+    return (weights * e).T @ e / len(e)
+
+
+def _distances(e: NDArray, scatter: NDArray) -> tuple[NDArray, NDArray]:
+    inverse = np.linalg.inv(scatter)
+    return inverse, np.sqrt(np.einsum("ti,ij,tj->t", e, inverse, e))
+
+
 def _weights(distance: NDArray, robust: str, ny: int) -> NDArray:
     if robust == "huber":
         return np.minimum(1.0, HUBER / np.maximum(distance, 1e-300))
@@ -108,12 +117,8 @@ def robustly(problem: Problem, optimum: Optimum, robust: str, how: Settings) -> 
     point, iterations, weights = optimum.point, optimum.iterations, np.ones((problem.n_samples, 1))
     for _ in range(200):
         e = np.concatenate(plain.residuals(point)) / plain.output_scale
-        if robust == "huber":
-            scatter = np.diag((np.median(np.abs(e), axis=0) / 0.6745) ** 2)
-        else:
-            scatter = (weights * e).T @ e / len(e)
-        inverse = np.linalg.inv(scatter)
-        distance = np.sqrt(np.einsum("ti,ij,tj->t", e, inverse, e))
+        scatter = _scatter(e, weights, robust)
+        inverse, distance = _distances(e, scatter)
         weights = _weights(distance, robust, ny)[:, None]
         posed = plain.with_weights(np.repeat(weights, ny, axis=1))
         posed = posed.replace(weight=inverse if ny > 1 else plain.weight)
@@ -135,11 +140,8 @@ def robust_factor(problem: Problem, point: Point, robust: str) -> float:
     plain, ny = unweighted(problem), problem.structure.n_outputs
     e = np.concatenate(plain.residuals(point)) / plain.output_scale
     weights = problem.data[:, -1] ** 2
-    scatter = (weights[:, None] * e).T @ e / len(e)
-    if robust == "huber":
-        scatter = np.diag((np.median(np.abs(e), axis=0) / 0.6745) ** 2)
-    inverse = np.linalg.inv(scatter)
-    distance = np.sqrt(np.einsum("ti,ij,tj->t", e, inverse, e))
+    scatter = _scatter(e, weights[:, None], robust)
+    distance = _distances(e, scatter)[1]
     if robust == "huber":
         slope = (distance < HUBER).astype(float)
     else:

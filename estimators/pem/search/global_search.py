@@ -41,8 +41,7 @@ def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimu
     max_iterations, tolerance, search = how.max_iterations, how.tolerance, how.search
     first = begun = None
     if own is None and search != "thorough" and (begun := first_start(problem)) is not None:
-        point = problem.evaluate(problem.projected(begun))
-        if point is not None:
+        for point in problem.points([begun]):
             first = problem.descend(point, max_iterations=max_iterations, tolerance=tolerance)
             if confirmed(problem, first):
                 return first
@@ -51,23 +50,15 @@ def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimu
     if large:  # all starts and relocations on a part first; its optimum is near that of all
         part = problem.first(MANY)
         zs.append(best_optimum(part, None, replace(how, tolerance=1e-10)).point.z)
-    points = [p for z in zs if (p := problem.evaluate(problem.projected(z))) is not None]
-    if not points:
-        points = [
-            p for p in [problem.evaluate(problem.projected(np.zeros(problem.n_parameters)))] if p is not None
-        ]
+    points = problem.points(zs) or problem.points([np.zeros(problem.n_parameters)])
     if not points:
         raise InputError("the loss is not finite at any start; are the samples of a usable size?")
     if own is None:
-        points += [
-            p
-            for z in integrating(problem, points)
-            if (p := problem.evaluate(problem.projected(z))) is not None
-        ]
+        points += problem.points(integrating(problem, points))
     points.sort(key=lambda p: p.loss)
     if large:
-        own_first = problem.evaluate(problem.projected(zs[-1]))
-        points = [own_first, *points[:1]] if own_first is not None else points
+        own_first = problem.points(zs[-1:])
+        points = [*own_first, *points[:1]] if own_first else points
     if first is not None and first.status.ok and not large:
         best = first
     else:
@@ -161,8 +152,8 @@ def _other_noise_models(problem: Problem, point: Point) -> list[Point]:
     for order in (8, 15, 30, 60):
         z = point.z.copy()
         z[place["c"][0]], z[place["d"][0]] = _noise_start(_signals(problem), bs, fs, nc, nd, order)
-        found.append(problem.evaluate(problem.projected(z)))
-    return sorted((p for p in found if p is not None), key=lambda p: p.loss)
+        found.append(z)
+    return sorted(problem.points(found), key=lambda p: p.loss)
 
 
 def _same_basin(point: Point, best: Point, problem: Problem) -> bool:

@@ -19,9 +19,7 @@ def fit_together(problem: Problem, z: NDArray, iterations: int, how: Settings) -
     ny = problem.structure.n_outputs
     point = problem.evaluate(z)
     if point is None:
-        raise InputError(
-            "the loss is not finite at the optimum of the single outputs; this should not happen."
-        )
+        raise InputError("the loss is not finite at the single outputs' optima; this should not happen.")
     optimum = Optimum(point, Status.MAX_ITERATIONS, iterations, np.inf)
     sizes: list[float] = []
     for _ in range(max(how.max_iterations, 1)):

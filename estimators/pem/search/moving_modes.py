@@ -115,8 +115,7 @@ def relocations(problem: Problem, point: Point, keep: int = 3, fine: bool = True
                 if trial is not None:
                     trials.append((*trial, pole))
         for ring in _apart(trials, 4 * keep):
-            points = [p for z in ring if (p := problem.evaluate(problem.projected(z))) is not None]
-            near = [problem.descend(p, max_iterations=2, tolerance=1e-5).point for p in points]
+            near = [problem.descend(p, max_iterations=2, tolerance=1e-5).point for p in problem.points(ring)]
             found += sorted(near, key=lambda p: p.loss)[:keep]
     return sorted(found, key=lambda p: p.loss)
 
@@ -135,9 +134,7 @@ def drawn(problem: Problem, point: Point, count: int, rng: np.random.Generator) 
         trial: Trial | None = (np.inf, z)
         for _, solves in searched:
             trial = None if trial is None else _through(problem, trial[1], solves)
-        start = None if trial is None else problem.evaluate(problem.projected(trial[1]))
-        if start is not None:
-            points.append(start)
+        points += [] if trial is None else problem.points([trial[1]])
     return sorted(points, key=lambda p: p.loss)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,6 +71,10 @@ class Problem:
         """Parameters nearby whose predictor is stable, where there is a simple way to them."""
         z = projected(self.structure, z, mirror)
         return z if self.lower is None else np.clip(z, self.lower, self.upper)
+
+    def points(self, zs: Iterable[NDArray]) -> list[Point]:
+        """The loss at each of some parameters, or nearby, where it is finite."""
+        return [p for z in zs if (p := self.evaluate(self.projected(z))) is not None]
 
     def descend(
         self, point: Point, *, max_iterations: int, tolerance: float, free: NDArray | None = None

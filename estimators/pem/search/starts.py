@@ -98,9 +98,10 @@ def null_space_fit(
     n = len(B)
     full = np.concatenate([[1.0], A])[:n]
     shifted = lambda x, k: np.concatenate([np.zeros(min(k, n)), x[: max(n - k, 0)]])
+    # B = design (b, f)
     design = np.column_stack(
         [shifted(full, k) for k in range(nb)] + [-shifted(B, k) for k in range(1, nf + 1)]
-    )  # B = design (b, f)
+    )
     system = np.column_stack([design, B])
     theta = np.linalg.lstsq(design, B, rcond=None)[0]
     for _ in range(iterations):

@@ -38,9 +38,7 @@ def check_subspace(form: Structure, method: str, horizon: int | None, given: dic
     if method not in METHODS:
         raise InputError(f"method is {method!r}; choose pem, {', '.join(METHODS)}.")
     if not isinstance(form, StateSpace):
-        raise InputError(
-            f'{method} gives state-space models; take the structure "ss" instead of {form.kind}.'
-        )
+        raise InputError(f'{method} gives state-space models; take the structure "ss", not {form.kind}.')
     if horizon is not None and not (isinstance(horizon, int | np.integer) and horizon > 0):
         raise InputError(
             f"the horizon is {horizon!r}; give a whole number of block rows, above {form.order // form.n_outputs}."

@@ -146,9 +146,7 @@ def autocorrelation_design(
 
     Q = cp.Variable((size * nu, size * nu), PSD=True)
     # R_l is the sum of the blocks (i + l, i) of Q: one sparse matrix, for Q's entries column by column.
-    i, j, p, q = (
-        x.ravel() for x in np.meshgrid(*(np.arange(k) for k in (size, size, nu, nu)), indexing="ij")
-    )
+    i, j, p, q = (x.ravel() for x in np.meshgrid(*map(np.arange, (size, size, nu, nu)), indexing="ij"))
     i, j, p, q = (x[i >= j] for x in (i, j, p, q))
     blocks = sparse.csr_matrix(
         (np.ones(len(i)), (((i - j) * nu + p) * nu + q, (i * nu + p) + (j * nu + q) * (size * nu))),
@@ -209,9 +207,7 @@ def moment_design(
     atoms = np.einsum("nkrp,mkrp->knm", F, F.conj()).real
     modulus = np.abs(np.polyval(weight[::-1], np.exp(-1j * omega))) ** 2
     basis = np.cos(np.outer(omega, np.arange(degree + 1)))
-    rows = np.concatenate(
-        [(atoms * modulus[:, None, None]).reshape(len(omega), -1), modulus[:, None]], axis=1
-    )
+    rows = np.column_stack([(atoms * modulus[:, None, None]).reshape(len(omega), -1), modulus])
     coefficients = np.linalg.lstsq(basis, rows, rcond=None)[0]
     misfit = np.abs(basis @ coefficients - rows).max() / np.abs(rows).max()
     if misfit > 1e-9:

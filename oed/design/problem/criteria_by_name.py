@@ -113,9 +113,7 @@ def _number(text: str, criterion: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(
-            f"the criterion {criterion} has the argument {text!r}; it must be a number."
-        ) from None
+        raise InputError(f"the criterion {criterion} has the argument {text!r}; give a number.") from None
 
 
 def _one(numbers: list[float], criterion: str, what: str) -> float:
@@ -144,9 +142,7 @@ def _gain_gradient(model: Any, omega: float) -> NDArray[np.float64]:
     G, dG = model.response(np.array([omega]))
     u, s, vh = np.linalg.svd(G[0])
     if s[0] == 0:
-        raise InputError(
-            f"the gain at {omega:g} rad/sample is 0, where it has no derivative; choose another."
-        )
+        raise InputError(f"the gain at {omega:g} rad/sample is 0 and has no derivative; choose another.")
     return np.einsum("p,npq,q->n", u[:, 0].conj(), dG[0], vh[0].conj()).real
 
 

@@ -66,9 +66,7 @@ def frequency_grid(
     if not np.ndim(points) and len(omega) > 1:
         omega = _resolved(information, omega, bands)
     if not len(omega):
-        raise InputError(
-            f"no frequency of the grid lies in the bands {bands}; widen them or give more points."
-        )
+        raise InputError(f"no grid frequency lies in the bands {bands}; widen them or give more points.")
     return omega
 
 

@@ -60,9 +60,7 @@ def white_root(information: InformationMap, D: NDArray[np.complex128]) -> NDArra
     rows = np.concatenate([flat.real.T, flat.imag.T, square_root(information.constant).T])
     scale = np.linalg.norm(rows, axis=0)
     if not np.isfinite(rows).all():
-        raise InfeasibleDesign(
-            "the plant's response is not finite on the frequency grid; it has a pole there."
-        )
+        raise InfeasibleDesign("the plant's response is not finite on the grid; it has a pole there.")
     dead = scale == 0
     R = np.linalg.qr(rows / np.where(dead, 1.0, scale), mode="r") if not dead.any() else None
     if R is None or np.abs(np.diag(R)).min() < 1e-13:

@@ -37,9 +37,7 @@ def application_criterion(required: ArrayLike, *, name: str = "application") -> 
     """
     R = np.asarray(required, dtype=float)
     if R.ndim != 2 or R.shape[0] != R.shape[1] or not np.allclose(R, R.T):
-        raise InputError(
-            f"the required information has the shape {R.shape}; it must be symmetric and square."
-        )
+        raise InputError(f"the required information is {R.shape}; it must be symmetric and square.")
     values, vectors = np.linalg.eigh(R)
     if values[0] < -1e-10 * abs(values[-1]) or values[-1] <= 0:
         raise InputError(
@@ -93,19 +91,18 @@ def least_power_design(
 
     if not (np.isfinite(demand) and demand > 0):
         raise InputError(f"the demanded loss is {demand}; it must be positive and finite.")
+    at = lambda power: solve_design(model, criterion, input_power=power, prior=prior, **options)
     if np.isfinite(max_power):
-        most = solve_design(model, criterion, input_power=max_power, prior=prior, **options)
+        most = at(max_power)
         if most.bound > demand:
             raise InfeasibleDesign(
                 f"the demand clashes with the input power: with a power of {max_power:g} every input has a loss of at "
                 f"least {most.bound:.6g}, and {demand:g} is demanded; allow more power, or demand less."
             )
-    base = information_map(model)
+    base, design = information_map(model), at(1.0)
     if prior is None and not np.any(base.constant):
-        unit = solve_design(model, criterion, input_power=1.0, **options)
-        return solve_design(model, criterion, input_power=unit.loss / demand, **options)
+        return at(design.loss / demand)
     known = base if prior is None else base.with_prior(prior)
-    design = solve_design(model, criterion, input_power=1.0, prior=prior, **options)
     if design.criterion.loss(known.constant) <= demand:
         raise InfeasibleDesign(
             f"what is known already has the loss {design.criterion.loss(known.constant):g}, within the demand "
@@ -114,17 +111,15 @@ def least_power_design(
     low = high = 1.0
     while design.loss > demand:
         low, high = high, 4 * high
-        design = solve_design(model, criterion, input_power=high, prior=prior, **options)
-    while (
-        low == 1.0 and solve_design(model, criterion, input_power=low, prior=prior, **options).loss <= demand
-    ):
+        design = at(high)
+    while low == 1.0 and at(low).loss <= demand:
         low, high = low / 4, low
-        if solve_design(model, criterion, input_power=low, prior=prior, **options).loss > demand:
+        if at(low).loss > demand:
             break
         low = 1.0 if high < 1e-12 else low
     for _ in range(60):
         middle = float(np.sqrt(low * high))
-        trial = solve_design(model, criterion, input_power=middle, prior=prior, **options)
+        trial = at(middle)
         if trial.loss <= demand:
             high, design = middle, trial
         else:

@@ -130,9 +130,8 @@ def _derivatives(
     curvature = criterion.curvature or 0.0
     whole = isinstance(criterion, Determinant) and V.shape[1] == len(V)
     if whole:
-        X = np.asarray(
-            inverse.T
-        )  # X X' = M^-1 whatever V: the priced columns are the ones that are there already
+        # X X' = M^-1 whatever V: the priced columns are the ones that are there already
+        X = np.asarray(inverse.T)
     else:
         Y = inverse.T @ (inverse @ V)
         X = criterion.turned(Y, V.T @ Y, None) * np.sqrt(scale)
