@@ -7,7 +7,7 @@ from typing import Any
 
 from estimators.sessions.missing import ModelError, what_is_missing
 from estimators.sessions.proposals import Proposal, joined, propose
-from estimators.sessions.session import Session
+from estimators.sessions.session import Sequential
 from oed.errors import InputError
 
 
@@ -59,7 +59,7 @@ class SessionDiagnosis:
         return "\n".join(lines)
 
 
-def diagnosis_of(session: Session) -> SessionDiagnosis:
+def diagnosis_of(session: Sequential) -> SessionDiagnosis:
     """What is missing from the session's model, or from a linear model of its rig."""
     s = session.settings
     records = session.trace.records

@@ -6,6 +6,7 @@ asks for the same inputs, bit for bit, so a session that was killed is opened ag
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -44,27 +45,8 @@ class Asked:
     limit: str
 
 
-class Session:
-    """A sequential method run by whoever has the rig: ask for an input, tell the output.
-
-    Parameters
-    ----------
-    settings : Settings
-        Method, channels, lengths, limits.
-    known : sequence of ndarray, optional
-        Inputs of the first steps where they are on record (`rule_of`).
-
-    Examples
-    --------
-    >>> from estimators.sessions import Session, Settings
-    >>> from oed import named_plant, simulated
-    >>> rig = simulated(named_plant("reference", 0.01), seed=1)
-    >>> session = Session(Settings("power", samples=200, experiments=5))
-    >>> while session.step:
-    ...     session.tell(rig(session.ask()))
-    >>> abs(session.estimate().value - 2.41) < 0.1
-    True
-    """
+class Sequential(ABC):
+    """A sequential method that waits for its measurements, wherever they are kept."""
 
     def __init__(self, settings: Settings, known: Sequence[Array] = ()) -> None:
         self.settings = settings
@@ -91,20 +73,13 @@ class Session:
         """Number of the step whose output is waited for, None when the session is finished."""
         return None if self.finished else len(self._records) + 1
 
+    @abstractmethod
     def ask(self) -> Array:
-        """The input to apply next.
+        """The input to apply next, (rows, nu)."""
 
-        Returns
-        -------
-        ndarray
-            (rows, nu), levels, ramps, periods and rest included; the same until its output is told.
-
-        Raises
-        ------
-        InputError
-            If the session is finished, or the input violates a limit and cannot be scaled to meet it.
-        """
-        return self.asked().whole
+    @abstractmethod
+    def tell(self, y: ArrayLike, u: ArrayLike | None = None, *, accept: bool = False) -> None:
+        """Hand over the output of the input that was asked for."""
 
     def asked(self) -> Asked:
         """The input to apply next, with its part in the method and how it was scaled.
@@ -121,27 +96,6 @@ class Session:
         if self._asked is None:
             self._asked = self._place(self._waiting)
         return self._asked
-
-    def tell(self, y: ArrayLike, u: ArrayLike | None = None, *, accept: bool = False) -> None:
-        """Hand over the output of the input that was asked for.
-
-        Parameters
-        ----------
-        y : array_like
-            (rows, ny), one row per row of the input; (rows,) for one output.
-        u : array_like, optional
-            (rows, nu) the input as it was recorded beside it: it is compared with what was asked for.
-        accept : bool
-            Whether to use the measurement although it looks saturated or held.
-
-        Raises
-        ------
-        InputError
-            If the output is not of this input; nothing has changed then.
-        FlaggedMeasurement
-            If it is unfit for use; measure again.
-        """
-        self._use(self.asked(), self._checked(y, u, accept))
 
     def _checked(self, y: ArrayLike, u: ArrayLike | None, accept: bool) -> Array:
         """The output (rows, ny), fit for use."""
@@ -300,6 +254,65 @@ class Session:
     def __repr__(self) -> str:
         done = f"{len(self._records)} of {self.settings.experiments} experiments"
         return f"Session of {self.settings.method}, {done}, {rig_samples(self.settings)} rows each"
+
+
+class Session(Sequential):
+    """A sequential method run by whoever has the rig: ask for an input, tell the output.
+
+    Parameters
+    ----------
+    settings : Settings
+        Method, channels, lengths, limits.
+    known : sequence of ndarray, optional
+        Inputs of the first steps where they are on record (`rule_of`).
+
+    Examples
+    --------
+    >>> from estimators.sessions import Session, Settings
+    >>> from oed import named_plant, simulated
+    >>> rig = simulated(named_plant("reference", 0.01), seed=1)
+    >>> session = Session(Settings("power", samples=200, experiments=5))
+    >>> while session.step:
+    ...     session.tell(rig(session.ask()))
+    >>> abs(session.estimate().value - 2.41) < 0.1
+    True
+    """
+
+    def ask(self) -> Array:
+        """The input to apply next.
+
+        Returns
+        -------
+        ndarray
+            (rows, nu), levels, ramps, periods and rest included; the same until its output is told.
+
+        Raises
+        ------
+        InputError
+            If the session is finished, or the input violates a limit and cannot be scaled to meet it.
+        """
+        return self.asked().whole
+
+    def tell(self, y: ArrayLike, u: ArrayLike | None = None, *, accept: bool = False) -> None:
+        """Hand over the output of the input that was asked for.
+
+        Parameters
+        ----------
+        y : array_like
+            (rows, ny), one row per row of the input; (rows,) for one output.
+        u : array_like, optional
+            (rows, nu) the input as it was recorded beside it: it is compared with what was asked for.
+        accept : bool
+            Whether to use the measurement although it looks saturated or held.
+
+        Raises
+        ------
+        InputError
+            If the output is not of this input; nothing has changed then.
+        FlaggedMeasurement
+            If it is unfit for use; measure again.
+        """
+        self._use(self.asked(), self._checked(y, u, accept))
 
 
 def _model(settings: Settings) -> Any:

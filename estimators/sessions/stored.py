@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimators.sessions.checking import read_output
 from estimators.sessions.folder import KEPT, Folder
-from estimators.sessions.session import Asked, FlaggedMeasurement, Session
+from estimators.sessions.session import Asked, FlaggedMeasurement, Sequential
 from estimators.sessions.settings import Settings, settings_from_json
 from oed.errors import CampaignError, InputError
 from oed.files.csv import csv_table
@@ -47,7 +47,7 @@ def open_session(path: str | os.PathLike[str]) -> StoredSession:
     return StoredSession(Path(path))
 
 
-class StoredSession(Session):
+class StoredSession(Sequential):
     """A session whose state is a folder, its inputs and outputs files; several processes may take turns at it, one at a time.
 
     Parameters
@@ -275,7 +275,7 @@ class StoredSession(Session):
             (rows, nu).
         """
         self.next_input()
-        return super().ask()
+        return self.asked().whole
 
     def tell(self, y: ArrayLike, u: ArrayLike | None = None, *, accept: bool = False) -> None:
         """Hand over the output, as `Session.tell`; it is stored.
