@@ -24,7 +24,6 @@ WIDE = {
     "estimators/montecarlo/engine.py batches": "hands the compiled loops their arrays",
     "estimators/pem/search/levenberg_marquardt.py minimise": "the search of every engine: functions, start and its limits",
     "oed/design/solvers/condition_number.py _as_design": "gathers the parts of one result",
-    "benchmarks/speed/campaign.py _columns": "the columns of a synthetic part",
 }
 # An effect starts its own fits, and the fits know effects: inside functions only, as `effects/__init__` says.
 CYCLES = {

@@ -87,11 +87,8 @@ def load_plant(spec: str, noise_variance: float | None = None) -> Plant:
         return plant.replace(noise_variance=noise_variance * plant.noise_variance)
     from oed.plants.named import named_plant
 
-    return (
-        named_plant(spec)
-        if noise_variance is None
-        else named_plant(spec).replace(noise_variance=noise_variance)
-    )
+    plant = named_plant(spec)
+    return plant if noise_variance is None else plant.replace(noise_variance=noise_variance)
 
 
 def _random(spec: str, family: str, number: int, noise_variance: float | None) -> Plant:
@@ -101,13 +98,12 @@ def _random(spec: str, family: str, number: int, noise_variance: float | None) -
     from oed.plants.families import random_plant
     from oed.plants.named import random_fir
 
+    variance = noise_variance if noise_variance is not None else 0.5 if family == "fir" else 1.0
     if family == "fir":
-        rng = np.random.default_rng([RANDOM_SEED, number])
-        return random_fir(rng, noise_variance=0.5 if noise_variance is None else noise_variance).replace(
-            name=spec
-        )
-    rng = np.random.default_rng([RANDOM_SEED, number, *family.encode()])
-    return random_plant(family, rng, 1.0 if noise_variance is None else noise_variance).replace(name=spec)
+        plant = random_fir(np.random.default_rng([RANDOM_SEED, number]), noise_variance=variance)
+    else:
+        plant = random_plant(family, np.random.default_rng([RANDOM_SEED, number, *family.encode()]), variance)
+    return plant.replace(name=spec)
 
 
 def family_of(spec: str) -> str:
@@ -120,10 +116,8 @@ def expanded(specs: Sequence[str]) -> tuple[str, ...]:
     """Plants with `random-light-1..40` written out."""
     found: list[str] = []
     for spec in specs:
-        several = SEVERAL.fullmatch(spec)
-        found += (
-            [f"{several[1]}{k}" for k in range(int(several[2]), int(several[3]) + 1)] if several else [spec]
-        )
+        many = SEVERAL.fullmatch(spec)
+        found += [f"{many[1]}{k}" for k in range(int(many[2]), int(many[3]) + 1)] if many else [spec]
     return tuple(found)
 
 

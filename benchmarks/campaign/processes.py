@@ -8,6 +8,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import Any
 
 from oed.errors import CampaignError
@@ -75,7 +76,7 @@ def spread(function: Callable[[Any], Any], items: Iterable[Any], jobs: int = 1) 
     if jobs <= 1:
         return [function(item) for item in items]
     found: dict[int, Any] = {}
-    for (k, _), result, done in as_finished(_Second(function), enumerate(items), jobs):
+    for (k, _), result, done in as_finished(partial(_of_second, function), enumerate(items), jobs):
         if not done:
             raise CampaignError(
                 "a process was killed each time it made a table or a figure, perhaps for want of memory; what was finished "
@@ -85,14 +86,8 @@ def spread(function: Callable[[Any], Any], items: Iterable[Any], jobs: int = 1) 
     return [found[k] for k in range(len(items))]
 
 
-class _Second:
-    """A function of the second of a pair."""
-
-    def __init__(self, function: Callable[[Any], Any]) -> None:
-        self.function = function
-
-    def __call__(self, pair: tuple[int, Any]) -> Any:
-        return self.function(pair[1])
+def _of_second(function: Callable[[Any], Any], pair: tuple[int, Any]) -> Any:
+    return function(pair[1])
 
 
 def at_once(tasks: Iterable[Callable[[], Any]], jobs: int = 1) -> list[Any]:

@@ -40,7 +40,7 @@ class Estimate:
     message: str = ""
 
     @classmethod
-    def of(cls, value: float, standard_error: float, status: Status) -> Estimate:
+    def of(cls, value: float, status: Status, standard_error: float = float("nan")) -> Estimate:
         """An estimate whose message is its status in words."""
         return cls(value, standard_error, status, "" if status.ok else status.value)
 
@@ -183,7 +183,7 @@ def complete(trace: Trace) -> Trace:
 def _from_gains(compute: Callable[[Trace], Any]) -> Callable[[Trace], Estimate]:
     def estimate(trace: Trace) -> Estimate:
         gains = compute(complete(trace))
-        return Estimate.of(gains.last, float("nan"), gains.status)
+        return Estimate.of(gains.last, gains.status)
 
     return estimate
 
@@ -232,7 +232,7 @@ def _norm_of(fitted: Callable[[], Any]) -> Estimate:
         return Estimate(float("nan"), status=Status.FAILED, message=str(failure))
     if not np.isfinite(value):
         return Estimate(float("nan"), status=fit.status if not fit.status.ok else Status.NOT_FINITE)
-    return Estimate.of(float(value), float(error), fit.status)
+    return Estimate.of(float(value), fit.status, float(error))
 
 
 def _peak_estimator(module: str, function: str) -> Callable[[Trace], Estimate]:
@@ -247,7 +247,7 @@ def _peak_estimator(module: str, function: str) -> Callable[[Trace], Estimate]:
 
 
 def _from_peak(found: Any) -> Estimate:
-    return Estimate.of(found.value, found.standard_error, found.status)
+    return Estimate.of(found.value, found.status, found.standard_error)
 
 
 REGULARISED = 60

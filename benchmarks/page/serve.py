@@ -74,10 +74,8 @@ def server(folder: Path) -> ThreadingHTTPServer:
 
         def do_GET(self) -> None:  # the name that http.server calls
             port = self.server.server_address[1]  # pyright: ignore[reportIndexIssue]
-            if self.headers.get("Host") not in (
-                f"{HOST}:{port}",
-                f"localhost:{port}",
-            ):  # another site's name that leads here
+            # another site's name that leads here
+            if self.headers.get("Host") not in (f"{HOST}:{port}", f"localhost:{port}"):
                 return self.send_error(421)
             if self.path not in ("/", "/state"):
                 return self.send_error(404)

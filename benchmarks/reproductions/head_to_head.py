@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.tables.reproduced import row
+from benchmarks.tables.reproduced import row, traced
 from estimators.norm.fir import peak_of_fir, plug_in, select_taps
 from estimators.norm.gains import gain
 from estimators.rules.bandit import best_arm, thompson_sampling
@@ -22,8 +22,7 @@ from estimators.rules.inputs import fixed, white
 from estimators.rules.limits import Limits
 from estimators.rules.power import power_iterations
 from estimators.rules.procedure2 import procedure_2
-from estimators.rules.trace import Trace, run
-from oed.experiments import simulated
+from estimators.rules.trace import Trace
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
 
@@ -53,16 +52,7 @@ def traces(plant: Plant) -> dict[str, Trace]:
         "two-experiment": partial(procedure_2, limits=energy, scaling="none"),
         "bandit": partial(thompson_sampling, power=1 / SAMPLES),
     }
-    return {
-        name: run(
-            rule,
-            simulated(plant, expected=EXPERIMENTS),
-            samples=SAMPLES,
-            experiments=EXPERIMENTS,
-            rng=np.random.default_rng(0),
-        )
-        for name, rule in rules.items()
-    }
+    return {name: traced(rule, plant, SAMPLES, EXPERIMENTS) for name, rule in rules.items()}
 
 
 def _tenth(trace: Trace) -> float:
@@ -119,7 +109,7 @@ def rows() -> list[dict[str, Any]]:
             errors[case.name].append(abs(case.estimate(found_traces[case.method]) / gamma - 1))
             energies[case.name] = found_traces[case.method].usage.energy
     found = []
-    for name, published in ((case.name, case.published) for case in CASES):
+    for name, published in [(case.name, case.published) for case in CASES]:
         values = np.array(errors[name])
         values = values[np.isfinite(values)]
         median = float(np.median(values))

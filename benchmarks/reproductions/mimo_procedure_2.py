@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.tables.reproduced import row
+from benchmarks.tables.reproduced import row, traced
 from estimators.norm.gains import gain, transposed_output
 from estimators.norm.worst_inputs import worst_case
 from estimators.rules.by_name import iterate
 from estimators.rules.procedure2 import procedure_2
-from estimators.rules.trace import run
 from oed.experiments import simulated
 from oed.plants.named import named_plant
-from oed.theory.finite import finite_norm
+from oed.theory.finite import dense, finite_norm
 
 
 def rows() -> list[dict[str, Any]]:
@@ -28,16 +27,7 @@ def _identities() -> list[dict[str, Any]]:
     for name in ("avis", "three-by-two"):
         plant, N = named_plant(name, 0.0), 40
         each = 1 + plant.n_inputs * plant.n_outputs
-        trace = run(procedure_2, simulated(plant), samples=N, experiments=each, rng=np.random.default_rng(0))
-        g = plant.impulse_response(N)
-        G = np.zeros((N * plant.n_outputs, N * plant.n_inputs))
-        for t in range(N):
-            for s in range(t + 1):
-                rows_, columns = (
-                    slice(t * plant.n_outputs, (t + 1) * plant.n_outputs),
-                    slice(s * plant.n_inputs, (s + 1) * plant.n_inputs),
-                )
-                G[rows_, columns] = g[t - s]
+        trace, G = traced(procedure_2, plant, N, each), dense(plant, N)
         w = transposed_output(trace, trace.iterations[0]).ravel()
         u = trace.records[0].u.ravel()
         found.append(
@@ -65,13 +55,7 @@ def _story() -> list[dict[str, Any]]:
     plant, N = named_plant("avis", 0.01), 4000
     hertz = np.arange(0, 500, 18.5)
     coarse = np.linalg.norm(plant.response(2 * np.pi * hertz * plant.dt)[0], 2, axis=(1, 2))
-    trace = run(
-        partial(procedure_2, scaling="each"),
-        simulated(plant),
-        samples=N,
-        experiments=40 * 5,
-        rng=np.random.default_rng(0),
-    )
+    trace = traced(partial(procedure_2, scaling="each"), plant, N, 40 * 5)
     last, worst = float(gain(trace).last), worst_case(trace)
     first_u, last_u = trace.records[0].u, trace.records[-5].u
     flat = [np.max(np.abs(np.fft.rfft(u, axis=0)) ** 2) / (N * np.mean(u**2)) for u in (first_u, last_u)]

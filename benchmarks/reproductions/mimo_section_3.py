@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 from scipy.linalg import hankel
 
-from benchmarks.tables.reproduced import row
+from benchmarks.tables.reproduced import row, traced
 from estimators.norm.frf import frequency_response
 from estimators.norm.gains import gain, rayleigh
 from estimators.rules.inputs import multisine
 from estimators.rules.power import power_iterations
 from estimators.rules.procedure2 import procedure_2
-from estimators.rules.trace import Trace, run
-from oed.experiments import simulated
+from estimators.rules.trace import Trace
 from oed.plants.named import named_plant
 from oed.plants.plant import Plant
 from oed.theory.finite import finite_norm, singular_values
@@ -32,13 +31,7 @@ def rows() -> list[dict[str, Any]]:
 
 def _from(rule: Any, plant: Plant, samples: int, experiments: int, seed: int = 0) -> Trace:
     start = np.random.default_rng(seed).standard_normal((samples, plant.n_inputs))
-    return run(
-        partial(rule, start=start),
-        simulated(plant),
-        samples=samples,
-        experiments=experiments,
-        rng=np.random.default_rng(0),
-    )
+    return traced(partial(rule, start=start), plant, samples, experiments)
 
 
 def _equations() -> list[dict[str, Any]]:
@@ -82,7 +75,7 @@ def _unscaled(iterations: int) -> np.ndarray:
 
 def _response() -> dict[str, Any]:
     plant = named_plant("avis", 0.01)
-    trace = run(multisine, simulated(plant), samples=2000, experiments=40, rng=np.random.default_rng(5))
+    trace = traced(multisine, plant, 2000, 40, 5)
     found = frequency_response(trace)
     size = np.linalg.norm(found.response, 2, axis=(1, 2))
     k = int(np.argmax(size))

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.tables.reproduced import row
+from benchmarks.tables.reproduced import row, traced
 from estimators.norm.gains import gain
 from estimators.rules.krylov import lanczos, ritz
 from estimators.rules.power import power_iterations
 from estimators.rules.procedure2 import procedure_2
-from estimators.rules.trace import run
-from oed.experiments import simulated
 from oed.plants.named import NAMES, named_plant
+from oed.theory.finite import dense
 
 SAMPLES, ITERATIONS, NEAR = 200, 24, 1e-6
 
@@ -29,9 +28,7 @@ def _plant(name: str) -> list[dict[str, Any]]:
     p, q = plant.n_outputs, plant.n_inputs
     single, rng = p * q == 1, np.random.default_rng(17)
     start, each = rng.standard_normal((N, q)), 1 if single else 1 + p * q
-    record = lambda rule: run(
-        partial(rule, start=start), simulated(plant), samples=N, experiments=M * each, rng=rng
-    )
+    record = lambda rule: traced(partial(rule, start=start), plant, N, M * each, rng)
     values = gain(record(power_iterations if single else procedure_2)).values
     krylov = ritz(record(lanczos)).values
     d, shares = _coordinates(plant, start)
@@ -59,13 +56,7 @@ def _plant(name: str) -> list[dict[str, Any]]:
 
 def _coordinates(plant: Any, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Singular values of the block Toeplitz matrix, and the start's squared coordinates in its right vectors."""
-    N, p, q = SAMPLES, plant.n_outputs, plant.n_inputs
-    g = plant.impulse_response(N)
-    G = np.zeros((N * p, N * q))
-    for t in range(N):
-        for s in range(t + 1):
-            G[t * p : (t + 1) * p, s * q : (s + 1) * q] = g[t - s]
-    _, d, vectors = np.linalg.svd(G, full_matrices=False)
+    _, d, vectors = np.linalg.svd(dense(plant, SAMPLES), full_matrices=False)
     return d, (vectors @ start.ravel()) ** 2
 
 

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.linalg import hankel
 
-from benchmarks.tables.reproduced import row
+from benchmarks.tables.reproduced import row, traced
 from estimators.montecarlo.engine import monte_carlo
 from estimators.norm.gains import rayleigh
 from estimators.rules.power import power_iterations
-from estimators.rules.trace import run
-from oed.experiments import simulated
 from oed.plants.named import named_plant
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
@@ -27,13 +25,7 @@ def rows() -> list[dict[str, Any]]:
     plain = Plant([0.5, 1.0, 0.3], [1.0, -0.2], noise_covariance=0.0, name="few-taps")
     values = singular_values(plain, 12)
     start = np.random.default_rng(0).standard_normal((12, 1))
-    trace = run(
-        partial(power_iterations, start=start),
-        simulated(plain),
-        samples=12,
-        experiments=4000,
-        rng=np.random.default_rng(0),
-    )
+    trace = traced(partial(power_iterations, start=start), plain, 12, 4000)
     found.append(
         row("beta tends to the eigenvalue of T G of largest modulus", "[S] Lemma 1, with |lambda|", float(values[0]),
             abs(rayleigh(trace).last), 1e-9,
@@ -51,7 +43,7 @@ def rows() -> list[dict[str, Any]]:
     )  # fmt: skip
     rule = partial(power_iterations, reversal=False)
     low = Plant([1.5, 0.4], [1.0, -0.3], noise_covariance=0.0, name="feedthrough")
-    trace = run(rule, simulated(low), samples=20, experiments=4000, rng=np.random.default_rng(1))
+    trace = traced(rule, low, 20, 4000, 1)
     found.append(
         row("without time reversal the iterations find g_0", "[S] Remark 3", 1.5, rayleigh(trace).last, 0.02,
             f"20 samples, 4000 iterations; the norm is {finite_norm(low, 20):.4f}. G is one Jordan block, so the "
@@ -63,10 +55,8 @@ def rows() -> list[dict[str, Any]]:
     shares = (
         np.random.default_rng(0).standard_normal((4000, 1000)) ** 2 * (values / np.abs(values).max()) ** 118
     )
-    ends = [run(
-        partial(power_iterations, start=np.random.default_rng(r).standard_normal((1000, 1))), simulated(plant),
-        samples=1000, experiments=60, rng=np.random.default_rng(0),
-    ) for r in range(40)]  # fmt: skip
+    first = lambda r: np.random.default_rng(r).standard_normal((1000, 1))
+    ends = [traced(partial(power_iterations, start=first(r)), plant, 1000, 60) for r in range(40)]
     law, spread = shares @ values / shares.sum(axis=1), np.std([rayleigh(trace).last for trace in ends])
     found.append(
         row("spread of estimator (4) over starts, noise-free, iteration 60",

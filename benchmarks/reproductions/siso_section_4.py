@@ -34,10 +34,10 @@ def _bias(variance: float) -> dict[str, Any]:
     gamma = peak(plant).value
     parts = list(batches(plant, samples=SAMPLES, iterations=ITERATIONS, replicates=RUNS, seed=4))
     late = slice(ITERATIONS // 2, None)
-    beta = (
-        np.concatenate([np.sqrt(np.maximum(b.gain_squares[:, late], 0)).mean(axis=1) for b in parts]) - gamma
+    mean = lambda name: np.concatenate(
+        [np.sqrt(np.maximum(getattr(b, name)[:, late], 0)).mean(axis=1) for b in parts]
     )
-    mu = np.concatenate([np.sqrt(b.mu_squares[:, late]).mean(axis=1) for b in parts]) - gamma
+    beta, mu = mean("gain_squares") - gamma, mean("mu_squares") - gamma
     error = lambda x: float(x.std(ddof=1) / np.sqrt(len(x)))
     return row(f"mu has less bias than beta_2 at little noise, variance {variance:g}", "[S] after Theorem 12",
         "|bias of mu| < |bias of beta_2|",
@@ -88,7 +88,5 @@ def _claim() -> list[dict[str, Any]]:
 
 def _efficiency(plant: Plant) -> float:
     c = gain_gradient(plant)
-    return float(
-        plant.noise_covariance[0, 0]
-        / (c @ np.linalg.solve(information_of_spectrum(plant, limit_spectrum(plant).spectrum), c))
-    )
+    information = information_of_spectrum(plant, limit_spectrum(plant).spectrum)
+    return float(plant.noise_covariance[0, 0] / (c @ np.linalg.solve(information, c)))

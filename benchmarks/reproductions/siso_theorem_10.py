@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.tables.reproduced import row
 from oed.plants.named import named_plant
 from oed.theory.limit import limit_spectrum
+from oed.theory.quadrature import graded_nodes
 
 
 def rows() -> list[dict[str, Any]]:
@@ -17,7 +18,8 @@ def rows() -> list[dict[str, Any]]:
     for variance in (4.0, 9.0):
         plant = named_plant("reference", variance)
         limit = limit_spectrum(plant)
-        omega, weight = _nodes(limit)
+        nodes = graded_nodes([limit.peak.frequency])
+        omega, weight = nodes.omega, nodes.weight
         gain2 = np.abs(plant.response(omega)[0][:, 0, 0]) ** 2
         target = limit.density(omega)
         starts = {
@@ -42,10 +44,3 @@ def rows() -> list[dict[str, Any]]:
                     kind="statement")
             )  # fmt: skip
     return found
-
-
-def _nodes(limit: Any) -> tuple[np.ndarray, np.ndarray]:
-    from oed.theory.quadrature import graded_nodes
-
-    nodes = graded_nodes([limit.peak.frequency])
-    return nodes.omega, nodes.weight

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.linalg import hankel, toeplitz
 
-from benchmarks.tables.reproduced import row
+from benchmarks.tables.reproduced import row, traced
 from estimators.norm.gains import gain
 from estimators.rules.power import power_iterations
 from estimators.rules.procedure2 import procedure_2
-from estimators.rules.trace import run
-from oed.experiments import simulated
 from oed.plants.named import NAMES, named_plant
 from oed.plants.plant import Plant
 
@@ -42,15 +40,7 @@ def rows() -> list[dict[str, Any]]:
     plain = Plant([0.5, 1.0, 0.3], [1.0, -0.2], noise_covariance=0.0, name="few-taps")
     start = np.random.default_rng(0).standard_normal((12, 1))
     one, two = (
-        gain(
-            run(
-                partial(rule, start=start),
-                simulated(plain),
-                samples=12,
-                experiments=count,
-                rng=np.random.default_rng(0),
-            )
-        ).last
+        gain(traced(partial(rule, start=start), plain, 12, count)).last
         for rule, count in ((power_iterations, 4000), (procedure_2, 8000))
     )
     found.append(

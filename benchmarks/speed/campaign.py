@@ -44,49 +44,47 @@ def synthetic_store(folder: Path, runs: int) -> tuple[Any, int]:
         n = part.stop - part.start
         tables = []
         for name in settings.estimators:
-            replicate = np.arange(part.start, part.stop)
-            estimate, nothing = 2.41 + 0.02 * rng.standard_normal(n), [[np.nan]] * n
-            tables.append(_columns(part, n, replicate, name, 20, 10000.0, estimate, True, 0, nothing))
-        m = len(marks)
+            estimate = 2.41 + 0.02 * rng.standard_normal(n)
+            own = {
+                "replicate": np.arange(part.start, part.stop),
+                "estimator": name,
+                "estimate": estimate,
+                "energy": 1e4,
+            }
+            tables.append(
+                _columns(part, n, **own, experiments=20, final=True, count=0, information=[[np.nan]] * n)
+            )
+        own = {
+            "replicate": part.start,
+            "estimator": "",
+            "estimate": np.nan,
+            "energy": 500.0 * n * np.array(marks),
+        }
         carried = [(n * k * 500 * matrix).tolist() for k in marks]
         tables.append(
             _columns(
-                part, m, np.full(m, part.start), "", np.array(marks), 500.0 * n * np.array(marks),
-                np.full(m, np.nan), False, n, carried,
+                part,
+                len(marks),
+                **own,
+                experiments=np.array(marks),
+                final=False,
+                count=n,
+                information=carried,
             )
-        )  # fmt: skip
+        )
         store.write(part.key, pa.concat_tables(tables))
     return settings, runs // 2
 
 
-def _columns(
-    part: Any, n: int, replicate: Any, estimator: str, experiments: Any, energy: Any, estimate: Any, final: bool,
-    count: int, information: Any,
-) -> Any:  # fmt: skip
+def _columns(part: Any, n: int, *, information: Any, **own: Any) -> Any:
+    """The columns of n rows of a part: one value for all rows, or (n,)."""
     import pyarrow as pa
 
-    number = lambda value: pa.array(np.broadcast_to(np.asarray(value, dtype=float), n))
-    whole = lambda value: pa.array(np.broadcast_to(np.asarray(value, dtype=np.int64), n))
-    return pa.table(
-        {
-            "experiments": whole(experiments),
-            "samples": whole(500 * np.asarray(experiments)),
-            "energy": number(energy),
-            "peak_amplitude": number(4.0),
-            "estimate": number(estimate),
-            "standard_error": number(0.02),
-            "status": pa.array(["OK"] * n),
-            "message": pa.array([""] * n),
-            "final": pa.array([final] * n),
-            "count": whole(count),
-            "information": pa.array(information, type=pa.list_(pa.float64())),
-            "plant": pa.array([part.plant] * n),
-            "noise_variance": number(part.noise_variance),
-            "method": pa.array([part.method] * n),
-            "replicate": whole(replicate),
-            "estimator": pa.array([estimator] * n),
-        }
-    )
+    own |= {"plant": part.plant, "noise_variance": part.noise_variance, "method": part.method, "status": "OK", "message": "",
+            "samples": 500 * np.asarray(own["experiments"]), "peak_amplitude": 4.0, "standard_error": 0.02}  # fmt: skip
+    columns = {name: np.broadcast_to(np.asarray(value), n) for name, value in own.items()}
+    columns = {k: pa.array(v.tolist() if v.dtype.kind == "U" else v) for k, v in columns.items()}
+    return pa.table(columns | {"information": pa.array(information, type=pa.list_(pa.float64()))})
 
 
 TABULATE = """

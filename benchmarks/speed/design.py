@@ -66,19 +66,11 @@ def elfving_dual(repeats: int = 5) -> dict:
     peak, D = _problem(4, 1000, "hinf"), _problem(4, 1000, "D")
     columns = _all_columns(D)
 
-    def dual(problem: Any) -> Any:
-        return exchange(
-            problem,
-            master=lambda p, columns, start, accuracy: elfving(
-                columns, p.criterion, p.constant, tolerance=1e-9
-            ),
-            refine=False,
-            tolerance=GAP,
-        )
-
+    dual = lambda p, columns, start, accuracy: elfving(columns, p.criterion, p.constant, tolerance=1e-9)
     (seconds, found), (other, _) = in_turn(
-        lambda: dual(peak), lambda: cvxpy_weights(columns, D.criterion, D.constant, 1e-8), rounds=repeats
-    )
+        lambda: exchange(peak, master=dual, refine=False, tolerance=GAP),
+        lambda: cvxpy_weights(columns, D.criterion, D.constant, 1e-8), rounds=repeats,
+    )  # fmt: skip
     return speed_row(
         "hinf design by the dual cone", "4 parameters, 1000 frequencies", seconds, "CVXPY, Clarabel, D design", other,
         25 / 15, same=found.gap <= GAP, note=f"gap {found.gap:.1e}",

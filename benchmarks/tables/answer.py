@@ -12,6 +12,7 @@ import numpy as np
 
 from benchmarks.campaign.plants import family_of
 from benchmarks.campaign.settings import Settings
+from benchmarks.tables.columns import is_number
 from benchmarks.tables.formats import format_value
 from benchmarks.tables.growth import growth_of
 from benchmarks.tables.statistics import below_one
@@ -22,6 +23,12 @@ ITERATIONS = ("power", "procedure-2", "two-experiment")
 OPTIMAL, GOOD, BETTER = 0.9, 0.5, 1.5
 """Shares of the optimum that count as optimal and as over half of it, and the factor over white noise that counts as better."""
 
+VERDICTS = (
+    "optimal design",
+    "over half the optimum",
+    "better than white noise",
+    "hardly better than white noise",
+)
 BUDGET = ("samples", "experiments", "energy", "energy_per_input", "peak_amplitude")
 MOST_LISTED = 16
 """Plants and noise levels that a sentence lists one by one."""
@@ -33,21 +40,9 @@ KINDS = {
 """The three columns of the answer."""
 
 
-def _oracle(method: str) -> bool:
-    return method.startswith("oracle")
-
-
-def _finite(value: Any) -> bool:
-    return isinstance(value, int | float) and bool(np.isfinite(value))
-
-
 def _verdict(efficiency: float, over_white: float) -> str:
     """What an input is, in words, from its share of the optimum and how many times white noise that is."""
-    if efficiency >= OPTIMAL:
-        return "optimal design"
-    if efficiency >= GOOD:
-        return "over half the optimum"
-    return "better than white noise" if over_white >= BETTER else "hardly better than white noise"
+    return VERDICTS[[efficiency >= OPTIMAL, efficiency >= GOOD, over_white >= BETTER, True].index(True)]
 
 
 def answer_rows(tables: Tables) -> list[Row]:
@@ -86,9 +81,8 @@ def answer_rows(tables: Tables) -> list[Row]:
             **tables.judged.get((case, variance), judged_ways({})),
         }  # fmt: skip
         for kind in KINDS:
-            row[f"best_{kind}"] = (
-                f"{row[f'{kind}_input']} / {row[f'{kind}_estimator']}" if row[f"{kind}_input"] else None
-            )
+            way = row[f"{kind}_input"], row[f"{kind}_estimator"]
+            row[f"best_{kind}"] = " / ".join(way) if way[0] else None
         row["remark"] = _remark(row, tables.rows)
         table.append(row)
     return table
@@ -106,9 +100,9 @@ def _whole_budget(information: Sequence[Row]) -> list[Row]:
 
 def _mean(rows: Sequence[Row], key: str) -> tuple[float, float]:
     """Of one plant its value and error; of many their mean, with the error of plants drawn at random."""
-    values = np.array([row[key] for row in rows if _finite(row[key])])
+    values = np.array([row[key] for row in rows if is_number(row[key])])
     if len(values) < 2:
-        only = next((row for row in rows if _finite(row[key])), {})
+        only = next((row for row in rows if is_number(row[key])), {})
         return float(only.get(key, np.nan)), float(only.get(f"{key}_se", np.nan))
     return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
 
@@ -149,12 +143,12 @@ def advice_rows(tables: Tables) -> list[Row]:
     """Which input to apply, by budget: the one that carries most for the peak gain without knowing the plant."""
     grouped: dict[tuple[str, float, int], dict[str, Row]] = {}
     for row in tables.information:
-        if _finite(row["c_efficiency"]) and not family_of(row["plant"]):
+        if is_number(row["c_efficiency"]) and not family_of(row["plant"]):
             key = row["plant"], row["noise_variance"], row["experiments"]
             grouped.setdefault(key, {})[row["method"]] = row
     table = []
     for (plant, variance, _), found in grouped.items():
-        free = [r for m, r in found.items() if not _oracle(m)]
+        free = [r for m, r in found.items() if not m.startswith("oracle")]
         if not free:
             continue
         best = max(free, key=lambda r: r["c_efficiency"])
@@ -165,13 +159,9 @@ def advice_rows(tables: Tables) -> list[Row]:
             **{k: v for k, v in best.items() if k not in ("method", "rho_predicted")},
             "input": best["method"],
         }
-        for key, source in (
-            ("iterations", found.get(name or "", blank)),
-            ("white", found.get("white", blank)),
-            ("oracle", found.get("oracle-hinf", blank)),
-        ):
-            row[f"{key}_efficiency"] = source["c_efficiency"]
-            row[f"{key}_efficiency_se"] = source["c_efficiency_se"]
+        for key, method in (("iterations", name or ""), ("white", "white"), ("oracle", "oracle-hinf")):
+            source = found.get(method, blank)
+            row |= {f"{key}_efficiency{end}": source[f"c_efficiency{end}"] for end in ("", "_se")}
         table.append(row)
     return table
 
@@ -201,15 +191,9 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
     by_verdict: dict[str, list[Row]] = {}
     for row in rows:
         by_verdict.setdefault(row["verdict"], []).append(row)
-    order = (
-        "optimal design",
-        "over half the optimum",
-        "better than white noise",
-        "hardly better than white noise",
-    )
     listed = "; ".join(
         f"{name}: {_where(by_verdict[name], len(rows), 'c_efficiency')}"
-        for name in order
+        for name in VERDICTS
         if name in by_verdict
     )
     sentences = [
@@ -217,10 +201,10 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
         f"{settings.samples} samples, as an input for the peak gain they are: {listed}. In the limit of experiments without end "
         f"they reach {100 * OPTIMAL:.0f} % of the optimum in {sum(r['limit'] >= OPTIMAL for r in rows)} of {len(rows)}."
     ]
-    wasted = [r for r in rows if _finite(r["waste"])]
+    wasted = [r for r in rows if is_number(r["waste"])]
     if wasted:
         least, most = min(wasted, key=lambda r: r["waste"]), max(wasted, key=lambda r: r["waste"])
-        own = sorted((r for r in wasted if _finite(r["waste_own"])), key=lambda r: r["waste_own"])
+        own = sorted((r for r in wasted if is_number(r["waste_own"])), key=lambda r: r["waste_own"])
         rest = f" The best of their estimators wastes {between(own[0], own[-1], 'waste_own')}." if own else ""
         sentences.append(
             "Their printed estimator (7) wastes what the input gains: PEM, which is told orders and delay as (7) is not, needs "

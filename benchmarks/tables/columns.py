@@ -48,15 +48,14 @@ def not_run_rows(settings: Settings, replicates: int) -> list[dict[str, Any]]:
             said = said if estimator else left
             named = "all" if len(left) == len(settings.noise_variances) else ", ".join(f"{v:g}" for v in left)
             why = settings.why_not(plant, method, estimator, left[0]) or "left out by a limit of the campaign"
-            table.append(
-                {
-                    "plant": plant,
-                    "noise": named,
-                    "method": method,
-                    "estimator": estimator or "all",
-                    "why": why,
-                }
-            )
+            row = {
+                "plant": plant,
+                "noise": named,
+                "method": method,
+                "estimator": estimator or "all",
+                "why": why,
+            }
+            table.append(row)
     return table
 
 
@@ -68,19 +67,17 @@ def command_line(settings: Settings, replicates: int, out: Path) -> str:
     for variance in settings.noise_variances:
         words += ["--noise-variance", f"{variance:g}"]
     for limit in settings.limits:
-        words += [
-            "--limit",
-            ",".join(f"{k}={v}" for k, v in asdict(limit).items() if k == "replicates" or (v and k != "why")),
-        ]
+        given = {k: v for k, v in asdict(limit).items() if k == "replicates" or (v and k != "why")}
+        words += ["--limit", ",".join(f"{k}={v}" for k, v in given.items())]
+    words += ["--samples", settings.samples, "--experiments", settings.experiments]
     words += [
-        "--samples",
-        settings.samples,
-        "--experiments",
-        settings.experiments,
         "--replicates",
         replicates,
+        "--methods",
+        *settings.methods,
+        "--estimators",
+        *settings.estimators,
     ]
-    words += ["--methods", *settings.methods, "--estimators", *settings.estimators]
     words += ["--profile-replicates", settings.profile_replicates, "--seed", settings.seed, "--out", out]
     return shlex.join(map(str, words))
 

@@ -160,18 +160,10 @@ def _latex_cell(value: Any, se: Any) -> str:
 
 
 LATEX = {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "|": r"\textbar{}",
-    '"': r"\textquotedbl{}",
-    "–": "--",
-    "∞": r"$\infty$",
-    "±": r"$\pm$",
+    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}",
+    ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}", "–": "--", "∞": r"$\infty$", "±": r"$\pm$",
     **{mark: f"\\{mark}" for mark in "&%$#_{}"},
-}
+}  # fmt: skip
 
 
 def escape_latex(text: str) -> str:

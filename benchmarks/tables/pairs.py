@@ -175,12 +175,8 @@ def against_rows(rows: Sequence[Row], folder: str | Path) -> list[Row]:
         table.append(row)
     from scipy.stats import norm
 
-    z = np.array(
-        [
-            abs(row["difference"]) / row["difference_se"] if row["difference_se"] > 0 else np.nan
-            for row in table
-        ]
-    )
+    off, se = (np.array([abs(row[key]) for row in table]) for key in ("difference", "difference_se"))
+    z = np.divide(off, se, out=np.full(len(table), np.nan), where=se > 0)
     for row, p in zip(table, holm((2 * norm.sf(z)).tolist()), strict=True):
         row["p_holm"] = float(p)
         changed = "better" if row["difference"] < 0 else "worse"

@@ -33,6 +33,19 @@ def row(
     return dict(zip(KEYS, (name, source, published, computed, tolerance, why, holds, kind), strict=True))
 
 
+def traced(rule: Any, plant: Any, samples: int, experiments: int, rng: Any = 0) -> Any:
+    """What a rule measures on a simulated plant; `rng` a generator or its seed."""
+    import numpy as np
+
+    from estimators.rules.trace import run
+    from oed.experiments import simulated
+
+    rng = np.random.default_rng(rng)
+    return run(
+        rule, simulated(plant, expected=experiments), samples=samples, experiments=experiments, rng=rng
+    )
+
+
 def modules() -> dict[str, str]:
     """Name -> module of everything that can be reproduced."""
     import benchmarks.reproductions as home

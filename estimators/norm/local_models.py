@@ -55,11 +55,8 @@ class PeakEstimate:
 
     def __repr__(self) -> str:
         tail = "" if self.status.ok else f" ({self.status.value})"
-        where = (
-            f"at {self.frequency:.6g} +- {self.frequency_error:.2g}"
-            if self.located
-            else f"near {self.frequency:.3g}"
-        )
+        at = f"at {self.frequency:.6g} +- {self.frequency_error:.2g}"
+        where = at if self.located else f"near {self.frequency:.3g}"
         return f"peak gain {self.value:.6g} +- {self.standard_error:.2g} {where} rad/sample{tail}"
 
 

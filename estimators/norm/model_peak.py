@@ -16,11 +16,9 @@ SURE = 2.0
 def peak_gain(model: Any, points: int = 512) -> tuple[float, float, NDArray[np.float64]]:
     """Largest gain over frequencies, where it is (rad/sample), and its (n,) gradient by the envelope theorem."""
     poles = np.concatenate([np.zeros(0), *model.poles()])
-    turns = np.abs(np.angle(poles[np.abs(poles) > 0.5]))
-    near = [
-        turns + s * (1 - np.minimum(np.abs(poles[np.abs(poles) > 0.5]), 1))
-        for s in (-2, -1, -0.5, 0, 0.5, 1, 2)
-    ]
+    poles = poles[np.abs(poles) > 0.5]
+    turns, room = np.abs(np.angle(poles)), 1 - np.minimum(np.abs(poles), 1)
+    near = [turns + s * room for s in (-2, -1, -0.5, 0, 0.5, 1, 2)]
     grid = np.unique(np.clip(np.concatenate([np.linspace(0, np.pi, points), *near]), 0, np.pi))
 
     gain = lambda w: largest_gain(model.response(w)[0])

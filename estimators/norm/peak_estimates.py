@@ -173,23 +173,16 @@ def _inputs(trace: Trace, discard: float) -> _Inputs:
     flat[[0, -1]] = 1.0
     power *= flat
     band, squares = local.shape
-    near = np.zeros(N + 1, bool)
-    loss = np.zeros(N + 1)
+    near, loss = np.zeros(N + 1, bool), np.zeros(N + 1)
     if band.size:
         near = (omega >= band[0]) & (omega <= band[-1])
         loss[near] = squares.max() - np.interp(omega[near], band, squares)
+    far = np.interp(omega, omega[::2], _far_squares(trace, local.noise_variance))
+    apart = np.abs(omega - local.frequency) > 3 * np.sqrt(2 * local.value**2 / max(local.curvature, 1e-300))
     return _Inputs(
-        local,
-        first,
-        float(mu(trace).squares[first:].mean()),
-        float(gain(trace).squares[first:].mean()),
-        flat / flat.sum(),
-        power / power.sum(axis=1, keepdims=True),
-        near,
-        loss,
-        np.interp(omega, omega[::2], _far_squares(trace, local.noise_variance)),
-        np.abs(omega - local.frequency) > 3 * np.sqrt(2 * local.value**2 / max(local.curvature, 1e-300)),
-    )
+        local, first, float(mu(trace).squares[first:].mean()), float(gain(trace).squares[first:].mean()),
+        flat / flat.sum(), power / power.sum(axis=1, keepdims=True), near, loss, far, apart,
+    )  # fmt: skip
 
 
 def _far_squares(trace: Trace, noise: float) -> NDArray[np.float64]:
@@ -267,12 +260,7 @@ def fixed_point(trace: Trace, discard: float = 0.2) -> PeakEstimate:
 
 
 def _from_square(square: float, local: PeakEstimate, variance: float, status: Status) -> PeakEstimate:
-    ok = square > 0 and np.isfinite(square)
-    status = local.status if status.ok else status
-    return replace(
-        local,
-        value=float(np.sqrt(square)) if ok else float("nan"),
-        standard_error=float("nan"),
-        noise_variance=variance,
-        status=status if ok else Status.NEGATIVE_SQUARE,
-    )
+    local = replace(local, standard_error=float("nan"), noise_variance=variance)
+    if not (square > 0 and np.isfinite(square)):
+        return replace(local, value=float("nan"), status=Status.NEGATIVE_SQUARE)
+    return replace(local, value=float(np.sqrt(square)), status=local.status if status.ok else status)

@@ -44,14 +44,10 @@ def dominant_frequency(u: NDArray[np.float64]) -> float:
     size = 8 * N
     power = np.sum(np.abs(np.fft.rfft(u, size, axis=0)) ** 2, axis=1)
     k = int(np.argmax(power))
-    omega = 2 * np.pi * k / size
-    step = 2 * np.pi / size
-    result = minimize_scalar(
-        lambda w: -float(np.sum(np.abs(_transform(u, w)) ** 2)),
-        bounds=(max(omega - step, 0.0), min(omega + step, np.pi)),
-        method="bounded",
-        options={"xatol": 1e-10},
-    )
+    omega, step = 2 * np.pi * k / size, 2 * np.pi / size
+    depth = lambda w: -float(np.sum(np.abs(_transform(u, w)) ** 2))
+    bounds = max(omega - step, 0.0), min(omega + step, np.pi)
+    result = minimize_scalar(depth, bounds=bounds, method="bounded", options={"xatol": 1e-10})
     return omega if -result.fun < power[k] else float(result.x)
 
 
@@ -59,12 +55,8 @@ def worst_case(trace: Trace) -> WorstCase:
     """Strongest line of the last iteration's input and directions there."""
     record = trace.records[trace.iterations[-1]][0]
     omega = dominant_frequency(record.u)
-    return WorstCase(
-        omega,
-        frozen(_direction(_transform(record.u, omega)), complex),
-        frozen(_direction(_transform(record.y, omega)), complex),
-        record.dt,
-    )
+    u, y = (frozen(_direction(_transform(side, omega)), complex) for side in (record.u, record.y))
+    return WorstCase(omega, u, y, record.dt)
 
 
 def _transform(x: NDArray[np.float64], omega: float) -> NDArray[np.complex128]:

@@ -47,12 +47,8 @@ def constrained(
             "them, that must not be positive."
         ) from None
     gradient, hessian = ca.SX.sym("gradient", width), ca.SX.sym("hessian", width, width)
-    model = {
-        "x": d,
-        "f": ca.dot(gradient, d) + ca.dot(d, hessian @ d) / 2,
-        "g": g,
-        "p": ca.vertcat(z0, gradient, ca.vec(hessian)),
-    }
+    cost = ca.dot(gradient, d) + ca.dot(d, hessian @ d) / 2
+    model = {"x": d, "f": cost, "g": g, "p": ca.vertcat(z0, gradient, ca.vec(hessian))}
     quiet = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": 1e-11}
     solver = ca.nlpsol("step", "ipopt", model, quiet | {"ipopt.acceptable_tol": 1e-11})
     lower = np.full(width, -np.inf) if problem.lower is None else problem.lower

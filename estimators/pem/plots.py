@@ -118,16 +118,9 @@ def plot_bode(fits: Fit | Mapping[str, Fit], *, level: float = 0.95, points: int
         gain, phase = bode_band(fit, omega)
         for column, (i, j) in enumerate(entries):
             for ax, band, factor in ((axes[0, column], gain, 1.0), (axes[1, column], phase, 180 / np.pi)):
-                low, high = band.interval(level)
-                floor = 1e-3 * band.value[:, i, j].max() if ax is axes[0, column] else -np.inf
-                _band(
-                    ax,
-                    omega / turn,
-                    factor * band.value[:, i, j],
-                    np.maximum(factor * low[:, i, j], floor),
-                    factor * high[:, i, j],
-                    name,
-                )
+                value, low, high = (factor * side[:, i, j] for side in (band.value, *band.interval(level)))
+                floor = 1e-3 * value.max() if ax is axes[0, column] else -np.inf
+                _band(ax, omega / turn, value, np.maximum(low, floor), high, name)
     for column, (i, j) in enumerate(entries):
         # an absent entry has no logarithm
         there = any(line.get_ydata().max() > 0 for line in axes[0, column].lines)

@@ -25,9 +25,8 @@ def settled(
 
     def stop(trace: Trace) -> bool:
         parts = trace.iterations
-        if len(parts) < 2 * window + 1 or (parts[-1].stop - parts[-1].start) < (
-            parts[0].stop - parts[0].start
-        ):
+        sizes = [part.stop - part.start for part in parts]
+        if len(parts) < 2 * window + 1 or sizes[-1] < sizes[0]:
             return False  # too early, or in the middle of an iteration
         values = estimator(trace).values[-2 * window :]
         if not np.isfinite(values).all():

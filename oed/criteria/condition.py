@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from oed.criteria.criterion import Criterion
+from oed.criteria.criterion import Array, Criterion, Derivatives
 from oed.criteria.eigenvalue import LargestEigenvalue
 from oed.errors import InputError
 
@@ -21,28 +21,24 @@ class ConditionNumber(Criterion):
     named: ClassVar[str] = "modified-E"
     method: ClassVar[str] = "ratio"
 
-    def of_covariance(self, covariance: NDArray[np.float64]) -> float:
+    def of_covariance(self, covariance: Array) -> float:
         """Infinite where it is singular."""
         values = np.linalg.eigvalsh(covariance)
         return float(values[-1] / values[0]) if values[0] > 0 else np.inf
 
-    def numerator(self, X: NDArray[np.float64]) -> NoReturn:
+    def numerator(self, X: Array) -> NoReturn:
         """There is none."""
         raise InputError(NO_BOUND)
 
-    def turned(
-        self, Y: NDArray[np.float64], covariance: NDArray[np.float64], weight: NDArray[np.float64] | None
-    ) -> NoReturn:
+    def turned(self, Y: Array, covariance: Array, weight: Array | None) -> NoReturn:
         """There is none."""
         raise InputError(NO_BOUND)
 
-    def log_numerator(
-        self, X: NDArray[np.float64], second: bool = True
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    def log_numerator(self, X: Array, second: bool = True) -> Derivatives:
         """Of either of the two traces: the quadratic form of the eigenvalue's."""
         return LargestEigenvalue(self.V).log_numerator(X, second)
 
-    def scaled(self, columns: NDArray[np.float64]) -> tuple[Criterion, float]:
+    def scaled(self, columns: Array) -> tuple[Criterion, float]:
         """Of unit norm, which it does not see."""
         return self.of_unit_norm(columns)[0], 1.0
 

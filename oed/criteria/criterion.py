@@ -16,6 +16,10 @@ from oed.errors import InputError
 if TYPE_CHECKING:
     from oed.design.problem.families import Family
 
+Array = NDArray[np.float64]
+Derivatives = tuple[Array, Array | None]
+"""Gradient (n, s) of a numerator's logarithm, and its second derivatives (n s, n s) where they were asked for."""
+
 
 @dataclass(frozen=True, eq=False)
 class Criterion(ABC):
@@ -23,7 +27,7 @@ class Criterion(ABC):
     what it is called in tables; `family` V is a sample of it, which bounds the loss from below; the loss is
     the maximum over all of it."""
 
-    V: NDArray[np.float64]
+    V: Array
     name: str = ""
     family: Family | None = None
 
@@ -52,27 +56,23 @@ class Criterion(ABC):
         object.__setattr__(self, "name", self.name or self.kind)
 
     @abstractmethod
-    def of_covariance(self, covariance: NDArray[np.float64]) -> float:
+    def of_covariance(self, covariance: Array) -> float:
         """The loss of the covariance V' M^-1 V of all combinations side by side."""
 
     @abstractmethod
-    def numerator(self, X: NDArray[np.float64]) -> float:
+    def numerator(self, X: Array) -> float:
         """Numerator of the lower bound: loss(M) >= numerator(X) / trace(X' M X) for every M and every X (n, s)."""
 
     @abstractmethod
-    def turned(
-        self, Y: NDArray[np.float64], covariance: NDArray[np.float64], weight: NDArray[np.float64] | None
-    ) -> NDArray[np.float64]:
+    def turned(self, Y: Array, covariance: Array, weight: Array | None) -> Array:
         """The X that makes the bound tight, from Y = M^-1 V and V' Y; `weight` the worst's multipliers, if known."""
 
     @abstractmethod
-    def log_numerator(
-        self, X: NDArray[np.float64], second: bool = True
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    def log_numerator(self, X: Array, second: bool = True) -> Derivatives:
         """Gradient (n, s) and second derivatives (n s, n s) of log numerator(X)."""
 
     @abstractmethod
-    def scaled(self, columns: NDArray[np.float64]) -> tuple[Criterion, float]:
+    def scaled(self, columns: Array) -> tuple[Criterion, float]:
         """The criterion of other columns, of unit size, and the factor between the losses."""
 
     @abstractmethod
@@ -86,7 +86,7 @@ class Criterion(ABC):
         return self.V.shape[-2]
 
     @property
-    def columns(self) -> NDArray[np.float64]:
+    def columns(self) -> Array:
         """All combinations side by side, (n, s) or (n, K s)."""
         return self.V if self.V.ndim == 2 else np.concatenate(list(self.V), axis=1)
 
@@ -109,7 +109,7 @@ class Criterion(ABC):
         covariance = covariance_of(M, self.columns)
         return self.of_covariance(covariance) if covariance is not None else np.inf
 
-    def loss_of_factor(self, factor: NDArray[np.float64]) -> float:
+    def loss_of_factor(self, factor: Array) -> float:
         """Loss of the information factor factor', with twice the digits of `loss` where that is singular:
         factor (n, k)."""
         if self.family is not None:
@@ -117,17 +117,13 @@ class Criterion(ABC):
         covariance = covariance_of_factor(factor, self.columns)
         return self.of_covariance(covariance) if covariance is not None else np.inf
 
-    def direction(
-        self, information: NDArray[np.float64], weight: NDArray[np.float64] | None = None
-    ) -> NDArray[np.float64]:
+    def direction(self, information: Array, weight: Array | None = None) -> Array:
         """The X that makes the bound tight at a nonsingular optimum: Z = X X' is minus a subgradient;
         information (n, n)."""
         Y = solved(information, self.columns)
         return self.turned(Y, self.columns.T @ Y, weight)
 
-    def second(
-        self, information: NDArray[np.float64], X: NDArray[np.float64], turned: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def second(self, information: Array, X: Array, turned: Array) -> Array:
         """Second derivatives of a smooth criterion (D: of its logarithm times n) along changes dM of the
         information; turned (p, n, s), dM X of each, X being `direction`; returns (p, p)."""
         from scipy.linalg import solve_triangular
@@ -142,13 +138,13 @@ class Criterion(ABC):
             H -= self.curvature * own @ own.T
         return H
 
-    def transformed(self, R: NDArray[np.float64]) -> tuple[Criterion, float]:
+    def transformed(self, R: Array) -> tuple[Criterion, float]:
         """The same criterion for parameters R theta, and the factor between the losses: R (n, n)."""
         from scipy.linalg import solve_triangular
 
         return self.scaled(solve_triangular(R, self.columns, trans=1))
 
-    def of_unit_norm(self, columns: NDArray[np.float64]) -> tuple[Criterion, float]:
+    def of_unit_norm(self, columns: Array) -> tuple[Criterion, float]:
         """`scaled` of a loss that grows with the square of its columns."""
         scale = np.linalg.norm(columns)
         return replace(self, V=columns / scale), float(scale**2)
@@ -159,7 +155,7 @@ class Criterion(ABC):
         )
 
 
-def combinations(n: int, columns: ArrayLike | None) -> NDArray[np.float64]:
+def combinations(n: int, columns: ArrayLike | None) -> Array:
     """V of all parameters, of those of some indices, or as given."""
     if columns is None:
         return np.eye(n)

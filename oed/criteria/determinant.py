@@ -6,9 +6,9 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from oed.criteria.criterion import Criterion, combinations
+from oed.criteria.criterion import Array, Criterion, Derivatives, combinations
 
 
 class Determinant(Criterion):
@@ -19,33 +19,29 @@ class Determinant(Criterion):
     logarithmic: ClassVar[bool] = True
     curvature: ClassVar[float | None] = 1.0
 
-    def of_covariance(self, covariance: NDArray[np.float64]) -> float:
+    def of_covariance(self, covariance: Array) -> float:
         """Of no size where the covariance is singular."""
         sign, logdet = np.linalg.slogdet(covariance)
         return float(np.exp(logdet / len(covariance))) if sign > 0 else 0.0
 
-    def numerator(self, X: NDArray[np.float64]) -> float:
+    def numerator(self, X: Array) -> float:
         """The arithmetic mean is not below the geometric one."""
         product = self.V.T @ X
         sign, logdet = np.linalg.slogdet(product)
         return float(len(product) * np.exp(2 * logdet / len(product))) if sign != 0 else 0.0
 
-    def turned(
-        self, Y: NDArray[np.float64], covariance: NDArray[np.float64], weight: NDArray[np.float64] | None
-    ) -> NDArray[np.float64]:
+    def turned(self, Y: Array, covariance: Array, weight: Array | None) -> Array:
         """Of the logarithm times s."""
         return Y @ np.linalg.inv(np.linalg.cholesky(covariance)).T
 
-    def log_numerator(
-        self, X: NDArray[np.float64], second: bool = True
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    def log_numerator(self, X: Array, second: bool = True) -> Derivatives:
         """2/s times those of log det(V'X)."""
         n, s = X.shape
         W = self.V @ np.linalg.inv(self.V.T @ X).T
         bend = -(2 / s) * np.einsum("ib,ja->iajb", W, W).reshape(n * s, n * s) if second else None
         return (2 / s) * W, bend
 
-    def scaled(self, columns: NDArray[np.float64]) -> tuple[Criterion, float]:
+    def scaled(self, columns: Array) -> tuple[Criterion, float]:
         """An orthonormal basis of the columns: a determinant does not see which."""
         Q, T = np.linalg.qr(columns)
         logdet = np.sum(np.log(np.abs(np.diag(T)))) if np.all(np.diag(T)) else -np.inf

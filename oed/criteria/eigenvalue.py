@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from oed.criteria.criterion import Criterion, combinations
+from oed.criteria.criterion import Array, Criterion, Derivatives, combinations
 
 
 class LargestEigenvalue(Criterion):
@@ -17,17 +17,15 @@ class LargestEigenvalue(Criterion):
     named: ClassVar[str] = "E"
     method: ClassVar[str] = "eigenvalue"
 
-    def of_covariance(self, covariance: NDArray[np.float64]) -> float:
+    def of_covariance(self, covariance: Array) -> float:
         """The eigenvalue itself."""
         return float(np.linalg.eigvalsh(covariance)[-1])
 
-    def numerator(self, X: NDArray[np.float64]) -> float:
+    def numerator(self, X: Array) -> float:
         """Cauchy-Schwarz, direction by direction."""
         return float(np.sum((self.V.T @ X) ** 2))
 
-    def turned(
-        self, Y: NDArray[np.float64], covariance: NDArray[np.float64], weight: NDArray[np.float64] | None
-    ) -> NDArray[np.float64]:
+    def turned(self, Y: Array, covariance: Array, weight: Array | None) -> Array:
         """The worst directions, weighted by a (s, s) matrix where the eigenvalue is multiple."""
         if weight is None:
             worst = np.linalg.eigh(covariance)[1][:, -1:]
@@ -35,9 +33,7 @@ class LargestEigenvalue(Criterion):
         values, vectors = np.linalg.eigh(weight)
         return Y @ (vectors * np.sqrt(np.clip(values, 0, None))) @ vectors.T
 
-    def log_numerator(
-        self, X: NDArray[np.float64], second: bool = True
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    def log_numerator(self, X: Array, second: bool = True) -> Derivatives:
         """Of a quadratic form."""
         square = self.V @ self.V.T
         rise = square @ X
@@ -46,7 +42,7 @@ class LargestEigenvalue(Criterion):
         bend = np.kron((2 / total) * square, np.eye(X.shape[1])) - np.outer(rise, rise) if second else None
         return rise, bend
 
-    def scaled(self, columns: NDArray[np.float64]) -> tuple[Criterion, float]:
+    def scaled(self, columns: Array) -> tuple[Criterion, float]:
         """Of unit norm."""
         return self.of_unit_norm(columns)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from oed.criteria.criterion import Criterion
+from oed.criteria.criterion import Array, Criterion, Derivatives
 from oed.errors import InputError
 
 
@@ -18,29 +18,25 @@ class Trace(Criterion):
     named: ClassVar[str] = "A"
     curvature: ClassVar[float | None] = 0.0
 
-    def of_covariance(self, covariance: NDArray[np.float64]) -> float:
+    def of_covariance(self, covariance: Array) -> float:
         """The trace itself."""
         return float(np.trace(covariance))
 
-    def numerator(self, X: NDArray[np.float64]) -> float:
+    def numerator(self, X: Array) -> float:
         """Cauchy-Schwarz."""
         return float(np.trace(self.V.T @ X) ** 2)
 
-    def turned(
-        self, Y: NDArray[np.float64], covariance: NDArray[np.float64], weight: NDArray[np.float64] | None
-    ) -> NDArray[np.float64]:
+    def turned(self, Y: Array, covariance: Array, weight: Array | None) -> Array:
         """M^-1 V itself."""
         return Y
 
-    def log_numerator(
-        self, X: NDArray[np.float64], second: bool = True
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    def log_numerator(self, X: Array, second: bool = True) -> Derivatives:
         """2 V / trace(V'X), and half its square with the sign turned."""
         trace = float(np.trace(self.V.T @ X))
         rise = 2 * self.V / (trace if trace else 1.0)
         return rise, -np.outer(rise, rise) / 2 if second else None
 
-    def scaled(self, columns: NDArray[np.float64]) -> tuple[Criterion, float]:
+    def scaled(self, columns: Array) -> tuple[Criterion, float]:
         """Of unit norm."""
         return self.of_unit_norm(columns)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from oed.data import Spectrum
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.design import Design
-from oed.design.problem.lines import Columns
+from oed.design.problem.lines import Problem
 from oed.design.solvers.column_generation import Exchange
 from oed.errors import Status
 
@@ -26,7 +26,7 @@ def certified(found: Exchange, *, tolerance: float, solver: str) -> Design:
     """Make a Design of the outcome of the loop, in the model's own units."""
     problem = found.problem
     found = _without_trifles(found)
-    spectrum = _spectrum(found.columns, found.w)
+    spectrum = spectrum_of_lines(found.columns.omega, found.columns.direction, found.w)
     loss, bound = found.loss * problem.scale, found.bound * problem.scale
     X = np.asarray(np.linalg.solve(problem.R, found.X), dtype=np.float64)
     numerator = problem.original.numerator(X)
@@ -41,20 +41,23 @@ def certified(found: Exchange, *, tolerance: float, solver: str) -> Design:
         frequency=found.frequency,
         price=lambda omega: problem.prices_at(omega, found.X, found.nu).ratio,
     )
+    power = {b.name: float(v * b.limit) for b, v in zip(problem.budgets, used, strict=True)}
+    return assembled(
+        problem, spectrum, certificate, loss, used=power, tolerance=tolerance, solver=solver, rounds=found.rounds,
+    )  # fmt: skip
+
+
+def assembled(
+    problem: Problem, spectrum: Spectrum, certificate: Certificate, loss: float, *,
+    used: dict[str, float], tolerance: float, solver: str, rounds: int,
+) -> Design:  # fmt: skip
+    """A Design of a spectrum and its certificate, both in the model's own units."""
+    bound = certificate.bound
     return Design(
-        spectrum=spectrum,
-        criterion=problem.original,
-        loss=loss,
-        bound=bound,
-        certificate=certificate,
-        status=Status.OK if loss - bound <= tolerance * bound else Status.INACCURATE,
-        information=problem.map.of_spectrum(spectrum),
-        map=problem.map,
-        power_used={b.name: float(v * b.limit) for b, v in zip(problem.budgets, used, strict=True)},
-        limits={b.name: b.limit for b in problem.budgets},
-        solver=solver,
-        rounds=found.rounds,
-    )
+        spectrum, problem.original, loss, bound, certificate,
+        Status.OK if loss - bound <= tolerance * bound else Status.INACCURATE,
+        problem.map.of_spectrum(spectrum), problem.map, used, {b.name: b.limit for b in problem.budgets}, solver, rounds,
+    )  # fmt: skip
 
 
 def _without_trifles(found: Exchange) -> Exchange:
@@ -74,12 +77,9 @@ def _without_trifles(found: Exchange) -> Exchange:
     return found
 
 
-def _spectrum(columns: Columns, w: NDArray[np.float64]) -> Spectrum:
-    """Lines of the weights: equal frequencies together."""
-    lines, where = np.unique(columns.omega, return_inverse=True)
-    nu = columns.direction.shape[1]
-    power = np.zeros((len(lines), nu, nu), dtype=complex)
-    np.add.at(
-        power, where, w[:, None, None] * np.einsum("mq,mr->mqr", columns.direction, columns.direction.conj())
-    )
+def spectrum_of_lines(omega: NDArray, direction: NDArray, w: NDArray[np.float64]) -> Spectrum:
+    """Lines of weights (m,), equal frequencies together: omega (m,), direction (m, nu)."""
+    lines, where = np.unique(omega, return_inverse=True)
+    power = np.zeros((len(lines), *direction.shape[1:] * 2), dtype=complex)
+    np.add.at(power, where, w[:, None, None] * np.einsum("mq,mr->mqr", direction, direction.conj()))
     return Spectrum(lines, power)

@@ -16,7 +16,7 @@ from oed.design.assembling import certified
 from oed.design.problem.budgets import power_budgets
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
-from oed.design.problem.grid import bands_of, frequency_grid
+from oed.design.problem.grid import bands_of, denser, frequency_grid
 from oed.design.problem.information_maps import information_map
 from oed.design.problem.lines import Problem
 from oed.design.solvers import elfving_barrier as directions
@@ -168,21 +168,9 @@ def _beside_the_grid(design: Design, omega: NDArray[np.float64]) -> Design:
 def _looked_at_again(found: Exchange) -> Exchange:
     """The certificate evaluated anew on a grid twice as fine, and much finer around the support."""
     problem = found.problem
-    scale = problem.length_scale(found.columns.omega)
-    offsets = np.concatenate([side * np.geomspace(1e-3, 0.3, 8) for side in (-1, 1)])
-    near = (found.columns.omega[:, None] + scale[:, None] * offsets).ravel()
-    between = (problem.omega[1:] + problem.omega[:-1]) / 2
-    points = np.concatenate([near, between])
-    inside = np.zeros(len(points), dtype=bool)
-    for low, high in problem.bands:
-        inside |= (points >= low) & (points <= high)
-    problem = problem.extended(np.unique(points[inside]))
+    support = found.columns.omega
+    problem = problem.extended(denser(problem.omega, problem.bands, support, problem.length_scale(support)))
     bound, price, frequency = evaluated_bound(problem, found.X, found.nu)
     return replace(
-        found,
-        problem=problem,
-        nu=found.nu * price,
-        bound=bound,
-        price=max(found.price, price),
-        frequency=frequency,
-    )
+        found, problem=problem, nu=found.nu * price, bound=bound, price=max(found.price, price), frequency=frequency,
+    )  # fmt: skip

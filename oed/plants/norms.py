@@ -263,10 +263,8 @@ def _crossings(plant: Plant, level: float) -> NDArray[np.float64]:
     )
     N = np.block([[np.eye(n), np.zeros((n, n + nu))], [C.T @ C, A.T, C.T @ D], [np.zeros((nu, 2 * n + nu))]])
     alpha, beta = _generalised_eigenvalues(M, N)
-    modulus_gap = np.abs(np.abs(alpha) - np.abs(beta)) / np.maximum(
-        np.maximum(np.abs(alpha), np.abs(beta)), 1e-300
-    )
-    on_circle = (modulus_gap < 1e-6) & (np.abs(beta) > 1e-12)
+    a, b = np.abs(alpha), np.abs(beta)
+    on_circle = (np.abs(a - b) / np.maximum(np.maximum(a, b), 1e-300) < 1e-6) & (b > 1e-12)
     return np.sort(np.abs(np.angle(alpha[on_circle] / beta[on_circle])))
 
 
@@ -348,15 +346,9 @@ def _assemble(plant: Plant, maxima: list[tuple[float, float]], upper_bound: floa
     u, v = U[:, 0], Vh[0].conj()
     phase = v[np.argmax(np.abs(v))]
     phase = phase / abs(phase)
+    curvatures = tuple(singular_value_curvature(plant, w) for w in tops)
     return Peak(
-        value=float(s[0]),
-        frequency=tops[0],
-        frequencies=tuple(tops),
-        curvatures=tuple(singular_value_curvature(plant, w) for w in tops),
-        output_direction=u / phase,
-        input_direction=v / phase,
-        local_maxima=tuple(maxima),
-        upper_bound=upper_bound,
+        float(s[0]), tops[0], tuple(tops), curvatures, u / phase, v / phase, tuple(maxima), upper_bound
     )
 
 

@@ -93,14 +93,9 @@ class Plant:
             shape.append(scaled(p, p[0], side))
         check_stable(shape[1], "the noise filter's den")
         check_sizes(num, covariance, shape[0])
-        for field, value in (
-            ("num", tuple(map(tuple, num))),
-            ("den", tuple(map(tuple, den))),
-            ("dt", float(self.dt)),
-            ("noise_covariance", frozen(covariance)),
-            ("noise_num", shape[0]),
-            ("noise_den", shape[1]),
-        ):
+        checked = {"num": tuple(map(tuple, num)), "den": tuple(map(tuple, den)), "dt": float(self.dt)}
+        checked |= {"noise_covariance": frozen(covariance), "noise_num": shape[0], "noise_den": shape[1]}
+        for field, value in checked.items():
             object.__setattr__(self, field, value)
         names = self.all_names
         free = tuple(self.free) or names
@@ -339,7 +334,7 @@ class Plant:
         """
         import control
 
-        pad = lambda p, n: np.concatenate([p, np.zeros(n - len(p))])
+        pad = lambda p, n: np.pad(p, (0, n - len(p)))
         num, den = [], []
         for Bs, As in zip(self.num, self.den, strict=True):
             sizes = [max(len(B), len(A)) for B, A in zip(Bs, As, strict=True)]
@@ -348,11 +343,8 @@ class Plant:
         return control.TransferFunction(num, den, self.dt)
 
     def __repr__(self) -> str:
-        shape = (
-            ""
-            if self.n_outputs * self.n_inputs == 1
-            else f", {self.n_outputs} outputs x {self.n_inputs} inputs"
-        )
+        several = self.n_outputs * self.n_inputs > 1
+        shape = f", {self.n_outputs} outputs x {self.n_inputs} inputs" if several else ""
         colour = "white" if self.white_noise else "coloured"
         return (
             f"Plant {self.name}{shape}, {len(self.free)} unknown parameters, dt = {self.dt:g} s, "

@@ -22,14 +22,13 @@ def state_space(plant: Plant, *, delays: bool = True) -> StateSpace:
     y_t = C x_t + D u_t. Entries with a common denominator are realised apart, so the realisation of a plant
     with several entries is in general not minimal (the response is exact)."""
     blocks = []
+    padded = lambda p, order: np.pad(p, (0, order + 1 - len(p)))
     left_out = np.zeros((plant.n_outputs, plant.n_inputs), int) if delays else _common_delays(plant)
     for i, row in enumerate(plant.num):
         for j, entry in enumerate(row):
             num = entry[left_out[i, j] :] if np.any(entry) else entry[:1]
             order = max(len(num), len(plant.den[i][j])) - 1
-            b = np.concatenate([num, np.zeros(order + 1 - len(num))])
-            a = np.concatenate([plant.den[i][j], np.zeros(order + 1 - len(plant.den[i][j]))])
-            blocks.append((i, j, order, b, a))
+            blocks.append((i, j, order, padded(num, order), padded(plant.den[i][j], order)))
     n = sum(block[2] for block in blocks)
     A, B = np.zeros((n, n)), np.zeros((n, plant.n_inputs))
     C, D = np.zeros((plant.n_outputs, n)), np.zeros((plant.n_outputs, plant.n_inputs))
@@ -49,9 +48,8 @@ def state_space(plant: Plant, *, delays: bool = True) -> StateSpace:
 def _common_delays(plant: Plant) -> NDArray[np.int64]:
     """(ny, nu): the delay of each row, and what its columns then have in common."""
     most = max(len(entry) for row in plant.num for entry in row)
-    first = np.array(
-        [[np.flatnonzero(entry)[0] if np.any(entry) else most for entry in row] for row in plant.num]
-    )
+    delay = lambda entry: np.flatnonzero(entry)[0] if np.any(entry) else most
+    first = np.array([[delay(entry) for entry in row] for row in plant.num])
     rows = first.min(axis=1, keepdims=True)
     return np.where(first < most, rows + (first - rows).min(axis=0, keepdims=True), 0)
 

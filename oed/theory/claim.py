@@ -206,34 +206,23 @@ def amplitude_row(plant: Plant, amplitude: float) -> ClaimRow:
 
     criterion, at = c_criterion(gain_gradient(plant)), peak(plant).frequency
     constant = at in (0.0, float(np.pi))
-    sinusoid = criterion.loss(
-        information_of_spectrum(
-            plant, peak_sinusoid_spectrum(plant, amplitude**2 * (1.0 if constant else 0.5))
-        )
-    )
-    square = sinusoid
+    loss = lambda spectrum: criterion.loss(information_of_spectrum(plant, spectrum))
+    square = sinusoid = loss(peak_sinusoid_spectrum(plant, amplitude**2 * (1.0 if constant else 0.5)))
     if not constant:
         # sign(cos(w t)): odd harmonics k of power 8 / (pi k)^2 each, folded into [0, pi] by sampling.
         k = np.arange(1, 4001, 2)
         folded = np.abs((k * at + np.pi) % (2 * np.pi) - np.pi)
         power = 8 / (np.pi * k) ** 2
-        square = criterion.loss(
-            information_of_spectrum(plant, Spectrum(folded, amplitude**2 * power / power.sum()))
-        )
+        square = loss(Spectrum(folded, amplitude**2 * power / power.sum()))
     best = min(square, sinusoid)
     share = 1.0 if constant else _passed_share(plant, relaxed.closed)
     bound = relaxed.bound / share
     how = "" if share == 1.0 else f" by sums of squares, {1 / share:.4f} times that"
     return replace(
-        relaxed,
-        sinusoid=bound / sinusoid,
-        limit=float("nan"),
-        white=float("nan"),
-        optimum=best / plant.noise_variance,
-        gap=best / bound - 1,
-        bound=bound,
+        relaxed, sinusoid=bound / sinusoid, limit=float("nan"), white=float("nan"), optimum=best / plant.noise_variance,
+        gap=best / bound - 1, bound=bound,
         note=f"square wave {bound / square:.4f}; the bound is{how or ' that'} of the power a^2",
-    )
+    )  # fmt: skip
 
 
 def _passed_share(plant: Plant, closed: bool) -> float:

@@ -49,6 +49,14 @@ def _check_samples(samples: int) -> None:
         )
 
 
+def dense(plant: Plant, samples: int) -> NDArray[np.float64]:
+    """The plant over N samples from rest, block lower-triangular Toeplitz: returns (N ny, N nu)."""
+    g = plant.impulse_response(samples)
+    lag = np.subtract.outer(np.arange(samples), np.arange(samples))
+    blocks = np.where((lag >= 0)[:, :, None, None], g[np.maximum(lag, 0)], 0.0)
+    return np.asarray(blocks.transpose(0, 2, 1, 3).reshape(samples * g.shape[1], -1), dtype=np.float64)
+
+
 def singular_values(plant: Plant, samples: int) -> NDArray[np.float64]:
     """Singular values of the plant over N samples from rest, largest first: returns (N nu,). [S] (6): for one
     channel they are the absolute eigenvalues of the symmetric T G_N."""
@@ -58,16 +66,12 @@ def singular_values(plant: Plant, samples: int) -> NDArray[np.float64]:
             f"{samples} samples of {max(plant.n_inputs, plant.n_outputs)} channels make a dense matrix of more "
             f"than {LARGEST} rows; take fewer samples, or finite_norm for the largest singular value alone."
         )
-    N, ny, nu = samples, plant.n_outputs, plant.n_inputs
-    g = plant.impulse_response(N)
-    lag = np.subtract.outer(np.arange(N), np.arange(N))
-    blocks = np.where((lag >= 0)[:, :, None, None], g[np.maximum(lag, 0)], 0.0)
-    G = blocks.transpose(0, 2, 1, 3).reshape(N * ny, N * nu)
+    N, ny, nu, G = samples, plant.n_outputs, plant.n_inputs, dense(plant, samples)
     if ny == nu == 1:
         values = np.sort(np.abs(np.linalg.eigvalsh(G[::-1])))[::-1]
     else:
         values = np.linalg.svd(G, compute_uv=False)
-    return np.concatenate([values, np.zeros(max(0, N * nu - len(values)))])
+    return np.pad(values.astype(float), (0, max(0, N * nu - len(values))))
 
 
 def finite_norm(plant: Plant, samples: int) -> float:

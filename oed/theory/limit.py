@@ -379,10 +379,6 @@ def _minimum(limit: LimitSpectrum) -> float:
     values = limit.density(omega)
     k = int(np.argmin(values))
     low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
-    best = minimize_scalar(
-        lambda w: float(limit.density(np.array([w]))[0]),
-        bounds=(low, high),
-        method="bounded",
-        options={"xatol": 1e-12},
-    )
+    height = lambda w: float(limit.density(np.array([w]))[0])
+    best = minimize_scalar(height, bounds=(low, high), method="bounded", options={"xatol": 1e-12})
     return float(min(values[k], best.fun))

@@ -178,10 +178,9 @@ def _excess(terms: _Terms, n2: float) -> float:
 
 def _output_powers(plant: Plant, terms: _Terms, Phi: NDArray) -> NDArray[np.float64]:
     """Power of every output of the first stage, noise included, (p,)."""
-    signal = np.einsum(
-        "k,kja,kab,kjb->j", terms.nodes.weight, terms.outputs, Phi, np.conj(terms.outputs)
-    ).real
-    return signal + np.diag(plant.noise_covariance) * float(terms.nodes.weight @ terms.shape)
+    weight, outputs = terms.nodes.weight, terms.outputs
+    signal = np.einsum("k,kja,kab,kjb->j", weight, outputs, Phi, np.conj(outputs)).real
+    return signal + np.diag(plant.noise_covariance) * float(weight @ terms.shape)
 
 
 def _noise_gain(plant: Plant, powers: NDArray, scaling: str) -> float:

@@ -170,3 +170,9 @@ def test_the_published_page_is_at_most_two_megabytes():
     """It was 2.8: one file that a browser reads before it shows anything."""
     published = Path(__file__).resolve().parents[2] / "docs" / "results" / "report.html"
     assert published.stat().st_size < 2_000_000
+
+
+def test_a_figure_without_rows_is_left_out_for_papers_too(tmp_path):
+    empty = Figure("none", "no run of so many", "none", [], "x", "y")
+    save_page(tmp_path, replace(page(), hero=[*page().hero, empty]), static=True)
+    assert sorted(file.name for file in (tmp_path / "figures").iterdir()) == ["f.pdf", "f.svg"]

@@ -30,6 +30,13 @@ def _product(ca: Any, p: list, q: list) -> list:
     return out
 
 
+def _as_long(ca: Any, p: list, q: list) -> tuple[list, list, int]:
+    """Two polynomials of one degree, and that degree."""
+    degree = max(len(p), len(q)) - 1
+    p, q = (x + [ca.SX(0)] * (degree + 1 - len(x)) for x in (p, q))
+    return p, q, degree
+
+
 def kalman_recursion(structure: Polynomial, levels: bool, initial: bool) -> Recursion:
     """The step of the predictor with missing outputs."""
     import casadi as ca
@@ -60,28 +67,27 @@ def kalman_recursion(structure: Polynomial, levels: bool, initial: bool) -> Recu
             if (i, j) not in u:
                 continue
             b, f = letters["b"][j], _product(ca, a, one + letters["f"][j])
-            order = max(len(b), len(f)) - 1
-            b, f = b + [ca.SX(0)] * (order + 1 - len(b)), f + [ca.SX(0)] * (order + 1 - len(f))
+            b, f, order = _as_long(ca, b, f)
             s = remembered(f"w{i}{j}", order, True)
             w = b[0] * u[i, j] + (s[0] if order else 0)
             for k in range(order):
                 after.append(b[k + 1] * u[i, j] - f[k + 1] * w + (s[k + 1] if k + 1 < order else 0))
             v = v - w
-        den = _product(ca, a, d)
-        n = max(len(c), len(den)) - 1
-        c, den = c + [ca.SX(0)] * (n + 1 - len(c)), den + [ca.SX(0)] * (n + 1 - len(den))
+        c, den, n = _as_long(ca, c, _product(ca, a, d))
         x = remembered(f"x{i}", n, True)
         lower = remembered(f"P{i}", n * (n + 1) // 2, False)
         if not n:
             residual.append(seen[i] * v)
             continue
-        P, F, K = ca.SX(n, n), ca.SX(n, n), ca.vertcat(*(c[k + 1] - den[k + 1] for k in range(n)))
+        P, F, K = (
+            _symmetric(ca, lower, n),
+            ca.SX(n, n),
+            ca.vertcat(*(c[k + 1] - den[k + 1] for k in range(n))),
+        )
         for k in range(n):
             F[k, 0] = -den[k + 1]
             if k + 1 < n:
                 F[k, k + 1] = 1
-            for m in range(k + 1):
-                P[k, m] = P[m, k] = lower[k * (k + 1) // 2 + m]
         S = 1 + P[0, 0]
         innovation = v - x[0]
         L = (F @ P[:, 0] + K) / S
@@ -106,9 +112,13 @@ def kalman_recursion(structure: Polynomial, levels: bool, initial: bool) -> Recu
     made = differentiated(
         ca.vertcat(*state), sample, parameters, ca.vertcat(*after), e, start if initial else None
     )
-    ordered = ca.vertcat(*(u[ij] for ij in entries), y, pulse, seen)
+    return _with_variance(made, ca.vertcat(*(u[ij] for ij in entries), y, pulse, seen), ny)
+
+
+def _with_variance(made: Recursion, sample: Any, ny: int) -> Recursion:
+    """The step whose last residual is the log variance, which goes by itself."""
     return Recursion(
-        made.state, ordered, made.parameters, made.next_state,
+        made.state, sample, made.parameters, made.next_state,
         made.residual[:ny], made.jacobian[:ny, :], made.residual[ny], made.jacobian[ny, :],
     )  # fmt: skip
 
@@ -152,10 +162,7 @@ def state_space_kalman_recursion(structure: StateSpace, levels: bool, initial: b
         ca.densify(ca.vertcat(*white, log_variance)),
         start,
     )
-    return Recursion(
-        made.state, ca.vertcat(u, y, pulse, seen, noise), made.parameters, made.next_state,
-        made.residual[:ny], made.jacobian[:ny, :], made.residual[ny], made.jacobian[ny, :],
-    )  # fmt: skip
+    return _with_variance(made, ca.vertcat(u, y, pulse, seen, noise), ny)
 
 
 def _symmetric(ca: Any, lower: Any, n: int) -> Any:

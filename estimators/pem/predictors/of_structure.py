@@ -48,11 +48,13 @@ def predictor_is_stable(structure: Structure, z: NDArray) -> bool:
         m = structure.matrices(z)
         closed = m["A"] - m["K"] @ m["C"]
         return bool(np.isfinite(closed).all()) and float(np.abs(np.linalg.eigvals(closed)).max()) < 1
-    return all(
-        part.stop == part.start or is_stable(np.concatenate([[1.0], z[part]]))
-        for place in structure.places()
-        for part in (*place["c"], *place["f"])
-    )
+    return all(is_stable(np.concatenate([[1.0], z[part]])) for part in _forgotten(structure))
+
+
+def _forgotten(structure: Polynomial) -> list[slice]:
+    """Where the C and F are whose roots say whether the predictor forgets."""
+    parts = [part for place in structure.places() for part in (*place["c"], *place["f"])]
+    return [part for part in parts if part.stop > part.start]
 
 
 def projected(structure: Structure, z: NDArray, mirror: bool = True) -> NDArray:
@@ -61,10 +63,9 @@ def projected(structure: Structure, z: NDArray, mirror: bool = True) -> NDArray:
     if isinstance(structure, StateSpace) or predictor_is_stable(structure, z):
         return z
     z = np.array(z)
-    for place in structure.places():
-        for part in (*place["c"], *place["f"]):
-            if part.stop > part.start and not is_stable(np.concatenate([[1.0], z[part]])):
-                z[part] = reflected(z[part], 1 - EDGE, mirror)
+    for part in _forgotten(structure):
+        if not is_stable(np.concatenate([[1.0], z[part]])):
+            z[part] = reflected(z[part], 1 - EDGE, mirror)
     return z
 
 
@@ -74,25 +75,24 @@ def walls(structure: Structure, z: NDArray) -> NDArray[np.float64]:
     found: list[NDArray] = []
     if isinstance(structure, StateSpace):
         return np.zeros((0, len(z)))
-    for place in structure.places():
-        for part in (*place["c"], *place["f"]):
-            degree, factor = part.stop - part.start, 1 / (1 - 20 * EDGE)
-            tail = z[part].tolist()
-            if is_stable([1.0, *(c * factor ** (k + 1) for k, c in enumerate(tail))]):
+    for part in _forgotten(structure):
+        degree, factor = part.stop - part.start, 1 / (1 - 20 * EDGE)
+        tail = z[part].tolist()
+        if is_stable([1.0, *(c * factor ** (k + 1) for k, c in enumerate(tail))]):
+            continue
+        whole = np.array([1.0, *tail])
+        slope = np.polyder(whole)
+        for root in np.roots(whole):
+            if abs(root) < 1 - 20 * EDGE or root.imag < 0:
                 continue
-            whole = np.array([1.0, *tail])
-            slope = np.polyder(whole)
-            for root in np.roots(whole):
-                if abs(root) < 1 - 20 * EDGE or root.imag < 0:
-                    continue
-                speed = np.polyval(slope, root)
-                if abs(speed) < 1e-8:
-                    continue  # a double root splits as a square root: its modulus has no gradient
-                moved = -(root ** np.arange(degree - 1, -1, -1)) / speed
-                normal = np.zeros(len(z))
-                normal[part] = np.real(np.conj(root) * moved) / abs(root)
-                if np.isfinite(normal).all():
-                    found.append(normal)
+            speed = np.polyval(slope, root)
+            if abs(speed) < 1e-8:
+                continue  # a double root splits as a square root: its modulus has no gradient
+            moved = -(root ** np.arange(degree - 1, -1, -1)) / speed
+            normal = np.zeros(len(z))
+            normal[part] = np.real(np.conj(root) * moved) / abs(root)
+            if np.isfinite(normal).all():
+                found.append(normal)
     return np.array(found).reshape(len(found), len(z))
 
 

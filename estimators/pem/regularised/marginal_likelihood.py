@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,7 +165,7 @@ def _starts(row: _Row) -> list[NDArray[np.float64]]:
     return found
 
 
-def _slope(value: Callable[[NDArray], float], x: NDArray) -> NDArray[np.float64]:
+def _slope(value: Callable[[NDArray], Any], x: NDArray) -> NDArray[np.float64]:
     steps = STEP * np.eye(len(x))
     return np.array([(value(x + s) - value(x - s)) / (2 * STEP) for s in steps])
 
@@ -219,16 +220,10 @@ def regularised(
     innovation, errors, notes = np.zeros(ny), [], []
     freedom, likelihood, steps, converged, estimated = 0.0, 0.0, 0, True, 0
     for i, place in enumerate(target.places()):
-        columns = [
-            np.column_stack(
-                [
-                    lagged(form, i, (r.u - u_level) / su),
-                    *([np.ones(len(r))] * offset),
-                    (r.y - y_level)[:, i] / sy[i],
-                ]
-            )
-            for r in records
-        ]
+        columns = []
+        for r in records:
+            ones, y = [np.ones(len(r))] * offset, (r.y - y_level)[:, i] / sy[i]
+            columns.append(np.column_stack([lagged(form, i, (r.u - u_level) / su), *ones, y]))
         row = _Row(form, i, columns, int(offset), kernel, disturbance, unknown)
         x, state, hyper, done, count = _maximised(row, max_iterations)
         converged, steps = converged and done, steps + count
@@ -251,12 +246,7 @@ def regularised(
         if coloured:
             at = [place["c"][0].start, place["d"][0].start]
             theta[at] = noise.polynomials
-            slope = np.array(
-                [
-                    (np.array(row.noise(x + s).polynomials) - row.noise(x - s).polynomials) / (2 * STEP)
-                    for s in STEP * np.eye(len(x))
-                ]
-            )
+            slope = _slope(lambda x, row=row: np.array(row.noise(x).polynomials), x)
             spread[np.ix_(at, at)] = slope.T @ hyper @ slope
         level[i] += state.level * sy[i]
         level_error[i] = np.sqrt(state.level_variance * variance)

@@ -31,14 +31,9 @@ class Factor:
     def shorter(self, horizon: int) -> Factor:
         """The factor of fewer block rows, at the same samples."""
         i, nu, ny = self.horizon, self.n_inputs, self.n_outputs
-        begin = np.cumsum([0, i * nu, i * nu, i * ny])
-        take = [
-            np.arange(horizon * nu),
-            np.arange((i - horizon) * nu, i * nu),
-            np.arange((i - horizon) * ny, i * ny),
-            np.arange(horizon * ny),
-        ]
-        at = np.concatenate([first + part for first, part in zip(begin, take, strict=True)])
+        begin, cut = np.cumsum([0, i * nu, i * nu, i * ny]), i - horizon
+        parts = ((0, horizon * nu), (cut * nu, i * nu), (cut * ny, i * ny), (0, horizon * ny))
+        at = np.concatenate([first + np.arange(*part) for first, part in zip(begin, parts, strict=True)])
         return Factor(_triangle(self.R[:, at]), horizon, nu, ny)
 
     def blocks(self) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray, NDArray]:

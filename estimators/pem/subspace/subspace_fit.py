@@ -32,13 +32,13 @@ MOST_TRIED = 41
 def check_subspace(form: Structure, method: str, horizon: int | None, given: dict[str, bool]) -> StateSpace:
     """Refuse what does not go with a subspace method."""
     if method == "pem":
-        raise InputError(
-            f"a horizon of {horizon} is for a subspace method; choose one of {', '.join(METHODS)}."
-        )
+        raise InputError(f"a horizon of {horizon} is for a subspace method: choose {', '.join(METHODS)}.")
     if method not in METHODS:
         raise InputError(f"method is {method!r}; choose pem, {', '.join(METHODS)}.")
     if not isinstance(form, StateSpace):
-        raise InputError(f'{method} gives state-space models; take the structure "ss", not {form.kind}.')
+        raise InputError(
+            f'{method} gives state-space models; take the structure "ss" instead of {form.kind}.'
+        )
     if horizon is not None and not (isinstance(horizon, int | np.integer) and horizon > 0):
         raise InputError(
             f"the horizon is {horizon!r}; give a whole number of block rows, above {form.order // form.n_outputs}."
@@ -68,9 +68,8 @@ def by_subspace(
     found, point = _first_model(form, problem, signals, method, ranking, centred)
     best = found.factor.horizon
     if ny > 1:
-        problem = problem.replace(
-            weight=np.linalg.inv(point.extra[1] + 1e-12 * np.trace(point.extra[1]) * np.eye(ny))
-        )
+        moment = point.extra[1]
+        problem = problem.replace(weight=np.linalg.inv(moment + 1e-12 * np.trace(moment) * np.eye(ny)))
         point = _completed(form, problem, found)
     step = np.linalg.lstsq(point.hessian, point.gradient, rcond=1e-12)[0]
     decrement = float(point.gradient @ step) / max(point.loss, 1e-300)

@@ -105,15 +105,10 @@ def _realised(num: NDArray, den: NDArray) -> tuple[NDArray, NDArray, NDArray]:
 
 def _power(linear: Any, exponent: int) -> Polynomial:
     """(sum_i linear_i x_i)^exponent."""
-    result: Polynomial = {(0,) * len(linear): 1.0}
+    units = map(tuple, np.eye(len(linear), dtype=int).tolist())
+    base, result = dict(zip(units, map(float, linear), strict=True)), {(0,) * len(linear): 1.0}
     for _ in range(exponent):
-        result = _times(
-            result,
-            {
-                tuple(row): float(c)
-                for row, c in zip(np.eye(len(linear), dtype=int).tolist(), linear, strict=True)
-            },
-        )
+        result = _times(result, base)
     return result
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from oed.covariances import on_one_thread, square_root
 from oed.criteria import Criterion
 from oed.data import Spectrum
+from oed.design.assembling import assembled
 from oed.design.problem.budgets import power_budgets
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.criteria_by_name import criterion_of
@@ -29,7 +30,7 @@ from oed.design.problem.information_maps import information_map
 from oed.design.problem.lines import Columns, Problem
 from oed.design.problem.masks import Mask, Masks, hermitian_root
 from oed.design.solvers.column_generation import solve_weights
-from oed.errors import InfeasibleDesign, Status
+from oed.errors import InfeasibleDesign
 from oed.theory.quadrature import graded_edges, integral, panel_nodes, resolved_edges
 
 NARROWEST = 1e-3
@@ -144,12 +145,8 @@ class _Density:
     def worth(self, D: NDArray[np.complex128], limit: float) -> NDArray[np.complex128]:
         """T = S - nu I / P (K, nu, nu) from the scaled factors D (K, n, r, nu)."""
         K, n, r, q = D.shape
-        E = (
-            (self.X.T @ np.moveaxis(D, 1, 0).reshape(n, -1))
-            .reshape(-1, K, r, q)
-            .swapaxes(0, 1)
-            .reshape(K, -1, q)
-        )
+        E = (self.X.T @ np.moveaxis(D, 1, 0).reshape(n, -1)).reshape(-1, K, r, q)
+        E = E.swapaxes(0, 1).reshape(K, -1, q)
         return E.conj().swapaxes(1, 2) @ E - self.nu / limit * np.eye(q)
 
 
@@ -328,23 +325,14 @@ class _Search:
         numerator = problem.original.numerator(X)
         unit = np.array([max(one.nu, 1e-300)])
         prices = problem.prices_at(spectrum.omega, one.X, unit).ratio
-        return Design(
-            spectrum=spectrum,
-            criterion=problem.original,
-            loss=loss,
-            bound=bound,
-            certificate=Certificate(
-                X=X, multipliers={"input power": one.nu}, numerator=numerator, value=numerator / bound, bound=bound,
-                largest_price=float(prices.max()), frequency=float(spectrum.omega[np.argmax(prices)]),
-                price=lambda omega: problem.prices_at(omega, one.X, unit).ratio,
-            ),
-            status=Status.OK if loss - bound <= self.tolerance * bound else Status.INACCURATE,
-            information=problem.map.of_spectrum(spectrum),
-            map=problem.map,
-            power_used={"input power": spectrum.total_power},
-            limits={"input power": self.limit},
-            solver="newton",
-            rounds=1,
+        certificate = Certificate(
+            X=X, multipliers={"input power": one.nu}, numerator=numerator, value=numerator / bound, bound=bound,
+            largest_price=float(prices.max()), frequency=float(spectrum.omega[np.argmax(prices)]),
+            price=lambda omega: problem.prices_at(omega, one.X, unit).ratio,
+        )  # fmt: skip
+        return assembled(
+            problem, spectrum, certificate, loss, used={"input power": spectrum.total_power},
+            tolerance=self.tolerance, solver="newton", rounds=1,
         )  # fmt: skip
 
 

@@ -93,12 +93,11 @@ class Design:
     @property
     def efficiency_white(self) -> float:
         """Efficiency of white noise, equal on all channels, at the largest power within the limits."""
-        return self.bound / self.criterion.loss(self._white_information())
-
-    def _white_information(self) -> NDArray[np.float64]:
         from oed.design.problem.white import white_information
 
-        return white_information(self.map, self.limits, self.power_used, self.spectrum.total_power)
+        return self.bound / self.criterion.loss(
+            white_information(self.map, self.limits, self.spectrum.total_power)
+        )
 
     def plot(self) -> Any:
         """The spectrum's lines above the sensitivity that certifies them, as a matplotlib Figure.
@@ -126,10 +125,7 @@ class Design:
         )
         return {
             "criterion": self.criterion.name,
-            **{
-                name: getattr(self, name)
-                for name in ("loss", "bound", "gap", "efficiency_white", "solver", "rounds")
-            },
+            **{k: getattr(self, k) for k in ("loss", "bound", "gap", "efficiency_white", "solver", "rounds")},
             "support": [
                 {"frequency": float(w), "power": entries(P)}
                 for w, P in zip(self.spectrum.omega, self.spectrum.power, strict=True)

@@ -37,6 +37,20 @@ def bands_of(band: Sequence[float] | Sequence[Sequence[float]] | None) -> tuple[
     return tuple((float(low), float(high)) for low, high in rows)
 
 
+def within(points: NDArray[np.float64], bands: tuple[tuple[float, float], ...]) -> NDArray[np.float64]:
+    """Those of some frequencies that lie in the bands."""
+    return points[np.any([(points >= low) & (points <= high) for low, high in bands], axis=0)]
+
+
+def denser(
+    omega: NDArray, bands: tuple[tuple[float, float], ...], support: NDArray, scale: NDArray
+) -> NDArray[np.float64]:
+    """Points between those of a grid and, much closer, around a support (m,); scale (m,) over which the plant changes there."""
+    offsets = np.concatenate([side * np.geomspace(1e-3, 0.3, 8) for side in (-1, 1)])
+    near = (support[:, None] + scale[:, None] * offsets).ravel()
+    return np.unique(within(np.concatenate([near, (omega[1:] + omega[:-1]) / 2]), bands))
+
+
 def frequency_grid(
     information: InformationMap, bands: tuple[tuple[float, float], ...], points: int | ArrayLike
 ) -> NDArray[np.float64]:

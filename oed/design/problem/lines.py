@@ -92,7 +92,7 @@ class Problem:
         inverse = np.linalg.inv(self.R)
         self.constant = inverse.T @ information.constant @ inverse
         self.grid = self._scaled(D)
-        self.forms = self._forms(omega)
+        self.forms = self.forms_at(omega)
 
     def for_criterion(self, criterion: Criterion) -> Problem:
         """The same problem on the same grid with another criterion."""
@@ -109,7 +109,8 @@ class Problem:
         both = np.stack([flat.real, flat.imag], axis=1)
         return solve_triangular(self.R, both.reshape(len(both), -1), trans=1).reshape(both.shape)
 
-    def _forms(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def forms_at(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """The budgets' forms over their limits: omega (K,) -> (K, J, nu, nu)."""
         return np.stack([b.form(omega) / b.limit for b in self.budgets], axis=1)
 
     def extended(self, omega: NDArray[np.float64]) -> Problem:
@@ -121,7 +122,7 @@ class Problem:
         other.omega = both[order]
         other.band = np.searchsorted([low for low, _ in self.bands], other.omega, side="right")
         other.grid = np.concatenate([self.grid, self._scaled(self.map.factor(new))], axis=2)[:, :, order]
-        other.forms = np.concatenate([self.forms, self._forms(new)])[order]
+        other.forms = np.concatenate([self.forms, self.forms_at(new)])[order]
         return other
 
     def loss(self, columns: Columns, w: NDArray[np.float64]) -> float:
@@ -144,10 +145,6 @@ class Problem:
         flat = self._scaled(self.map.factor(omega))
         return np.moveaxis(flat[:, 0] + 1j * flat[:, 1], 0, 1)
 
-    def forms_at(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """The budgets' forms over their limits: omega (K,) -> (K, J, nu, nu)."""
-        return self._forms(omega)
-
     def length_scale(self, omega: NDArray[np.float64]) -> NDArray[np.float64]:
         """Distance in frequency over which the plant changes: to the nearest resonance, at most 0.3; omega
         (K,) -> (K,)."""
@@ -164,7 +161,7 @@ class Problem:
         both = np.stack([G.real, G.imag], axis=-1)
         F = solve_triangular(self.R, both.reshape(len(both), -1), trans=1).reshape(both.shape)
         F = np.moveaxis(F, 0, 1).reshape(len(omega), len(both), 2 * D.shape[2])
-        q = np.einsum("kq,kjqr,kr->kj", direction.conj(), self._forms(omega), direction).real
+        q = np.einsum("kq,kjqr,kr->kj", direction.conj(), self.forms_at(omega), direction).real
         return Columns(omega, direction, F, q)
 
     def prices(self, X: NDArray[np.float64], nu: NDArray[np.float64]) -> Prices:
@@ -175,7 +172,7 @@ class Problem:
         self, omega: NDArray[np.float64], X: NDArray[np.float64], nu: NDArray[np.float64]
     ) -> Prices:
         """Prices at any frequencies: omega (K,), X (n, s), nu (J,)."""
-        return _price(self._scaled(self.map.factor(omega)), self._forms(omega), X, nu)
+        return _price(self._scaled(self.map.factor(omega)), self.forms_at(omega), X, nu)
 
     def refined_maxima(
         self, prices: Prices, X: NDArray[np.float64], nu: NDArray[np.float64], above: float, divisions: int = 13,

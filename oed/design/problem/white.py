@@ -44,10 +44,9 @@ def mean_information(information: InformationMap) -> NDArray[np.float64]:
 
 
 def white_information(
-    information: InformationMap, limits: Mapping[str, float], used: Mapping[str, float], power: float
+    information: InformationMap, limits: Mapping[str, float], power: float
 ) -> NDArray[np.float64]:
-    """Information of white noise of a given total power, equal on all channels, with the constant part:
-    returns (n, n)."""
+    """Information of white noise of a total power, equal on all channels, with the constant part: returns (n, n)."""
     total = limits.get("input power", power)
     return information.constant + mean_information(information) * total / information.n_inputs
 

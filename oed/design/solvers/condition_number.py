@@ -19,15 +19,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.data import Spectrum
+from oed.design.assembling import assembled, spectrum_of_lines
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.design import Design
 from oed.design.problem.families import local_maxima, maxima_between
+from oed.design.problem.grid import denser, within
 from oed.design.problem.lines import Problem
 from oed.design.solvers.merging_lines import at_clusters
 from oed.design.solvers.polishing import polish
 from oed.design.solvers.weights_clarabel import linear_matrix_programme, smat, svec
-from oed.errors import NotIdentifiable, Status
+from oed.errors import NotIdentifiable
 
 Bands = tuple[tuple[float, float], ...]
 LOOKED_AT = 3
@@ -135,7 +136,10 @@ def condition_design(
         lines = old + setting.lines(omega[at], direction[at])
     if proof is not None and refine:
         # Bounds of early rounds may have missed a maximum that the grid did not show then.
-        omega = _denser(setting, omega, bands, kept[0].omega if kept else omega)
+        support = kept[0].omega if kept else omega
+        centres, widths = setting.map.resonances.T
+        scale = np.hypot(support[:, None] - centres, widths).min(axis=1, initial=WIDEST)
+        omega = np.union1d(omega, denser(omega, bands, support, scale))
         best_bound, proof = 0.0, proofs[-1]
         for one in proofs[-LOOKED_AT:]:
             bound, omega = _bound(setting, omega, bands, *one, best_loss, refine)
@@ -192,18 +196,6 @@ def _lifted(
     root = vectors / np.sqrt(np.maximum(values, 1e-14 * values[:, -1:]))[:, None, :]
     worst = float(np.linalg.eigvalsh(root.conj().swapaxes(1, 2) @ short @ root)[:, -1].max())
     return _unit_trace(Z_high + (worst if 0 < worst < LIFT else 0.0) * np.eye(n))
-
-
-def _denser(setting: _Setting, omega: NDArray, bands: Bands, support: NDArray) -> NDArray[np.float64]:
-    """The grid with points between its own and, much closer, around the support."""
-    centres, widths = setting.map.resonances.T
-    scale = np.hypot(support[:, None] - centres, widths).min(axis=1, initial=WIDEST)
-    offsets = np.concatenate([side * np.geomspace(1e-3, 0.3, 8) for side in (-1, 1)])
-    points = np.concatenate(
-        [(support[:, None] + scale[:, None] * offsets).ravel(), (omega[1:] + omega[:-1]) / 2]
-    )
-    inside = np.any([(points >= low) & (points <= high) for low, high in bands], axis=0)
-    return np.union1d(omega, points[inside])
 
 
 def _weights(lines: _Lines, setting: _Setting) -> tuple[NDArray, NDArray, NDArray]:
@@ -279,10 +271,7 @@ def _bound(
         at = local_maxima(high)
         left, right = omega[np.maximum(at - 1, 0)], omega[np.minimum(at + 1, len(omega) - 1)]
         found = maxima_between(lambda w: setting.excess(w, Z_low, Z_high, loss)[0], left, right)
-        inside = np.zeros(len(found), dtype=bool)
-        for a, b in bands:
-            inside |= (found >= a) & (found <= b)
-        omega = np.union1d(omega, found[inside])
+        omega = np.union1d(omega, within(found, bands))
     low_forms, high_forms = setting.forms(omega, Z_low), setting.forms(omega, Z_high)
 
     def holds(k: float) -> bool:
@@ -302,15 +291,9 @@ def _as_design(
     setting: _Setting, lines: _Lines, w: NDArray, Z_low: NDArray, Z_high: NDArray, bound: float, omega: NDArray,
     rounds: int, tolerance: float,
 ) -> Design:  # fmt: skip
-    criterion = setting.problem.original
     keep = w > 1e-9 * w.max()
-    frequencies, where = np.unique(lines.omega[keep], return_inverse=True)
-    v = lines.direction[keep]
-    power = np.zeros((len(frequencies), v.shape[1], v.shape[1]), dtype=complex)
-    np.add.at(power, where, w[keep][:, None, None] * np.einsum("mq,mr->mqr", v, v.conj()))
-    spectrum = Spectrum(frequencies, power)
+    spectrum = spectrum_of_lines(lines.omega[keep], lines.direction[keep], w[keep])
     information = setting.map.of_spectrum(spectrum)
-    loss = criterion.loss(information)
     scale = bound * float(np.sum(Z_low * (setting.turn @ information @ setting.turn.T)))
     offset = setting.surplus(Z_low, Z_high, bound)
 
@@ -321,27 +304,11 @@ def _as_design(
     prices = price(omega)
     top = int(np.argmax(prices))
     values, vectors = np.linalg.eigh(Z_low)
-    total = spectrum.total_power
-    return Design(
-        spectrum=spectrum,
-        criterion=criterion,
-        loss=loss,
-        bound=bound,
-        certificate=Certificate(
-            X=np.asarray(setting.turn.T @ vectors * np.sqrt(np.clip(values, 0, None)), dtype=np.float64),
-            multipliers={"input power": 0.0},
-            numerator=1.0,
-            value=1 / bound,
-            bound=bound,
-            largest_price=float(prices[top]),
-            frequency=float(omega[top]),
-            price=price,
-        ),
-        status=Status.OK if loss - bound <= tolerance * bound else Status.INACCURATE,
-        information=information,
-        map=setting.map,
-        power_used={"input power": total},
-        limits={"input power": setting.power},
-        solver="clarabel",
-        rounds=rounds,
+    X = np.asarray(setting.turn.T @ vectors * np.sqrt(np.clip(values, 0, None)), dtype=np.float64)
+    certificate = Certificate(
+        X, {"input power": 0.0}, 1.0, 1 / bound, bound, float(prices[top]), float(omega[top]), price
     )
+    return assembled(
+        setting.problem, spectrum, certificate, setting.problem.original.loss(information),
+        used={"input power": spectrum.total_power}, tolerance=tolerance, solver="clarabel", rounds=rounds,
+    )  # fmt: skip

@@ -88,9 +88,8 @@ class _Dual:
         scale = 1 / np.sqrt(np.diag(hessian))
         try:
             step = -scale * np.linalg.solve(hessian * np.outer(scale, scale), scale * gradient)
-        except (
-            np.linalg.LinAlgError
-        ):  # a direction that no frequency tells anything of: the shortest step leaves it
+        except np.linalg.LinAlgError:
+            # a direction that no frequency tells anything of: the shortest step leaves it
             step = -scale * np.linalg.lstsq(hessian * np.outer(scale, scale), scale * gradient, rcond=None)[0]
         return step[:m].reshape(self.n, self.s), step[m:], float(-gradient @ step)
 

@@ -7,6 +7,7 @@ import pytest
 
 from oed.data import Spectrum
 from oed.design import information_map, solve_design
+from oed.design.problem.white import white_information
 from oed.errors import InputError, NotIdentifiable, Status
 from oed.plants.named import named_plant
 from oed.plants.plant import Plant
@@ -61,7 +62,7 @@ def test_no_other_spectrum_beats_the_bound(designs, name, rng):
 def test_a_wrong_optimum_is_seen_by_the_certificate(designs):
     """Negative control: the prices of a direction that belongs to white noise exceed 1 by far."""
     design = designs["D"]
-    white = design._white_information()
+    white = white_information(design.map, design.limits, design.spectrum.total_power)
     X = design.criterion.direction(white)
     price = np.einsum("knrq,ns->ksrq", design.map.factor(np.linspace(0.5, 1.5, 500)), X)
     assert (np.abs(price) ** 2).sum(axis=(1, 2, 3)).max() > 2 * len(X)
