@@ -217,12 +217,8 @@ def _run(
     else:
         plant, method = _prepared(*part.combination, content_of(part.plant))
     experiment = simulated(
-        plant,
-        seed=settings.seed,
-        replicate=replicate,
-        expected=settings.experiments,
-        computed=noise.of(plant, replicate),
-    )
+        plant, seed=settings.seed, replicate=replicate, expected=settings.experiments, computed=noise.of(plant, replicate),
+    )  # fmt: skip
     rng = seed_for(settings.seed, part.plant, part.method, replicate)
     return plant, method(experiment, samples=settings.samples, iterations=settings.experiments, rng=rng)
 
@@ -246,32 +242,21 @@ def _add_information(sums: dict[int, Row], head: Row, settings: Settings, plant:
         information = information + each[done:k].sum(axis=0)
         energy += sum(float(np.vdot(u, u)) for u in inputs[done:k])
         done = k
-        row = sums.setdefault(
-            k,
-            _row(
-                head, "", status=Status.OK.name, information=np.zeros(n * n), energy=0.0, peak_amplitude=0.0
-            ),
-        )
+        blank = {"information": np.zeros(n * n), "energy": 0.0, "peak_amplitude": 0.0}
+        row = sums.setdefault(k, _row(head, "", status=Status.OK.name, **blank))
         row["information"] += information.ravel()
         row |= {
-            "count": row["count"] + 1,
-            "experiments": k,
-            "samples": sum(len(r) for r in trace.records[:k]),
-            "energy": row["energy"] + energy,
-            "peak_amplitude": max(row["peak_amplitude"], trace.usage.peak),
-        }
+            "count": row["count"] + 1, "experiments": k, "samples": sum(len(r) for r in trace.records[:k]),
+            "energy": row["energy"] + energy, "peak_amplitude": max(row["peak_amplitude"], trace.usage.peak),
+        }  # fmt: skip
 
 
 def _estimated(
     head: Row, name: str, estimator: Callable[..., Any], trace: Any, plant: Any, time_limit: float | None
 ) -> Row:
     usage = trace.usage
-    head = head | {
-        "experiments": usage.experiments,
-        "samples": usage.samples,
-        "energy": usage.energy,
-        "peak_amplitude": usage.peak,
-    }
+    head = head | {"experiments": usage.experiments, "samples": usage.samples}
+    head |= {"energy": usage.energy, "peak_amplitude": usage.peak}
     try:
         estimate = within(time_limit, estimator, trace, plant)
         if not isinstance(estimate, Estimate):  # one's own estimator may return a plain number
@@ -281,14 +266,8 @@ def _estimated(
     status, message = estimate.status, estimate.message
     if not np.isfinite(estimate.value) and status.ok:
         status, message = Status.NOT_FINITE, message or Status.NOT_FINITE.value
-    return _row(
-        head,
-        name,
-        estimate=estimate.value,
-        standard_error=estimate.standard_error,
-        status=status.name,
-        message=message,
-    )
+    value, error = estimate.value, estimate.standard_error
+    return _row(head, name, estimate=value, standard_error=error, status=status.name, message=message)
 
 
 def _row(head: Row, estimator: str, **values: Any) -> Row:

@@ -186,14 +186,8 @@ class Store:
         given_up = pc.sum(pc.equal(table["status"], Status.TIME_LIMIT.name)).as_py() or 0
         # The digest is of what a reader will get, so it is read once before it is kept.
         read_back = read_columns(open_parquet(table_bytes(table.replace_schema_metadata(None))))
-        made = {
-            "key": key,
-            "settings": self.settings,
-            **made_by(),
-            "digest": _digest(read_back),
-            "time_limit": time_limit,
-            "given_up": int(given_up),
-        }
+        made = {"key": key, "settings": self.settings, **made_by(), "digest": _digest(read_back)}
+        made |= {"time_limit": time_limit, "given_up": int(given_up)}
         content = table_bytes(table.replace_schema_metadata({MADE: json.dumps(made).encode()}))
         write_whole(self.path(key), content, kept=KEPT, error=CampaignError)
 

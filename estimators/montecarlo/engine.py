@@ -184,12 +184,9 @@ def plain_batch(
 
     rule: Any
     rule, each = algorithm_rule(algorithm, experiment.n_inputs, experiment.n_outputs, scaling=scaling)
+    rng = np.random.default_rng([seed, replicate])
     trace = run(
-        partial(rule, start=start),
-        experiment,
-        samples=samples,
-        experiments=iterations * each,
-        rng=np.random.default_rng([seed, replicate]),
+        partial(rule, start=start), experiment, samples=samples, experiments=iterations * each, rng=rng
     )
     values: list[Gains] = [gain(trace), mu(trace)]
     energy = [sum(float(np.sum(r.u**2)) for r in trace.records[part]) for part in trace.iterations]
@@ -213,12 +210,9 @@ def monte_carlo(
     for batch in parts:
         square = batch.gain_squares
         rows = {
-            "gain": np.sqrt(np.where(square >= 0, square, np.nan)),
-            "mu": np.sqrt(batch.mu_squares),
-            "rayleigh": batch.rayleigh,
-            "gain_square": square,
-            "mu_square": batch.mu_squares,
-        }
+            "gain": np.sqrt(np.where(square >= 0, square, np.nan)), "mu": np.sqrt(batch.mu_squares),
+            "rayleigh": batch.rayleigh, "gain_square": square, "mu_square": batch.mu_squares,
+        }  # fmt: skip
         if batch.first == 0:
             gain_first = rows["gain"][0]
         negative += np.sum(square < 0, axis=0)

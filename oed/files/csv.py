@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.limits import check_limit
-from oed.files.tables import Table, column_name, seconds_per
+from oed.files.tables import Table, columns_of, seconds_per
 
 BLANK = ("", "na", "n/a", "nan", "null", "none", "-nan")
 """Entries, in lower case, that mark a missing sample."""
@@ -156,12 +156,8 @@ def _number(entry: str, row: int, column: str, source: str) -> float:
 
 def csv_bytes(record: Record) -> bytes:
     """A record as CSV: the column t, the inputs, the outputs, each number with all its digits."""
-    columns = [
-        *map(column_name, record.input_names, record.input_units),
-        *map(column_name, record.output_names, record.output_units),
-    ]
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["t", *columns])
+    writer.writerow(["t", *columns_of(record)])
     writer.writerows(np.column_stack([record.t, record.u, record.y]).tolist())
     return stream.getvalue().encode()

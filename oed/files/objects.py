@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.clock import sampling_time
-from oed.files.tables import Table, column_name, numbers, record_of, seconds_per
+from oed.files.tables import Table, columns_of, numbers, record_of, seconds_per
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -96,11 +96,8 @@ def to_pandas(record: Record) -> pd.DataFrame:
     """
     import pandas as pd
 
-    columns = [
-        *map(column_name, record.input_names, record.input_units),
-        *map(column_name, record.output_names, record.output_units),
-    ]
-    return pd.DataFrame(np.hstack([record.u, record.y]), index=pd.Index(record.t, name="t"), columns=columns)
+    index = pd.Index(record.t, name="t")
+    return pd.DataFrame(np.hstack([record.u, record.y]), index=index, columns=columns_of(record))
 
 
 def from_xarray(dataset: xr.Dataset, **options: Any) -> Record:

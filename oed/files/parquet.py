@@ -95,14 +95,15 @@ def _marks(own: Any, names: list[str]) -> dict[str, Any]:
     try:
         if not {*own["inputs"], *own["outputs"]} <= set(names):
             return {}
-        return {
-            "units": dict(own["units"]),
-            "inputs": tuple(own["inputs"]),
-            "outputs": tuple(own["outputs"]),
-            "labels": dict(own["labels"]),
-            "dt": float.fromhex(own["dt"]),
-            "t0": float.fromhex(own["t0"]),
+        as_kept = {
+            "units": dict,
+            "inputs": tuple,
+            "outputs": tuple,
+            "labels": dict,
+            "dt": float.fromhex,
+            "t0": float.fromhex,
         }
+        return {name: made(own[name]) for name, made in as_kept.items()}
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"its metadata are damaged at {error}") from None
 
@@ -112,9 +113,8 @@ def _values(column: Any, name: str, source: str) -> NDArray[np.float64]:
 
     kind = column.type
     if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind):
-        return np.asarray(
-            column.to_numpy(zero_copy_only=False) if isinstance(column, pa.Array) else _numpy(column)
-        )
+        whole = isinstance(column, pa.Array)
+        return np.asarray(column.to_numpy(zero_copy_only=False) if whole else _numpy(column))
     if pa.types.is_decimal(kind):
         return numbers(_numpy(column.cast(pa.float64())), name, source)
     if seconds_per(name) == 1 and (pa.types.is_timestamp(kind) or pa.types.is_duration(kind)):
@@ -146,13 +146,7 @@ def parquet_bytes(record: Record) -> bytes:
     unique = len({*bare, "t"}) == len(bare) + 1
     columns = bare if unique else [f"{name}_{k + 1}" for k, name in enumerate(bare)]
     n = len(channels["input"])
-    own = {
-        "dt": record.dt.hex(),
-        "t0": float(record.t0).hex(),
-        "inputs": columns[:n],
-        "outputs": columns[n:],
-        "units": dict(zip(columns, (unit for _, unit, _ in listed))),
-        "labels": dict(zip(columns, bare)),
-    }
+    own = {"dt": record.dt.hex(), "t0": float(record.t0).hex(), "inputs": columns[:n], "outputs": columns[n:]}
+    own |= {"units": dict(zip(columns, (unit for _, unit, _ in listed))), "labels": dict(zip(columns, bare))}
     table = pa.table({"t": record.t, **dict(zip(columns, (np.ascontiguousarray(v) for _, _, v in listed)))})
     return table_bytes(table.replace_schema_metadata({KEY: json.dumps(own).encode()}))

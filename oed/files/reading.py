@@ -22,14 +22,8 @@ from oed.files.parquet import parquet_table
 from oed.files.tables import Table, record_of
 from oed.lazily import extra_named
 
-READERS = {
-    ".csv": csv_table,
-    ".txt": csv_table,
-    ".tsv": csv_table,
-    ".mat": mat_table,
-    ".npz": npz_table,
-    ".parquet": parquet_table,
-}
+READERS: dict[str, Callable[[bytes, str], Table]] = dict.fromkeys((".csv", ".txt", ".tsv"), csv_table)
+READERS |= {".mat": mat_table, ".npz": npz_table, ".parquet": parquet_table}
 
 
 def read_record(

@@ -72,6 +72,14 @@ def column_name(name: str, unit: str) -> str:
     )
 
 
+def columns_of(record: Record) -> list[str]:
+    """The columns' names of a record's channels, inputs first."""
+    names, units = (
+        getattr(record, f"input_{x}") + getattr(record, f"output_{x}") for x in ("names", "units")
+    )
+    return list(map(column_name, names, units))
+
+
 def record_of(
     table: Table, *, inputs: Sequence[str] | str | None = None, outputs: Sequence[str] | str | None = None,
     dt: float | None = None, missing: bool = False, rows: tuple[int | None, int | None] = (None, None),

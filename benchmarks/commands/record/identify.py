@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from oed.models.structures import ORDERS, STRUCTURES
 
@@ -47,6 +48,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
     # fmt: on
 
 
+AS_GIVEN = (
+    "initial",
+    "diagonal",
+    "missing",
+    "robust",
+    "search",
+    "regularisation",
+    "disturbance",
+    "method",
+    "horizon",
+)
+"""Arguments of `identify` that are the options of the same names."""
+
+
 def run(args: argparse.Namespace) -> tuple[dict, str]:
     """Identify a model."""
     from estimators.pem import identify
@@ -60,13 +75,9 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
 
     notes: list[str] = []
     stage("reading the data")
-    reading = {
-        "inputs": args.inputs,
-        "outputs": args.outputs,
-        "dt": args.dt,
-        "notes": notes,
-        "missing": args.missing,
-    }
+    reading: dict[str, Any] = {
+        name: getattr(args, name) for name in ("inputs", "outputs", "dt", "missing")
+    } | {"notes": notes}
     records = [read_record(spec, **reading) for spec in args.data]
     fresh = read_record(args.test, **reading) if args.test else None
     out = new_folder(args.out, "--out") if args.out else None
@@ -74,12 +85,10 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     if "auto" in orders:
         orders = "auto"
     offset = "mean" if args.remove_means else not args.no_offset
-    options = {
-        "offset": offset, "initial": args.initial, "diagonal": args.diagonal, "missing": args.missing,
-        "robust": args.robust, "max_iterations": args.iterations, "search": args.search,
-        "regularisation": args.regularisation, "disturbance": args.disturbance, "method": args.method,
-        "horizon": args.horizon,
-    }  # fmt: skip
+    options = {name: getattr(args, name) for name in AS_GIVEN} | {
+        "offset": offset,
+        "max_iterations": args.iterations,
+    }
     stage("the fit")
     delay = "auto" if args.delay == "auto" else _whole(args.delay)
     fit = identify(records, args.structure, orders, delay, **options)
@@ -92,14 +101,11 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     if not complete:
         notes.append("Samples are missing, so that no residual test was made.")
     payload = fit.to_dict() | {
-        "structure": args.structure,
-        "orders": orders,
-        "delay": delay,
+        "structure": args.structure, "orders": orders, "delay": delay,
         "residual_tests": {name: test.p_value for name, test in tests.items()},
         "residual_lags": {name: test.significant().tolist() for name, test in tests.items()},
-        "data_defects": [defect.to_dict() for defect in seen],
-        "notes": [*fit.notes, *notes],
-    }
+        "data_defects": [defect.to_dict() for defect in seen], "notes": [*fit.notes, *notes],
+    }  # fmt: skip
     if records[0].dt != 1:
         import numpy as np
 
@@ -146,14 +152,8 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         with where_installed(lines, "the page"):
             from benchmarks.page.identification import write_identification
 
-            write_identification(
-                out,
-                fit,
-                records,
-                tests,
-                made,
-                payload | {"options": options, "letters": f"{_letters(fit, records[0]).strip()}."},
-            )
+            more = {"options": options, "letters": f"{_letters(fit, records[0]).strip()}."}
+            write_identification(out, fit, records, tests, made, payload | more)
         lines.append(f"written to {payload['out']}")
     return payload, "\n".join(lines)
 
