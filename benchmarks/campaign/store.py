@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from hashlib import blake2b
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,11 +47,18 @@ def source_digest() -> str:
     return found.hexdigest()
 
 
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:  # one of an extra that a comparison does without
+        return "not installed"
+
+
 @lru_cache(maxsize=1)
 def _versions() -> dict[str, str]:
     return {
         "python": platform.python_version(),
-        **{name: version(name) for name in PACKAGES},
+        **{name: _version(name) for name in PACKAGES},
         "source": source_digest(),
     }
 

@@ -37,6 +37,7 @@ def test_the_chain_needs_no_extra(tmp_path):
     [
         (("design", "--plant", "reference", "--parametrisation", "moments"), "convex"),
         (("identify", "r.parquet"), "files"),
+        (("compare", "--plant", "reference", "--replicates", "2"), "compare"),
     ],
 )
 def test_what_is_missing_is_named(tmp_path, monkeypatch, words, extra):
@@ -47,3 +48,19 @@ def test_what_is_missing_is_named(tmp_path, monkeypatch, words, extra):
     assert ended.returncode == 2
     assert f"pip install 'oed[{extra}]'" in ended.stderr
     assert ended.stderr.count("\n") == 1
+
+
+def test_versions_of_what_a_comparison_does_without(monkeypatch):
+    """With oed[compare] and no more, a comparison ended at the version of cvxpy, which it does not use."""
+    from importlib.metadata import PackageNotFoundError
+
+    from benchmarks.campaign import store
+
+    def version(name):
+        if name == "cvxpy":
+            raise PackageNotFoundError(name)
+        return "1"
+
+    monkeypatch.setattr(store, "version", version)
+    found = store._versions.__wrapped__()
+    assert (found["cvxpy"], found["numpy"]) == ("not installed", "1")

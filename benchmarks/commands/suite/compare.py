@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from importlib.util import find_spec
 from typing import Any
+
+from oed.errors import InputError
 
 HELP = "compare inputs and estimators for the H-infinity norm: tables, figures, report"
 EXAMPLE = "oed compare --plant reference --noise-variance 1 --replicates 100 --out results/mine"
@@ -14,6 +17,10 @@ LISTS = {"plant": "plants", "noise_variance": "noise_variances", "limit": "limit
 PLAIN = (
     "methods", "estimators", "samples", "experiments", "replicates", "profile_replicates", "time_limit", "out",
 )  # fmt: skip
+
+
+NEEDED = ("joblib", "tqdm", "pandas", "pyarrow", "matplotlib", "altair", "vl_convert")
+"""The extra `compare`."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -50,6 +57,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Run or resume the comparison."""
+    absent = [name for name in NEEDED if find_spec(name) is None]
+    if absent:  # all at once: one by one they would be named after what had run so far
+        raise InputError(
+            f"{', '.join(absent)} not installed; pip install 'oed[compare]' brings what a comparison needs."
+        )
     from pathlib import Path
 
     from benchmarks.campaign.settings import campaign_from_toml, limit_from_text
