@@ -55,7 +55,7 @@ def assembled(
     bound = certificate.bound
     return Design(
         spectrum, problem.original, loss, bound, certificate,
-        Status.OK if loss - bound <= tolerance * bound else Status.INACCURATE,
+        Status.OK if abs(loss - bound) <= tolerance * bound else Status.INACCURATE,
         problem.map.of_spectrum(spectrum), problem.map, used, {b.name: b.limit for b in problem.budgets}, solver, rounds,
     )  # fmt: skip
 

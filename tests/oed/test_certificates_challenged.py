@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
 from scipy.integrate import quad, quad_vec
 
-from oed.data import Spectrum
+from oed.criteria import e_criterion
 from oed.design import (
     autocorrelation_design,
     autoregressive_design,
@@ -22,10 +22,14 @@ from oed.design import (
     masked_design,
     solve_design,
 )
+from oed.design.assembling import certified
+from oed.design.problem.budgets import power_budgets
 from oed.design.problem.grid import frequency_grid
 from oed.design.problem.information_maps import information_map
+from oed.design.problem.lines import Problem
 from oed.design.problem.white import mean_information
-from oed.errors import OedError
+from oed.design.solvers.column_generation import Exchange
+from oed.errors import OedError, Status
 from oed.plants.named import named_plant
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
@@ -61,15 +65,28 @@ def test_designs_of_hard_plants_of_several_channels(criterion):
 
 
 def test_lines_of_a_billionth_of_the_power_count():
-    """Two inputs beside poles of radius .9999: without the lines below 1e-9 of the power the loss is 3e-4 more."""
+    """One line tells of two parameters of four: a second of 1e-10 of the power is all that is known of the others."""
+    map_ = information_map(named_plant("reference"))
+    problem = Problem(map_, e_criterion(4), power_budgets(map_, 1.0), np.linspace(0.01, 3.1, 100))
+    columns, w = (
+        problem.columns(np.array([0.9, 1.1, 2.0]), np.ones((3, 1), complex)),
+        np.array([1, 1e-10, 1e-30]),
+    )
+    loss = problem.loss(columns, w)
+    found = Exchange(
+        columns, w, loss, np.eye(4), np.ones(1), loss / 2, 1.0, 0.9, 1, Status.INACCURATE, problem
+    )
+    design = certified(found, tolerance=1e-7, solver="newton")
+    np.testing.assert_array_equal(design.spectrum.omega, [0.9, 1.1])
+    assert design.loss == pytest.approx(loss * problem.scale, rel=1e-6)
+
+
+def test_two_inputs_beside_poles_of_radius_9999_close():
     rng = np.random.default_rng(2026)
     for _ in range(27):
         several = rng.uniform() >= 0.8
         plant = hard_plant(rng, 2 if several else 1, 2 if several else 6)
-    design = challenged(plant, "E")
-    share = np.einsum("kii->k", design.spectrum.power).real / design.spectrum.total_power
-    heavy = Spectrum(design.spectrum.omega[share > 1e-9], design.spectrum.power[share > 1e-9])
-    assert design.criterion.loss(design.map.of_spectrum(heavy)) > design.loss * (1 + 1e-4)
+    assert challenged(plant, "E").gap < 1e-9
 
 
 KINDS = ("D", "A", "E", "modified-E", "hinf", "gain:0.5", "Ds", "I", "G", "mask D", "mask A", "mask E")
@@ -112,9 +129,9 @@ def verdict(plant, criterion, rng):
             highest = oracle.n * plant.noise_covariance[0, 0]
             least = max(least, highest)
     if kind == "modified-E":
-        least = design.loss if design.loss > BY_CONE else np.linalg.cond(oracle.plain(design.spectrum))
+        least = design.loss if design.loss > BY_CONE else oracle.condition(design.spectrum)
         highest = least_condition(plant, design.spectrum, 60) if least < BY_CONE and oracle.n < 12 else np.inf
-        highest = min(highest, design.bound / design.certificate.check(points=20_001))
+        highest = min(highest, design.bound / max(1.0, design.certificate.check(points=20_001)))
     if design.loss < least * (1 - WITHIN):
         return "below"
     if design.bound > highest * (1 + WITHIN):
@@ -153,6 +170,15 @@ def test_a_wrong_bound_and_a_wrong_loss_are_seen(monkeypatch):
                     told = {"bound": "above", "loss": "below"}[part]
                     assert verdict(plant, criterion, rng) == told, (criterion, part)
             monkeypatch.setitem(globals(), name, wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("criterion, place", [("mask D", 0), ("mask A", 0), ("modified-E", 12)])
+def test_verdicts_of_plants_that_once_had_a_wrong_one(criterion, place):
+    """The loss under a mask had 1e-5 of rounding (below its own bound, and OK) where the parameters' scales differ by
+    1e7; a certificate of modified E did not hold in a gap of its grid of 4e-4 rad/sample beside a resonance."""
+    plant = next(islice(hard_plants(24, 13), place, None))
+    assert verdict(plant, criterion, np.random.default_rng(1)) in ("closed", "open")
 
 
 @pytest.mark.validate

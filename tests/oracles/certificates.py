@@ -110,17 +110,21 @@ class Challenge:
 
     def information(self, spectrum) -> np.ndarray:
         """Scaled information of a spectrum's lines."""
-        D = gradient(self.plant, spectrum.omega)
-        flat = np.moveaxis(D, 1, 0).reshape(self.n, -1)
-        D = np.linalg.solve(self.R.T, flat).reshape(self.n, len(D), *D.shape[2:]).swapaxes(0, 1)
-        values, vectors = np.linalg.eigh(spectrum.power)
-        half = D @ (vectors * np.sqrt(np.clip(values, 0, None))[:, None, :])[:, None]
-        F = np.moveaxis(half, 1, 0).reshape(self.n, -1)
+        F = np.linalg.solve(self.R.T, self._factor(spectrum))
         return (F @ F.conj().T).real
 
-    def plain(self, spectrum) -> np.ndarray:
-        """The information of a spectrum's lines about the parameters themselves."""
-        return self.R.T @ self.information(spectrum) @ self.R
+    def _factor(self, spectrum) -> np.ndarray:
+        """F of the information F F^*, (n, k) complex."""
+        D = gradient(self.plant, spectrum.omega)
+        values, vectors = np.linalg.eigh(spectrum.power)
+        half = D @ (vectors * np.sqrt(np.clip(values, 0, None))[:, None, :])[:, None]
+        return np.moveaxis(half, 1, 0).reshape(self.n, -1)
+
+    def condition(self, spectrum) -> float:
+        """Condition number of the information about the parameters themselves, from its factor's singular values."""
+        F = self._factor(spectrum)
+        sizes = np.linalg.svd(np.concatenate([F.real, F.imag], axis=1), compute_uv=False)
+        return float((sizes[0] / sizes[-1]) ** 2)
 
     def loss(self, kind: str, M: np.ndarray) -> float:
         """D, A or E of the parameters themselves, from the scaled information."""

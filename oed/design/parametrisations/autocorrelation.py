@@ -166,7 +166,7 @@ def autocorrelation_design(
     density = (vectors * np.clip(values, 0, None)[:, None, :]) @ vectors.conj().swapaxes(1, 2)
     density = density * weight[:, None, None]
     spectrum = Spectrum(omega, density * (input_power / np.einsum("kii->", density).real))
-    loss = wanted.loss(information.of_spectrum(spectrum))
+    loss = information.loss(wanted, spectrum)
     return Autocorrelated(
         spectrum, coefficients[:, 0, 0] if nu == 1 else coefficients, loss, "autocorrelation", power
     )

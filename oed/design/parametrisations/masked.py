@@ -319,7 +319,11 @@ class _Search:
         share = np.einsum("kii->k", power).real
         keep = share > 0
         spectrum = Spectrum(panels.omega[keep], power[keep])
-        loss = problem.original.loss(problem.map.of_spectrum(spectrum))
+        sizes, directions = np.linalg.eigh(spectrum.power)
+        q = sizes.shape[1]
+        lines = problem.columns(np.repeat(spectrum.omega, q), directions.swapaxes(1, 2).reshape(-1, q))
+        # From the factor, in the coordinates of the problem: the information itself may have no digits of it.
+        loss = problem.loss(lines, np.maximum(sizes.ravel(), 0.0)) * problem.scale
         bound = bound * problem.scale
         X = np.asarray(np.linalg.solve(problem.R, one.X), dtype=np.float64)
         numerator = problem.original.numerator(X)

@@ -148,7 +148,7 @@ def basis_design(
     own = lower_bound(problem, weights.X, weights.nu, price) * problem.scale
     spectrum = Spectrum(omega, np.einsum("m,mkqr->kqr", w * input_power, B) * weight[:, None, None])
     free = solve_design(information, wanted, input_power=input_power, tolerance=1e-6)
-    loss = wanted.loss(information.of_spectrum(spectrum))
+    loss = information.loss(wanted, spectrum)
     return Shaped(spectrum, w * input_power, loss, free.bound, own, float(w.sum()) * input_power, "basis")
 
 
@@ -263,7 +263,7 @@ def autoregressive_design(
     A = shape(np.asarray(best, dtype=float))
     density = _density_of(A, omega, weight)
     spectrum = Spectrum(omega, density * weight * input_power)
-    loss = wanted.loss(information.of_spectrum(spectrum))
+    loss = information.loss(wanted, spectrum)
     power = input_power * float(weight @ density)
     return Shaped(spectrum, A, loss, free.bound, float("nan"), power, "ar")
 

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from oed.covariances import square_root
+from oed.criteria import Criterion
 from oed.data import Spectrum, frozen
 from oed.errors import InputError
 from oed.information import power_root, whitened_gradient
@@ -96,9 +98,33 @@ class InformationMap:
             )
         if not len(spectrum):
             return self.constant
-        parts = np.einsum("knpq,kqr->nkpr", self.factor(spectrum.omega), power_root(spectrum))
-        flat = parts.reshape(self.n, -1)
+        flat = self._flat(spectrum)
         return self.constant + flat.real @ flat.real.T + flat.imag @ flat.imag.T
+
+    def loss(self, criterion: Criterion, spectrum: Spectrum) -> float:
+        """Loss of a spectrum, from the factor of its information: where the parameters' scales differ by 1e7 the
+        information itself has no digits of it.
+
+        Parameters
+        ----------
+        criterion : Criterion
+            Of the map's parameters.
+        spectrum : Spectrum
+            One-sided lines.
+
+        Returns
+        -------
+        float
+            Infinite where the spectrum does not determine what is asked.
+        """
+        flat = self._flat(spectrum)
+        return criterion.loss_of_factor(
+            np.concatenate([flat.real, flat.imag, square_root(self.constant)], axis=1)
+        )
+
+    def _flat(self, spectrum: Spectrum) -> NDArray[np.complex128]:
+        parts = np.einsum("knpq,kqr->nkpr", self.factor(spectrum.omega), power_root(spectrum))
+        return parts.reshape(self.n, -1)
 
     def with_prior(self, information: ArrayLike) -> InformationMap:
         """The same map with information from experiments already done.

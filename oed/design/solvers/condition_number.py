@@ -43,6 +43,14 @@ SAME = 1e-11
 """Relative difference below which fewer lines have the same information."""
 WIDEST = 0.3
 """Distance over which a plant without resonances changes, rad/sample."""
+BESIDE = 300
+"""Points on either side of a resonance in the last look at a certificate: 3 % of the distance apart."""
+REFINED = 6
+"""Times that a bound is looked at between the lines, each time at the last one."""
+ALIKE = 1e-9
+"""Relative change of a bound at which it is the last."""
+EVENLY = 4001
+"""Points of the whole band in that look."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +147,11 @@ def condition_design(
         support = kept[0].omega if kept else omega
         centres, widths = setting.map.resonances.T
         scale = np.hypot(support[:, None] - centres, widths).min(axis=1, initial=WIDEST)
-        omega = np.union1d(omega, denser(omega, bands, support, scale))
+        # The excess is a difference of two that are large beside a resonance: its maxima are narrower than the grid's.
+        sides = np.geomspace(1e-2, np.maximum(1.0, 0.3 / widths), BESIDE)
+        beside = np.abs(centres + widths * np.concatenate([-sides, 0 * sides[:1], sides])).ravel()
+        more = within(np.append(beside, np.linspace(0, np.pi, EVENLY)), bands)
+        omega = np.unique(np.concatenate([omega, denser(omega, bands, support, scale), more]))
         best_bound, proof = 0.0, proofs[-1]
         for one in proofs[-LOOKED_AT:]:
             bound, omega = _bound(setting, omega, bands, *one, best_loss, refine)
@@ -190,6 +202,8 @@ def _lifted(
     programme. Most where a line tells little, for which the bound pays nothing this way; without it pays the
     whole relative error."""
     n = len(Z_low)
+    if not np.isfinite(k):
+        return Z_high
     all_of_it = setting.forms(omega, np.eye(n))
     short = k * setting.forms(omega, Z_low) - setting.forms(omega, Z_high)
     values, vectors = np.linalg.eigh(all_of_it)
@@ -265,13 +279,22 @@ def _bound(
     """Largest certified k, and the grid with the maxima that decided it."""
     if not np.isfinite(loss):
         return 0.0, omega
-    if refine:
-        # Between the lines: the maxima of the excess at the loss itself are where the bound is decided.
-        high = setting.excess(omega, Z_low, Z_high, loss)[0]
-        at = local_maxima(high)
+    k = loss
+    for _ in range(REFINED if refine else 0):
+        # Between the lines the maxima of the excess at k itself decide, and there are others at the loss.
+        high = setting.excess(omega, Z_low, Z_high, k)[0]
+        at, before = local_maxima(high), k
         left, right = omega[np.maximum(at - 1, 0)], omega[np.minimum(at + 1, len(omega) - 1)]
-        found = maxima_between(lambda w: setting.excess(w, Z_low, Z_high, loss)[0], left, right)
+        found = maxima_between(lambda w, k=k: setting.excess(w, Z_low, Z_high, k)[0], left, right)
         omega = np.union1d(omega, within(found, bands))
+        k = _on_grid(setting, omega, Z_low, Z_high, loss)
+        if k >= before * (1 - ALIKE):
+            return k, omega
+    return _on_grid(setting, omega, Z_low, Z_high, loss), omega
+
+
+def _on_grid(setting: _Setting, omega: NDArray, Z_low: NDArray, Z_high: NDArray, loss: float) -> float:
+    """Largest k that is certified on a grid."""
     low_forms, high_forms = setting.forms(omega, Z_low), setting.forms(omega, Z_high)
 
     def holds(k: float) -> bool:
@@ -280,11 +303,11 @@ def _bound(
 
     small, large = 0.0, loss
     if holds(large):
-        return large, omega
+        return large
     for _ in range(60):
         middle = (small + large) / 2
         small, large = (middle, large) if holds(middle) else (small, middle)
-    return small, omega
+    return small
 
 
 def _as_design(
