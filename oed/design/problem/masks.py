@@ -132,7 +132,7 @@ def _within_both(T: NDArray, root: NDArray) -> tuple[NDArray, NDArray[np.float64
             outer = root @ W
             curved = curved + outer[:, None] @ turned @ outer.conj().swapaxes(1, 2)[:, None]
             H = (curved.reshape(K, nu**2, -1) @ flat.T).real
-            step = np.linalg.solve((H + H.swapaxes(1, 2)) / 2, g[:, :, None])[:, :, 0]
+            step = _newton_step((H + H.swapaxes(1, 2)) / 2, g)
             # A damped Newton step stays inside a self-concordant barrier's set; the longest that does so is better.
             decrement = np.sqrt(np.maximum(np.sum(step * g, axis=1), 0))
             dF = np.einsum("ke,eij->kij", step, E)
@@ -147,6 +147,19 @@ def _within_both(T: NDArray, root: NDArray) -> tuple[NDArray, NDArray[np.float64
     rest = np.linalg.eigvalsh(T - mu * root @ W @ root)
     bound = mu * np.einsum("kii->k", W).real + np.clip(rest, 0, None).sum(axis=1)
     return F, bound * size[:, 0, 0]
+
+
+def _newton_step(H: NDArray[np.float64], g: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(K, n) H^-1 g; where rounding leaves a curvature singular, at a corner of the set, its least curvatures are at rounding.
+
+    The bound holds at any F: a step only makes it tighter.
+    """
+    try:
+        return np.linalg.solve(H, g[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        values, V = np.linalg.eigh(H)
+        values = np.maximum(values, np.finfo(float).eps * values[:, -1:])
+        return np.einsum("kij,kj->ki", V, np.einsum("kij,ki->kj", V, g) / values)
 
 
 def _checked(mask: Mask, omega: NDArray[np.float64], size: int, name: str) -> NDArray:

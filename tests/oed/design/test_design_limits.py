@@ -19,6 +19,7 @@ from oed.design import (
     solve_design,
 )
 from oed.design.parametrisations.amplitude import slew_limited
+from oed.design.problem.masks import _newton_step
 from oed.errors import InfeasibleDesign, InputError, Status
 from oed.plants.named import named_plant
 from oed.plants.plant import Plant
@@ -219,3 +220,12 @@ def test_quantile_designs_against_every_subset(plant):
         quantile_design(plants, quantile=0.0)
     with pytest.raises(InputError, match="at least one plant"):
         quantile_design([])
+
+
+def test_a_curvature_that_rounding_left_singular_still_gives_a_step():
+    H = np.stack([np.diag([4.0, 1.0]), np.array([[1.0, 1.0], [1.0, 1.0]])])
+    g = np.array([[4.0, 1.0], [1.0, 1.0]])
+    steps = _newton_step(H, g)
+    np.testing.assert_allclose(steps[0], [1.0, 1.0], rtol=1e-12)
+    np.testing.assert_allclose(steps[1], [0.5, 0.5], rtol=1e-9)
+    np.testing.assert_allclose(_newton_step(H[:1], g[:1]), steps[:1], rtol=1e-12)
