@@ -19,9 +19,9 @@ Array = NDArray[Any]
 
 SHARE = 0.25  # of the best gain so far, that the simpler effect must have reached for one that refines it
 LEAST_PROMISE = 6.0  # of the score, for an effect to be fitted where only the most promising are
-BLIND = ("output_arctan", "output_exponential", "output_polynomial")
-# curves of a sensor that are fitted wherever any effect promises something: a score from a linear model that the curve has
-# spoilt says little of them; one saturates, one grows, one is general
+BLIND = ("output_arctan", "output_exponential", "output_polynomial", "input_exponential")
+# curves that are fitted wherever any effect promises something: a score from a linear model that the curve of a sensor has
+# spoilt says little of it, nor one of a curve that a lag of the actuator stands before; one saturates, two grow, one is general
 UNDERSTATED = (
     3.0  # times what its score promises, that an effect may gain: scores are linear, effects are not
 )
@@ -154,8 +154,11 @@ def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int)
     if s.effects or not able or not len(able[0].noise):
         return  # nothing is left that other poles could explain
     least = base.deviance - NEAR * (base.deviance - able[0].deviance)
-    able = [f for f in able if f.deviance <= least]
-    for f in able[:LAGGED]:
+    near = [f for f in able if f.deviance <= least][:LAGGED]
+    curve = next(
+        (f for f in able if f.structure.parts[-1].effect.static), able[0]
+    )  # before a lag that bends more than it
+    for f in near if curve in near else [*near, curve]:
         best, source = None, f
         for _ in range(RENEWALS if f is able[0] else 1):
             again = _with_fresh_poles(

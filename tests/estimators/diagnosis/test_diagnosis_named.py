@@ -145,3 +145,22 @@ def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(mo
     stage.best_named(bench, a, Menu())  # type: ignore[arg-type]
     assert asked == fits[:4]  # the search's own, and all but the last
     assert paired == fits[1:4]
+
+
+@pytest.mark.slow
+def test_a_curve_behind_a_slow_actuator_is_found_though_its_score_says_little() -> None:
+    """An equal-percentage valve whose stem lags by a few samples: process losses with poles of their own come near it."""
+    rng = np.random.default_rng(7)
+
+    def rig(levels: np.ndarray) -> Record:
+        u = np.repeat(levels, rng.integers(5, 20, len(levels)))
+        stem = 60.0 + lfilter([0.0, 0.35], [1.0, -0.65], u - 60.0)
+        flow = 80.0 * 44.0 ** (stem / 100.0 - 1.0)
+        level = 80.0 * 44.0 ** (60.0 / 100.0 - 1.0)
+        y = 13.0 + level + lfilter([0.05], [1.0, -0.95], lfilter([0.25], [1.0, -0.75], flow - level))
+        return Record(u, y + 0.1 * rng.standard_normal(len(u)))
+
+    train, test = (rig(np.concatenate(([60.0], rng.uniform(45, 79, 90)))) for _ in range(2))
+    found = diagnose(train, test, Setting(deviations=False, orders=(3,), separate=True))
+    assert found.effect == "hammerstein"
+    assert found.rmse_after.value < 1.1 * 0.1
