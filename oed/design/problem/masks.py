@@ -155,11 +155,13 @@ def _newton_step(H: NDArray[np.float64], g: NDArray[np.float64]) -> NDArray[np.f
     The bound holds at any F: a step only makes it tighter.
     """
     try:
-        return np.linalg.solve(H, g[:, :, None])[:, :, 0]
+        return np.asarray(np.linalg.solve(H, g[:, :, None])[:, :, 0], dtype=np.float64)
     except np.linalg.LinAlgError:
         values, V = np.linalg.eigh(H)
         values = np.maximum(values, np.finfo(float).eps * values[:, -1:])
-        return np.einsum("kij,kj->ki", V, np.einsum("kij,ki->kj", V, g) / values)
+        return np.asarray(
+            np.einsum("kij,kj->ki", V, np.einsum("kij,ki->kj", V, g) / values), dtype=np.float64
+        )
 
 
 def _checked(mask: Mask, omega: NDArray[np.float64], size: int, name: str) -> NDArray:
