@@ -212,7 +212,8 @@ def _outcome(
     if any(
         s.kind is Kind.NAMED and first.admitted > s.admitted for s, first in zip(steps, started, strict=True)
     ):
-        dropped = tuple((c.key, NO_NEWS) for c in named.claims)
+        why = "a linear predictor of the output gains nothing from it"
+        dropped = tuple((c.key, why) for c in named.claims)
         named = replace(named, claims=(), dropped=named.dropped + dropped)
     least = int(len(out) > 0)
     ladder = climb(y, steps, counted, setting.policy, least=least)
@@ -230,10 +231,10 @@ def _outcome(
         rest = _remainder_step(records, i, base, ladder, above, setting)
     if rest is not None:
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
-    return Outcome(i, found, named, ladder, share, left, discovery, bench.inverse)
-
-
-NO_NEWS = "a linear predictor of the output gains nothing from it"
+    # What the answer explains was no noise that an input answers.
+    errors = [r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records]
+    inverse = bench.inverse and has_feedback(records, errors, counted)
+    return Outcome(i, found, named, ladder, share, left, discovery, inverse)
 
 
 def _as_started(steps: Sequence[Step], train: Record, i: int, setting: Setting) -> list[Step]:

@@ -26,8 +26,9 @@ BALANCE = (
 FINE = 81  # angles about a peak: a fortieth of a turn over the record, beyond which the force's phase is lost
 LEAST_TURNS = 3  # in a record, for its force to repeat
 PEAK = 25.0  # times the mean power over all angles: by chance in one record of millions
-WINDOWS = (0.15, 0.35, 0.7, 1.0)
-"""Growing shares of the record: a phase that is kept at first is kept to the end."""
+WINDOWS = (0.04, 0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0)
+"""Growing shares of the record, each by half: a phase that is kept at first is kept to the end, and what nearly stands still on top
+is lost within a turn or two where the parameters are a little off."""
 
 
 def _pendulum(p, v, u, q, s, c):

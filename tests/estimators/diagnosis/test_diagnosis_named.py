@@ -162,3 +162,23 @@ def test_a_growing_curve_is_tried_behind_a_lag_however_little_its_score_promises
     fits = list(augmented(channel, base, Menu(CATALOGUE, (), 4), iterations=15, top=4))
     best = min(fits, key=lambda f: float(np.sum(f.residual**2)))
     assert (best.structure.parts[-1].key, best.structure.parts[-1].first) == ("input_exponential", 1)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_strong_eccentric_is_found_from_the_balance_of_forces(seed: int) -> None:
+    """A motor that nearly stalls on every turn: its linear model is bent so far that its error has no angle in it."""
+    rng, n, speed, angle = np.random.default_rng(seed), 1000, 0.0, 0.0
+    u = np.repeat(rng.uniform(3.0, 9.0, n // 20), 20)
+    y = np.zeros(n)
+    for k in range(n):
+        y[k] = speed
+        for _ in range(40):
+            speed += 5e-4 * (4.0 * u[k] - 1.6 * speed - 20.0 * np.sin(angle))
+            angle += 5e-4 * speed
+    y += 0.05 * rng.standard_normal(n)
+    channel = Channel(u[:, None], y, Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
+    base = fit_linear(channel, replace(Structure(2, (0,)).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2))
+    effect = named("position_periodic")
+    assert effect.search is not None
+    errors = [float(np.sqrt(np.mean(f.residual**2))) for f in effect.search(channel, base, ())]
+    assert min(errors) < 1.5 * 0.05 < 0.3 * float(np.sqrt(np.mean(base.residual**2)))
