@@ -21,7 +21,7 @@ TURNS = 1500  # angles per record among which the period of a force is looked fo
 PHASES = ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))  # of a periodic force, in sizes of the input
 SLOW = 0.03  # loss per speed and sample where the balance shows none
 BALANCE = (
-    3  # samples of the inputs in the balance of forces: the hold, half a sample either way, and a quick drive
+    3  # samples of the inputs in the balance of forces: the hold, half a sample either way, a quick drive
 )
 FINE = 81  # angles about a peak: a fortieth of a turn over the record, beyond which the force's phase is lost
 LEAST_TURNS = 3  # in a record, for its force to repeat

@@ -155,9 +155,8 @@ def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int)
         return  # nothing is left that other poles could explain
     least = base.deviance - NEAR * (base.deviance - able[0].deviance)
     near = [f for f in able if f.deviance <= least][:LAGGED]
-    curve = next(
-        (f for f in able if f.structure.parts[-1].effect.static), able[0]
-    )  # before a lag that bends more than it
+    # Behind a lag, a curve explains nothing until the lag stands before it.
+    curve = next((f for f in able if f.structure.parts[-1].effect.static), able[0])
     for f in near if curve in near else [*near, curve]:
         best, source = None, f
         for _ in range(RENEWALS if f is able[0] else 1):

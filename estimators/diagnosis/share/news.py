@@ -29,7 +29,6 @@ NEWS = 1.645
 effect was known all but one had more than 2.7, simulated linear ones at most 2.8."""
 COLUMNS = 1 / 3
 """Columns at most, as a share of the samples: the rest says how large the errors are."""
-
 SINGULAR = 1e-7
 """Size of a direction, of the largest's, below which it is rounding: the simulated output of a record without noise is one."""
 
@@ -54,7 +53,10 @@ class Predictor:
         lags = int(np.clip(most // (first.n_outputs + first.n_inputs), 1, LAGS))
         tables, rows = [], []
         for r, y, use in zip(records, simulated, counted, strict=True):
-            signals = [*((x, range(1, lags + 1)) for x in r.y.T), *((x, range(lags + 1)) for x in r.u.T)]
+            known = np.where(
+                np.isfinite(r.y), r.y, y
+            )  # a missing sample must not take all that look back on it
+            signals = [*((x, range(1, lags + 1)) for x in known.T), *((x, range(lags + 1)) for x in r.u.T)]
             signals += [(x, range(OWN)) for x in y.T]
             table = np.stack([_late(x, by) for x, every in signals for by in every], axis=1)
             rows.append(use & np.isfinite(table).all(axis=1))
@@ -73,7 +75,10 @@ class Predictor:
         """Standard errors by which the one-step prediction with runs (N,) of unused blocks belongs beside the linear one.
 
         That prediction is the run and what an autoregression foretells of its error; only a positive weight is news.
+        Infinite where the samples are too few to tell.
         """
+        if len(self.left) < 2 * self.basis.shape[1]:
+            return np.inf
         uses = [c & np.isfinite(run) for c, run in zip(self.counted, runs, strict=True)]
         errors = [
             np.where(use, y - np.nan_to_num(run), 0.0) for y, run, use in zip(self.measured, runs, uses, strict=True)

@@ -147,3 +147,14 @@ def test_what_a_bent_input_does_is_news_though_noise_hides_half_of_it() -> None:
     y = _plant(u + 0.3 * u**2) + 0.2 * rng.standard_normal(1200)
     assert _news(u, y, _plant(u + 0.3 * u**2)) > 5.0
     assert _news(u, y, _plant(u - 0.3 * u**2)) < NEWS  # the wrong way round
+
+
+def test_missing_samples_hide_no_news_and_too_few_say_nothing() -> None:
+    rng = np.random.default_rng(4)
+    u = _input(rng, 1200)
+    y = _plant(u + 0.3 * u**2) + 0.1 * rng.standard_normal(1200)
+    y[rng.random(1200) < 0.05] = np.nan
+    assert _news(u, y, _plant(u + 0.3 * u**2)) > 5.0
+    record = Record(u[:12], np.nan_to_num(y[:12]))
+    few = Predictor.of([record], [np.zeros((12, 1))], 0, [np.ones(12, dtype=bool)])
+    assert few.news([np.zeros(12)]) == np.inf
