@@ -55,7 +55,7 @@ class Step:
     below: Step | None = None  # the step that it adds to; the linear model where none is named
     nature: str = ""  # the kind of its first cause
     rivals: tuple[Answer, ...] = ()  # models with other causes that unused blocks cannot tell from it
-    linear: bool = False  # nothing in it departs from proportion: what it adds are poles or a delay
+    linear: bool = False  # what it adds are poles, a delay or a level, which a linear predictor has: they cannot be news to it
     slow: bool = False  # a pole remembers longer than a block, and none of the linear model's does
 
     def simulate(self, record: Record, window: int) -> Array:

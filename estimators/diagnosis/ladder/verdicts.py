@@ -299,8 +299,10 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
         noisy = item.nature == Nature.NOISE
         if item.p_value >= (SURE if noisy else limit) or item.nature == Nature.LINEAR:
             continue  # the linear model is the best there is on unused blocks: another is no cause
-        clocked = item.nature in (Nature.ADDED, Nature.TIME)  # which slow or narrow noise looks like
-        telling = item.gain > TELLING * f.n and item.p_value < FIRM and not clocked
+        most = (
+            item is rest[0] and item.nature != Nature.ADDED
+        )  # which slow or narrow noise looks like; others go with it
+        telling = most and item.gain > TELLING * f.n and item.p_value < FIRM
         if not noisy and not o.left.explainable and not telling:
             continue  # a significant dependence that predicts nothing on unused blocks
         if (noisy and not o.named.claims and not len(f.noise)) or (
@@ -333,8 +335,8 @@ SURE = 1e-6
 """Significance under a noise model or beside an effect is less sure than it says."""
 TELLING, FIRM = 0.08, 1e-12
 """Likelihood ratio per sample (a twelfth of the innovations' variance) and significance from which on a dependence is no
-accident of a noise model, though no regression predicts it on unused blocks; but slow or narrow noise is a trend, a line, or a
-gain that swings."""
+accident of a noise model, though no regression predicts it on unused blocks; but slow or narrow noise is a trend or a line, and
+goes with whatever else is slow."""
 LEAST = 6.0
 """Of Schwarz's criterion: odds of twenty to one."""
 

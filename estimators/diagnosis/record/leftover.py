@@ -18,6 +18,7 @@ from estimators.diagnosis.model.simulation import simulate
 
 Array = NDArray[Any]
 LAGS = 20
+OWN = 5  # lags of the simulated output, which slow poles and feedback leave in a residual: a direction goes with them
 TERMS = 6  # most products taken together
 
 
@@ -195,6 +196,7 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
     tests = len(groups) + 4
     plain, null = J, _deviance(r, J, f.noise, keep)
     lags = [c for nature, _, columns in groups if nature == Nature.LINEAR for c in columns]
+    lags += [_late(y, i) for i in range(OWN)] + [np.gradient(y)]
     J = np.concatenate(
         (J, _sized(lags, keep)), axis=1
     )  # a model that is not the best linear one leaves what looks bent

@@ -16,6 +16,7 @@ from scipy.stats import chi2
 
 from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.effects import Nature, Slot, named
+from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, parameters_of
@@ -188,7 +189,7 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             held = _bending(bench, f, held, unused)
             claims = tuple(_with_rivals(held, a, f))
-            linear = all(c.part.effect.nature is Nature.LINEAR for c in claims)  # or as good as that
+            linear = all(c.part.effect.nature is Nature.LINEAR or c.key == OFFSET.key for c in claims)
             step = replace(_step(bench, f, held, unused), linear=linear) if held else None
             return Named(f, claims, tuple(dropped), step, unused)
         worst = min(weak, key=lambda i: claims[i].gain.value)

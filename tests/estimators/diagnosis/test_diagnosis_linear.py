@@ -133,3 +133,12 @@ def test_slow_noise_in_a_loop_is_no_trend_that_a_headline_names():
     assert (
         diagnose(train, test, Setting(effort=Effort.QUICK, separate=True, deviations=False)).effect in LINEAR
     )
+
+
+@pytest.mark.slow
+def test_a_direction_of_motion_that_goes_with_the_output_itself_is_no_headline() -> None:
+    """A loop with process noise: what the linear model leaves goes with its own output, and so with the sign of its rate."""
+    train, test, _ = linear_case(1006)
+    assert (
+        diagnose(train, test, Setting(effort=Effort.QUICK, separate=True, deviations=False)).effect in LINEAR
+    )
