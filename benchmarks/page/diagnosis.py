@@ -11,6 +11,8 @@ import numpy as np
 from benchmarks.page.content import Figure, Page, Section, Table, headed, line, thinned
 from benchmarks.page.skeleton import save_page
 from benchmarks.tables.formats import format_value
+from estimators.diagnosis.ladder.verdicts import NOTHING
+from estimators.residual.measures import p_stated
 
 if TYPE_CHECKING:
     from estimators.diagnosis.result.report import Diagnosis
@@ -208,7 +210,7 @@ def _next(result: Diagnosis) -> tuple[list[Section], list[str], dict[str, str]]:
 def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
     unit = _unit(result)
     before, after = result.rmse_before, result.rmse_after
-    nothing = not result.detected or result.system.startswith("nothing")
+    nothing = not result.detected or result.system.startswith(NOTHING)
     if result.detected:
         what = result.system.split("; error on fresh data")[0] or result.effect.replace("_", " ")
         same = f"{before.value:.3g}" == f"{after.value:.3g}"
@@ -217,11 +219,7 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
             if same
             else f"{'falls' if after.value < before.value else 'rises'} from {before.value:.3g} to {after.value:.3g}"
         )
-        lacks = (
-            _capital(what)[:-1]
-            if what.startswith("nothing")
-            else f"The linear model lacks {what} ({result.nature})"
-        )
+        lacks = _capital(what)[:-1] if nothing else f"The linear model lacks {what} ({result.nature})"
         answer = f"{lacks}; the simulation error {error}{unit}."
     else:
         answer = f"Nothing is missing from the linear model that these data could show; its simulation error is {before.value:.3g}{unit}."
@@ -230,7 +228,7 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
             f"{result.difference.value:.3g} [{low:.3g}, {high:.3g}]."]  # fmt: skip
     if result.detected:
         many = "all tests together, corrected for how many they are"
-        sure.append(f"That the linear model's residual is white noise has p = {result.p_value:.2g} ({many})"
+        sure.append(f"That the linear model's residual is white noise has {p_stated(result.p_value)} ({many})"
                     + (f"; what is left in it: {result.evidence[0]}." if nothing and result.evidence else "."))  # fmt: skip
     sure += (
         [f"This record cannot tell it from: {', '.join(c.replace('_', ' ') for c in result.confusable)}."]

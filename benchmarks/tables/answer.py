@@ -42,7 +42,8 @@ KINDS = {
 
 def _verdict(efficiency: float, over_white: float) -> str:
     """What an input is, in words, from its share of the optimum and how many times white noise that is."""
-    return VERDICTS[[efficiency >= OPTIMAL, efficiency >= GOOD, over_white >= BETTER, True].index(True)]
+    reached = efficiency >= OPTIMAL, efficiency >= GOOD, over_white >= BETTER, True
+    return VERDICTS[reached.index(True)]
 
 
 def answer_rows(tables: Tables) -> list[Row]:

@@ -205,9 +205,9 @@ def _outcome(
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     started = _as_started(steps, train, i, setting)
-    predictor = Predictor.of(records, base.y_model, i, counted)
+    predictor = cache(lambda: Predictor.of(records, base.y_model, i, counted))
     steps = [
-        replace(s, admitted=s.admitted and (s.linear or predictor.news(s.unused) > NEWS)) for s in started
+        replace(s, admitted=s.admitted and (s.linear or predictor().news(s.unused) > NEWS)) for s in started
     ]
     if any(
         s.kind is Kind.NAMED and first.admitted > s.admitted for s, first in zip(steps, started, strict=True)
@@ -232,8 +232,8 @@ def _outcome(
     if rest is not None:
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     # What the answer explains was no noise that an input answers.
-    errors = [r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records]
-    inverse = bench.inverse and has_feedback(records, errors, counted)
+    errors = (r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records)
+    inverse = bench.inverse and has_feedback(records, list(errors), counted)
     return Outcome(i, found, named, ladder, share, left, discovery, inverse)
 
 

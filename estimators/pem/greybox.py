@@ -137,9 +137,8 @@ def identify_grey_box(
     blocks = [np.column_stack([r.u, r.y, np.eye(len(r), 1)]) for r in given]
     data, lengths = np.ascontiguousarray(np.concatenate(blocks)), np.array([len(r) for r in given])
     width, per = n + m, model.n_states if m else 0
-    own = np.array(
-        [np.r_[0:n, n + r * per : n + (r + 1) * per] for r in range(len(given))]
-    )  # of every record
+    # The parameters and the initial state of every record.
+    own = np.array([np.r_[0:n, n + r * per : n + (r + 1) * per] for r in range(len(given))])
     parts = np.split(data, np.cumsum(lengths)[:-1])
 
     def evaluate(z: NDArray, _: Any = None) -> Point | None:

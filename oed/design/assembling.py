@@ -54,9 +54,10 @@ def assembled(
     """A Design of a spectrum and its certificate, both in the model's own units."""
     bound = certificate.bound
     return Design(
-        spectrum, problem.original, loss, bound, certificate,
-        Status.OK if abs(loss - bound) <= tolerance * bound else Status.INACCURATE,
-        problem.map.of_spectrum(spectrum), problem.map, used, {b.name: b.limit for b in problem.budgets}, solver, rounds,
+        spectrum=spectrum, criterion=problem.original, loss=loss, bound=bound, certificate=certificate,
+        status=Status.OK if abs(loss - bound) <= tolerance * bound else Status.INACCURATE,
+        information=problem.map.of_spectrum(spectrum), map=problem.map, power_used=used,
+        limits={b.name: b.limit for b in problem.budgets}, solver=solver, rounds=rounds,
     )  # fmt: skip
 
 

@@ -348,8 +348,9 @@ def _assemble(plant: Plant, maxima: list[tuple[float, float]], upper_bound: floa
     phase = phase / abs(phase)
     curvatures = tuple(singular_value_curvature(plant, w) for w in tops)
     return Peak(
-        float(s[0]), tops[0], tuple(tops), curvatures, u / phase, v / phase, tuple(maxima), upper_bound
-    )
+        value=float(s[0]), frequency=tops[0], frequencies=tuple(tops), curvatures=curvatures,
+        output_direction=u / phase, input_direction=v / phase, local_maxima=tuple(maxima), upper_bound=upper_bound,
+    )  # fmt: skip
 
 
 def gain_gradient(plant: Plant, at: Peak | None = None) -> NDArray[np.float64]:

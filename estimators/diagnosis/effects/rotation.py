@@ -139,7 +139,7 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     speed = np.where(keep, channel.y, channel.y - base.residual)
     angle = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))))
     span = float(np.ptp(angle)) + 1e-300
-    own = channel.u[:, list(dict.fromkeys((j, *inputs)))]
+    own = channel.u[:, list(inputs)]
     force = _balance(speed, own, keep)[0]
     turns = 2 * np.pi * np.arange(LEAST_TURNS, TURNS) / span
     power = np.array([abs(np.vdot(np.exp(1j * w * angle), force)) ** 2 for w in turns])
@@ -152,18 +152,18 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         near = w + np.linspace(-1.0, 1.0, FINE) * (turns[1] - turns[0])
         balances = [(w, *_balance(speed, own, keep, w * angle)) for w in near]
         w, _, loss, push, c = min(balances, key=lambda found: float(found[1] @ found[1]))
-        rate, phases = SLOW, [size * np.array(phase) for phase in PHASES]
+        rate, still, phases = SLOW, gain, [size * np.array(phase) for phase in PHASES]
         if loss > 0.0 and push * gain > 0.0:
-            rate, gain, phases = loss, push / loss, [c / push]
+            rate, still, phases = loss, push / loss, [c / push]
         further = np.outer(beside, [0.0, rate]).ravel()
         found: list[tuple[float, Array, Array, Any]] = []
         for first in (0, 1):  # without and with a lag of the drive
             part = Part(POSITION, j, first=first)
             new = turning.adding(part)
             scales = np.full(new.size, spread)
-            scales[:3], scales[3 : new.plant_size] = (1.0, abs(gain), abs(gain)), rate
+            scales[:3], scales[3 : new.plant_size] = (1.0, abs(still), abs(still)), rate
             at = new.slices()[-1]
-            scales[at] = [1.0] * first + [size, size, 1e-3 * abs(w * gain)]
+            scales[at] = [1.0] * first + [size, size, 1e-3 * abs(w * still)]
             for q, sl in zip(new.parts, new.slices(), strict=True):
                 if q.effect.slot is Slot.START:
                     scales[sl.start] = 0.0  # the angle at the start is the phase of the force
@@ -173,8 +173,8 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
                 begun = [p for _, p in sorted(trials, key=lambda trial: trial[0])[:1]]
                 for phase in () if begun else phases:
                     p = np.zeros(new.size)
-                    p[:3], p[3 : new.plant_size] = (np.log(rate), 0.0, gain), further
-                    p[at] = [-0.5] * first + [*phase, w * gain]
+                    p[:3], p[3 : new.plant_size] = (np.log(rate), 0.0, still), further
+                    p[at] = [-0.5] * first + [*phase, w * still]
                     begun.append(p)
                 fits = [fit(few, new, p, scales, iterations=8, colour=False) for p in begun]
                 trials = [(f.deviance, f.p) for f in fits if np.isfinite(f.deviance)]
@@ -191,8 +191,8 @@ def _balance(
     What it leaves of the speed's change (N,); the loss per speed, the push per unit of the first input, and the cosine and
     sine of an angle that oppose it, where one is given.
     """
-    late = lambda x, by: np.concatenate((np.repeat(x[:1], by, axis=0), x[: len(x) - by]))
-    columns = [speed, np.ones(len(speed)), *(late(u, by) for by in range(BALANCE))]
+    at = np.arange(len(u))
+    columns = [speed, np.ones(len(u)), *(u[np.maximum(at - by, 0)] for by in range(BALANCE))]
     columns += [] if angle is None else [np.cos(angle), np.sin(angle)]
     X, change = np.column_stack(columns), np.gradient(speed)
     c = np.linalg.lstsq(X[keep], change[keep], rcond=None)[0]

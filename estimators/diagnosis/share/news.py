@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.share.feedback import autoregression, whitened
+from estimators.residual.algebra import delayed
 from oed.data import Record
 
 Array = NDArray[np.float64]
@@ -53,13 +54,13 @@ class Predictor:
         lags = int(np.clip(most // (first.n_outputs + first.n_inputs), 1, LAGS))
         tables, rows = [], []
         for r, y, use in zip(records, simulated, counted, strict=True):
-            known = np.where(
-                np.isfinite(r.y), r.y, y
-            )  # a missing sample must not take all that look back on it
+            # A missing sample must not take all that look back on it.
+            known = np.where(np.isfinite(r.y), r.y, y)
             signals = [*((x, range(1, lags + 1)) for x in known.T), *((x, range(lags + 1)) for x in r.u.T)]
             signals += [(x, range(OWN)) for x in y.T]
-            table = np.stack([_late(x, by) for x, every in signals for by in every], axis=1)
-            rows.append(use & np.isfinite(table).all(axis=1))
+            table = np.concatenate([delayed(x[:, None], every) for x, every in signals], axis=1)
+            begun = np.arange(len(r)) >= max(lags, OWN - 1)
+            rows.append(use & begun & np.isfinite(table).all(axis=1))
             tables.append(table[rows[-1]])
         columns = np.concatenate(tables)
         columns = columns - columns.mean(axis=0)
@@ -95,8 +96,3 @@ class Predictor:
         rest = (self.left - weight * told) * told
         freedom = len(rest) / max(1, len(rest) - self.basis.shape[1])
         return float(self.left @ told) / (float(np.sqrt(freedom * np.sum(rest**2))) + 1e-300)
-
-
-def _late(x: Array, by: int) -> Array:
-    """(N,) signal late by so many samples, missing before its first."""
-    return np.concatenate((np.full(by, np.nan), x[: len(x) - by]))

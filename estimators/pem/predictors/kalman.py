@@ -79,11 +79,8 @@ def kalman_recursion(structure: Polynomial, levels: bool, initial: bool) -> Recu
         if not n:
             residual.append(seen[i] * v)
             continue
-        P, F, K = (
-            _symmetric(ca, lower, n),
-            ca.SX(n, n),
-            ca.vertcat(*(c[k + 1] - den[k + 1] for k in range(n))),
-        )
+        P, F = _symmetric(ca, lower, n), ca.SX(n, n)
+        K = ca.vertcat(*(c[k + 1] - den[k + 1] for k in range(n)))
         for k in range(n):
             F[k, 0] = -den[k + 1]
             if k + 1 < n:
