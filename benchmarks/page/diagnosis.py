@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.page.content import Figure, Page, Section, Table, headed, line, thinned
 from benchmarks.page.skeleton import save_page
 from benchmarks.tables.formats import format_value
-from estimators.diagnosis.ladder.verdicts import NOTHING
+from estimators.diagnosis.ladder.verdicts import ECHO, NOTHING, UNCLAIMED
 from estimators.residual.measures import p_stated
 
 if TYPE_CHECKING:
@@ -219,7 +219,8 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
             if same
             else f"{'falls' if after.value < before.value else 'rises'} from {before.value:.3g} to {after.value:.3g}"
         )
-        lacks = _capital(what)[:-1] if nothing else f"The linear model lacks {what} ({result.nature})"
+        whole = result.system.startswith((NOTHING, UNCLAIMED, ECHO))  # a sentence, not the name of a cause
+        lacks = _capital(what)[:-1] if whole else f"The linear model lacks {what} ({result.nature})"
         answer = f"{lacks}; the simulation error {error}{unit}."
     else:
         answer = f"Nothing is missing from the linear model that these data could show; its simulation error is {before.value:.3g}{unit}."

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from benchmarks.commands.record import diagnose as command
 from benchmarks.page.diagnosis import _words
 from benchmarks.page.skeleton import write_report
-from estimators.diagnosis.ladder.verdicts import NOTHING
+from estimators.diagnosis.ladder.verdicts import ECHO, NOTHING, UNCLAIMED
 
 
 @pytest.mark.parametrize(
@@ -23,6 +23,8 @@ from estimators.diagnosis.ladder.verdicts import NOTHING
         ),
         (NOTHING, 0.2, f"N{NOTHING[1:]}; the simulation error stays at 0.2."),
         (NOTHING, 0.3, f"N{NOTHING[1:]}; the simulation error rises from 0.2 to 0.3."),
+        (UNCLAIMED, 0.3, f"N{UNCLAIMED[1:]}; the simulation error rises from 0.2 to 0.3."),
+        (ECHO, 0.2, f"T{ECHO[1:]}; the simulation error stays at 0.2."),
     ],
 )
 def test_the_answer_is_a_sentence(system, after, answer):
