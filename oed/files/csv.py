@@ -31,6 +31,7 @@ def csv_table(content: bytes, source: str) -> Table:
         raise InputError(f"{source} is not text in UTF-8 ({error}); save it as UTF-8.") from None
     if "\0" in text:
         raise InputError(f"{source} is not a text file (it has null characters); its suffix says CSV.")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")  # whoever wrote it ended lines in one of three ways
     stream = io.StringIO(text, newline="")
     header, comment = "", ""
     for header in stream:

@@ -4,6 +4,7 @@ Each limit can be raised by an environment variable, which its message names."""
 
 from __future__ import annotations
 
+import math
 import os
 
 from oed.errors import InputError
@@ -15,6 +16,8 @@ LIMITS = {
     "columns": 10_000,
     # Groups in groups, structs in structs: MATLAB's own have two or three.
     "depth": 32,
+    # Seconds of a reader that works in a process of its own: a whole file of the largest size takes three.
+    "seconds": 15,
 }
 
 
@@ -26,7 +29,8 @@ def check_limit(what: str, value: float, source: str) -> float:
         raise InputError(f"{name} is {given!r}; give a whole number.")
     most = int(given) if given else LIMITS[what]
     if value > most:
+        asked = f"{value:,.0f}" if value < math.inf else f"more than {most:,}"
         raise InputError(
-            f"{source} asks for {value:,.0f} {what}, and at most {most:,} are read; if that is meant, set {name} higher."
+            f"{source} asks for {asked} {what}, and at most {most:,} are read; if that is meant, set {name} higher."
         )
     return most - value

@@ -1,8 +1,15 @@
-"""MAT files: v5 by our own reader, v7.3 through h5py; plain arrays, or a struct with iddata's fields."""
+"""MAT files: v5 by our own reader, v7.3 through h5py; plain arrays, or a struct with iddata's fields.
+
+A damaged HDF5 file can make the library loop for ever or end the process, so h5py reads in a process of its own."""
 
 from __future__ import annotations
 
 import io
+import json
+import math
+import pickle
+import subprocess
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -117,6 +124,35 @@ def _read_v5(content: bytes, source: str) -> dict[str, Any]:
 
 
 def _read_hdf5(content: bytes, source: str) -> dict[str, Any]:
+    """What `_parse_hdf5` returns or raises in a process of its own, which may hang or die of a damaged file."""
+    call = "import json, sys; sys.path = json.loads(sys.argv[1]); from oed.files.mat import answer; answer(sys.argv[2])"
+    command = [sys.executable, "-I", "-c", call, json.dumps(sys.path), source]
+    try:
+        done = subprocess.run(
+            command, input=content, capture_output=True, timeout=check_limit("seconds", 0, source)
+        )
+    except subprocess.TimeoutExpired:
+        check_limit("seconds", math.inf, source)
+        raise
+    if done.returncode:
+        raise ValueError(f"HDF5 ended with status {done.returncode} while it read it")
+    variables, error = pickle.loads(done.stdout)
+    if error is not None:
+        raise error
+    return variables
+
+
+def answer(source: str) -> None:
+    """In the process of its own: the content comes by standard input, its variables or the error go to standard output."""
+    found: tuple[Any, Any]
+    try:
+        found = _parse_hdf5(sys.stdin.buffer.read(), source), None
+    except Exception as error:
+        found = None, error
+    sys.stdout.buffer.write(pickle.dumps(found, protocol=5))
+
+
+def _parse_hdf5(content: bytes, source: str) -> dict[str, Any]:
     import h5py
 
     with h5py.File(io.BytesIO(content), "r") as file:

@@ -75,7 +75,7 @@ def tables(draw):
     )
     kind = draw(st.sampled_from([plain_numbers, plain_numbers, entries]))
     rows = [draw(st.lists(kind, min_size=n, max_size=n)) for n in lengths]
-    end = draw(st.sampled_from(["\n", "\r\n", "\n"]))
+    end = draw(st.sampled_from(["\n", "\r\n", "\r"]))
     lines = [delimiter.join(row) for row in [header, *rows]]
     return (
         draw(st.sampled_from(["", "# made by hand\n", "\ufeff"]))
@@ -331,6 +331,36 @@ def test_other_files_are_not_opened(tmp_path):
                 file.create_virtual_dataset("u", layout)
         with pytest.raises(InputError, match="another file, which is not (followed|opened)"):
             read_record(path)
+
+
+def test_a_file_in_which_hdf5_loops_for_ever_or_dies(tmp_path, monkeypatch):
+    import h5py
+
+    import oed.files.mat as module
+
+    stream = io.BytesIO()
+    with h5py.File(stream, "w") as file:
+        file["u"] = file["y"] = np.arange(5.0)
+        file["text"] = "text"  # of variable length: it is kept in the global heap
+    content = bytearray(stream.getvalue())
+    heap = content.find(b"GCOL")
+    content[heap + 24 : heap + 32] = bytes(
+        8
+    )  # the size of its first object: HDF5 2.0 never comes to the next
+    path = tmp_path / "x.mat"
+    path.write_bytes(content)
+    with monkeypatch.context() as patch:
+        patch.setenv("OED_MOST_SECONDS", "2")
+        with pytest.raises(InputError, match="more than 2 seconds, and at most 2 .* set OED_MOST_SECONDS"):
+            read_record(path)
+        patch.setenv("OED_MOST_SECONDS", "20")
+        die = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
+        run = module.subprocess.run
+        patch.setattr(module.subprocess, "run", lambda command, **how: run([command[0], "-c", die], **how))
+        with pytest.raises(InputError, match="x.mat is not a whole MAT file .HDF5 ended with status -11"):
+            read_record(path)
+    path.write_bytes(stream.getvalue())
+    assert read_record(path).u.ravel().tolist() == [0, 1, 2, 3, 4]
 
 
 def test_bombs_are_refused_and_the_limit_can_be_raised(tmp_path, monkeypatch):
