@@ -7,7 +7,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import pickle
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -136,20 +135,55 @@ def _read_hdf5(content: bytes, source: str) -> dict[str, Any]:
         raise
     if done.returncode:
         raise ValueError(f"HDF5 ended with status {done.returncode} while it read it")
-    variables, error = pickle.loads(done.stdout)
-    if error is not None:
-        raise error
-    return variables
+    stream = io.BytesIO(done.stdout)
+    kind, found = json.loads(stream.readline())
+    if kind:
+        raise {"InputError": InputError, "ModuleNotFoundError": _missing}.get(kind, ValueError)(found)
+    return _unpacked(found, stream)
 
 
 def answer(source: str) -> None:
     """In the process of its own: the content comes by standard input, its variables or the error go to standard output."""
-    found: tuple[Any, Any]
+    arrays: list[Any] = []
     try:
-        found = _parse_hdf5(sys.stdin.buffer.read(), source), None
+        reply = ["", _packed(_parse_hdf5(sys.stdin.buffer.read(), source), arrays)]
     except Exception as error:
-        found = None, error
-    sys.stdout.buffer.write(pickle.dumps(found, protocol=5))
+        reply = [type(error).__name__, getattr(error, "name", None) or first_line(error)]
+    stream = io.BytesIO()  # NumPy asks a file where it stands, which a pipe cannot say
+    stream.write(json.dumps(reply).encode() + b"\n")
+    for array in arrays:
+        np.save(stream, array, allow_pickle=False)
+    sys.stdout.buffer.write(stream.getbuffer())
+
+
+def _missing(package: str) -> ModuleNotFoundError:
+    return ModuleNotFoundError(f"No module named {package!r}", name=package)
+
+
+def _packed(value: Any, arrays: list[Any]) -> Any:
+    """A variable as JSON knows it, its arrays of numbers and text in a list beside it."""
+    if isinstance(value, dict):
+        return {name: _packed(entry, arrays) for name, entry in value.items()}
+    if isinstance(value, bytes | str) or value is None:
+        return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    value = np.asarray(value)
+    if value.dtype.hasobject:
+        return [value.shape, *(_packed(entry, arrays) for entry in value.ravel())]
+    arrays.append(value)
+    return 0
+
+
+def _unpacked(packed: Any, stream: io.BytesIO) -> Any:
+    if isinstance(packed, dict):
+        return {name: _unpacked(entry, stream) for name, entry in packed.items()}
+    if packed == 0:
+        return np.load(stream, allow_pickle=False)
+    if isinstance(packed, list):
+        cells = np.empty(packed[0], dtype=object)
+        for index, entry in zip(np.ndindex(cells.shape), packed[1:]):
+            cells[index] = _unpacked(entry, stream)
+        return cells
+    return packed
 
 
 def _parse_hdf5(content: bytes, source: str) -> dict[str, Any]:
