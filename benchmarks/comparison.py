@@ -163,9 +163,18 @@ def compare(
 def _add_cost(folder: Path, wall: float, workers: int) -> None:
     """cost.json: what the runs took so far, every resumption added; not part of what is bound to the settings."""
     file = folder / "cost.json"
-    before = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    try:
+        before = float(json.loads(file.read_text(encoding="utf-8"))["wall_seconds"])
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        RecursionError,
+    ):  # none yet, or damaged: no result is in it
+        before = 0.0
     cost = {
-        "wall_seconds": round(before.get("wall_seconds", 0.0) + wall, 1),
+        "wall_seconds": round(before + wall, 1),
         "workers": workers,
         "megabytes_of_parts": round(sum(p.stat().st_size for p in folder.glob("parts/*")) / 1e6, 1),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}",

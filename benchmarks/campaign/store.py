@@ -107,7 +107,12 @@ class Store:
     def _settings_of(file: Path) -> dict[str, Any]:
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
-            return {"settings": dict(content["settings"]), "versions": dict(content["versions"])}
+            found = {"settings": dict(content["settings"]), "versions": dict(content["versions"])}
+            for name in CONTENTS:
+                dict(
+                    found["settings"].get(name, ())
+                )  # pairs of names and digests, as `difference` takes them
+            return found
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             raise CampaignError(
                 f"{file.parent} is not empty and holds no readable campaign.json; give a new or empty folder as --out. "
@@ -153,6 +158,9 @@ class Store:
         try:
             with open_parquet(path) as file:
                 made = json.loads(file.schema_arrow.metadata[MADE])
+                allowed = made["time_limit"]
+                made["time_limit"] = float("inf") if allowed is None else float(allowed)
+                made["given_up"] = int(made["given_up"])
                 why = self._foreign(made, key) or ("" if file.metadata.num_rows else "is empty")
                 result = made
                 if values and not why:

@@ -114,9 +114,9 @@ def _efficiencies_text(plant: Plant, payload: dict[str, Any]) -> str:
             "name the ones that matter in `free`"
         )
     values = {k: payload[f"{k.lower()}_efficiency"] for k in CRITERIA}
-    return ", ".join(
-        f"{WORDS[k]} {v:.5f}" if v >= PLAIN or v != v else f"{WORDS[k]} {v:.3g}" for k, v in values.items()
-    )
+    said = {k: f"{v:.5f}" if v >= PLAIN else f"{v:.3g}" for k, v in values.items()}
+    said |= {k: "not defined (the peak is not unique)" for k, v in values.items() if v != v}
+    return ", ".join(f"{WORDS[k]} {words}" for k, words in said.items())
 
 
 def _finite_text(payload: dict[str, Any]) -> str:

@@ -283,7 +283,7 @@ def solve_excess(power: Callable[[float], float], upper: float) -> float:
                 "give a larger noise variance, or scale the plant."
             )
     f = lambda log_delta: power(float(np.exp(log_delta))) - 1
-    if lower == upper:
+    if lower == upper or f(np.log(upper)) >= 0:  # to rounding: the gap is nothing beside the noise
         return float(upper)
     return float(np.exp(np.asarray(brentq(f, np.log(lower), np.log(upper), xtol=1e-15))))
 

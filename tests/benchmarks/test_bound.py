@@ -101,6 +101,45 @@ def test_a_part_from_elsewhere_is_named_and_computed_again(tmp_path, kind, capsy
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "change",
+    [{"given_up": 5, "time_limit": "x"}, {"given_up": "x"}, {"digest": 3}, {"versions": 3}, {"settings": {"contents": [3]}},
+     {"key": []}, {"time_limit": []}],
+    ids=str,
+)  # fmt: skip
+def test_a_part_that_says_nonsense_of_itself_is_computed_again(tmp_path, change, capsys):
+    whole = run_campaign(SMALL, 2, tmp_path, jobs=1)
+    path = sorted((tmp_path / "parts").iterdir())[0]
+    with store_module.open_parquet(path) as file:
+        table = store_module.read_columns(file)
+    made = json.loads(table.schema.metadata[store_module.MADE]) | change
+    altered = table.replace_schema_metadata({store_module.MADE: json.dumps(made).encode()})
+    path.write_bytes(store_module.table_bytes(altered))
+    assert bits(run_campaign(SMALL, 2, tmp_path, jobs=1)) == bits(whole)
+    assert f"{path.name} is" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", ["3", "[3]", '{"a": {}, "b": 3}', "null"])
+def test_settings_that_are_none_are_no_campaign(tmp_path, content):
+    run_campaign(SMALL, 2, tmp_path, jobs=1)
+    file = tmp_path / "campaign.json"
+    for name in ("contents", "sources"):
+        said = json.loads(file.read_text())
+        file.write_text(json.dumps(said | {"settings": said["settings"] | {name: json.loads(content)}}))
+        with pytest.raises(CampaignError, match="no readable campaign.json|other settings"):
+            run_campaign(SMALL, 2, tmp_path, jobs=1)
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"wall_seconds": {}}', "[" * 100_000])
+def test_a_damaged_account_of_the_cost_begins_anew(tmp_path, content):
+    from benchmarks.comparison import _add_cost
+
+    (tmp_path / "cost.json").write_text(content)
+    _add_cost(tmp_path, 2.5, 1)
+    _add_cost(tmp_path, 1.0, 1)
+    assert json.loads((tmp_path / "cost.json").read_text())["wall_seconds"] == 3.5
+
+
 def test_no_flipped_bit_changes_a_number(tmp_path):
     """Checksums of pages do not cover a file's end, the digest of the values does not cover its metadata: together all."""
     store = fill_store(SMALL, 2, tmp_path, jobs=1)

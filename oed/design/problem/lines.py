@@ -202,7 +202,7 @@ def _price(
         return Prices(ratio, np.ones((K, 1), dtype=complex))
     E = E.reshape(X.shape[1], *flat.shape[1:])
     cost = np.einsum("j,kjqr->kqr", nu, forms)
-    C = np.moveaxis(E[:, 0] + 1j * E[:, 1], 1, 0).reshape(K, -1, q)
+    C = np.moveaxis(E[:, 0] + 1j * E[:, 1], 1, 0).reshape(K, X.shape[1] * r, q)
     S = C.conj().swapaxes(1, 2) @ C
     values, vectors = np.linalg.eigh(cost)
     floor = 1e-14 * np.maximum(values[:, -1:], 1e-300)

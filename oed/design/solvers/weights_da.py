@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from oed.criteria import Criterion
 from oed.criteria.determinant import Determinant
 from oed.design.problem.lines import Columns
-from oed.errors import Status
+from oed.errors import SolverFailure, Status
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +47,16 @@ def interior_point(
     M = constant + (flat * np.repeat(x[:m], r)) @ flat.T
     # A trace has no natural size: its value at the start is the unit.
     scale = 1.0
-    if not criterion.logarithmic:
-        half = _inverse_root(M) @ criterion.columns
-        scale = 1 / criterion.of_covariance(half.T @ half)
-    gradient, hessian, X = _derivatives(flat, r, M, criterion, scale)
+    try:
+        if not criterion.logarithmic:
+            half = _inverse_root(M) @ criterion.columns
+            scale = 1 / criterion.of_covariance(half.T @ half)
+        gradient, hessian, X = _derivatives(flat, r, M, criterion, scale)
+    except np.linalg.LinAlgError:
+        raise SolverFailure(
+            "the information of all lines together has no inverse in double precision: the sizes of the plant's gains or its "
+            "poles are too far apart for this criterion; scale its channels, or leave parameters out of `free`."
+        ) from None
     worth = max(float(-gradient @ x[:m]), 1e-300)
     y = np.empty_like(x)
     y[m:] = worth / len(Q)

@@ -230,3 +230,24 @@ def test_rows_and_products_give_the_same_losses():
 def test_noise_that_no_double_holds_beside_the_gain():
     with pytest.raises(SolverFailure, match="too little beside the gains"):
         limit_spectrum(Plant([0.0, 1e45], [1.0, -0.5], noise_covariance=1e-90))
+
+
+def _two_by_two(first: list[float], last: list[float]) -> Plant:
+    """Two inputs and outputs, with the denominators of two of the channels."""
+    num = [[[0, 1], [0, 2]], [[0, 1], [0, 3]]]
+    return Plant(num, [[first, [1]], [[1, -0.2], last]], noise_covariance=[[2.0, 1], [1, 3]])
+
+
+def test_noise_beyond_every_gain_leaves_white_noise():
+    """mu^2 - gamma^2 is then the power of the noise itself, to rounding."""
+    plant = Plant([0, 0.2155, 0.2012], [1, -0.9854, 0.8187], noise_covariance=2.0, noise_num=[1, 1e12], noise_den=[1, -0.3],
+                  free=["b1"])  # fmt: skip
+    limit = limit_spectrum(plant)
+    assert np.isclose(limit.mu2_excess, 2 * (1 + (1e12 + 0.3) ** 2 / (1 - 0.09)), rtol=1e-9)
+
+
+def test_gains_nine_decades_apart_are_a_design_or_a_line():
+    """A peak on the last line of a grid leaves no maximum between lines; A has no digits left."""
+    assert solve_design(_two_by_two([1, -0.5], [1, 0.999999999]), "hinf").gap < 1e-6
+    with pytest.raises(SolverFailure, match="no inverse in double precision"):
+        solve_design(_two_by_two([1, 0.999999999], [1, 0.3]), "A")
