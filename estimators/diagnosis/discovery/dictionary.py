@@ -40,6 +40,10 @@ class Kind:
 
 
 SHARP = 0.03  # width of a softened sign, in standard deviations of its signal
+SAME, BESIDE = (
+    1e-3,
+    0.01,
+)  # a sign is as wide as its nearest samples are far, those on its centre left out: between few levels nothing says where it jumps
 QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # where hinges start
 PERIODS = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # wave numbers per standard deviation
 SLOW = (8.0, 32.0, 128.0)  # time constants of slow states in samples over the model's own
@@ -81,7 +85,9 @@ def _functions(name: str, x: Array, zero: float, rest: float) -> list[Factor]:
     out = [Factor(Kind.SQUARE, name, mid), Factor(Kind.CUBE, name, mid)]
     centres = {round(c, 9) for c in (zero, rest) if low + 0.02 * span < c < high - 0.02 * span}
     for c in sorted(centres):
-        out += [Factor(Kind.ABS, name, c), Factor(Kind.SIGN, name, c, SHARP * spread)]
+        off = np.abs(x - c)[np.abs(x - c) > SAME * spread]
+        width = max(SHARP * spread, float(np.quantile(off, BESIDE)) if len(off) else spread)
+        out += [Factor(Kind.ABS, name, c), Factor(Kind.SIGN, name, c, width)]
         out += [Factor(Kind.SIGNED_SQUARE, name, c), Factor(Kind.SIGNED_ROOT, name, c)]
         out += [Factor(Kind.CUBE, name, c)] if abs(c - mid) > 0.1 * spread else []
         out += [Factor(Kind.BELL, name, c, w * spread, (False, True)) for w in (0.15, 0.5, 1.0)]

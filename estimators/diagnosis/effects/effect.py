@@ -19,14 +19,16 @@ from numpy.typing import NDArray
 from oed.errors import InputError
 
 Array = NDArray[Any]
-TYPICAL = (
-    0.03,
-    0.1,
-    0.3,
-)  # rates per sample at which most rigs are sampled: a model without the effect may show none of them
+TYPICAL = (0.03, 0.1, 0.3)
+"""Rates per sample at which most rigs are sampled: a model without the effect may show none of them."""
 OPERATING = 0.5  # mean of an input in standard deviations, beyond which it stands on an operating level
 Grid = tuple[list[list[float]], list[float]]
 """Parameter vectors to start from, and the typical size of each parameter."""
+
+
+def numbered(names: Mapping[str, str], count: int) -> list[tuple[str, str]]:
+    """Names and units of parameters that come several times over."""
+    return [(f"{name}{i + 1}", unit) for i in range(count) for name, unit in names.items()]
 
 
 class Nature(StrEnum):

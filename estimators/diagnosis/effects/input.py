@@ -9,8 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
-from estimators.diagnosis.effects.names import numbered
+from estimators.diagnosis.effects.effect import (
+    Clock,
+    Effect,
+    Grid,
+    Nature,
+    Sizes,
+    Slot,
+    level_before,
+    numbered,
+)
 
 Array = NDArray[Any]
 
@@ -62,15 +70,15 @@ def _hinges(x: Array, p: Array, clock: Clock) -> Array:
 
 
 def _rate_limited(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import rate_limited_mean
+    from estimators.diagnosis.effects.recursion_kernels import servo_mean
 
-    return rate_limited_mean(np.ascontiguousarray(x), abs(p[0]))
+    return servo_mean(np.ascontiguousarray(x), abs(p[0]), abs(p[0]), 0.0, level_before(x))
 
 
 def _rate_limited_samples(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.recursion_kernels import rate_limited
 
-    return rate_limited(np.ascontiguousarray(x), abs(p[0]))
+    return rate_limited(np.ascontiguousarray(x), abs(p[0]), level_before(x))
 
 
 def _play(x: Array, p: Array, clock: Clock) -> Array:
@@ -135,7 +143,7 @@ def _rates(s: Sizes) -> Grid:
     jump = jump[jump > 1e-9 * s.su]
     wide = float(np.ptp(s.u))
     moving = quantiles(jump, 0.9, 0.7, 0.4) if len(jump) else []
-    return moving + [[wide / m] for m in (1.3, 2, 3, 5, 8, 12, 20)], [s.su]
+    return moving + [[wide / m] for m in (1.3, 2, 3, 5, 8, 12, 20, 32, 50)], [s.su]
 
 
 def _widths(s: Sizes) -> Grid:

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot
+from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, numbered
 from estimators.diagnosis.effects.input import broken_line, dead_zone, exponential, quantiles, sigmoid
-from estimators.diagnosis.effects.names import numbered
 
 Array = NDArray[Any]
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
-from estimators.diagnosis.effects.names import numbered
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before, numbered
 
 Array = NDArray[Any]
 

@@ -62,29 +62,29 @@ def sticky(signal, stays, left, start):  # pragma: no cover - compiled
 
 
 @compiled
-def rate_limited_mean(signal, rate):  # pragma: no cover - compiled
-    """Mean over each sample interval of an actuator that follows a held command at a limited rate."""
+def servo_mean(signal, up, down, lag, start):  # pragma: no cover - compiled
+    """Mean over each sample interval of an actuator that nears a held command as a first-order lag, but no faster than `up`
+    and `down` per sample; it stands at `start` before the record."""
     out = np.empty_like(signal)
-    v = 0.0
+    v = start
     for k in range(signal.shape[0]):
-        gap = signal[k] - v
-        distance = abs(gap)
-        if distance <= rate:
-            # it arrives after distance/rate of the interval and then rests
-            out[k] = signal[k] - 0.5 * gap * distance / rate if rate > 0 else signal[k]
-            v = signal[k]
-        else:
-            move = rate if gap > 0 else -rate
-            out[k] = v + 0.5 * move
-            v += move
+        side = 1.0 if signal[k] > v else -1.0
+        rate = max(up if signal[k] > v else down, 1e-300)
+        gap = abs(signal[k] - v)
+        # at its full rate for a part of the interval, until the lag asks for less
+        full = min(max(gap / rate - lag, 0.0), 1.0)
+        left = gap - rate * full
+        near = np.exp(-(1.0 - full) / max(lag, 1e-300))
+        out[k] = signal[k] - side * (0.5 * (gap + left) * full + left * lag * (1.0 - near))
+        v = signal[k] - side * left * near
     return out
 
 
 @compiled
-def rate_limited(signal, rate):  # pragma: no cover - compiled
+def rate_limited(signal, rate, start):  # pragma: no cover - compiled
     """Command that changes by at most `rate` from one sample to the next, and is held between them."""
     out = np.empty_like(signal)
-    v = 0.0
+    v = start
     for k in range(signal.shape[0]):
         v += min(max(signal[k] - v, -rate), rate)
         out[k] = v

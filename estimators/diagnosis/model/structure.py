@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.effect import Clock, Effect, level_before
-from estimators.diagnosis.effects.names import numbered
+from estimators.diagnosis.effects.effect import Clock, Effect, level_before, numbered
 from estimators.diagnosis.model.layouts import LAYOUTS, STEPS
 
 Array = NDArray[Any]

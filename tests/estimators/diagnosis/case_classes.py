@@ -232,6 +232,25 @@ def heated_gain(u, a):
     return _linear(u * (1.0 + 0.4 * a * warm))
 
 
+def steered(u, a):
+    """A servo that rises and falls at limited speeds of its own; its mean over a sample acts."""
+    x, out = u[0], np.zeros(len(u))
+    for k, value in enumerate(u):
+        for _ in range(FINE):
+            speed = 0.5 * (value - x)
+            x += (min(max(speed, -0.25), 0.15) if a else speed) / FINE
+            out[k] += x / FINE
+    return _linear(out)
+
+
+def stairs(u, a):
+    return _linear(0.8 * np.round((u - 0.1) / 0.8) if a else u)
+
+
+def swaying(u, a):
+    return _linear(u * (1.0 + 0.5 * a * np.cos(0.05 * np.arange(len(u)) + 1.0)))
+
+
 def modulated_flow(u, a):
     """The second input is a valve in the way of the first."""
     flow = u[:, 0] * u[:, 1]
@@ -299,7 +318,8 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "gain_heat": (heated_gain, 2, {}),
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
-    "sweep": (sweep, 2, {}),
+    "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
+    "gain_periodic": (swaying, 2, {}),
     "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "bilinear": (carried_off, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "stiffness_cubic": (pushed_twice, 2, {"inputs": 2}), "pendulum of two": (pendulum_of_two, 2, {"size": 0.35, "inputs": 2}),
@@ -314,4 +334,5 @@ LOOKALIKES = {
     "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",
     "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
+    "rate_limit_servo": "rise_and_fall", "input_staircase": "input_kink", "gain_periodic": "gain_heat",
 }  # fmt: skip

@@ -40,6 +40,8 @@ NAMED = {
     "late": ("tf", [("delay", [2.4])], {"delay": 3}),
     "play": ("tf", [("backlash_input", [0.4, -0.5]), ("backlash_sampled", [0.1])], {}),
     "rate": ("tf", [("rate_limit", [0.5]), ("lag", [0.6])], {"rest": False}),
+    "two rates": ("tf", [("rate_limit_servo", [0.5, 0.2, 0.7])], {"rest": False}),
+    "staircase in time": ("tf", [("input_staircase", [0.4, 0.1]), ("gain_periodic", [0.2, 0.3, 0.1])], {}),
     "sampled rate": ("tf", [("rate_limit_sampled", [0.5])], {}),
     "stem": ("tf", [("stiction", [0.5, 0.3, 0.7])], {"ahead": True, "rest": False}),
     "bends": ("tf", [("hysteresis", [0.6, 0.5])], {}),
@@ -117,7 +119,7 @@ def test_a_named_answer_is_its_twin(name):
         assert np.abs(run - plain).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", ["maps", "rate", "heat", "vessel", "springs"])
+@pytest.mark.parametrize("name", ["maps", "rate", "two rates", "heat", "vessel", "springs"])
 def test_a_named_answer_settles_under_an_operating_level_as_the_simulation_does(name):
     layout, effects, options = NAMED[name]
     _held(_model(_named(layout, effects, options | {"rest": False})), level=1.5)

@@ -13,8 +13,8 @@ from estimators.diagnosis.effects.recursion_kernels import (
     hinges,
     play,
     rate_limited,
-    rate_limited_mean,
     rational,
+    servo_mean,
 )
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.model import fitting, simulation
@@ -40,7 +40,7 @@ CURVES = {
     "output_clip": lambda x, a, b: min(max(x, -a), a), "output_clip_upper": lambda x, a, b: min(x, a),
     "output_clip_lower": lambda x, a, b: max(x, a), "output_absolute": lambda x, a, b: x + a * abs(x),
     "output_dead_zone": lambda x, a, b: x - a if x > a else x + a if x < -a else 0.0,
-    "offset": lambda x, a, b: x + a,
+    "offset": lambda x, a, b: x + a, "input_staircase": lambda x, a, b: b + a * round((x - b) / a),
 }  # fmt: skip
 TIMED = {
     "gain_change": ([0.3, 70.4], lambda x, k, p: x * (1 + p[0] * min(max(k - p[1], 0), 1))),
@@ -48,6 +48,10 @@ TIMED = {
     "step_output": ([0.3, 70.4], lambda x, k, p: x + p[0] * min(max(k - p[1], 0), 1)),
     "tones": ([0.2, 0.5, -0.4], lambda x, k, p: x + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k)),
     "drift": ([0.1, 0.7], lambda x, k, p: x + p[0] + p[1] * k / 150),
+    "gain_periodic": (
+        [0.2, 0.5, -0.4],
+        lambda x, k, p: x * (1 + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k)),
+    ),
     "gain_drift": ([0.4], lambda x, k, p: x * (1 + p[0] * k / 150)),
 }
 
@@ -112,11 +116,23 @@ def test_lag_delay_and_hinges_agree_with_casadi():
     )
 
 
-def test_rate_limit_agrees_with_casadi():
-    u = np.repeat(np.random.default_rng(4).standard_normal(60), 5)
-    after, mean = terms.rate_step().mapaccum(300)(0.0, u[None, :], 0.31)
-    np.testing.assert_allclose(rate_limited_mean(u, 0.31), np.array(mean).ravel(), atol=1e-12)
-    np.testing.assert_allclose(rate_limited(u, 0.31), np.array(after).ravel(), atol=1e-12)
+@pytest.mark.parametrize("lag", [0.0, 0.4, 3.0])
+def test_a_limited_servo_agrees_with_casadi_and_with_its_differential_equation(lag):
+    u, v, fine = np.repeat(np.random.default_rng(4).standard_normal(20), 3), 0.2, []
+    after, mean = terms.servo_step().mapaccum(60)(0.2, u[None, :], 0.31, 0.17, lag)
+    ours = servo_mean(u, 0.31, 0.17, lag, 0.2)
+    np.testing.assert_allclose(ours, np.array(mean).ravel(), atol=1e-12)
+    for value in u:  # Euler steps of v' = (u - v)/lag within -0.17 and 0.31
+        x, v = v, np.empty(2000)
+        for i in range(2000):
+            v[i] = x
+            x += min(max((value - x) / max(lag, 1e-3), -0.17), 0.31) / 2000
+        fine.append(v.mean())
+        v = x
+    np.testing.assert_allclose(ours, fine, atol=1e-3)
+    if lag == 0.0:
+        after, _ = terms.servo_step().mapaccum(60)(0.2, u[None, :], 0.31, 0.31, lag)
+        np.testing.assert_allclose(rate_limited(u, 0.31, 0.2), np.array(after).ravel(), atol=1e-12)
 
 
 INSIDE = {

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import best_linear
 from estimators.diagnosis.discovery import DiscoveredModel, discover, recursion_kernels
-from estimators.diagnosis.discovery.dictionary import Kind
+from estimators.diagnosis.discovery.dictionary import SHARP, Kind, candidates
 from estimators.diagnosis.discovery.form import FREE, Assembly, Factor, Form, Term
 from estimators.diagnosis.discovery.screening import screen
 from estimators.diagnosis.discovery.starts import linear_fit, pieces_of, scales_of
@@ -202,3 +202,15 @@ def test_the_inverse_of_a_controller_that_answers_at_once_is_no_discovery() -> N
         x = 0.8 * x + 0.2 * u[k]
     record = Record(u, y)
     assert not discover([record], best_linear([record]), "quick").found
+
+
+def test_a_sign_is_no_sharper_than_the_input_tells():
+    """Between nine levels nothing says where it jumps: a sharp one fits them and is anything on an input in between."""
+    rng = np.random.default_rng(4)
+    form = Form((1,), 1, (0.3,), (0.0,), ())
+    dense, y = rng.standard_normal(3000), rng.standard_normal(3000)
+    for u, low, high in ((dense, SHARP, 1.1 * SHARP), (0.5 * np.round(dense / 0.5), 0.5, 0.51)):
+        found = candidates(form, {"y0": y, "v0": y, "u0": u}, {"y0": 0.0, "u0": 0.0}, 10.0)
+        widths = [c.terms[0].factors[0].q for c in found if c.key == ((Kind.SIGN, "u0"),)]
+        assert widths
+        assert all(low * np.std(u) * 0.9 < w < high * 1.1 for w in widths)

@@ -34,10 +34,10 @@ def _play(w: Wiring, x: Any, p: Array) -> Any:
     return s.after
 
 
-def _rate(which: int) -> Callable[[Wiring, Any, Array], Any]:
+def _servo(which: int) -> Callable[[Wiring, Any, Array], Any]:
     def limited(w: Wiring, x: Any, p: Array) -> Any:
-        s = w.state()
-        out = terms.rate_step()(s.x, x, abs(p[0]))
+        s = w.state(w.value(x))
+        out = terms.servo_step()(s.x, x, abs(p[0]), abs(p[len(p) // 2]), abs(p[2]) if len(p) > 2 else 0.0)
         s.after = out[0]
         return out[which]
 
@@ -104,8 +104,8 @@ def _line_from_origin(w: Wiring, x: Any, p: Array) -> Any:
 
 
 TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
-    "backlash_input": _play, "backlash_sampled": _play, "rate_limit": _rate(1), "rate_limit_sampled": _rate(0),
-    "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
+    "backlash_input": _play, "backlash_sampled": _play, "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
+    "rate_limit_servo": _servo(1), "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
     "output_lines": _line_from_origin,
 }  # fmt: skip

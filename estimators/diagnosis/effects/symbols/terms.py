@@ -93,17 +93,22 @@ def hinges_term(corners: int) -> Any:
     return ca.Function("hinges", [x, c], [total])
 
 
-def rate_step() -> Any:
-    """CasADi function (v, command, rate) -> (next v, mean over the interval) of a rate-limited actuator.
+def servo_step() -> Any:
+    """CasADi function (v, command, up, down, lag) -> (next v, mean over the interval), as in `recursion_kernels.servo_mean`.
 
-    Where the command itself is limited from sample to sample, the next v is what acts."""
+    Where the command itself is limited from sample to sample, the next v without a lag is what acts."""
     import casadi as ca
 
-    v, u, r = ca.SX.sym("v"), ca.SX.sym("u"), ca.SX.sym("r")
-    gap = u - v
-    reached = ca.fabs(gap) <= r
-    mean = ca.if_else(reached, u - 0.5 * gap * ca.fabs(gap) / r, v + 0.5 * r * ca.sign(gap))
-    return ca.Function("rate", [v, u, r], [v + _clip(ca, gap, -r, r), mean])
+    v, u, up, down, lag = (ca.SX.sym(name) for name in ("v", "u", "up", "down", "lag"))
+    gap = ca.fabs(u - v)
+    rate = ca.if_else(u > v, up, down)
+    full = _clip(ca, gap / rate - lag, 0, 1)
+    left = gap - rate * full
+    near = ca.exp((full - 1) / ca.fmax(lag, 1e-300))
+    missed = 0.5 * (gap + left) * full + left * lag * (1 - near)
+    return ca.Function(
+        "servo", [v, u, up, down, lag], [u - ca.sign(u - v) * at for at in (left * near, missed)]
+    )
 
 
 def dry_friction_term() -> Any:

@@ -1,0 +1,242 @@
+"""Effects at the input whose shape is found by a profile: a servo of two speeds, a staircase, a gain that is periodic in time.
+
+Their likelihood has many minima over the shape, and poles that bent to imitate them hide which is the right one: every shape
+of a grid has the linear part made anew before the shapes are compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import find_peaks, lfilter
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
+
+Array = NDArray[Any]
+FIRM = 60.0
+"""Likelihood ratio of the best shape of a grid, against the linear model, below which nothing is fitted: chance over some
+hundred shapes of three parameters reaches 25 in white noise, twice that in a coloured one."""
+PACES = tuple(1.5 ** np.arange(1, 11))
+"""Samples that a limited actuator takes across its input's range, that are tried: quicker ones are hardly limited."""
+RATIOS, LAGS = (0.5, 0.7, 1.0, 1.4, 2.0), (0.0, 1.5)
+"""Of the rate down to the rate up, and lags in samples, that are tried."""
+BEGUN, ENDED = 6, 2
+"""Shapes that a few steps are made from, and those of them that are fitted to the end."""
+FINEST = 30.0
+"""Steps across the input's range: finer ones leave a hundredth of it as an error."""
+CROSSED = 0.02
+"""Of a step, by which it and its level are moved for a derivative: as many samples cross an edge that their number says something."""
+COARSE = 0.1
+"""Power of its step by which a staircase is preferred: on an input of few levels, finer ones are the same."""
+HARMONIC = (0.5, 1.6)
+"""Size of a sawtooth's first harmonic, over what its step says, from which on it may be one: whatever else a residual has in
+common with a wave over the input's levels has any size."""
+WHOLE = (0.85, 1.15, 61)
+"""Steps that are tried with a level at zero, over the one found: from, to, how many."""
+LEAST_TURNS = 1.2
+"""Of a gain in a record: fewer are a drift."""
+
+
+def _servo(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.recursion_kernels import servo_mean
+
+    up, down, lag = (abs(float(v)) for v in p)
+    return servo_mean(np.ascontiguousarray(x), up, down, lag, level_before(x))
+
+
+def _stairs(x: Any, p: Array, clock: Clock) -> Any:
+    step = abs(p[0]) + 1e-300
+    return p[1] + step * np.floor((x - p[1]) / step + 0.5)
+
+
+def _swaying(x: Any, p: Array, clock: Clock) -> Any:
+    if not LEAST_TURNS <= abs(p[0]) * clock.length / (2.0 * np.pi) <= 0.5 * clock.length:
+        return 0.0 * x + np.inf
+    return x * (1.0 + p[1] * np.cos(p[0] * clock.k) + p[2] * np.sin(p[0] * clock.k))
+
+
+def _profile(
+    channel: Any, base: Any, part: Any, shapes: Iterable[Any], start: Array | None = None
+) -> list[tuple[float, Array]]:
+    """(sum of squares, parameters) of each shape with the numerators made for it, the best first."""
+    from estimators.diagnosis.model.linear import relinearised
+    from estimators.diagnosis.model.simulation import simulate
+
+    s, found = base.structure.adding(part), []
+    for shape in shapes:
+        p = np.concatenate((base.p if start is None else start[: len(base.p)], shape))
+        p = p if (again := relinearised(channel, s, p)) is None else again
+        y = simulate(s, p, channel.u, channel.clock)
+        if np.all(np.isfinite(y)):
+            found.append((float(np.sum((channel.y - y)[channel.keep] ** 2)), p))
+    return sorted(found, key=lambda entry: entry[0])
+
+
+def _firm(base: Any, left: float) -> bool:
+    """Whether a sum of squares is that much below the base model's."""
+    return base.n * float(np.log(float(np.sum(base.residual**2)) / max(left, 1e-300))) > FIRM
+
+
+def _ended(channel: Any, base: Any, part: Any, starts: Iterable[Array], sizes: list[float]) -> Iterator[Any]:
+    """The best of the starts after a few steps, fitted to the end."""
+    from estimators.diagnosis.model.fitting import fit
+
+    s, scales = base.structure.adding(part), np.concatenate((base.scales, sizes))
+    begun = [fit(channel, s, p, scales, noise=base.noise, iterations=10, colour=False) for p in starts]
+    for f in sorted(begun, key=lambda f: f.deviance)[:ENDED]:
+        yield fit(channel, s, f.p, scales, noise=base.noise, iterations=30)
+
+
+def _servos(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    from estimators.diagnosis.model.structure import Part
+
+    for j in base.structure.inputs if base.structure.layout == "tf" else ():
+        part, wide = Part(SERVO, j), float(np.ptp(channel.u[:, j]))
+        grid = ([wide / m, q * wide / m, lag] for m in PACES for q in RATIOS for lag in LAGS)
+        tried = _profile(channel, base, part, grid)
+        if tried and _firm(base, tried[0][0]):
+            su = float(np.std(channel.u[:, j]))
+            yield from _ended(channel, base, part, (p for _, p in tried[:BEGUN]), [su, su, 1.0])
+
+
+def _through(base: Any, j: int, x: Array) -> Array:
+    """Signals (N, ...) through the linear part of input j, and its noise model's inverse."""
+    s = base.structure
+    at = s.order + s.inputs.index(j) * s.taps
+    num = np.concatenate((np.zeros(1 + s.delay), base.p[at : at + s.taps]))
+    out = lfilter(num, np.concatenate(([1.0], base.p[: s.order])), x, axis=0)
+    return np.asarray(
+        lfilter(np.concatenate(([1.0], base.noise)), [1.0], out, axis=0) if len(base.noise) else out
+    )
+
+
+def _left(channel: Any, base: Any) -> tuple[Array, Array]:
+    """The residual, white and free of what the model's parameters can take up, and the orthonormal directions of these."""
+    from estimators.diagnosis.model.fitting import innovations
+
+    Q = np.linalg.qr(base.jacobian)[0] if base.jacobian.size else np.zeros((len(channel), 0))
+    r = innovations(np.where(channel.keep, base.residual, 0.0), base.noise)
+    return r - Q @ (Q.T @ r), Q
+
+
+def _highest(gains: Array, count: int) -> Array:
+    """Where a curve has its highest peaks."""
+    at = find_peaks(np.concatenate(([-1.0], gains, [-1.0])))[0] - 1
+    return at[np.argsort(-gains[at])[:count]]
+
+
+def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """What the residual has in common with the linear response to the input times a rotation, at all frequencies at once: the
+    response's correlation with the residual is a transform of the input times the residual run backwards through the model."""
+    from estimators.diagnosis.model.simulation import acted
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import renewed
+
+    s, n, k = base.structure, len(channel), channel.clock.k
+    U = acted(s, base.p, channel.u, channel.clock) if s.layout == "tf" and n >= 100 else None
+    for j in s.inputs if U is not None else ():
+        part, u, (r, Q) = Part(SWAY, j), U[:, s.inputs.index(j)], _left(channel, base)
+        pad = 8 * n
+        back = _through(base, j, r[::-1])[::-1]
+        g = _through(base, j, np.eye(1, n)[0])
+        auto = lambda x: np.fft.irfft(np.abs(np.fft.rfft(x, 2 * n)) ** 2)[:n]
+        power = 2.0 * np.fft.rfft(auto(g) * auto(u), pad).real - auto(g)[0] * auto(u)[0]
+        common = 2.0 * np.abs(np.fft.rfft(u * back, pad)) ** 2 / np.maximum(power, 1e-9 * power.max())
+        common[: int(np.ceil(LEAST_TURNS * pad / n))] = 0.0
+        starts = []
+        for w in 2.0 * np.pi * _highest(common, 3) / pad:
+            D = _through(base, j, u[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1))
+            D -= Q @ (Q.T @ D)
+            c = np.linalg.lstsq(D, r, rcond=None)[0]
+            if base.n * float(np.log(float(r @ r) / float(np.sum((r - D @ c) ** 2)))) > FIRM:
+                p = np.concatenate((base.p, [w], c))
+                starts += [p, *renewed(channel, s.adding(part), p)]
+        yield from _ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0])
+
+
+def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """A staircase is its input less a sawtooth, whose first harmonic over the input's levels tells step and level: the step of
+    most in common with the residual is taken, then both are moved as long as the error falls, as they have no derivative."""
+    from estimators.diagnosis.model.simulation import acted
+    from estimators.diagnosis.model.structure import Part
+
+    s = base.structure
+    U = acted(s, base.p, channel.u, channel.clock) if s.layout == "tf" else None
+    for j in s.inputs if U is not None else ():
+        part, u, (r, Q) = Part(STAIRS, j), U[:, s.inputs.index(j)], _left(channel, base)
+        wide = float(np.ptp(u))
+        if wide <= 0.0:
+            continue
+        waves = np.arange(1.0, FINEST, 0.25) / wide
+        turn = 2.0 * np.pi * np.outer(u, waves)
+        D = _through(base, j, np.concatenate((np.sin(turn), np.cos(turn)), axis=1))
+        D -= Q @ (Q.T @ D)
+        sin, cos = D[:, : len(waves)], D[:, len(waves) :]
+        a, b, c = np.sum(sin**2, axis=0), np.sum(sin * cos, axis=0), np.sum(cos**2, axis=0)
+        x, y, d = sin.T @ r, cos.T @ r, np.maximum(a * c - b**2, 1e-9 * a * c + 1e-300)
+        first, second = (c * x - b * y) / d, (a * y - b * x) / d
+        gains = first * x + second * y
+        found: list[tuple[float, Any]] = []
+        for at in _highest(gains / waves**COARSE, 3):
+            step, size = 1.0 / waves[at], float(np.hypot(first[at], second[at]))
+            promise = -base.n * float(np.log(max(1.0 - gains[at] / float(r @ r), 1e-12)))
+            if promise < FIRM or not HARMONIC[0] < size * np.pi / step < HARMONIC[1]:
+                continue
+            level = step / (2.0 * np.pi) * float(np.arctan2(second[at], -first[at]))
+            level += step * np.round(
+                (np.mean(u) - level) / step
+            )  # near the mean, where it hangs on the step least
+            found += _moved(channel, base, part, (step, level))
+            if any(not len(f.noise) for _, f in found):
+                break  # nothing is left that another could explain
+        yield from (f for _, f in sorted(found, key=lambda entry: entry[0])[:1])
+
+
+def _moved(channel: Any, base: Any, part: Any, shape: tuple[float, float]) -> Iterator[tuple[float, Any]]:
+    """The step and level of least error near a first guess, and the poles that they ask for, in turn; last with whole steps
+    from zero. With each fit its deviance, less what whole steps are ahead by: they have no level of their own."""
+    from estimators.diagnosis.search.starts import renewed
+
+    s, f, sizes = base.structure.adding(part), base, [1e6 * CROSSED * shape[0]] * 2
+    for whole in (False, False, True):
+        best, size = _profile(channel, base, part, [shape], f.p)[:1], 0.1 * shape[0]
+        if whole:
+            steps = shape[0] * np.linspace(*WHOLE)
+            tried = _profile(channel, base, part, ([d, d * np.round(shape[1] / d)] for d in steps), f.p)
+            equal = sorted((p[-2], p) for e, p in tried if e < (1.0 + 1e-9) * tried[0][0])
+            best = [(tried[0][0], equal[len(equal) // 2][1])] if equal else []
+        while best and not whole and size > 0.002 * shape[0]:
+            around = ((a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) if a or b)
+            near = _profile(channel, base, part, (best[0][1][-2:] + size * np.array(d) for d in around), f.p)
+            best, size = (near[:1], size) if near and near[0][0] < best[0][0] else (best, 0.5 * size)
+        if not best or not _firm(base, best[0][0]):
+            return
+        starts = [best[0][1], *renewed(channel, s, best[0][1])]
+        f = min(_ended(channel, base, part, starts, [0.0, 0.0] if whole else sizes), key=lambda f: f.deviance)
+        f = replace(f, scales=np.concatenate((base.scales, sizes)))
+        yield f.deviance - whole * float(np.log(f.n)), f
+        shape = abs(float(f.p[-2])), float(f.p[-1])
+
+
+SERVO = Effect(
+    key="rate_limit_servo", cause="rate_limiter", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=20, reversing=True, family="rates",
+    sentence="the actuator nears its command with a lag, and moves no faster than one rate up and another down",
+    parameters={"up": "u/sample", "down": "u/sample", "lag": "sample"}, apply=_servo, search=_servos,
+)  # fmt: skip
+
+STAIRS = Effect(
+    key="input_staircase", cause="input_quantisation", nature=Nature.INPUT_STATIC, slot=Slot.INPUT, trials=300,
+    sentence="the input acts in whole steps: a staircase", parameters={"step": "u", "level": "u"}, apply=_stairs, search=_edges,
+)  # fmt: skip
+
+SWAY = Effect(
+    key="gain_periodic", cause="periodic_gain", nature=Nature.TIME, slot=Slot.INPUT, per_sample=True, family="drifts",
+    sentence="the gain changes periodically: (1 + a cos(w t) + b sin(w t))", apply=_swaying, search=_beats,
+    parameters={"frequency": "rad/sample", "cosine": "1", "sine": "1"},
+)  # fmt: skip
+
+PROFILED = (SERVO, STAIRS, SWAY)

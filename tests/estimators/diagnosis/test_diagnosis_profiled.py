@@ -1,0 +1,113 @@
+"""A servo of two speeds, a staircase, a periodic gain: named and removed; not where something else is periodic, slow or bent."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.diagnosis.effects import Clock, named
+from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.path import INITIAL
+from estimators.diagnosis.loop import diagnose
+from estimators.diagnosis.model.fitting import Channel
+from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.search.candidates import Menu, augmented, refit
+from estimators.diagnosis.search.selection import significance
+from oed.data import Record
+from tests.estimators.diagnosis.case_classes import CLASSES, PLANT, excitation
+
+PROFILED = ("rate_limit_servo", "input_staircase", "gain_periodic")
+N = 800
+
+
+def fits(u, y, *keys):
+    """The linear model with the noise model that it asks for, and the best fit of each effect under its own."""
+    channel = Channel(u[:, None], y, Clock(np.arange(float(N)), N), np.ones(N, dtype=bool))
+    linear = fit_linear(channel, replace(Structure(2).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2))
+    white = float(np.mean(linear.residual**2))
+    plain = replace(linear, noise=np.zeros(0), variance=white, deviance=N * np.log(white))
+    found = [refit(channel, f) for key in keys for f in augmented(channel, plain, Menu((named(key),)))]
+    return refit(channel, linear), found
+
+
+def through(x):
+    return lfilter(*PLANT, x - x[0])
+
+
+OTHERS = {
+    # what it is, by the effect that is right (none: noise)
+    "white": lambda u, k, e: (through(u), e, None),
+    "red": lambda u, k, e: (through(u), lfilter([1.0], [1.0, -0.95], e) / 3.2, None),
+    "tone": lambda u, k, e: (through(u), e + 6.0 * np.cos(0.05 * k + 1.0), "tones"),
+    "drift": lambda u, k, e: (through(u * (1.0 + 0.5 * k / N)), e, "gain_drift"),
+    "jump": lambda u, k, e: (through(u * (1.0 + 0.4 * (k > 400))), e, "gain_change"),
+    "cubic": lambda u, k, e: (through(u + 0.1 * u**3), e, "input_cubic"),
+    "limit": lambda u, k, e: (through(np.clip(u, -0.8, 0.8)), e, "saturation"),
+}
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_none_of_them_explains_what_is_something_else(kind):
+    """Six records each, false-alarm rate 1e-3 of each effect: no claim in noise, and no better than the right effect."""
+    for seed in range(6):
+        rng = np.random.default_rng([31, seed])
+        u = excitation(rng, N, hold=int(rng.choice([2, 7, 20])))
+        clean, e, right = OTHERS[kind](u, np.arange(N), rng.standard_normal(N))
+        linear, found = fits(u, clean + 0.05 * np.std(clean) * e, *PROFILED, *([right] if right else []))
+        best = min((linear, *found), key=lambda f: f.criterion)
+        assert [part.key for part in best.structure.effects] == ([right] if right else [])
+        if right is None:
+            assert all(significance(linear, f) > 1e-3 for f in found)
+        if kind == "white":  # nothing is even fitted
+            assert not found
+
+
+def test_a_staircase_on_an_input_of_few_levels_has_one_of_them_at_zero():
+    """Nine levels 9.2 apart and two steps of 15.6 between their edges: many steps and levels fit them as well."""
+    rng = np.random.default_rng(3)
+    u = 46.8 + 9.2 * np.clip(np.repeat(rng.integers(-4, 5, N // 12 + 1), 12)[:N], -4, 4)
+    y = lfilter([0.0, 0.05], [1.0, -0.95], 15.6 * np.round(u / 15.6)) + 0.05 * rng.standard_normal(N)
+    _, found = fits(u, y, "input_staircase")
+    step, level = found[0].p[-2:]
+    assert np.std(found[0].residual) < 1.05 * 0.05
+    assert step == pytest.approx(15.6, abs=0.5)
+    assert level / step == pytest.approx(np.round(level / step), abs=1e-6)
+
+
+def test_a_gain_of_less_than_one_turn_and_a_fifth_is_a_drift():
+    sway, clock = named("gain_periodic"), Clock(np.arange(100.0), 100)
+    for turns, admitted in ((1.1, False), (1.3, True), (49.0, True), (51.0, False)):
+        assert (
+            np.all(np.isfinite(sway.apply(np.zeros(100), np.array([0.02 * np.pi * turns, 0.1, 0.1]), clock)))
+            == admitted
+        )
+
+
+@pytest.mark.parametrize("key", ["rate_limit", "rate_limit_sampled", "rate_limit_servo"])
+def test_an_actuator_that_stands_on_a_level_stays_there(key):
+    e, level = named(key), np.full(50, 40.0)
+    np.testing.assert_array_equal(
+        e.apply(level, np.full(len(e.parameters), 0.1), Clock(np.arange(50.0), 50)), level
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", PROFILED)
+def test_each_is_named_and_removed_and_the_same_rig_without_it_is_left_alone(key):
+    """Two experiments each, the control in noise of 5 % with a pole at 0.8: one record, false-alarm rate 1 %."""
+    maker, _, signal = CLASSES[key]
+
+    def drawn(strength, noise, pole):
+        rng = np.random.default_rng([4, *key.encode()])
+        u = np.concatenate((excitation(rng, 800, **signal), np.zeros(100), excitation(rng, 800, **signal)))
+        y = maker(u, strength)  # on one clock, on which a gain sways on
+        e = lfilter([1.0], [1.0, -pole], rng.standard_normal(len(u)))
+        both = Record(u, y + noise * np.std(y) * e / np.std(e), 0.1)
+        return both[:800], both[900:].replace(t0=90.0)
+
+    found = diagnose(*drawn(1.0, 0.01, 0.0))
+    assert (found.effect, found.variant.split(", ")[0]) == (named(key).cause, key)
+    assert found.rmse_after.value < 0.1 * found.rmse_before.value
+    assert diagnose(drawn(0.0, 0.05, 0.8)[0]).nature == "noise"
