@@ -115,6 +115,7 @@ def _efficiencies_text(plant: Plant, payload: dict[str, Any]) -> str:
         )
     values = {k: payload[f"{k.lower()}_efficiency"] for k in CRITERIA}
     said = {k: f"{v:.5f}" if v >= PLAIN else f"{v:.3g}" for k, v in values.items()}
+    said |= {k: "0 to rounding" for k, v in values.items() if v == 0}
     said |= {k: "not defined (the peak is not unique)" for k, v in values.items() if v != v}
     return ", ".join(f"{WORDS[k]} {words}" for k, words in said.items())
 
