@@ -147,12 +147,14 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         power = 2.0 * np.fft.rfft(auto(g) * auto(u), pad).real - auto(g)[0] * auto(u)[0]
         common = 2.0 * np.abs(np.fft.rfft(u * back, pad)) ** 2 / np.maximum(power, 1e-9 * power.max())
         common[: int(np.ceil(LEAST_TURNS * pad / n))] = 0.0
-        starts = []
+        starts, least = [], FIRM
         for w in 2.0 * np.pi * _highest(common, 3) / pad:
             D = _through(base, j, u[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1))
             D -= Q @ (Q.T @ D)
             c = np.linalg.lstsq(D, r, rcond=None)[0]
-            if base.n * float(np.log(float(r @ r) / float(np.sum((r - D @ c) ** 2)))) > FIRM:
+            promise = base.n * float(np.log(float(r @ r) / float(np.sum((r - D @ c) ** 2))))
+            if promise > least:
+                least = max(least, 0.5 * promise)  # what promises less than half of the best is its echo
                 p = np.concatenate((base.p, [w], c))
                 starts += [p, *renewed(channel, s.adding(part), p)]
         yield from _ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0])

@@ -248,7 +248,27 @@ def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
             number = f" {j + 1}" if known.shape[1] > 1 else ""
             out.append(f"{100 * share[j]:.2g} % of the test record's samples leave the range of the {words}{number} "
                        f"that the training data cover ({low[j]:.4g} to {high[j]:.4g})")  # fmt: skip
-    return out + _new_frequencies(train, test, policy)
+    return out + _between(train, test, policy) + _new_frequencies(train, test, policy)
+
+
+GAP = 0.05
+"""Of the range of an input, from which on nothing says what a curve does between two of its levels."""
+
+
+def _between(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
+    """Inputs of the test record inside the training range and off all levels that it was sampled at."""
+    out = []
+    for j in range(test.n_inputs):
+        levels, asked = np.unique(np.concatenate([r.u[:, j] for r in train])), test.u[:, j]
+        if len(levels) < 2:
+            continue
+        at, far = np.clip(np.searchsorted(levels, asked), 1, len(levels) - 1), GAP * float(np.ptp(levels))
+        share = float(np.mean(np.minimum(asked - levels[at - 1], levels[at] - asked) > far))
+        if share > policy.outside:
+            number = f" {j + 1}" if test.n_inputs > 1 else ""
+            out.append(f"{100 * share:.2g} % of the test record's samples lie between levels of the input{number} that the "
+                       f"training data cover, more than {far:.4g} from the nearest: no curve is known there")  # fmt: skip
+    return out
 
 
 def _new_frequencies(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:

@@ -10,10 +10,12 @@ import numpy as np
 from estimators.diagnosis.baseline.blocks import Block, Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.ladder import Kind, Step, climb, paired_gain
+from estimators.diagnosis.ladder.held_out import outside
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.steps import refused
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.answers import LinearAnswer
+from oed.data import Record
 
 N = 2000
 SILENT = LinearAnswer(0, (0,), LinearModel(np.ones(1), np.zeros((1, 1))), Prior(0.0, np.ones(1), 1.0))
@@ -165,3 +167,15 @@ def test_without_one_kind_of_step_what_was_refused_stays_refused() -> None:
     rest = refused(steps, Kind.DISCOVERED)
     assert [s.admitted for s in rest] == [True, False, False]
     assert climb(y, rest, COUNTED, POLICY).answer == 0
+
+
+def test_an_input_between_the_levels_of_the_training_record_is_said() -> None:
+    """Nine levels were trained on; of the second input all values."""
+    rng = np.random.default_rng(3)
+    u = rng.uniform(-1.0, 1.0, (N, 2))
+    few = np.stack((np.round(4.0 * u[:, 0]) / 4.0, u[:, 1]), axis=1)
+    said = [" ".join(outside([Record(few, u, 1.0)], Record(v, u, 1.0), POLICY)) for v in (u, few)]
+    assert "20 % of the test record's samples lie between levels of the input 1 " in said[0]
+    assert "more than 0.1 from the nearest" in said[0]
+    assert "input 2" not in said[0]
+    assert "between levels" not in said[1]
