@@ -91,6 +91,33 @@ def _ended(channel: Any, base: Any, part: Any, starts: Iterable[Array], sizes: l
         yield fit(channel, s, f.p, scales, noise=base.noise, iterations=30)
 
 
+def _lean(channel: Any, fits: Iterable[Any]) -> Iterator[Any]:
+    """Each fit, with one pole of its linear part after the other left out for as long as Schwarz's criterion falls: the linear
+    model had poles that imitate the effect, and one of them that stays at the circle stands for a constant of the record."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import fresh_poles, plant_scales, relinearised
+    from estimators.diagnosis.model.simulation import acted
+
+    for f in fits:
+        yield f
+        while (order := f.structure.order - 1) > 0:
+            few = replace(f.structure, order=order, taps=min(f.structure.taps, order))
+            p, scales, bare = np.zeros(few.size), np.zeros(few.size), replace(few, parts=())
+            for now, then in zip(few.slices(), f.structure.slices(), strict=True):
+                size = now.stop - now.start
+                p[now], scales[now] = f.p[then][:size], f.scales[then][:size]
+            U = acted(f.structure, f.p, channel.u, channel.clock)
+            p[:order] = fresh_poles(channel.y, U, bare, channel.keep)
+            if (q := relinearised(channel, few, p)) is None:
+                break
+            scales[: few.plant_size] = plant_scales(few, q)
+            less = fit(channel, few, q, scales, noise=f.noise, iterations=30)
+            if not less.criterion < f.criterion:
+                break
+            f = less
+            yield f
+
+
 def _servos(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.model.structure import Part
 
@@ -100,7 +127,8 @@ def _servos(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         tried = _profile(channel, base, part, grid)
         if tried and _firm(base, tried[0][0]):
             su = float(np.std(channel.u[:, j]))
-            yield from _ended(channel, base, part, (p for _, p in tried[:BEGUN]), [su, su, 1.0])
+            starts = (p for _, p in tried[:BEGUN])
+            yield from _lean(channel, _ended(channel, base, part, starts, [su, su, 1.0]))
 
 
 def _through(base: Any, j: int, x: Array) -> Array:
@@ -157,7 +185,7 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
                 least = max(least, 0.5 * promise)  # what promises less than half of the best is its echo
                 p = np.concatenate((base.p, [w], c))
                 starts += [p, *renewed(channel, s.adding(part), p)]
-        yield from _ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0])
+        yield from _lean(channel, _ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0]))
 
 
 def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:

@@ -111,3 +111,16 @@ def test_each_is_named_and_removed_and_the_same_rig_without_it_is_left_alone(key
     assert (found.effect, found.variant.split(", ")[0]) == (named(key).cause, key)
     assert found.rmse_after.value < 0.1 * found.rmse_before.value
     assert diagnose(drawn(0.0, 0.05, 0.8)[0]).nature == "noise"
+
+
+def test_a_servo_takes_the_pole_that_the_linear_model_had_for_its_lag():
+    """A model of one pole too many may keep it at the circle, where it stands for a constant that no other record has."""
+    rng = np.random.default_rng(6)
+    u = np.concatenate((np.zeros(15), lfilter([1.0], [1.0, -0.85], rng.standard_normal(N - 15))))
+    acting = named("rate_limit_servo").apply(u, np.array([0.3, 0.5, 1.4]), Clock(np.arange(float(N)), N))
+    y = lfilter([0.0, 0.06], [1.0, -0.9], acting) + 0.3 + 0.002 * rng.standard_normal(N)
+    linear, found = fits(u, y, "rate_limit_servo")
+    assert linear.structure.order == 2
+    assert found[0].structure.order == 1
+    assert np.std(found[0].residual) < 1.05 * 0.002
+    np.testing.assert_allclose(np.abs(found[0].p[-3:]), [0.3, 0.5, 1.4], rtol=0.05)
