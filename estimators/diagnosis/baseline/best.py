@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.baseline import Baseline, Options, OutputModel
 from estimators.diagnosis.baseline.blocks import Block, Blocks, blocks_of
-from estimators.diagnosis.baseline.choice import Trial, batch_squares, simplest
+from estimators.diagnosis.baseline.choice import SLOW, Trial, batch_squares, simplest
 from estimators.diagnosis.baseline.disturbances import foretold, noise_model, tones
 from estimators.diagnosis.baseline.linear_model import Prior, rest_level
+from estimators.diagnosis.baseline.search import LONG as TAPS
 from estimators.diagnosis.baseline.search import ORDERS, Search
+from estimators.residual.algebra import delayed
 from oed.data import Record
 from oed.errors import InputError
 
@@ -23,8 +25,8 @@ Array = NDArray[Any]
 QUIET = 1e-4
 """Noise of a window's samples, of the output's variance, while nothing is known of it: a state that is too free costs less
 than one that is held."""
-LOW = 3
-"""Lags of the output in a model that cannot take a tone for its own dynamics and fit the rest."""
+LOW, MANY = 3, 10
+"""Lags of the output in a model that cannot take a tone or a trend for its own dynamics and fit the rest; and its parameters."""
 LONG = 8000
 """Samples from which on the model is chosen on pieces of every block, and only fitted to all of them."""
 LAGS = 64
@@ -129,7 +131,38 @@ def _screened(search: Search) -> tuple[Search, list[Trial], list[float]]:
         if not _least(quiet) < _least(known):
             break
         lines, now, known = found, without, quiet
+    straight = search  # a slow pole follows a trend as it follows the input: a model that has none foretells unused blocks
+    for _ in range(2):
+        straight = replace(
+            search, records=_without_trends(search, [] if straight is search else straight.arx())
+        )
+    level = straight.arx()
+    few = [t for t in level if t.candidate.form.na <= LOW and t.candidate.size <= MANY and not t.slow]
+    if _least(few) * SLOW**2 < _least(
+        known
+    ):  # what needs many coefficients beside a trend has a pole that makes it
+        return straight, level, []
     return now, known, lines
+
+
+def _without_trends(search: Search, known: Sequence[Trial]) -> list[Record]:
+    """The records less a straight line each, in every block that of the other blocks: beside a long numerator, or the best known."""
+    clean, i = [], search.output
+    model = simplest(known).candidate.models[-1] if known else None
+    for k, r in enumerate(search.records):
+        run = 0.0 if model is None else model.free_run(search.prior, r.u, r.y[:, i], 0)
+        t = np.linspace(-1.0, 1.0, len(r))
+        lags = [delayed(u[:, None], range(TAPS)) for u in r.u.T] if model is None else []
+        X = np.column_stack((t, np.ones(len(r)), *lags))
+        e, y = r.y[:, i] - run, r.y.copy()
+        seen = np.isfinite(e) & (np.arange(len(r)) >= TAPS)
+        for b in search.blocks.blocks:
+            if b.record == k:
+                use = seen.copy()
+                use[b.rows] = len(search.blocks.blocks) == 1
+                y[b.rows, i] -= np.linalg.lstsq(X[use], e[use], rcond=None)[0][0] * t[b.rows]
+        clean.append(r.replace(y=y))
+    return clean
 
 
 def _least(trials: Sequence[Trial]) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
@@ -21,6 +22,11 @@ BATCHES = 4
 SLOW = 1.4
 """By so much a pole that remembers longer than a block must lower the error: of such a pole the record shows one response
 only, which blocks share, and a trend or a disturbance that came once looks the same."""
+STEP = 100
+"""Samples of the answer to a step by which models that were fitted without one block or another are compared: the poles that a
+record may not show are those that are quick beside it."""
+NOTHING = 0.005
+"""Share of the least error that is no reason for a larger model, however sure it is."""
 WORSE = 0.02
 """A simpler model may cost at most so much of the least error, however uncertain that is."""
 
@@ -48,6 +54,9 @@ class Trial:
     unused: list[Array]
     squares: Array
     slow: bool
+    spread: float = (
+        0.0  # variance of the model's answer to a step, as far as it depends on the block left out
+    )
 
     @property
     def rmse(self) -> float:
@@ -56,8 +65,9 @@ class Trial:
 
     @property
     def charged(self) -> Array:
-        """The mean squares with the charge for a pole slower than a block."""
-        return self.squares * (SLOW**2 if self.slow else 1.0)
+        """The mean squares with the charges for a pole slower than a block and for what the records do not determine."""
+        unsure = min(self.spread / max(float(self.squares.mean()), 1e-300), 1.0)
+        return self.squares * (SLOW**2 if self.slow else 1.0) * (1.0 + ((1.0 + WORSE) ** 2 - 1.0) * unsure)
 
 
 def tried(
@@ -77,7 +87,22 @@ def tried(
         run = model.free_run(prior, record.u[: block.stop], record.y[: block.stop, output], blocks.window)
         unused[block.record][block.rows] = run[block.rows]
     squares = batch_squares(unused, records, output, blocks)
-    return Trial(candidate, unused, squares, blocks.slow(candidate.models[-1].radius))
+    slow = blocks.slow(candidate.models[-1].radius)
+    return Trial(candidate, unused, squares, slow, undetermined(candidate.models[:-1], records))
+
+
+def undetermined(models: Sequence[LinearModel], records: Sequence[Record]) -> float:
+    """Variance of the answer to steps of the inputs' standard deviations, by the jackknife over the blocks left out.
+
+    Unused blocks have the spectrum of the others: a pole where the input has no power costs nothing there, and may double the
+    error on a record whose input is steps where this one's is ramps. Such a model must be better by what a simpler may cost.
+    """
+    sizes = np.std(np.concatenate([r.u for r in records]), axis=0)
+    k, step = len(models), np.ones(STEP)
+    answers = np.array(
+        [[size * lfilter(b, m.den, step) for size, b in zip(sizes, m.num, strict=True)] for m in models]
+    )
+    return float(np.sum((k - 1) / k * np.sum((answers - answers.mean(axis=0)) ** 2, axis=0).mean(axis=-1)))
 
 
 def batch_squares(unused: Sequence[Array], records: Sequence[Record], output: int, blocks: Blocks) -> Array:
@@ -98,6 +123,7 @@ def simplest(trials: Iterable[Trial]) -> Trial:
     def as_good(t: Trial) -> bool:
         d = t.charged - best.charged
         error = d.std() / np.sqrt(max(len(d) - 1, 1))
-        return d.mean() <= min(error, ((1.0 + WORSE) ** 2 - 1.0) * best.charged.mean())
+        few, most = (((1.0 + share) ** 2 - 1.0) * best.charged.mean() for share in (NOTHING, WORSE))
+        return d.mean() <= min(max(error, few), most)
 
     return min((t for t in known if as_good(t)), key=lambda t: (t.candidate.size, t.rmse))

@@ -4,6 +4,7 @@ import csv
 import gzip
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,47 @@ def test_order_delay_and_poles_are_the_plants(noise):
     assert pole.time_constant == pytest.approx(-1 / s.real, rel=0.1)
     assert "2 poles" in base.why[0]
     assert not base.warnings
+
+
+def _lags(rng, u):
+    x = u
+    for pole in (0.87, 0.65, 0.2):
+        x = lfilter([1.0 - pole], [1.0, -pole], x, zi=[pole * x[0]])[0]
+    return Record(u, 0.05 * np.concatenate((x[:1], x[:-1])) + 0.011 * rng.standard_normal(len(u)))
+
+
+def test_what_slow_ramps_do_not_show_is_not_modelled():
+    """Three lags under ramps, then steps: with a delay too many and a pole more the second had twice the noise there."""
+    errors = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        corners = rng.uniform(10, 80, 34)
+        train = _lags(rng, np.interp(np.arange(1300) / 40, np.arange(34), corners))
+        test = _lags(rng, np.repeat(rng.uniform(10, 80, 30), 20))
+        errors.append(rms((test.y - best_linear([train]).simulate(test, 0))[:, 0]))
+    assert max(errors) < 1.2 * 0.011
+
+
+def test_models_that_differ_without_a_block_must_be_better_by_what_a_simpler_may_cost():
+    """A resonance at half the sampling rate that the input hardly reaches, against the same model without it."""
+    from estimators.diagnosis.baseline.choice import Candidate, Trial, simplest, undetermined
+    from estimators.diagnosis.baseline.regression import Arx
+
+    rng = np.random.default_rng(3)
+    ringing = [
+        LinearModel(np.convolve([1.0, -0.8], [1.0, 0.97]), b * np.ones((1, 2))) for b in (0.19, 0.2, 0.21)
+    ]
+    settled = [LinearModel(np.array([1.0, -0.8]), b * np.ones((1, 1))) for b in (0.1995, 0.2, 0.2005)]
+    record = Record(rng.standard_normal(300), rng.standard_normal(300))
+    spread = [undetermined(models, [record]) for models in (ringing, settled)]
+    assert spread[0] > 20 * spread[1] > 0
+    form = Arx(1, 1, (0,), False)
+    trials = [
+        Trial(Candidate("OE", "", size, [], form), [], square * np.ones(20), False, each)
+        for size, square, each in ((4, 1e-3, spread[0]), (5, 1.02e-3, 0.0))
+    ]
+    assert simplest(trials).candidate.size == 5
+    assert simplest([replace(t, spread=0.0) for t in trials]).candidate.size == 4
 
 
 @pytest.mark.parametrize("ratio", [1.0, 5.0, 15.0])
