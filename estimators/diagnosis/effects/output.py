@@ -57,6 +57,17 @@ def _sharp(function: Any) -> Any:
     return lambda x, p, clock: x if abs(p[0]) < 1e-9 else function(p[0] * x) / p[0]
 
 
+def _logarithm(x: Any, p: Array, clock: Clock) -> Any:
+    """log(1 + c x)/c, of slope 1 at zero and the identity for small c; flat where there is none."""
+    return x if abs(p[0]) < 1e-12 else np.log(np.maximum(1.0 + p[0] * x, 1e-9)) / p[0]
+
+
+def _bends(s: Sizes) -> Grid:
+    middle = float(np.median(s.y))
+    scale = 1.0 / np.copysign(max(abs(middle), s.sy), middle)
+    return [[f * scale] for f in (0.3, 1.0, 4.0, 20.0)], [abs(scale)]
+
+
 def _sharpness(s: Sizes) -> Grid:
     return [[f / s.sy] for f in (0.25, 0.5, 1.0, 1.8)], [1 / s.sy]
 
@@ -92,8 +103,10 @@ OUTPUT = (
             shape=lambda size, order: numbered({"slope": "1", "corner": "y"}, size)),
     _sensor("output_arctan", "the sensor reads atan(c y)/c", {"c": "1/y"}, 2, apply=_sharp(np.arctan), starts=_sharpness),
     _sensor("output_tanh", "the sensor reads tanh(c y)/c", {"c": "1/y"}, 2, apply=_sharp(np.tanh), starts=_sharpness),
-    _sensor("output_exponential", "the sensor reads an exponential or logarithmic curve", {"c": "1/y"}, 4, apply=exponential,
+    _sensor("output_exponential", "the sensor reads an exponential curve", {"c": "1/y"}, 4, apply=exponential,
             starts=lambda s: ([[f / s.sy] for f in (0.3, 1.0, -0.3, -1.0)], [1 / s.sy])),
+    _sensor("output_logarithm", "the sensor reads the logarithm of what it sees", {"c": "1/y"}, 4, apply=_logarithm,
+            starts=_bends),
     _sensor("output_sigmoid", "the sensor saturates smoothly on either side of a centre: tanh(c (y - centre))/c",
             {"c": "1/y", "centre": "y"}, 8, apply=sigmoid,
             starts=lambda s: ([[f / s.sy, m] for f in (0.4, 1.0) for m in s.centres(s.y)], [1 / s.sy, s.sy])),

@@ -116,6 +116,9 @@ ORDER_ONE = _linear("order_one", "sensor_lag", Slot.FORM, 3, "the linear part ne
                     search=lambda channel, base, others: _wider(channel, base, ORDER_ONE, 1))  # fmt: skip
 ORDER = _linear("order", "missing_mode", Slot.FORM, 3, "the linear part needs a higher order",
                 search=lambda channel, base, others: _wider(channel, base, ORDER, 2))  # fmt: skip
+LAG_BEFORE = _linear("lag_before", "missing_mode", Slot.FORM, 1, "a lag stands before the linear part",
+                     search=lambda channel, base, others: iter(()))  # fmt: skip
+"""What is left of an effect behind a linear block of its own when the effect is taken out: poles that the linear part can have too."""
 INITIAL = _linear("initial", "initial_condition", Slot.START, 1, "the record does not start at rest",
                   shape=lambda size, order: numbered({"x": "y"}, order), search=_initial_states)  # fmt: skip
 OUTFLOW = Effect(
@@ -123,7 +126,7 @@ OUTFLOW = Effect(
     sentence="the outflow grows with the square root of the level, and the upper tank overflows",
 )  # fmt: skip
 
-PATH = (MODE, CROSS, DELAY_ORDER, ORDER_ONE, ORDER, INITIAL, OUTFLOW)
+PATH = (MODE, CROSS, DELAY_ORDER, ORDER_ONE, ORDER, LAG_BEFORE, INITIAL, OUTFLOW)
 
 
 LEAST_PRODUCT = 12.0

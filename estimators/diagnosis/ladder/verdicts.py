@@ -302,7 +302,7 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
         most = (
             item is rest[0] and item.nature != Nature.ADDED
         )  # which slow or narrow noise looks like; others go with it
-        telling = most and item.gain > TELLING * f.n and item.p_value < FIRM
+        telling = most and item.gain > TELLING * f.n and item.p_value < FIRM < a.feedback
         if not noisy and not o.left.explainable and not telling:
             continue  # a significant dependence that predicts nothing on unused blocks
         if (noisy and not o.named.claims and not len(f.noise)) or (
@@ -336,7 +336,7 @@ SURE = 1e-6
 TELLING, FIRM = 0.08, 1e-12
 """Likelihood ratio per sample (a twelfth of the innovations' variance) and significance from which on a dependence is no
 accident of a noise model, though no regression predicts it on unused blocks; but slow or narrow noise is a trend or a line, and
-goes with whatever else is slow."""
+goes with whatever else is slow, and an input that follows the noise makes any residual depend on it."""
 LEAST = 6.0
 """Of Schwarz's criterion: odds of twenty to one."""
 

@@ -132,7 +132,7 @@ def acted(s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False)
         if part.effect.slot is Slot.INPUT:
             j = s.inputs.index(part.channel)
             U[:, j] = part.apply(U[:, j], p[sl], clock)
-        elif part.effect.slot is Slot.PLANT and part.first:
+        elif part.effect.slot in (Slot.PLANT, Slot.FORM) and part.first:
             j = s.inputs.index(part.channel)
             U[:, j] = part.blocked(U[:, j], p[sl])
         else:

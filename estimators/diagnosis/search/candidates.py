@@ -19,14 +19,14 @@ Array = NDArray[Any]
 
 SHARE = 0.25  # of the best gain so far, that the simpler effect must have reached for one that refines it
 LEAST_PROMISE = 6.0  # of the score, for an effect to be fitted where only the most promising are
-BLIND = ("output_arctan", "output_exponential", "output_polynomial", "input_exponential")
+BLIND = ("output_sigmoid", "output_arctan", "output_exponential", "output_polynomial", "input_exponential")
 # curves that are fitted wherever any effect promises something: a score from a linear model that the curve of a sensor has
 # spoilt says little of it, nor one of a curve that a lag of the actuator stands before; one saturates, two grow, one is general
 UNDERSTATED = (
     3.0  # times what its score promises, that an effect may gain: scores are linear, effects are not
 )
 NEAR = 0.5  # of the best gain at the input, for an effect to be tried with other poles
-LAGGED = 3  # effects at the input that are tried behind a lag
+LAGGED = 4  # effects at the input that are tried behind a lag
 RENEWALS = 3  # rounds of fresh poles for the best effect at the input
 QUICK = 5  # Gauss-Newton steps by which starts inside a plant are told apart
 FORMS = 2  # layouts that are tried with several inputs, which cost a column of parameters each; the inside is looked at first
@@ -150,7 +150,10 @@ def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int)
     poles = np.roots(np.concatenate(([1.0], base.p[: s.order])))
     real = sorted(z.real for z in poles if abs(z.imag) < 1e-9 and 0.02 < z.real < 0.995)
     able = [f for f in found if f.structure.parts[-1].effect.lagged and f.structure.layout == "tf"]
-    able.sort(key=lambda f: f.deviance)
+    least_of: dict[Effect, Fit] = {}
+    for f in sorted(able, key=lambda f: f.deviance):
+        least_of.setdefault(f.structure.parts[-1].effect, f)
+    able = list(least_of.values())
     if s.effects or not able or not len(able[0].noise):
         return  # nothing is left that other poles could explain
     least = base.deviance - NEAR * (base.deviance - able[0].deviance)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects import Slot
 from estimators.diagnosis.effects.input import DELAY
+from estimators.diagnosis.effects.path import LAG_BEFORE
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
@@ -27,7 +28,15 @@ def without(channel: Channel, f: Fit, position: int, known: Sequence[Fit] = ()) 
     Beside the part that goes the others were bent to it, and the fit may end far from what they are worth: a `known` fit with
     the same effects is another start.
     """
+    gone = f.structure.parts[position]
     s, at = f.structure.keeping([i != position for i in range(len(f.structure.parts))])
+    if (
+        gone.own
+    ):  # the poles before it are linear ones, and stay: what they gain is nothing that the effect gains
+        lag = replace(gone, effect=LAG_BEFORE, size=1)
+        start = f.structure.slices()[position].start
+        s = replace(s, parts=(*s.parts[:position], lag, *s.parts[position:]))
+        at = np.sort(np.concatenate((at, np.arange(start, start + gone.own))))
     keys = sorted(part.key for part in s.effects)
     alike = [g for g in known if keys and sorted(part.key for part in g.structure.effects) == keys]
     fits = [fit(channel, s, f.p[at], f.scales[at], iterations=20)]

@@ -178,7 +178,8 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
                 continue  # the others were fitted in this form: without it there is no model of them
             rest = a.base if form else without(bench.channel, f, position, a.alternatives)
             same = len(a.base.residual) == len(rest.residual)  # not of a record thinned less
-            if same and not rest.structure.effects and np.sum(a.base.residual**2) < np.sum(rest.residual**2):
+            linear = all(q.effect.slot is Slot.FORM for q in rest.structure.effects)
+            if same and linear and np.sum(a.base.residual**2) < np.sum(rest.residual**2):
                 rest = a.base  # the linear model was fitted from more starts
             rests.append((rest, bench.unused(rest)))
             gain = bench.gain(rests[-1][1], unused, part)
@@ -189,13 +190,16 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             held = _bending(bench, f, held, unused)
             claims = tuple(_with_rivals(held, a, f))
-            linear = all(c.part.effect.nature is Nature.LINEAR or c.key == OFFSET.key for c in claims)
+            linear = all(_foretold(c, bench) for c in claims)
             step = replace(_step(bench, f, held, unused), linear=linear) if held else None
             return Named(f, claims, tuple(dropped), step, unused)
         worst = min(weak, key=lambda i: claims[i].gain.value)
         dropped.append((claims[worst].key, _why(claims[worst], bench)))
         f, unused = rests[worst]
-    return Named(f, (), tuple(dropped), None)
+    step = None
+    if bench.channel.step > 0:  # the linear model as a coarse sensor reads it
+        step = Step(Kind.NAMED, ("quantised",), (bench.unused(f),), bench.answer(f), len(f.p), linear=True)
+    return Named(f, (), tuple(dropped), step)
 
 
 BENT = (Nature.INPUT_STATIC, Nature.OUTPUT_STATIC, Nature.DYNAMIC)
@@ -335,10 +339,7 @@ def _significance(rest: Fit, f: Fit, part: Part, family: int) -> float:
 
 
 def _gains(c: Claim, bench: Bench) -> bool:
-    """Whether unused blocks ask for it; of a record's own start they say nothing.
-
-    When something changed was searched on the same blocks, which asks for more.
-    """
+    """Whether unused blocks ask for it: of a start they say nothing, and times were searched on them, which asks for more."""
     limit = bench.policy.searched if c.part.effect.nature in CLOCKED else bench.policy.claimed
     return c.key == "initial" or c.gain.meets(limit)
 
@@ -351,6 +352,12 @@ def _holds(c: Claim, bench: Bench) -> bool:
     if c.part.effect.nature is Nature.LINEAR and not c.gain.meets(bench.policy.searched):
         return False
     return c.p_value < bench.alpha or c.gain.meets(bench.policy.overwhelming)
+
+
+def _foretold(c: Claim, bench: Bench) -> bool:
+    """Whether linear predictors know of it: dynamics, a level, an added signal of a size that slow noise is not taken for."""
+    added = c.part.effect.nature is Nature.ADDED and c.gain.meets(bench.policy.overwhelming)
+    return c.part.effect.nature is Nature.LINEAR or c.key == OFFSET.key or added
 
 
 def _why(c: Claim, bench: Bench) -> str:

@@ -26,6 +26,9 @@ SHARES = (
 RENEWED = 4
 """Shapes of an effect whose linear part is made anew before they are compared: those whose score is best."""
 
+QUICKLY = 8
+"""Gauss-Newton steps by which a curve at the output finds its level, at most."""
+
 PACES = (0.3, 0.6)
 """Quick poles that may follow a process: a sensor's or an actuator's lag, from one sample on."""
 
@@ -44,6 +47,9 @@ def sizes_of(channel: Channel, base: Fit, part: Part) -> Sizes:
     """The signals of a fitted model that the starts of an effect take their sizes from."""
     u, y = channel.u[:, part.channel], channel.y - base.residual
     layout, order = base.structure.layout, base.structure.order
+    if part.effect.slot is Slot.OUTPUT:  # what it reads has no level and nothing else added to it yet
+        bare, at = base.structure.keeping([q.effect.slot is not Slot.ADDED for q in base.structure.parts])
+        y = simulate(bare, base.p[at], channel.u, channel.clock)
     if part.effect.slot is not Slot.PLANT:
         poles = np.roots(np.concatenate(([1.0], base.p[:order]))) if layout == "tf" else np.zeros(0)
         return Sizes(u, y, channel.clock, poles=poles)
@@ -92,7 +98,7 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
         found.append((promise, alpha, p, d))
     found.sort(key=lambda x: -x[0])
     fresh: dict[int, list[Array]] = {}  # by shape
-    if part.effect.slot in (Slot.INPUT, Slot.PLANT) and not base.structure.effects:
+    if part.effect.slot in (Slot.INPUT, Slot.PLANT, Slot.OUTPUT) and not base.structure.effects:
         for k, (promise, alpha, p, d) in enumerate(found[:RENEWED]):
             fresh[id(p)] = renewed(channel, s, p)
             for q in fresh[id(p)]:
@@ -149,6 +155,8 @@ def renewed(channel: Channel, s: Structure, p: Array) -> list[Array]:
 
     A linear model bends its poles towards what it lacks; behind the right effect they are worth little.
     """
+    if s.parts and s.parts[-1].effect.slot is Slot.OUTPUT:
+        return _behind(channel, s, p)
     found = [] if (q := relinearised(channel, s, p)) is None else [q]
     entering = acted(s, p, channel.u, channel.clock) if found and s.layout == "tf" else None
     if entering is not None:
@@ -161,6 +169,44 @@ def renewed(channel: Channel, s: Structure, p: Array) -> list[Array]:
             q[:order] = fresh_poles(channel.y, entering, few, channel.keep)
             if stable_polynomial(q[: s.order]) and (again := relinearised(channel, s, q)) is not None:
                 found.append(again)
+    return found
+
+
+STEEP, FINE = 0.02, 400
+"""Slope of a sensor's curve, of its median over what was seen, from which on a reading says what it is of; points of the curve."""
+
+
+def _behind(channel: Channel, s: Structure, p: Array) -> list[Array]:
+    """The same for a curve at the output: the linear part is made for what the sensor saw, the curve undone where it can be.
+
+    There it may stand at another level; the curve moves there with the poles as they are.
+    """
+    part, shape, others = s.parts[-1], p[s.slices()[-1]], [q.effect.slot for q in s.parts[:-1]]
+    if not part.effect.static or s.layout != "tf" or Slot.OUTPUT in others:
+        return []
+    bare, known = s.keeping([True] * len(others) + [False])
+    linear, seeing = s.keeping([slot is not Slot.ADDED for slot in others] + [False])
+    seen = simulate(linear, p[seeing], channel.u, channel.clock)
+    added = simulate(bare, p[known], channel.u, channel.clock) - seen
+    grid = np.linspace(2.0 * seen.min() - seen.max(), 2.0 * seen.max() - seen.min(), FINE)
+    curve = part.effect.drawn(grid, shape)
+    if curve is None or not np.all(np.isfinite(curve)) or not np.ptp(grid) > 0.0:
+        return []
+    slope = np.gradient(curve)
+    steep = np.flatnonzero(slope > STEEP * np.median(slope[FINE // 3 : 2 * FINE // 3]))
+    if len(steep) < 2 or len(steep) != steep[-1] - steep[0] + 1:
+        return []
+    curve, grid, read = curve[steep], grid[steep], channel.y - added
+    keep = channel.keep & (read > curve[0]) & (read < curve[-1])
+    if keep.sum() < 0.5 * channel.keep.sum():
+        return []
+    undone = replace(channel, y=np.interp(read, curve, grid) + added, keep=keep)
+    found, same = [], np.isin(known, seeing)
+    for q in renewed(undone, bare, p[known]):
+        start = p.copy()
+        start[known[same]] = q[same]
+        held = np.where(np.arange(len(p)) < s.order, 0.0, np.maximum(np.abs(start), STEEP))
+        found.append(fit(channel, s, start, held, iterations=QUICKLY, colour=False).p)
     return found
 
 

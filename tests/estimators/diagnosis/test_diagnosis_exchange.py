@@ -97,3 +97,33 @@ def test_wild_samples_where_a_signal_turns_are_told_from_faults():
     anywhere[rng.choice(800, 6, replace=False)] = True
     assert at_reversals(at_turns, signal)
     assert not at_reversals(anywhere, signal)
+
+
+def test_the_lag_before_a_curve_stays_when_the_curve_is_taken_out():
+    rng = np.random.default_rng(33)
+    u = np.repeat(rng.standard_normal(60), 10)
+    y = lfilter([0.2], [1.0, -0.8], lfilter([0.1], [1.0, -0.9], u)) + 0.01 * rng.standard_normal(600)
+    channel = channel_of(u, y)
+    base = fit_linear(channel, Structure(1))
+    s = base.structure.adding(Part(named("input_cubic"), first=1))
+    model = fit(channel, s, np.append(base.p, [-0.7, 0.0]), np.append(base.scales, [1.0, 1.0]))
+    rest = without(channel, model, 0)
+    assert np.std(base.residual) > 2 * np.std(model.residual)
+    assert np.std(rest.residual) == pytest.approx(np.std(model.residual), rel=0.02)
+    assert [part.key for part in rest.structure.parts] == ["lag_before"]
+    assert len(rest.p) == len(model.p) - 1
+
+
+def test_the_curve_of_a_sensor_starts_within_what_the_sensor_reads_whatever_the_level_of_the_record():
+    from estimators.diagnosis.search.starts import sizes_of
+
+    rng = np.random.default_rng(34)
+    u = rng.standard_normal(300)
+    x = lfilter(B, A, u)
+    sizes = []
+    for level in (0.0, 50.0):
+        channel = channel_of(u, level + x)
+        s = Structure(2).adding(Part(named("offset")))
+        base = fit(channel, s, np.array([-1.5, 0.7, 0.1, 0.08, level]), np.ones(5))
+        sizes.append(sizes_of(channel, base, Part(named("output_sigmoid"))))
+    assert sizes[0].centres(sizes[0].y) == pytest.approx(sizes[1].centres(sizes[1].y), abs=1e-3)

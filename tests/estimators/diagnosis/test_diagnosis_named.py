@@ -182,3 +182,48 @@ def test_a_strong_eccentric_is_found_from_the_balance_of_forces(seed: int) -> No
     assert effect.search is not None
     errors = [float(np.sqrt(np.mean(f.residual**2))) for f in effect.search(channel, base, ())]
     assert min(errors) < 1.5 * 0.05 < 0.3 * float(np.sqrt(np.mean(base.residual**2)))
+
+
+@pytest.mark.slow
+def test_a_sensor_of_two_decades_is_a_logarithm_found_by_undoing_the_curve() -> None:
+    """The linear model of such a record is far from every plant: no step from it leads to the curve."""
+    rng = np.random.default_rng(7)
+
+    def gauge(n: int) -> Record:
+        u = np.repeat(np.exp(rng.uniform(0.0, 4.4, n // 40 + 1)), 40)[:n]
+        x = lfilter([0.05], [1.0, -0.95], u - u[0]) + u[0]
+        return Record(u, 5.0 + 0.41 * np.log(0.02 * x + 0.02) + 0.01 * rng.standard_normal(n))
+
+    result = diagnose(gauge(1000), gauge(500), Setting(deviations=False, separate=True))
+    assert (result.effect, result.variant) == ("output_nonlinearity", "output_logarithm")
+    assert result.rmse_after.value < 1.2 * 0.01
+    value, error, _ = result.parameters["output_logarithm.c"]
+    assert value == pytest.approx(1.0 / 0.41, abs=4.0 * error)
+
+
+@pytest.mark.slow
+def test_a_zero_that_creeps_is_a_drift_though_a_predictor_follows_it() -> None:
+    rng = np.random.default_rng(8)
+
+    def cell(n: int, first: int) -> Record:
+        u = np.repeat(rng.uniform(-1.0, 1.0, n // 30 + 1), 30)[:n]
+        t = first + np.arange(n)
+        return Record(
+            u, lfilter([0.1], [1.0, -0.9], u) + 1e-3 * t + 0.04 * rng.standard_normal(n), t0=float(first)
+        )
+
+    result = diagnose(cell(900, 0), cell(500, 900), Setting(deviations=False))
+    assert result.effect == "output_drift"
+    assert result.rmse_after.value < 1.3 * 0.04
+
+
+@pytest.mark.slow
+def test_the_linear_model_of_a_coarse_encoder_is_read_as_the_encoder_reads(rng) -> None:
+    def shaft(n: int) -> Record:
+        u = np.repeat(rng.uniform(0.0, 50.0, n // 25 + 1), 25)[:n]
+        y = lfilter([0.05, 0.05], [1.0, -1.5, 0.6], u) + 0.2 * rng.standard_normal(n)
+        return Record(u, 9.0 * np.round(y / 9.0))
+
+    result = diagnose(shaft(900), shaft(500), Setting(deviations=False, separate=True))
+    assert result.effect == "quantisation"
+    assert result.rmse_after.value < 0.6 * result.rmse_before.value

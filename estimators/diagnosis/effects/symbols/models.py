@@ -61,7 +61,7 @@ def _plant(w: Wiring, s: Any, p: Array, k: Any, length: int) -> Any:
     for part, sl in parts:
         if part.effect.slot is Slot.INPUT:
             U[part.channel] = acted(w, part, U[part.channel], p[sl], k, length)
-        elif part.effect.slot is Slot.PLANT:
+        elif part.effect.slot in (Slot.PLANT, Slot.FORM):
             U[part.channel] = blocked(w, part, U[part.channel], p[sl])
     if s.layout == "tf":
         b = p[s.order : s.plant_size].reshape(len(s.inputs), s.taps)
