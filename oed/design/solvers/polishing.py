@@ -92,7 +92,10 @@ class _System:
             X = self.criterion.direction(M)
         for sign in () if self.reduced else np.unique(signs):
             own = signs == sign
-            X = np.where(own, X / np.sqrt(np.sum(X[:, own] * (M @ X[:, own]))), X)
+            told_by = float(np.sum(X[:, own] * (M @ X[:, own])))
+            if not told_by > 0:
+                raise np.linalg.LinAlgError("the information along the certificate is rounding")
+            X = np.where(own, X / np.sqrt(told_by), X)
         nu = np.where(self.active, nu, 0.0)
         self.start = _Point(
             columns.omega,

@@ -12,6 +12,7 @@ from oed.design import information_map, solve_design
 from oed.design.problem.budgets import power_budgets
 from oed.design.problem.lines import Problem
 from oed.design.solvers.column_generation import seed_columns
+from oed.design.solvers.polishing import polish
 from oed.design.solvers.weights_e import eigenvalue_weights
 from oed.design.solvers.whole_grid import cvxpy_weights
 from oed.errors import Status
@@ -119,3 +120,13 @@ def test_weights_for_an_eigenvalue_are_those_of_a_cone_programme():
     theirs = cvxpy_weights(columns, problem.criterion, problem.constant, 1e-9)
     w = theirs.w / (columns.q.T @ theirs.w).max()
     assert problem.loss(columns, ours.w) == pytest.approx(problem.loss(columns, w), rel=1e-7)
+
+
+def test_no_polish_where_the_lines_tell_nothing_along_the_certificate():
+    """Modified E of hard plants began from the root of a rounding error: NaN, and a LinAlgError out of `solve_design`."""
+    map_ = information_map(random_plant(np.random.default_rng(0)))
+    problem = Problem(map_, e_criterion(map_.n), power_budgets(map_, 1.0), np.linspace(0.01, 3.1, 50))
+    columns = problem.columns(np.array([0.5, 1.5]), np.ones((2, 1), complex))
+    w, X = np.ones(2) / columns.q.sum(), np.zeros((map_.n, 2))
+    X[:, 0] = 1
+    assert polish(problem, columns, w, X, np.ones(1), np.array([1.0, -1.0])) is None
