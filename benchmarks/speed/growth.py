@@ -128,7 +128,8 @@ def _peaked(order: int) -> tuple[Call, Call | None]:
     poles = 0.9 * np.exp(1j * np.linspace(0.2, 2.9, order // 2))
     num = np.r_[0, np.random.default_rng(0).standard_normal(order // 2)]
     plant = Plant(num, np.real(np.poly(np.r_[poles, np.conj(poles)])))
-    ours = partial(peak, plant, tolerance=1e-10)
+    # A new plant for every call: `peak` remembers those that it has seen.
+    ours = lambda: peak(plant.replace(), tolerance=1e-10)
     control = import_module("control")
     if not import_module("control.exception").slycot_check():
         return ours, None

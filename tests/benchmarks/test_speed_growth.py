@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.page.figures_growth import growth_figure
 from benchmarks.speed.growth import Verb, exponent, measured, verbs
+from oed.plants.norms import _peak
 
 
 def test_exponent_is_that_of_a_power() -> None:
@@ -35,3 +36,13 @@ def test_every_verb_works_at_its_smallest_size() -> None:
     for verb in verbs():
         for call in verb.made(verb.sizes[0]):
             assert call is None or call() is not None
+
+
+def test_the_norm_is_computed_in_every_call() -> None:
+    """`peak` remembers plants: what was timed after the first call was a look into its memory."""
+    verb = next(verb for verb in verbs() if verb.name == "norm")
+    ours, _ = verb.made(verb.sizes[0])
+    ours()
+    before = _peak.cache_info()
+    ours()
+    assert _peak.cache_info().misses == before.misses + 1
