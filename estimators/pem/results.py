@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from estimators.pem.fit import Fit
 from estimators.pem.predictors.of_structure import Structure
 from estimators.pem.search.extras import robust_factor, unweighted
-from estimators.pem.search.levenberg_marquardt import Optimum, Point
+from estimators.pem.search.levenberg_marquardt import SINGULAR, Optimum, Point
 from estimators.pem.search.problem import Problem
 from estimators.residual.measures import fit_percent
 from oed.data import Record
@@ -101,9 +101,9 @@ def _covariance(
     diagonal = np.diag(hessian)
     size = np.sqrt(np.maximum(diagonal, max(1e-16 * diagonal.max(), np.finfo(float).tiny)))
     values, vectors = np.linalg.eigh(hessian / np.outer(size, size))
-    if values[0] <= 1e-15 * max(values[-1], 1.0):
+    if values[0] <= SINGULAR * max(values[-1], 1.0):
         names = [*problem.structure.names, *(f"level{i + 1}" for i in range(problem.structure.n_outputs))]
-        null = vectors[:, values <= 1e-15 * values[-1]] / size[:, None]
+        null = vectors[:, values <= SINGULAR * values[-1]] / size[:, None]
         null = np.abs(null).max(axis=1)
         guilty = [names[moves[k]] for k in range(len(null)) if null[k] > 1e-2 * null.max()]
         raise NotIdentifiable(

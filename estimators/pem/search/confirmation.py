@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from estimators.pem.search.levenberg_marquardt import Optimum, units
 from estimators.pem.search.problem import Problem
 from estimators.pem.search.starts import lagged_gram, low_order_fits
+from oed.errors import Status
 
 LAGS = 20
 """Of the residual and of each input."""
@@ -76,7 +77,9 @@ def standing(problem: Problem, optimum: Optimum) -> Standing:
     """What is known of an optimum of one output, whose noise model is free of A."""
     point, form = optimum.point, problem.structure
     free = problem.lower is None and problem.prior_precision is None and not problem.variant
-    if not optimum.status.ok or form.na[0] or not free or not _long_enough(problem):
+    # Where the order is too high the search may wander along a valley to its limit of steps: that must not hide it.
+    ended = optimum.status.ok or optimum.status is Status.MAX_ITERATIONS
+    if not ended or form.na[0] or not free or not _long_enough(problem):
         return Standing.OPEN
     scale = units(point.hessian)
     try:
@@ -93,7 +96,7 @@ def standing(problem: Problem, optimum: Optimum) -> Standing:
         return Standing.OPEN
     if min(told, default=np.inf) <= COMMON:
         return Standing.OVER_ORDERED
-    return Standing.OPEN if form.nc[0] or form.nd[0] else Standing.CONFIRMED
+    return Standing.OPEN if form.nc[0] or form.nd[0] or not optimum.status.ok else Standing.CONFIRMED
 
 
 def confirmed(problem: Problem, optimum: Optimum) -> bool:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from estimators.pem.search.confirmation import LAGS, Standing, confirmed, first_start, standing
 from estimators.pem.search.extras import Settings
-from estimators.pem.search.levenberg_marquardt import Optimum, Point
+from estimators.pem.search.levenberg_marquardt import Optimum, Point, determined
 from estimators.pem.search.moving_modes import drawn, integrating, relocations
 from estimators.pem.search.problem import Problem
 from estimators.pem.search.starts import (
@@ -85,7 +85,7 @@ def _explored(problem: Problem, best: Optimum, how: Settings) -> Optimum:
     real = known is not Standing.OVER_ORDERED
     closely = hard or (problem.n_samples <= SOME and modes <= MOST and real)
     draws = int(modes * DRAWS * min(1.0, 1000 / problem.n_samples)) * closely * (4 if hard else 1)
-    rng, width = np.random.default_rng(0), 3 if closely else 1
+    rng, width, told = np.random.default_rng(0), 3 if closely else 1, best
     for _ in range(4):
         before = best.point.loss
         for _ in range(6 if real else 1):
@@ -102,7 +102,8 @@ def _explored(problem: Problem, best: Optimum, how: Settings) -> Optimum:
             best, _ = _better(problem, best, relocations(problem, rival, 1, closely), how)
         if best.point.loss > before * (1 - 1e-7):
             break
-    return best
+    # Such a mode put at 1 is a level and an initial state too: no gain in loss is worth parameters that nothing determines.
+    return best if real or determined(best.point.hessian) or not determined(told.point.hessian) else told
 
 
 def _better(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.pem.search.extras import Settings
-from estimators.pem.search.levenberg_marquardt import FLAT, NEGLIGIBLE, Optimum
+from estimators.pem.search.levenberg_marquardt import FLAT, NEGLIGIBLE, Optimum, determined
 from estimators.pem.search.problem import Problem
 from oed.errors import InputError, Status
 
@@ -34,7 +34,10 @@ def fit_together(problem: Problem, z: NDArray, iterations: int, how: Settings) -
         before = problem.evaluate(point.z, point.extra[0])
         if before is None:
             break
-        optimum = problem.descend(before, max_iterations=4, tolerance=how.tolerance)
+        further = problem.descend(before, max_iterations=4, tolerance=how.tolerance)
+        if determined(before.hessian) and not determined(further.point.hessian):
+            break  # into a valley of orders too high, where nothing determines the parameters
+        optimum = further
         iterations += optimum.iterations
         moved = optimum.point.z - before.z
         point = optimum.point

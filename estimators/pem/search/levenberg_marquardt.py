@@ -19,6 +19,8 @@ from oed.errors import Status
 WINDOW, NEGLIGIBLE = 10, 1e-8
 """Steps over which the loss has to fall by this share. An over-ordered model has a valley along which it falls for ever, by
 less than noise can tell: N times the share is a squared distance in standard errors, 1e-4 at 10,000 samples."""
+SINGULAR = 1e-15
+"""Smallest eigenvalue of a scaled information matrix, as a share of the largest, that is not rounding."""
 FLAT = 1e-6
 """What a further step may promise, as a share of the loss, where the search ends for having come nowhere."""
 
@@ -54,6 +56,13 @@ def units(hessian: NDArray) -> NDArray[np.float64]:
     """Units of the parameters in which the diagonal of a matrix is 1: hessian (n, n) -> (n,)."""
     diagonal = hessian.diagonal()
     return 1 / np.sqrt(np.maximum(diagonal, max(1e-14 * diagonal.max(), np.finfo(float).tiny)))
+
+
+def determined(hessian: NDArray) -> bool:
+    """Whether a Gauss-Newton matrix (n, n) is positive definite as far as rounding tells: every parameter has an error."""
+    scale = units(hessian)
+    values = np.linalg.eigvalsh(hessian * np.outer(scale, scale))
+    return bool(values[0] > SINGULAR * values[-1])
 
 
 def _solve(hessian: NDArray, damping: float, gradient: NDArray, scale: NDArray) -> NDArray | None:

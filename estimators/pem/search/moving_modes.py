@@ -40,7 +40,9 @@ def _affine(problem: Problem, letters: str) -> NDArray[np.bool_]:
 
 def solved(problem: Problem, z: NDArray, free: NDArray) -> Trial | None:
     """The best values of parameters in which the residual is affine, all others held: one evaluation."""
-    point = problem.evaluate(problem.projected(z))
+    # In D alone the residual is not affine together with the states, which D filters too.
+    together = not free[problem.structure.places()[0]["d"][0]].any()
+    point = problem.evaluate(problem.projected(z), affine=together)
     if point is None:
         return None
     moves = np.flatnonzero(free)

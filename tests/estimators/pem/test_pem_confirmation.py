@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from estimators.pem import identify
-from estimators.pem.search.confirmation import confirmed, first_start
+from estimators.pem.search.confirmation import Standing, confirmed, first_start, standing
 from estimators.pem.search.problem import prepare
 from oed.data import Record
+from oed.errors import Status
 from oed.models.model import bj, oe
 from tests.estimators.pem.test_pem_global import random_case
 
@@ -55,6 +58,24 @@ def test_confirmed_is_what_a_thorough_search_finds() -> None:
 )
 def test_not_confirmed(structure, data) -> None:
     assert not confirmed(*ended(structure, data))
+
+
+def test_a_search_at_its_limit_of_steps_does_not_hide_orders_that_are_too_high() -> None:
+    """Modes that cancel make a valley without an end; an optimum that was not reached is never confirmed."""
+    for order, expected in ((4, Standing.OVER_ORDERED), (2, Standing.OPEN)):
+        problem, optimum = ended(oe(order, order), record(3))
+        assert standing(problem, replace(optimum, status=Status.MAX_ITERATIONS)) is expected
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_orders_that_are_far_too_high_leave_a_model(seed) -> None:
+    """Modes that are not there were put at 1, where they are a level and an initial state too: NotIdentifiable."""
+    rng = np.random.default_rng(seed)
+    u, e = rng.normal(size=(2, 2000))
+    y = lfilter([0, 0.2155, 0.2012], [1, -0.9854, 0.8187], u) + 0.3 * e
+    fit = identify(Record(u, y), "oe", (30, 30))
+    assert fit.loss < 0.09
+    assert np.isfinite(fit.covariance).all()
 
 
 def test_local_optima_are_not_confirmed() -> None:

@@ -90,15 +90,20 @@ def test_linear_algebra_alone_is_not_enough() -> None:
     assert excess(1, 18, search="quick") > 1e-4
 
 
-def test_one_evaluation_solves_what_is_linear(rng) -> None:
-    """B of a Box-Jenkins model given all else: the loss foretold is that of the parameters returned."""
+@pytest.mark.parametrize("initial", [False, True])
+@pytest.mark.parametrize("letter", ["b", "d"])
+def test_one_evaluation_solves_what_is_linear(initial, letter) -> None:
+    """B or D of a Box-Jenkins model given all else: the loss foretold is that of the parameters returned. With D the states
+    are held, and settle once it has moved."""
     record, *_ = random_case(4, 1)
-    problem = prepare(bj(2, 1, 1, 2), [record])
+    problem = prepare(bj(2, 1, 1, 2), [record], initial=initial)
     z = np.array([0.0, 0.0, 0.3, -0.2, -1.2, 0.5])
-    free = np.array([True, True, False, False, False, False])
+    free = np.isin(np.arange(6), {"b": [0, 1], "d": [3]}[letter])
     loss, best = solved(problem, z, free)
-    assert problem.evaluate(best).loss == pytest.approx(loss, rel=1e-8)
-    assert np.abs(problem.evaluate(best).gradient[:2]).max() < 1e-6 * loss
+    assert loss < problem.evaluate(z).loss
+    exact = not initial or letter == "b"
+    assert problem.evaluate(best).loss == pytest.approx(loss, rel=1e-8 if exact else 1e-3)
+    assert np.abs(problem.evaluate(best).gradient[free]).max() < (1e-6 if exact else 1e-3) * loss
 
 
 def test_walls_are_where_roots_leave_the_circle() -> None:
