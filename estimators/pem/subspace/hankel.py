@@ -2,7 +2,8 @@
 
 At each sample t, the present, a row holds the future inputs u(t) ... u(t+i-1), the past inputs and outputs
 u(t-i) ... u(t-1), y(t-i) ... y(t-1), and the future outputs y(t) ... y(t+i-1). The factor R of these rows has i (2 nu +
-2 ny) columns however long the records are; it is found block by block, in memory that does not grow with them.
+2 ny) columns however long the records are. It is Cholesky's of the products of the rows, which follow from those one sample
+earlier; where these lose digits (records all but free of noise) it is found from the rows, block by block.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 
 CHUNK = 4096
 """Rows that are factored at a time."""
+APART = 1e-4
+"""Least share of a column that the columns before it leave, for products of columns to tell it: its square has half the digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +30,8 @@ class Factor:
     horizon: int
     n_inputs: int
     n_outputs: int
+    gram: NDArray[np.float64] | None = None
+    """(d, d) products R' R, where the factor is of them."""
 
     def shorter(self, horizon: int) -> Factor:
         """The factor of fewer block rows, at the same samples."""
@@ -34,6 +39,8 @@ class Factor:
         begin, cut = np.cumsum([0, i * nu, i * nu, i * ny]), i - horizon
         parts = ((0, horizon * nu), (cut * nu, i * nu), (cut * ny, i * ny), (0, horizon * ny))
         at = np.concatenate([first + np.arange(*part) for first, part in zip(begin, parts, strict=True)])
+        if self.gram is not None and (R := _root(self.gram[at[:, None], at])) is not None:
+            return Factor(R, horizon, nu, ny)
         return Factor(_triangle(self.R[:, at]), horizon, nu, ny)
 
     def blocks(self) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray, NDArray]:
@@ -46,6 +53,39 @@ class Factor:
 
 def _triangle(matrix: NDArray) -> NDArray[np.float64]:
     return np.asarray(np.linalg.qr(matrix, mode="r"), dtype=float)
+
+
+def _root(gram: NDArray) -> NDArray[np.float64] | None:
+    """Cholesky's factor of products of columns; None where they are too near to dependent for it to have digits."""
+    size = np.sqrt(np.maximum(gram.diagonal(), np.finfo(float).tiny))
+    try:
+        lower = np.linalg.cholesky(gram / np.outer(size, size))
+    except np.linalg.LinAlgError:
+        return None
+    return lower.T * size if lower.diagonal().min() > APART else None
+
+
+def _products(signals: list[tuple[NDArray, NDArray]], rows: int, centred: bool) -> NDArray[np.float64]:
+    """Sums over all windows of products of any two of their entries, (rows m, rows m) of m channels, sample by sample."""
+    m = signals[0][0].shape[1] + signals[0][1].shape[1]
+    gram, sums, total = np.zeros((rows, m, rows, m)), np.zeros((rows, m)), 0
+    for x in (np.column_stack(pair) for pair in signals):
+        count = len(x) - rows + 1
+        if count <= 0:
+            continue
+        own, ahead = np.empty_like(gram), x[count:]
+        for c in range(m):
+            for d in range(m):
+                own[0, c, :, d] = np.correlate(x[:, d], x[:count, c])
+        own[:, :, 0, :] = own[0].transpose(1, 2, 0)
+        for a in range(1, rows):
+            own[a, :, 1:] = own[a - 1, :, :-1] - np.multiply.outer(x[a - 1], x[: rows - 1])
+            own[a, :, 1:] += np.multiply.outer(ahead[a - 1], ahead)
+        gram, total = gram + own, total + count
+        sums += sliding_window_view(x, count, axis=0).sum(axis=2)
+    if centred:
+        gram -= np.multiply.outer(sums, sums) / total
+    return gram.reshape(rows * m, rows * m)
 
 
 def windows(signal: NDArray, rows: int, first: int, count: int) -> NDArray[np.float64]:
@@ -64,6 +104,13 @@ def lagged(signal: NDArray, lags: int, first: int, count: int) -> NDArray[np.flo
 def factored(signals: list[tuple[NDArray, NDArray]], horizon: int, centred: bool) -> Factor:
     """Factor of all records together."""
     nu, ny = signals[0][0].shape[1], signals[0][1].shape[1]
+    place = np.arange(2 * horizon * (nu + ny)).reshape(2, horizon, nu + ny)
+    order = np.concatenate(
+        [p.ravel() for p in (place[1, :, :nu], place[0, :, :nu], place[0, :, nu:], place[1, :, nu:])]
+    )
+    gram = _products(signals, 2 * horizon, centred)[order[:, None], order]
+    if (R := _root(gram)) is not None:
+        return Factor(R, horizon, nu, ny, gram)
     R = np.zeros((0, 2 * horizon * (nu + ny) + centred))
     for u, y in signals:
         count = len(u) - 2 * horizon + 1

@@ -160,7 +160,7 @@ def _begun(form: StateSpace, problem: Problem, found: Range) -> Point:
     n, nu, ny = form.order, form.n_inputs, form.n_outputs
     z = np.zeros(problem.n_parameters)
     z[: form.n] = form.theta_of(found.A, np.zeros((n, nu)), found.C, np.zeros((ny, nu)), np.zeros((n, ny)))
-    point = problem.evaluate(z)
+    point = problem.evaluate(z, affine=True)
     if point is None:
         pole = np.abs(np.linalg.eigvals(found.A)).max()
         raise InputError(

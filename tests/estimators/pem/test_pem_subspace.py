@@ -209,12 +209,30 @@ def test_factor_in_chunks_and_of_fewer_rows(rng, monkeypatch) -> None:
     whole = np.column_stack(rows)
     centred = whole - whole.mean(axis=0)
     monkeypatch.setattr(hankel, "CHUNK", 7)
-    for matrix, about_means in ((whole, False), (centred, True)):
-        R = factored([(u, y)], 4, about_means).R
-        assert np.allclose(R.T @ R, matrix.T @ matrix)
-    short = factored([(u, y)], 4, False).shorter(3)
     direct = np.column_stack([windows(s, 3, first, 83) for s, first in ((u, 4), (u, 1), (y, 1), (y, 4))])
-    assert np.allclose(short.R.T @ short.R, direct.T @ direct)
+    for apart in (hankel.APART, np.inf):  # of the products of the rows, and of the rows
+        monkeypatch.setattr(hankel, "APART", apart)
+        for matrix, about_means in ((whole, False), (centred, True)):
+            found = factored([(u, y)], 4, about_means)
+            assert (found.gram is None) == (apart == np.inf)
+            assert np.allclose(found.R.T @ found.R, matrix.T @ matrix)
+        short = factored([(u, y)], 4, False).shorter(3)
+        assert np.allclose(short.R.T @ short.R, direct.T @ direct)
+
+
+def test_products_of_several_records_and_where_they_have_no_digits(rng) -> None:
+    """The factor by products is that of the rows; a record without noise is factored by its rows."""
+    signals = [(rng.normal(size=(n, 1)) + 2, rng.normal(size=(n, 2))) for n in (200, 90, 9)]
+    rows = [
+        np.column_stack([windows(s, 5, first, len(u) - 9) for s, first in ((u, 5), (u, 0), (y, 0), (y, 5))])
+        for u, y in signals[:2]
+    ]
+    matrix = np.concatenate(rows) - np.concatenate(rows).mean(axis=0)
+    found = factored(signals, 5, True)
+    assert found.gram is not None
+    assert np.allclose(np.abs(np.linalg.qr(matrix, mode="r")), np.abs(found.R), rtol=1e-9, atol=1e-9)
+    u = rng.normal(size=(300, 1))
+    assert factored([(u, lfilter([0, 1.0], [1, -0.5], u, axis=0))], 5, False).gram is None
 
 
 def test_autoregressive_order(rng) -> None:
