@@ -62,7 +62,7 @@ def _root(gram: NDArray) -> NDArray[np.float64] | None:
         lower = np.linalg.cholesky(gram / np.outer(size, size))
     except np.linalg.LinAlgError:
         return None
-    return lower.T * size if lower.diagonal().min() > APART else None
+    return np.asarray(lower.T * size, float) if lower.diagonal().min() > APART else None
 
 
 def _products(signals: list[tuple[NDArray, NDArray]], rows: int, centred: bool) -> NDArray[np.float64]:
