@@ -240,7 +240,7 @@ CLOCKED = (Nature.TIME, Nature.ADDED)
 TRIED = 8
 """Single effects that are put before unused blocks, least simulation error first: a tenth of a second each. On practice
 records the right one stood among the first five where the search, which goes by one-step errors, preferred another."""
-PAIRED = 3
+PAIRED = 4
 """Of them, those that a second effect is looked for beside: where two are needed, the right one need not be the best alone."""
 HALF = 1.5
 """Error on the record itself, of the least on unused blocks, from which on a single effect is neither an answer nor half of one."""
