@@ -107,6 +107,8 @@ def _lean(channel: Any, fits: Iterable[Any]) -> Iterator[Any]:
                 size = now.stop - now.start
                 p[now], scales[now] = f.p[then][:size], f.scales[then][:size]
             U = acted(f.structure, f.p, channel.u, channel.clock)
+            if U is None:
+                break
             p[:order] = fresh_poles(channel.y, U, bare, channel.keep)
             if (q := relinearised(channel, few, p)) is None:
                 break
@@ -151,6 +153,15 @@ def _left(channel: Any, base: Any) -> tuple[Array, Array]:
     return r - Q @ (Q.T @ r), Q
 
 
+def _entering(channel: Any, base: Any) -> Iterator[tuple[int, Array]]:
+    """What enters the linear part at each input; nothing where it is in a physical layout."""
+    from estimators.diagnosis.model.simulation import acted
+
+    s = base.structure
+    U = acted(s, base.p, channel.u, channel.clock) if s.layout == "tf" else None
+    yield from () if U is None else zip(s.inputs, U.T, strict=True)
+
+
 def _highest(gains: Array, count: int) -> Array:
     """Where a curve has its highest peaks."""
     at = find_peaks(np.concatenate(([-1.0], gains, [-1.0])))[0] - 1
@@ -160,14 +171,12 @@ def _highest(gains: Array, count: int) -> Array:
 def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """What the residual has in common with the linear response to the input times a rotation, at all frequencies at once: the
     response's correlation with the residual is a transform of the input times the residual run backwards through the model."""
-    from estimators.diagnosis.model.simulation import acted
     from estimators.diagnosis.model.structure import Part
     from estimators.diagnosis.search.starts import renewed
 
     s, n, k = base.structure, len(channel), channel.clock.k
-    U = acted(s, base.p, channel.u, channel.clock) if s.layout == "tf" and n >= 100 else None
-    for j in s.inputs if U is not None else ():
-        part, u, (r, Q) = Part(SWAY, j), U[:, s.inputs.index(j)], _left(channel, base)
+    for j, u in _entering(channel, base) if n >= 100 else ():
+        part, (r, Q) = Part(SWAY, j), _left(channel, base)
         pad = 8 * n
         back = _through(base, j, r[::-1])[::-1]
         g = _through(base, j, np.eye(1, n)[0])
@@ -191,13 +200,10 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """A staircase is its input less a sawtooth, whose first harmonic over the input's levels tells step and level: the step of
     most in common with the residual is taken, then both are moved as long as the error falls, as they have no derivative."""
-    from estimators.diagnosis.model.simulation import acted
     from estimators.diagnosis.model.structure import Part
 
-    s = base.structure
-    U = acted(s, base.p, channel.u, channel.clock) if s.layout == "tf" else None
-    for j in s.inputs if U is not None else ():
-        part, u, (r, Q) = Part(STAIRS, j), U[:, s.inputs.index(j)], _left(channel, base)
+    for j, u in _entering(channel, base):
+        part, (r, Q) = Part(STAIRS, j), _left(channel, base)
         wide = float(np.ptp(u))
         if wide <= 0.0:
             continue
@@ -212,14 +218,13 @@ def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         gains = first * x + second * y
         found: list[tuple[float, Any]] = []
         for at in _highest(gains / waves**COARSE, 3):
-            step, size = 1.0 / waves[at], float(np.hypot(first[at], second[at]))
+            step, size = 1.0 / float(waves[at]), float(np.hypot(first[at], second[at]))
             promise = -base.n * float(np.log(max(1.0 - gains[at] / float(r @ r), 1e-12)))
             if promise < FIRM or not HARMONIC[0] < size * np.pi / step < HARMONIC[1]:
                 continue
             level = step / (2.0 * np.pi) * float(np.arctan2(second[at], -first[at]))
-            level += step * np.round(
-                (np.mean(u) - level) / step
-            )  # near the mean, where it hangs on the step least
+            # near the mean, where it hangs on the step least
+            level += step * round((float(np.mean(u)) - level) / step)
             found += _moved(channel, base, part, (step, level))
             if any(not len(f.noise) for _, f in found):
                 break  # nothing is left that another could explain

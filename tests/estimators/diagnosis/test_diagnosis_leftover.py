@@ -26,11 +26,12 @@ SETTING = Setting(orders=(2,), structure="SISO")
 B, A = [0.0, 0.1, 0.1], [1.0, -1.5, 0.7]
 
 
-def drawn(rng, n, *, start=0, sway=0.0, burst=0.0, product=0.0):
+def drawn(rng, n, *, start=0, sway=0.0, wander=0.0, burst=0.0, product=0.0):
     u = np.repeat(rng.uniform(-2, 2, n // 2 + 1), 2)[:n]
     k = np.arange(start, start + n)
     v = u + product * u * np.concatenate(([0.0, 0.0, 0.0], u[:-3]))
-    y = lfilter(B, A, v) * (1 + sway * np.sin(2 * np.pi * k / 170))
+    phase = 2 * np.pi * k / 170 + wander * np.sin(2 * np.pi * k / 390)
+    y = lfilter(B, A, v) * (1 + sway * np.sin(phase))
     e = 0.05 * rng.standard_normal(n) * (1 + burst * np.sin(2 * np.pi * k / 300))
     return Record(u, y + e, t0=float(start))
 
@@ -42,8 +43,8 @@ def channel_of(record):
 
 @pytest.mark.parametrize(
     "options, nature",
-    [({"sway": 0.25}, "time variation"), ({"burst": 1.5}, "noise")],
-    ids=["gain that sways", "noise that swells"],
+    [({"sway": 0.25, "wander": 2.5}, "time variation"), ({"burst": 1.5}, "noise")],
+    ids=["gain that sways at no one frequency", "noise that swells"],
 )
 @pytest.mark.slow
 def test_a_cause_in_no_catalogue_is_reported_by_its_nature(options, nature):
