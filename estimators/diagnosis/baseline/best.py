@@ -175,10 +175,11 @@ def _without_tones(search: Search, trial: Trial) -> tuple[list[float], Sequence[
     In each block the tones are those of the other blocks, so that an error on unused blocks counts how far they foretell.
     """
     records, i, model = search.records, search.output, trial.candidate.models[-1]
+    slowest = 2.0 * np.pi / min(b.stop - b.start for b in search.blocks.blocks)  # slower ones are slow noise
     lines, clean = [], []
     for k, r in enumerate(records):
         run = model.free_run(search.prior, r.u, r.y[:, i], 0)
-        y, found = r.y.copy(), tones(r.y[:, i], run, r.u)
+        y, found = r.y.copy(), [w for w in tones(r.y[:, i], run, r.u) if w > slowest]
         for b in search.blocks.blocks:
             if found and b.record == k:
                 y[b.rows, i] -= foretold(r.y[:, i] - run, found, b.rows)

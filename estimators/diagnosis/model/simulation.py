@@ -24,6 +24,8 @@ Array = NDArray[Any]
 
 AHEAD = 64  # samples beyond the record, the input held, for a clock that runs ahead
 MOST_FORCES = 2  # as many as `plant_kernels` takes; a test holds the two together
+ENDS = 0.05
+"""Of a record, at either end of which nothing is taken to change for good: a twentieth of the samples says little of a model."""
 SETTLE = 2000
 """Samples at rest in which what began before a record has settled."""
 FINE = 8
@@ -115,8 +117,9 @@ def _inside(
 
 
 def _within(at: float, n: int) -> bool:
-    """Whether a change lies well within the record: at its very ends it would be another effect."""
-    return 0.02 * n < at < 0.98 * n
+    """Whether a change lies well within the record: what came before its very start or after its very end hardly shows, and what
+    came after rules a later record."""
+    return ENDS * n < at < (1.0 - ENDS) * n
 
 
 def acted(s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False) -> Array | None:

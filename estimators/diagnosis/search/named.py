@@ -78,8 +78,7 @@ class Named:
         """Root mean square error of its step on unused blocks."""
         if not len(self.unused):
             return float("inf")
-        e = bench.train.y[:, bench.output] - self.unused
-        return float(np.sqrt(np.mean(e[bench.counted] ** 2)))
+        return bench.error(self.unused)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +121,10 @@ class Bench:
             run = blocked(self.channel, f, self.base.blocks, self.thin, start, white=self.white)
             self.known[f] = self.rounded(run)
         return self.known[f]
+
+    def error(self, run: Array) -> float:
+        """Root mean square error of a run of unused blocks."""
+        return float(np.sqrt(np.mean((self.train.y[:, self.output] - run)[self.counted] ** 2)))
 
     def rounded(self, run: Array) -> Array:
         """As the sensor rounds."""
@@ -179,8 +182,8 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             rest = a.base if form else without(bench.channel, f, position, a.alternatives)
             same = len(a.base.residual) == len(rest.residual)  # not of a record thinned less
             linear = all(q.effect.slot is Slot.FORM for q in rest.structure.effects)
-            if same and linear and np.sum(a.base.residual**2) < np.sum(rest.residual**2):
-                rest = a.base  # the linear model was fitted from more starts
+            if same and linear:  # each was fitted from starts of its own
+                rest = min((rest, a.base), key=lambda g: bench.error(bench.unused(g)))
             rests.append((rest, bench.unused(rest)))
             gain = bench.gain(rests[-1][1], unused, part)
             claims.append(Claim(part, gain, _significance(rest, f, part, bench.family)))
@@ -345,10 +348,7 @@ def _gains(c: Claim, bench: Bench) -> bool:
 
 
 def _holds(c: Claim, bench: Bench) -> bool:
-    """Whether it is significant in the joint fit, or what it gains on unused blocks needs no test.
-
-    The linear model is the best of a search on the same blocks: other dynamics must be better by what a search asks.
-    """
+    """Whether it is significant in the joint fit, or gains more on unused blocks than needs a test; dynamics, what a search asks."""
     if c.part.effect.nature is Nature.LINEAR and not c.gain.meets(bench.policy.searched):
         return False
     return c.p_value < bench.alpha or c.gain.meets(bench.policy.overwhelming)

@@ -159,6 +159,17 @@ def test_a_hum_is_a_disturbance_and_no_pole(ratio):
     assert "3.3" in base.why[1]
 
 
+def test_slow_noise_is_no_line_that_turns_less_than_once_in_a_block():
+    """Set aside, three such lines of a noise that swings left a linear model of a tenth of the output's size beside it."""
+    rng = np.random.default_rng(5)
+    u, t = rng.standard_normal(800), np.arange(800)
+    clean = lfilter([0.0, 0.2, 0.1], [1.0, -1.5, 0.7], u)
+    for period, aside in ((300.0, 0), (40.0, 1)):
+        swing = np.sin(2.0 * np.pi * t / period)
+        base = best_linear([Record(u, clean + swing + 0.02 * rng.standard_normal(800))])
+        assert len(base.outputs[0].tones) == aside
+
+
 def test_resonances_and_input_lines_are_no_tones():
     """Negative control: hardly damped plants under noise, sweeps and sines; false alarms at most 1e-4 a record."""
     for seed in range(3):

@@ -8,6 +8,7 @@ from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.recursion_kernels import play
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.measurement import at_reversals
 from estimators.diagnosis.search.candidates import Menu, augmented
@@ -127,3 +128,11 @@ def test_the_curve_of_a_sensor_starts_within_what_the_sensor_reads_whatever_the_
         base = fit(channel, s, np.array([-1.5, 0.7, 0.1, 0.08, level]), np.ones(5))
         sizes.append(sizes_of(channel, base, Part(named("output_sigmoid"))))
     assert sizes[0].centres(sizes[0].y) == pytest.approx(sizes[1].centres(sizes[1].y), abs=1e-3)
+
+
+def test_what_changes_at_the_very_end_of_a_record_is_no_model_of_a_later_one():
+    channel = channel_of(np.ones(200), np.zeros(200))
+    s = Structure(1).adding(Part(named("gain_change")))
+    for time, admitted in ((188.0, True), (193.0, False), (7.0, False)):
+        p = np.array([-0.5, 1.0, -1.1, time])
+        assert bool(np.all(np.isfinite(simulate(s, p, channel.u, channel.clock)))) is admitted
