@@ -165,14 +165,8 @@ def _add_cost(folder: Path, wall: float, workers: int) -> None:
     file = folder / "cost.json"
     try:
         before = float(json.loads(file.read_text(encoding="utf-8"))["wall_seconds"])
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        RecursionError,
-    ):  # none yet, or damaged: no result is in it
-        before = 0.0
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        before = 0.0  # none yet, or damaged: no result is in it
     cost = {
         "wall_seconds": round(before + wall, 1),
         "workers": workers,

@@ -108,10 +108,9 @@ class Store:
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
             found = {"settings": dict(content["settings"]), "versions": dict(content["versions"])}
+            # Pairs of names and digests, as `difference` takes them: what is none is refused here.
             for name in CONTENTS:
-                dict(
-                    found["settings"].get(name, ())
-                )  # pairs of names and digests, as `difference` takes them
+                dict(found["settings"].get(name, ()))
             return found
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             raise CampaignError(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.baseline.baseline import Baseline, Options, OutputModel
 from estimators.diagnosis.baseline.blocks import Block, Blocks, blocks_of
 from estimators.diagnosis.baseline.choice import SLOW, Trial, batch_squares, simplest
-from estimators.diagnosis.baseline.disturbances import foretold, noise_model, tones
+from estimators.diagnosis.baseline.disturbances import foretold, noise_model, tones, waves
 from estimators.diagnosis.baseline.linear_model import Prior, rest_level
 from estimators.diagnosis.baseline.search import LONG as TAPS
 from estimators.diagnosis.baseline.search import ORDERS, Search
@@ -131,18 +131,15 @@ def _screened(search: Search) -> tuple[Search, list[Trial], list[float]]:
         if not _least(quiet) < _least(known):
             break
         lines, now, known = found, without, quiet
-    straight = search  # a slow pole follows a trend as it follows the input: a model that has none foretells unused blocks
-    for _ in range(2):
-        straight = replace(
-            search, records=_without_trends(search, [] if straight is search else straight.arx())
-        )
+    if len(search.blocks.blocks) == len(search.records):
+        return now, known, lines  # a block is all of its record: nothing beside it shows a trend
+    # A slow pole follows a trend as it follows the input: a model that has none foretells unused blocks.
+    straight = replace(search, records=_without_trends(search, []))
+    straight = replace(search, records=_without_trends(search, straight.arx()))
     level = straight.arx()
+    # What needs many coefficients beside a trend has a pole that makes it.
     few = [t for t in level if t.candidate.form.na <= LOW and t.candidate.size <= MANY and not t.slow]
-    if _least(few) * SLOW**2 < _least(
-        known
-    ):  # what needs many coefficients beside a trend has a pole that makes it
-        return straight, level, []
-    return now, known, lines
+    return (straight, level, []) if _least(few) * SLOW**2 < _least(known) else (now, known, lines)
 
 
 def _without_trends(search: Search, known: Sequence[Trial]) -> list[Record]:
@@ -153,14 +150,11 @@ def _without_trends(search: Search, known: Sequence[Trial]) -> list[Record]:
         run = 0.0 if model is None else model.free_run(search.prior, r.u, r.y[:, i], 0)
         t = np.linspace(-1.0, 1.0, len(r))
         lags = [delayed(u[:, None], range(TAPS)) for u in r.u.T] if model is None else []
-        X = np.column_stack((t, np.ones(len(r)), *lags))
-        e, y = r.y[:, i] - run, r.y.copy()
-        seen = np.isfinite(e) & (np.arange(len(r)) >= TAPS)
+        W, e, y = np.column_stack((t, np.ones(len(r)), *lags)), r.y[:, i] - run, r.y.copy()
+        e[:TAPS] = np.nan
         for b in search.blocks.blocks:
-            if b.record == k:
-                use = seen.copy()
-                use[b.rows] = len(search.blocks.blocks) == 1
-                y[b.rows, i] -= np.linalg.lstsq(X[use], e[use], rcond=None)[0][0] * t[b.rows]
+            if b.record == k and b.stop - b.start < len(r):
+                y[b.rows, i] -= foretold(e, W, slice(0, 1), b.rows)
         clean.append(r.replace(y=y))
     return clean
 
@@ -182,7 +176,7 @@ def _without_tones(search: Search, trial: Trial) -> tuple[list[float], Sequence[
         y, found = r.y.copy(), [w for w in tones(r.y[:, i], run, r.u) if w > slowest]
         for b in search.blocks.blocks:
             if found and b.record == k:
-                y[b.rows, i] -= foretold(r.y[:, i] - run, found, b.rows)
+                y[b.rows, i] -= foretold(r.y[:, i] - run, waves(found, len(r)), slice(1, None), b.rows)
         clean.append(r.replace(y=y) if found else r)
         lines += found
     return sorted(set(lines)), clean if lines else records

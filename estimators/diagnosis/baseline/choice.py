@@ -54,9 +54,8 @@ class Trial:
     unused: list[Array]
     squares: Array
     slow: bool
-    spread: float = (
-        0.0  # variance of the model's answer to a step, as far as it depends on the block left out
-    )
+    # variance of the model's answer to a step, as far as it depends on the block left out
+    spread: float = 0.0
 
     @property
     def rmse(self) -> float:

@@ -48,19 +48,20 @@ def _line(e: Array, U: Array) -> float | None:
     return None
 
 
-def _waves(omegas: Sequence[float], length: int) -> Array:
+def waves(omegas: Sequence[float], length: int) -> Array:
     """(length, 1 + 2 tones) a level, then cosine and sine of each tone."""
     phase = np.outer(np.arange(length), omegas)
     return np.concatenate((np.ones((length, 1)), np.cos(phase), np.sin(phase)), axis=1)
 
 
-def foretold(e: Array, omegas: Sequence[float], held_out: slice) -> Array:
-    """What tones fitted to the rest of a residual (N,), NaN where nothing is known, are in the rows held out."""
-    W, use = _waves(omegas, len(e)), np.isfinite(e)
+def foretold(e: Array, W: Array, own: slice, held_out: slice) -> Array:
+    """What some columns of W (N, k), fitted with all to the rest of a residual (N,), NaN where nothing is known, are in the rows
+    held out."""
+    use = np.isfinite(e)
     if len(e) > held_out.stop - held_out.start:
         use[held_out] = False
     theta = np.linalg.lstsq(W[use], e[use], rcond=None)[0]
-    return W[held_out, 1:] @ theta[1:]
+    return W[held_out, own] @ theta[own]
 
 
 def tones(y: Array, run: Array, U: Array) -> list[float]:
@@ -72,7 +73,7 @@ def tones(y: Array, run: Array, U: Array) -> list[float]:
     rest, left = e, whole
 
     def after(omegas: list[float]) -> Array:
-        W = _waves(omegas, len(e))
+        W = waves(omegas, len(e))
         return np.where(seen, e - W @ np.linalg.lstsq(W[seen], e[seen], rcond=None)[0], 0.0)
 
     while len(found) < MOST_TONES and (omega := _line(rest, U)) is not None:

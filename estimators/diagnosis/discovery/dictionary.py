@@ -40,10 +40,9 @@ class Kind:
 
 
 SHARP = 0.03  # width of a softened sign, in standard deviations of its signal
-SAME, BESIDE = (
-    1e-3,
-    0.01,
-)  # a sign is as wide as its nearest samples are far, those on its centre left out: between few levels nothing says where it jumps
+SAME, BESIDE = 1e-3, 0.01
+"""A sign is as wide as its nearest samples are far (this quantile of the distances), those on its centre (this share of a standard
+deviation) left out: between few levels nothing says where it jumps."""
 QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # where hinges start
 PERIODS = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # wave numbers per standard deviation
 SLOW = (8.0, 32.0, 128.0)  # time constants of slow states in samples over the model's own

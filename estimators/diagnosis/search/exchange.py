@@ -30,9 +30,8 @@ def without(channel: Channel, f: Fit, position: int, known: Sequence[Fit] = ()) 
     """
     gone = f.structure.parts[position]
     s, at = f.structure.keeping([i != position for i in range(len(f.structure.parts))])
-    if (
-        gone.own
-    ):  # the poles before it are linear ones, and stay: what they gain is nothing that the effect gains
+    # The poles before it are linear ones, and stay: what they gain is nothing that the effect gains.
+    if gone.own:
         lag = replace(gone, effect=LAG_BEFORE, size=1)
         start = f.structure.slices()[position].start
         s = replace(s, parts=(*s.parts[:position], lag, *s.parts[position:]))

@@ -48,8 +48,7 @@ def sizes_of(channel: Channel, base: Fit, part: Part) -> Sizes:
     u, y = channel.u[:, part.channel], channel.y - base.residual
     layout, order = base.structure.layout, base.structure.order
     if part.effect.slot is Slot.OUTPUT:  # what it reads has no level and nothing else added to it yet
-        bare, at = base.structure.keeping([q.effect.slot is not Slot.ADDED for q in base.structure.parts])
-        y = simulate(bare, base.p[at], channel.u, channel.clock)
+        y = _before_added(channel, base.structure, base.p)[0]
     if part.effect.slot is not Slot.PLANT:
         poles = np.roots(np.concatenate(([1.0], base.p[:order]))) if layout == "tf" else np.zeros(0)
         return Sizes(u, y, channel.clock, poles=poles)
@@ -60,6 +59,12 @@ def sizes_of(channel: Channel, base: Fit, part: Part) -> Sizes:
     position, velocity = layout_matrices(layout, rates)[3:]
     damping = float(np.exp(rates[1] - rates[0])) if len(rates) > 1 else 1.0
     return Sizes(u, y, channel.clock, X @ position, X @ velocity, damping=damping)
+
+
+def _before_added(channel: Channel, s: Structure, p: Array) -> tuple[Array, NDArray[np.int_]]:
+    """(N,) simulated output before anything is added to it, and which parameters make it."""
+    bare, at = s.keeping([q.effect.slot is not Slot.ADDED for q in s.parts])
+    return simulate(bare, p[at], channel.u, channel.clock), at
 
 
 def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
@@ -185,8 +190,7 @@ def _behind(channel: Channel, s: Structure, p: Array) -> list[Array]:
     if not part.effect.static or s.layout != "tf" or Slot.OUTPUT in others:
         return []
     bare, known = s.keeping([True] * len(others) + [False])
-    linear, seeing = s.keeping([slot is not Slot.ADDED for slot in others] + [False])
-    seen = simulate(linear, p[seeing], channel.u, channel.clock)
+    seen, seeing = _before_added(channel, bare, p[known])
     added = simulate(bare, p[known], channel.u, channel.clock) - seen
     grid = np.linspace(2.0 * seen.min() - seen.max(), 2.0 * seen.max() - seen.min(), FINE)
     curve = part.effect.drawn(grid, shape)
@@ -201,10 +205,10 @@ def _behind(channel: Channel, s: Structure, p: Array) -> list[Array]:
     if keep.sum() < 0.5 * channel.keep.sum():
         return []
     undone = replace(channel, y=np.interp(read, curve, grid) + added, keep=keep)
-    found, same = [], np.isin(known, seeing)
+    found = []
     for q in renewed(undone, bare, p[known]):
         start = p.copy()
-        start[known[same]] = q[same]
+        start[known[seeing]] = q[seeing]
         held = np.where(np.arange(len(p)) < s.order, 0.0, np.maximum(np.abs(start), STEEP))
         found.append(fit(channel, s, start, held, iterations=QUICKLY, colour=False).p)
     return found
