@@ -15,7 +15,9 @@ from oed.files.writing import write_figure
 LINES = ("-", "--", ":", "-.")
 MARKERS = dict(zip(SHAPES, "os^DPv", strict=True))
 ACROSS = 4
-"""Panels in a row."""
+"""Panels in a row, and names in a row of the legend."""
+LETTER, KEY, ROW = 0.062, 0.6, 0.17
+"""Inches of a letter of the legend, of a line's sample and the space about it, and of a row."""
 
 
 def drawn(figure: Figure) -> Any:
@@ -26,7 +28,10 @@ def drawn(figure: Figure) -> Any:
     names, across = series_of(figure), min(len(panels), ACROSS)
     down = -(-len(panels) // across)
     height = 0.9 + 0.26 * len({row["y"] for row in figure.rows}) if figure.sideways else 3.0
-    sheet = Sheet(figsize=(max(5.5, 2.8 * across + 0.8), 0.6 + height * down), layout="constrained")
+    width = max(5.5, 2.8 * across + 0.8)
+    in_a_row = int(np.clip(width / (LETTER * max(map(len, names), default=0) + KEY), 1, ACROSS))
+    more = max(0, -(-len(names) // in_a_row) - -(-len(names) // ACROSS))
+    sheet = Sheet(figsize=(width, 0.6 + height * down + ROW * more), layout="constrained")
     axes = sheet.subplots(down, across, squeeze=False, sharex=figure.shared, sharey=figure.shared)
     for ax, panel in zip(axes.flat, panels, strict=False):
         mine = [row for row in figure.rows if str(row.get("panel") or "") == panel]
@@ -38,9 +43,7 @@ def drawn(figure: Figure) -> Any:
     sheet.supylabel("" if figure.sideways else figure.y, fontsize=10)
     handles, labels = axes.flat[0].get_legend_handles_labels()
     if len(names) > 1:
-        sheet.legend(
-            handles, labels, loc="outside upper center", ncols=min(len(labels), 4), frameon=False, fontsize=8
-        )
+        sheet.legend(handles, labels, loc="outside upper center", ncols=in_a_row, frameon=False, fontsize=8)
     return sheet
 
 

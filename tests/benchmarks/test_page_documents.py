@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.page.charts import COLOURS, chart, extent, style
 from benchmarks.page.content import MOST_POINTS, Figure, Page, Section, Table, read_page, thinned
-from benchmarks.page.figures_static import save_figure
+from benchmarks.page.figures_static import drawn, save_figure
 from benchmarks.page.skeleton import html, save_page, write_report
 from oed.errors import CampaignError, InputError
 
@@ -176,3 +176,16 @@ def test_a_figure_without_rows_is_left_out_for_papers_too(tmp_path):
     empty = Figure("none", "no run of so many", "none", [], "x", "y")
     save_page(tmp_path, replace(page(), hero=[*page().hero, empty]), static=True)
     assert sorted(file.name for file in (tmp_path / "figures").iterdir()) == ["f.pdf", "f.svg"]
+
+
+@pytest.mark.parametrize("count, letters", [(4, 28), (24, 26), (3, 6)])
+def test_the_legend_of_a_narrow_figure_stays_within_it(count, letters):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    rows = [{"x": k, "y": k, "series": f"{name:0{letters}d}"} for name in range(count) for k in (1, 2)]
+    sheet = drawn(Figure("f", "", "", rows))
+    FigureCanvasAgg(sheet).draw()
+    legend, axes = sheet.legends[0].get_window_extent(), sheet.axes[0].get_window_extent()
+    assert legend.x0 >= 0
+    assert legend.x1 <= sheet.bbox.x1
+    assert axes.height > 0.5 * 3.0 * sheet.dpi
