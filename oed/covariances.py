@@ -23,6 +23,19 @@ def square_root(matrix: NDArray) -> NDArray:
     return vectors * np.sqrt(np.clip(values, 0, None))[..., None, :]
 
 
+def solved_below(R: NDArray[np.float64], B: NDArray, finely: bool = False) -> NDArray[np.float64]:
+    """R'^-1 B for an upper triangle R (n, n) and a real B (n, s); finely: in extended precision, rounded once at the
+    end, for triangles so ill conditioned that rounding on the way would tell."""
+    if not finely:
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(R, B, trans=1), dtype=np.float64)
+    X, wide = np.array(B, dtype=np.longdouble), R.astype(np.longdouble)
+    for i in range(len(R)):
+        X[i] = (X[i] - wide[:i, i] @ X[:i]) / wide[i, i]
+    return X.astype(np.float64)
+
+
 def diagonal_blocks(matrix: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Square blocks on the diagonal: matrix (K s, K s) -> (K, s, s)."""
     size = len(matrix) // count

@@ -35,6 +35,12 @@ WRONG = {"c": "complex values", "M": "dates", "m": "durations", "U": "text", "S"
 """Kinds of arrays that would become numbers, and are none that a signal has."""
 
 
+def as_frequencies(omega: ArrayLike) -> NDArray:
+    """(K,) in double precision; in extended precision where they are given so, and then what follows from them is too."""
+    omega = np.atleast_1d(np.asarray(omega))
+    return omega if omega.dtype == np.longdouble else omega.astype(float)
+
+
 def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray[np.float64]:
     """Read-only copy of a signal as (N, channels), checked to be finite."""
     try:

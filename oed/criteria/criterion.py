@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.covariances import covariance_of, covariance_of_factor, solved
+from oed.covariances import covariance_of, covariance_of_factor, solved, solved_below
 from oed.data import frozen
 from oed.errors import InputError
 
@@ -138,11 +138,10 @@ class Criterion(ABC):
             H -= self.curvature * own @ own.T
         return H
 
-    def transformed(self, R: Array) -> tuple[Criterion, float]:
-        """The same criterion for parameters R theta, and the factor between the losses: R (n, n)."""
-        from scipy.linalg import solve_triangular
-
-        return self.scaled(solve_triangular(R, self.columns, trans=1))
+    def transformed(self, R: Array, finely: bool = False) -> tuple[Criterion, float]:
+        """The same criterion for parameters R theta, and the factor between the losses: R (n, n), an upper triangle;
+        finely: in extended precision."""
+        return self.scaled(solved_below(R, self.columns, finely))
 
     def of_unit_norm(self, columns: Array) -> tuple[Criterion, float]:
         """`scaled` of a loss that grows with the square of its columns."""

@@ -40,6 +40,7 @@ def certified(found: Exchange, *, tolerance: float, solver: str) -> Design:
         largest_price=found.price,
         frequency=found.frequency,
         price=lambda omega: problem.prices_at(omega, found.X, found.nu).ratio,
+        rounding=problem.rounding(found.columns, found.w),
     )
     power = {b.name: float(v * b.limit) for b, v in zip(problem.budgets, used, strict=True)}
     return assembled(
@@ -53,9 +54,10 @@ def assembled(
 ) -> Design:  # fmt: skip
     """A Design of a spectrum and its certificate, both in the model's own units."""
     bound = certificate.bound
+    closed = abs(loss - bound) <= tolerance * bound and certificate.rounding <= tolerance
     return Design(
         spectrum=spectrum, criterion=problem.original, loss=loss, bound=bound, certificate=certificate,
-        status=Status.OK if abs(loss - bound) <= tolerance * bound else Status.INACCURATE,
+        status=Status.OK if closed else Status.INACCURATE,
         information=problem.map.of_spectrum(spectrum), map=problem.map, power_used=used,
         limits={b.name: b.limit for b in problem.budgets}, solver=solver, rounds=rounds,
     )  # fmt: skip

@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.data import entry_name, frozen
+from oed.data import as_frequencies, entry_name, frozen
 from oed.errors import InputError
 from oed.models.structures import ORDERS, STRUCTURES
 
@@ -124,7 +124,7 @@ class Polynomial:
         (K, n, ny, nu)."""
         z = _delays(omega)
         shape = (len(z(0)), self.n_outputs, self.n_inputs)
-        g, dg = np.zeros(shape, complex), np.zeros((shape[0], self.n, *shape[1:]), complex)
+        g, dg = (np.zeros(size, z(0).dtype) for size in (shape, (shape[0], self.n, *shape[1:])))
         for i, (row, place) in enumerate(zip(self.coefficients(theta), self.places(), strict=True)):
             a = _value(row["a"][0], z)
             for j in range(self.n_inputs):
@@ -143,7 +143,7 @@ class Polynomial:
         (K, n, ny, ny)."""
         z = _delays(omega)
         shape = (len(z(0)), self.n_outputs, self.n_outputs)
-        h, dh = np.zeros(shape, complex), np.zeros((shape[0], self.n, *shape[1:]), complex)
+        h, dh = (np.zeros(size, z(0).dtype) for size in (shape, (shape[0], self.n, *shape[1:])))
         for i, (row, place) in enumerate(zip(self.coefficients(theta), self.places(), strict=True)):
             a, c, d = (_value(row[x][0], z) for x in "acd")
             h[:, i, i] = c / (a * d)
@@ -188,7 +188,7 @@ class Polynomial:
 
 
 def _delays(omega: ArrayLike):
-    omega = np.atleast_1d(np.asarray(omega, dtype=float))
+    omega = as_frequencies(omega)
     return cache(lambda k: np.exp(-1j * k * omega))
 
 

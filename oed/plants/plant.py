@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.data import entry_name, frozen
+from oed.data import as_frequencies, entry_name, frozen
 from oed.errors import InputError
 from oed.plants.checking import (
     check_covariance,
@@ -204,15 +204,15 @@ class Plant:
         dG : ndarray
             (K, n, ny, nu), dG[:, i] = dG/dtheta_i.
         """
-        z = np.exp(-1j * np.atleast_1d(np.asarray(omega, dtype=float)))
-        G = np.zeros((len(z), self.n_outputs, self.n_inputs), dtype=complex)
+        z = np.exp(-1j * as_frequencies(omega))
+        G = np.zeros((len(z), self.n_outputs, self.n_inputs), dtype=z.dtype)
         inverse_A = np.zeros_like(G)
         for i, row in enumerate(self.num):
             for j, B in enumerate(row):
                 inverse_A[:, i, j] = 1 / np.polyval(self.den[i][j][::-1], z)
                 G[:, i, j] = np.polyval(B[::-1], z) * inverse_A[:, i, j]
         unknown = [row for row in self._parameters() if row[0] in self.free]
-        dG = np.zeros((len(z), len(unknown), self.n_outputs, self.n_inputs), dtype=complex)
+        dG = np.zeros((len(z), len(unknown), self.n_outputs, self.n_inputs), dtype=z.dtype)
         for n, (_, letter, power, i, j, _) in enumerate(unknown):
             dG[:, n, i, j] = z**power * inverse_A[:, i, j] * (1 if letter == "b" else -G[:, i, j])
         return G, dG
@@ -230,7 +230,7 @@ class Plant:
         ndarray
             (K,), complex.
         """
-        z = np.exp(-1j * np.atleast_1d(np.asarray(omega, dtype=float)))
+        z = np.exp(-1j * as_frequencies(omega))
         return np.polyval(self.noise_num[::-1], z) / np.polyval(self.noise_den[::-1], z)
 
     def simulate(self, u: ArrayLike) -> NDArray[np.float64]:

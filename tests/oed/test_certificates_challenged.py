@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, quad_vec
 
-from oed.criteria import e_criterion
+from oed.criteria import d_criterion, e_criterion
 from oed.design import (
     autocorrelation_design,
     autoregressive_design,
@@ -35,6 +35,7 @@ from oed.plants.norms import peak
 from oed.plants.plant import Plant
 from oed.theory.limit import limit_spectrum
 from tests.oracles.certificates import Challenge, dense_grid, gradient, hard_plant, least_condition
+from tests.oracles.digits import exact_loss
 
 WITHIN = 1e-6
 """What a loss or a bound may be off: the issue's figure."""
@@ -179,6 +180,52 @@ def test_verdicts_of_plants_that_once_had_a_wrong_one(criterion, place):
     1e7; a certificate of modified E did not hold in a gap of its grid of 4e-4 rad/sample beside a resonance."""
     plant = next(islice(hard_plants(24, 13), place, None))
     assert verdict(plant, criterion, np.random.default_rng(1)) in ("closed", "open")
+
+
+@pytest.fixture(scope="module")
+def hardly_told():
+    """Order 15, nearly equal poles: information of a condition of 1e23."""
+    return next(islice(hard_plants(24, 48), 47, None))
+
+
+@pytest.mark.parametrize("criterion", ["D", "A"])
+def test_a_loss_keeps_its_digits_where_double_precision_hardly_tells_the_parameters_apart(
+    criterion, hardly_told
+):
+    """It was 1.9e-6 below the truth and OK (D), 3.9e-6 below it (A)."""
+    design = solve_design(hardly_told, criterion)
+    assert design.status is Status.OK
+    assert design.loss == pytest.approx(exact_loss(criterion, hardly_told, design.spectrum), rel=1e-8)
+
+
+def test_a_loss_without_the_digits_is_not_ok(hardly_told):
+    """The same plant by its response in double precision: what rounding does to the loss is told, whatever the gap."""
+    map_ = replace(information_map(hardly_told), finer=None)
+    grid = frequency_grid(map_, ((0.0, np.pi),), 400)
+    problem = Problem(map_, d_criterion(map_.n), power_budgets(map_, 1.0), grid)
+    spectrum = solve_design(hardly_told, "D").spectrum
+    columns, w = (
+        problem.columns(spectrum.omega, np.ones((len(spectrum), 1), complex)),
+        spectrum.power[:, 0, 0].real,
+    )
+    X, loss = np.eye(map_.n), problem.loss(columns, w)
+    found = Exchange(columns, w, loss, X, np.ones(1), loss, 1.0, 1.0, 1, Status.CONVERGED, problem)
+    design = certified(found, tolerance=1e-8, solver="newton")
+    off = abs(design.loss / exact_loss("D", hardly_told, spectrum) - 1)
+    assert off > 1e-8, "the control: here the digits are not there"
+    assert 0.1 * off < design.certificate.rounding < 100 * off
+    assert design.gap < 1e-8
+    assert not design.status.ok
+    assert "rounding alone" in str(design)
+
+
+def test_the_oracle_of_sixty_digits():
+    plant = named_plant("reference")
+    design = solve_design(plant, "A")
+    for kind in "DA":
+        assert exact_loss(kind, plant, design.spectrum) == pytest.approx(
+            Challenge(plant).loss(kind, Challenge(plant).information(design.spectrum)), rel=1e-10
+        )
 
 
 @pytest.mark.validate

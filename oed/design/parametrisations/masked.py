@@ -333,6 +333,7 @@ class _Search:
             X=X, multipliers={"input power": one.nu}, numerator=numerator, value=numerator / bound, bound=bound,
             largest_price=float(prices.max()), frequency=float(spectrum.omega[np.argmax(prices)]),
             price=lambda omega: problem.prices_at(omega, one.X, unit).ratio,
+            rounding=problem.rounding(lines, np.maximum(sizes.ravel(), 0.0)),
         )  # fmt: skip
         return assembled(
             problem, spectrum, certificate, loss, used={"input power": spectrum.total_power},

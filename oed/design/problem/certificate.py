@@ -46,6 +46,8 @@ class Certificate:
         holds on the grid only, and a line at `elsewhere_frequency` lowers the loss.
     elsewhere_frequency : float
         Where that is, rad/sample.
+    rounding : float
+        How far rounding alone moves the loss, relative; the bound is no surer than that.
     """
 
     X: NDArray[np.float64]
@@ -59,6 +61,7 @@ class Certificate:
     outside: float = 0.0
     elsewhere: float = 1.0
     elsewhere_frequency: float = float("nan")
+    rounding: float = 0.0
 
     @property
     def Z(self) -> NDArray[np.float64]:

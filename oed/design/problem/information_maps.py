@@ -48,6 +48,8 @@ class InformationMap:
     input_gain : callable, optional
         omega (K,) -> (K, nu, nu): from the chosen signals to the plant's inputs (in closed loop); by
         default the identity.
+    finer : callable, optional
+        `factor` in extended precision, for parameters that double precision hardly tells apart.
     """
 
     names: tuple[str, ...]
@@ -57,6 +59,7 @@ class InformationMap:
     constant: NDArray[np.float64]
     resonances: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     input_gain: Responses | None = None
+    finer: Responses | None = None
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -190,6 +193,7 @@ def information_map(
             lambda omega: model.response(omega)[0],
             np.zeros((len(model.free),) * 2),
             resonances_of(dens),
+            finer=lambda omega: whitened_gradient(model, omega.astype(np.longdouble)),
         )
     if isinstance(model, Model):
         return _of_model(model)
@@ -228,6 +232,12 @@ def _of_model(model: Model) -> InformationMap:
         H, _ = model.noise_response(omega)
         return np.einsum("kpr,knrq->knpq", W @ np.linalg.inv(H), model.response(omega)[1])
 
+    def finer(omega: NDArray) -> NDArray:
+        """Outputs of polynomial models have a noise filter each, and no other's."""
+        omega = omega.astype(np.longdouble)
+        H = np.einsum("kpp->kp", model.noise_response(omega)[0])
+        return np.einsum("pr,knrq->knpq", W, model.response(omega)[1] / H[:, None, :, None])
+
     rows = model.structure.coefficients(model.theta)
     dens = [p for row in rows for x in "acf" for p in row[x]]
     return InformationMap(
@@ -237,6 +247,7 @@ def _of_model(model: Model) -> InformationMap:
         lambda omega: model.response(omega)[0],
         noise_information(model, W),
         resonances_of(dens),
+        finer=finer,
     )
 
 

@@ -15,11 +15,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.covariances import square_root
+from oed.covariances import solved_below, square_root
 from oed.criteria import Criterion
 from oed.design.problem.families import local_maxima, maxima_between
 from oed.design.problem.information_maps import InformationMap
 from oed.design.problem.white import white_root
+
+ROUNDED = 1e5
+"""Condition of the coordinates above which double precision loses what the tightest tolerance, 1e-9, asks for."""
+
+LAST_DIGITS = (1, -1, 2, -2)
+"""Units in the last place by which frequencies are moved to see what rounding does."""
+LOST = 0.01
+"""Rounding of the coordinates over its worst case, condition times precision: .013 was seen where it is largest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,26 +96,30 @@ class Problem:
         self.original = criterion
         D = information.factor(omega)
         self.R = white_root(information, D)
-        self.criterion, self.scale = criterion.transformed(self.R)
-        inverse = np.linalg.inv(self.R)
-        self.constant = inverse.T @ information.constant @ inverse
-        self.grid = self._scaled(D)
+        self.condition = float(np.linalg.cond(self.R / np.linalg.norm(self.R, axis=0)))
+        self.finely = self.condition > ROUNDED
+        self.criterion, self.scale = criterion.transformed(self.R, self.finely)
+        half = solved_below(self.R, information.constant, self.finely)
+        self.constant = solved_below(self.R, half.T, self.finely)
+        self.grid = self._scaled(self._factor(omega) if self.finely else D)
         self.forms = self.forms_at(omega)
 
     def for_criterion(self, criterion: Criterion) -> Problem:
         """The same problem on the same grid with another criterion."""
         other = copy(self)
         other.original = criterion
-        other.criterion, other.scale = criterion.transformed(self.R)
+        other.criterion, other.scale = criterion.transformed(self.R, self.finely)
         return other
+
+    def _factor(self, omega: NDArray[np.float64]) -> NDArray:
+        """D (K, n, r, nu), in extended precision where the coordinates ask for it and the map has it."""
+        return (self.map.finer if self.finely and self.map.finer else self.map.factor)(omega)
 
     def _scaled(self, D: NDArray[np.complex128]) -> NDArray[np.float64]:
         """D (K, n, r, nu) in scaled coordinates, real and imaginary parts apart: (n, 2, K, r, nu)."""
-        from scipy.linalg import solve_triangular
-
         flat = np.moveaxis(D, 1, 0)
         both = np.stack([flat.real, flat.imag], axis=1)
-        return solve_triangular(self.R, both.reshape(len(both), -1), trans=1).reshape(both.shape)
+        return solved_below(self.R, both.reshape(len(both), -1), self.finely).reshape(both.shape)
 
     def forms_at(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
         """The budgets' forms over their limits: omega (K,) -> (K, J, nu, nu)."""
@@ -121,7 +133,7 @@ class Problem:
         other = copy(self)
         other.omega = both[order]
         other.band = np.searchsorted([low for low, _ in self.bands], other.omega, side="right")
-        other.grid = np.concatenate([self.grid, self._scaled(self.map.factor(new))], axis=2)[:, :, order]
+        other.grid = np.concatenate([self.grid, self._scaled(self._factor(new))], axis=2)[:, :, order]
         other.forms = np.concatenate([self.forms, self.forms_at(new)])[order]
         return other
 
@@ -140,9 +152,19 @@ class Problem:
             flat = np.concatenate([flat, square_root(self.constant)], axis=1)
         return self.criterion.loss_of_factor(flat)
 
+    def rounding(self, columns: Columns, w: NDArray[np.float64]) -> float:
+        """How far rounding alone moves the loss, relative: seen where the frequencies move by their last digits, which
+        rounds every response anew and changes nothing else; and what the coordinates may have lost."""
+        kept, eps = self.loss(columns, w), np.finfo(float).eps
+        again = [
+            self.loss(self.columns(columns.omega * (1 + k * eps), columns.direction), w) for k in LAST_DIGITS
+        ]
+        lost = LOST * self.condition * float(np.finfo(np.longdouble if self.finely else float).eps)
+        return max(lost, float(np.max(np.abs(np.array(again) / kept - 1)))) if np.isfinite(kept) else np.inf
+
     def scaled_factor(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
         """D in scaled coordinates: omega (K,) -> (K, n, r, nu)."""
-        flat = self._scaled(self.map.factor(omega))
+        flat = self._scaled(self._factor(omega))
         return np.moveaxis(flat[:, 0] + 1j * flat[:, 1], 0, 1)
 
     def length_scale(self, omega: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -154,12 +176,10 @@ class Problem:
 
     def columns(self, omega: NDArray[np.float64], direction: NDArray[np.complex128]) -> Columns:
         """Columns at given frequencies and directions: omega (m,), direction (m, nu)."""
-        D = self.map.factor(omega)
+        D = self._factor(omega)
         G = np.moveaxis(np.einsum("knrq,kq->knr", D, direction), 1, 0)
-        from scipy.linalg import solve_triangular
-
         both = np.stack([G.real, G.imag], axis=-1)
-        F = solve_triangular(self.R, both.reshape(len(both), -1), trans=1).reshape(both.shape)
+        F = solved_below(self.R, both.reshape(len(both), -1), self.finely).reshape(both.shape)
         F = np.moveaxis(F, 0, 1).reshape(len(omega), len(both), 2 * D.shape[2])
         q = np.einsum("kq,kjqr,kr->kj", direction.conj(), self.forms_at(omega), direction).real
         return Columns(omega, direction, F, q)
@@ -172,7 +192,7 @@ class Problem:
         self, omega: NDArray[np.float64], X: NDArray[np.float64], nu: NDArray[np.float64]
     ) -> Prices:
         """Prices at any frequencies: omega (K,), X (n, s), nu (J,)."""
-        return _price(self._scaled(self.map.factor(omega)), self.forms_at(omega), X, nu)
+        return _price(self._scaled(self._factor(omega)), self.forms_at(omega), X, nu)
 
     def refined_maxima(
         self, prices: Prices, X: NDArray[np.float64], nu: NDArray[np.float64], above: float, divisions: int = 13,

@@ -1,0 +1,71 @@
+"""Losses to sixty digits: the gradient by the quotient rule and elimination, in decimal arithmetic; shares no code."""
+
+from __future__ import annotations
+
+from decimal import Decimal, localcontext
+
+import numpy as np
+
+from oed.data import Spectrum
+from oed.plants.plant import Plant
+
+Pair = tuple[Decimal, Decimal]
+
+
+def _turned(omega: float) -> Pair:
+    """e^-jw by its series, the sum of a double's exact value's powers."""
+    x, term, sums = Decimal(omega), Decimal(1), [Decimal(0)] * 4
+    for k in range(1, 90):
+        sums[(k - 1) % 4] += term
+        term *= x / k
+    return sums[0] - sums[2], sums[3] - sums[1]
+
+
+def _times(a: Pair, b: Pair) -> Pair:
+    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
+
+
+def _inverse(a: Pair) -> Pair:
+    size = a[0] ** 2 + a[1] ** 2
+    return a[0] / size, -a[1] / size
+
+
+def exact_loss(kind: str, plant: Plant, spectrum: Spectrum) -> float:
+    """D or A of the lines of one input at a plant of one output in white noise."""
+    with localcontext() as context:
+        context.prec = 60
+        A, B = ([Decimal(float(x)) for x in side[0][0]] for side in (plant.den, plant.num))
+        first = int(np.flatnonzero(plant.num[0][0])[0])
+        rows = []
+        for omega, power in zip(spectrum.omega, spectrum.power[:, 0, 0].real, strict=True):
+            z, powers = _turned(float(omega)), [(Decimal(1), Decimal(0))]
+            for _ in range(max(len(A), len(B))):
+                powers.append(_times(powers[-1], z))
+            a, b = (
+                (sum(c * p[0] for c, p in zip(P, powers)), sum(c * p[1] for c, p in zip(P, powers)))
+                for P in (A, B)
+            )
+            inverse = _inverse(a)
+            minus_g = _times((-b[0], -b[1]), _times(inverse, inverse))
+            size = (Decimal(float(power)) / Decimal(float(plant.noise_covariance[0, 0]))).sqrt()
+            line = [_times(powers[k], inverse) for k in range(first, len(B))]
+            line += [_times(powers[k], minus_g) for k in range(1, len(A))]
+            rows += [[size * x[part] for x in line] for part in (0, 1)]
+        n = len(plant.free)
+        M = [[sum(row[i] * row[j] for row in rows) for j in range(n)] for i in range(n)]
+        return _loss_of(kind, M)
+
+
+def _loss_of(kind: str, M: list[list[Decimal]]) -> float:
+    """By elimination, the unit matrix beside M."""
+    n, log = len(M), Decimal(0)
+    M = [[*row, *(Decimal(int(i == j)) for j in range(n))] for i, row in enumerate(M)]
+    for k in range(n):
+        pivot = M[k][k]
+        log += pivot.ln()
+        M[k] = [x / pivot for x in M[k]]
+        for i in range(n):
+            if i != k:
+                factor = M[i][k]
+                M[i] = [x - factor * y for x, y in zip(M[i], M[k], strict=True)]
+    return float((-log / n).exp()) if kind == "D" else float(sum(M[k][n + k] for k in range(n)))
