@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.design.assembling import assembled, spectrum_of_lines
+from oed.design.assembling import TRIFLES, UNTOLD, assembled, spectrum_of_lines
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.design import Design
 from oed.design.problem.families import local_maxima, maxima_between
@@ -39,12 +39,18 @@ NEARLY = 1e-2
 """Gap below which the support shows well enough to try Newton's method on it."""
 SPENT = 1e-5
 """Share of a multiplier's largest eigenvalue below which the others are what an interior point leaves of zero."""
+PATIENCE = 4
+"""Rounds that gain no fifth of the gap after which rounding of the programme holds it up."""
+IDLE = 1e-12
+"""Share of the most that a line tells below which another leaves: of the power it may be a billionth and still count."""
 SAME = 1e-11
 """Relative difference below which fewer lines have the same information."""
 WIDEST = 0.3
 """Distance over which a plant without resonances changes, rad/sample."""
 BESIDE = 300
 """Points on either side of a resonance in the last look at a certificate: 3 % of the distance apart."""
+HIGHEST = 60
+"""Maxima that are looked at between the lines: the others are ripples of rounding, hundreds of them."""
 REFINED = 6
 """Times that a bound is looked at between the lines, each time at the last one."""
 ALIKE = 1e-9
@@ -111,6 +117,7 @@ def condition_design(
     q = setting.map.n_inputs
     lines = setting.lines(np.repeat(omega, q), np.tile(np.eye(q, dtype=complex), (len(omega), 1)))
     best_loss, best_bound, kept, proof, rounds = np.inf, 0.0, None, None, 0
+    reference, stalled = np.inf, 0
     proofs: list[tuple[NDArray, NDArray]] = []
     while rounds < max_rounds:
         rounds += 1
@@ -130,14 +137,17 @@ def condition_design(
             tried += 1
             if refine and tried == 1 and tolerance < best_loss / max(best_bound, 1e-300) - 1 < NEARLY:
                 tries = _polished(setting, *_sparse(setting, own, w), Z_low, Z_high)
-        if best_loss - best_bound <= tolerance * best_bound or not np.isfinite(best_loss):
+        gap = best_loss / max(best_bound, 1e-300) - 1
+        reference, stalled = (gap, 0) if gap < 0.8 * reference else (reference, stalled + 1)
+        if gap <= tolerance or not np.isfinite(best_loss) or stalled == PATIENCE:
             break
         w, Z_low, Z_high = found
         high, direction = setting.excess(omega, Z_low, Z_high, setting.loss(lines, w))
         # The own lines are at 0 already; what lies above can come in.
         at = local_maxima(high)
         at = at[high[at] > 1e-9 * np.abs(high).max()]
-        stay = w > 1e-9 * w.max()
+        told = w * np.sum(lines.F**2, axis=(1, 2))
+        stay = told > IDLE * told.max()
         if not len(at):
             break
         old = _Lines(lines.omega[stay], lines.direction[stay], lines.F[stay])
@@ -178,7 +188,7 @@ def _polished(
         parts.append(problem.R @ setting.turn.T @ (vectors[:, own] * np.sqrt(values[own])))
     signs = np.repeat([1.0, -1.0], [part.shape[1] for part in parts])
     X = np.concatenate(parts, axis=1)
-    merged = at_clusters(problem, problem.columns(lines.omega, lines.direction), w)
+    merged = at_clusters(problem, problem.columns(lines.omega, lines.direction), w, spent=0.0)
     lines, w, _ = _explained(
         setting.lines(merged.omega, merged.direction), setting.told(lines, w), float(w.sum())
     )
@@ -284,6 +294,7 @@ def _bound(
         # Between the lines the maxima of the excess at k itself decide, and there are others at the loss.
         high = setting.excess(omega, Z_low, Z_high, k)[0]
         at, before = local_maxima(high), k
+        at = np.sort(at[np.argsort(high[at])[-HIGHEST:]])
         left, right = omega[np.maximum(at - 1, 0)], omega[np.minimum(at + 1, len(omega) - 1)]
         found = maxima_between(lambda w, k=k: setting.excess(w, Z_low, Z_high, k)[0], left, right)
         omega = np.union1d(omega, within(found, bands))
@@ -314,7 +325,12 @@ def _as_design(
     setting: _Setting, lines: _Lines, w: NDArray, Z_low: NDArray, Z_high: NDArray, bound: float, omega: NDArray,
     rounds: int, tolerance: float,
 ) -> Design:  # fmt: skip
-    keep = w > 1e-9 * w.max()
+    # A line of 1e-10 of the power may be all that a parameter is known by: only those go of which the loss does not tell.
+    most = setting.loss(lines, w) * (1 + UNTOLD)
+    for share in TRIFLES:
+        keep = w > share * w.max()
+        if setting.loss(lines, w * keep) <= most:
+            break
     spectrum = spectrum_of_lines(lines.omega[keep], lines.direction[keep], w[keep])
     information = setting.map.of_spectrum(spectrum)
     scale = bound * float(np.sum(Z_low * (setting.turn @ information @ setting.turn.T)))

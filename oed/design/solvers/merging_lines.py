@@ -133,11 +133,11 @@ def _at_peaks(problem: Problem, lines: Columns, w: NDArray, X: NDArray, nu: NDAr
     return problem.columns(np.array(omega), np.array(directions))
 
 
-def at_clusters(problem: Problem, lines: Columns, w: NDArray, *_: NDArray) -> Columns:
+def at_clusters(problem: Problem, lines: Columns, w: NDArray, *_: NDArray, spent: float = SPENT) -> Columns:
     """Neighbours of like direction at their centre of power: where the price is flat its peaks say nothing."""
     from scipy.sparse.csgraph import connected_components
 
-    heavy = w > SPENT * w.max()
+    heavy = w > spent * w.max()
     lines, w = lines.take(heavy), w[heavy]
     close = np.abs(lines.omega[:, None] - lines.omega) < CLOSE * problem.length_scale(lines.omega)
     alike = np.abs(lines.direction.conj() @ lines.direction.T) ** 2 > 0.5
