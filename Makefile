@@ -5,7 +5,7 @@
 #   make test      the tests (under 8 minutes on 2 cores);  make test PYTEST_ARGS="-k spectrum -x"
 #   make lint      ruff, pyright, import-linter
 #   make validate  the tests that are too long for `make test`; writes validation.json
-#   make fuzz      hostile files and documents, $(FUZZ) of them (100000; `make test` has a fixed thousand)
+#   make fuzz      hostile files, documents and arguments, $(FUZZ) of them (100000; `make test` has a fixed thousand)
 #   make mutants   which changes of the code its tests would not notice, by mutmut (hours; FILES="oed/criteria.py" for some)
 #   make campaign  the published campaign, from which README's table and pictures and docs/results are made again
 #   make speed, make report    the speed benchmarks, the HTML report again

@@ -41,7 +41,7 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         rule = lambda found: f"it is {found[2]}; it must be {NUMBERS.get(found[1], 'another value')}"
         message = re.sub(r"invalid (\w+) value: (.*)", rule, message)
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help.\n")
+        self.exit(2, _one_line(f"{self.prog}: {message}; see {self.prog} --help.") + "\n")
 
     def options(self) -> list[str]:
         """What may stand behind the command, to guess what was meant."""
@@ -119,9 +119,15 @@ def _standard_output_reserved() -> Iterator[Any]:
         os.close(kept)
 
 
+LONGEST = 1500
+"""Characters of a message, with all that a user gave repeated in it: some ten lines of a terminal."""
+
+
 def _one_line(text: str) -> str:
     """A message as one line; what a file put in it, such as a column's name, does not reach the terminal as a command."""
     words = " ".join(text.split())
+    if len(words) > LONGEST:
+        words = f"{words[: LONGEST // 2]} ... {words[-LONGEST // 2 :]}"
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in words)
 
 
@@ -139,19 +145,20 @@ def main(argv: list[str] | None = None) -> int:
         try:
             check_names(argv[:1], tuple(_modules()), "command")
         except InputError as error:
-            print(f"oed: {error}", file=sys.stderr)
+            print(_one_line(f"oed: {error}"), file=sys.stderr)
             return 2
     args, unknown = parser.parse_known_args(argv)
     if args.command is None:
-        print(f"oed: {argv[0]} is not understood; give a command first, see oed --help.", file=sys.stderr)
+        print(
+            _one_line(f"oed: {argv[0]} is not understood; give a command first, see oed --help."),
+            file=sys.stderr,
+        )
         return 2
     if unknown:
         near = difflib.get_close_matches(unknown[0], args.options, 1)
         hint = f" (did you mean {near[0]}?)" if near else ""
-        print(
-            f"oed {args.command}: {unknown[0]} is not understood{hint}; see oed {args.command} --help.",
-            file=sys.stderr,
-        )
+        said = f"oed {args.command}: {unknown[0]} is not understood{hint}; see oed {args.command} --help."
+        print(_one_line(said), file=sys.stderr)
         return 2
     with _terminated_like_interrupted(), _progress(args):
         return _run(args)
@@ -223,6 +230,10 @@ def _run(args: argparse.Namespace) -> int:
         return 128 + (signal.SIGTERM if ended else signal.SIGINT)
     except Exception as error:
         remedy = extra_named(error) if isinstance(error, ModuleNotFoundError) else ""
+        if isinstance(error, OSError) and error.filename is not None:  # such as a name too long for a file
+            remedy = _one_line(f"{error.filename}: {error.strerror}; give another name")
+        if isinstance(error, MemoryError):
+            remedy = f"there is not enough memory ({_one_line(str(error))}); ask for less"
         if remedy:
             print(f"oed {args.command}: {remedy}.", file=sys.stderr)
             return 2

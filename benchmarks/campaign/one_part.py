@@ -139,7 +139,7 @@ def run_part(
         try:
             plant, trace = within(time_limit, _run, settings, part, replicate, own, noise)
         except Exception as error:  # a method that raises is a row of the table, not the end of the campaign
-            rows += [_row(head, name, final=True, **_failure(error)) for name in names]
+            rows += [_row(head, name, final=True, **_failure(error)) for name in names or [""]]
             continue
         _add_information(sums, head, settings, plant, trace)
         for name in names:
@@ -157,7 +157,7 @@ def killed_rows(settings: Settings, part: Part) -> list[Row]:
     return [
         _row(_head(part, replicate), name, final=True, message="the process that ran it was killed")
         for replicate in range(part.start, part.stop)
-        for name in _estimators(settings, part, replicate)
+        for name in _estimators(settings, part, replicate) or [""]
     ]
 
 
@@ -193,19 +193,23 @@ class _Noise:
 
     def __init__(self, settings: Settings, part: Part) -> None:
         self.settings, self.part = settings, part
-        self.first, self.block = 0, np.empty((0, 0))
+        self.held: tuple[int, Any] = (
+            0,
+            (),
+        )  # together: a run that is given up may be interrupted between two
 
     def of(self, plant: Any, replicate: int) -> dict[int, Any] | None:
         """By experiment; None where the part is small or its noise large: it is then computed run by run."""
         size = (self.settings.experiments, self.settings.samples, plant.n_outputs)
         if self.part.stop - self.part.start < SEVERAL_TENS or np.prod(size) > MOST_NOISE:
             return None
-        if not self.first <= replicate < self.first + len(self.block):
+        first, block = self.held
+        if not first <= replicate < first + len(block):
             from estimators.montecarlo.noise_ahead import noise_of_replicates
 
-            self.first = replicate
-            self.block = noise_of_replicates(noise_key(self.settings.seed, plant.name), replicate, *size)
-        return dict(enumerate(self.block[replicate - self.first]))
+            block = noise_of_replicates(noise_key(self.settings.seed, plant.name), replicate, *size)
+            first, self.held = replicate, (replicate, block)
+        return dict(enumerate(block[replicate - first]))
 
 
 def _run(

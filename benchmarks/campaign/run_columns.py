@@ -83,7 +83,7 @@ def runs_of(combination: tuple[str, float, str], tables: Sequence[pa.Table]) -> 
     kept = []
     for table in tables:
         carried = pc.equal(table["estimator"], "")
-        information += table.filter(carried).to_pylist()
+        information += [row for row in table.filter(carried).to_pylist() if row["count"]]  # others: it failed
         kept.append(table.filter(pc.invert(carried)).drop_columns(["information", "plant", "method"]))
     whole = pa.concat_tables(kept)
     names = whole["estimator"].combine_chunks().dictionary_encode()

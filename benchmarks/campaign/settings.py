@@ -33,6 +33,10 @@ class Limit:
     def __post_init__(self) -> None:
         if self.replicates < 0:
             raise InputError(f"a limit has {self.replicates} replicates; it must be at least 0.")
+        if not 0 <= self.noise_variance < np.inf:
+            raise InputError(
+                f"a limit has noise variance {self.noise_variance:g}; give one that is positive and finite."
+            )
 
 
 @dataclass(frozen=True)
@@ -220,7 +224,10 @@ def limit_from_text(text: str) -> Limit:
     check_names(
         list(entry), ("replicates", "plant", "method", "estimator", "noise_variance"), "key of --limit"
     )
-    if not entry.get("replicates", "").isdigit():
-        raise InputError(f"--limit {text}: give replicates=R with a whole number R of at least 0.")
-    noise = float(entry.get("noise_variance", 0))
-    return Limit(**entry | {"replicates": int(entry["replicates"]), "noise_variance": noise})  # type: ignore[arg-type]
+    try:
+        replicates, noise = int(entry.get("replicates", "")), float(entry.get("noise_variance", 0))
+    except ValueError:
+        raise InputError(
+            f"--limit {text}: give replicates=R with a whole number R of at least 0, and noise variances as numbers."
+        ) from None
+    return Limit(**entry | {"replicates": replicates, "noise_variance": noise})  # type: ignore[arg-type]

@@ -32,6 +32,12 @@ def structure_for(
                 f"the records {ny} and {nu}; they must agree."
             )
         return structure
+    samples = sum(map(len, records))
+    each = (v for given in (orders, delay) for v in np.ravel(np.asarray(given, dtype=object)))
+    if any(isinstance(v, int | np.integer) and v > samples for v in each):  # before so many names are made
+        raise InputError(
+            f"{samples} samples cannot determine orders {orders} at a delay of {delay}; lower them."
+        )
     if structure == "ss":
         order = np.ravel(orders)
         if len(order) != 1 or np.ndim(delay) or diagonal:

@@ -5,17 +5,22 @@ from __future__ import annotations
 import copy
 import json
 import os
+import tempfile
+import tomllib
 from datetime import timedelta
+from pathlib import Path
 
 import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.campaign.settings import Settings as Campaign
+from benchmarks.campaign.settings import campaign_from_toml
 from estimators.sessions.settings import Settings, settings_from_json, settings_to_json
 from oed.errors import OedError
 from oed.plants.json import plant_from_json, plant_to_json
 
-TESTS = 5  # with those of the readers beside this file
+TESTS = 8  # with those of the readers beside this file
 MANY = int(os.environ.get("OED_FUZZ", "0"))
 quick = settings(
     max_examples=MANY // TESTS or 125, derandomize=not MANY, database=None, deadline=timedelta(seconds=20),
@@ -28,6 +33,11 @@ PLANTS = (
     {"num": [[[0, 1], [0, 2]], [[0, 1], [0, 3]]], "den": [[[1, -0.5], [1]], [[1, -0.2], [1, 0.3]]],
      "noise": {"covariance": [[2.0, 1], [1, 3]]}},
 )  # fmt: skip
+CAMPAIGN = {
+    "plants": ["reference", "random-fir-1..3"], "noise_variances": [1.0, 0.1], "methods": ["white", "power"],
+    "estimators": ["frf", "pem"], "samples": 100, "experiments": 5, "seed": 3, "profile_replicates": 0, "replicates": 4,
+    "time_limit": 2.5, "out": "results/x", "limit": [{"replicates": 2, "plant": "random-*", "noise_variance": 0.1, "why": "time"}],
+}  # fmt: skip
 ODD = (None, True, 0, -1, 1e-320, 1e308, -1e308, 1e-300, [], {}, "x", "", [[]], [[[]]], [1], [1, 2, 3], 1e150, 5,
        [[1, 2], [3]], {"a": 1}, 0.999999999, -0.0, float("nan"), float("inf"), 10**400)  # fmt: skip
 changes = st.lists(
@@ -104,3 +114,39 @@ def test_a_changed_session_is_read_as_it_stands_or_refused(how):
     if found is None:
         return
     assert settings_from_json(settings_to_json(found), "again") == found
+
+
+def toml(value) -> str:
+    """A value as TOML has it, also where TOML has none."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(k)} = {toml(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return str(value) if isinstance(value, float) else json.dumps(value)
+
+
+@quick
+@given(
+    changes,
+    st.sampled_from(["", "", "", "seed = 4\n", "[[limit]]\nreplicates = 1\n", "x", "\0", "a.b = 1\n"]),
+    st.integers(0, 3),
+)
+def test_a_changed_campaign_is_read_as_it_stands_or_refused(how, more, cut):
+    content = changed(CAMPAIGN, how)
+    text = "".join(f"{json.dumps(key)} = {toml(value)}\n" for key, value in content.items())
+    text = (text[: -len(text) // cut - 1] if cut > 1 else text) + more
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "c.toml"
+        path.write_text(text)
+        found = read(lambda: campaign_from_toml(path))
+    if found is None:
+        return
+    meant = tomllib.loads(text)
+    limits = found.pop("limits", ())
+    assert {key: list(v) if isinstance(v, tuple) else v for key, v in found.items()} == {
+        key: value for key, value in meant.items() if key != "limit"
+    }
+    for limit, entry in zip(limits, meant.get("limit", ()), strict=True):
+        assert all(getattr(limit, key) == value for key, value in entry.items())
+    deciding = {key: found[key] for key in found.keys() & Campaign.__dataclass_fields__.keys()}
+    read(lambda: Campaign(**deciding, limits=limits))

@@ -200,6 +200,6 @@ def _prior(records: Sequence[Record], i: int, options: Options) -> Prior:
     y = np.concatenate([r.y[:, i] for r in records])
     mean = float(np.nanmean(y))
     d = np.nan_to_num(y - mean)
-    covariance = np.array([d[: len(d) - k] @ d[k:] for k in range(LAGS)]) / len(d)
+    covariance = np.array([d[: max(len(d) - k, 0)] @ d[k:] for k in range(LAGS)]) / len(d)
     level, held = rest_level(records[0].u, records[0].y[:, i], covariance[0]), records[0].u[0]
     return Prior(mean, covariance, QUIET * covariance[0], bool(options.deviations), level, held)

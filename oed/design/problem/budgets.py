@@ -9,6 +9,9 @@ from oed.design.problem.information_maps import InformationMap
 from oed.design.problem.lines import Budget
 from oed.errors import InputError
 
+LARGEST = 1e30
+"""Of a power, and one over it the smallest: the search squares what they tell, and fails from 1e60 on (see the fuzzing)."""
+
 
 def power_budgets(
     information: InformationMap,
@@ -63,6 +66,10 @@ def _limit(value: float, name: str) -> float:
     if not (np.isfinite(value) and value > 0):
         raise InputError(
             f"the {name} is {value}; it must be positive and finite: without power there is no design."
+        )
+    if not 1 / LARGEST <= value <= LARGEST:
+        raise InputError(
+            f"the {name} is {value:g}; it must lie between {1 / LARGEST:g} and {LARGEST:g}: choose other units."
         )
     return value
 

@@ -20,6 +20,9 @@ MOST = 20_000
 """Intervals halved at once: more are noise in the response."""
 _OFFSETS = np.concatenate([[0.0], *(side * np.geomspace(0.03, 30, 24) for side in (-1, 1))])
 
+MOST_POINTS = 100_000
+"""Of the first grid: lines lie between them anyway, and the information at each takes memory."""
+
 
 def bands_of(band: Sequence[float] | Sequence[Sequence[float]] | None) -> tuple[tuple[float, float], ...]:
     """Bands in increasing order, checked: band (low, high) -> (float, float)."""
@@ -63,8 +66,10 @@ def frequency_grid(
         inside = [omega[(omega >= low) & (omega <= high)] for low, high in bands]
     else:
         count = int(points)  # type: ignore[arg-type]
-        if count < 8:
-            raise InputError(f"the grid has {count} points; at least 8 are needed, 400 are usual.")
+        if not 8 <= count <= MOST_POINTS:
+            raise InputError(
+                f"the grid has {count} points; at least 8 are needed, 400 are usual, {MOST_POINTS} are the most."
+            )
         whole = np.concatenate(
             [np.linspace(0, np.pi, count), *(w + width * _OFFSETS for w, width in information.resonances)]
         )

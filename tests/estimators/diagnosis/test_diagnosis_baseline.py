@@ -318,6 +318,16 @@ def test_a_long_record_is_chosen_on_pieces_and_fitted_whole():
     assert np.isfinite(base.unused[0]).all()
 
 
+@pytest.mark.parametrize("samples", [50, 63])
+def test_a_record_shorter_than_the_lags_of_the_prior(samples):
+    rng = np.random.default_rng(6)
+    num, den = plant(rng, 1)
+    u = rng.standard_normal(samples)
+    base = best_linear([Record(u, lfilter(num, den, u))])
+    assert base.outputs[0].model.order >= 1
+    assert np.isfinite(base.unused[0]).all()
+
+
 def test_no_record_is_refused():
     with pytest.raises(InputError, match="at least one"):
         best_linear([])
