@@ -226,8 +226,9 @@ def limit_from_text(text: str) -> Limit:
     )
     try:
         replicates, noise = int(entry.get("replicates", "")), float(entry.get("noise_variance", 0))
-    except ValueError:
+        Limit(replicates, noise_variance=noise)
+    except (ValueError, InputError):
         raise InputError(
-            f"--limit {text}: give replicates=R with a whole number R of at least 0, and noise variances as numbers."
+            f"--limit {text}: give replicates=R with a whole number R of at least 0, and a positive, finite noise_variance."
         ) from None
     return Limit(**entry | {"replicates": replicates, "noise_variance": noise})  # type: ignore[arg-type]

@@ -73,8 +73,7 @@ def parquet_table(content: bytes, source: str) -> Table:
     def load(wanted: Sequence[str]) -> list[NDArray[np.float64]]:
         try:
             stored = [clock if clock and name == "t" else name for name in wanted]
-            table = read_columns(file, stored)
-            return [_values(table[at], name, source) for at, name in zip(stored, wanted)]
+            return [_column(file, at, name, source) for at, name in zip(stored, wanted)]
         except (pa.ArrowException, OSError) as error:
             raise InputError(
                 f"{source} cannot be read ({first_line(error)}); it is damaged: write it again."
@@ -119,6 +118,24 @@ def _marks(own: Any, names: list[str]) -> dict[str, Any]:
         return {name: made(own[name]) for name, made in as_kept.items()}
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"its metadata are damaged at {error}") from None
+
+
+TEXTS = 100
+"""Rows of text that are taken into memory at once."""
+
+
+def _column(file: parquet.ParquetFile, stored: str, name: str, source: str) -> NDArray[np.float64]:
+    """One column, whose type is looked at before it is read: a small file can hold gigabytes of one text or one list.
+    Text, which is no number unless it is blank throughout, is read piece by piece."""
+    import pyarrow as pa
+
+    schema = file.schema_arrow
+    kind = schema.field(schema.names.index(stored)).type
+    blank = _values(pa.chunked_array([], type=kind), name, source)
+    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        pieces = file.iter_batches(TEXTS, columns=[stored], use_threads=False)
+        return np.concatenate([blank, *(_values(piece.column(0), name, source) for piece in pieces)])
+    return _values(read_columns(file, [stored])[stored], name, source)
 
 
 def _values(column: Any, name: str, source: str) -> NDArray[np.float64]:

@@ -262,7 +262,7 @@ def numbers(values: ArrayLike, name: str, source: str) -> NDArray[np.float64]:
         for row, value in enumerate(array.ravel()):
             if not (value is None or isinstance(value, int | float | np.integer | np.floating)):
                 raise InputError(
-                    f"column {name} of {source} holds {value!r} in row {row} (counting from 0); "
+                    f"column {name} of {source} holds {value!r:.80} in row {row} (counting from 0); "
                     "samples must be real numbers: correct the entry or leave the column out."
                 )
         return np.array([np.nan if value is None else float(value) for value in array.ravel()])

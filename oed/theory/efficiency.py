@@ -108,10 +108,13 @@ def peak_gain_efficiency_by_experiments(
     c = gain_gradient(plant, top)
     nodes, Phi, _ = spectra_of_iterations(plant, experiments)
     psi = whitened_gradient(plant, nodes.omega)[:, :, 0, 0]
+    rows = np.concatenate(
+        [psi.real, psi.imag]
+    )  # in one piece: products of parts of complex numbers bypass BLAS
     best = float(plant.noise_covariance[0, 0]) if optimum is None else optimum
     efficiency, total = np.zeros(experiments), np.zeros((len(c), len(c)))
     for k in range(experiments):
-        weighted = psi * np.sqrt(nodes.weight * Phi[k])[:, None]
-        total = total + (weighted.real.T @ weighted.real + weighted.imag.T @ weighted.imag)
+        weighted = rows * np.tile(np.sqrt(nodes.weight * Phi[k]), 2)[:, None]
+        total = total + weighted.T @ weighted
         efficiency[k] = best / ((k + 1) * losses(total, c).c)
     return efficiency

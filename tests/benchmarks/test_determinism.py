@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks.campaign.settings import Settings
-from benchmarks.campaign.whole_campaign import run_campaign
+from benchmarks.campaign.whole_campaign import fill_store
 
-ENDURANCE = 1000
-"""Runs over which handles and memory are looked at; after three fifths every input has begun, with all that it imports."""
+ENDURANCE = (1000, pytest.param(100_000, marks=pytest.mark.validate))
+"""Runs over which handles and memory are looked at; after four fifths every input has begun, with all that it imports."""
 GROWTH_MB = 10
 SCRIPT = """
 import locale, sys
@@ -83,13 +83,14 @@ def memory_mb() -> float:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads memory and handles under /proc")
-def test_memory_and_handles_stay_flat(tmp_path, record_figure):
+@pytest.mark.parametrize("runs", ENDURANCE)
+def test_memory_and_handles_stay_flat(tmp_path, record_figure, runs):
     settings = Settings(plants=("reference",), noise_variances=(1.0,), methods=("white", "power"), estimators=("frf", "gain"),
                         samples=50, experiments=3, profile_replicates=0)  # fmt: skip
     seen: list[tuple[float, int]] = []
     look = lambda done, total: seen.append((memory_mb(), len(os.listdir("/proc/self/fd"))))
-    run_campaign(settings, ENDURANCE // 2, tmp_path, jobs=1, progress=look)
-    settled, end = seen[3 * len(seen) // 5], seen[-1]
-    record_figure("memory in MB after three fifths and at the end of a thousand runs", (settled[0], end[0]))
+    fill_store(settings, runs // 2, tmp_path, jobs=1, progress=look)
+    settled, end = seen[4 * len(seen) // 5], seen[-1]
+    record_figure(f"memory in MB after four fifths and at the end of {runs} runs", (settled[0], end[0]))
     assert end[1] == settled[1]
     assert end[0] < settled[0] + GROWTH_MB

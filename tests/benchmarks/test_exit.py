@@ -28,6 +28,7 @@ for source in (content, path):
     with open_parquet(source) as file:
         read_columns(file)
         read_columns(file, ["b"])
+        list(file.iter_batches(100, columns=["b"], use_threads=False))
 ours = len(os.listdir("/proc/self/task"))
 from pyarrow import parquet
 parquet.read_table(io.BytesIO(content))

@@ -35,6 +35,36 @@ def test_a_million_runs_are_tabulated_in_30_seconds_and_2_gigabytes(record_figur
     assert table["peak_mb"] < 2000
 
 
+IDENTIFY = """
+import resource, sys
+import numpy as np
+from scipy.signal import lfilter
+from estimators.pem import identify
+from oed.data import Record
+n, kind, *orders = int(sys.argv[1]), sys.argv[2], *map(int, sys.argv[3:])
+rng = np.random.default_rng(0)
+u = rng.standard_normal(n)
+y = lfilter([0, 0.2155, 0.2012], [1, -0.9854, 0.8187], u) + 0.1 * rng.standard_normal(n)
+identify(Record(u, y), kind, tuple(orders))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+"""
+BYTES_PER_SAMPLE = 400
+"""Of memory at its peak, for one input and one output: some tens of doubles."""
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize(
+    "structure", [("arx", "2", "2"), ("oe", "2", "2"), ("bj", "2", "1", "1", "2"), ("ss", "2")]
+)
+def test_a_million_samples_are_identified_in_memory_linear_in_them(structure, record_figure):
+    command = [sys.executable, "-c", IDENTIFY]
+    sizes = (1000, 500_000, 1_000_000)
+    peaks = [int(subprocess.check_output([*command, str(n), *structure])) for n in sizes]
+    per_sample = np.diff(peaks) / np.diff(sizes)
+    record_figure(f"bytes per sample of {structure[0]}, up to half a million and beyond", per_sample.tolist())
+    assert per_sample.max() < BYTES_PER_SAMPLE
+
+
 @pytest.mark.validate
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one core cannot show what two workers are worth")
 def test_two_workers_are_worth_1_7(record_figure):

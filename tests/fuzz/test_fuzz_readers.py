@@ -10,6 +10,7 @@ import gzip
 import io
 import math
 import os
+import resource
 import struct
 import tempfile
 from datetime import timedelta
@@ -377,6 +378,26 @@ def test_bombs_are_refused_and_the_limit_can_be_raised(tmp_path, monkeypatch):
     assert "asks for" not in read(wide.encode(), ".csv")
     monkeypatch.setenv("OED_MOST_BYTES", "many")
     assert "OED_MOST_BYTES is 'many'; give a whole number" in read(stream.getvalue(), ".npz")
+
+
+@pytest.mark.parametrize("kind", ["text", "category", "lists"])
+def test_gigabytes_of_one_text_or_list_are_not_expanded(kind):
+    """Twenty gigabytes in a file of some kilobytes: a word of a million letters, or a long list, twenty thousand times."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    rows = 20_000
+    value = [0.0] * 100_000 if kind == "lists" else "9" * 10**6
+    of = pa.list_(pa.float64()) if kind == "lists" else pa.string()
+    u = pa.DictionaryArray.from_arrays(pa.array(np.zeros(rows, dtype=np.int32)), pa.array([value], type=of))
+    table = pa.table({"u": pa.array([value] * 50, type=of) if kind == "lists" else u})
+    table = table.append_column("y", pa.array(np.zeros(table.num_rows)))
+    stream = io.BytesIO()
+    parquet.write_table(table, stream, store_schema=kind == "category", compression="zstd")
+    assert len(stream.getvalue()) < 100_000
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert "samples must be real numbers" in read(stream.getvalue(), ".parquet")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + 400_000  # kilobytes
 
 
 @pytest.mark.parametrize(
