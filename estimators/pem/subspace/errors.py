@@ -100,7 +100,8 @@ def _moves(found: Range, u: NDArray, y: NDArray, lever: NDArray) -> NDArray[np.f
     if count <= 0:
         return moved
     L11, L21, *_ = factor.blocks()
-    past, known = found.instruments, np.linalg.pinv(L11.T, rcond=1e-11) @ L21.T @ found.instruments
+    past = found.instruments
+    known = np.linalg.pinv(L11.T, rcond=1e-11) @ (L21.T @ past)
     n = past.shape[1]
     x = np.zeros((count, n))
     for k in range(i):
@@ -108,8 +109,8 @@ def _moves(found: Range, u: NDArray, y: NDArray, lever: NDArray) -> NDArray[np.f
         x += y[k : k + count] @ past[(i * nu + k * ny) : (i * nu + (k + 1) * ny)]
         x -= u[i + k : i + k + count] @ known[k * nu : (k + 1) * nu]
     for k in range(i):  # noise k samples ahead of the present
-        own = lever[:, k * ny : (k + 1) * ny]  # (count of parameters, ny, n)
-        moved[i + k : i + k + count] += np.einsum("tj,asj->tsa", x, own)
+        own = lever[:, k * ny : (k + 1) * ny].transpose(2, 1, 0).reshape(n, -1)  # (n, ny count of parameters)
+        moved[i + k : i + k + count] += (x @ own).reshape(count, ny, -1)
     return moved
 
 

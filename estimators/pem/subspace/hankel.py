@@ -57,12 +57,12 @@ def _triangle(matrix: NDArray) -> NDArray[np.float64]:
 
 def _root(gram: NDArray) -> NDArray[np.float64] | None:
     """Cholesky's factor of products of columns; None where they are too near to dependent for it to have digits."""
+    from scipy.linalg.lapack import dpotrf
+
     size = np.sqrt(np.maximum(gram.diagonal(), np.finfo(float).tiny))
-    try:
-        lower = np.linalg.cholesky(gram / np.outer(size, size))
-    except np.linalg.LinAlgError:
-        return None
-    return np.asarray(lower.T * size, float) if lower.diagonal().min() > APART else None
+    # As the transpose, which is the same matrix: LAPACK's order of entries, and no copy.
+    upper, failed = dpotrf((gram / size / size[:, None]).T, overwrite_a=True)
+    return upper * size if not failed and upper.diagonal().min() > APART else None
 
 
 def _products(signals: list[tuple[NDArray, NDArray]], rows: int, centred: bool) -> NDArray[np.float64]:
@@ -82,7 +82,8 @@ def _products(signals: list[tuple[NDArray, NDArray]], rows: int, centred: bool) 
             own[a, :, 1:] = own[a - 1, :, :-1] - np.multiply.outer(x[a - 1], x[: rows - 1])
             own[a, :, 1:] += np.multiply.outer(ahead[a - 1], ahead)
         gram, total = gram + own, total + count
-        sums += sliding_window_view(x, count, axis=0).sum(axis=2)
+        sums[0] += x[:count].sum(axis=0)
+        sums[1:] += x[:count].sum(axis=0) + np.cumsum(ahead[: rows - 1] - x[: rows - 1], axis=0)
     if centred:
         gram -= np.multiply.outer(sums, sums) / total
     return gram.reshape(rows * m, rows * m)

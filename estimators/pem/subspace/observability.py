@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from estimators.pem.subspace.hankel import Factor
 from oed.errors import InputError
 
+TOLD = 1e-6
+"""Least eigenvalue of products of rows, over the largest, that leaves their vectors ten digits."""
+
 
 @dataclass(frozen=True, eq=False)
 class Range:
@@ -70,8 +73,9 @@ class Subspace:
         return f"by {self.method} with {self.horizon} block rows{tried}; singular values {shown} ..."
 
 
-def range_of(factor: Factor, order: int, method: str) -> Range:
-    """Range of the observability matrix, and A and C from it."""
+def range_of(factor: Factor, order: int, method: str, leading: bool = False) -> Range:
+    """Range of the observability matrix, and A and C from it; leading: with no more singular values and vectors than
+    the order where products have their digits, for horizons that are only compared."""
     _, L21, L22, _, L32, L33 = factor.blocks()
     rows, ny = len(L32), factor.n_outputs
     weight = unweight = np.eye(rows)
@@ -84,7 +88,7 @@ def range_of(factor: Factor, order: int, method: str) -> Range:
     along = weight @ L32
     if method == "n4sid":
         along = L32 @ np.linalg.pinv(L22, rcond=1e-11) @ np.hstack([L21, L22])
-    left, singular, right = np.linalg.svd(along, full_matrices=False)
+    left, singular, right = _leading(along, order) if leading else _decomposed(along)
     if singular[order - 1] <= 1e-11 * singular[0]:
         shown = int(np.sum(singular > 1e-11 * singular[0]))
         raise InputError(
@@ -94,3 +98,19 @@ def range_of(factor: Factor, order: int, method: str) -> Range:
     basis = unweight @ left[:, :order]
     A = np.linalg.lstsq(basis[:-ny], basis[ny:], rcond=None)[0].astype(float)
     return Range(A, basis[:ny], basis, singular, factor, weight, unweight, method, right[:order])
+
+
+def _decomposed(along: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    return np.linalg.svd(along, full_matrices=False)
+
+
+def _leading(along: NDArray, count: int) -> tuple[NDArray, NDArray, NDArray]:
+    """The first singular vectors and values, from the products of the rows where those tell them."""
+    from scipy.linalg import eigh
+
+    rows = len(along)
+    values, left = eigh(along @ along.T, subset_by_index=[rows - count, rows - 1])
+    if not values[0] > TOLD * values[-1]:
+        return _decomposed(along)
+    singular = np.sqrt(values[::-1])
+    return left[:, ::-1], singular, (left[:, ::-1] / singular).T @ along

@@ -90,7 +90,7 @@ def _errors_by_horizon(
     longest, tried, reason = factored(signals, candidates[-1], centred), {}, None
     for i in candidates:
         try:
-            found = range_of(longest.shorter(i), form.order, method)
+            found = range_of(longest.shorter(i), form.order, method, leading=longest.gram is not None)
             tried[i] = _foretold(form, problem, found)
         except InputError as error:
             reason = error

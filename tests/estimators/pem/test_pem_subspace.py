@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from benchmarks.campaign.plants import hair_dryer_record
 from estimators.pem import identify
 from estimators.pem.choice import held_out_error, select_orders
-from estimators.pem.subspace import hankel
+from estimators.pem.subspace import hankel, observability
 from estimators.pem.subspace.errors import range_sensitivity
 from estimators.pem.subspace.hankel import autoregressive_order, factored, windows
 from estimators.pem.subspace.observability import range_of
@@ -305,3 +305,16 @@ def test_too_short_too_many_states_unstable(rng) -> None:
     y[50] = np.nan
     with pytest.raises(InputError, match="missing cannot go with moesp"):
         identify(record.replace(y=y), "ss", (2,), method="moesp", missing=True, offset=False)
+
+
+@pytest.mark.parametrize("ratio", [1e-2, 1e-5])
+def test_leading_singular_vectors_are_those_of_the_decomposition(ratio):
+    """From the products of the rows where these have the digits (1e-2), else (1e-5) by the decomposition itself."""
+    rng = np.random.default_rng(0)
+    left, right = (np.linalg.qr(rng.normal(size=(size, 8)))[0] for size in (8, 20))
+    along = (left * np.geomspace(1, ratio**2, 8)) @ right.T
+    U, s, _ = np.linalg.svd(along, full_matrices=False)
+    found = observability._leading(along, 4)
+    np.testing.assert_allclose(found[1][:4], s[:4], rtol=1e-10)
+    np.testing.assert_allclose(np.abs(np.sum(found[0][:, :4] * U[:, :4], axis=0)), 1, rtol=1e-10)
+    np.testing.assert_allclose(found[2][:4] * found[1][:4, None], found[0][:, :4].T @ along, atol=1e-12)
