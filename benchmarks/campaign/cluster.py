@@ -17,6 +17,8 @@ CONNECT, SAY, END = 10.0, 10.0, 120.0
 """Seconds to connect; without a worker until it is said; and until the campaign ends, keeping what was finished."""
 LOOK = 1.0
 """Seconds between two looks at the cluster while nothing arrives."""
+FETCH = 30.0
+"""Seconds for a result, of a megabyte at most, to come from its worker."""
 
 
 def on_cluster(
@@ -42,15 +44,23 @@ def on_cluster(
             except queue.Empty:
                 watch.look()
                 continue
-            watch.seen()
-            if future.status in ("cancelled", "lost"):
+            if future.status == "cancelled":
                 raise CampaignError(f"the Dask scheduler at {address} was lost; {KEPT}")
-            item = waiting.pop(future.key)
             try:
-                error = future.exception()
-                result = future.result() if error is None else None
+                if future.status == "lost":
+                    raise TimeoutError
+                error = future.exception(timeout=FETCH)
+                result = future.result(timeout=FETCH) if error is None else None
+            except (
+                TimeoutError
+            ):  # its worker was lost before it was fetched: it is computed again where there is one
+                future.add_done_callback(arrived.put)
+                watch.look()
+                continue
             except (OSError, CancelledError):  # the connection broke while the result was on its way
                 raise CampaignError(f"the Dask scheduler at {address} was lost; {KEPT}") from None
+            watch.seen()
+            item = waiting.pop(future.key)
             kept.append(future)
             if error is None:
                 yield item, result, True

@@ -137,10 +137,10 @@ class Lost:
     def add_done_callback(self, call):
         call(self)
 
-    def exception(self):
+    def exception(self, timeout):
         return None
 
-    def result(self):
+    def result(self, timeout):
         from distributed.comm.core import CommClosedError
 
         raise CommClosedError("in <TCP>: ConnectionResetError: connection reset by peer")
@@ -156,6 +156,45 @@ def test_a_scheduler_killed_while_a_result_is_on_its_way(tmp_path, monkeypatch):
         CampaignError, match="the Dask scheduler at tcp://x:1 was lost; what was finished is kept"
     ):
         run_campaign(Settings(**SMALL | {"methods": ("white",)}), 2, tmp_path / "a", scheduler="tcp://x:1")
+
+
+class LostOnce(Lost):
+    """A future whose worker was lost with its result; another computes it again."""
+
+    late, status = True, "lost"
+
+    def submit(self, function, item, **_):
+        self.work = lambda: function(item)
+        return self
+
+    def add_done_callback(self, call):
+        call(self)
+        self.status = "finished" if self.asked else "lost"
+        self.asked = True
+
+    asked = False
+
+    def result(self, timeout):
+        if self.late:
+            self.late = False
+            raise TimeoutError
+        return self.work()
+
+    def release(self):
+        pass
+
+
+def test_a_worker_lost_with_a_result_that_was_not_fetched(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    looks = []
+    monkeypatch.setattr(cluster_module, "_connected", lambda address: contextlib.nullcontext(LostOnce()))
+    watch = SimpleNamespace(seen=lambda: looks.append("seen"), look=lambda: looks.append("look"))
+    monkeypatch.setattr(cluster_module, "_Watch", lambda client: watch)
+    found = run_campaign(
+        Settings(**SMALL | {"methods": ("white",)}), 2, tmp_path / "a", scheduler="tcp://x:1"
+    )
+    assert found[0].final["frf"].statuses == {"OK": 2}
+    assert looks == ["look", "look", "seen"]
 
 
 @pytest.mark.validate
