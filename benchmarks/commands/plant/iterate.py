@@ -25,6 +25,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     # fmt: on
 
 
+MOST_SAMPLES = 10**9
+"""Simulated in all: some minutes, and gigabytes; what asks for more does not end."""
+
+
 def run(args: argparse.Namespace) -> tuple[dict, str]:
     """Run the iterations."""
     import numpy as np
@@ -39,6 +43,10 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
 
     if args.iterations < 1:
         raise InputError(f"--iterations is {args.iterations}; it must be at least 1.")
+    if args.samples * args.iterations > MOST_SAMPLES:
+        raise InputError(
+            f"{args.iterations} iterations of {args.samples} samples are more than {MOST_SAMPLES:,} samples in all; ask for fewer."
+        )
     if args.replicate < 0:
         raise InputError(f"--replicate is {args.replicate}; it must be at least 0.")
     plant = load_plant(args.plant, args.noise_variance)

@@ -26,6 +26,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     # fmt: on
 
 
+MOST_SAMPLES, MOST_EXPERIMENTS = 10**7, 10**4
+"""Of an experiment, by whose length the theory for short ones goes over into that for long ones long before, and of them."""
+
+
 def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """Compute the prediction."""
     from benchmarks.tables.predictions import mimo_prediction, siso_prediction
@@ -36,8 +40,12 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     algorithm = args.algorithm or ("mimo" if several else "siso")
     if args.experiments < 1:
         raise InputError(f"--experiments is {args.experiments}; it must be at least 1.")
-    if args.samples is not None and args.samples < 2:
-        raise InputError(f"--samples is {args.samples}; an experiment has at least 2.")
+    if args.samples is not None and not 2 <= args.samples <= MOST_SAMPLES:
+        raise InputError(
+            f"--samples is {args.samples}; an experiment has at least 2, and here at most {MOST_SAMPLES:,}."
+        )
+    if args.experiments > MOST_EXPERIMENTS:
+        raise InputError(f"--experiments is {args.experiments}; at most {MOST_EXPERIMENTS:,} are computed.")
     if several and algorithm != "mimo":
         raise InputError(
             f"the plant has {plant.n_outputs} outputs and {plant.n_inputs} inputs; --algorithm {algorithm} is for "
