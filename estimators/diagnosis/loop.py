@@ -21,7 +21,7 @@ from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, Discovery, 
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
 from estimators.diagnosis.ladder.outcome import Outcome
-from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, climb, paired_gain, refused
+from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, as_started, climb, paired_gain, refused
 from estimators.diagnosis.ladder.verdicts import verdict
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.admission import LEAST, together
@@ -31,9 +31,11 @@ from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, 
 from estimators.diagnosis.result.model import diagnosed_model
 from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
+from estimators.diagnosis.search.elsewhere import seen_elsewhere
 from estimators.diagnosis.search.examination import PHYSICAL, Examined, Known, as_motion, examine
+from estimators.diagnosis.search.few import best_named
 from estimators.diagnosis.search.free_runs import denominator, largest_pole
-from estimators.diagnosis.search.named import Bench, Named, best_named, named_steps
+from estimators.diagnosis.search.named import Bench, Named, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback
 from estimators.diagnosis.share.news import NEWS, Predictor
@@ -99,6 +101,8 @@ def diagnose(
     say("effects of the catalogue")
     own = base if len(records) == 1 else best_linear([first], _options(first, setting))
     parts = [_named(first, i, own, setting) for i in range(first.n_outputs)]
+    also = seen_elsewhere(first, [p[1] for p in parts], [p[2] for p in parts], _options(first, setting))
+    parts = [(found, bench, n) for (found, bench, _), n in zip(parts, also, strict=True)]
     say("terms of no catalogue")
     shares = [_shares(records, i, base, part[2].step) for i, part in enumerate(parts)]
     done = all(_exhausted(part, left) for part, (_, left) in zip(parts, shares, strict=True))
@@ -204,7 +208,7 @@ def _outcome(
         steps.append(replace(step, admitted=not echoes))
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
-    started = _as_started(steps, train, i, setting)
+    started = as_started(steps, train, i, setting.skip)
     predictor = cache(lambda: Predictor.of(records, base.y_model, i, counted))
     steps = [
         replace(s, admitted=s.admitted and (s.linear or predictor().news(s.unused) > NEWS)) for s in started
@@ -235,18 +239,6 @@ def _outcome(
     errors = (r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records)
     inverse = bench.inverse and has_feedback(records, list(errors), counted)
     return Outcome(i, found, named, ladder, share, left, discovery, inverse)
-
-
-def _as_started(steps: Sequence[Step], train: Record, i: int, setting: Setting) -> list[Step]:
-    """The steps; only shown where a run from the record's own start, set as a test record's will be, is worse than the linear one.
-
-    Blocks have a window that sets their state: they do not see what a model takes for granted of a start.
-    """
-    y = train.y[:, i]
-    use = np.isfinite(y) & (np.arange(len(y)) >= setting.skip)
-    with np.errstate(over="ignore"):
-        errors = [float(np.sum((s.simulate(train, setting.skip) - y)[use] ** 2)) for s in steps]
-    return [replace(s, admitted=s.admitted and e <= errors[0]) for s, e in zip(steps, errors, strict=True)]
 
 
 def _remainder_step(
@@ -323,6 +315,7 @@ def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:
         Kind.DISCOVERED, tuple(t.text for t in terms), tuple(u[:, i] for u in d.unused),
         DiscoveredAnswer(i, model), len(model.theta), parameters,
         tuple(t.meaning for t in terms), d.equation, nature=d.nature,
+        folds=tuple(DiscoveredAnswer(i, m) for m in d.folds),
     )  # fmt: skip
 
 
@@ -348,18 +341,18 @@ def _starts_at_rest(train: Record, i: int, base: Baseline) -> bool:
 
 def _held_out(train: Record, test: Record | None, outcomes: list[Outcome], setting: Setting) -> HeldOut:
     record = train if test is None else test
-    counts = np.isfinite(record.y)
+    counts, held = np.isfinite(record.y), np.zeros(record.y.shape, dtype=bool)
     for o in outcomes:
         if any(sig.key == "held" for sig in o.examined.signatures):
             y = np.nan_to_num(record.y[:, o.index])
-            counts[:, o.index] &= ~held_samples(y) | resting_samples(record.u, y)
+            held[:, o.index] = held_samples(y) & ~resting_samples(record.u, y)
         if test is None:
-            counts[:, o.index] &= o.ladder.counted[0]
+            counts[:, o.index] &= o.ladder.counted[0] & ~held[:, o.index]
     if test is not None:
         counts[: setting.skip] = False
     floor = float(np.sqrt(np.mean([_floor(o, train) ** 2 for o in outcomes])))
     return assess(train, test, [o.ladder for o in outcomes], skip=setting.skip if test is not None else 0, floor=floor,
-                  counts=counts, policy=setting.policy)  # fmt: skip
+                  counts=counts, held=held, policy=setting.policy)  # fmt: skip
 
 
 def _floor(o: Outcome, train: Record) -> float:

@@ -40,7 +40,8 @@ class Discovery:
     `unused` per record (N, ny): every block predicted by the same form fitted to the others; `rmse_unused`
     (ny,) on the samples that count; `gain` by how many standard errors the blocks got better than the
     baseline's; `considered` the models that were compared and their errors on unused blocks over the
-    baseline's, simplest first; `sought` false where what is left is noise, so that no search was made.
+    baseline's, simplest first; `sought` false where what is left is noise, so that no search was made; `folds` the
+    model fitted without each block.
     """
 
     model: DiscoveredModel | None
@@ -52,6 +53,7 @@ class Discovery:
     gain: float = 0.0
     considered: tuple[tuple[str, float], ...] = ()
     sought: bool = True
+    folds: tuple[DiscoveredModel, ...] = ()
 
     @property
     def found(self) -> bool:
@@ -82,9 +84,10 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     again = (fit(f.form, f.theta, f.starts, pieces, iterations=budget.rounds) for f in front)
     front = [f for f in again if f is not None and forgets(f, pieces) and bends(f, pieces, 0)]
     whole, gain, considered = _chosen(_pruned(front, pieces, budget.rounds), judge)
-    predictions = None if whole is None else judge.unused(whole, False)
-    if whole is None or predictions is None or not judge.better(predictions):
+    got = None if whole is None else judge.unused(whole, False)
+    if whole is None or got is None or not judge.better(got[0]):
         return Discovery(None, considered=considered, gain=gain)
+    predictions, folds = got
     model = _model(whole, records, pieces, scales)
     terms = strongest_first(model.found(), beyond_linear(whole, pieces))
     return Discovery(
@@ -96,6 +99,7 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
         judge.rmse(predictions),
         gain,
         considered,
+        folds=tuple(replace(model, theta=theta) for theta in folds),
     )
 
 
@@ -120,10 +124,10 @@ class _Judge:
         self.counting = baseline.blocks.counting(records)
         self.batches = baseline.blocks.batches(BATCHES)
 
-    def unused(self, f: Fitted, carried: bool) -> list[Array] | None:
-        """Predictions of all blocks in the user's units."""
+    def unused(self, f: Fitted, carried: bool) -> tuple[list[Array], list[Array]] | None:
+        """Predictions of all blocks in the user's units, and the parameters without each block."""
         got = unused(f, self.pieces, self.blocks, carried)
-        return None if got is None else [y * self.scales.sy + self.scales.y for y in got]
+        return None if got is None else ([y * self.scales.sy + self.scales.y for y in got[0]], got[1])
 
     def of(self, predictions: Sequence[Array]) -> Array:
         """Mean squares by batch of all blocks."""
@@ -178,9 +182,9 @@ def _chosen(found: list[Fitted], judge: _Judge) -> tuple[Fitted | None, float, t
     base = judge.of(judge.baseline.unused)
     tried = []
     for f in found:
-        predictions = judge.unused(f, True)
-        if predictions is not None:
-            s = np.concatenate([judge.of(predictions), judge.ahead(f)])
+        got = judge.unused(f, True)
+        if got is not None:
+            s = np.concatenate([judge.of(got[0]), judge.ahead(f)])
             if np.all(np.isfinite(s)):
                 tried.append((f, s))
     m = len(base)

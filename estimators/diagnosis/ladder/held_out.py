@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
 from oed.data import Record
+
+if TYPE_CHECKING:
+    from estimators.diagnosis.result.answers import Answer
 
 Array = NDArray[Any]
 SEED = 20260
@@ -105,28 +108,79 @@ UNDECIDED = (
 )
 
 
+UNDETERMINED = (
+    "what the {} model of {} changes on the test record hangs on single blocks of the training data: the errors after are those "
+    "of the {} model"
+)
+
+
+MORE = 0.25
+"""Share of its change (half of its size) from which on the variance of a run must not exceed all that its model has gained."""
+
+
+def _undetermined(run: Array, linear: Array, folds: Sequence[Array], gained: float) -> bool:
+    """Whether the variance of a run, (n,), by the jackknife over blocks left out, is more than half of what it changes.
+
+    A change is an effect and that error; where the error is the larger of the two, the run without the change is nearer. An
+    effect that is as large as on the unused blocks has `gained` its mean square there: a large error of more is no help either.
+    """
+    known = np.array([f for f in folds if np.all(np.isfinite(f))])
+    k = len(known)
+    if k < 2:
+        return False
+    variance = (k - 1) / k * float(np.mean(np.sum((known - known.mean(axis=0)) ** 2, axis=0)))
+    change = float(np.mean((run - linear) ** 2))
+    return variance > (MORE if variance > gained else 0.5) * change
+
+
+def _determined(
+    ladder: Ladder, at: int, runs: Sequence[Array], simulate: Callable[[Answer], Array], use: NDArray[np.bool_]
+) -> int:  # fmt: skip
+    """The last rung up to one whose run, and those of all that it stands on, the training data determine on a record."""
+    for j in range(at, 0, -1):
+        step = ladder.rungs[j].step
+        if j < at and not step.admitted:
+            continue
+        gained = ladder.rungs[0].value ** 2 - ladder.rungs[j].value ** 2
+        parts = [(runs[j] if q is step else simulate(q.answer), q.folds) for q in step.chain if q.folds]
+        if not any(
+            _undetermined(run[use], runs[0][use], [simulate(a)[use] for a in folds], gained)
+            for run, folds in parts
+        ):
+            return j
+    return 0
+
+
 def _undecided(run: Array, linear: Array, rivals: Sequence[Array]) -> bool:
     """Whether what an effect changes in a run, (n,), is less than rivals of it would make of that change: their median."""
     far = [float(np.sum((run - other) ** 2)) if np.all(np.isfinite(other)) else np.inf for other in rivals]
     return float(np.median(far)) > float(np.sum((run - linear) ** 2))
 
 
+def _as_read(run: Array, held: NDArray[np.bool_]) -> Array:
+    """(N,) a run as a sensor shows it that keeps its last value in some samples."""
+    return run[np.maximum.accumulate(np.where(held, 0, np.arange(len(run))))]
+
+
 def assess(
-    train: Record, test: Record | None, ladders: Sequence[Ladder], *, skip: int, floor: float, counts: Array, policy: Policy
+    train: Record, test: Record | None, ladders: Sequence[Ladder], *, skip: int, floor: float, counts: Array,
+    held: NDArray[np.bool_], policy: Policy,
 ) -> HeldOut:  # fmt: skip
     """The errors of every rung on the test record, or on the unused blocks of the training record where there is none.
 
-    `counts` (N, ny) says which samples of that record count. The answer of each output is its ladder's; where its free
+    `counts` (N, ny) says which samples of that record count, `held` (N, ny) in which of them the sensor shows its last value:
+    what is simulated is then compared as it would show it, but for the linear model, which knows of no such sensor. The answer of each output is its ladder's; where its free
     run explodes, that is said, and the last rung below it that does not stands in its place.
     """
     record = train if test is None else test
     y = np.nan_to_num(record.y)
     runs = [
         [
-            r.step.unused[0] if test is None else r.step.simulate(record, skip)
+            r.step.unused[0] if test is None
+            else _as_read(r.step.simulate(record, skip), held[:, i] & (r.step is not ladder.linear))
             for r in ladder.rungs
         ]
-        for ladder in ladders
+        for i, ladder in enumerate(ladders)
     ]  # fmt: skip
     answers, warnings = [], []
     for i, ladder in enumerate(ladders):
@@ -139,6 +193,12 @@ def assess(
         answers.append(sane[0] if sane else 0)
         if answers[-1] != ladder.answer or not sane:
             warnings.append(_exploded(ladder, answers[-1] if sane else None, name))
+        if test is not None:
+            j = _determined(ladder, answers[-1], runs[i], lambda a: a.simulate(record, skip), use)
+            if j != answers[-1]:
+                kinds = (ladder.rungs[k].step.kind.value for k in (answers[-1], j))
+                warnings.append(UNDETERMINED.format(next(kinds), name, next(kinds)))
+                answers[-1] = j
         rivals = ladder.rungs[answers[-1]].step.rivals if test is not None else ()
         if rivals and _undecided(
             runs[i][answers[-1]][use], runs[i][0][use], [a.simulate(record, skip)[use] for a in rivals]

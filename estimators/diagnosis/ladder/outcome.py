@@ -15,6 +15,9 @@ from estimators.diagnosis.search.examination import Examined
 from estimators.diagnosis.search.named import Named
 from estimators.diagnosis.share import Share
 
+SOME = 0.1
+"""Of the weight of the terms discovered, from which on those of a nature are no accident of a dictionary's other curves."""
+
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
@@ -46,13 +49,13 @@ class Outcome:
         return leading_nature(mine) if mine else ""
 
     def agrees(self, nature: str, cause: str) -> bool:
-        """Whether a named cause is what the discovered terms are: of their nature, and of a term's name where many causes have it."""
-        names = (
-            {t.same_as for t in self.discovery.terms if t.output == self.index}
-            if nature == Nature.DYNAMIC
-            else {cause}
-        )
-        return nature == self.discovered and cause in names
+        """Whether a named cause is what the discovered terms are: of a nature with some of their weight, and of a term's name where
+        many causes have it.
+        """
+        mine = [t for t in self.discovery.terms if t.output == self.index]
+        weight = sum(t.weight for t in mine if t.nature == nature)
+        names = {t.same_as for t in mine} if nature == Nature.DYNAMIC else {cause}
+        return cause in names and (nature == self.discovered or weight > SOME * sum(t.weight for t in mine))
 
     def named_carries(self, policy: Policy, agreed: bool = False) -> bool:
         """Whether the named model is so near the answer on unused blocks that its names stand for both: less, if alike."""
@@ -60,5 +63,7 @@ class Outcome:
         named, (share, factor) = self.value(Kind.NAMED) ** 2, policy.carried
         share = policy.agreed if agreed else share
         alike = any(self.agrees(c.part.effect.nature, c.part.effect.cause) for c in self.named.claims[:1])
-        near = named <= factor**2 * answer or (alike and self.ladder.chosen.kind is Kind.DISCOVERED)
+        near = named <= factor**2 * answer or (
+            alike and any(s.kind is Kind.DISCOVERED for s in self.ladder.chosen.chain)
+        )
         return linear - named >= share * (linear - answer) and answer < linear and near

@@ -55,6 +55,7 @@ class Step:
     below: Step | None = None  # the step that it adds to; the linear model where none is named
     nature: str = ""  # the kind of its first cause
     rivals: tuple[Answer, ...] = ()  # models with other causes that unused blocks cannot tell from it
+    folds: tuple[Answer, ...] = ()  # the same model fitted without one block or another
     linear: bool = False  # what it adds are poles, a delay or a level, which a linear predictor has: they cannot be news to it
     slow: bool = False  # a pole remembers longer than a block, and none of the linear model's does
 
@@ -190,6 +191,18 @@ def _charged(measured: Sequence[Array], step: Step) -> Sequence[Array]:
 def refused(steps: Sequence[Step], kind: Kind) -> list[Step]:
     """The steps, those of a kind shown only; what was refused before stays so."""
     return [replace(s, admitted=s.admitted and s.kind is not kind) for s in steps]
+
+
+def as_started(steps: Sequence[Step], train: Record, i: int, skip: int) -> list[Step]:
+    """The steps; only shown where a run from the record's own start, set as a test record's will be, is worse than the linear one.
+
+    Blocks have a window that sets their state: they do not see what a model takes for granted of a start.
+    """
+    y = train.y[:, i]
+    use = np.isfinite(y) & (np.arange(len(y)) >= skip)
+    with np.errstate(over="ignore"):
+        errors = [float(np.sum((s.simulate(train, skip) - y)[use] ** 2)) for s in steps]
+    return [replace(s, admitted=s.admitted and e <= errors[0]) for s, e in zip(steps, errors, strict=True)]
 
 
 def climb(

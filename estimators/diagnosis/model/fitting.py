@@ -23,6 +23,9 @@ WHOLE = 15
 ENDS, ROUGH = (1e-5, 2), (1e-3, 1)
 """When a fit ends: so many steps that gain less than such a share. One that only tells candidates apart ends where a step is
 worth about one unit of deviance in 1000 samples."""
+IDLE = 1e-6
+"""Change of a residual by a typical size of a parameter, of its norm, below which these samples say nothing of it, as of a time of
+change that lies in a block left out: a step for it would be endless, and hold up all others."""
 COARSE = 2
 """Integration steps per sample of what is differenced: derivatives are good to some percent, at two fifths of the work."""
 
@@ -169,7 +172,8 @@ def levenberg_marquardt(
             known.add(i)
         _differences(residual, r, p, steps, known, rough, J)
         norms = np.sqrt(np.einsum("ij,ij->j", J, J))
-        norms[norms == 0] = 1.0
+        idle = norms * scales <= IDLE * np.sqrt(cost)
+        J[:, idle], norms[idle] = 0.0, 1.0
         Js = J / norms
         H, g = Js.T @ Js, Js.T @ r
         improved = False
@@ -190,7 +194,9 @@ def levenberg_marquardt(
                     damping = max(damping * 0.2, 1e-9)
                     improved = True
                     break
-            damping *= 6.0
+                damping *= 6.0
+            else:  # a pole left the circle: a step some times as short would leave it too
+                damping *= 60.0
         if not improved:
             break
         small = small + 1 if drop < ends[0] else 0

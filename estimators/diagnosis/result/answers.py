@@ -201,6 +201,38 @@ class RemainderAnswer:
                 "rest": to_json(self.rest)}  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class ThroughAnswer:
+    """An output as linear dynamics `behind` the inputs and what the model `through` simulates of another output, the last input."""
+
+    output: int
+    through: Answer
+    behind: LinearAnswer
+
+    def simulate(self, record: Record, window: int) -> Array:
+        """(N,) free run."""
+        other = self.through.simulate(record, window)
+        if not np.all(np.isfinite(other)):
+            return other
+        names: dict[str, Any] = {"input_names": (), "input_units": ()}
+        return self.behind.simulate(record.replace(u=np.column_stack((record.u, other)), **names), window)
+
+    def symbols(self, w: Wiring) -> Any:
+        """The other output's model and the filter behind it, settled under what that shows of the constant inputs."""
+        from estimators.diagnosis.effects.symbols import models
+
+        return models.through(w, self.through.symbols(w), self.behind)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Both parts."""
+        return {
+            "kind": "through",
+            "output": self.output,
+            "through": self.through.to_dict(),
+            "behind": self.behind.to_dict(),
+        }
+
+
 def _named(data: dict[str, Any], effects: tuple[Effect, ...]) -> NamedAnswer:
     form = data["structure"]
     parts = tuple(
@@ -228,11 +260,15 @@ def read_answer(data: dict[str, Any], effects: tuple[Effect, ...] = CATALOGUE) -
         return _named(data, effects)
     if data["kind"] == "discovered":
         return DiscoveredAnswer(data["output"], DiscoveredModel.from_json(data["model"]))
+    if data["kind"] == "through":
+        behind = read_answer(data["behind"])
+        assert isinstance(behind, LinearAnswer)
+        return ThroughAnswer(data["output"], read_answer(data["through"], effects), behind)
     if data["kind"] == "remainder":
         others = tuple(a for d in data["others"] if isinstance(a := read_answer(d), LinearAnswer))
         return RemainderAnswer(
             data["output"], read_answer(data["below"], effects), others, from_json(data["rest"])
         )
     raise InputError(
-        f"the model of an output is of the kind {data['kind']!r}; known are linear, named, discovered and remainder."
+        f"the model of an output is of the kind {data['kind']!r}; known are linear, named, through, discovered and remainder."
     )

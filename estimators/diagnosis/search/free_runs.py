@@ -186,13 +186,15 @@ def thinned(record: Record, by: int) -> Record:
     return record.replace(u=u, y=record.y[: n * by : by], dt=record.dt * by)
 
 
-def blocked(channel: Channel, f: Fit, blocks: Blocks, thin: int, start: Start, *, white: bool) -> Array:
-    """(N,) free run of every block of the one training record, by parameters fitted to the others.
+def blocked(
+    channel: Channel, f: Fit, blocks: Blocks, thin: int, start: Start, *, white: bool
+) -> tuple[Array, tuple[Array, ...]]:  # fmt: skip
+    """(N,) free run of every block of the one training record, by parameters fitted to the others; and those of each fold.
 
     The run starts as on a test record, not from the state that was fitted to this one, and goes through to the block. A
     model that hangs on its fitted state is shown for what it is. Infinite in a block whose fit failed.
     """
-    n, out = len(channel), np.full(len(channel), np.inf)
+    n, out, found = len(channel), np.full(len(channel), np.inf), []
     scales = f.scales.copy()
     for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
         if part.effect is INITIAL:  # no other block says anything of the record's own start
@@ -213,6 +215,7 @@ def blocked(channel: Channel, f: Fit, blocks: Blocks, thin: int, start: Start, *
             iterations=STEPS, colour=False,
         )  # fmt: skip
         if np.isfinite(g.deviance):
+            found.append(g.p)
             if own:  # at rest, or from an initial state that is the effect
                 run = simulate(g.structure, g.p, channel.u, channel.clock)
             else:
@@ -220,4 +223,4 @@ def blocked(channel: Channel, f: Fit, blocks: Blocks, thin: int, start: Start, *
             for block in fold:
                 rows = slice(block.start // thin, min(-(-block.stop // thin), n))
                 out[rows] = run[rows]
-    return lengthened(out, thin, blocks.lengths[0])
+    return lengthened(out, thin, blocks.lengths[0]), tuple(found)

@@ -6,7 +6,6 @@ blocks that no parameter saw, beyond its standard error, and significance in the
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,17 +18,16 @@ from estimators.diagnosis.effects import Nature, Slot, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
-from estimators.diagnosis.model.fitting import Channel, Fit, fit, parameters_of
+from estimators.diagnosis.model.fitting import Channel, Fit, parameters_of
 from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.result.answers import NamedAnswer
-from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.exchange import without
 from estimators.diagnosis.search.free_runs import blocked, start_of
-from estimators.diagnosis.search.selection import FULL, Attribution, second
+from estimators.diagnosis.search.selection import Attribution
 from estimators.diagnosis.share.feedback import autoregression, whitened
 from estimators.residual.measures import p_stated
 from oed.data import Record
@@ -102,9 +100,8 @@ class Bench:
     # the present input answers the present noise: a model may also be the controller's inverse, so that it gets no claims;
     # its free runs are judged as any other's, as one-step errors would be in favour of the inverse
     inverse: bool = False
-    known: dict[Fit, Array] = field(
-        default_factory=dict
-    )  # free runs of blocks by fits that were asked before
+    # free runs of blocks by fits that were asked before, and their parameters without each block
+    known: dict[Fit, tuple[Array, tuple[Array, ...]]] = field(default_factory=dict)
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -118,9 +115,9 @@ class Bench:
         """(N,) free run of every block by parameters that did not see it."""
         if f not in self.known:
             start = start_of(f, self.channel, self.base.outputs[self.output].prior, self.rest)
-            run = blocked(self.channel, f, self.base.blocks, self.thin, start, white=self.white)
-            self.known[f] = self.rounded(run)
-        return self.known[f]
+            run, folds = blocked(self.channel, f, self.base.blocks, self.thin, start, white=self.white)
+            self.known[f] = self.rounded(run), folds
+        return self.known[f][0]
 
     def error(self, run: Array) -> float:
         """Root mean square error of a run of unused blocks."""
@@ -240,88 +237,6 @@ def _bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Cla
 
 CLOCKED = (Nature.TIME, Nature.ADDED)
 """Natures of causes that run by the clock: between two stretches of one record they can imitate anything."""
-TRIED = 8
-"""Single effects that are put before unused blocks, least simulation error first: a tenth of a second each. On practice
-records the right one stood among the first five where the search, which goes by one-step errors, preferred another."""
-PAIRED = 4
-"""Of them, those that a second effect is looked for beside: where two are needed, the right one need not be the best alone."""
-HALF = 1.5
-"""Error on the record itself, of the least on unused blocks, from which on a single effect is neither an answer nor half of one."""
-
-
-def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
-    """The search's model or another of few effects: the simplest that unused blocks cannot tell from the best of them.
-
-    The search goes by one-step errors under a noise model of high order, which predicts most of a smooth model error
-    whatever its cause. Where no noise model stands in its answer there is nothing that it could have hidden.
-    """
-    first = named_steps(bench, a)
-    if not len(a.final.noise):
-        return first
-
-    linear = bench.base.unused[0][:, bench.output]
-
-    def judged(fits: Iterable[Fit], share: float, known: Iterable[Named]) -> list[Named]:
-        """Those that hold; what is far off on the record itself is not put before unused blocks."""
-        found, least = [], min((n.step_error(bench) for n in known if n.step is not None), default=np.inf)
-        for f in fits:
-            f = fit(bench.channel, f.structure, f.p, f.scales, iterations=40)
-            if not _spread(f) <= share * least:
-                continue
-            n = named_steps(bench, replace(a, final=f, rivals={}))
-            if len(n.unused) and n.whole and bench.over(n.unused, linear).meets(bench.policy.claimed):
-                found.append(n)  # each is significant in its own fit besides
-                least = min(least, n.step_error(bench))
-        return sorted(found, key=lambda n: n.step_error(bench))
-
-    # what is only added has a search of its own, and fits any one record
-    lasting = lambda e: e.nature is not Nature.ADDED
-    alone = [f for f in a.alternatives if lasting(f.structure.effects[-1].effect)][:TRIED]
-    singles = judged(alone, HALF, [first])
-    few = max(1, round(PAIRED * min(1.0, FULL / len(bench.channel))))  # longer records tell more apart
-    menu = replace(menu, effects=tuple(filter(lasting, menu.effects)))
-    told = 1.0 / (1.0 - bench.policy.searched[1])
-    pairs = []
-    for n in singles[:few]:
-        least = min(x.step_error(bench) for x in (first, *singles) if x.step is not None or x is n)
-        if n.step_error(bench) > HALF * least:
-            break
-        needed = 2.0 * n.fit.n * float(np.log(max(_spread(n.fit) / (told * least), 1.0)))
-        more = second(bench.channel, n.fit, menu, coloured=False, needed=needed)
-        pairs += judged(more[:PAIRED], told, (first, *singles, *pairs))
-    options = sorted(
-        (n for n in (first, *singles, *pairs) if n.step is not None), key=lambda n: n.step_error(bench)
-    )
-    if not options:
-        return first
-    near = [n for n in options if not _told_apart(bench, n, options[0])]
-    best = min(near, key=lambda n: (_bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench)))
-    head = best.claims[0]
-    equal = [n.claims[0].cause for n in near if len(n.claims) <= len(best.claims)]
-    rivals = tuple(name for name in dict.fromkeys((*head.rivals, *equal)) if name != head.cause)
-    others = tuple(bench.answer(n.fit) for n in options
-                   if n.claims[0].cause != head.cause and not _worse(bench, n, options[0]))  # fmt: skip
-    step = None if best.step is None else replace(best.step, rivals=others)
-    return replace(best, claims=(replace(head, rivals=rivals), *best.claims[1:]), step=step)
-
-
-def _spread(f: Fit) -> float:
-    """Root mean square simulation error on the record that a fit saw."""
-    return float(np.sqrt(np.sum(f.residual**2) / f.n)) if np.isfinite(f.deviance) else float("inf")
-
-
-def _worse(bench: Bench, n: Named, best: Named) -> bool:
-    """Whether unused blocks are worse with a model than with the best, beyond an error."""
-    if n.step is None or best.step is None:
-        return True
-    return bench.over(best.step.unused[0], n.step.unused[0]).meets(bench.policy.claimed)
-
-
-def _told_apart(bench: Bench, n: Named, best: Named) -> bool:
-    """Whether unused blocks tell a model from the best: beyond an error, or by what even a search of many must gain."""
-    return _worse(bench, n, best) or n.step_error(bench) * (1.0 - bench.policy.searched[1]) > best.step_error(
-        bench
-    )
 
 
 def _significance(rest: Fit, f: Fit, part: Part, family: int) -> float:
@@ -372,7 +287,7 @@ def _why(c: Claim, bench: Bench) -> str:
     return f"unused blocks get better with it, but it is not significant in the joint fit ({p_stated(c.p_value)})"
 
 
-def _bent(c: Claim) -> bool:
+def bent(c: Claim) -> bool:
     """Whether it is no linear dynamics: what a pole or a delay explains as well is that."""
     return c.part.effect.nature in BENT
 
@@ -381,7 +296,7 @@ def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
     """Single effects that fit as well as the first one does, and what the search noted for the others."""
     out = []
     for c in claims:
-        if len(claims) == 1 and _bent(c):
+        if len(claims) == 1 and bent(c):
             linear = (o for o in a.claims if o.effect.nature is Nature.LINEAR and as_good(f, o.fit))
             c = next((replace(c, part=replace(c.part, effect=o.effect)) for o in linear), c)
         names = list(a.rivals.get(c.key, []))
@@ -392,7 +307,9 @@ def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
 
 
 def _step(bench: Bench, f: Fit, claims: list[Claim], unused: Array) -> Step:
+    answer = bench.answer(f)
     return Step(
-        Kind.NAMED, tuple(c.key for c in claims), (unused,), bench.answer(f), len(f.p), parameters_of(f),
+        Kind.NAMED, tuple(c.key for c in claims), (unused,), answer, len(f.p), parameters_of(f),
         tuple(c.part.effect.sentence for c in claims), noise=f.noise, nature=claims[0].part.effect.nature.value,
+        folds=tuple(replace(answer, p=p) for p in bench.known[f][1]),
     )  # fmt: skip

@@ -77,7 +77,7 @@ def test_blocks_held_out_show_what_overfitting_hides():
     errors, start = {}, Start(Prior(0.0, np.ones(8), 0.1), rest=True)
     for order in (1, 6):
         f = fit_linear(channel, Structure(order))
-        unused = blocked(channel, f, blocks_of([Record(u, y)], 4, 0, 0), 1, start, white=True)
+        unused = blocked(channel, f, blocks_of([Record(u, y)], 4, 0, 0), 1, start, white=True)[0]
         errors[order] = (np.std(y - unused), np.std(f.residual))
     assert errors[6][1] < errors[1][1]  # more parameters always fit better
     assert errors[6][0] > errors[1][0]  # and here they carry over worse

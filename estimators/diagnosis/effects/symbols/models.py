@@ -30,6 +30,15 @@ def linear(w: Wiring, inputs: tuple[int, ...], model: Any, prior: Any) -> Any:
     return w.rational(model.num, model.den, [w.u[j] for j in inputs], model.constant, start)
 
 
+def through(w: Wiring, signal: Any, behind: Any) -> Any:
+    """Output of a linear model whose last input is a signal of another model."""
+    own = Wiring(np.append(w.level, w.value(signal)), w.output)
+    own.u, own.k = [*w.u, signal], w.k
+    y = linear(own, behind.inputs, behind.model, behind.untold)
+    w.states += own.states
+    return y
+
+
 def structured(w: Wiring, s: Any, p: Array, clock: tuple[int, int], lead: int, ahead: bool) -> Any:
     """Output of a structure after `lead` samples of the constant inputs; clock: its sample at k = 0, and its length.
 

@@ -1,0 +1,97 @@
+"""A few effects in place of the search's: models that unused blocks choose between, where its criterion may have been misled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from estimators.diagnosis.effects import Nature
+from estimators.diagnosis.model.fitting import Fit, fit
+from estimators.diagnosis.search.candidates import Menu
+from estimators.diagnosis.search.named import Bench, Named, bent, named_steps
+from estimators.diagnosis.search.selection import FULL, Attribution, second
+
+TRIED = 8
+"""Single effects that are put before unused blocks, least simulation error first: a tenth of a second each. On practice
+records the right one stood among the first five where the search, which goes by one-step errors, preferred another."""
+PAIRED = 4
+"""Of them, those that a second effect is looked for beside: where two are needed, the right one need not be the best alone."""
+HALF = 1.5
+"""Error on the record itself, of the least on unused blocks, from which on a single effect is neither an answer nor half of one."""
+
+
+def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
+    """The search's model or another of few effects: the simplest that unused blocks cannot tell from the best of them.
+
+    The search goes by one-step errors under a noise model of high order, which predicts most of a smooth model error
+    whatever its cause. Where no noise model stands in its answer there is nothing that it could have hidden.
+    """
+    first = named_steps(bench, a)
+    if not len(a.final.noise):
+        return first
+
+    linear = bench.base.unused[0][:, bench.output]
+
+    def judged(fits: Iterable[Fit], share: float, known: Iterable[Named]) -> list[Named]:
+        """Those that hold; what is far off on the record itself is not put before unused blocks."""
+        found, least = [], min((n.step_error(bench) for n in known if n.step is not None), default=np.inf)
+        for f in fits:
+            f = fit(bench.channel, f.structure, f.p, f.scales, iterations=40)
+            if not _spread(f) <= share * least:
+                continue
+            n = named_steps(bench, replace(a, final=f, rivals={}))
+            if len(n.unused) and n.whole and bench.over(n.unused, linear).meets(bench.policy.claimed):
+                found.append(n)  # each is significant in its own fit besides
+                least = min(least, n.step_error(bench))
+        return sorted(found, key=lambda n: n.step_error(bench))
+
+    # what is only added has a search of its own, and fits any one record
+    lasting = lambda e: e.nature is not Nature.ADDED
+    alone = [f for f in a.alternatives if lasting(f.structure.effects[-1].effect)][:TRIED]
+    singles = judged(alone, HALF, [first])
+    few = max(1, round(PAIRED * min(1.0, FULL / len(bench.channel))))  # longer records tell more apart
+    menu = replace(menu, effects=tuple(filter(lasting, menu.effects)))
+    told = 1.0 / (1.0 - bench.policy.searched[1])
+    pairs = []
+    for n in singles[:few]:
+        least = min(x.step_error(bench) for x in (first, *singles) if x.step is not None or x is n)
+        if n.step_error(bench) > HALF * least:
+            break
+        needed = 2.0 * n.fit.n * float(np.log(max(_spread(n.fit) / (told * least), 1.0)))
+        more = second(bench.channel, n.fit, menu, coloured=False, needed=needed)
+        pairs += judged(more[:PAIRED], told, (first, *singles, *pairs))
+    options = sorted(
+        (n for n in (first, *singles, *pairs) if n.step is not None), key=lambda n: n.step_error(bench)
+    )
+    if not options:
+        return first
+    near = [n for n in options if not _told_apart(bench, n, options[0])]
+    best = min(near, key=lambda n: (bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench)))
+    head = best.claims[0]
+    equal = [n.claims[0].cause for n in near if len(n.claims) <= len(best.claims)]
+    rivals = tuple(name for name in dict.fromkeys((*head.rivals, *equal)) if name != head.cause)
+    others = tuple(bench.answer(n.fit) for n in options
+                   if n.claims[0].cause != head.cause and not _worse(bench, n, options[0]))  # fmt: skip
+    step = None if best.step is None else replace(best.step, rivals=others)
+    return replace(best, claims=(replace(head, rivals=rivals), *best.claims[1:]), step=step)
+
+
+def _spread(f: Fit) -> float:
+    """Root mean square simulation error on the record that a fit saw."""
+    return float(np.sqrt(np.sum(f.residual**2) / f.n)) if np.isfinite(f.deviance) else float("inf")
+
+
+def _worse(bench: Bench, n: Named, best: Named) -> bool:
+    """Whether unused blocks are worse with a model than with the best, beyond an error."""
+    if n.step is None or best.step is None:
+        return True
+    return bench.over(best.step.unused[0], n.step.unused[0]).meets(bench.policy.claimed)
+
+
+def _told_apart(bench: Bench, n: Named, best: Named) -> bool:
+    """Whether unused blocks tell a model from the best: beyond an error, or by what even a search of many must gain."""
+    return _worse(bench, n, best) or n.step_error(bench) * (1.0 - bench.policy.searched[1]) > best.step_error(
+        bench
+    )

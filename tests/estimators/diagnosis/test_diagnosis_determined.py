@@ -1,0 +1,76 @@
+"""What training data do not determine holds up no fit and decides no answer; and a sensor that holds is compared as it shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators import diagnose
+from estimators.diagnosis.ladder.held_out import _as_read, _undetermined
+from estimators.diagnosis.model.fitting import levenberg_marquardt
+from oed.data import Record
+
+RNG = np.random.default_rng(7)
+X, NOISE = RNG.standard_normal((2, 200))
+
+
+def test_a_parameter_that_no_sample_shows_holds_up_no_other() -> None:
+    """As a time of change in a block left out: its full step ends the simulation, and no damping in reach shortens it enough."""
+
+    def residual(p: np.ndarray) -> np.ndarray | None:
+        return None if abs(p[1]) > 2.0 else X * (p[0] - 3.0) + 1e-12 * (p[1] - 1.0) * X**3 + NOISE
+
+    p, _, _ = levenberg_marquardt(residual, np.array([0.0, 0.5]), np.ones(2))
+    assert p[0] == pytest.approx(3.0 - X @ NOISE / (X @ X), abs=1e-6)
+    assert p[1] == 0.5
+
+
+def test_a_step_that_leaves_the_stable_region_is_shortened_until_it_does_not() -> None:
+    def residual(p: np.ndarray) -> np.ndarray | None:
+        return None if p[0] > 0.05 else X * (p[0] - 100.0)
+
+    p, _, _ = levenberg_marquardt(residual, np.zeros(1), np.ones(1), iterations=6)
+    assert 0.0 < p[0] <= 0.05
+
+
+@pytest.mark.parametrize(
+    ("spread", "gained", "undetermined"),
+    [(0.1, 1.0, False), (0.5, 1.0, False), (0.8, 1.0, True), (0.6, 0.1, True), (0.4, 0.1, False)],
+)
+def test_a_change_that_hangs_on_single_blocks_is_undetermined(
+    spread: float, gained: float, undetermined: bool
+) -> None:
+    """A change of mean square 1; of five folds one is off so far that the jackknife's standard deviation is `spread`."""
+    run, k = np.ones(100), 5
+    off = spread * k / (k - 1)  # (k-1)/k sum (x - mean)^2 = ((k-1)/k)^2 off^2 for one that is off
+    folds = [run + (off if i == 0 else 0.0) for i in range(k)]
+    assert _undetermined(run, np.zeros(100), folds, gained) is undetermined
+    assert not _undetermined(run, np.zeros(100), folds[:1], gained)
+
+
+def test_a_run_is_read_as_a_sensor_holds_it() -> None:
+    held = np.array([False, False, True, True, False, True])
+    assert _as_read(np.arange(6.0), held).tolist() == [0, 1, 1, 1, 4, 4]
+
+
+def _held(seed: int) -> Record:
+    """A lag whose sensor renews its value every few samples."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1, 1, 30), 20)
+    u[:20] = 0.0
+    y = lfilter([0, 0.1], [1, -0.9], u) + 0.01 * rng.standard_normal(len(u))
+    fresh = np.zeros(len(u), dtype=bool)
+    fresh[np.minimum(np.cumsum(rng.integers(4, 9, 200)), len(u) - 1)] = True
+    fresh[0] = True
+    return Record(u, y[np.maximum.accumulate(np.where(fresh, np.arange(len(u)), 0))])
+
+
+def test_the_answer_is_compared_with_all_that_a_holding_sensor_shows() -> None:
+    """The record that a sensor shows which renews its value every few samples: the error after is of all samples, and far less."""
+    train, test = (_held(seed) for seed in (3, 4))
+    found = diagnose(train, test)
+    assert found.effect == "dropouts"
+    error = float(np.sqrt(np.mean((found.yhat_after[:, 0] - test.y[:, 0]) ** 2)))
+    assert found.rmse_after.value == pytest.approx(error, rel=1e-9)
+    assert error < 0.015 < 0.3 * found.rmse_before.value
