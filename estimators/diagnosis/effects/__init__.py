@@ -16,12 +16,13 @@ from estimators.diagnosis.effects.plant import MODULATED, PLANT
 from estimators.diagnosis.effects.process import PROCESS
 from estimators.diagnosis.effects.profiled import PROFILED
 from estimators.diagnosis.effects.rotation import ROTATION
+from estimators.diagnosis.effects.windup import WINDUP
 from oed.errors import InputError
 
 __all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]
 
 CATALOGUE: tuple[Effect, ...] = (
-    *INPUT, *PROFILED, *PROCESS, *PLANT, *ROTATION, *MODULATED, *PATH, *STORE, *OUTPUT, *FOLDING, *TIMING, *ADDED, *NOISE,
+    *INPUT, *PROFILED, WINDUP, *PROCESS, *PLANT, *ROTATION, *MODULATED, *PATH, *STORE, *OUTPUT, *FOLDING, *TIMING, *ADDED, *NOISE,
 )  # fmt: skip
 """Every effect that the diagnosis knows; hand in more with `diagnose(..., effects=[*CATALOGUE, mine])`."""
 

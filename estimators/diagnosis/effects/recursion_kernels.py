@@ -8,6 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+WITHIN = 8
+"""Steps per sample of a loop that winds up: of one that settles in two samples its midpoint steps are off by a thousandth."""
+
 
 def compiled(function):
     """Compile with a cache on disk, or without one where no folder for it can be written."""
@@ -77,6 +80,30 @@ def servo_mean(signal, up, down, lag, start):  # pragma: no cover - compiled
         near = np.exp(-(1.0 - full) / max(lag, 1e-300))
         out[k] = signal[k] - side * (0.5 * (gap + left) * full + left * lag * (1.0 - near))
         v = signal[k] - side * left * near
+    return out
+
+
+@compiled
+def wound_up(signal, pace, proportional, integral, low, high, start):  # pragma: no cover - compiled
+    """What a first-order plant reaches by the end of each sample, whose actuator between two limits a PI controller moves after a
+    held set point; it has settled at `start`, or at the limit before it. Midpoint steps, `WITHIN` of them per sample.
+    """
+    out = np.empty_like(signal)
+    x = min(max(start, low), high)
+    i = x
+    h = 1.0 / WITHIN
+    for k in range(signal.shape[0]):
+        for _ in range(WITHIN):
+            e = signal[k] - x
+            middle = x + 0.5 * h * pace * (min(max(proportional * e + i, low), high) - x)
+            then = i + 0.5 * h * integral * e
+            e = signal[k] - middle
+            x += h * pace * (min(max(proportional * e + then, low), high) - middle)
+            i += h * integral * e
+        if not abs(x) < 1e60:
+            out[k:] = np.inf
+            return out
+        out[k] = x
     return out
 
 

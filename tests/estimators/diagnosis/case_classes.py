@@ -243,6 +243,19 @@ def steered(u, a):
     return _linear(out)
 
 
+def wound_up(u, a):
+    """A drive of its own controller, the set point as input: a limited torque, an integrator that knows nothing of it."""
+    x = i = u[0]
+    out, h = np.zeros(len(u)), 1.0 / FINE
+    for k, value in enumerate(u):
+        out[k] = x
+        for _ in range(FINE):
+            torque = 4.0 * (value - x) + i
+            x += h * 0.08 * ((np.clip(torque, -1.2, 1.2) if a else torque) - x)
+            i += h * 0.6 * (value - x)
+    return out
+
+
 def stairs(u, a):
     return _linear(0.8 * np.round((u - 0.1) / 0.8) if a else u)
 
@@ -319,7 +332,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
     "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
-    "gain_periodic": (swaying, 2, {}),
+    "gain_periodic": (swaying, 2, {}), "wind_up": (wound_up, 2, {}),
     "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "bilinear": (carried_off, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "stiffness_cubic": (pushed_twice, 2, {"inputs": 2}), "pendulum of two": (pendulum_of_two, 2, {"size": 0.35, "inputs": 2}),
@@ -335,4 +348,5 @@ LOOKALIKES = {
     "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
     "rate_limit_servo": "rise_and_fall", "input_staircase": "input_kink", "gain_periodic": "gain_heat",
+    "wind_up": "rate_limit_servo", "rate_limit": "wind_up",
 }  # fmt: skip

@@ -12,6 +12,7 @@ from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.effect import Clock, Effect
 from estimators.diagnosis.effects.path import curve_of_charge
 from estimators.diagnosis.effects.process import Passing
+from estimators.diagnosis.effects.recursion_kernels import WITHIN
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
@@ -42,6 +43,19 @@ def _servo(which: int) -> Callable[[Wiring, Any, Array], Any]:
         return out[which]
 
     return limited
+
+
+def _wound_up(w: Wiring, x: Any, p: Array) -> Any:
+    pace, proportional, integral = (abs(float(v)) for v in p[:3])
+    level = float(np.clip(w.value(x), p[3], p[4]))
+    s = w.state([level, level])
+    y, i, h = s.x[0], s.x[1], 1.0 / WITHIN
+    limited = lambda e, i: w.ca.fmin(w.ca.fmax(proportional * e + i, p[3]), p[4])
+    for _ in range(WITHIN):
+        middle, then = y + 0.5 * h * pace * (limited(x - y, i) - y), i + 0.5 * h * integral * (x - y)
+        y, i = y + h * pace * (limited(x - middle, then) - middle), i + h * integral * (x - middle)
+    s.after = w.ca.vertcat(y, i)
+    return y
 
 
 def _stiction(w: Wiring, x: Any, p: Array) -> Any:
@@ -105,7 +119,7 @@ def _line_from_origin(w: Wiring, x: Any, p: Array) -> Any:
 
 TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "backlash_input": _play, "backlash_sampled": _play, "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
-    "rate_limit_servo": _servo(1), "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
+    "rate_limit_servo": _servo(1), "wind_up": _wound_up, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
     "output_lines": _line_from_origin,
 }  # fmt: skip
