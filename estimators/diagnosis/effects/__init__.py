@@ -9,6 +9,7 @@ from estimators.diagnosis.effects.added import ADDED
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Sizes, Slot
 from estimators.diagnosis.effects.folding import FOLDING
 from estimators.diagnosis.effects.input import INPUT
+from estimators.diagnosis.effects.loops import LOOPS
 from estimators.diagnosis.effects.noise import NOISE
 from estimators.diagnosis.effects.output import OUTPUT, TIMING
 from estimators.diagnosis.effects.path import PATH, STORE
@@ -16,13 +17,12 @@ from estimators.diagnosis.effects.plant import MODULATED, PLANT
 from estimators.diagnosis.effects.process import PROCESS
 from estimators.diagnosis.effects.profiled import PROFILED
 from estimators.diagnosis.effects.rotation import ROTATION
-from estimators.diagnosis.effects.windup import WINDUP
 from oed.errors import InputError
 
 __all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]
 
 CATALOGUE: tuple[Effect, ...] = (
-    *INPUT, *PROFILED, WINDUP, *PROCESS, *PLANT, *ROTATION, *MODULATED, *PATH, *STORE, *OUTPUT, *FOLDING, *TIMING, *ADDED, *NOISE,
+    *INPUT, *PROFILED, *LOOPS, *PROCESS, *PLANT, *ROTATION, *MODULATED, *PATH, *STORE, *OUTPUT, *FOLDING, *TIMING, *ADDED, *NOISE,
 )  # fmt: skip
 """Every effect that the diagnosis knows; hand in more with `diagnose(..., effects=[*CATALOGUE, mine])`."""
 

@@ -22,6 +22,8 @@ _recent: deque[tuple[tuple[Any, ...], Array]] = deque(
     maxlen=8
 )  # of one shape: the linear part changes more often
 FASTEST = 5.0  # rate per sample above which a process is no different from none
+INSTANT = 3.0
+"""Rate per sample from which a process has settled to 5 % within each: what it does to its input is a curve."""
 NEAR, DOUBLINGS = (
     1e-3,
     20,
@@ -113,6 +115,11 @@ class Passing:
     def start(self, level: float, p: Array) -> float:
         """Its state at rest under a constant input."""
         return _rest(self.force, level, np.array(p[1:], dtype=float), level)
+
+
+def at_once(effect: Effect, q: Array) -> bool:
+    """Whether an effect of parameters q is a process that has no memory from one sample to the next."""
+    return isinstance(effect.apply, Passing) and abs(float(q[0])) > INSTANT
 
 
 def _process(

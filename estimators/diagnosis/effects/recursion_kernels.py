@@ -108,6 +108,31 @@ def wound_up(signal, pace, proportional, integral, low, high, start):  # pragma:
 
 
 @compiled
+def switched(signal, rate, push, share, low, high, start):  # pragma: no cover - compiled
+    """What a lag reaches by the end of each sample, x' = rate (u - x + s (push + share x)), while a relay is on, s = 1, which
+    switches on above `high` and off below `low`; off before, where it may be. Exact between the ends of `WITHIN` steps.
+    """
+    out = np.empty_like(signal)
+    on = start > high
+    x = (start + push) / (1.0 - share) if on and share < 1.0 else start
+    passive = np.exp(-rate / WITHIN)
+    active = np.exp(-rate * (1.0 - share) / WITHIN)
+    for k in range(signal.shape[0]):
+        for _ in range(WITHIN):
+            if on:
+                rest = (signal[k] + push) / (1.0 - share) if share != 1.0 else x
+                x = rest + (x - rest) * active
+            else:
+                x = signal[k] + (x - signal[k]) * passive
+            on = x > high or (on and x >= low)
+        if not abs(x) < 1e60:
+            out[k:] = np.inf
+            return out
+        out[k] = x
+    return out
+
+
+@compiled
 def rate_limited(signal, rate, start):  # pragma: no cover - compiled
     """Command that changes by at most `rate` from one sample to the next, and is held between them."""
     out = np.empty_like(signal)

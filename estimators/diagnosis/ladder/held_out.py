@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
@@ -39,6 +40,7 @@ class HeldOut:
     rungs: tuple[dict[str, Any], ...]
     answered: tuple[Step, ...]  # per output, the step whose free run is given
     warnings: tuple[str, ...]
+    untried: bool = False  # whether the record asks for a curve where nothing is known of it, so that it says nothing of a claim
 
 
 def _resampled(squares: list[Array], rng: np.random.Generator) -> list[Array]:
@@ -109,8 +111,8 @@ UNDECIDED = (
 
 
 UNDETERMINED = (
-    "what the {} model of {} changes on the test record hangs on single blocks of the training data: the errors after are those "
-    "of the {} model"
+    "what the {} model of {} changes on the test record hangs on single blocks of the training data, or on a curve between the levels "
+    "of its input: the errors after are those of the {} model"
 )
 
 
@@ -134,12 +136,13 @@ def _undetermined(run: Array, linear: Array, folds: Sequence[Array], gained: flo
 
 
 def _determined(
-    ladder: Ladder, at: int, runs: Sequence[Array], simulate: Callable[[Answer], Array], use: NDArray[np.bool_]
+    ladder: Ladder, at: int, runs: Sequence[Array], simulate: Callable[[Answer], Array], use: NDArray[np.bool_],
+    known: Sequence[bool],
 ) -> int:  # fmt: skip
     """The last rung up to one whose run, and those of all that it stands on, the training data determine on a record."""
     for j in range(at, 0, -1):
         step = ladder.rungs[j].step
-        if j < at and not step.admitted:
+        if (j < at and not step.admitted) or not known[j]:
             continue
         gained = ladder.rungs[0].value ** 2 - ladder.rungs[j].value ** 2
         parts = [(runs[j] if q is step else simulate(q.answer), q.folds) for q in step.chain if q.folds]
@@ -182,7 +185,7 @@ def assess(
         ]
         for i, ladder in enumerate(ladders)
     ]  # fmt: skip
-    answers, warnings = [], []
+    answers, warnings, untried = [], [], False
     for i, ladder in enumerate(ladders):
         name, use = record.output_names[i], counts[:, i]
         sane = [
@@ -194,7 +197,9 @@ def assess(
         if answers[-1] != ladder.answer or not sane:
             warnings.append(_exploded(ladder, answers[-1] if sane else None, name))
         if test is not None:
-            j = _determined(ladder, answers[-1], runs[i], lambda a: a.simulate(record, skip), use)
+            known = [not _curve_unknown(r.step, train, record) for r in ladder.rungs]
+            untried |= not known[answers[-1]]
+            j = _determined(ladder, answers[-1], runs[i], lambda a: a.simulate(record, skip), use, known)
             if j != answers[-1]:
                 kinds = (ladder.rungs[k].step.kind.value for k in (answers[-1], j))
                 warnings.append(UNDETERMINED.format(next(kinds), name, next(kinds)))
@@ -224,7 +229,7 @@ def assess(
         before, after, figures[0], figures[1], bootstrap(squares(y - ahead[0]), rng), bootstrap(squares(y - ahead[1]), rng),
         bootstrap(first, rng, second), removed(first, second, (floor, len(train)), rng, policy),
         tuple(_rungs(ladders, runs, squares, rng)), tuple(steps),
-        (*warnings, *_worse_than_constant(y, weight, figures, record.output_names, policy)),
+        (*warnings, *_worse_than_constant(y, weight, figures, record.output_names, policy)), untried,
     )  # fmt: skip
 
 
@@ -311,19 +316,37 @@ def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
     return out + _between(train, test, policy) + _new_frequencies(train, test, policy)
 
 
+MOSTLY = 0.5
+"""Share of a record's samples off all levels of an input from which on a curve of that input is a guess there."""
 GAP = 0.05
 """Of the range of an input, from which on nothing says what a curve does between two of its levels."""
+
+
+def _off_levels(train: Sequence[Record], test: Record, j: int) -> tuple[NDArray[np.bool_], float]:
+    """(N,) samples whose input lies between the levels that the training data cover, and how far from the nearest is far."""
+    levels, asked = np.unique(np.concatenate([r.u[:, j] for r in train])), test.u[:, j]
+    if len(levels) < 2:
+        return np.zeros(len(asked), dtype=bool), 0.0
+    at, far = np.clip(np.searchsorted(levels, asked), 1, len(levels) - 1), GAP * float(np.ptp(levels))
+    return np.minimum(asked - levels[at - 1], levels[at] - asked) > far, far
+
+
+def _curve_unknown(step: Step, train: Record, test: Record) -> bool:
+    """Whether a step has a curve of an input that is mostly where no training sample says anything of it."""
+    structure = getattr(step.answer, "structure", None)
+    parts = () if structure is None else structure.effects
+    curved = {
+        q.channel for q in parts if q.effect.nature is Nature.INPUT_STATIC and q.effect.apply is not None
+    }
+    return any(np.mean(_off_levels([train], test, j)[0]) > MOSTLY for j in curved)
 
 
 def _between(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
     """Inputs of the test record inside the training range and off all levels that it was sampled at."""
     out = []
     for j in range(test.n_inputs):
-        levels, asked = np.unique(np.concatenate([r.u[:, j] for r in train])), test.u[:, j]
-        if len(levels) < 2:
-            continue
-        at, far = np.clip(np.searchsorted(levels, asked), 1, len(levels) - 1), GAP * float(np.ptp(levels))
-        share = float(np.mean(np.minimum(asked - levels[at - 1], levels[at] - asked) > far))
+        off, far = _off_levels(train, test, j)
+        share = float(np.mean(off))
         if share > policy.outside:
             number = f" {j + 1}" if test.n_inputs > 1 else ""
             out.append(f"{100 * share:.2g} % of the test record's samples lie between levels of the input{number} that the "

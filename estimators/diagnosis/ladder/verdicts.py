@@ -50,7 +50,7 @@ def verdict(outcomes: Sequence[Outcome], held: HeldOut, setting: Setting) -> dic
         leftovers(o.examined.last, o.named.fit, alpha=setting.alpha / len(outcomes) / 10) for o in outcomes
     ]
     system = [f for o in outcomes for f in _system(o, _tag(o, several), setting.policy)]
-    withdrawn = bool(system) and not held.difference.low > 0.0
+    withdrawn = bool(system) and not held.difference.low > 0.0 and not held.untried
     if withdrawn or not system:
         system = [f for o in outcomes for f in _predictable(o, _tag(o, several), setting.policy)]
     for o, rest in zip(outcomes, rests, strict=True):

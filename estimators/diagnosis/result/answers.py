@@ -246,24 +246,27 @@ def _named(data: dict[str, Any], effects: tuple[Effect, ...]) -> NamedAnswer:
                        data["step"], data["ahead"])  # fmt: skip
 
 
+def _linear_of(data: dict[str, Any]) -> LinearAnswer:
+    """The linear answer that `to_dict` wrote."""
+    m = data["model"]
+    model = LinearModel(np.array(m["den"]), np.array(m["num"]), m["constant"], np.array(m.get("moved", ())))
+    return LinearAnswer(
+        data["output"], tuple(data["inputs"]), model, _prior_of(data["prior"]), data.get("rest", False)
+    )
+
+
 def read_answer(data: dict[str, Any], effects: tuple[Effect, ...] = CATALOGUE) -> Answer:
     """The answer that `to_dict` wrote; effects of one's own must be among those given."""
     if data["kind"] == "linear":
-        m = data["model"]
-        model = LinearModel(
-            np.array(m["den"]), np.array(m["num"]), m["constant"], np.array(m.get("moved", ()))
-        )
-        return LinearAnswer(
-            data["output"], tuple(data["inputs"]), model, _prior_of(data["prior"]), data.get("rest", False)
-        )
+        return _linear_of(data)
     if data["kind"] == "named":
         return _named(data, effects)
     if data["kind"] == "discovered":
         return DiscoveredAnswer(data["output"], DiscoveredModel.from_json(data["model"]))
     if data["kind"] == "through":
-        behind = read_answer(data["behind"])
-        assert isinstance(behind, LinearAnswer)
-        return ThroughAnswer(data["output"], read_answer(data["through"], effects), behind)
+        return ThroughAnswer(
+            data["output"], read_answer(data["through"], effects), _linear_of(data["behind"])
+        )
     if data["kind"] == "remainder":
         others = tuple(a for d in data["others"] if isinstance(a := read_answer(d), LinearAnswer))
         return RemainderAnswer(

@@ -256,6 +256,17 @@ def wound_up(u, a):
     return out
 
 
+def thermostat(u, a):
+    """A cabinet whose fan carries off more from the upper level of its temperature on, until the lower one is reached."""
+    x, on, out = u[0], False, np.zeros(len(u))
+    for k, value in enumerate(u):
+        out[k] = x
+        for _ in range(FINE):
+            on = x > 0.3 or (on and x > -0.2)
+            x += 0.06 / FINE * (value - x - (a * 0.8 * (x + 1.5) if on else 0.0))
+    return out
+
+
 def stairs(u, a):
     return _linear(0.8 * np.round((u - 0.1) / 0.8) if a else u)
 
@@ -332,7 +343,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
     "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
-    "gain_periodic": (swaying, 2, {}), "wind_up": (wound_up, 2, {}),
+    "gain_periodic": (swaying, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),
     "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "bilinear": (carried_off, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "stiffness_cubic": (pushed_twice, 2, {"inputs": 2}), "pendulum of two": (pendulum_of_two, 2, {"size": 0.35, "inputs": 2}),
@@ -348,5 +359,5 @@ LOOKALIKES = {
     "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
     "rate_limit_servo": "rise_and_fall", "input_staircase": "input_kink", "gain_periodic": "gain_heat",
-    "wind_up": "rate_limit_servo", "rate_limit": "wind_up",
+    "relay_feedback": "relay", "wind_up": "rate_limit_servo", "rate_limit": "wind_up",
 }  # fmt: skip

@@ -42,6 +42,7 @@ NAMED = {
     "rate": ("tf", [("rate_limit", [0.5]), ("lag", [0.6])], {"rest": False}),
     "two rates": ("tf", [("rate_limit_servo", [0.5, 0.2, 0.7])], {"rest": False}),
     "wind up": ("tf", [("wind_up", [0.1, 3.0, 0.3, -0.8, 0.9])], {"rest": False}),
+    "thermostat": ("tf", [("relay_feedback", [0.1, 0.2, -0.7, -0.3, 0.4])], {"rest": False}),
     "staircase in time": ("tf", [("input_staircase", [0.4, 0.1]), ("gain_periodic", [0.2, 0.3, 0.1])], {}),
     "sampled rate": ("tf", [("rate_limit_sampled", [0.5])], {}),
     "stem": ("tf", [("stiction", [0.5, 0.3, 0.7])], {"ahead": True, "rest": False}),

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from estimators import diagnose
-from estimators.diagnosis.ladder.held_out import _as_read, _undetermined
+from estimators.diagnosis.effects import named
+from estimators.diagnosis.ladder import Gain
+from estimators.diagnosis.ladder.held_out import _as_read, _curve_unknown, _undetermined
 from estimators.diagnosis.model.fitting import levenberg_marquardt
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.search.named import Claim, _as_curve
 from oed.data import Record
 
 RNG = np.random.default_rng(7)
@@ -74,3 +80,35 @@ def test_the_answer_is_compared_with_all_that_a_holding_sensor_shows() -> None:
     error = float(np.sqrt(np.mean((found.yhat_after[:, 0] - test.y[:, 0]) ** 2)))
     assert found.rmse_after.value == pytest.approx(error, rel=1e-9)
     assert error < 0.015 < 0.3 * found.rmse_before.value
+
+
+def test_a_curve_between_the_levels_of_its_input_is_a_guess() -> None:
+    """Three levels in training, most of the test between them: a curve of that input decides nothing there, other steps may."""
+    levels = np.repeat([4.0, 8.0, 9.0], 40)
+    train, test = Record(levels, levels), Record(np.repeat([4.0, 6.0, 7.0], 40), np.zeros(120))
+    curve = SimpleNamespace(
+        answer=SimpleNamespace(structure=Structure(1).adding(Part(named("saturation"), 0)))
+    )
+    friction = SimpleNamespace(
+        answer=SimpleNamespace(structure=Structure(1).adding(Part(named("coulomb"), 0)))
+    )
+    assert _curve_unknown(curve, train, test)
+    assert not _curve_unknown(curve, train, train)
+    assert not _curve_unknown(friction, train, test)
+    assert not _curve_unknown(SimpleNamespace(answer=object()), train, test)
+
+
+def _claimed(key: str, p: list[float], first: int = 0) -> str:
+    """Key of the effect that is claimed where one was fitted before a pole at 0.5."""
+    part = Part(named(key), 0, first=first)
+    s = Structure(1).adding(part)
+    fit = SimpleNamespace(structure=s, p=np.array([-0.5, 1.0, *p]))
+    return _as_curve(Claim(part, Gain(1.0, 0.1, 0.5), 0.0), fit).key
+
+
+def test_a_process_without_memory_and_a_curve_behind_the_plant_are_named_as_what_they_are() -> None:
+    assert _claimed("loss", [0.5, 0.1, 0.1]) == "loss"
+    assert _claimed("loss", [4.5, 0.1, 0.1]) == "input_polynomial"
+    assert _claimed("input_power", [0.4]) == "input_power"
+    assert _claimed("input_power", [-0.2, 0.4], first=1) == "input_power"
+    assert _claimed("input_power", [-0.9, 0.4], first=1) == "sandwich"

@@ -58,6 +58,20 @@ def _wound_up(w: Wiring, x: Any, p: Array) -> Any:
     return y
 
 
+def _switched(w: Wiring, x: Any, p: Array) -> Any:
+    rate, push, share, (low, high) = abs(float(p[0])), float(p[1]), float(p[2]), sorted(map(float, p[3:]))
+    level = w.value(x)
+    first = level > high
+    s = w.state([(level + push) / (1.0 - share) if first and share < 1.0 else level, float(first)])
+    y, on, passive, active = s.x[0], s.x[1], np.exp(-rate / WITHIN), np.exp(-rate * (1.0 - share) / WITHIN)
+    for _ in range(WITHIN):
+        rest = (x + push) / (1.0 - share) if share != 1.0 else y
+        y = w.ca.if_else(on > 0.5, rest + (y - rest) * active, x + (y - x) * passive)
+        on = w.ca.logic_or(y > high, w.ca.logic_and(on > 0.5, y >= low))
+    s.after = w.ca.vertcat(y, on)
+    return y
+
+
 def _stiction(w: Wiring, x: Any, p: Array) -> Any:
     s, half = _stood(w, x, p, 2), abs(p[0])
     left, gap = half * float(np.clip(p[1], 0.0, 1.0)), x - s.x
@@ -119,7 +133,7 @@ def _line_from_origin(w: Wiring, x: Any, p: Array) -> Any:
 
 TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "backlash_input": _play, "backlash_sampled": _play, "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
-    "rate_limit_servo": _servo(1), "wind_up": _wound_up, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
+    "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
     "output_lines": _line_from_origin,
 }  # fmt: skip
