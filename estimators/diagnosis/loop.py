@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Baseline, Options, best_linear
+from estimators.diagnosis.baseline.disturbances import set_aside
 from estimators.diagnosis.baseline.search import LONG
 from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
@@ -130,7 +131,7 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
     ahead = delay == 0 and not setting.orders and not echo  # else the input holds the noise of its own sample
     m = base.outputs[i]  # approximated by a long numerator, its poles say nothing
     long = m.together is None and m.model.num.shape[1] >= LONG
-    known = Known(PHYSICAL + 1 if long else order, max(delay - 1, 0))
+    known = Known(PHYSICAL + 1 if long else order, max(delay - 1, 0), set_aside(left, m.tones, train.dt))
     record = early(train) if ahead else train
     rest = bool(setting.deviations) or (setting.deviations is None and _starts_at_rest(train, i, base))
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.baseline import Baseline, Options, OutputModel
 from estimators.diagnosis.baseline.blocks import Block, Blocks, blocks_of
-from estimators.diagnosis.baseline.choice import SLOW, Trial, batch_squares, simplest
+from estimators.diagnosis.baseline.choice import SLOW, Trial, batch_squares, simplest, tried
 from estimators.diagnosis.baseline.disturbances import foretold, noise_model, tones, waves
 from estimators.diagnosis.baseline.linear_model import Prior, rest_level
 from estimators.diagnosis.baseline.search import LONG as TAPS
@@ -128,7 +128,7 @@ def _screened(search: Search) -> tuple[Search, list[Trial], list[float]]:
         low = [t for t in known if t.candidate.form.na <= most]
         found, clean = _without_tones(search, simplest(low)) if low else ([], search.records)
         quiet = (without := replace(search, records=clean)).arx() if found else []
-        if not _least(quiet) < _least(known):
+        if not _least(quiet) < _least(known) or _resonates(search, known, without, quiet):
             break
         lines, now, known = found, without, quiet
     if len(search.blocks.blocks) == len(search.records):
@@ -140,6 +140,21 @@ def _screened(search: Search) -> tuple[Search, list[Trial], list[float]]:
     # What needs many coefficients beside a trend has a pole that makes it.
     few = [t for t in level if t.candidate.form.na <= LOW and t.candidate.size <= MANY and not t.slow]
     return (straight, level, []) if _least(few) * SLOW**2 < _least(known) else (now, known, lines)
+
+
+def _resonates(search: Search, known: list[Trial], without: Search, quiet: list[Trial]) -> bool:
+    """Whether the records as they are have a model as good as the records without tones: a resonance that the input drives is none.
+
+    In noise, ARX of ten lags knows little of light modes; what is refined does. No sample sets the state here: a pole that rings
+    from the start on is no resonance.
+    """
+    started = replace(search.blocks, window=0)
+    found = (
+        tried(t.candidate, search.records, search.output, started, search.prior)
+        for t in search.refined(known)
+    )
+    own = _least([t for t in found if t is not None])
+    return own <= _least(quiet) and own <= _least(without.refined(quiet))
 
 
 def _without_trends(search: Search, known: Sequence[Trial]) -> list[Record]:

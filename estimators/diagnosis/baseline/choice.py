@@ -72,12 +72,14 @@ class Trial:
 def tried(
     candidate: Candidate, records: Sequence[Record], output: int, blocks: Blocks, prior: Prior
 ) -> Trial | None:
-    """A candidate's free run on each block by the fit to the others; None where one of them is not stable.
+    """A candidate's free run on each block by the fit to the others; None where one of them is not stable, or rings for ever.
 
     The run begins where the record begins, as on a test record: a state set just before each block would let a slow
     pole that no input drives stand for a level or a drift.
     """
-    if any(model.radius > 1.0 for model in candidate.models):
+    if any(model.radius > 1.0 for model in candidate.models) or _rings(
+        candidate.models[-1], max(blocks.lengths)
+    ):
         return None
     unused = [np.full(n, np.nan) for n in blocks.lengths]
     prior = replace(prior, noise=max(prior.noise, candidate.noise))
@@ -88,6 +90,12 @@ def tried(
     squares = batch_squares(unused, records, output, blocks)
     slow = blocks.slow(candidate.models[-1].radius)
     return Trial(candidate, unused, squares, slow, undetermined(candidate.models[:-1], records))
+
+
+def _rings(model: LinearModel, length: int) -> bool:
+    """Whether a pair of poles rings through all of a record: what no input need drive is a disturbance."""
+    ringing = np.abs(model.poles.imag) > 0.0
+    return bool(np.any(np.abs(model.poles[ringing]) > np.exp(-1.0 / length)))
 
 
 def undetermined(models: Sequence[LinearModel], records: Sequence[Record]) -> float:

@@ -64,6 +64,12 @@ def foretold(e: Array, W: Array, own: slice, held_out: slice) -> Array:
     return W[held_out, own] @ theta[own]
 
 
+def set_aside(e: Array, lines: Sequence[float], dt: float) -> Array | None:
+    """The tones of frequencies in Hz in a residual (N,); None where there are none."""
+    W = waves([2.0 * np.pi * f * dt for f in lines], len(e))
+    return foretold(e, W, slice(1, None), slice(0, len(e))) if lines else None
+
+
 def tones(y: Array, run: Array, U: Array) -> list[float]:
     """Angular frequencies of lines of measured (N,) minus simulated output that the inputs (N, nu) do not have."""
     seen = np.isfinite(y)

@@ -29,6 +29,10 @@ DELAYS = (0, 1, 2, 3, 5, 8)
 """Delays tried on every record, beside those that its impulse response shows."""
 REFINED = (1, 2, 3, 4, 5, 6, 8)
 """Orders refined to the least simulation error."""
+PREFILTERED = 8
+"""Iterations of Steiglitz and McBride, each an ARX of the records filtered by the one before: most of the way is made in five."""
+NEARER = 0.95
+"""Of the loss from a reduction or from ARX, below which the iteration's end is another minimum and not the same."""
 REALISED = 30
 """Lags of the impulse response that a reduction to few poles keeps: three times the largest order."""
 STEPS = (4, 8, 4)
@@ -164,16 +168,44 @@ class Search:
             found += self._of_each(known)
         return [t for t in found if t is not None]
 
+    def _prefiltered(self, form: Arx) -> LinearModel | None:
+        """The iteration of Steiglitz and McBride, which finds light modes in noise where ARX and descents from it do not.
+
+        None where samples are missing, or no iterate is stable.
+        """
+        if not all(np.isfinite(r.y[:, self.output]).all() for r in self.records):
+            return None
+        records, stable = self.records, None
+        for _ in range(PREFILTERED):
+            regressors = replace(self, records=records)._lagged(replace(form, offset=True))
+            model = regressors.fit(form, -1)
+            roots = np.roots(model.den).astype(complex)
+            outside = np.abs(roots) >= 1.0
+            roots[outside] = 1.0 / np.conj(roots[outside])
+            if not outside.any():
+                stable = model
+            den = np.real(np.poly(roots))
+            records = [
+                r.replace(u=lfilter([1.0], den, r.u, axis=0), y=lfilter([1.0], den, r.y, axis=0))
+                for r in self.records
+            ]
+        return stable
+
     def _fitted(self, form: Arx, best: Sequence[Trial]) -> tuple[float, OutputError, LinearModel] | None:
-        """Schwarz's criterion, problem and model of an output-error form, from a reduction of the best and from ARX."""
+        """Schwarz's criterion, problem and model of an output-error form, from a reduction of the best, ARX and its iteration."""
         rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
         starts = [realised(best[0].candidate.models[-1], form, REALISED)]
         starts += [t.candidate.models[-1] for t in best if t.candidate.form.na == form.na][:1]
         problem = OutputError(self.records, self.output, form, self.prior, np.ones(1))
-        fits = [problem.fit(s, rows, STEPS[0]) for s in starts if s is not None and s.radius < 1.0]
-        if not fits:
+        ends = [
+            problem.fit(m, rows, STEPS[0]) if m is not None and m.radius < 1.0 else (None, np.inf)
+            for m in (*starts, self._prefiltered(form))
+        ]
+        model, loss = min(ends[:-1], key=lambda end: end[1], default=(None, np.inf))
+        if ends[-1][1] < NEARER * loss:
+            model = ends[-1][0]
+        if model is None:
             return None
-        model, _ = min(fits, key=lambda f: f[1])
         model, loss = problem.fit(model, rows, STEPS[1])
         count = sum(self.blocks.lengths)
         return count * np.log(max(loss, 1e-300)) + form.size * np.log(count), problem, model

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import combinations_with_replacement
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,9 @@ OPEN = (0.03, 0.1, 0.25, 0.45)
 DAMPINGS = (0.4, 0.7, 1.2)
 """Of the loop without its limit, as the linear model of a loop that winds up is no guide to it."""
 LEVELS = (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9)
-"""Of the range that the input would drive a relay's plant over, where it may switch: any two of them, or one twice."""
+"""Of the range that the input would drive a relay's plant over, where it may switch: any two of them."""
+LEAST_GAP = 0.03
+"""Of the input's range, between a relay's levels: what switches at one level is a curve."""
 PUSHES = (-0.6, -0.3, -0.15, 0.15, 0.3, 0.6)
 """Of the input's range, what a relay may add to it while it is on."""
 
@@ -48,6 +50,8 @@ def _switched(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.recursion_kernels import switched
 
     low, high = sorted((float(p[3]), float(p[4])))
+    if not high - low > LEAST_GAP * float(np.ptp(x)):
+        return np.full(len(x), np.inf)
     return switched(
         np.ascontiguousarray(x), abs(float(p[0])), float(p[1]), float(p[2]), low, high, level_before(x)
     )
@@ -70,9 +74,9 @@ def _switching(slowest: float, u: Array) -> Iterator[list[float]]:
     wide = float(np.ptp(u))
     for faster in PACES[:-1]:
         alone = _switched(
-            u, np.array([faster * slowest, 0.0, 0.0, np.inf, np.inf]), Clock(np.arange(len(u)), len(u))
+            u, np.array([faster * slowest, 0.0, 0.0, 0.0, 1e300]), Clock(np.arange(len(u)), len(u))
         )
-        for low, high in combinations_with_replacement(np.quantile(alone, LEVELS), 2):
+        for low, high in combinations(np.quantile(alone, LEVELS), 2):
             for push in PUSHES:
                 yield [faster * slowest, push * wide, 0.0, float(low), float(high)]
 

@@ -23,6 +23,8 @@ WHOLE = 15
 ENDS, ROUGH = (1e-5, 2), (1e-3, 1)
 """When a fit ends: so many steps that gain less than such a share. One that only tells candidates apart ends where a step is
 worth about one unit of deviance in 1000 samples."""
+TRIES, SHORTER = 8, 12
+"""Dampings that are tried for a step, and those of them whose step may end the simulation."""
 IDLE = 1e-6
 """Change of a residual by a typical size of a parameter, of its norm, below which these samples say nothing of it, as of a time of
 change that lies in a block left out: a step for it would be endless, and hold up all others."""
@@ -176,12 +178,13 @@ def levenberg_marquardt(
         J[:, idle], norms[idle] = 0.0, 1.0
         Js = J / norms
         H, g = Js.T @ Js, Js.T @ r
-        improved = False
-        for _ in range(8):
+        improved, left = False, [TRIES, SHORTER]
+        while min(left) > 0:
             try:
                 delta = -np.linalg.solve(H + damping * np.eye(len(p)), g) / norms
             except np.linalg.LinAlgError:
                 damping *= 10
+                left[0] -= 1
                 continue
             q = p + delta
             rq = residual(q)
@@ -194,9 +197,10 @@ def levenberg_marquardt(
                     damping = max(damping * 0.2, 1e-9)
                     improved = True
                     break
-                damping *= 6.0
-            else:  # a pole left the circle: a step some times as short would leave it too
-                damping *= 60.0
+                left[0] -= 1
+            else:  # a pole left the circle, which says nothing of the errors near here
+                left[1] -= 1
+            damping *= 6.0
         if not improved:
             break
         small = small + 1 if drop < ends[0] else 0
@@ -331,6 +335,13 @@ def fit(
                 J = np.asarray(lfilter(np.concatenate(([1.0], again)), [1.0], J, axis=0))
             noise, variance, deviance = again, v, n * np.log(max(v, 1e-300))
     return Fit(structure, p, noise, variance, deviance, r, n, J, scales)
+
+
+def leaving(f: Fit, residual: Array) -> Fit:
+    """A fit with another residual in place of its own, and the noise model that this asks for."""
+    noise, deviance = ar_model(residual)
+    variance = float(np.sum(innovations(residual, noise) ** 2) / f.n)
+    return replace(f, residual=residual, noise=noise, variance=variance, deviance=deviance)
 
 
 def parameters_of(f: Fit, prefix: str = "") -> dict[str, tuple[float, float, str]]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.ladder import Kind, Step
-from estimators.diagnosis.model.fitting import Fit, ar_model, innovations
+from estimators.diagnosis.model.fitting import leaving
 from estimators.diagnosis.result.answers import LinearAnswer, ThroughAnswer
 from estimators.diagnosis.search.named import Bench, Claim, Named
 from estimators.residual.algebra import delayed
@@ -31,6 +31,8 @@ def seen_elsewhere(
     A displacement and its rate have one spring: from the input alone its effect on the rate is much harder to find.
     """
     out = list(named)
+    if options.diagonal:
+        return out
     for i, bench in enumerate(benches):
         for j, (other, cause) in enumerate(zip(benches, named, strict=True)):
             step = cause.step
@@ -73,7 +75,7 @@ def _behind(
                  step.sentences, noise=m.noise[1:], nature=step.nature,
                  folds=tuple(replace(answer, through=f) for f in step.folds))  # fmt: skip
     return Named(
-        _leaving(own.fit, np.where(bench.channel.keep, bench.channel.y - run, 0.0)),
+        leaving(own.fit, np.where(bench.channel.keep, bench.channel.y - run, 0.0)),
         claims,
         own.dropped,
         whole,
@@ -89,10 +91,3 @@ def _shows(bench: Bench, known: Array, changed: Array) -> bool:
     X[~np.isfinite(X)] = 0.0
     rest = left - X @ np.linalg.lstsq(X, left, rcond=None)[0]
     return float(rest @ rest) < (1.0 - bench.policy.searched[1]) ** 2 * float(left @ left)
-
-
-def _leaving(f: Fit, residual: Array) -> Fit:
-    """A fit with the residual of another model in place of its own: what is left is asked of that."""
-    noise, deviance = ar_model(residual)
-    variance = float(np.mean(innovations(residual, noise) ** 2))
-    return replace(f, residual=residual, noise=noise, variance=variance, deviance=deviance)

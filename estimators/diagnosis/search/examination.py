@@ -12,7 +12,7 @@ from estimators.diagnosis.effects import Clock, Effect, Nature, Slot, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.input import LINES, SANDWICH
 from estimators.diagnosis.effects.path import INITIAL, OUTFLOW
-from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
+from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations, leaving
 from estimators.diagnosis.model.forces import balanced_fit, force_balance
 from estimators.diagnosis.model.linear import begun_linear, fit_linear
 from estimators.diagnosis.model.simulation import simulate
@@ -86,6 +86,7 @@ class Known:
 
     order: int
     delay: int = 0
+    added: Array | None = None  # (N,) tones that no input drives, which a light pole would take for its own
 
 
 FITTED = {Effort.QUICK: 6, Effort.NORMAL: 14, Effort.THOROUGH: 0}
@@ -96,6 +97,13 @@ PAID, LEAST_FITTED = 2000, 4
 scores of a long record are sharp."""
 PHYSICAL = 4
 """Poles from which on a linear model is no plant that effects could sit in, but an approximation of one."""
+
+
+def _beside(channel: Channel, s: Structure, added: Array) -> Fit:
+    """The linear model of what is left without an added signal (N,), as a fit of the record as it is."""
+    added = added[: len(channel)]
+    f = fit_linear(replace(channel, y=channel.y - added), s)
+    return leaving(f, f.residual + np.where(channel.keep, added, 0.0))
 
 
 def _order(channel: Channel, record: Record, setting: Setting, i: int, known: Known) -> int:
@@ -126,7 +134,9 @@ def examine(record: Record, i: int, setting: Setting, known: Known | None = None
     """Find what the linear model of one output lacks."""
     known = Known(PHYSICAL + 1) if known is None else known
     thin = _thinning(np.nan_to_num(record.y[:, i]))
-    known = replace(known, delay=known.delay // thin)
+    known = replace(
+        known, delay=known.delay // thin, added=None if known.added is None else known.added[::thin]
+    )
     record = thinned(record, thin)
     if len(record) > LONG:
         short = _examined(record[:SCREEN], i, setting, known)
@@ -222,7 +232,7 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
     s = s if setting.orders else replace(s, delay=known.delay)
     few = FITTED[setting.effort] * min(1.0, PAID / n)
     menu = Menu(setting.effects, others, max(LEAST_FITTED, round(few)) if few else 0)
-    first = fit_linear(channel, s)
+    first = fit_linear(channel, s) if known.added is None else _beside(channel, s, known.added)
     naive = fit_linear(replace(channel, keep=~missing), s) if not np.array_equal(keep, ~missing) else first
     if step > 0.0:
         sigma = float(np.sqrt(np.mean(first.residual[keep] ** 2)))

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import FAR, LinearModel, Prior
-from estimators.diagnosis.effects import Clock
+from estimators.diagnosis.effects import Clock, Slot
 from estimators.diagnosis.effects.path import INITIAL, STORE_CURVE
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, levenberg_marquardt
 from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices
@@ -98,13 +98,25 @@ def largest_pole(den: Array) -> float:
     return float(np.abs(np.roots(den)).max(initial=0.0))
 
 
+def _beside(f: Shaped) -> float:
+    """Magnitude of the slowest pole beside the linear part: of lags before an effect, and of a mode that an input has to itself."""
+    s, slowest = f.structure, 0.0
+    for part, sl in zip(s.parts, s.slices(), strict=True):
+        p, e = f.p[sl], part.effect
+        rational = e.slot is Slot.PATH and e.apply is None and e.signal is None
+        den = p[part.count(s.order) // 2 :] if rational else p[: part.first]
+        slowest = max(slowest, largest_pole(np.concatenate(([1.0], den))))
+    return slowest
+
+
 def lead_in(f: Shaped, start: Start) -> int:
-    """Samples of constant input before a record that bring the linear part to rest; 0 where it has none, or is at rest."""
+    """Samples of constant input before a record that bring the linear parts to rest; 0 where there is none, or it is at rest."""
     if start.rest:
         return 0
     radius = largest_pole(denominator(f))
     if radius >= FAR:
         return 0
+    radius = max(radius, min(_beside(f), FAR))
     return min(LONGEST, 2 + f.structure.delay + int(np.log(SETTLED) / np.log(max(radius, 0.05))))
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimators.diagnosis.baseline import Baseline
-from estimators.diagnosis.effects import Nature, Slot, named
+from estimators.diagnosis.effects import Effect, Nature, Slot, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.effects.process import at_once
@@ -190,8 +190,11 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             held = sorted((c for c in claims if _holds(c, bench)), key=lambda c: -c.gain.value)
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             held = _bending(bench, f, [_as_curve(c, f) for c in held], unused)
+            alike, effect = _as_linear(bench, a, f) if len(held) == 1 and bent(held[0]) else (False, None)
+            if effect is not None:
+                held = [replace(held[0], part=replace(held[0].part, effect=effect))]
             claims = tuple(_with_rivals(held, a, f))
-            linear = all(_foretold(c, bench) for c in claims)
+            linear = alike or all(_foretold(c, bench) for c in claims)
             step = replace(_step(bench, f, held, unused), linear=linear) if held else None
             return Named(f, claims, tuple(dropped), step, unused)
         worst = min(weak, key=lambda i: claims[i].gain.value)
@@ -307,13 +310,23 @@ def bent(c: Claim) -> bool:
     return c.part.effect.nature in BENT
 
 
+def _as_linear(bench: Bench, a: Attribution, f: Fit) -> tuple[bool, Effect | None]:
+    """Whether linear dynamics fit the record as well as a model of one bent effect, and those that are the cause then: of which
+    unused blocks do not tell that model, by what the best of a search must gain.
+    """
+    alike = [o for o in a.claims if o.effect.nature is Nature.LINEAR and as_good(f, o.fit)]
+    told = (
+        o.effect
+        for o in alike
+        if not bench.over(bench.unused(f), bench.unused(o.fit)).meets(bench.policy.searched)
+    )
+    return bool(alike), next(told, None)
+
+
 def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
     """Single effects that fit as well as the first one does, and what the search noted for the others."""
     out = []
     for c in claims:
-        if len(claims) == 1 and bent(c):
-            linear = (o for o in a.claims if o.effect.nature is Nature.LINEAR and as_good(f, o.fit))
-            c = next((replace(c, part=replace(c.part, effect=o.effect)) for o in linear), c)
         names = list(a.rivals.get(c.key, []))
         if len(claims) == 1:
             names += [o.cause for o in a.claims if o.cause != c.cause and as_good(f, o.fit)]

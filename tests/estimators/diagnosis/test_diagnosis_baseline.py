@@ -361,3 +361,16 @@ def test_measured_records_against_ten_lag_arx_and_the_mean(meta, request):
         with np.errstate(over="ignore", invalid="ignore"):
             theirs = (test.y[:, 0] - ten_lags(train, test, skip))[skip:]
         assert excess(ours, theirs) < 2.0
+
+
+def test_two_light_modes_beside_each_other_are_dynamics_and_no_tones():
+    """In noise of 4 %, ARX of ten lags knows neither; what it leaves is two lines, which the input drives."""
+    rng = np.random.default_rng(12)
+    n, modes = 1500, ((0.280, 0.9906), (0.312, 0.9910))
+    u, y = rng.standard_normal(n), np.zeros(n)
+    for w, radius in modes:
+        y += lfilter([0.0, 1.0], [1.0, -2.0 * radius * np.cos(w), radius**2], u)
+    noise = 0.04 * float(np.std(y))
+    base = best_linear([Record(u, y + noise * rng.standard_normal(n))])
+    assert not base.outputs[0].tones
+    assert base.rmse_unused[0] < 1.3 * noise

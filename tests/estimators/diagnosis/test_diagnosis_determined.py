@@ -14,6 +14,7 @@ from estimators.diagnosis.ladder import Gain
 from estimators.diagnosis.ladder.held_out import _as_read, _curve_unknown, _undetermined
 from estimators.diagnosis.model.fitting import levenberg_marquardt
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.search.named import Claim, _as_curve
 from oed.data import Record
 
@@ -112,3 +113,21 @@ def test_a_process_without_memory_and_a_curve_behind_the_plant_are_named_as_what
     assert _claimed("input_power", [0.4]) == "input_power"
     assert _claimed("input_power", [-0.2, 0.4], first=1) == "input_power"
     assert _claimed("input_power", [-0.9, 0.4], first=1) == "sandwich"
+
+
+def _consumed(seed: int, start: int) -> Record:
+    """A receiver that somebody else's machine takes from in a fixed cycle, which nobody logs."""
+    rng = np.random.default_rng(seed)
+    k = start + np.arange(1000)
+    u = np.repeat(rng.uniform(40, 60, 50), 20)
+    drawn = 3.0 * np.sin(2.0 * np.pi * k / 96.0) + 1.5 * np.cos(4.0 * np.pi * k / 96.0)
+    y = lfilter([0.0, 0.02, 0.01], [1.0, -1.69, 0.705], u - drawn - 50.0) + 50.0
+    return Record(u, y + 0.03 * rng.standard_normal(1000), t0=float(start))
+
+
+@pytest.mark.slow
+def test_no_pole_rings_in_place_of_a_cycle_that_nobody_logs() -> None:
+    """With a pole more than the plant has, which would take the cycle for its own."""
+    found = diagnose(_consumed(1, 0), _consumed(2, 1000), Setting(orders=(3,)))
+    assert found.effect == "periodic_disturbance"
+    assert found.rmse_after.value < 0.5 * found.rmse_before.value

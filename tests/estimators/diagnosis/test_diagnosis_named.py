@@ -22,9 +22,9 @@ from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.leftover import leftovers
-from estimators.diagnosis.search import named as stage
+from estimators.diagnosis.search import few as stage
 from estimators.diagnosis.search.candidates import Menu, augmented
-from estimators.diagnosis.search.named import Claim, _with_rivals
+from estimators.diagnosis.search.named import _as_linear
 from estimators.diagnosis.search.selection import Attribution
 from oed.data import Record
 from oed.errors import InputError
@@ -107,12 +107,15 @@ def test_what_a_pole_explains_as_well_is_linear_dynamics(rng) -> None:
     y = lfilter([0.0, 0.1, 0.1], [1.0, -1.5, 0.7], u) + 0.02 * rng.standard_normal(500)
     channel = Channel(u[:, None], y, Clock(np.arange(500.0), 500), np.ones(500, dtype=bool))
     good, poor = (fit_linear(channel, Structure(order)) for order in (2, 1))
-    claim = Claim(Part(named("input_cubic")), Gain(1.0, 0.1, 0.5), 1e-9)
-    for rival, cause in ((good, "sensor_lag"), (poor, "hammerstein")):
-        a = SimpleNamespace(
-            rivals={}, claims=[SimpleNamespace(effect=named("lag"), cause="sensor_lag", fit=rival)]
+    for rival, gain, alike, cause in (
+        (good, 0.0, True, "sensor_lag"), (good, 0.3, True, None), (poor, 0.0, False, None),
+    ):  # fmt: skip
+        a = SimpleNamespace(claims=[SimpleNamespace(effect=named("lag"), cause="sensor_lag", fit=rival)])
+        bench = SimpleNamespace(
+            unused=lambda f: f, over=lambda *a, gain=gain: Gain(gain, 0.01, gain), policy=Policy()
         )
-        assert _with_rivals([claim], a, good)[0].cause == cause  # pyright: ignore[reportArgumentType]
+        found = _as_linear(bench, a, good)  # pyright: ignore[reportArgumentType]
+        assert (found[0], found[1] and found[1].cause) == (alike, cause)
 
 
 def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(monkeypatch) -> None:
