@@ -5,12 +5,11 @@ These files import the rooms of the model and the search inside functions only, 
 
 from __future__ import annotations
 
-from estimators.diagnosis.effects.added import ADDED
+from estimators.diagnosis.effects.added import ADDED, NOISE
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Sizes, Slot
 from estimators.diagnosis.effects.folding import FOLDING
 from estimators.diagnosis.effects.input import INPUT
 from estimators.diagnosis.effects.loops import LOOPS
-from estimators.diagnosis.effects.noise import NOISE
 from estimators.diagnosis.effects.output import OUTPUT, TIMING
 from estimators.diagnosis.effects.path import PATH, STORE
 from estimators.diagnosis.effects.plant import MODULATED, PLANT

@@ -80,7 +80,7 @@ def _structure(setting: Setting, record: Record, i: int, order: int) -> tuple[St
     return s, tuple(j for j in every if j not in inputs)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Known:
     """What the best linear model says of the structure that effects are added to: poles, and samples of delay beyond one."""
 
