@@ -215,6 +215,8 @@ def _outcome(
     steps = [
         replace(s, admitted=s.admitted and (s.linear or predictor().news(s.unused) > NEWS)) for s in started
     ]
+    if named.alike is not None and named.step is not None and predictor().news(named.step.unused) <= NEWS:
+        named = named.as_linear()
     if any(
         s.kind is Kind.NAMED and first.admitted > s.admitted for s, first in zip(steps, started, strict=True)
     ):

@@ -13,6 +13,9 @@ from oed.errors import InputError
 from oed.models.model import Polynomial, StateSpace, polynomial
 from oed.models.statespaces import state_space
 
+FEWEST = 1000
+"""Orders that are never too many here: a regularised FIR may have more taps than there are samples."""
+
 
 def structure_for(
     structure: Any, orders: Any, delay: Any, diagonal: bool, records: list[Record]
@@ -32,11 +35,11 @@ def structure_for(
                 f"the records {ny} and {nu}; they must agree."
             )
         return structure
-    samples = sum(map(len, records))
+    samples = max(sum(map(len, records)), FEWEST)
     each = (v for given in (orders, delay) for v in np.ravel(np.asarray(given, dtype=object)))
     if any(isinstance(v, int | np.integer) and v > samples for v in each):  # before so many names are made
         raise InputError(
-            f"{samples} samples cannot determine orders {orders} at a delay of {delay}; lower them."
+            f"{sum(map(len, records))} samples cannot determine orders {orders} at a delay of {delay}; lower them."
         )
     if structure == "ss":
         order = np.ravel(orders)

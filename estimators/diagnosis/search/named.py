@@ -67,6 +67,17 @@ class Named:
     unused: Array = field(
         default_factory=lambda: np.zeros(0)
     )  # (N,) prediction of unused blocks; empty for no effects
+    alike: Effect | None = None  # linear dynamics that fit the record as well as its one bent effect
+
+    def as_linear(self) -> Named:
+        """With the linear dynamics as the cause in place of the bent effect that they fit as well as."""
+        if self.alike is None or not self.claims:
+            return self
+        head = self.claims[0]
+        names = tuple(n for n in dict.fromkeys((*head.rivals, head.cause)) if n != self.alike.cause)
+        return replace(
+            self, claims=(Claim(replace(head.part, effect=self.alike), head.gain, head.p_value, names),)
+        )
 
     @property
     def whole(self) -> bool:
@@ -190,13 +201,12 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             held = sorted((c for c in claims if _holds(c, bench)), key=lambda c: -c.gain.value)
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             held = _bending(bench, f, [_as_curve(c, f) for c in held], unused)
-            alike, effect = _as_linear(bench, a, f) if len(held) == 1 and bent(held[0]) else (False, None)
-            if effect is not None:
-                held = [replace(held[0], part=replace(held[0].part, effect=effect))]
+            alike, told = _as_linear(bench, a, f) if len(held) == 1 and bent(held[0]) else (None, False)
             claims = tuple(_with_rivals(held, a, f))
-            linear = alike or all(_foretold(c, bench) for c in claims)
+            linear = alike is not None or all(_foretold(c, bench) for c in claims)
             step = replace(_step(bench, f, held, unused), linear=linear) if held else None
-            return Named(f, claims, tuple(dropped), step, unused)
+            n = Named(f, claims, tuple(dropped), step, unused, alike)
+            return n if alike is None or told else n.as_linear()
         worst = min(weak, key=lambda i: claims[i].gain.value)
         dropped.append((claims[worst].key, _why(claims[worst], bench)))
         f, unused = rests[worst]
@@ -310,17 +320,14 @@ def bent(c: Claim) -> bool:
     return c.part.effect.nature in BENT
 
 
-def _as_linear(bench: Bench, a: Attribution, f: Fit) -> tuple[bool, Effect | None]:
-    """Whether linear dynamics fit the record as well as a model of one bent effect, and those that are the cause then: of which
-    unused blocks do not tell that model, by what the best of a search must gain.
+def _as_linear(bench: Bench, a: Attribution, f: Fit) -> tuple[Effect | None, bool]:
+    """Linear dynamics that fit the record as well as a model of one bent effect, and whether unused blocks tell the two apart, by
+    what the best of a search must gain.
     """
     alike = [o for o in a.claims if o.effect.nature is Nature.LINEAR and as_good(f, o.fit)]
-    told = (
-        o.effect
-        for o in alike
-        if not bench.over(bench.unused(f), bench.unused(o.fit)).meets(bench.policy.searched)
-    )
-    return bool(alike), next(told, None)
+    told = [bench.over(bench.unused(f), bench.unused(o.fit)).meets(bench.policy.searched) for o in alike]
+    first = next((o for o, apart in zip(alike, told, strict=True) if not apart), alike[0] if alike else None)
+    return None if first is None else first.effect, all(told)
 
 
 def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:

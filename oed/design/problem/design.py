@@ -168,7 +168,9 @@ def in_words(design: Design, dt: float | None = None) -> str:
             f"{design.certificate.elsewhere:.4g} times its cost, so the bound holds on the grid only: "
             "give points there, or leave refine on"
         )
-    if design.certificate.rounding > max(1e-7, design.gap):
+    if design.certificate.rounding > (
+        design.gap if design.status is Status.INACCURATE else max(1e-7, design.gap)
+    ):
         lines.append(
             f"rounding alone moves the loss by {design.certificate.rounding:.1e} of it: double precision hardly tells "
             "some parameters apart"

@@ -107,15 +107,17 @@ def test_what_a_pole_explains_as_well_is_linear_dynamics(rng) -> None:
     y = lfilter([0.0, 0.1, 0.1], [1.0, -1.5, 0.7], u) + 0.02 * rng.standard_normal(500)
     channel = Channel(u[:, None], y, Clock(np.arange(500.0), 500), np.ones(500, dtype=bool))
     good, poor = (fit_linear(channel, Structure(order)) for order in (2, 1))
-    for rival, gain, alike, cause in (
-        (good, 0.0, True, "sensor_lag"), (good, 0.3, True, None), (poor, 0.0, False, None),
-    ):  # fmt: skip
+    for rival, gain, cause, told in (
+        (good, 0.0, "sensor_lag", False),
+        (good, 0.3, "sensor_lag", True),
+        (poor, 0.0, None, True),
+    ):
         a = SimpleNamespace(claims=[SimpleNamespace(effect=named("lag"), cause="sensor_lag", fit=rival)])
         bench = SimpleNamespace(
             unused=lambda f: f, over=lambda *a, gain=gain: Gain(gain, 0.01, gain), policy=Policy()
         )
         found = _as_linear(bench, a, good)  # pyright: ignore[reportArgumentType]
-        assert (found[0], found[1] and found[1].cause) == (alike, cause)
+        assert (found[0] and found[0].cause, found[1]) == (cause, told)
 
 
 def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(monkeypatch) -> None:
