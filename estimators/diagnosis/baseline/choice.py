@@ -105,11 +105,17 @@ def undetermined(models: Sequence[LinearModel], records: Sequence[Record]) -> fl
     error on a record whose input is steps where this one's is ramps. Such a model must be better by what a simpler may cost.
     """
     sizes = np.std(np.concatenate([r.u for r in records]), axis=0)
-    k, step = len(models), np.ones(STEP)
+    step = np.ones(STEP)
     answers = np.array(
         [[size * lfilter(b, m.den, step) for size, b in zip(sizes, m.num, strict=True)] for m in models]
     )
-    return float(np.sum((k - 1) / k * np.sum((answers - answers.mean(axis=0)) ** 2, axis=0).mean(axis=-1)))
+    return float(np.sum(jackknife(answers).mean(axis=-1)))
+
+
+def jackknife(estimates: Array) -> Array:
+    """Variance of what was estimated without each block in turn, (blocks, ...)."""
+    k = len(estimates)
+    return (k - 1) / k * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0)
 
 
 def batch_squares(unused: Sequence[Array], records: Sequence[Record], output: int, blocks: Blocks) -> Array:

@@ -201,7 +201,7 @@ class Search:
             problem.fit(m, rows, STEPS[0]) if m is not None and m.radius < 1.0 else (None, np.inf)
             for m in (*starts, self._prefiltered(form))
         ]
-        model, loss = min(ends[:-1], key=lambda end: end[1], default=(None, np.inf))
+        model, loss = min(ends[:-1], key=lambda end: end[1])
         if ends[-1][1] < NEARER * loss:
             model = ends[-1][0]
         if model is None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
-from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, _ended, _firm, _profile
+from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, firm, of_order, profile
 
 Array = NDArray[Any]
 QUICK = 0.2
@@ -86,24 +86,22 @@ def _shaped(effect: Any, shapes: Any, steps: Any) -> Any:
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterable[Any]:
         from estimators.diagnosis.model.structure import Part
+        from estimators.diagnosis.search.free_runs import denominator, largest_pole
 
         s = base.structure
         if s.layout != "tf" or len(s.inputs) != 1 or s.order < 1:
             return
-        radius = float(np.abs(np.roots(np.concatenate(([1.0], base.p[: s.order])))).max(initial=0.1))
-        slowest = float(np.clip(-np.log(max(radius, 1e-12)), 0.3 / len(channel), 1.0))
+        slowest = float(
+            np.clip(-np.log(max(largest_pole(denominator(base)), 1e-12)), 0.3 / len(channel), 1.0)
+        )
         u = np.ascontiguousarray(channel.u[:, s.inputs[0]])
-        few = replace(s, order=1, taps=2)
-        p, scales = np.zeros(few.size), np.zeros(few.size)
-        for now, then in zip(few.slices(), s.slices(), strict=True):
-            many = now.stop - now.start
-            p[now], scales[now] = base.p[then][:many], base.scales[then][:many]
+        few, p, scales = of_order(base, 1, 2)
         gain = float(np.std(channel.y)) / (float(np.std(u)) + 1e-300)
         p[:3], scales[:3] = [-QUICK, 0.0, 0.0], [1.0, gain, gain]
         bare, part = replace(base, structure=few, p=p, scales=scales), Part(effect(), s.inputs[0])
-        tried = _profile(channel, bare, part, shapes(slowest, u))
-        if tried and _firm(base, tried[0][0]):
-            yield from _ended(
+        tried = profile(channel, bare, part, shapes(slowest, u))
+        if tried and firm(base, tried[0][0]):
+            yield from ended(
                 channel, bare, part, (q for _, q in tried[:BEGUN]), steps(slowest, float(np.std(u)))
             )
 

@@ -59,7 +59,7 @@ def _swaying(x: Any, p: Array, clock: Clock) -> Any:
     return x * (1.0 + p[1] * np.cos(p[0] * clock.k) + p[2] * np.sin(p[0] * clock.k))
 
 
-def _profile(
+def profile(
     channel: Any, base: Any, part: Any, shapes: Iterable[Any], start: Array | None = None
 ) -> list[tuple[float, Array]]:
     """(sum of squares, parameters) of each shape with the numerators made for it, the best first."""
@@ -76,12 +76,12 @@ def _profile(
     return sorted(found, key=lambda entry: entry[0])
 
 
-def _firm(base: Any, left: float) -> bool:
+def firm(base: Any, left: float) -> bool:
     """Whether a sum of squares is that much below the base model's."""
     return base.n * float(np.log(float(np.sum(base.residual**2)) / max(left, 1e-300))) > FIRM
 
 
-def _ended(channel: Any, base: Any, part: Any, starts: Iterable[Array], sizes: list[float]) -> Iterator[Any]:
+def ended(channel: Any, base: Any, part: Any, starts: Iterable[Array], sizes: list[float]) -> Iterator[Any]:
     """The best of the starts after a few steps, fitted to the end."""
     from estimators.diagnosis.model.fitting import fit
 
@@ -89,6 +89,16 @@ def _ended(channel: Any, base: Any, part: Any, starts: Iterable[Array], sizes: l
     begun = [fit(channel, s, p, scales, noise=base.noise, iterations=10, colour=False) for p in starts]
     for f in sorted(begun, key=lambda f: f.deviance)[:ENDED]:
         yield fit(channel, s, f.p, scales, noise=base.noise, iterations=30)
+
+
+def of_order(f: Any, order: int, taps: int) -> tuple[Any, Array, Array]:
+    """A fit's structure with another number of poles and coefficients, and the parameters and scales that its parts keep."""
+    few = replace(f.structure, order=order, taps=taps)
+    p, scales = np.zeros(few.size), np.zeros(few.size)
+    for now, then in zip(few.slices(), f.structure.slices(), strict=True):
+        size = now.stop - now.start
+        p[now], scales[now] = f.p[then][:size], f.scales[then][:size]
+    return few, p, scales
 
 
 def _lean(channel: Any, fits: Iterable[Any]) -> Iterator[Any]:
@@ -101,11 +111,8 @@ def _lean(channel: Any, fits: Iterable[Any]) -> Iterator[Any]:
     for f in fits:
         yield f
         while (order := f.structure.order - 1) > 0:
-            few = replace(f.structure, order=order, taps=min(f.structure.taps, order))
-            p, scales, bare = np.zeros(few.size), np.zeros(few.size), replace(few, parts=())
-            for now, then in zip(few.slices(), f.structure.slices(), strict=True):
-                size = now.stop - now.start
-                p[now], scales[now] = f.p[then][:size], f.scales[then][:size]
+            few, p, scales = of_order(f, order, min(f.structure.taps, order))
+            bare = replace(few, parts=())
             U = acted(f.structure, f.p, channel.u, channel.clock)
             if U is None:
                 break
@@ -126,11 +133,11 @@ def _servos(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     for j in base.structure.inputs if base.structure.layout == "tf" else ():
         part, wide = Part(SERVO, j), float(np.ptp(channel.u[:, j]))
         grid = ([wide / m, q * wide / m, lag] for m in PACES for q in RATIOS for lag in LAGS)
-        tried = _profile(channel, base, part, grid)
-        if tried and _firm(base, tried[0][0]):
+        tried = profile(channel, base, part, grid)
+        if tried and firm(base, tried[0][0]):
             su = float(np.std(channel.u[:, j]))
             starts = (p for _, p in tried[:BEGUN])
-            yield from _lean(channel, _ended(channel, base, part, starts, [su, su, 1.0]))
+            yield from _lean(channel, ended(channel, base, part, starts, [su, su, 1.0]))
 
 
 def _through(base: Any, j: int, x: Array) -> Array:
@@ -194,7 +201,7 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
                 least = max(least, 0.5 * promise)  # what promises less than half of the best is its echo
                 p = np.concatenate((base.p, [w], c))
                 starts += [p, *renewed(channel, s.adding(part), p)]
-        yield from _lean(channel, _ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0]))
+        yield from _lean(channel, ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0]))
 
 
 def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -238,20 +245,20 @@ def _moved(channel: Any, base: Any, part: Any, shape: tuple[float, float]) -> It
 
     s, f, sizes = base.structure.adding(part), base, [1e6 * CROSSED * shape[0]] * 2
     for whole in (False, False, True):
-        best, size = _profile(channel, base, part, [shape], f.p)[:1], 0.1 * shape[0]
+        best, size = profile(channel, base, part, [shape], f.p)[:1], 0.1 * shape[0]
         if whole:
             steps = shape[0] * np.linspace(*WHOLE)
-            tried = _profile(channel, base, part, ([d, d * np.round(shape[1] / d)] for d in steps), f.p)
+            tried = profile(channel, base, part, ([d, d * np.round(shape[1] / d)] for d in steps), f.p)
             equal = sorted((p[-2], p) for e, p in tried if e < (1.0 + 1e-9) * tried[0][0])
             best = [(tried[0][0], equal[len(equal) // 2][1])] if equal else []
         while best and not whole and size > 0.002 * shape[0]:
             around = ((a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) if a or b)
-            near = _profile(channel, base, part, (best[0][1][-2:] + size * np.array(d) for d in around), f.p)
+            near = profile(channel, base, part, (best[0][1][-2:] + size * np.array(d) for d in around), f.p)
             best, size = (near[:1], size) if near and near[0][0] < best[0][0] else (best, 0.5 * size)
-        if not best or not _firm(base, best[0][0]):
+        if not best or not firm(base, best[0][0]):
             return
         starts = [best[0][1], *renewed(channel, s, best[0][1])]
-        f = min(_ended(channel, base, part, starts, [0.0, 0.0] if whole else sizes), key=lambda f: f.deviance)
+        f = min(ended(channel, base, part, starts, [0.0, 0.0] if whole else sizes), key=lambda f: f.deviance)
         f = replace(f, scales=np.concatenate((base.scales, sizes)))
         yield f.deviance - whole * float(np.log(f.n)), f
         shape = abs(float(f.p[-2])), float(f.p[-1])

@@ -84,6 +84,16 @@ def servo_mean(signal, up, down, lag, start):  # pragma: no cover - compiled
 
 
 @compiled
+def _written(out, k, x):  # pragma: no cover - compiled
+    """Whether a sample's value was written; where it has exploded, all from there on is infinite."""
+    if not abs(x) < 1e60:
+        out[k:] = np.inf
+        return False
+    out[k] = x
+    return True
+
+
+@compiled
 def wound_up(signal, pace, proportional, integral, low, high, start):  # pragma: no cover - compiled
     """What a first-order plant reaches by the end of each sample, whose actuator between two limits a PI controller moves after a
     held set point; it has settled at `start`, or at the limit before it. Midpoint steps, `WITHIN` of them per sample.
@@ -100,10 +110,8 @@ def wound_up(signal, pace, proportional, integral, low, high, start):  # pragma:
             e = signal[k] - middle
             x += h * pace * (min(max(proportional * e + then, low), high) - middle)
             i += h * integral * e
-        if not abs(x) < 1e60:
-            out[k:] = np.inf
+        if not _written(out, k, x):
             return out
-        out[k] = x
     return out
 
 
@@ -125,10 +133,8 @@ def switched(signal, rate, push, share, low, high, start):  # pragma: no cover -
             else:
                 x = signal[k] + (x - signal[k]) * passive
             on = x > high or (on and x >= low)
-        if not abs(x) < 1e60:
-            out[k:] = np.inf
+        if not _written(out, k, x):
             return out
-        out[k] = x
     return out
 
 

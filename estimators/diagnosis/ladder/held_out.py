@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.baseline.choice import jackknife
 from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.policy import Policy
@@ -128,10 +129,9 @@ def _undetermined(run: Array, linear: Array, folds: Sequence[Array], gained: flo
     effect that is as large as on the unused blocks has `gained` its mean square there: a large error of more is no help either.
     """
     known = np.array([f for f in folds if np.all(np.isfinite(f))])
-    k = len(known)
-    if k < 2:
+    if len(known) < 2:
         return False
-    variance = (k - 1) / k * float(np.mean(np.sum((known - known.mean(axis=0)) ** 2, axis=0)))
+    variance = float(np.mean(jackknife(known)))
     change = float(np.mean((run - linear) ** 2))
     return variance > (MORE if variance > gained else 0.5) * change
 

@@ -24,7 +24,7 @@ ENDS, ROUGH = (1e-5, 2), (1e-3, 1)
 """When a fit ends: so many steps that gain less than such a share. One that only tells candidates apart ends where a step is
 worth about one unit of deviance in 1000 samples."""
 TRIES, SHORTER = 8, 12
-"""Dampings that are tried for a step, and those of them whose step may end the simulation."""
+"""Dampings that are tried for a step while it raises the error, and while it ends the simulation."""
 IDLE = 1e-6
 """Change of a residual by a typical size of a parameter, of its norm, below which these samples say nothing of it, as of a time of
 change that lies in a block left out: a step for it would be endless, and hold up all others."""

@@ -20,7 +20,8 @@ from oed.data import Record
 Array = NDArray[Any]
 
 TAPS = 30
-"""Lags of what an effect changes at one output that must show in another's residual: as many as the linear models' long numerator."""
+"""Lags of what an effect changes at one output that must show in another's residual: half as many again as a long numerator has,
+as one output may be late behind the other."""
 
 
 def seen_elsewhere(
@@ -53,13 +54,14 @@ def _behind(
     """The output's model behind another output's where unused blocks ask for it by what a search must gain, else its own."""
     i, policy, linear = bench.output, bench.policy, bench.base.unused[0][:, bench.output]
     known = own.unused if own.step is not None and len(own.unused) else linear
-    drive = np.where(np.isfinite(cause.unused), cause.unused, other.base.y_model[0][:, other.output])
-    if not _shows(bench, known, drive - other.base.y_model[0][:, other.output]):
+    plain = other.base.y_model[0][:, other.output]
+    drive = np.where(np.isfinite(cause.unused), cause.unused, plain)
+    if not _shows(bench, known, drive - plain):
         return own
     # Of every block what the other model simulates of it unseen, so that no error on unused blocks has seen its block.
     single = record.replace(u=np.column_stack((record.u, drive)), y=record.y[:, [i]], input_names=(), input_units=(),
                             output_names=(), output_units=())  # fmt: skip
-    base = best_linear([single], replace(options, diagonal=False))
+    base = best_linear([single], options)
     m, unused = base.outputs[0], base.unused[0][:, 0]
     if not bench.over(unused, known).meets(policy.searched):
         return own

@@ -206,7 +206,7 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             linear = alike is not None or all(_foretold(c, bench) for c in claims)
             step = replace(_step(bench, f, held, unused), linear=linear) if held else None
             n = Named(f, claims, tuple(dropped), step, unused, alike)
-            return n if alike is None or told else n.as_linear()
+            return n if told else n.as_linear()
         worst = min(weak, key=lambda i: claims[i].gain.value)
         dropped.append((claims[worst].key, _why(claims[worst], bench)))
         f, unused = rests[worst]
