@@ -1,4 +1,4 @@
-"""V' M^-1 V for information matrices that may be badly scaled or singular. Numpy and scipy only.
+"""V' M^-1 V for information matrices that may be badly scaled or singular, and errors from few pieces. Numpy and scipy only.
 
 And algebra of this size on one thread: waking the BLAS's others takes longer than the algebra does."""
 
@@ -34,6 +34,14 @@ def solved_below(R: NDArray[np.float64], B: NDArray, finely: bool = False) -> ND
     for i in range(len(R)):
         X[i] = (X[i] - wide[:i, i] @ X[:i]) / wide[i, i]
     return X.astype(np.float64)
+
+
+def of_few(error: float, freedom: int) -> float:
+    """A standard error that is itself known from few pieces, as wide as it must be for 1.96 of it to hold in 95 % of
+    cases: Student's quantile over the normal one."""
+    from scipy.special import stdtrit
+
+    return error * float(stdtrit(freedom, 0.975)) / 1.959964 if freedom > 0 else float("nan")
 
 
 def diagonal_blocks(matrix: NDArray[np.float64], count: int) -> NDArray[np.float64]:

@@ -15,8 +15,9 @@ from benchmarks.campaign.settings import Settings
 from benchmarks.tables.columns import is_number
 from benchmarks.tables.formats import format_value
 from benchmarks.tables.growth import growth_of
-from benchmarks.tables.statistics import below_one
+from benchmarks.tables.statistics import below_one, mean_with_error
 from benchmarks.tables.tabulation import Tables, judged_ways
+from oed.covariances import of_few
 
 Row = dict[str, Any]
 ITERATIONS = ("power", "procedure-2", "two-experiment")
@@ -105,7 +106,7 @@ def _mean(rows: Sequence[Row], key: str) -> tuple[float, float]:
     if len(values) < 2:
         only = next((row for row in rows if is_number(row[key])), {})
         return float(only.get(key, np.nan)), float(only.get(f"{key}_se", np.nan))
-    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
+    return mean_with_error(values)
 
 
 def _range(values: Sequence[Any]) -> Any:
@@ -116,7 +117,7 @@ def _range(values: Sequence[Any]) -> Any:
 def carried_by(rho: float, error: float, n: int) -> float:
     """How many of n equal squares would have the mean and the error of the given ones (Kish): n rho^4 over the
     mean fourth power. Normal errors have n/3; of a heavy tail a few make up the whole rho."""
-    return n / ((n - 1) * (2 * error / rho) ** 2 + 1) if rho > 0 and n > 1 else float("nan")
+    return n / ((n - 1) * (2 * error / of_few(rho, n - 1)) ** 2 + 1) if rho > 0 and n > 1 else float("nan")
 
 
 FEW = 1 / 6

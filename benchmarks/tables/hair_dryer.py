@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.campaign.plants import hair_dryer_record
+from oed.covariances import of_few
 from oed.data import Record
 
 SPLIT = 500
@@ -105,4 +106,5 @@ def _rms(e: NDArray[np.float64]) -> float:
 def _block_error(e: NDArray[np.float64], blocks: int = 10) -> float:
     """Standard error of the root mean square from blocks, which keeps the errors' correlation in time."""
     squares = np.array([np.mean(np.square(part)) for part in np.array_split(e, blocks)])
-    return float(squares.std(ddof=1) / np.sqrt(blocks) / (2 * np.sqrt(squares.mean())))
+    error = float(squares.std(ddof=1) / np.sqrt(blocks) / (2 * np.sqrt(squares.mean())))
+    return of_few(error, blocks - 1)

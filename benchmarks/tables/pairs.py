@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from benchmarks.campaign.registry import told
 from benchmarks.campaign.run_columns import Estimates
+from benchmarks.tables.statistics import error_of_squares, rms_with_error
 from oed.errors import InputError
 
 Row = dict[str, Any]
 Solver = tuple[str, str]
 Errors = Mapping[int, float]
-"""By number of the problem, rho squared: the squared error times energy over noise variance; infinite where a run failed."""
+"""By number of the problem the error times sqrt(energy / noise variance), whose root mean square is rho; infinite where a run
+failed."""
 HALF = 3
 """Problems that either half must have: fewer have no standard error worth the name."""
 FAILED = 0.05
@@ -77,26 +79,31 @@ def _difference(a: Estimates, b: Estimates, gamma: float, scale: float) -> Row:
     from scipy import stats
 
     _, i, j = np.intersect1d(a.replicate[a.good], b.replicate[b.good], return_indices=True)
-    one, two = ((x.estimate[x.good][k] - gamma) ** 2 * scale for x, k in ((a, i), (b, j)))
-    difference = one - two
+    both = np.stack([(x.estimate[x.good][k] - gamma) * np.sqrt(scale) for x, k in ((a, i), (b, j))])
+    difference = both[0] ** 2 - both[1] ** 2
     n = len(difference)
-    closer = float(np.mean(one < two)) if n else float("nan")
+    closer = float(np.mean(difference < 0)) if n else float("nan")
     row: Row = {"rho2_difference": float("nan"), "rho2_difference_se": float("nan"), "closer": closer, "n": n}
     row |= {"closer_se": float("nan"), "p_value": float("nan")}
     if n < 2:
         return row
     se = float(difference.std(ddof=1) / np.sqrt(n))
     shrunk = (closer * n + 2) / (n + 4)
-    row |= {"rho2_difference": float(difference.mean()), "rho2_difference_se": se}
+    row |= {
+        "rho2_difference": float(difference.mean()),
+        "rho2_difference_se": error_of_squares(both, np.array([1.0, -1.0])),
+    }
     row["closer_se"] = float(np.sqrt(shrunk * (1 - shrunk) / (n + 4)))
     row["p_value"] = float(2 * stats.t.sf(abs(difference.mean()) / se, n - 1)) if se > 0 else 1.0
     return row
 
 
 def errors_of(found: Estimates, gamma: float, noise_variance: float) -> dict[int, float]:
-    """Rho squared of every replicate, infinite where it has no number."""
-    squares = np.where(found.good, (found.estimate - gamma) ** 2 * found.energy / noise_variance, np.inf)
-    return dict(zip(found.replicate.astype(int).tolist(), squares.tolist(), strict=True))
+    """Of every replicate, infinite where it has no number."""
+    errors = (found.estimate - gamma) * np.sqrt(found.energy / noise_variance)
+    return dict(
+        zip(found.replicate.astype(int).tolist(), np.where(found.good, errors, np.inf).tolist(), strict=True)
+    )
 
 
 def _half(errors: Errors, odd: bool) -> dict[int, float]:
@@ -113,38 +120,41 @@ def chosen_and_judged(ways: Mapping[Solver, Errors]) -> Row:
     ways = {way: errors for way, errors in ways.items() if _usable(errors)}
     if not ways:
         return {"input": "", "estimator": "", "rho": float("nan"), "rho_se": float("nan"), "n": 0, "ties": ""}
-    best = min(ways, key=lambda way: np.mean(list(_half(ways[way], False).values())))
+    best = min(ways, key=lambda way: _square(ways[way], odd=False))
     mine = _half(ways[best], True)
-    square = float(np.mean(list(mine.values())))
-    se = float(np.std(list(mine.values()), ddof=1) / np.sqrt(len(mine)))
     tied = [way for way, errors in ways.items() if way != best and _ties(_half(errors, True), mine)]
-    tied.sort(key=lambda way: np.mean(list(_half(ways[way], True).values())))
+    tied.sort(key=lambda way: _square(ways[way], odd=True))
     ties = [f"{method} / {estimator}" for method, estimator in tied[:MOST_TIES]]
     ties += [f"{len(tied) - MOST_TIES} more"] if len(tied) > MOST_TIES else []
-    rho = float(np.sqrt(square))
-    return {"input": best[0], "estimator": best[1], "rho": rho, "rho_se": se / (2 * rho) if rho else float("nan"),
-            "n": len(mine), "ties": ", ".join(ties)}  # fmt: skip
+    rho, error = rms_with_error(np.array(list(mine.values())))
+    return {"input": best[0], "estimator": best[1], "rho": rho, "rho_se": error, "n": len(mine), "ties": ", ".join(ties)}
+
+
+def _square(errors: Errors, odd: bool) -> float:
+    return float(np.mean(np.square(list(_half(errors, odd).values()))))
+
+
+def _paired(a: Errors, b: Errors) -> NDArray[np.float64] | None:
+    """The errors of two ways on the problems that both have, (2, R); None of too few."""
+    both = sorted(set(a) & set(b))
+    return np.array([[side[k] for k in both] for side in (a, b)]) if len(both) >= HALF else None
 
 
 def _ties(theirs: Errors, mine: Errors) -> bool:
-    both = sorted(set(theirs) & set(mine))
-    if len(both) < HALF:
+    errors, weights = _paired(theirs, mine), np.array([1.0, -1.0])
+    if errors is None:
         return False
-    more = np.array([theirs[k] - mine[k] for k in both])
-    return bool(more.mean() <= TIED * more.std(ddof=1) / np.sqrt(len(more)))
+    return bool(weights @ np.mean(errors**2, axis=1) <= TIED * error_of_squares(errors, weights))
 
 
 def ratio_of_means(a: Errors, b: Errors) -> tuple[float, float]:
     """Mean error of one way over that of another on the problems of odd number that both have, with its
     standard error. To first order: var(a/b) = (a/b)^2 var(a_k / a - b_k / b), the pairs kept together."""
-    one, two = _half(a, True), _half(b, True)
-    both = sorted(set(one) & set(two))
-    if len(both) < HALF:
+    errors = _paired(_half(a, True), _half(b, True))
+    if errors is None:
         return float("nan"), float("nan")
-    x, y = (np.array([side[k] for k in both]) for side in (one, two))
-    ratio = float(x.mean() / y.mean())
-    spread = (x / x.mean() - y / y.mean()).std(ddof=1) / np.sqrt(len(both))
-    return ratio, ratio * float(spread)
+    x, y = np.mean(errors**2, axis=1)
+    return float(x / y), float(x / y) * error_of_squares(errors, np.array([1 / x, -1 / y]))
 
 
 KEY = ("plant", "method", "estimator")

@@ -17,6 +17,7 @@ from benchmarks.campaign.processes import spread
 from benchmarks.campaign.registry import told
 from benchmarks.campaign.run_columns import Estimates, Runs
 from benchmarks.tables.predictions import CRITERIA, optimal_loss
+from oed.covariances import of_few
 from oed.errors import Status
 from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant
@@ -29,7 +30,25 @@ def mean_with_error(values: NDArray[np.float64]) -> tuple[float, float]:
     """Mean and its standard error: values (R,)."""
     if len(values) < 2:
         return (float(values[0]) if len(values) else float("nan")), float("nan")
-    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
+    return float(values.mean()), of_few(float(values.std(ddof=1) / np.sqrt(len(values))), len(values) - 1)
+
+
+def error_of_squares(errors: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """Standard error of a weighted sum of mean squares: errors (m, R) of the same R problems, weights (m,). The spread of few
+    squares is too small more often than not, as the large ones are rare: never less than that of normal errors."""
+    count = errors.shape[1]
+    if count < 2:
+        return float("nan")
+    mean = errors.mean(axis=1)
+    S = (errors - mean[:, None]) @ errors.T / (count - 1)
+    normal = weights @ (4 * np.outer(mean, mean) * S + 2 * S**2) @ weights
+    return of_few(float(np.sqrt(max(np.var(weights @ errors**2, ddof=1), normal) / count)), count - 1)
+
+
+def rms_with_error(errors: NDArray[np.float64]) -> tuple[float, float]:
+    """Root mean square and its standard error: errors (R,)."""
+    rms = float(np.sqrt(np.mean(errors**2))) if len(errors) else float("nan")
+    return rms, error_of_squares(errors[None], np.ones(1)) / (2 * rms) if rms > 0 else float("nan")
 
 
 class Target:
@@ -132,7 +151,7 @@ def _jackknife(values: NDArray[np.float64]) -> float:
     m = len(values)
     if m < 2 or not np.isfinite(values).all():
         return float("nan")
-    return float(np.sqrt((m - 1) / m * np.sum((values - values.mean()) ** 2)))
+    return of_few(float(np.sqrt((m - 1) / m * np.sum((values - values.mean()) ** 2))), m - 1)
 
 
 def comparison_rows(runs: Runs, information: Sequence[Row], target: Target) -> list[Row]:
@@ -143,9 +162,7 @@ def comparison_rows(runs: Runs, information: Sequence[Row], target: Target) -> l
         errors = found.estimate[found.good] - target.gamma
         spent = found.spent
         bias, bias_se = mean_with_error(errors)
-        mse, mse_se = mean_with_error(errors**2)
-        rmse = float(np.sqrt(mse))
-        rmse_se = mse_se / (2 * rmse) if rmse > 0 else float("nan")
+        rmse, rmse_se = rms_with_error(errors)
         scale = float(np.sqrt(spent["energy"] / target.plant.noise_variance))
         row: Row = {
             "plant": runs.plant, "noise_variance": runs.noise_variance, "method": runs.method,

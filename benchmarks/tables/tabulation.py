@@ -61,7 +61,8 @@ def tabulate(runs: Iterable[Runs], settings: Settings, jobs: int = 1) -> Tables:
             mine = errors_of(found, gamma, variance)
             if family:
                 finite = [v for v in mine.values() if np.isfinite(v)]
-                mine = {int(current[0].rpartition("-")[2]): float(np.mean(finite)) if finite else np.inf}
+                mean = float(np.sqrt(np.mean(np.square(finite)))) if finite else np.inf
+                mine = {int(current[0].rpartition("-")[2]): mean}
             ways.setdefault(way, {}).update(mine)
         head = {"plant": current[0], "noise_variance": current[1]}
         pairs.extend(head | row for row in paired_rows(solvers, gamma, scale[current]))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.stages import stage
+from oed.covariances import of_few
 from oed.data import Record, frozen
 from oed.errors import InputError, OedError
 from oed.files.objects import as_records
@@ -296,7 +297,7 @@ def held_out_error(
         counts.append(int(np.isfinite(e).sum()))
     mean = sum(squares) / sum(counts)
     each = np.array(squares) / np.array(counts)
-    deviation = float(np.std(each, ddof=1)) / np.sqrt(len(each))
+    deviation = of_few(float(np.std(each, ddof=1)) / np.sqrt(len(each)), len(each) - 1)
     return float(np.sqrt(mean)), deviation / (2 * float(np.sqrt(mean)) or 1.0)
 
 

@@ -26,6 +26,7 @@ from estimators.sessions.folder import KEPT
 from estimators.sessions.layout import rig_samples
 from estimators.sessions.settings import Settings
 from estimators.sessions.stored import StoredSession, read_signal, signal_csv
+from oed.covariances import of_few
 from oed.errors import InputError
 from oed.files.writing import write_whole
 
@@ -170,6 +171,7 @@ def rest_test(u: Array, y: Array, s: Settings) -> RestTest:
     # of the mean of half a piece; white noise is the least
     spread = np.maximum(spread, noise / np.sqrt(half))
     centres = (np.arange(HALVES) - (HALVES - 1) / 2) * half * s.dt
+    spread = of_few(1.0, HALVES - 2) * spread
     slope_error = spread / np.sqrt(np.sum(centres**2))
     steps = [np.diff(np.unique(column)) for column in quiet.T]
     coarse = [float(d.min()) if len(d) and len(d) + 1 < len(quiet) / 2 else 0.0 for d in steps]
