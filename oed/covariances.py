@@ -36,6 +36,12 @@ def solved_below(R: NDArray[np.float64], B: NDArray, finely: bool = False) -> ND
     return X.astype(np.float64)
 
 
+def real_gram(F: NDArray) -> NDArray:
+    """Re F F^* of a complex F (n, m): its real and imaginary parts side by side as one real factor, without a copy of either."""
+    parts = np.ascontiguousarray(F).view(F.real.dtype)
+    return parts @ parts.T
+
+
 def of_few(error: float, freedom: int) -> float:
     """A standard error that is itself known from few pieces, as wide as it must be for 1.96 of it to hold in 95 % of
     cases: Student's quantile over the normal one."""

@@ -167,11 +167,10 @@ def rest_test(u: Array, y: Array, s: Settings) -> RestTest:
     noise = np.sqrt(np.sum(about**2, axis=0) / (len(about) - 2))
     half = len(about) // HALVES
     means = about[: HALVES * half].reshape(HALVES, half, ny).mean(axis=1)
-    spread = np.sqrt(np.sum(means**2, axis=0) / (HALVES - 2))
+    spread = of_few(1.0, HALVES - 2) * np.sqrt(np.sum(means**2, axis=0) / (HALVES - 2))
     # of the mean of half a piece; white noise is the least
     spread = np.maximum(spread, noise / np.sqrt(half))
     centres = (np.arange(HALVES) - (HALVES - 1) / 2) * half * s.dt
-    spread = of_few(1.0, HALVES - 2) * spread
     slope_error = spread / np.sqrt(np.sum(centres**2))
     steps = [np.diff(np.unique(column)) for column in quiet.T]
     coarse = [float(d.min()) if len(d) and len(d) + 1 < len(quiet) / 2 else 0.0 for d in steps]

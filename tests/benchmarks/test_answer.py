@@ -21,18 +21,20 @@ from benchmarks.tables.statistics import below_one
 from benchmarks.tables.tabulation import Tables, judged_ways
 from estimators.rules.procedure2 import procedure_2
 from estimators.rules.trace import run
+from oed.covariances import of_few
 from oed.errors import InputError
 from oed.experiments import simulated
 from oed.information import information_of_each
 from oed.plants.named import named_plant
 from oed.plants.norms import gain_gradient, peak
 from oed.theory.efficiency import losses
-from oed.covariances import of_few
 from oed.theory.mimo import procedure_2_efficiency
 
 
 def ways(rng, means, n=40):
-    return {(name, "pem"): dict(enumerate(np.sqrt(mean) * rng.standard_normal(n))) for name, mean in means.items()}
+    return {
+        (name, "pem"): dict(enumerate(np.sqrt(mean) * rng.standard_normal(n))) for name, mean in means.items()
+    }
 
 
 def test_a_winner_of_many_equal_ways_is_judged_without_optimism(rng):

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from oed.covariances import real_gram
 from oed.data import Spectrum
 from oed.errors import InputError, NotIdentifiable
 from oed.information import covariance, information_of_signal, information_of_spectrum, null_directions
@@ -110,3 +111,17 @@ def test_relabelling_channels_permutes_the_information(inputs, outputs):
     u = np.random.default_rng(8).standard_normal((80, 2))
     a, b = information_of_signal(plant, u), information_of_signal(relabelled, u[:, list(inputs)])
     assert np.allclose(np.linalg.eigvalsh(a), np.linalg.eigvalsh(b), rtol=1e-8, atol=1e-6)
+
+
+def test_the_real_part_of_a_gram_matrix(rng):
+    """Complex, real, extended and not contiguous factors."""
+    F = rng.normal(size=(5, 3)) + 1j * rng.normal(size=(5, 3))
+    for factor in (
+        F,
+        F.T,
+        F.real,
+        F.astype(np.clongdouble),
+        np.moveaxis(np.stack([F, F]), 1, 0).reshape(5, -1),
+    ):
+        np.testing.assert_allclose(real_gram(factor), (factor @ factor.conj().T).real, rtol=0, atol=1e-14)
+        assert real_gram(factor).dtype == factor.real.dtype

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.covariances import on_one_thread, square_root
+from oed.covariances import on_one_thread, real_gram, square_root
 from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.assembling import assembled
@@ -222,7 +222,7 @@ class _Search:
             for p in np.flatnonzero(wanted):
                 own = piece == p
                 flat = np.moveaxis(told[own], 1, 0).reshape(D.shape[1], -1)
-                F.append(square_root((flat @ flat.conj().T).real))
+                F.append(square_root(real_gram(flat)))
                 shares.append(np.append(power[own].sum() / self.limit, np.arange(PIECES) == p))
         direction = np.full((len(F), D.shape[3]), 1 / np.sqrt(D.shape[3]), dtype=complex)
         return Columns(np.zeros(len(F)), direction, np.stack(F), np.stack(shares)), phi

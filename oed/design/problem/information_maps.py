@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.covariances import square_root
+from oed.covariances import real_gram, square_root
 from oed.criteria import Criterion
 from oed.data import Spectrum, frozen
 from oed.errors import InputError
@@ -101,8 +101,7 @@ class InformationMap:
             )
         if not len(spectrum):
             return self.constant
-        flat = self._flat(spectrum)
-        return self.constant + flat.real @ flat.real.T + flat.imag @ flat.imag.T
+        return self.constant + real_gram(self._flat(spectrum))
 
     def loss(self, criterion: Criterion, spectrum: Spectrum) -> float:
         """Loss of a spectrum, from the factor of its information: where the parameters' scales differ by 1e7 the

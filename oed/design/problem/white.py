@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.covariances import square_root
+from oed.covariances import real_gram, square_root
 from oed.design.problem.information_maps import InformationMap
 from oed.errors import InfeasibleDesign, NotIdentifiable
 from oed.information import null_directions
@@ -39,8 +39,7 @@ def mean_information(information: InformationMap) -> NDArray[np.float64]:
     """Information (n, n) of white noise of unit power in every channel, without the constant part."""
     omega, weight = information_nodes(information)
     flat = np.moveaxis(information.factor(omega) * np.sqrt(weight)[:, None, None, None], 1, 0)
-    flat = flat.reshape(information.n, -1)
-    return flat.real @ flat.real.T + flat.imag @ flat.imag.T
+    return real_gram(flat.reshape(information.n, -1))
 
 
 def white_information(

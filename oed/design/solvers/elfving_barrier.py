@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.covariances import real_gram
 from oed.criteria.trace import Trace
 from oed.design.problem.lines import Columns, Problem
 from oed.design.solvers.column_generation import Exchange, evaluated_bound, lower_bound
@@ -75,10 +76,8 @@ class _Dual:
         K, q = len(H), H.shape[-1]
         forms = root[:, None] @ self.Q @ root.conj().swapaxes(1, 2)[:, None]
         A = np.concatenate([cross.reshape(K, -1, q, q), -forms], axis=1)
-        flat = np.moveaxis(A, 1, 0).reshape(A.shape[1], -1)
-        hessian = flat.real @ flat.real.T + flat.imag @ flat.imag.T
-        own = np.moveaxis(half, 1, 0).reshape(self.n, -1)
-        own = 2 * (own.real @ own.real.T + own.imag @ own.imag.T) + 2 * self.constant / mu
+        hessian = real_gram(np.moveaxis(A, 1, 0).reshape(A.shape[1], -1))
+        own = 2 * real_gram(np.moveaxis(half, 1, 0).reshape(self.n, -1)) + 2 * self.constant / mu
         m = self.n * self.s
         hessian[:m, :m] += np.kron(own, np.eye(self.s))
         hessian[m:, m:] += np.diag(1 / nu**2)

@@ -43,13 +43,13 @@ def test_what_is_known_is_found():
 
 
 def test_intervals_hold_and_noise_is_rarely_taken_for_a_response():
-    """400 rigs, seeds 0 to 399. Errors come from eight means (6 degrees of freedom): 2 of them hold in 91 %; a response
+    """400 rigs, seeds 0 to 399. Errors come from eight means (6 degrees of freedom) and are as wide as so few ask: 2 of them hold in 95 %; a response
     is claimed by 1 % of the pulses through a sample, and by as many as exceed 3 errors (2.4 % with 6) through the mean."""
     runs = [rest_test(*rig(S, seed, drift=0.0), S) for seed in range(400)]
     off = np.array([(r.gain[0][0][0] - GAIN) / r.gain[0][0][1] for r in runs])
     slopes = np.array([r.drift[0][0] / r.drift[0][1] for r in runs])
     for ratio in (off, slopes):
-        assert 0.85 < np.mean(np.abs(ratio) < 2) < 0.99
+        assert 0.93 < np.mean(np.abs(ratio) < 2) < 0.995
         assert np.mean(np.abs(2 * ratio) < 2) < 0.85  # control: errors half as large would not hold
     silent = [rest_test(*rig(S, seed, drift=0.0, gain=0.0), S) for seed in range(400)]
     assert np.mean([r.response[0][0] > 0 for r in silent]) < 0.06
