@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import difflib
 import json
 import math
 import os
@@ -24,7 +23,15 @@ from typing import Any, NoReturn
 
 import benchmarks.commands
 import oed
-from oed.errors import CampaignError, InfeasibleDesign, InputError, NotIdentifiable, OedError, check_names
+from oed.errors import (
+    CampaignError,
+    InfeasibleDesign,
+    InputError,
+    NotIdentifiable,
+    OedError,
+    check_names,
+    near,
+)
 from oed.lazily import extra_named
 
 SCHEMA_VERSION = 1
@@ -155,8 +162,7 @@ def main(argv: list[str] | None = None) -> int:
         )
         return 2
     if unknown:
-        near = difflib.get_close_matches(unknown[0], args.options, 1)
-        hint = f" (did you mean {near[0]}?)" if near else ""
+        hint = near(unknown[0], args.options)
         said = f"oed {args.command}: {unknown[0]} is not understood{hint}; see oed {args.command} --help."
         print(_one_line(said), file=sys.stderr)
         return 2
@@ -210,7 +216,7 @@ def _run(args: argparse.Namespace) -> int:
     try:
         if not args.json:
             _, text, *status = args.run(args)  # a status only where a command has one of its own
-            print(text)
+            print(text, flush=True)
         else:
             with _standard_output_reserved() as out:
                 content, _, *status = args.run(args)
@@ -230,8 +236,15 @@ def _run(args: argparse.Namespace) -> int:
         return 128 + (signal.SIGTERM if ended else signal.SIGINT)
     except Exception as error:
         remedy = extra_named(error) if isinstance(error, ModuleNotFoundError) else ""
-        if isinstance(error, OSError) and error.filename is not None:  # such as a name too long for a file
-            remedy = _one_line(f"{error.filename}: {error.strerror}; give another name")
+        if isinstance(error, OSError):  # such as a name too long for a file, or a full disk behind `>`
+            remedy = _one_line(
+                f"{error.filename}: {error.strerror}; give another name"
+                if error.filename is not None
+                else f"reading or writing was refused by the system ({error.strerror or error}); make room, or write elsewhere"
+            )
+            os.dup2(
+                os.open(os.devnull, os.O_WRONLY), 1
+            )  # what is left in the buffer would fail again at exit
         if isinstance(error, MemoryError):
             remedy = f"there is not enough memory ({_one_line(str(error))}); ask for less"
         if remedy:

@@ -16,7 +16,7 @@ from benchmarks.campaign.one_part import check_contents
 from benchmarks.campaign.plants import expanded
 from benchmarks.campaign.settings import Limit, Settings, default_limits
 from benchmarks.campaign.users_own import Own
-from benchmarks.campaign.whole_campaign import TIME_LIMIT, fill_store, stored_runs
+from benchmarks.campaign.whole_campaign import TIME_LIMIT, check_amounts, fill_store, stored_runs
 from benchmarks.tables.columns import headings, is_number
 from benchmarks.tables.formats import to_text
 from benchmarks.tables.tabulation import tabulate
@@ -127,6 +127,7 @@ def compare(
     if jobs is not None and jobs < 1:
         raise InputError(f"jobs is {jobs}; it must be at least 1.")
     options = {"time_limit": time_limit, "own": brought.functions}
+    check_amounts(replicates, time_limit)
     if dry_run:
         return _dry_run(settings, replicates, Path(out), options)
     folder, began = Path(out), time.monotonic()

@@ -70,6 +70,13 @@ def check_names(names: Iterable[str], known: Sequence[str], what: str) -> None:
     """Raise an InputError that lists what exists, if one of the names does not."""
     for name in names:
         if name not in known:
-            close = difflib.get_close_matches(name, known, 1)
-            hint = f" (did you mean {close[0]}?)" if close else ""
-            raise InputError(f"there is no {what} named {name!r}{hint}; choose from {', '.join(known)}.")
+            raise InputError(
+                f"there is no {what} named {name!r}{near(name, known)}; choose from {', '.join(known)}."
+            )
+
+
+def near(name: str, known: Iterable[str]) -> str:
+    """ " (did you mean this?)", where one of the names is much like the one that is not among them."""
+    lower = {one.lower(): one for one in known}
+    close = difflib.get_close_matches(name.lower(), lower, 1)
+    return f" (did you mean {lower[close[0]]}?)" if close else ""

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from estimators.rules.trace import Trace
 
 
-def write_trace(trace: Trace, path: str) -> None:
-    """Write the experiments of a trace, stacked in time, with their numbers."""
+def trace_file(path: str) -> Path:
+    """The file that a trace can be written into; complaints come before any work."""
     target = Path(path)
     if target.suffix not in (".npz", ".csv"):
         raise InputError(f"--out is {path}; the file must end in .npz or .csv.")
@@ -24,6 +24,12 @@ def write_trace(trace: Trace, path: str) -> None:
         raise InputError(f"{path} exists; nothing is overwritten: give another name or remove it.")
     if not target.parent.is_dir():
         raise InputError(f"the folder {target.parent} does not exist; make it first.")
+    return target
+
+
+def write_trace(trace: Trace, path: str) -> None:
+    """Write the experiments of a trace, stacked in time, with their numbers."""
+    target = trace_file(path)
     file = io.BytesIO()
     if target.suffix == ".npz":
         np.savez_compressed(

@@ -34,16 +34,21 @@ def run_campaign(
     return list(stored_runs(store, settings, replicates, time_limit=time_limit, own=own))
 
 
+def check_amounts(replicates: int, time_limit: float | None) -> None:
+    """Refuse numbers that no campaign can be run with."""
+    if replicates < 2:
+        raise InputError(f"replicates is {replicates}; standard errors need at least 2.")
+    if time_limit is not None and not time_limit > 0:
+        raise InputError(f"the time limit is {time_limit:g} s; it must be positive.")
+
+
 def fill_store(
     settings: Settings, replicates: int, folder: Path, *, jobs: int | None = None, scheduler: str | None = None,
     progress: Callable[[int, int], None] | None = None, time_limit: float | None = TIME_LIMIT,
     own: Own | None = None,
 ) -> Store:  # fmt: skip
     """Run or resume a campaign; the results stay on disk."""
-    if replicates < 2:
-        raise InputError(f"replicates is {replicates}; standard errors need at least 2.")
-    if time_limit is not None and not time_limit > 0:
-        raise InputError(f"the time limit is {time_limit:g} s; it must be positive.")
+    check_amounts(replicates, time_limit)
     todo = parts(settings, replicates)
     if not todo:
         raise InputError(

@@ -94,6 +94,11 @@ def diagnose_files(
     columns, wanted = columns or Columns(), setting or Setting()
     notes: list[str] = []
     known = read_document(meta, META, "the description") if meta is not None else {}
+    keys = (*META["properties"], "inputs", "outputs")
+    if known and not set(known) & set(keys):
+        raise InputError(
+            f"the description {meta} has none of the keys {', '.join(keys)}; it is another file."
+        )
     names = {
         side: given or (",".join(known[side]) if isinstance(known.get(side), list) else None)
         for side, given in (("inputs", columns.inputs), ("outputs", columns.outputs))

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.norm.model_peak import frequency_error, peak_gain
-from estimators.pem.predictors.of_structure import samples
+from estimators.pem.predictors.of_structure import Structure, samples
 from estimators.pem.regularised.regularisation import Regularisation
-from estimators.pem.search.problem import prepare
+from estimators.pem.search.problem import Problem, prepare
 from estimators.pem.subspace.observability import Subspace
 from estimators.residual.measures import fit_percent
 from oed.data import Record, as_signal
@@ -173,9 +173,9 @@ class Fit:
         """`fit_percent` of the simulation from the inputs alone, on the data that were fitted.
 
         From rest, or from the initial state that suits each record best where states were estimated. Not a number of
-        unstable models, and where samples are missing.
+        unstable models. Missing outputs are left out.
         """
-        if not self.records or not self.model.stable or not all(r.complete for r in self.records):
+        if not self.records or not self.model.stable:
             return float("nan")
         whole = self.initial != "zero" and self.regularisation is None
         y = [self.simulate_record(r, window=len(r) if whole else 0) for r in self.records]
@@ -216,7 +216,7 @@ class Fit:
         ndarray
             (N, ny). Leave the window out of an error.
         """
-        record = as_record(record)
+        record = as_record(record, missing=True)
         if window <= 0:
             return self.simulate(record.u)
         form = self.model.structure
@@ -224,14 +224,24 @@ class Fit:
             bare = self.simulate(record.u)
             return bare + self.regularisation.continued(form, (record.y - bare)[:window], len(record))
         structure, theta = noise_free(self.model)
-        data = samples(structure, record.u - self.input_level, record.y - self.output_level)
-        ones = np.ones(structure.n_inputs), np.ones(structure.n_outputs)
-        short = prepare(structure, [record[:window]], initial=True, scales=ones).replace(data=data[:window])
+        short = self._made_ready(structure, record[:window], initial=True)
         point = short.evaluate(theta)
         if point is None:
             raise InputError("the model is unstable, so its initial state cannot be told from its output.")
-        e = short.kernel.trace(data, np.concatenate([theta, point.extra[0][0]]), False)[0]
-        return record.y - e
+        filled = np.where(np.isfinite(record.y), record.y, self.output_level)
+        data = samples(structure, record.u - self.input_level, filled - self.output_level)
+        data = np.column_stack([data, np.ones((len(record), short.data.shape[1] - data.shape[1]))])
+        return filled - short.kernel.trace(data, np.concatenate([theta, point.extra[0][0]]), False)[0]
+
+    def _made_ready(self, structure: Structure, record: Record, **which: bool) -> Problem:
+        """A record as deviations from the levels of this fit, in the units of the data."""
+        ones = np.ones(structure.n_inputs), np.ones(structure.n_outputs)
+        gaps = not np.isfinite(record.y).all()
+        problem = prepare(structure, [record], scales=ones, missing=gaps, **which)
+        data = samples(structure, record.u - self.input_level, record.y - self.output_level)
+        if gaps:  # as `prepare` does: what was seen, beside it
+            data = np.column_stack([np.nan_to_num(data), np.isfinite(record.y)])
+        return problem.replace(data=np.ascontiguousarray(data))
 
     def linearised(
         self, record: Record, *, initial: str | None = None
@@ -259,11 +269,9 @@ class Fit:
             rest = record.y - self.simulate(record.u)
             e, J = self.regularisation.innovations(structure, record.u - self.input_level, rest, unknown)
             return e, J if self.output_level_errors.any() else J[:, :, : structure.n]
-        ones = np.ones(structure.n_inputs), np.ones(structure.n_outputs)
-        offset = bool(self.output_level_errors.any())
-        problem = prepare(structure, [record], offset=offset, initial=unknown, scales=ones)
-        data = samples(structure, record.u - self.input_level, record.y - self.output_level)
-        problem = problem.replace(data=data)
+        problem = self._made_ready(
+            structure, record, offset=bool(self.output_level_errors.any()), initial=unknown
+        )
         point = problem.evaluate(np.concatenate([self.theta, np.zeros(problem.n_parameters - structure.n)]))
         if point is None:
             raise InputError(
@@ -271,7 +279,7 @@ class Fit:
             )
         states = np.zeros(0) if point.extra[0] is None else point.extra[0][0]
         e, jacobian = problem.kernel.trace(problem.data, np.concatenate([point.z, states]), True)
-        return e, np.asarray(jacobian)
+        return np.where(np.isfinite(record.y), e, np.nan), np.asarray(jacobian)
 
     def residuals_of(self, record: Record, *, initial: str | None = None) -> NDArray[np.float64]:
         """One-step prediction errors on any record.

@@ -103,7 +103,7 @@ def run(
     *,
     samples: int,
     experiments: int,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     stop: Callable[[Trace], bool] | None = None,
 ) -> Trace:
     """Run a sequential method on a system.
@@ -118,8 +118,8 @@ def run(
         Length N of every experiment.
     experiments : int
         Budget of experiments.
-    rng : numpy.random.Generator
-        For what the rule draws at random.
+    rng : numpy.random.Generator or int
+        For what the rule draws at random; a number is its seed.
     stop : callable, optional
         From the trace so far to whether that is enough; asked after every experiment.
 
@@ -138,8 +138,15 @@ def run(
     """
     if not isinstance(experiment, Experiment):
         raise InputError(
-            f"experiment is {experiment!r}; wrap a function u -> y as oed.experiments.Experiment(apply, nu, ny)."
+            f"the system under test is given as {type(experiment).__name__}; give oed.simulated(plant) of a plant, or "
+            "oed.Experiment(apply, n_inputs, n_outputs) of a function u -> y."
         )
+    if not callable(rule):
+        raise InputError(
+            f"the method is {rule!r}; give a generator function (samples, n_inputs, n_outputs, rng), such as "
+            "estimators.power_iterations."
+        )
+    rng = np.random.default_rng(rng)
     for name, value, least in (("samples", samples, 2), ("experiments", experiments, 1)):
         if not isinstance(value, int | np.integer) or value < least:
             raise InputError(f"{name} is {value!r}; it must be an integer of at least {least}.")

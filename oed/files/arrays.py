@@ -87,7 +87,7 @@ def texts(value: Any) -> list[str]:
 
 def npz_table(content: bytes, source: str) -> Table:
     """Table of an npz file; what is pickled in it is refused."""
-    if not content.startswith(b"PK"):
+    if not content.startswith((b"PK\x03\x04", b"PK\x05\x06")):
         raise InputError(f"{source} is not an npz file (a zip archive of arrays); write it with numpy.savez.")
     try:
         archive = np.load(io.BytesIO(content), allow_pickle=False)

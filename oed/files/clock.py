@@ -110,5 +110,6 @@ def _refuse(t: NDArray, steps: NDArray, tolerance: float, source: str, first_row
     raise InputError(
         f"{source} is not uniform: from row {row + first_row} to row {row + 1 + first_row} (counting from 0) it goes "
         f"from {t[row]:.12g} to {t[row + 1]:.12g}, a step of {steps[row]:.9g} s where the others are {usual:.9g} s; "
-        "steps must be equal to 1e-6: resample the record, or read the uniform part with FILE[a:b]."
+        "steps must be equal to 1e-6: resample the record, or read the uniform part with FILE[a:b]; where only the "
+        "clock jitters and no sample is lost, take the column out and give the sampling time (--dt, in Python dt=)."
     )

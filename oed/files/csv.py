@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Sequence
 from datetime import datetime
 
@@ -25,8 +26,8 @@ def csv_table(content: bytes, source: str) -> Table:
     """Table of a CSV file: comma, semicolon or tab between the columns, lines before the header that begin
     with #. Decimal commas are read where semicolons or tabs part the columns and no number has a decimal
     point."""
-    try:
-        text = content.decode("utf-8-sig")
+    try:  # spreadsheets write "Unicode text" in UTF-16, with a mark
+        text = content.decode("utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{source} is not text in UTF-8 ({error}); save it as UTF-8.") from None
     if "\0" in text:
@@ -111,6 +112,11 @@ def _parse_slowly(
                 f"row {row} (counting from 0) of {source} has {len(fields)} entries where the header has {len(names)} "
                 "columns; they must be equal: the file may be cut off, or have commas for decimal points."
             )
+        if row == 0 and not any(map(_is_value, fields[: len(names)])):
+            raise InputError(
+                f"the row after the header of {source} has no number ({','.join(fields)[:60]!r}); one row names the columns: "
+                "write units into it, as u [V], and take the other row out."
+            )
         dates = {k for k in where if seconds_per(names[k]) == 1 and (origin or _is_date(fields[k]))}
         rows.append(
             [
@@ -139,17 +145,22 @@ def _is_date(entry: str) -> bool:
     return re.match(r"\s*\d{4}-\d\d-\d\d", entry) is not None
 
 
+def _is_value(entry: str) -> bool:
+    """Whether an entry may be of a row of data: it has a digit, or marks a missing sample."""
+    return any(map(str.isdigit, entry)) or entry.strip().lower() in BLANK
+
+
 def _number(entry: str, row: int, column: str, source: str) -> float:
     entry = entry.strip()
     if entry.lower() in BLANK:
         return math.nan
     if _is_number(entry) and "_" not in entry:
         return float(entry)
-    hint = (
-        "write decimal points, not commas"
-        if _is_number(entry.replace(",", "."))
-        else "correct it or leave the column out"
-    )
+    hint = "correct it or leave the column out"
+    if _is_number(entry.replace(",", ".")):
+        hint = "write decimal points, not commas"
+    elif _is_number(re.sub(r"[,' ]", "", entry)):
+        hint = "write them without marks between the thousands"
     raise InputError(
         f"row {row} (counting from 0), column {column} of {source} is {entry[:40]!r}; entries must be numbers: {hint}."
     )

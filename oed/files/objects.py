@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -269,13 +269,30 @@ def as_records(given: Any, *, missing: bool = False) -> list[Record]:
     one = _record_of_object(given, missing)
     if one is not None:
         return [one]
-    if isinstance(given, str | bytes) or not isinstance(given, Iterable):
+    if _is_signal(given) or isinstance(given, str | bytes | Mapping) or not isinstance(given, Iterable):
         raise InputError(f"data are given as {type(given).__name__}; {_WANTED}.")
-    found = [_record_of_object(item, missing) for item in given]
-    records = [record for record in found if record is not None]
-    if not records or len(records) < len(found):
-        raise InputError(f"the sequence of data is empty or holds something else; {_WANTED}.")
+    records: list[Record] = []
+    for item in given:
+        record = _record_of_object(item, missing)
+        if record is None:
+            raise InputError(
+                f"item {len(records)} (counting from 0) of the data is a {type(item).__name__}; {_WANTED}."
+            )
+        records.append(record)
+    if not records:
+        raise InputError(f"the sequence of data is empty; {_WANTED}.")
     return records
+
+
+def _is_signal(item: Any) -> bool:
+    """Whether an object is one signal: an array, a column of a DataFrame, a list of numbers."""
+    if isinstance(item, list | tuple):
+        return bool(item) and isinstance(item[0], int | float | np.number)
+    return isinstance(item, np.ndarray) or ("pandas", "Series") in _kinds(item)
+
+
+def _kinds(item: Any) -> set[tuple[str, str]]:
+    return {(c.__module__.partition(".")[0], c.__name__) for c in type(item).__mro__}
 
 
 def as_record(given: Any, *, missing: bool = False) -> Record:
@@ -296,9 +313,13 @@ def _record_of_object(item: Any, missing: bool) -> Record | None:
     """The record of one object, told by the names of its classes: none of the libraries is imported for it."""
     if isinstance(item, Record):
         return item
-    if isinstance(item, tuple) and len(item) in (2, 3) and isinstance(item[0], np.ndarray):
-        return Record(*item[:2], *(float(dt) for dt in item[2:]))
-    kinds = {(c.__module__.partition(".")[0], c.__name__) for c in type(item).__mro__}
+    if isinstance(item, tuple) and len(item) in (2, 3) and all(map(_is_signal, item[:2])):
+        return Record(np.asarray(item[0]), np.asarray(item[1]), *(float(dt) for dt in item[2:]))
+    kinds = _kinds(item)
+    if ("control", "FrequencyResponseData") in kinds:
+        raise InputError(
+            "a FrequencyResponseData is given where a record is needed; a model of it is made by estimators.pem.identify_response."
+        )
     other: Any = item  # what it is, is known by name only
     if ("pandas", "DataFrame") in kinds:
         return from_pandas(other, missing=missing)

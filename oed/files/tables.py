@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from oed.data import Record
-from oed.errors import InputError
+from oed.errors import InputError, near
 from oed.files.clock import sampling_time
 
 TIME = ("t", "t_s")
@@ -156,8 +156,9 @@ def _chosen(
         ]
         if len(fits) != 1:
             what = "is not a column" if not fits else f"may be any of the columns {', '.join(fits)}"
+            hint = "" if fits else near(name, named)
             raise InputError(
-                f"the {side} {name!r} {what} of {table.source}; its columns are {', '.join(named)}."
+                f"the {side} {name!r} {what} of {table.source}{hint}; its columns are {', '.join(named)}."
             )
         if fits[0] in chosen:
             raise InputError(f"the {side} {name!r} is named twice; name each column once.")

@@ -350,6 +350,11 @@ class Realised:
         return (
             f"Realised: {len(self.u)} samples, loss {self.loss:.6g} against {self.design_loss:.6g} of the spectrum "
             f"({100 * self.efficiency:.4g} % of the bound), crest factor {self.crest_factor:.3g}"
+            + (
+                ".\nWARNING: so few samples do not tell all parameters apart: ask for more"
+                if np.isinf(self.loss)
+                else ""
+            )
         )
 
 

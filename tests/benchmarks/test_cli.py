@@ -103,6 +103,10 @@ def test_design_of_the_reference_plant(capfd, criterion, loss):
         (("design", "--plant", "reference", "--criterion", "D", "--input-power", "0"), "power"),
         (("compare", "--plant", "reference", "--methods", "whit"), "did you mean white"),
         (("compare", "--replicates", "1"), "replicates is 1"),
+        (("compare", "--replicates", "0", "--dry-run"), "replicates is 0"),
+        (("compare", "--against", "nowhere", "--dry-run"), "nowhere holds no comparison.csv"),
+        (("iterate", "--samples", "9000000", "--out", "x.txt"), "the file must end in .npz or .csv"),
+        (("design", "--plant", "Reference"), "did you mean reference?"),
         (("report", "nowhere"), "there is no folder nowhere"),
         (("nonsense",), "no command named"),
     ],
@@ -166,6 +170,21 @@ def test_json_is_alone_on_standard_output_even_below_python(tmp_path):
     assert done.returncode == 0
     assert json.loads(done.stdout) == {"schema_version": 1, "path": None}
     assert "banner" in done.stderr
+
+
+@pytest.mark.parametrize("words", [("data",), ("data", "--json")])
+def test_a_full_disk_behind_the_output_is_one_line(words):
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "benchmarks.cli", *words],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "No space left on device" in done.stderr
 
 
 def test_a_defect_is_exit_status_1_with_its_traceback(monkeypatch, capsys):

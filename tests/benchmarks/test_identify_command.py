@@ -84,6 +84,11 @@ def test_missing_samples_and_outliers(data, capfd) -> None:
     value, error = found["parameters"]["b3"]
     assert abs(value - 0.5) < 4.5 * error
     assert found["residual_tests"] == {}
+    assert found["simulation_fit_percent"] == pytest.approx(found["fit_percent"], abs=1)
+    half = answer(capfd, f"{data}[:200]", "--delay", 3, "--missing", "--test", f"{data}[200:]", "--skip", 20)[
+        "test"
+    ]
+    assert half["simulation_rmse"] == pytest.approx(half["prediction_rmse"], rel=0.05)
 
 
 def test_robust_loss(data, capfd) -> None:
@@ -122,6 +127,25 @@ def test_bad_input_is_one_line_and_status_2(data, capfd, arguments, words) -> No
     said = capfd.readouterr().err.strip()
     assert words in said
     assert len(said.splitlines()) == 1
+
+
+def test_what_was_fitted_is_no_fresh_data(data, capfd, tmp_path) -> None:
+    assert main(["identify", f"{data}[:300]", "--test", f"{data}[200:]"]) == 2
+    assert "100 consecutive rows of the test record are also in the training record" in capfd.readouterr().err
+    slow = tmp_path / "slow.csv"
+    slow.write_text("t,u,y\n" + "".join(f"{k},{k % 3},{k % 5}\n" for k in range(60)))
+    fast = tmp_path / "fast.csv"
+    fast.write_text("t,u,y\n" + "".join(f"{k / 10},{k % 3},{k % 7}\n" for k in range(60)))
+    assert main(["identify", str(slow), "--test", str(fast)]) == 2
+    assert "the sampling times are 1 and 0.1 s" in capfd.readouterr().err
+
+
+def test_the_first_line_says_where_the_gain_is_not_told(tmp_path, rng, capfd) -> None:
+    noise = tmp_path / "noise.csv"
+    rows = np.column_stack([np.arange(300), rng.standard_normal((300, 2))])
+    np.savetxt(noise, rows, delimiter=",", header="t,u,y", comments="")
+    assert main(["identify", str(noise), "--orders", "1", "1", "--quiet"]) == 0
+    assert capfd.readouterr().out.startswith("WARNING: these data do not tell the gain (")
 
 
 def test_text_names_what_matters(data, capfd) -> None:

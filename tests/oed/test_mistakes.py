@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from datetime import datetime
+from functools import partial
 
+import control
 import numpy as np
+import pandas as pd
 import pytest
 
 import oed
-from estimators import identify
+from estimators import diagnose, identify, power_iterations, run
+from estimators.rules.inputs import white
 from oed.errors import InputError
 
 U = np.sign(np.sin(np.arange(60)))
 RECORD = oed.Record(U, np.roll(U, 1))
 REFERENCE = oed.named_plant("reference")
+attempt = partial(run, samples=20, experiments=2, rng=1)
 MISTAKES = {
     "dates for a signal": (lambda: oed.Record(np.array([datetime(2026, 1, 1)] * 9, dtype="M8[s]"), U[:9]), "dates.; give numbers"),
     "text for a signal": (lambda: oed.Record(np.array(["1"] * 9), U[:9]), "text.; give numbers"),
@@ -29,6 +34,14 @@ MISTAKES = {
     "nothing for a record": (lambda: oed.write_record(None, "x.csv"), "a NoneType is given where a Record is needed"),
     "nothing for a plant file": (lambda: oed.plant_from_json(None), "a plant is given as NoneType; give the name of a JSON file"),
     "a list for a plant file": (lambda: oed.plant_from_json([1]), "a plant is given as list"),
+    "u and y apart": (lambda: identify(U, U), "data are given as ndarray; give a Record"),
+    "signals by name": (lambda: identify({"u": U, "y": U}), "data are given as dict"),
+    "no data": (lambda: identify([]), "the sequence of data is empty"),
+    "one that is no record": (lambda: identify([RECORD, "x.csv"]), "item 1 .counting from 0. of the data is a str"),
+    "a response for a record": (lambda: identify(control.frd([1, 2], [1, 2])), "made by estimators.pem.identify_response"),
+    "a plant for a rig": (lambda: attempt(power_iterations, REFERENCE), "given as Plant; give oed.simulated.plant. of a plant"),
+    "a name for a method": (lambda: attempt("power", oed.simulated(REFERENCE)), "the method is 'power'; give a generator function"),
+    "a name for an effect": (lambda: diagnose(RECORD, effects="play"), "an effect is given as 'p'; give objects"),
     "a misspelt plant": (lambda: oed.peak("refrence"), "there is no plant named 'refrence' .did you mean reference.."),
 }  # fmt: skip
 
@@ -39,3 +52,18 @@ def test_a_wrong_object_is_one_line(what):
     with pytest.raises(InputError, match=words) as found:
         call()
     assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize("u", [U.tolist(), pd.Series(U, index=range(5, 65))])
+def test_lists_and_columns_are_signals(u):
+    assert identify((u, RECORD.y, 1.0), "arx", (1, 1)).theta == pytest.approx(
+        identify(RECORD, "arx", (1, 1)).theta
+    )
+
+
+def test_a_seed_will_do_for_a_generator():
+    traces = [
+        run(white, oed.simulated(REFERENCE), samples=20, experiments=2, rng=rng)
+        for rng in (3, np.random.default_rng(3))
+    ]
+    assert (traces[0].records[1].u == traces[1].records[1].u).all()

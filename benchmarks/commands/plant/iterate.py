@@ -34,6 +34,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     import numpy as np
 
     from benchmarks.campaign.plants import load_plant
+    from benchmarks.campaign.traces import trace_file, write_trace
     from estimators.norm.peak_estimates import corrected
     from estimators.norm.worst_inputs import worst_case
     from estimators.rules.by_name import iterate
@@ -49,6 +50,8 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         )
     if args.replicate < 0:
         raise InputError(f"--replicate is {args.replicate}; it must be at least 0.")
+    if args.out:
+        trace_file(args.out)
     plant = load_plant(args.plant, args.noise_variance)
     trace, gains = iterate(
         simulated(plant, seed=args.seed, replicate=args.replicate), algorithm=args.algorithm, samples=args.samples,
@@ -62,8 +65,6 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     except OedError as error:  # too short for a local model: say so, and go on
         reason = str(error)
     if args.out:
-        from benchmarks.campaign.traces import write_trace
-
         write_trace(trace, args.out)
     complex_pairs = lambda v: [[float(x.real), float(x.imag)] for x in v]
     usage, last = trace.usage, gains["gain"]

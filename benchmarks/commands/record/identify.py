@@ -64,6 +64,7 @@ AS_GIVEN = (
 
 def run(args: argparse.Namespace) -> tuple[dict, str]:
     """Identify a model."""
+    from estimators.diagnosis.record.admission import check_fresh
     from estimators.pem import identify
     from estimators.pem.results import needed
     from estimators.residual.tests import residual_tests
@@ -80,6 +81,8 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     } | {"notes": notes}
     records = [read_record(spec, **reading) for spec in args.data]
     fresh = read_record(args.test, **reading) if args.test else None
+    for record in records if fresh is not None else ():
+        check_fresh(record, fresh)
     out = new_folder(args.out, "--out") if args.out else None
     orders = args.orders or DEFAULTS[args.structure]
     if "auto" in orders:
@@ -112,6 +115,10 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         payload["hinf_frequency_hz"] = payload["hinf_frequency"] / (2 * np.pi * records[0].dt)
     if fresh is not None:
         payload["test"] = _fresh(fit, fresh, args.skip)
+        if not args.skip and fit.initial != "zero":
+            notes.append(
+                "--test is simulated from rest; with --skip 20 its first 20 samples set the state and are not judged."
+            )
     lines = [_headline(fit, records[0], payload), repr(fit), _letters(fit, records[0])]
     unanswered = [defect for defect in seen if not (offset and defect.kind == "offset")]
     if unanswered:
@@ -158,6 +165,10 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     return payload, "\n".join(lines)
 
 
+TOLD = 2.0
+"""Standard errors that a gain must have to be told from zero: a 95 % interval."""
+
+
 def _headline(fit, record, payload: dict) -> str:
     """What an engineer asks first: the gain with its unit, the error and where it was measured, the noise."""
     import numpy as np
@@ -166,6 +177,13 @@ def _headline(fit, record, payload: dict) -> str:
         (record.input_units, record.input_names), (record.output_units, record.output_names)))  # fmt: skip
     gain, error, omega = fit.hinf_norm
     said = f"largest gain {gain:.4g} +- {error:.2g} {y}/{u} at {omega / (2 * np.pi * record.dt):.4g} Hz"
+    if not fit.model.stable:
+        said = "WARNING: the model is unstable, so that it has no largest gain"
+    elif not gain > TOLD * error:
+        said = (
+            f"WARNING: these data do not tell the gain ({said.removeprefix('largest gain ')}); check that inputs and outputs "
+            "are not swapped, the delay (--delay auto), and that the input moves enough"
+        )
     if "test" in payload:
         said += f"; simulation error on fresh data {payload['test']['simulation_rmse']:.4g} {y}"
     else:
@@ -224,9 +242,9 @@ def _fresh(fit, record, skip: int) -> dict:
     e = fit.residuals_of(record, initial="estimate")[skip:]
     y = record.y[skip:]
     return {
-        "simulation_rmse": float(np.sqrt(np.mean((y - simulated) ** 2))),
+        "simulation_rmse": float(np.sqrt(np.nanmean((y - simulated) ** 2))),
         "simulation_fit_percent": fit_percent(y, simulated),
-        "prediction_rmse": float(np.sqrt(np.mean(e**2))),
+        "prediction_rmse": float(np.sqrt(np.nanmean(e**2))),
         "skipped": skip,
     }
 

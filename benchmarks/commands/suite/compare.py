@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     own = [*options.get("methods", ()), *options.get("estimators", ())]
     for file in dict.fromkeys(name.rpartition(":")[0] for name in own if ".py:" in name):
         print(f"oed compare: running the code in {file}", file=sys.stderr)
-    if args.against and not args.dry_run:
+    if args.against:
         from benchmarks.tables.pairs import published_rows
 
         published_rows(Path(args.against))  # an hour of runs is not the moment to learn that it is not there

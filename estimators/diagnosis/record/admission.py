@@ -34,8 +34,12 @@ def _check(train: Record, test: Record | None) -> None:
         raise InputError(
             f"the input {train.input_names[j]} is constant: there is no excitation; excite it and measure again."
         )
-    if test is None:
-        return
+    if test is not None:
+        check_fresh(train, test)
+
+
+def check_fresh(train: Record, test: Record) -> None:
+    """Refuse a test record of another system or clock, and one that was trained on."""
     _alike(train, test, "test record")
     shared = copied_rows(train, test)
     if shared:

@@ -115,6 +115,13 @@ def test_dialects_of_csv(tmp_path: Path, text: str) -> None:
     assert (back.u.tolist(), back.y.tolist(), back.dt) == ([[1], [3]], [[2], [4]], 0.5)
 
 
+def test_text_of_a_spreadsheet(tmp_path: Path) -> None:
+    path = tmp_path / "data.txt"
+    path.write_bytes("t\tu\ty [µm]\n0\t1\t2\n0.5\t3\t4\n".encode("utf-16"))
+    back = read_record(path)
+    assert (back.u.tolist(), back.y.tolist(), back.output_units) == ([[1], [3]], [[2], [4]], ("µm",))
+
+
 def test_missing_samples(tmp_path: Path) -> None:
     path = write(tmp_path, "u,y\n1,2\n,3\nNA,nan\n")
     back = read_record(path, missing=True)
@@ -163,6 +170,14 @@ CSV_ERRORS = {
         b"t,u,y\n0,5,1,5,2,5\n1,0,1,5,2,5\n",
         "row 0 (counting from 0) of data.csv has 6 entries where the header has 3 columns; they must be equal",
     ),
+    "a row of units": (
+        b"t,u,y\ns,V,rpm\n0,1,2\n",
+        "the row after the header of data.csv has no number ('s,V,rpm')",
+    ),
+    "thousands": (
+        b"t;u;y\n0;1,000.5;2\n",
+        "is '1,000.5'; entries must be numbers: write them without marks between the",
+    ),
     "duplicates": (b"u,y,u\n1,2,3\n", "more than one column 'u'"),
     "no input": (
         b"t,volt,y\n0,1,2\n",
@@ -191,15 +206,18 @@ def test_bad_csv_gets_one_clear_line(tmp_path: Path, content: bytes, message: st
 def test_bad_requests_get_one_clear_line(tmp_path: Path) -> None:
     path = write(tmp_path, "t,u1,u2,y_V\n" + "".join(f"{k / 2},1,2,3\n" for k in range(6)))
     (tmp_path / "data.xlsx").write_bytes(b"PK")
+    (tmp_path / "data.npz").write_bytes(b"PK and no archive: NumPy would speak of pickles")
     for spec, options, message in (
         (tmp_path / "absent.csv", {}, "does not exist"),
         (tmp_path, {}, "is a folder; give a file"),
         (tmp_path / "data.xlsx", {}, "suffix '.xlsx'; files are read by suffix: .csv"),
+        (tmp_path / "data.npz", {}, "is not an npz file"),
         (f"{path}[3:9]", {}, r"rows \[3:9\] are not in data.csv, which has 6 rows"),
         (f"{path}[4:4]", {}, r"rows \[4:4\]"),
         (f"{path}[-2:]", {}, r"rows \[-2:\] are not in"),
         (f"{path}[3]", {}, "are not understood"),
         (f"{path}[1:5:2]", {}, "are not understood"),
+        (path, {"inputs": "U1"}, r"'U1' is not a column of data.csv .did you mean u1"),
         (path, {"inputs": "volt"}, "'volt' is not a column of data.csv; its columns are t, u1, u2, y_V"),
         (path, {"outputs": ["y", "y_V"]}, "'y_V' is named twice"),
         (path, {"inputs": ["u1"], "outputs": ["u1"]}, "u1 are asked for as inputs and as outputs"),
