@@ -314,7 +314,7 @@ def _record_of_object(item: Any, missing: bool) -> Record | None:
     if isinstance(item, Record):
         return item
     if isinstance(item, tuple) and len(item) in (2, 3) and all(map(_is_signal, item[:2])):
-        return Record(np.asarray(item[0]), np.asarray(item[1]), *(float(dt) for dt in item[2:]))
+        return Record(np.asarray(item[0]), np.asarray(item[1]), dt=float(item[2]) if len(item) == 3 else 1.0)
     kinds = _kinds(item)
     if ("control", "FrequencyResponseData") in kinds:
         raise InputError(

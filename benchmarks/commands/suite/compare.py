@@ -89,13 +89,13 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         from benchmarks.tables.pairs import published_rows
 
         published_rows(Path(args.against))  # an hour of runs is not the moment to learn that it is not there
-    told: list[str] = []
+    told: list[Comparison] = []
 
     def tell(early: Comparison) -> None:
         """The answer first: the figures take their time."""
         if not args.json:
             print(early, flush=True)
-            told.extend(early.sentences)
+            told.append(early)
 
     result = compare(
         **options,
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     )
     payload, text = result.to_dict(), str(result)
     if told:
-        new = [sentence for sentence in result.sentences if sentence not in told]
+        new = [sentence for sentence in result.sentences if sentence not in told[0].sentences]
         text = "\n".join([*new, f"report: {result.page}"])
     if args.against and not args.dry_run:
         from benchmarks.tables.formats import to_text
