@@ -255,10 +255,10 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, A
         todo.append("To simulate the answer on any record: DiagnosedModel.load of model.json.")
     curves = [figure for i in outputs for figure in _curves(result, i)]
     parameters = [
-        {"parameter": k, "value": v, "value_se": se, "unit": unit}
+        {"parameter": k, "value": v, "value_se": se, "unit": result.in_units(unit)}
         for k, (v, se, unit) in result.parameters.items()
     ]
-    table = Table("parameters", "Parameters of the effects; u and y stand for the units of the input and the output.",
+    table = Table("parameters", "Parameters of the effects; u and y stand for units of inputs and outputs that are not known, or not all the same.",
                   {"parameter": "parameter", "value": "value ± standard error", "unit": "unit"}, parameters)  # fmt: skip
     evidence = [_capital(s) for s in result.evidence] + (
         [f"In the units of the record: {result.equation}"] if result.equation else []

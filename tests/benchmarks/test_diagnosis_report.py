@@ -11,6 +11,8 @@ from benchmarks.commands.record import diagnose as command
 from benchmarks.page.diagnosis import _words
 from benchmarks.page.skeleton import write_report
 from estimators.diagnosis.ladder.verdicts import ECHO, NOTHING, UNCLAIMED
+from estimators.diagnosis.result.report import Diagnosis
+from oed import Record
 
 
 @pytest.mark.parametrize(
@@ -42,6 +44,17 @@ def test_the_answer_is_a_sentence(system, after, answer):
         "nothing"
     )
     assert any("Keep the linear model" in words for words in todo) is system.startswith("nothing")
+
+
+@pytest.mark.parametrize(
+    "unit, stated",
+    [("y", "m/s"), ("y/u", "(m/s)/V"), ("1/u^2", "1/V^2"), ("u/sample", "V/sample"), ("sample", "sample")],
+)
+def test_units_are_those_of_the_record(unit, stated):
+    record = Record(np.zeros((2, 2)), np.zeros(2), input_units=("V", "V"), output_units=("m/s",))
+    unknown = Record(np.zeros((2, 2)), np.zeros(2), input_units=("V", "A"))
+    assert Diagnosis.in_units(SimpleNamespace(extra={"train": record}), unit) == stated  # type: ignore[arg-type]
+    assert Diagnosis.in_units(SimpleNamespace(extra={"train": unknown}), unit) == unit  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

@@ -81,8 +81,9 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     } | {"notes": notes}
     records = [read_record(spec, **reading) for spec in args.data]
     fresh = read_record(args.test, **reading) if args.test else None
-    for record in records if fresh is not None else ():
-        check_fresh(record, fresh)
+    if fresh is not None:
+        for record in records:
+            check_fresh(record, fresh)
     out = new_folder(args.out, "--out") if args.out else None
     orders = args.orders or DEFAULTS[args.structure]
     if "auto" in orders:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -145,18 +146,32 @@ class Diagnosis:
             "yhat_after": signal(self.yhat_after),
         }
 
+    def in_units(self, unit: str) -> str:
+        """A unit of a parameter, its u and y replaced by those of the record where its channels have one of each."""
+        record = self.extra.get("train")
+        if record is None:
+            return unit
+        known = {"u": {*record.input_units}, "y": {*record.output_units}}
+
+        def named(found: re.Match) -> str:
+            name = next(iter(known[found[0]])) if len(known[found[0]]) == 1 else ""
+            return found[0] if not name else name if found[0] == unit or name.isalnum() else f"({name})"
+
+        return re.sub(r"\b[uy]\b", named, unit)
+
     def __str__(self) -> str:
         # what the residual still shows, or a noise model has taken, counts as noise in the floor
         bound = "at most " if self.floor_is_bound else ""
-        floor = f"noise floor {bound}{self.noise_floor:.4g}"
+        floor = f"noise floor {bound}{self.noise_floor:.4g}" + f" {self.in_units('y')}".removesuffix(" y")
+        system = re.sub(r"(?<=\+- )(\S+ )([uy1][^ ,;]*)", lambda m: m[1] + self.in_units(m[2]), self.system)
         lines = [
-            f"{self.system}; {floor}",
+            f"{system}; {floor}",
             *(f"the data: {words}" for words in self.data),
             *(f"WARNING: {w}" for w in self.warnings),
         ]
         lines += [f"  - {sentence}" for sentence in self.evidence]
         for name, (value, se, unit) in self.parameters.items():
-            lines.append(f"  {name} = {value:.5g} +- {se:.2g} {unit or '(no unit)'}")
+            lines.append(f"  {name} = {value:.5g} +- {se:.2g} {self.in_units(unit) or '(no unit)'}")
         if self.linear:
             poles = ", ".join(_pole(*row) for row in self.linear["poles"])
             lines.append(f"linear model: {self.linear['structure']}; poles {poles or 'none'}")
