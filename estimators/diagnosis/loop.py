@@ -42,7 +42,6 @@ from estimators.diagnosis.share.feedback import has_feedback
 from estimators.diagnosis.share.news import NEWS, Predictor
 from oed.covariances import on_one_thread
 from oed.data import Record
-from oed.errors import InputError
 from oed.files.objects import as_records
 
 Array = NDArray[Any]
@@ -94,11 +93,6 @@ def diagnose(
     test = None if test is None else as_records(test, missing=True)[0]
     setting = Setting() if setting is None else setting
     setting = setting if effects is None else replace(setting, effects=tuple(effects))
-    for effect in setting.effects:
-        if not isinstance(effect, Effect):
-            raise InputError(
-                f"an effect is given as {effect!r}; give objects, as in effects=[*CATALOGUE, mine] (estimators.diagnosis.effects)."
-            )
     records = together(train, test)
     first = records[0]
     if test is not None and setting.separate:

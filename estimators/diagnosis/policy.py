@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from estimators.diagnosis.effects import CATALOGUE, Effect
+from oed.errors import InputError
 
 
 class Effort(Enum):
@@ -75,3 +76,10 @@ class Setting:
     effort: Effort = Effort.NORMAL
     policy: Policy = field(default_factory=Policy)
     effects: tuple[Effect, ...] = CATALOGUE
+
+    def __post_init__(self) -> None:
+        for effect in self.effects:
+            if not isinstance(effect, Effect):
+                raise InputError(
+                    f"an effect is given as {effect!r}; give objects, as in effects=[*CATALOGUE, mine] (estimators.diagnosis.effects)."
+                )

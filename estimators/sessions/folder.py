@@ -27,6 +27,7 @@ from oed.files.lock import locked
 from oed.files.writing import append_line, renamed, tidy
 
 NAME = re.compile(r"(input|output|flagged|rest-input|rest-output)-(\d{4,})(?:-(\d+))?\.csv")
+SETTINGS = "session.json"
 KEPT = "The session is unharmed; make room and repeat."
 README = """A session of experiments on a rig. To go on, in this folder's parent:
 
@@ -72,6 +73,8 @@ class Folder:
         with locked(self.path / "lock", f"the session {self.path}"):
             tidy(self.path)
             known = self.fingerprints()
+            if SETTINGS not in known:
+                self.note(0, "settings", self.path / SETTINGS)
             for kind in ("input", "output", "flagged", "rest-input", "rest-output"):
                 for (step, _), file in self.find(kind).items():
                     if file.name not in known:
@@ -104,7 +107,8 @@ class Folder:
         found = {}
         for line in journal.read_text(encoding="utf-8", errors="replace").splitlines():
             words = line.split()
-            if len(words) >= 5 and NAME.fullmatch(words[3]) and re.fullmatch(r"[0-9a-f]{16}", words[4]):
+            ours = len(words) >= 5 and (words[3] == SETTINGS or NAME.fullmatch(words[3]))
+            if ours and re.fullmatch(r"[0-9a-f]{16}", words[4]):
                 found[words[3]] = words[4]
             elif words[2:3] == ["undone"]:
                 found.pop(words[-1], None)

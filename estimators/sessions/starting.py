@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from estimators.sessions.folder import KEPT, README
+from estimators.sessions.folder import KEPT, README, SETTINGS, Folder
 from estimators.sessions.session import Session
 from estimators.sessions.settings import Settings, settings_from_json, settings_to_json
 from estimators.sessions.stored import StoredSession
@@ -44,7 +44,7 @@ def start_session(path: str | os.PathLike[str], settings: Settings) -> StoredSes
     except OSError as error:
         raise InputError(f"the folder {folder} cannot be made: {error.strerror or error}.") from None
     with locked(folder / "lock", f"the session {folder}"):
-        file = folder / "session.json"
+        file = folder / SETTINGS
         if file.exists():
             _check_same(file, text)
             return StoredSession(folder)
@@ -57,6 +57,7 @@ def start_session(path: str | os.PathLike[str], settings: Settings) -> StoredSes
             )
         write_whole(folder / "README.txt", README.encode(), kept=KEPT)
         write_whole(file, text.encode(), kept=KEPT)
+        Folder(folder).note(0, "settings", file)
     return StoredSession(folder)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.sessions.checking import read_output
-from estimators.sessions.folder import KEPT, Folder
+from estimators.sessions.folder import KEPT, SETTINGS, Folder
 from estimators.sessions.session import Asked, FlaggedMeasurement, Sequential
 from estimators.sessions.settings import Settings, settings_from_json
 from oed.errors import CampaignError, InputError
@@ -57,16 +57,19 @@ class StoredSession(Sequential):
     """
 
     def __init__(self, path: Path) -> None:
-        file = path / "session.json"
+        file = path / SETTINGS
         try:
-            text = file.read_text(encoding="utf-8")
+            content = file.read_bytes()
+            text = content.decode()
         except (OSError, UnicodeDecodeError):
             raise CampaignError(
                 f"there is no session in {path} (no readable session.json); start one with `oed session start {path}`."
             ) from None
         self.path = path
         self.folder = Folder(path)
-        self._play(settings_from_json(text, str(file)))
+        settings = settings_from_json(text, str(file))
+        self.folder.check_unchanged(file, content)
+        self._play(settings)
 
     def _play(self, settings: Settings) -> None:
         """Begin anew with what is on record."""

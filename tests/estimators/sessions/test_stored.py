@@ -279,3 +279,19 @@ def test_a_process_that_was_overtaken_says_so(waiting):
     open_session(folder).record(right)
     with pytest.raises(InputError, match="step 3 was recorded meanwhile"):
         slow.tell(table(right)[:, 1:])
+
+
+def test_settings_that_were_changed_are_named(tmp_path):
+    folder = tmp_path / "rig"
+    start_session(folder, Settings("power", samples=20, experiments=2, dt=0.01, seed=3))
+    file = folder / "session.json"
+    text = file.read_text()
+    file.write_text(
+        text.replace('"dt": 0.01', '"dt": 0.05')
+    )  # no input depends on it, and every frequency in Hz
+    with pytest.raises(
+        CampaignError, match="session.json was changed after the session wrote it; restore it"
+    ):
+        open_session(folder)
+    (folder / "journal.txt").unlink()  # of a session that was begun before settings had a fingerprint
+    assert open_session(folder).settings.dt == 0.05
