@@ -1,6 +1,6 @@
 """Every printed +- that belongs to a known truth, in Monte Carlo: 93 to 97 % of 95 % intervals hold it.
 
-500 runs are `make validate`; of 100 runs of the cheapest cases here a true 95 % is missed by the bounds below with
+Bands, poles and tests of a model stand in test_printed_bands, parameters in test_pem_coverage, tables in test_errors_of_few. 500 runs are `make validate`; of 100 runs of the cheapest cases here a true 95 % is missed by the bounds below with
 probability 1e-3 each (binomial). What is not sure says so with its status and does not count, but a quarter at least must.
 """
 
@@ -49,7 +49,11 @@ def of_iterate(plant: Plant, algorithm: str, samples: int, iterations: int, seed
 
 
 def of_session(plant: Plant, method: str, samples: int, experiments: int, seed: int) -> Row:
-    session = Session(Settings(method, samples=samples, experiments=experiments, seed=seed))
+    names = {
+        side: tuple(f"{side[0]}{k}" for k in range(count))
+        for side, count in (("inputs", plant.n_inputs), ("outputs", plant.n_outputs))
+    }
+    session = Session(Settings(method, samples=samples, experiments=experiments, seed=seed, **names))
     found, true = session.run(simulated(plant, seed=seed)), peak(plant)
     if not np.isfinite(found.frequency_error):
         return {}
@@ -118,6 +122,13 @@ CASES: dict[str, Callable[[int], Row]] = {
     "iterate": lambda seed: of_iterate(REFERENCE, "siso", 1000, 50, seed),
     "iterate, variance 9": lambda seed: of_iterate(named_plant("reference", 9.0), "siso", 1000, 50, seed),
     "iterate, several channels": lambda seed: of_iterate(SEVERAL, "mimo", 300, 20, seed),
+    "iterate, two experiments": lambda seed: of_iterate(REFERENCE, "two-experiment", 1000, 20, seed),
+    "iterate, short": lambda seed: of_iterate(REFERENCE, "siso", 200, 20, seed),
+    "iterate, order 20": lambda seed: of_iterate(named_plant("order-20", 1.0), "siso", 1000, 20, seed),
+    "iterate, peak at 0": lambda seed: of_iterate(named_plant("peak-at-zero", 1.0), "siso", 1000, 20, seed),
+    "iterate, two peaks": lambda seed: of_iterate(named_plant("two-peaks", 1.0), "siso", 1000, 20, seed),
+    "session sequential": lambda seed: of_session(REFERENCE, "sequential", 500, 6, seed),
+    "session procedure-2": lambda seed: of_session(SEVERAL, "procedure-2", 300, 42, seed),
     "session power": lambda seed: of_session(REFERENCE, "power", 500, 10, seed),
     "session power, broad peak": lambda seed: of_session(broad(0.8, "p45"), "power", 200, 10, seed),
     "session two-stage": lambda seed: of_session(REFERENCE, "two-stage", 500, 4, seed),
@@ -129,8 +140,9 @@ CASES: dict[str, Callable[[int], Row]] = {
 }
 
 
-CAUTIOUS = ("session power, broad peak",)
-"""Where the band of the local model is as wide as the peak: what the width leaves open is added, and is too much."""
+CAUTIOUS = ("session power, broad peak", "iterate, peak at 0")
+"""Where the band of the local model is as wide as the peak: what the width leaves open is added, and is too much. And a peak at
+0, which no estimate passes."""
 
 
 def coverage(case: Callable[[int], Row], runs: int) -> dict[str, tuple[int, int]]:
@@ -141,12 +153,20 @@ def coverage(case: Callable[[int], Row], runs: int) -> dict[str, tuple[int, int]
     return {name: (held(name), len(rows)) for name in rows[0]}
 
 
+def checked(name: str, case: Callable[[int], Row], runs: int, record_figure) -> None:
+    """Every figure in 93 to 97 %, up to what so many runs leave open (one in a thousand of a true 93 and of a true 97 %)."""
+    found = coverage(case, runs)
+    shares = {key: held / total for key, (held, total) in found.items()}
+    record_figure(f"coverage of what is printed: {name}", shares, runs=runs)
+    for held, total in found.values():
+        most = total if name in CAUTIOUS else binom.isf(1e-3, total, 0.97)
+        assert binom.ppf(1e-3, total, 0.93) <= held <= most, shares
+
+
 @pytest.mark.validate
 @pytest.mark.parametrize("name", CASES)
 def test_coverage(name: str, record_figure) -> None:
-    found = {key: held / total for key, (held, total) in coverage(CASES[name], 500).items()}
-    record_figure(f"coverage of what is printed: {name}", found, runs=500)
-    assert all(0.93 <= share <= (1.0 if name in CAUTIOUS else 0.97) for share in found.values()), found
+    checked(name, CASES[name], 500, record_figure)
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,8 @@ class Regularisation:
     mean square of the inputs' deviations; `errors` per output, standard errors of log scale, logit decay,
     ..., by name; `log_likelihood` marginal log-likelihood at the optimum, up to a constant of the data;
     `degrees_of_freedom` effective number of parameters: the trace of the map from outputs to fitted values G
-    u, and the levels."""
+    u, and the levels. The fit's errors are the posterior's: they hold for responses like the kernel's (93 % of 95 %
+    intervals at the peak of a first-order lag), and in 70 to 85 % at the peak of a response that rings."""
 
     kernel: str
     disturbance: str | None
@@ -143,5 +144,6 @@ class Regularisation:
             rows.append(f"{which}decay {decay}, white noise of variance {self.noise[i]:.3g}{slow}")
         return (
             f"kernel {self.kernel}: {'; '.join(rows)}; {self.degrees_of_freedom:.3g} effective parameters, "
-            f"log marginal likelihood {self.log_likelihood:.6g}"
+            f"log marginal likelihood {self.log_likelihood:.6g}; errors of the posterior, too small at the peak of a "
+            "response that rings more than the kernel expects"
         )
