@@ -88,7 +88,9 @@ def covariance_of_factor(factor: NDArray[np.float64], V: NDArray[np.float64]) ->
     if rows.shape[1] > 2 * len(rows):  # a triangle of few rows first: as exact, and an order faster
         rows = np.linalg.qr(rows.T, mode="r").T
     U, values, _ = np.linalg.svd(rows, full_matrices=True)
-    return _inverted(U, np.concatenate([values, np.zeros(len(U) - len(values))]), V / scale[:, None], 1e-12)
+    root = np.concatenate([values, np.zeros(len(U) - len(values))])
+    # Only what is rounding: a direction that is known a little may be most of what V' theta's variance is made of.
+    return _inverted(U, root, V / scale[:, None], len(U) * np.finfo(float).eps)
 
 
 def _usable(scale: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:

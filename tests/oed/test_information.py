@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oed.covariances import real_gram
+from oed.covariances import covariance_of_factor, real_gram
 from oed.data import Spectrum
 from oed.errors import InputError, NotIdentifiable
 from oed.information import covariance, information_of_signal, information_of_spectrum, null_directions
@@ -125,3 +125,15 @@ def test_the_real_part_of_a_gram_matrix(rng):
     ):
         np.testing.assert_allclose(real_gram(factor), (factor @ factor.conj().T).real, rtol=0, atol=1e-14)
         assert real_gram(factor).dtype == factor.real.dtype
+
+
+@pytest.mark.parametrize("little", [1e-6, 1e-10, 1e-13, 1e-14])
+def test_a_direction_that_is_known_a_little_counts(little):
+    """By the triangle itself: v1^2 + ((v2 - v1) / little)^2. What is known to 1e-13 was taken for rounding and left out."""
+    factor, V = np.array([[1.0, 0.0], [1.0, little]]), np.array([[1.0], [1.0 + 2e-7]])
+    found = covariance_of_factor(factor, V)
+    assert found is not None
+    assert found[0, 0] == pytest.approx(1 + ((V[1, 0] - 1) / little) ** 2, rel=0.05)
+    nothing = covariance_of_factor(np.array([[1.0, 0.0], [1.0, 0.0]]), np.ones((2, 1)))
+    assert nothing is not None
+    assert nothing[0, 0] == pytest.approx(1)  # what is not known at all is not asked for
