@@ -15,6 +15,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 OUTSIDE = 1e-6
+HARDLY = 1e-12
+"""Singular value of a factor over the largest below which a part of V' theta of rounding's size says nothing."""
 
 
 def square_root(matrix: NDArray) -> NDArray:
@@ -73,7 +75,7 @@ def covariance_of(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.
         return None
     values, vectors = np.linalg.eigh(M / np.outer(scale, scale))
     root = np.sqrt(np.clip(values, 0, None))
-    return _inverted(vectors, root, V / scale[:, None], 3e-7)
+    return _inverted(vectors.T @ (V / scale[:, None]), root, root <= 3e-7 * root.max())
 
 
 def covariance_of_factor(factor: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -89,8 +91,11 @@ def covariance_of_factor(factor: NDArray[np.float64], V: NDArray[np.float64]) ->
         rows = np.linalg.qr(rows.T, mode="r").T
     U, values, _ = np.linalg.svd(rows, full_matrices=True)
     root = np.concatenate([values, np.zeros(len(U) - len(values))])
-    # Only what is rounding: a direction that is known a little may be most of what V' theta's variance is made of.
-    return _inverted(U, root, V / scale[:, None], len(U) * np.finfo(float).eps)
+    T, noise = U.T @ (V / scale[:, None]), len(U) * np.finfo(float).eps
+    # A direction that is known a little may be most of what V' theta's variance is made of: only rounding is left out, be it
+    # of the direction or, where it is hardly known, of what V' theta has of it.
+    hardly = (root <= HARDLY * root.max()) & (np.linalg.norm(T, axis=1) <= 10 * noise * np.linalg.norm(T))
+    return _inverted(T, root, hardly | (root <= noise * root.max()))
 
 
 def _usable(scale: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -101,11 +106,9 @@ def _usable(scale: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.fl
 
 
 def _inverted(
-    U: NDArray[np.float64], root: NDArray[np.float64], V: NDArray[np.float64], threshold: float
+    T: NDArray[np.float64], root: NDArray[np.float64], null: NDArray[np.bool_]
 ) -> NDArray[np.float64] | None:
-    """V' (U root^2 U')^-1 V on the range; None where V leaves it."""
-    T = U.T @ V
-    null = root <= threshold * root.max()
+    """T' root^-2 T without the null directions, T = U' V; None where V leaves the range."""
     if np.any(null):
         length = np.linalg.norm(T, axis=0)
         if np.any(np.linalg.norm(T[null], axis=0) > OUTSIDE * length):
