@@ -30,6 +30,11 @@ def short_answer(answer: Sequence[Row], best: Sequence[Row], settings: Settings)
     good, most = [r for r in answer if r["c_efficiency"] >= OPTIMAL], len(answer)
     budget = sorted({r["experiments"] for r in answer})
     limit = sum(r["limit"] >= OPTIMAL for r in answer)
+    if most == 1:
+        share, without_end = (f"{100 * answer[0][key]:.0f} %" for key in ("c_efficiency", "limit"))
+        return (f"{'Yes' if good else 'No'}: with {budget[0]} experiments of {settings.samples} samples the iterations carry {share} of "
+                f"the certified optimum for the peak gain of {answer[0]['plant']} ({100 * OPTIMAL:.0f} % are asked for); with experiments "
+                f"without end, {without_end}.")  # fmt: skip
     return (f"{'Yes' if len(good) == most else 'Not in general' if good else 'No'}: with {budget[0]} experiments of {settings.samples} "
             f"samples the iterations reach {100 * OPTIMAL:.0f} % of the certified optimum for the peak gain in {len(good)} of {most} "
             f"cases (a plant or family at a noise level); with experiments without end, in {limit}.")  # fmt: skip
@@ -37,7 +42,8 @@ def short_answer(answer: Sequence[Row], best: Sequence[Row], settings: Settings)
 
 def _counted(rows: Sequence[Row], key: str) -> str:
     """The two most common names with how often."""
-    return " or ".join(f"{name} ({count})" for name, count in Counter(r[key] for r in rows).most_common(2))
+    found = Counter(r[key] for r in rows).most_common(2)
+    return " or ".join(f"{name} ({count})" if len(rows) > 1 else name for name, count in found)
 
 
 def _over_blind(row: Row) -> Row:
@@ -56,11 +62,14 @@ def advice_sentences(answer: Sequence[Row], best: Sequence[Row]) -> list[str]:
         if here:
             inputs, fits = (_counted(here, f"{kind}_{part}") for part in ("input", "estimator"))
             ties = sum(bool(r[f"{kind}_ties"]) for r in here)
-            lines.append(f"{knows}, apply {inputs} and estimate with {fits} (so often the best of {len(here)} cases; others tie with "
-                         f"it in {ties}).")  # fmt: skip
+            how = (f"in brackets: in how many of {len(here)} cases it was best; in {ties} others tie with it" if len(here) > 1
+                   else "others tie with it" if ties else "")  # fmt: skip
+            lines.append(f"{knows}, apply {inputs} and estimate with {fits}{f' ({how})' if how else ''}.")
     ratios = sorted((_over_blind(r) for r in answer if is_number(r["rho_own"]) and is_number(r["rho_nothing"])),
                     key=lambda r: r["ratio"])  # fmt: skip
-    if ratios:
+    if ratios and all(r["best_own"] == r["best_nothing"] for r in ratios):
+        lines.append("The iterations with their own estimator are the best way that is told nothing.")
+    elif ratios:
         lines.append("The error of the iterations' own estimators is " + between(ratios[0], ratios[-1], "ratio")
                      + " that of the best way which is told as little: nothing.")  # fmt: skip
     free = [r for r in best if is_number(r["rho"]) and r["known"] != Told.PLANT.value]

@@ -212,7 +212,9 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
     before, after = result.rmse_before, result.rmse_after
     nothing = not result.detected or result.system.startswith(NOTHING)
     if result.detected:
-        what = result.system.split("; error on fresh data")[0] or result.effect.replace("_", " ")
+        what = result.headline.split("; error on fresh data")[0].replace("+-", "±") or result.effect.replace(
+            "_", " "
+        )
         same = f"{before.value:.3g}" == f"{after.value:.3g}"
         error = (
             f"stays at {after.value:.3g}"

@@ -182,6 +182,8 @@ def write_identification(
     suffices = (
         "nothing is left in the residual"
         if not wrong
+        else "what is left is noise with a memory, which the input does not explain"
+        if wrong == ["whiteness"]
         else f"the residual still shows something ({', '.join(wrong)})"
     )
     if not tests:
@@ -199,6 +201,10 @@ def write_identification(
             f"On fresh data it simulates {payload['test']['simulation_fit_percent']:.1f} % of the output."
         )
     todo = ["Find what is missing: oed diagnose with the same record."] if wrong else []
+    if wrong == ["whiteness"]:
+        todo = [
+            "Give the noise a model of its own, or one of more orders: --structure armax or bj. Then the standard errors are right, and smaller."
+        ]
     todo += [
         f"Data: {defect['message']}" for defect in payload.get("data_defects", ()) if "message" in defect
     ]

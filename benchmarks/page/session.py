@@ -125,13 +125,14 @@ def session_page(folder: Path) -> Page:
         todo.append(f"At most {budget - done} experiments are left: {left} on the rig.")
     answer = (f"The peak gain is {found.value:.4g}{per}{where}{span} after {done} of {budget} experiments." if np.isfinite(found.value)
               else f"There is no estimate yet: {done} of {budget} experiments are recorded.")  # fmt: skip
-    sure = [str(found)[:1].upper() + str(found)[1:] + "."]
+    sure = [str(found)[:1].upper() + str(found)[1:].removesuffix(".") + "."]
     sure += [f"Flagged and not used: {Path(name).name}." for name in status["flagged"]]
     curve = Figure("estimate", f"The estimate over the experiments; intervals are cut at {CUT:g} times the last estimate.", "Estimated peak gain against the number of experiments.",
                    _curve(session) if done else [], "experiments", "peak gain",
                    {"estimate, with its 95 % interval": "both", "the method's own gain": "points"})  # fmt: skip
     sections = [
-        Section("Records", [], [Table("records", "Every experiment that is used.", columns, rows)] if rows else [], signals),
+        Section("Records", [] if rows else ["Nothing is recorded yet."],
+                [Table("records", "Every experiment that is used.", columns, rows)] if rows else [], signals),
         Section("The rig at rest", tested),
         Section("Limits", [], [Table("limits", "What the rig allows and what was used.", headed("limit", "value"), limits)]),
     ]  # fmt: skip

@@ -128,14 +128,23 @@ def test_the_first_sentence_has_the_budget_and_the_threshold_and_the_advice_its_
            **{f"{kind}_{part}": name for kind in ("structure", "nothing", "own") for part, name in (("input", "power"), ("estimator", "pem"))},
            "structure_ties": "b / pem, c / pem, d / pem, 9 more", "nothing_ties": "", "own_ties": ""}  # fmt: skip
     said = short_answer([row], [], Settings())
-    assert (
-        "No: with 20 experiments of 1000 samples the iterations reach 90 % of the certified optimum" in said
+    assert said.startswith(
+        "No: with 20 experiments of 1000 samples the iterations carry 80 % of the certified optimum"
     )
-    assert "in 0 of 1 cases" in said
-    assert said.endswith("without end, in 1.")
+    assert said.endswith("of a (90 % are asked for); with experiments without end, 95 %.")
+    said = short_answer([row, row], [], Settings())
+    assert "the iterations reach 90 % of the certified optimum for the peak gain in 0 of 2 cases" in said
+    assert said.endswith("without end, in 2.")
     assert short_answer([row | {"c_efficiency": 0.95}], [], Settings()).startswith("Yes:")
     advice = advice_sentences([row, row | {"case": "b", "best_own": "power / frf", "rho_own": 1.5}], [])
     assert "1 ± 0 times (b, noise 1) and 2.00 ± 0.28 times (a, noise 1)" in advice[-1]
+    assert (
+        "apply power (2) and estimate with pem (2) (in brackets: in how many of 2 cases it was best; in 2 others"
+        in advice[0]
+    )
+    alone = advice_sentences([row | {"best_nothing": row["best_own"]}], [])
+    assert alone[1:] == ["Knowing nothing, apply power and estimate with pem.", "The iterations with their own estimator are the best way "
+                         "that is told nothing."]  # fmt: skip
     assert with_ties(row)["best_structure"] == "power / pem (12 tie)"
     assert with_ties(row)["best_nothing"] == "power / frf"
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from benchmarks.cli import main
-from benchmarks.comparison import compare
+from benchmarks.comparison import Comparison, compare
 from benchmarks.page import comparison
 from benchmarks.page.skeleton import write_report
 from benchmarks.readme import END, START, with_headline, write_readme
+from benchmarks.tables.columns import headings
 from benchmarks.tables.formats import from_parquet
 from benchmarks.tables.hair_dryer import hair_dryer_story
 from oed.errors import CampaignError, InputError
@@ -204,3 +205,18 @@ def test_hair_dryer_story():
     assert abs(after["simulation_rmse"] - 0.116) < 0.003
     assert after["one_step_rmse"] < 0.5 * before["one_step_rmse"]
     assert before["smallest_p_value"] < 1e-20
+
+
+def test_a_comparison_without_sentences_prints_its_table_once(monkeypatch, tmp_path, capfd):
+    row = dict.fromkeys(headings("comparison"), 0.0) | {"plant": "mine.json"}
+    result = lambda page: Comparison([row], [], tmp_path, page, [])
+
+    def stands_in(tell, **options):
+        tell(result(None))
+        return result(tmp_path / "report.html")
+
+    monkeypatch.setattr("benchmarks.comparison.compare", stands_in)
+    assert main(["compare", "--quiet"]) == 0
+    said = capfd.readouterr().out
+    assert said.count("mine.json") == 1
+    assert said.endswith("report.html\n")

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 
 import numpy as np
 import pytest
 
+from benchmarks.cli import main
 from benchmarks.commands.plant import design
 from benchmarks.speed.design import against_cvxpy
+from oed.design.problem.criteria_by_name import NAMES
 from oed.errors import InputError
 
 
@@ -96,3 +99,10 @@ def test_shaped_spectra_and_rates_from_the_command():
     assert _run("--criterion", "modified-E")["gap"] < 1e-7
     with pytest.raises(InputError, match="--amplitude too"):
         _run("--rate", "0.3")
+
+
+def test_the_help_names_every_criterion(capsys):
+    with pytest.raises(SystemExit):
+        main(["design", "--help"])
+    said = re.findall(r"[\w-]+", capsys.readouterr().out)
+    assert set(NAMES) <= set(said)

@@ -32,7 +32,7 @@ from oed import Record
 def test_the_answer_is_a_sentence(system, after, answer):
     figure = lambda value: SimpleNamespace(value=value, low=0.0, high=1.0)
     result = SimpleNamespace(
-        detected=True, system=f"{system}; error on fresh data", effect="x", nature="static", rmse_before=figure(0.2),
+        detected=True, system=f"{system}; error on fresh data", headline=f"{system}; error on fresh data", effect="x", nature="static", rmse_before=figure(0.2),
         rmse_after=figure(after), difference=figure(0.0), held_out="test record", p_value=1e-9, confusable=(), warnings=(),
         evidence=["the noise is correlated in time"],
         remaining="", extra={"test": SimpleNamespace(output_units=("",))},

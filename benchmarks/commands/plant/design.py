@@ -17,7 +17,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_plant_arguments(parser)
     add = parser.add_argument
     # fmt: off
-    add("--criterion", default="D", metavar="D|A|E|hinf|..", help="what the input is optimal for")
+    add("--criterion", default="D", metavar="NAME",
+        help="what the input is optimal for (default D): all parameters (D, A, E, modified-E) or some (Ds:b1,a2), the peak gain (hinf), "
+        "static-gain, the gain at 0.5 rad/sample (gain:0.5), the first pole (pole:1, damping:1), the response (I, G, or in a band I:0:0.5)")
     add("--parametrisation", choices=("grid", "moments", "autocorrelation", "ar", "bands", "multisine"), default="grid",
         help="of the spectrum; ar: --lags poles, bands: --lags flat bands")
     add("--lags", type=int, metavar="L", help="of the autocorrelation, the basis (default 20), the poles (4)")

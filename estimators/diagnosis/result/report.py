@@ -159,13 +159,17 @@ class Diagnosis:
 
         return re.sub(r"\b[uy]\b", named, unit)
 
+    @property
+    def headline(self) -> str:
+        """`system`, its parameters in the units of the record."""
+        return re.sub(r"(?<=\+- )(\S+ )([uy1][^ ,;]*)", lambda m: m[1] + self.in_units(m[2]), self.system)
+
     def __str__(self) -> str:
         # what the residual still shows, or a noise model has taken, counts as noise in the floor
         bound = "at most " if self.floor_is_bound else ""
         floor = f"noise floor {bound}{self.noise_floor:.4g}" + f" {self.in_units('y')}".removesuffix(" y")
-        system = re.sub(r"(?<=\+- )(\S+ )([uy1][^ ,;]*)", lambda m: m[1] + self.in_units(m[2]), self.system)
         lines = [
-            f"{system}; {floor}",
+            f"{self.headline}; {floor}",
             *(f"the data: {words}" for words in self.data),
             *(f"WARNING: {w}" for w in self.warnings),
         ]
