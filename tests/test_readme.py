@@ -101,3 +101,15 @@ def test_what_the_readme_says_of_the_claim_is_in_the_published_table():
             assert number(r, "over_white") < 1.7
         near = (r["case"], noise) == ("bandit-fir", 9.0)
         assert number(r, "d_efficiency") > 0.9 if near else 0.2 < number(r, "d_efficiency") < 0.82
+
+
+def test_what_the_prose_says_of_random_families_is_published():
+    with (README.parent / "docs" / "results" / "answer.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["case"].startswith("random")]
+    said = [
+        f"{100 * extreme(float(row[key]) for row in rows):.0f}"
+        for key in ("c_efficiency", "limit")
+        for extreme in (min, max)
+    ]
+    text = " ".join(README.read_text(encoding="utf-8").split())
+    assert "have {} to {} %, in the limit {} to {} %".format(*said) in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from importlib import import_module
 
@@ -66,3 +67,14 @@ def test_a_mistake_is_answered_before_any_work(line, folder, capfd):
     assert MISTAKES[line] in said
     assert "Traceback" not in said
     assert not (folder / "results" / "compare" / "parts").exists()
+
+
+@pytest.mark.parametrize("words", [("identify",), ("diagnose",), ("design",), ("session", "start")])
+def test_what_must_be_chosen_is_explained(words, capsys):
+    """The options that every user meets have words of their own, not a list of names alone."""
+    with pytest.raises(SystemExit):
+        main([*words, "--help"])
+    said = capsys.readouterr().out.partition("show this help message")[2]
+    for option in ("--structure", "--method", "--criterion", "--inputs", "--outputs"):
+        shown = re.search(rf"^  {option} [^\n]*\n( {{24}}\S[^\n]*)?", said, re.MULTILINE)
+        assert shown is None or re.search(r"[a-z] [a-z(]", shown[0]), shown

@@ -14,13 +14,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of this command."""
     add = parser.add_argument
     # fmt: off
-    add("train", metavar="TRAIN", nargs="+", help="training record, or several of one system; FILE[a:b] takes rows a to b-1")
+    add("train", metavar="TRAIN", nargs="+", help="training record (csv, mat, parquet or npz), or several of one system; FILE[a:b] takes rows a to b-1")
     add("--test", metavar="TEST", help="held-out record; without it blocked cross-validation inside TRAIN")
     add("--meta", metavar="META.json", help="sampling time, structure and order known beforehand")
     add("--skip", type=int, default=0, metavar="n", help="test samples that may set the initial state")
     add("--order", type=int, help="order of the linear model (default: from --meta, else chosen)")
-    add("--inputs", metavar="NAMES", help="input columns, separated by commas")
-    add("--outputs", metavar="NAMES", help="output columns, separated by commas")
+    add("--inputs", metavar="NAMES", help="input columns, with commas (default: those that begin with u)")
+    add("--outputs", metavar="NAMES", help="output columns, with commas (default: those that begin with y)")
     add("--dt", type=float, help="sampling time in seconds")
     add("--alpha", type=float, default=0.01, help="false-alarm rate over all tests (default 0.01)")
     add("--effort", choices=("quick", "normal", "thorough"), default="normal", help="how much work it may be (default normal)")

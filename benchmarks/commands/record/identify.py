@@ -18,7 +18,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     # fmt: off
     add("data", nargs="+", metavar="DATA", help="csv, mat, parquet or npz; FILE[a:b] takes rows; several: one model")
-    add("--structure", choices=tuple(ORDERS), default="oe")
+    add("--structure", choices=tuple(ORDERS), default="oe",
+        help="how the noise enters: white at the output (oe, the default; fir), through the poles of the system (arx, armax), by a model of its "
+        "own (bj), or through the state (ss)")
     add("--orders", nargs="+", type=_order, metavar="n",
         help="; ".join(f"{k}: {' '.join(v)}" for k, v in ORDERS.items()) + " (default: 2); or auto, by blocks left out")
     add("--delay", default="1", help="nk in samples, or auto (default 1)")

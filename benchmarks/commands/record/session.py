@@ -62,7 +62,9 @@ def _configure_start(sub: argparse.ArgumentParser) -> None:
     numbers = {"type": _numbers, "metavar": "X[,X..]"}
     add = sub.add_argument
     # fmt: off
-    add("--method", required=True, choices=METHODS)
+    add("--method", required=True, choices=METHODS,
+        help="what chooses the next input: power iterations (power; of several channels procedure-2), a model fitted once (two-stage) or after "
+        "every experiment (sequential), power moved to the loudest line (bandit), what the diagnosis cannot tell apart (diagnose-next)")
     add("--samples", type=int, required=True, metavar="N", help="samples of one experiment (or period)")
     add("--dt", type=float, required=True, metavar="s", help="sampling time in seconds")
     add("--experiments", type=int, default=20, help="budget (default 20)")
