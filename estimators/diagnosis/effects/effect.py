@@ -19,11 +19,9 @@ from numpy.typing import NDArray
 from oed.errors import InputError
 
 Array = NDArray[Any]
-TYPICAL = (0.03, 0.1, 0.3)
-"""Rates per sample at which most rigs are sampled: a model without the effect may show none of them."""
+TYPICAL = (0.03, 0.1, 0.3)  # rates per sample of most rigs: a model without the effect may show none
 OPERATING = 0.5  # mean of an input in standard deviations, beyond which it stands on an operating level
-Grid = tuple[list[list[float]], list[float]]
-"""Parameter vectors to start from, and the typical size of each parameter."""
+Grid = tuple[list[list[float]], list[float]]  # parameters to start from, and the size of each
 
 
 def numbered(names: Mapping[str, str], count: int) -> list[tuple[str, str]]:
@@ -67,10 +65,13 @@ class Clock:
         (N,) sample numbers on the common clock.
     length : int
         Samples of the training record: ramps are per training record.
+    lead : int
+        Samples of constant input that were put before the record: what adds up, adds up from the record on.
     """
 
     k: Array
     length: int
+    lead: int = 0
 
     @property
     def turn(self) -> Array:
@@ -196,15 +197,14 @@ class Effect:
     per_sample : bool
         Whether `trials` is a fraction of the number of samples, as for a time or a frequency.
     apply : callable, optional
-        (signal, parameters, clock) -> signal, at the input, at the output, or added to it; infinite where the parameters are
-        not admissible.
+        (signal, parameters, clock) -> signal, at the input, the output, or added to it; infinite where they are not admissible.
     force : callable, optional
-        (p, v, u, q, s, c) -> force inside the plant, in input units and subtracted from the input: position, velocity, input,
-        the plant's last state, a modulating signal, parameters. NumPy functions of numbers, as it is compiled.
+        (p, v, u, q, s, c) -> force inside the plant, in input units, taken from the input: position, velocity, input, the plant's
+        last state, a modulating signal, parameters. NumPy functions of numbers, as it is compiled.
     inside : callable, optional
         parameters -> fields of `plant_kernels.Elements`: dry friction, hysteresis and stops, which a force cannot express.
     signal : callable, optional
-        (inputs (N, nu), channel, parameters, clock) -> (N,) the modulating signal s of `force`, or what a path adds.
+        (inputs (N, nu), channel, parameters, clock) -> (N,) the signal s of `force`, what a path adds, or what becomes of an input.
     change : mapping, optional
         By layout, how the logarithms of its rates move per unit of the first parameter, at the time of the second.
     layouts : frozenset of str, optional
@@ -383,7 +383,7 @@ def _needs(e: Effect) -> list[tuple[bool, str]]:
     found = e.starts is not None or e.search is not None or e.block
     acts = e.force is not None or e.inside is not None or e.change is not None
     amplitude = e.amplitude is not None and e.amplitude >= len(e.parameters)
-    modulates = e.signal is not None and e.force is None and e.slot is not Slot.PATH
+    modulates = e.signal is not None and e.force is None and e.slot not in (Slot.PATH, Slot.INPUT)
     return [
         (not e.key or not e.cause or not e.sentence, "a key, a cause and a sentence"),
         (on_signal and e.apply is None, "apply, what it makes of its signal"),

@@ -193,6 +193,7 @@ PLANT = (
 
 
 CHANGES = (-0.25, 0.3, 0.8)  # relative changes of a coefficient over the record that are tried
+USES = (0.3, 1.0, 3.0)  # share of a gain that the mean input uses up, of what is left of it, that are tried
 MEMORIES = (0.05, 0.2)  # of the record: time constants of a slow state that are tried
 
 
@@ -250,6 +251,21 @@ def _heated_gain(x: Array, p: Array, clock: Clock) -> Array:
     return x * (1.0 + p[0] * leaky(x**2, p[1]))
 
 
+def _tired(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.recursion_kernels import used_up
+
+    use, recovery = abs(float(p[0])), abs(float(p[1])) + 1e-300
+    return used_up(np.ascontiguousarray(x), use, recovery, level_before(x))
+
+
+def _with_use(s: Sizes) -> Grid:
+    n, size = len(s.u), float(np.mean(np.abs(s.u))) + 1e-300
+    return [[f / (m * n * size), 1.0 / (m * n)] for f in USES for m in MEMORIES], [
+        10.0 / (n * size),
+        10.0 / n,
+    ]
+
+
 def _inertias(s: Sizes) -> Grid:
     return [[f, s.damping] for f in CHANGES], [1.0, s.damping]
 
@@ -264,6 +280,9 @@ MODULATED = (
     _coefficient("stiffness_heat", "slow_hidden_state", Nature.DYNAMIC,
                  "the stiffness follows a slow state that the squared input feeds", _stiffness_by, _heat, _with_heat,
                  {"share": "1/u^2", "time": "sample"}),
+    Effect(key="gain_fatigue", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_tired,
+           sentence="the gain is used up by the input and recovers slowly: fatigue, a depleted store", starts=_with_use,
+           parameters={"use": "1/(u sample)", "recovery": "1/sample"}),
     Effect(key="gain_heat", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_heated_gain,
            sentence="the gain follows a slow state that the squared input feeds: heat", starts=_with_heat,
            parameters={"share": "1/u^2", "time": "sample"}),

@@ -7,8 +7,8 @@ process of any order may follow or, as a lag of the actuator, come before.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
+from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, kept, of_order, profile
 
 Array = NDArray[Any]
 _recent: deque[tuple[tuple[Any, ...], Array]] = deque(
@@ -28,6 +29,15 @@ NEAR, DOUBLINGS = (
     1e-3,
     20,
 )  # first step towards a rest in sizes of the input, and how often it is doubled: as far as it matters
+WARM, HEATS, SLOW, MOST_WARM = (-0.6, 0.8), (0.3, 1.5), (0.05, 0.2), 20.0
+"""Of a loss that its own power warms: share by which it changes in the end, heat for the mean power, time constants in records,
+that are tried; and the largest share."""
+QUICK = 0.2
+"""Pole of the filter behind a process that its shapes are tried with."""
+PACES, CONTENTS = (0.5, 1.0, 2.0, 4.0), (-0.6, 0.5, 1.5, 4.0, 10.0)
+"""Of the linear model's slowest rate, what a capacity had at the start of a record; relative changes of it over the record."""
+FILLS, MOST_FLOWS = 0.5, 3
+"""Of all that flows, what must be net for something to be filled or emptied; inputs of a record that are tried with one another."""
 LEAST_FLOW = 1e-3  # of the mean flow: what stands still takes for ever
 
 
@@ -92,7 +102,7 @@ def passed(force: Callable[..., Any], u: Array, p: Array, *, start: float | None
     level = level_before(u)
     c = np.array(p[1:], dtype=float)
     key = (force, p.tobytes(), u.tobytes())
-    known = next((kept for mark, kept in tuple(_recent) if mark == key), None)
+    known = next((run for mark, run in tuple(_recent) if mark == key), None)
     if known is not None:
         return known
     x0 = _rest(force, level, c, level if start is None else start)
@@ -161,6 +171,67 @@ def _through_flow(x: Array, p: Array, clock: Clock) -> Array:
     return np.interp(entered, np.arange(-1, len(x)), np.concatenate((heated[:1], heated)))
 
 
+def _warming(x: Array, p: Array) -> Array:
+    from estimators.diagnosis.effects.recursion_kernels import warmed
+
+    rate, share, heat, pace = abs(float(p[0])), float(p[1]), abs(float(p[2])), abs(float(p[3]))
+    if not (0.0 < rate < FASTEST and pace < 1.0 and -1.0 < share < MOST_WARM):
+        return np.full(len(x), np.inf)
+    return warmed(x, rate, share, np.array([heat, pace]), level_before(x))
+
+
+def _warmings(s: Sizes) -> Grid:
+    power, n = s.su**2 + float(np.mean(s.u)) ** 2, len(s.u)
+    shapes = ([share, heat, 1.0 / (m * n)] for share in WARM for heat in HEATS for m in SLOW)
+    return _shapes(s, *shapes, sizes=[1.0, 1.0 / power, 1.0])
+
+
+def _filled(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+    """A capacity at one input that another, the one p[-1] counted from 1, fills or empties."""
+    from estimators.diagnosis.effects.recursion_kernels import filled
+
+    if not 0.0 < abs(p[0]) < FASTEST:
+        return np.full(len(U), np.inf)
+    x, flow = (np.ascontiguousarray(U[:, j]) for j in (channel, int(p[-1]) - 1))
+    return filled(x, flow, np.array([abs(p[0]), *p[1:4], level_before(x), level_before(flow)]), clock.lead)
+
+
+def _fillings(slowest: float, u: Array, flow: Array, which: int) -> Iterator[list[float]]:
+    filled, size = float(np.sum(flow)), float(np.mean(u)) + float(np.std(u))
+    for faster in PACES:
+        for change in CONTENTS:
+            for bring, carry in ((0.0, 0.0), (0.0, 1.0), (size, 1.0), (-size, 1.0)):
+                yield [faster * slowest, change / filled, bring, carry, which + 1.0]
+
+
+def _capacities(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Every input with every flow that fills more than it takes back, by a grid of shapes with a quick linear part behind."""
+    from estimators.diagnosis.effects.loops import slowest_rate
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.free_runs import denominator
+
+    s = base.structure
+    if s.layout != "tf" or s.order < 1 or len(s.inputs) > MOST_FLOWS:
+        return
+    slowest, (few, p, scales) = slowest_rate(denominator(base), len(channel)), of_order(base, 1, 2)
+    p[:1], p[1 : few.plant_size], scales[:1] = -QUICK, 0.0, 1.0
+    for j in s.inputs:
+        u, shapes = channel.u[:, j], []
+        for i in s.inputs:
+            flow = channel.u[:, i]
+            if abs(float(np.sum(flow))) > FILLS * float(np.sum(np.abs(flow))):
+                shapes += _fillings(slowest, u, flow, i)
+        scales[1 : few.plant_size] = np.repeat(
+            [np.std(channel.y) / (np.std(channel.u[:, i]) + 1e-300) for i in s.inputs], 2
+        )
+        bare, part = replace(base, structure=few, p=p, scales=scales), Part(FILLED, j)
+        tried = profile(channel, bare, part, shapes)
+        if tried and firm(base, tried[0][0]):
+            q = tried[0][1][-5:]
+            sizes = [slowest, abs(q[1]), float(np.std(u)) + abs(float(np.mean(u))), 1.0, 0.0]
+            yield from ended(channel, bare, part, (q for _, q in tried[:BEGUN]), sizes)
+
+
 PROCESS = (
     _process("rise_and_fall", "asymmetric_rise_and_fall", "it rises at another rate than it falls", _one_way,
              {"asymmetry": "1"}, lambda s: _shapes(s, [-0.6], [1.0], [3.0], sizes=[1.0])),
@@ -171,6 +242,8 @@ PROCESS = (
     _process("loss", "nonlinear_loss", "a loss k2 x^2 + k3 x^3 that depends on the level", _loss,
              {"k2": "1/u", "k3": "1/u^2"}, lambda s: _shapes(s, [0.2, 0.2], [-0.2, 0.1], sizes=[_losses(s, 2), _losses(s, 3)]),
              family="losses"),
+    _process("loss_heat", "slow_hidden_state", "the loss changes with a slow state that its own power feeds: oil, a winding that warms",
+             _loss, {"share": "1", "heat": "1/u^2", "pace": "1/sample"}, _warmings, apply=lambda x, p, clock: kept(_warming, x, p), family="heat"),
     _process("outflow_root", "square_root_outflow", "an outflow that grows with the square root of the level", _outflow,
              {"k": "u^0.5"}, lambda s: _shapes(s, [1.0], sizes=[_outflows(s)])),
     _process("vessel", "level_dependent_outflow", "a vessel that widens with its level, emptied through an orifice", _vessel,
@@ -181,3 +254,11 @@ PROCESS = (
                  [[r / s.level, v * s.level] for r in s.rates for v in (0.0, 3.0, 10.0)], [max(s.rates) / s.level, s.level]),
              apply=_through_flow),
 )  # fmt: skip
+
+FILLED = Effect(
+    key="capacity_filled", cause="filling_capacity", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=100, alone=True,
+    sentence="a flow fills what the input acts on, or empties it: the time constant follows the flow's integral since the record began",
+    parameters={"rate": "1/sample", "fill": "1/(u sample)", "bring": "u", "carry": "1", "flow": "1"},
+    apply=lambda x, p, clock: _filled(x[:, None], 0, np.array([*p[:4], 1.0]), clock), signal=_filled, search=_capacities,
+)  # fmt: skip
+PROCESS = (*PROCESS, FILLED)

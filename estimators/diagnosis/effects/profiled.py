@@ -6,7 +6,8 @@ of a grid has the linear part made anew before the shapes are compared.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from scipy.signal import find_peaks, lfilter
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
 
 Array = NDArray[Any]
+_recent: deque[tuple[tuple[Any, ...], Array]] = deque(maxlen=8)
 FIRM = 60.0
 """Likelihood ratio of the best shape of a grid, against the linear model, below which nothing is fitted: chance over some
 hundred shapes of three parameters reaches 25 in white noise, twice that in a coloured one."""
@@ -57,6 +59,16 @@ def _swaying(x: Any, p: Array, clock: Clock) -> Any:
     if not LEAST_TURNS <= abs(p[0]) * clock.length / (2.0 * np.pi) <= 0.5 * clock.length:
         return 0.0 * x + np.inf
     return x * (1.0 + p[1] * np.cos(p[0] * clock.k) + p[2] * np.sin(p[0] * clock.k))
+
+
+def kept(run: Callable[[Array, Array], Array], x: Array, p: Array) -> Array:
+    """A recursion's run over a signal (N,), kept as long as only the linear part behind it changes."""
+    key = (run, p.tobytes(), x.tobytes())
+    known = next((out for mark, out in tuple(_recent) if mark == key), None)
+    if known is None:
+        known = run(np.ascontiguousarray(x), p)
+        _recent.append((key, known))
+    return known
 
 
 def profile(
@@ -101,7 +113,7 @@ def of_order(f: Any, order: int, taps: int) -> tuple[Any, Array, Array]:
     return few, p, scales
 
 
-def _lean(channel: Any, fits: Iterable[Any]) -> Iterator[Any]:
+def lean(channel: Any, fits: Iterable[Any]) -> Iterator[Any]:
     """Each fit, with one pole of its linear part after the other left out for as long as Schwarz's criterion falls: the linear
     model had poles that imitate the effect, and one of them that stays at the circle stands for a constant of the record."""
     from estimators.diagnosis.model.fitting import fit
@@ -137,10 +149,10 @@ def _servos(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         if tried and firm(base, tried[0][0]):
             su = float(np.std(channel.u[:, j]))
             starts = (p for _, p in tried[:BEGUN])
-            yield from _lean(channel, ended(channel, base, part, starts, [su, su, 1.0]))
+            yield from lean(channel, ended(channel, base, part, starts, [su, su, 1.0]))
 
 
-def _through(base: Any, j: int, x: Array) -> Array:
+def through(base: Any, j: int, x: Array) -> Array:
     """Signals (N, ...) through the linear part of input j, and its noise model's inverse."""
     s = base.structure
     at = s.order + s.inputs.index(j) * s.taps
@@ -151,7 +163,7 @@ def _through(base: Any, j: int, x: Array) -> Array:
     )
 
 
-def _left(channel: Any, base: Any) -> tuple[Array, Array]:
+def left_over(channel: Any, base: Any) -> tuple[Array, Array]:
     """The residual, white and free of what the model's parameters can take up, and the orthonormal directions of these."""
     from estimators.diagnosis.model.fitting import innovations
 
@@ -160,7 +172,18 @@ def _left(channel: Any, base: Any) -> tuple[Array, Array]:
     return r - Q @ (Q.T @ r), Q
 
 
-def _entering(channel: Any, base: Any) -> Iterator[tuple[int, Array]]:
+def in_common(D: Array, r: Array) -> tuple[Array, Array]:
+    """(M,) what each pair of responses explains of the residual, and its two coefficients (2, M); D (N, 2 M), the first of all
+    pairs first."""
+    m = D.shape[1] // 2
+    sin, cos = D[:, :m], D[:, m:]
+    a, b, c = np.sum(sin**2, axis=0), np.sum(sin * cos, axis=0), np.sum(cos**2, axis=0)
+    x, y, d = sin.T @ r, cos.T @ r, np.maximum(a * c - b**2, 1e-9 * a * c + 1e-300)
+    first, second = (c * x - b * y) / d, (a * y - b * x) / d
+    return first * x + second * y, np.stack((first, second))
+
+
+def entering(channel: Any, base: Any) -> Iterator[tuple[int, Array]]:
     """What enters the linear part at each input; nothing where it is in a physical layout."""
     from estimators.diagnosis.model.simulation import acted
 
@@ -182,18 +205,18 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.search.starts import renewed
 
     s, n, k = base.structure, len(channel), channel.clock.k
-    for j, u in _entering(channel, base) if n >= 100 else ():
-        part, (r, Q) = Part(SWAY, j), _left(channel, base)
+    for j, u in entering(channel, base) if n >= 100 else ():
+        part, (r, Q) = Part(SWAY, j), left_over(channel, base)
         pad = 8 * n
-        back = _through(base, j, r[::-1])[::-1]
-        g = _through(base, j, np.eye(1, n)[0])
+        back = through(base, j, r[::-1])[::-1]
+        g = through(base, j, np.eye(1, n)[0])
         auto = lambda x: np.fft.irfft(np.abs(np.fft.rfft(x, 2 * n)) ** 2)[:n]
         power = 2.0 * np.fft.rfft(auto(g) * auto(u), pad).real - auto(g)[0] * auto(u)[0]
         common = 2.0 * np.abs(np.fft.rfft(u * back, pad)) ** 2 / np.maximum(power, 1e-9 * power.max())
         common[: int(np.ceil(LEAST_TURNS * pad / n))] = 0.0
         starts, least = [], FIRM
         for w in 2.0 * np.pi * _highest(common, 3) / pad:
-            D = _through(base, j, u[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1))
+            D = through(base, j, u[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1))
             D -= Q @ (Q.T @ D)
             c = np.linalg.lstsq(D, r, rcond=None)[0]
             promise = base.n * float(np.log(float(r @ r) / float(np.sum((r - D @ c) ** 2))))
@@ -201,7 +224,7 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
                 least = max(least, 0.5 * promise)  # what promises less than half of the best is its echo
                 p = np.concatenate((base.p, [w], c))
                 starts += [p, *renewed(channel, s.adding(part), p)]
-        yield from _lean(channel, ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0]))
+        yield from lean(channel, ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0]))
 
 
 def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -209,20 +232,15 @@ def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     most in common with the residual is taken, then both are moved as long as the error falls, as they have no derivative."""
     from estimators.diagnosis.model.structure import Part
 
-    for j, u in _entering(channel, base):
-        part, (r, Q) = Part(STAIRS, j), _left(channel, base)
+    for j, u in entering(channel, base):
+        part, (r, Q) = Part(STAIRS, j), left_over(channel, base)
         wide = float(np.ptp(u))
         if wide <= 0.0:
             continue
         waves = np.arange(1.0, FINEST, 0.25) / wide
         turn = 2.0 * np.pi * np.outer(u, waves)
-        D = _through(base, j, np.concatenate((np.sin(turn), np.cos(turn)), axis=1))
-        D -= Q @ (Q.T @ D)
-        sin, cos = D[:, : len(waves)], D[:, len(waves) :]
-        a, b, c = np.sum(sin**2, axis=0), np.sum(sin * cos, axis=0), np.sum(cos**2, axis=0)
-        x, y, d = sin.T @ r, cos.T @ r, np.maximum(a * c - b**2, 1e-9 * a * c + 1e-300)
-        first, second = (c * x - b * y) / d, (a * y - b * x) / d
-        gains = first * x + second * y
+        D = through(base, j, np.concatenate((np.sin(turn), np.cos(turn)), axis=1))
+        gains, (first, second) = in_common(D - Q @ (Q.T @ D), r)
         found: list[tuple[float, Any]] = []
         for at in _highest(gains / waves**COARSE, 3):
             step, size = 1.0 / float(waves[at]), float(np.hypot(first[at], second[at]))

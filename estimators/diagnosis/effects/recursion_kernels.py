@@ -11,6 +11,11 @@ from numba import njit
 WITHIN = 8
 """Steps per sample of a loop that winds up: of one that settles in two samples its midpoint steps are off by a thousandth."""
 
+LEAST_LEFT = 0.02
+"""Of a capacity at the start of a record, that is left of it however much has been drawn: what is empty has no time constant."""
+SETTLING = 100
+"""Halved steps towards where a loss that its own power changes has settled: beyond any share that can be told."""
+
 
 def compiled(function):
     """Compile with a cache on disk, or without one where no folder for it can be written."""
@@ -116,6 +121,44 @@ def wound_up(signal, pace, proportional, integral, low, high, start):  # pragma:
 
 
 @compiled
+def steered_loop(signal, p, start, which):  # pragma: no cover - compiled
+    """What a first-order plant (`which` 0) or the actuator before it (1) reaches by the end of each sample, where a PI controller
+    moves the actuator after a held set point: it nears its command with a lag, but no faster than one rate up, another down.
+
+    p: pace of the plant, proportional, integral, rate up, rate down, lag, and a lag between actuator and plant; settled at
+    `start`. `WITHIN` steps per sample, each with the command of its middle, the lags exact.
+    """
+    out = np.empty_like(signal)
+    x = start
+    z = start
+    i = start
+    s = start
+    h = 1.0 / WITHIN
+    pace, proportional, integral, lag = p[0], p[1], p[2], max(p[5], 1e-9)
+    still = np.exp(-pace * h)
+    stays = np.exp(-h / max(p[6], 1e-9))
+    for k in range(signal.shape[0]):
+        for _ in range(WITHIN):
+            e = signal[k] - x
+            middle = signal[k] - x - 0.5 * h * pace * (z - x)
+            gap = proportional * middle + i + 0.5 * h * integral * e - s
+            rate = p[3] if gap > 0.0 else p[4]
+            full = min(max(abs(gap) / rate - lag, 0.0), h)
+            left = abs(gap) - rate * full
+            move = abs(gap) - left * np.exp(-(h - full) / lag)
+            then = s + (move if gap > 0.0 else -move)
+            drive = z
+            z = 0.5 * (s + then) + (z - 0.5 * (s + then)) * stays
+            drive = 0.5 * (drive + z)
+            x = drive + (x - drive) * still
+            s = then
+            i += h * integral * middle
+        if not _written(out, k, x if which == 0 else s):
+            return out
+    return out
+
+
+@compiled
 def switched(signal, rate, push, share, low, high, start):  # pragma: no cover - compiled
     """What a lag reaches by the end of each sample, x' = rate (u - x + s (push + share x)), while a relay is on, s = 1, which
     switches on above `high` and off below `low`; off before, where it may be. Exact between the ends of `WITHIN` steps.
@@ -133,6 +176,74 @@ def switched(signal, rate, push, share, low, high, start):  # pragma: no cover -
             else:
                 x = signal[k] + (x - signal[k]) * passive
             on = x > high or (on and x >= low)
+        if not _written(out, k, x):
+            return out
+    return out
+
+
+@compiled
+def filled(signal, flow, p, lead):  # pragma: no cover - compiled
+    """State at the end of each sample of g x' = rate (u - x) + fill f (bring - carry x), g' = fill f from the record's first sample
+    on, 1 before; p: rate, fill, bring, carry, u and f before, where it had settled. Exact for a g of the middle of each of
+    `WITHIN` steps.
+    """
+    out = np.empty_like(signal)
+    g = 1.0
+    h = 1.0 / WITHIN
+    loss = p[0] + p[1] * p[3] * p[5]
+    x = (p[0] * p[4] + p[1] * p[2] * p[5]) / loss if loss > 0.0 else p[4]
+    for k in range(signal.shape[0]):
+        loss = p[0] + p[1] * p[3] * flow[k]
+        source = p[0] * signal[k] + p[1] * p[2] * flow[k]
+        grows = p[1] * flow[k] if k >= lead else 0.0
+        for _ in range(WITHIN):
+            a = h / max(g + 0.5 * h * grows, LEAST_LEFT)
+            stays = np.exp(-a * loss)
+            x = x * stays + source * ((1.0 - stays) / loss if abs(a * loss) > 1e-9 else a)
+            g = max(g + h * grows, LEAST_LEFT)
+        if not _written(out, k, x):
+            return out
+    return out
+
+
+@compiled
+def used_up(signal, use, recovery, start):  # pragma: no cover - compiled
+    """Mean over each sample of a held signal times its gain, g' = recovery (1 - g) - use |signal| g; settled at `start`."""
+    out = np.empty_like(signal)
+    g = recovery / (recovery + use * abs(start))
+    for k in range(signal.shape[0]):
+        rate = recovery + use * abs(signal[k])
+        rest, stays = recovery / rate, np.exp(-rate)
+        out[k] = signal[k] * (rest + (g - rest) * (1.0 - stays) / rate)
+        g = rest + (g - rest) * stays
+    return out
+
+
+@compiled
+def warm_rest(level, share, heat):  # pragma: no cover - compiled
+    """State and slow state of `warmed` that have settled under a constant input."""
+    s = 0.0
+    for _ in range(SETTLING):
+        s += 0.5 * (level * level / (1.0 + share * (1.0 - np.exp(-heat * s))) - s)
+    return level / (1.0 + share * (1.0 - np.exp(-heat * s))), s
+
+
+@compiled
+def warmed(signal, rate, share, p, start):  # pragma: no cover - compiled
+    """State at the end of each sample of x' = rate (u - b x), b = 1 + share (1 - exp(-heat s)), s' = pace (b x^2 - s): a loss that
+    changes with a slow state that its own power feeds; p: heat, pace; settled at `start`. Midpoint steps.
+    """
+    out = np.empty_like(signal)
+    h = 1.0 / WITHIN
+    x, s = warm_rest(start, share, p[0])
+    for k in range(signal.shape[0]):
+        for _ in range(WITHIN):
+            b = 1.0 + share * (1.0 - np.exp(-p[0] * s))
+            middle = x + 0.5 * h * rate * (signal[k] - b * x)
+            then = s + 0.5 * h * p[1] * (b * x * x - s)
+            b = 1.0 + share * (1.0 - np.exp(-p[0] * then))
+            x += h * rate * (signal[k] - b * middle)
+            s += h * p[1] * (b * middle * middle - then)
         if not _written(out, k, x):
             return out
     return out

@@ -1,15 +1,17 @@
-"""Effects of turning parts: gravity on a pendulum, forces that repeat with the angle."""
+"""Effects of turning parts: gravity on a pendulum, forces and gains that repeat with the angle."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.effect import Effect, Nature, Slot
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.profiled import FIRM, ended, entering, in_common, lean, left_over, through
 
 Array = NDArray[Any]
 SWINGS = (0.7, 1.3, 2.2)  # largest angles in radian that a pendulum is started with
@@ -26,6 +28,8 @@ BALANCE = (
 FINE = 81  # angles about a peak: a fortieth of a turn over the record, beyond which the force's phase is lost
 LEAST_TURNS = 3  # in a record, for its force to repeat
 PEAK = 25.0  # times the mean power over all angles: by chance in one record of millions
+CHUNK = 250  # rates at a time, whose responses fill some megabytes
+TRIED = 2  # rates whose neighbourhood is looked at
 WINDOWS = (0.04, 0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0)
 """Growing shares of the record, each by half: a phase that is kept at first is kept to the end, and what nearly stands still on top
 is lost within a turn or two where the parameters are a little off."""
@@ -183,6 +187,55 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
             yield fit(channel, new, p, scales, noise=base.noise, iterations=30)
 
 
+def _turned_by(x: Array, clock: Clock) -> Array:
+    """Integral of a held signal (N,) from the record's first sample to the middle of each."""
+    x = np.where(np.arange(len(x)) < clock.lead, 0.0, x)
+    return np.cumsum(x) - 0.5 * x
+
+
+def _with_the_angle(x: Array, p: Array, clock: Clock) -> Array:
+    angle = p[2] * _turned_by(x, clock)
+    return x * (1.0 + p[0] * np.cos(angle) + p[1] * np.sin(angle))
+
+
+def _common(base: Any, j: int, u: Array, angle: Array, r: Array, Q: Array, w: Array) -> tuple[Array, Array]:
+    """`in_common` of the residual with the response to an input times the cosine and the sine of its angle, for rates w (M,)."""
+    turn = np.outer(angle, w)
+    D = through(base, j, u[:, None] * np.concatenate((np.cos(turn), np.sin(turn)), axis=1))
+    return in_common(D - Q @ (Q.T @ D), r)
+
+
+def _revolving(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """What the residual has in common with the linear response to a speed times a rotation by its integral, for all rates of that:
+    the angle is of the input, as what lags behind it is hardly behind in phase."""
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import renewed
+
+    s = base.structure
+    for j, u in entering(channel, base):
+        angle, (r, Q) = _turned_by(u, channel.clock), left_over(channel, base)
+        span, fastest = float(np.ptp(angle)), float(np.max(np.abs(u)))
+        if not span > 0.0:
+            continue
+        common = partial(_common, base, j, u, angle, r, Q)
+        turns = np.pi / span * np.arange(2 * LEAST_TURNS, min(2 * TURNS, span / fastest))
+        gains = np.concatenate([common(w)[0] for w in np.array_split(turns, 1 + len(turns) // CHUNK)])
+        starts: list[tuple[float, Array]] = []
+        for at in np.argsort(-gains)[:TRIED]:
+            near = turns[at] + np.linspace(-1.0, 1.0, FINE) * np.pi / span
+            gain, c = common(near)
+            best = int(np.argmax(gain))
+            promise = -base.n * float(np.log(max(1.0 - gain[best] / float(r @ r), 1e-12)))
+            starts += [(promise, np.array([*c[:, best], near[best]]))] if promise > FIRM else []
+        for first in (0, 1) if starts else ():  # without and with a lag of the drive
+            part = Part(REVOLVING, j, first=first)
+            begun = [np.concatenate((base.p, [-0.5] * first, q)) for _, q in starts]
+            begun = [p for q in begun for p in (q, *renewed(channel, s.adding(part), q))]
+            yield from lean(
+                channel, ended(channel, base, part, begun, [1.0] * first + [1.0, 1.0, 1.0 / span])
+            )
+
+
 def _balance(
     speed: Array, u: Array, keep: Array, angle: Array | None = None
 ) -> tuple[Array, float, float, Array]:
@@ -229,4 +282,10 @@ POSITION = _turned(
     _periodic, {"cosine": "u", "sine": "u", "per_angle": "1/(u sample)"}, _turning, 200,
 )  # fmt: skip
 
-ROTATION = (PENDULUM, PIVOT, POSITION)
+REVOLVING = Effect(
+    key="gain_of_angle", cause="position_periodic_gain", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=3000,
+    sentence="the input is a speed, and the gain repeats with the angle that it has turned: rollers, lobes, a bent shaft",
+    parameters={"cosine": "1", "sine": "1", "per_angle": "1/(u sample)"}, apply=_with_the_angle, search=_revolving,
+)  # fmt: skip
+
+ROTATION = (PENDULUM, PIVOT, POSITION, REVOLVING)

@@ -133,8 +133,10 @@ def acted(s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False)
         if part.effect.timed and not rest and not _within(p[sl][-1], n):
             return None
         if part.effect.slot is Slot.INPUT:
-            j = s.inputs.index(part.channel)
-            U[:, j] = part.apply(U[:, j], p[sl], clock)
+            j, read = s.inputs.index(part.channel), part.effect.signal
+            U[:, j] = (
+                part.apply(U[:, j], p[sl], clock) if read is None else read(u, part.channel, p[sl], clock)
+            )
         elif part.effect.slot in (Slot.PLANT, Slot.FORM) and part.first:
             j = s.inputs.index(part.channel)
             U[:, j] = part.blocked(U[:, j], p[sl])
@@ -157,10 +159,14 @@ def simulate(
     if rest and any(part.effect.settles for part in s.parts):
         settle = SETTLE
         u = np.concatenate((np.zeros((settle, u.shape[1])), u))
-        clock = Clock(np.concatenate((np.full(settle, clock.k[0]), clock.k)), clock.length)
+        clock = Clock(
+            np.concatenate((np.full(settle, clock.k[0]), clock.k)), clock.length, settle + clock.lead
+        )
     if any(part.effect.ahead for part in s.parts):
         u = np.concatenate((u, np.repeat(u[-1:], AHEAD, axis=0)))
-        clock = Clock(np.concatenate((clock.k, clock.k[-1] + 1.0 + np.arange(AHEAD))), clock.length)
+        clock = Clock(
+            np.concatenate((clock.k, clock.k[-1] + 1.0 + np.arange(AHEAD))), clock.length, clock.lead
+        )
     U = acted(s, p, u, clock, rest=rest)
     if U is None:
         return np.full(n, np.inf)

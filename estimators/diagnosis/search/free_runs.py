@@ -131,7 +131,7 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
     den = denominator(f)
     lead = lead_in(f, start)
     padded = np.concatenate((np.repeat(u[:1], lead, axis=0), u))
-    early = Clock(np.concatenate((clock.k[0] - np.arange(lead, 0.0, -1.0), clock.k)), clock.length)
+    early = Clock(np.concatenate((clock.k[0] - np.arange(lead, 0.0, -1.0), clock.k)), clock.length, lead)
     run = simulate(f.structure, f.p, padded, early, rest=True)[lead:]
     if not np.all(np.isfinite(run)):
         return run

@@ -17,7 +17,7 @@ from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.effects import Effect, Nature, Slot, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import STORE_CURVE
-from estimators.diagnosis.effects.process import at_once
+from estimators.diagnosis.effects.process import FILLED, at_once
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.model.fitting import Channel, Fit, parameters_of
 from estimators.diagnosis.model.forces import effective_samples
@@ -246,7 +246,7 @@ def _bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Cla
     c, s = bench.channel, f.structure
     middle = np.mean(c.u, axis=0)
     if any(
-        part.effect is STORE_CURVE for part in s.parts
+        part.effect in (STORE_CURVE, FILLED) for part in s.parts
     ):  # it bends along the way that the mean input takes it
         middle = 0.0 * middle
     runs = [simulate(s, f.p, middle + size * (c.u - middle), c.clock) for size in (0.0, SMALL, -1.0, 1.0)]

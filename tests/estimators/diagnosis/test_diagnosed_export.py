@@ -43,6 +43,12 @@ NAMED = {
     "two rates": ("tf", [("rate_limit_servo", [0.5, 0.2, 0.7])], {"rest": False}),
     "wind up": ("tf", [("wind_up", [0.1, 3.0, 0.3, -0.8, 0.9])], {"rest": False}),
     "thermostat": ("tf", [("relay_feedback", [0.1, 0.2, -0.7, -0.3, 0.4])], {"rest": False}),
+    "loop of limited speed": ("tf", [("rate_in_loop", [0.1, 3.0, 0.3, 0.2, 0.3, 0.7, 1.2])], {"rest": False}),
+    "its actuator": ("tf", [("rate_of_loop", [0.1, 3.0, 0.3, 0.2, 0.3, 0.7, 0.0])], {"rest": False}),
+    "angle": ("tf", [("gain_of_angle", [0.3, 0.2, 0.6])], {"rest": False}),
+    "angle without delay": ("tf", [("gain_of_angle", [0.3, 0.2, 0.6])], {"ahead": True}),
+    "fatigue": ("tf", [("gain_fatigue", [0.02, 0.03])], {"rest": False}),
+    "warm": ("tf", [("loss_heat", [0.3, -0.6, 0.5, 0.05])], {"rest": False}),
     "staircase in time": ("tf", [("input_staircase", [0.4, 0.1]), ("gain_periodic", [0.2, 0.3, 0.1])], {}),
     "sampled rate": ("tf", [("rate_limit_sampled", [0.5])], {}),
     "stem": ("tf", [("stiction", [0.5, 0.3, 0.7])], {"ahead": True, "rest": False}),
@@ -121,7 +127,21 @@ def test_a_named_answer_is_its_twin(name):
         assert np.abs(run - plain).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", ["maps", "rate", "two rates", "heat", "vessel", "springs"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "maps",
+        "rate",
+        "two rates",
+        "heat",
+        "vessel",
+        "springs",
+        "loop of limited speed",
+        "angle",
+        "fatigue",
+        "warm",
+    ],
+)
 def test_a_named_answer_settles_under_an_operating_level_as_the_simulation_does(name):
     layout, effects, options = NAMED[name]
     _held(_model(_named(layout, effects, options | {"rest": False})), level=1.5)
@@ -195,7 +215,7 @@ def test_what_has_no_twin_is_refused_by_name_with_what_to_do():
     refused = {
         "clock_drift": ("tf", [0.01]), "relay": ("tf", [0.2, 0.1]), "wrapped": ("tf", [1.0, 0.0, 0.0, 0.2]),
         "backlash_output": ("tf", [0.2]), "stiffness_drift": ("oscillator", [0.2]), "damping_change": ("oscillator", [0.2, 50.0]),
-        "through_flow": ("tf", [0.1, 3.0]),
+        "through_flow": ("tf", [0.1, 3.0]), "capacity_filled": ("tf", [0.1, 0.02, 0.5, 1.0, 1.0]),
     }  # fmt: skip
     for key, (layout, q) in refused.items():
         with pytest.raises(

@@ -12,7 +12,7 @@ from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.effect import Clock, Effect
 from estimators.diagnosis.effects.path import curve_of_charge
 from estimators.diagnosis.effects.process import Passing
-from estimators.diagnosis.effects.recursion_kernels import WITHIN
+from estimators.diagnosis.effects.recursion_kernels import WITHIN, warm_rest
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
@@ -55,6 +55,61 @@ def _wound_up(w: Wiring, x: Any, p: Array) -> Any:
         middle, then = y + 0.5 * h * pace * (limited(x - y, i) - y), i + 0.5 * h * integral * (x - y)
         y, i = y + h * pace * (limited(x - middle, then) - middle), i + h * integral * (x - middle)
     s.after = w.ca.vertcat(y, i)
+    return y
+
+
+def _steered(which: int) -> Callable[[Wiring, Any, Array], Any]:
+    def steered(w: Wiring, x: Any, p: Array) -> Any:
+        pace, proportional, integral, up, down, lag, behind = (max(abs(float(v)), 1e-9) for v in p)
+        state, h, fmin, fmax = w.state([w.value(x)] * 4), 1.0 / WITHIN, w.ca.fmin, w.ca.fmax
+        y, z, i, s = (state.x[j] for j in range(4))
+        stays, still = np.exp(-h / behind), np.exp(-h * pace)
+        for _ in range(WITHIN):
+            e = x - y
+            middle = e - 0.5 * h * pace * (z - y)
+            gap = proportional * middle + i + 0.5 * h * integral * e - s
+            rate, size = w.ca.if_else(gap > 0.0, up, down), w.ca.fabs(gap)
+            full = fmin(fmax(size / rate - lag, 0.0), h)
+            left = (size - rate * full) * w.ca.exp(-(h - full) / lag)
+            then = w.ca.if_else(gap > 0.0, s + size - left, s - size + left)
+            drive, z = z, 0.5 * (s + then) + (z - 0.5 * (s + then)) * stays
+            drive = 0.5 * (drive + z)
+            y, s, i = drive + (y - drive) * still, then, i + h * integral * middle
+        state.after = w.ca.vertcat(y, z, i, s)
+        return s if which else y
+
+    return steered
+
+
+def _of_angle(w: Wiring, x: Any, p: Array) -> Any:
+    turned = w.state()
+    turned.after = turned.x + w.ca.if_else(w.k > -0.5, x, 0.0)  # from the record on
+    angle = p[2] * 0.5 * (turned.x + turned.after)
+    return x * (1.0 + p[0] * w.ca.cos(angle) + p[1] * w.ca.sin(angle))
+
+
+def _used_up(w: Wiring, x: Any, p: Array) -> Any:
+    use, recovery = abs(float(p[0])), abs(float(p[1])) + 1e-300
+    s = w.state(recovery / (recovery + use * abs(w.value(x))))
+    rate = recovery + use * w.ca.fabs(x)
+    rest, stays = recovery / rate, w.ca.exp(-rate)
+    s.after = rest + (s.x - rest) * stays
+    return x * (rest + (s.x - rest) * (1.0 - stays) / rate)
+
+
+def _warmed(w: Wiring, x: Any, p: Array) -> Any:
+    rate, share, heat, pace = abs(float(p[0])), float(p[1]), abs(float(p[2])), abs(float(p[3]))
+    s = w.state(warm_rest(w.value(x), share, heat))
+    y, warm, h = s.x[0], s.x[1], 1.0 / WITHIN
+    loss = lambda warm: 1.0 + share * (1.0 - w.ca.exp(-heat * warm))
+    for _ in range(WITHIN):
+        middle = y + 0.5 * h * rate * (x - loss(warm) * y)
+        then = warm + 0.5 * h * pace * (loss(warm) * y * y - warm)
+        y, warm = (
+            y + h * rate * (x - loss(then) * middle),
+            warm + h * pace * (loss(then) * middle * middle - then),
+        )
+    s.after = w.ca.vertcat(y, warm)
     return y
 
 
@@ -133,7 +188,8 @@ def _line_from_origin(w: Wiring, x: Any, p: Array) -> Any:
 
 TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "backlash_input": _play, "backlash_sampled": _play, "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
-    "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
+    "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "rate_in_loop": _steered(0), "rate_of_loop": _steered(1),
+    "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "loss_heat": _warmed, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
     "output_lines": _line_from_origin,
 }  # fmt: skip

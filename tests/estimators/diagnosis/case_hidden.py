@@ -1,0 +1,100 @@
+"""Records of rigs with hidden states that are limited, slow, turn or fill up: what is started alike and simulated as in `case_classes`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.estimators.diagnosis.case_classes import CLASSES, FINE, LOOKALIKES, _lag, _linear, _sensor
+
+__all__ = ["ALL_CLASSES", "ALL_LOOKALIKES"]
+
+
+def _loop_of_limited_speed(u, a, actuator):
+    """A drive of its own controller, the set point as input, whose valve is no quicker than one rate up and another down."""
+    x = s = i = u[0]
+    out, h = np.zeros(len(u)), 1.0 / FINE
+    for k, value in enumerate(u):
+        out[k] = s if actuator else x
+        for _ in range(FINE):
+            move = (3.0 * (value - x) + i - s) / 0.6
+            x, i, s = (
+                x + h * 0.1 * (s - x),
+                i + h * 0.3 * (value - x),
+                s + h * (np.clip(move, -0.2, 0.3) if a else move),
+            )
+    return out
+
+
+def slow_valve(u, a):
+    return _loop_of_limited_speed(u, a, False)
+
+
+def slow_valve_seen(u, a):
+    return _loop_of_limited_speed(u, a, True)
+
+
+def rollers(u, a):
+    """A pump whose speed lags behind the input; its rollers pinch the hose once in a part of a turn."""
+    v, angle, out = u[0], 0.0, np.zeros(len(u))
+    for k, value in enumerate(u):
+        for _ in range(FINE):
+            v += 0.5 / FINE * (value - v)
+            angle += 0.12 * v / FINE
+            out[k] += v * (1.0 + 0.3 * a * np.sin(angle)) / FINE
+    return _sensor(out, u[0], 0.6)
+
+
+def tired(u, a):
+    """A muscle: what it gives falls with use and comes back with rest."""
+    fresh, out = 1.0 / (1.0 + 2.0 * a * abs(u[0])), np.zeros(len(u))
+    for k, value in enumerate(u):
+        for _ in range(FINE):
+            out[k] += value * fresh / FINE
+            fresh += 0.01 / FINE * (1.0 - fresh - 2.0 * a * abs(value) * fresh)
+    return _linear(out)
+
+
+def thickened(u, a):
+    """A shaft in oil that the friction's power warms; the oil is thinner by its temperature, at any temperature."""
+    x, oil, out, rest = u[0], u[0] ** 2, np.zeros(len(u)), 600
+    for k, value in enumerate(np.concatenate((np.repeat(u[:1], rest), u)), -rest):
+        out[max(k, 0)] = x
+        for _ in range(FINE):
+            friction = x / (1.0 + a * 0.02 * oil)
+            x += 0.15 / FINE * (value - friction)
+            oil += 0.01 / FINE * (friction * x - oil)
+    return _lag(out, 0.4)
+
+
+def vat(u, a):
+    """A heated vat that a cold flow fills; without it, the flow runs off as it comes."""
+    heat, flow = u.T
+    content, out = 1.0, np.zeros(len(u))
+    cold = a * 0.1 * flow[0]
+    x = (heat[0] + 0.3 * flow[0] * (1.0 - a) + 0.5 * cold) / (1.0 + cold)
+    for k in range(len(u)):
+        out[k] = x
+        for _ in range(FINE):
+            x += (
+                0.1
+                / FINE
+                * (heat[k] - x + 0.3 * flow[k] * (1.0 - a) - a * 0.1 * flow[k] * (x - 0.5))
+                / content
+            )
+            content += a * 0.003 * flow[k] / FINE
+    return _lag(out, 0.4)
+
+
+ALL_CLASSES = CLASSES | {
+    # effect: maker, order of the linear model, form of the input
+    "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
+    "gain_of_angle": (rollers, 2, {"mean": 3.0, "size": 0.5}), "gain_fatigue": (tired, 2, {"mean": 2.0}),
+    "loss_heat": (thickened, 2, {"mean": 3.0}), "capacity_filled": (vat, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
+}  # fmt: skip
+
+ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
+    # effect, a record that looks like it and is not
+    ("rate_in_loop", "wind_up"), ("rate_of_loop", "wind_up"), ("wind_up", "rate_in_loop"), ("rate_limit_servo", "rate_in_loop"),
+    ("gain_of_angle", "gain_periodic"), ("gain_periodic", "gain_of_angle"), ("gain_fatigue", "gain_heat"), ("gain_heat", "gain_fatigue"),
+    ("loss_heat", "loss_cubic"), ("loss_cubic", "loss_heat"), ("capacity_filled", "product_of_inputs"), ("bilinear", "capacity_filled"),
+]  # fmt: skip
