@@ -7,8 +7,9 @@ process of any order may follow or, as a lag of the actuator, come before.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,8 @@ NEAR, DOUBLINGS = (
 WARM, HEATS, SLOW, MOST_WARM = (-0.6, 0.8), (0.3, 1.5), (0.05, 0.2), 20.0
 """Of a loss that its own power warms: share by which it changes in the end, heat for the mean power, time constants in records,
 that are tried; and the largest share."""
+NEARBY = 25.0
+"""Times the linear model's squares, which may have poles that imitate a process, within which its shapes are worth a fit."""
 QUICK = 0.2
 """Pole of the filter behind a process that its shapes are tried with."""
 PACES, CONTENTS = (0.5, 1.0, 2.0, 4.0), (-0.6, 0.5, 1.5, 4.0, 10.0)
@@ -180,12 +183,6 @@ def _warming(x: Array, p: Array) -> Array:
     return warmed(x, rate, share, np.array([heat, pace]), level_before(x))
 
 
-def _warmings(s: Sizes) -> Grid:
-    power, n = s.su**2 + float(np.mean(s.u)) ** 2, len(s.u)
-    shapes = ([share, heat, 1.0 / (m * n)] for share in WARM for heat in HEATS for m in SLOW)
-    return _shapes(s, *shapes, sizes=[1.0, 1.0 / power, 1.0])
-
-
 def _filled(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     """A capacity at one input that another, the one p[-1] counted from 1, fills or empties."""
     from estimators.diagnosis.effects.recursion_kernels import filled
@@ -196,16 +193,48 @@ def _filled(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     return filled(x, flow, np.array([abs(p[0]), *p[1:4], level_before(x), level_before(flow)]), clock.lead)
 
 
+def _warmings(rates: list[float], u: Array) -> Iterator[list[float]]:
+    power, n = float(np.mean(u**2)) + 1e-300, len(u)
+    for rate, share, heat, m in product(rates, WARM, HEATS, SLOW):
+        yield [rate, share, heat / power, 1.0 / (m * n)]
+
+
 def _fillings(slowest: float, u: Array, flow: Array, which: int) -> Iterator[list[float]]:
     filled, size = float(np.sum(flow)), float(np.mean(u)) + float(np.std(u))
-    for faster in PACES:
-        for change in CONTENTS:
-            for bring, carry in ((0.0, 0.0), (0.0, 1.0), (size, 1.0), (-size, 1.0)):
-                yield [faster * slowest, change / filled, bring, carry, which + 1.0]
+    for faster, change, (bring, carry) in product(PACES, CONTENTS, ((0, 0), (0, 1), (1, 1), (-1, 1))):
+        yield [faster * slowest, change / filled, bring * size, float(carry), which + 1.0]
+
+
+def _profiled(
+    channel: Any, base: Any, part: Any, shapes: Iterable[list[float]], sizes: list[float]
+) -> Iterator[Any]:
+    """Fits from a grid of shapes with a quick linear part behind, whose poles no score of the linear model's tells."""
+    few, p, scales = of_order(base, 1, 2)
+    gains = [np.std(channel.y) / (np.std(channel.u[:, i]) + 1e-300) for i in base.structure.inputs]
+    p[:1], p[1 : few.plant_size] = -QUICK, 0.0
+    scales[:1], scales[1 : few.plant_size] = 1.0, np.repeat(gains, 2)
+    bare = replace(base, structure=few, p=p, scales=scales)
+    tried = profile(channel, bare, part, shapes)
+    if tried and tried[0][0] < NEARBY * float(np.sum(base.residual**2)):
+        fits = ended(channel, bare, part, (q for _, q in tried[:BEGUN]), sizes)
+        yield from (f for f in fits if firm(base, float(np.sum(f.residual**2))))
+
+
+def _warm(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Every input, at the rates of the linear model's poles and of most rigs: its slowest may stand for the heat."""
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import sizes_of
+
+    s, n = base.structure, len(channel)
+    for j in s.inputs if s.layout == "tf" and s.order else ():
+        u, part = channel.u[:, j], Part(WARMED, j)
+        rates = sizes_of(channel, base, part).rates
+        sizes = [max(rates), 1.0, 1.0 / (float(np.mean(u**2)) + 1e-300), 10.0 / n]
+        yield from _profiled(channel, base, part, _warmings(rates, u), sizes)
 
 
 def _capacities(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Every input with every flow that fills more than it takes back, by a grid of shapes with a quick linear part behind."""
+    """Every input with every flow that fills more than it takes back."""
     from estimators.diagnosis.effects.loops import slowest_rate
     from estimators.diagnosis.model.structure import Part
     from estimators.diagnosis.search.free_runs import denominator
@@ -213,23 +242,12 @@ def _capacities(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
     s = base.structure
     if s.layout != "tf" or s.order < 1 or len(s.inputs) > MOST_FLOWS:
         return
-    slowest, (few, p, scales) = slowest_rate(denominator(base), len(channel)), of_order(base, 1, 2)
-    p[:1], p[1 : few.plant_size], scales[:1] = -QUICK, 0.0, 1.0
-    for j in s.inputs:
-        u, shapes = channel.u[:, j], []
-        for i in s.inputs:
-            flow = channel.u[:, i]
-            if abs(float(np.sum(flow))) > FILLS * float(np.sum(np.abs(flow))):
-                shapes += _fillings(slowest, u, flow, i)
-        scales[1 : few.plant_size] = np.repeat(
-            [np.std(channel.y) / (np.std(channel.u[:, i]) + 1e-300) for i in s.inputs], 2
-        )
-        bare, part = replace(base, structure=few, p=p, scales=scales), Part(FILLED, j)
-        tried = profile(channel, bare, part, shapes)
-        if tried and firm(base, tried[0][0]):
-            q = tried[0][1][-5:]
-            sizes = [slowest, abs(q[1]), float(np.std(u)) + abs(float(np.mean(u))), 1.0, 0.0]
-            yield from ended(channel, bare, part, (q for _, q in tried[:BEGUN]), sizes)
+    slowest = slowest_rate(denominator(base), len(channel))
+    for j, i in product(s.inputs, s.inputs):
+        u, flow = channel.u[:, j], channel.u[:, i]
+        if abs(total := float(np.sum(flow))) > FILLS * float(np.sum(np.abs(flow))):
+            sizes = [slowest, 1.0 / abs(total), float(np.std(u)) + abs(float(np.mean(u))), 1.0, 0.0]
+            yield from _profiled(channel, base, Part(FILLED, j), _fillings(slowest, u, flow, i), sizes)
 
 
 PROCESS = (
@@ -242,8 +260,6 @@ PROCESS = (
     _process("loss", "nonlinear_loss", "a loss k2 x^2 + k3 x^3 that depends on the level", _loss,
              {"k2": "1/u", "k3": "1/u^2"}, lambda s: _shapes(s, [0.2, 0.2], [-0.2, 0.1], sizes=[_losses(s, 2), _losses(s, 3)]),
              family="losses"),
-    _process("loss_heat", "slow_hidden_state", "the loss changes with a slow state that its own power feeds: oil, a winding that warms",
-             _loss, {"share": "1", "heat": "1/u^2", "pace": "1/sample"}, _warmings, apply=lambda x, p, clock: kept(_warming, x, p), family="heat"),
     _process("outflow_root", "square_root_outflow", "an outflow that grows with the square root of the level", _outflow,
              {"k": "u^0.5"}, lambda s: _shapes(s, [1.0], sizes=[_outflows(s)])),
     _process("vessel", "level_dependent_outflow", "a vessel that widens with its level, emptied through an orifice", _vessel,
@@ -261,4 +277,10 @@ FILLED = Effect(
     parameters={"rate": "1/sample", "fill": "1/(u sample)", "bring": "u", "carry": "1", "flow": "1"},
     apply=lambda x, p, clock: _filled(x[:, None], 0, np.array([*p[:4], 1.0]), clock), signal=_filled, search=_capacities,
 )  # fmt: skip
-PROCESS = (*PROCESS, FILLED)
+WARMED = Effect(
+    key="loss_heat", cause="slow_hidden_state", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=60, alone=True, family="heat",
+    sentence="the loss changes with a slow state that its own power feeds: oil, a winding that warms",
+    parameters={"rate": "1/sample", "share": "1", "heat": "1/u^2", "pace": "1/sample"},
+    apply=lambda x, p, clock: kept(_warming, x, p), search=_warm,
+)  # fmt: skip
+PROCESS = (*PROCESS, FILLED, WARMED)
