@@ -33,6 +33,8 @@ NEAR, DOUBLINGS = (
 WARM, HEATS, SLOW, MOST_WARM = (-0.6, 0.8), (0.3, 1.5), (0.05, 0.2), 20.0
 """Of a loss that its own power warms: share by which it changes in the end, heat for the mean power, time constants in records,
 that are tried; and the largest share."""
+SLOWER = 0.3
+"""Of a process' rate, that of a slow state may be: as quick as the process, it is a curve of it."""
 NEARBY = 25.0
 """Times the linear model's squares, which may have poles that imitate a process, within which its shapes are worth a fit."""
 QUICK = 0.2
@@ -178,7 +180,7 @@ def _warming(x: Array, p: Array) -> Array:
     from estimators.diagnosis.effects.recursion_kernels import warmed
 
     rate, share, heat, pace = abs(float(p[0])), float(p[1]), abs(float(p[2])), abs(float(p[3]))
-    if not (0.0 < rate < FASTEST and pace < 1.0 and -1.0 < share < MOST_WARM):
+    if not (0.0 < rate < FASTEST and pace < SLOWER * rate and -1.0 < share < MOST_WARM):
         return np.full(len(x), np.inf)
     return warmed(x, rate, share, np.array([heat, pace]), level_before(x))
 
