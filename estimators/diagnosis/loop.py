@@ -88,7 +88,8 @@ def diagnose(
     Notes
     -----
     What a test record's outputs are is never used to choose or to fit anything. Its inputs and its clock decide whether the
-    training data determine a model's run there; where they do not, the answer is the model below, and that is said.
+    training data determine a model's run there: of linear models one that they do is taken, and the answer is the model below, said so,
+    where they do not.
     """
     test = None if test is None else as_records(test, missing=True)[0]
     setting = Setting() if setting is None else setting
@@ -99,9 +100,10 @@ def diagnose(
         test = replace(test, t0=first.t0)
     say = progress if progress is not None else lambda stage: None
     say("the best linear model")
-    base = best_linear(records, _options(first, setting))
+    asked = replace(_options(first, setting), asked=() if test is None else (test.u,))
+    base = best_linear(records, asked)
     say("effects of the catalogue")
-    own = base if len(records) == 1 else best_linear([first], _options(first, setting))
+    own = base if len(records) == 1 else best_linear([first], asked)
     parts = [_named(first, i, own, setting) for i in range(first.n_outputs)]
     also = seen_elsewhere(first, [p[1] for p in parts], [p[2] for p in parts], _options(first, setting))
     parts = [(found, bench, n) for (found, bench, _), n in zip(parts, also, strict=True)]
@@ -201,13 +203,14 @@ def _outcome(
         # From sample to sample of the record as it is.
         radii = base.outputs[i].model.radius, largest_pole(denominator(named.fit)) ** (1.0 / bench.thin)
         slow = [base.blocks.slow(radius) for radius in radii] == [False, True]
-        steps.append(replace(named.step, unused=(*named.step.unused, *unseen), slow=slow))
+        echoes = bench.inverse and _echoes(bench, named.step.unused[0])
+        steps.append(
+            replace(named.step, unused=(*named.step.unused, *unseen), slow=slow, admitted=not echoes)
+        )
         named = replace(named, step=steps[-1])
     if discovery.model is not None:
         step = _discovered_step(discovery, discovery.model, i)
-        gain = bench.over(step.unused[0], base.unused[0][:, i])
-        echoes = bench.feedback and not gain.beyond(setting.policy.searched[0])
-        steps.append(replace(step, admitted=not echoes))
+        steps.append(replace(step, admitted=not _echoes(bench, step.unused[0])))
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     started = as_started(steps, train, i, setting.skip)
@@ -215,7 +218,8 @@ def _outcome(
     steps = [
         replace(s, admitted=s.admitted and (s.linear or predictor().news(s.unused) > NEWS)) for s in started
     ]
-    if named.alike is not None and named.step is not None and predictor().news(named.step.unused) <= NEWS:
+    step = named.step
+    if named.alike and step and not named.bends(predictor().news(step.unused) > NEWS, bench):
         named = named.as_linear()
     if any(
         s.kind is Kind.NAMED and first.admitted > s.admitted for s, first in zip(steps, started, strict=True)
@@ -243,6 +247,13 @@ def _outcome(
     errors = (r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records)
     inverse = bench.inverse and has_feedback(records, list(errors), counted)
     return Outcome(i, found, named, ladder, share, left, discovery, inverse)
+
+
+def _echoes(bench: Bench, run: Array) -> bool:
+    """Whether a run of unused blocks (N,) gains so little that it may only hear the answer of the input to the noise."""
+    gain = bench.over(run, bench.base.unused[0][:, bench.output])
+    limit = bench.policy.searched
+    return (bench.feedback and not gain.beyond(limit[0])) or (bench.inverse and not gain.meets(limit))
 
 
 def _remainder_step(

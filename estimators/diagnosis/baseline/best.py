@@ -86,9 +86,10 @@ def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options)
     inputs = (i,) if options.diagonal else tuple(range(records[0].n_inputs))
     own = [r.replace(u=r.u[:, list(inputs)], input_names=(), input_units=()) for r in records]
     prior = _prior(own, i, options)
-    search = Search(own, i, blocks, prior, not options.deviations)
+    asked = tuple(u[:, list(inputs)] for u in options.asked)
+    search = Search(own, i, blocks, prior, not options.deviations, asked)
     parts, places = _pieces(own, blocks)
-    screen = search if parts is own else Search(parts, i, places, prior, search.offset)
+    screen = search if parts is own else Search(parts, i, places, prior, search.offset, asked)
     screen, known, lines = _screened(screen)
     if lines and parts is own:
         own = list(screen.records)

@@ -56,6 +56,9 @@ class Trial:
     slow: bool
     # variance of the model's answer to a step, as far as it depends on the block left out
     spread: float = 0.0
+    # the same of its runs on the inputs on which it is wanted, above that of its runs on the records; and of a state that a slow
+    # pole keeps, as far as a window of samples leaves it open
+    beyond: float = 0.0
 
     @property
     def rmse(self) -> float:
@@ -66,12 +69,14 @@ class Trial:
     def charged(self) -> Array:
         """The mean squares with the charges for a pole slower than a block and for what the records do not determine."""
         unsure = min(self.spread / max(float(self.squares.mean()), 1e-300), 1.0)
-        return self.squares * (SLOW**2 if self.slow else 1.0) * (1.0 + ((1.0 + WORSE) ** 2 - 1.0) * unsure)
+        shown = self.squares * (SLOW**2 if self.slow else 1.0) * (1.0 + ((1.0 + WORSE) ** 2 - 1.0) * unsure)
+        return shown + self.beyond
 
 
 def tried(
-    candidate: Candidate, records: Sequence[Record], output: int, blocks: Blocks, prior: Prior
-) -> Trial | None:
+    candidate: Candidate, records: Sequence[Record], output: int, blocks: Blocks, prior: Prior,
+    asked: Sequence[Array] = (),
+) -> Trial | None:  # fmt: skip
     """A candidate's free run on each block by the fit to the others; None where one of them is not stable, or rings for ever.
 
     The run begins where the record begins, as on a test record: a state set just before each block would let a slow
@@ -89,7 +94,12 @@ def tried(
         unused[block.record][block.rows] = run[block.rows]
     squares = batch_squares(unused, records, output, blocks)
     slow = blocks.slow(candidate.models[-1].radius)
-    return Trial(candidate, unused, squares, slow, undetermined(candidate.models[:-1], records))
+    folds, seen = candidate.models[:-1], [r.u for r in records]
+    beyond = max(0.0, run_spread(folds, asked, seen) - run_spread(folds, seen, seen)) if asked else 0.0
+    if slow and asked and np.isfinite(level := float(squares.mean())):
+        last = candidate.models[-1]
+        beyond += float(np.mean([last.unset(prior, level, len(u), blocks.window) for u in asked]))
+    return Trial(candidate, unused, squares, slow, undetermined(folds, records), beyond)
 
 
 def _rings(model: LinearModel, length: int) -> bool:
@@ -110,6 +120,20 @@ def undetermined(models: Sequence[LinearModel], records: Sequence[Record]) -> fl
         [[size * lfilter(b, m.den, step) for size, b in zip(sizes, m.num, strict=True)] for m in models]
     )
     return float(np.sum(jackknife(answers).mean(axis=-1)))
+
+
+def run_spread(models: Sequence[LinearModel], inputs: Sequence[Array], seen: Sequence[Array]) -> float:
+    """Mean variance of the models' runs on inputs (N, nu), by the jackknife, from the level of those seen by the fits.
+
+    Unused blocks have the frequencies and levels of the others: they say nothing of a run on inputs that have others.
+    """
+    level = np.concatenate(list(seen)).mean(axis=0)
+    found = []
+    for u in inputs:
+        drive = np.nan_to_num(u - level)
+        runs = [sum(lfilter(b, m.den, x) for b, x in zip(m.num, drive.T, strict=True)) for m in models]
+        found.append(jackknife(np.array(runs)).mean())
+    return float(np.mean(found))
 
 
 def jackknife(estimates: Array) -> Array:

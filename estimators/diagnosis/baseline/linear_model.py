@@ -154,6 +154,16 @@ class LinearModel:
             ahead += spread[:, seen] @ np.linalg.lstsq(inner, y[seen - n] - ahead[seen], rcond=1e-13)[0]
         return np.concatenate((ahead[n:], self.run(driven[w:], ahead[w:][::-1])))
 
+    def unset(self, prior: Prior, noise: float, length: int, window: int) -> float:
+        """Mean variance of a free run of `length` samples, as far as a window of samples with noise of a variance leaves its state
+        open where the record may start anywhere."""
+        n, free = self.order, self.free(length)
+        cov = REST * toeplitz(prior.covariance[:n]) if prior.rest else toeplitz(prior.covariance[:n])
+        seen = free[:window] @ cov
+        inner = seen @ free[:window].T + noise * np.eye(len(seen))
+        left = cov - seen.T @ np.linalg.solve(inner, seen)
+        return float(np.mean(np.sum((free @ left) * free, axis=1)))
+
     def _after_inputs(self, prior: Prior, u: Array, window: Array) -> Array:
         """(N,) simulated output after unknown inputs, as far as the samples of the window (w,) tell of them."""
         n, w = len(u), len(window)

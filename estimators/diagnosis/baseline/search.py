@@ -81,6 +81,7 @@ class Search:
     blocks: Blocks
     prior: Prior
     offset: bool
+    asked: tuple[Array, ...] = ()  # (M, inputs) on which the model is wanted
 
     @property
     def inputs(self) -> int:
@@ -143,7 +144,7 @@ class Search:
         return (
             None
             if candidate is None
-            else tried(candidate, self.records, self.output, self.blocks, self.prior)
+            else tried(candidate, self.records, self.output, self.blocks, self.prior, self.asked)
         )
 
     def refined(self, known: Sequence[Trial]) -> list[Trial]:

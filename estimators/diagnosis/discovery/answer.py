@@ -69,8 +69,7 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
         if _same_inputs(baseline, records[0])
         else np.zeros(records[0].n_inputs, int)
     )
-    late = tuple(f"u{j}" for j, least in enumerate(_least_delays(baseline, records[0])) if least > 0)
-    budget = replace(budget, late=late)
+    budget = replace(budget, late=_late_inputs(baseline, records[0]))
     scales = scales_of(records, baseline.y_model, np.maximum(delays - 1, 0).astype(int))
     pieces = pieces_of(records, [np.ones(r.y.shape, bool) for r in records], scales)
     smooth = [(y - scales.y) / scales.sy for y in baseline.y_model]
@@ -103,10 +102,11 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     )
 
 
-def _least_delays(baseline: Baseline, record: Record) -> list[int]:
-    """Of each input, over the outputs that it acts on in the linear model; none acts in its own sample where it acts on none."""
+def _late_inputs(baseline: Baseline, record: Record) -> tuple[tuple[str, ...], ...]:
+    """Per output, inputs that act on it in a later sample only; of one that its linear model leaves out, what others say."""
     acts = [dict(zip(m.inputs, m.delays, strict=True)) for m in baseline.outputs]
-    return [min((own[j] for own in acts if j in own), default=1) for j in range(record.n_inputs)]
+    least = [min((own[j] for own in acts if j in own), default=1) for j in range(record.n_inputs)]
+    return tuple(tuple(f"u{j}" for j in range(record.n_inputs) if own.get(j, least[j]) > 0) for own in acts)
 
 
 def _same_inputs(baseline: Baseline, record: Record) -> bool:

@@ -40,9 +40,9 @@ class Budget:
     beam: int = 3
     terms: int = 4
     rounds: int = 12
-    late: tuple[str, ...] = ()
-    # inputs that act on no output in their own sample by the linear model: a term that passes one straight on to an output would
-    # be the inverse of a controller that answers the output at once
+    late: tuple[tuple[str, ...], ...] = ()
+    # per output, the inputs that do not act on it in their own sample by the linear model: a term that passes one straight on to
+    # it would be the inverse of a controller that answers the output at once
 
     def about(self, orders: tuple[int, ...], terms: int) -> Budget:
         """For a second search, of chains as long as those of a model and of no more terms; other lengths stay rivals."""
@@ -61,10 +61,11 @@ def _ranked(
     fitted: Fitted, pieces: Sequence[Piece], zeros: dict[str, float], budget: Budget
 ) -> list[Screened]:
     """The best candidates by either way of taking the arguments; of one function and slot only the best shape."""
+    late = budget.late or ((),) * len(fitted.form.orders)
     found = [
         s
         for s in screen(fitted, pieces, zeros)
-        if s.slot != "output" or not any(f.signal in budget.late for f in s.candidate.terms[-1].factors)
+        if s.slot != "output" or not any(f.signal in late[s.chain] for f in s.candidate.terms[-1].factors)
     ]
     n = fitted.count
 

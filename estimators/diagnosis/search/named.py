@@ -7,6 +7,7 @@ blocks that no parameter saw, beyond its standard error, and significance in the
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from estimators.diagnosis.result.answers import NamedAnswer
 from estimators.diagnosis.search.exchange import without
 from estimators.diagnosis.search.free_runs import blocked, denominator, largest_pole, start_of
 from estimators.diagnosis.search.selection import Attribution
-from estimators.diagnosis.share.feedback import autoregression, whitened
+from estimators.diagnosis.share.feedback import answered, autoregression, whitened
 from estimators.residual.measures import p_stated
 from oed.data import Record
 
@@ -78,6 +79,11 @@ class Named:
         return replace(
             self, claims=(Claim(replace(head.part, effect=self.alike), head.gain, head.p_value, names),)
         )
+
+    def bends(self, news: bool, bench: Bench) -> bool:
+        """Whether a bent effect keeps its name though linear dynamics fit as well: as news, or as it halves the linear error."""
+        gain = bench.over(self.unused, bench.base.unused[0][:, bench.output])
+        return news or gain.meets(bench.policy.overwhelming)
 
     @property
     def whole(self) -> bool:
@@ -158,6 +164,16 @@ class Bench:
             return whole
         return min(whole, self.over(second, first, self.base.blocks.blocks[-1].start), key=lambda g: g.value)
 
+    def _answer(self, run: Array) -> float:
+        """Share of the input's innovations that answers the error of a run of unused blocks, beyond chance."""
+        errors = np.where(self.counted, np.nan_to_num(self.train.y[:, self.output]) - run, 0.0)
+        gain, chance, _ = answered([self.train], [errors], [self.counted])
+        return gain - chance
+
+    @cached_property
+    def _answered(self) -> float:
+        return self._answer(self.base.unused[0][:, self.output])
+
     def over(self, second: Array, first: Array, start: int = 0) -> Gain:
         """What one prediction (N,) of unused blocks gains over another from a sample on."""
         y, counted = np.nan_to_num(self.train.y[:, self.output]), self.counted
@@ -166,6 +182,8 @@ class Bench:
         if not self.feedback or not np.isfinite(gain.value):
             return gain
         errors = [np.where(counted, y - run, 0.0) for run in (first, second)]
+        if self._answer(second) < ANSWERED * self._answered:
+            return gain  # what the input seemed to answer was an error of the linear model, and no noise
         noise = autoregression(errors[:1], [counted])
         steps = [whitened(noise, e) for e in errors]
         one_step = paired_gain([0.0 * y], steps[:1], steps[1:], [counted], self.policy)
@@ -263,6 +281,9 @@ def _bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Cla
     ]
 
 
+ANSWERED = 0.3
+"""Of the share of the input that answers the linear model's error, below which a model has explained what was answered: noise
+stays in the error of any model, and its answer with it."""
 CLOCKED = (Nature.TIME, Nature.ADDED)
 """Natures of causes that run by the clock: between two stretches of one record they can imitate anything."""
 

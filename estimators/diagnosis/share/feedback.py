@@ -19,7 +19,7 @@ LEADS = 20
 """Samples by which an input may answer the noise."""
 PAST = 30
 """Samples of its own past from which an input is predicted."""
-MATTERS = 0.05
+MATTERS = 0.02
 """Share of an input's innovations that the noise must explain: a weaker loop echoes less noise than a block can tell."""
 ALPHA = 1e-3
 """False-alarm rate: with feedback only what improves the one-step prediction counts, a hard demand elsewhere."""
@@ -51,13 +51,22 @@ def delayed(record: Record) -> Record:
 def has_feedback(
     records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
 ) -> bool:
-    """Whether past whitened residuals help to predict an input beyond the input's own past (Granger's test).
+    """Whether an input answers the noise, surely and by a share of it that matters."""
+    gain, chance, samples = answered(records, residual, uses)
+    return gain > MATTERS and bool(chi2.sf(samples * gain, chance * samples) < ALPHA)
 
-    An input may be predictable, as narrow-band ones are: only what its own past does not tell counts, and only a
-    share of it that matters.
+
+def answered(
+    records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
+) -> tuple[float, float, int]:
+    """Share of the innovations of the input that answers the noise most, what chance makes of it, and how many there are.
+
+    Granger's test: past whitened residuals help to predict an input beyond the input's own past. An input may be
+    predictable, as narrow-band ones are: only what its own past does not tell counts.
     """
     noise = autoregression(residual, uses)
     clean = [whitened(noise, np.where(c, e, 0.0)) * c for e, c in zip(residual, uses, strict=True)]
+    gains, samples = [], sum(len(r) - PAST for r in records)
     for j in range(records[0].n_inputs):
         own, both, target = [], [], []
         for r, e in zip(records, clean, strict=True):
@@ -68,10 +77,8 @@ def has_feedback(
             target.append(x[PAST:])
         b = np.concatenate(target)
         before, after = (_left(np.concatenate(A), b) for A in (own, both))
-        gain = 1.0 - after / max(before, 1e-300)
-        if gain > MATTERS and chi2.sf(len(b) * gain, LEADS) < ALPHA:
-            return True
-    return False
+        gains.append(1.0 - after / max(before, 1e-300))
+    return max(gains), LEADS / samples, samples
 
 
 def _late(x: Array, by: int) -> Array:

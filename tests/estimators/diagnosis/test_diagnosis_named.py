@@ -16,7 +16,7 @@ from estimators.diagnosis.effects import CATALOGUE, Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.ladder import Gain
-from estimators.diagnosis.loop import Setting, diagnose
+from estimators.diagnosis.loop import Setting, _echoes, diagnose
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
@@ -24,7 +24,7 @@ from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.leftover import leftovers
 from estimators.diagnosis.search import few as stage
 from estimators.diagnosis.search.candidates import Menu, augmented
-from estimators.diagnosis.search.named import _as_linear
+from estimators.diagnosis.search.named import Bench, Named, _as_linear
 from estimators.diagnosis.search.selection import Attribution
 from oed.data import Record
 from oed.errors import InputError
@@ -232,3 +232,57 @@ def test_the_linear_model_of_a_coarse_encoder_is_read_as_the_encoder_reads(rng) 
     result = diagnose(shaft(900), shaft(500), Setting(deviations=False, separate=True))
     assert result.effect == "quantisation"
     assert result.rmse_after.value < 0.6 * result.rmse_before.value
+
+
+def judge(record: Record, linear: np.ndarray, **fields: bool) -> Bench:
+    """A bench on which only runs are compared: every sample counts, `linear` (N,) is the linear model's run."""
+    n = len(record)
+    base = SimpleNamespace(
+        blocks=SimpleNamespace(counting=lambda records: [np.ones((n, 1), dtype=bool)]),
+        unused=[linear[:, None]],
+    )
+    return Bench(
+        SimpleNamespace(keep=np.ones(n, dtype=bool)),
+        base,
+        0,
+        record,
+        1,
+        True,
+        True,
+        Policy(),
+        0.01,
+        1,
+        **fields,
+    )  # pyright: ignore[reportArgumentType]
+
+
+def test_what_an_input_answers_is_noise_only_where_a_better_model_leaves_it() -> None:
+    """An input that follows w after two samples, where w is a part of the output that the linear model lacks: no echo. Where w is
+    noise, a run that knows its past by the input gains as much, and leaves what the input answers."""
+    rng, n = np.random.default_rng(5), 1500
+    w, e, v = rng.standard_normal(n), 0.2 * rng.standard_normal(n), rng.standard_normal(n)
+    slow = lfilter([1.0], [1.0, -0.95], w)
+    u = np.concatenate(([0.0, 0.0], w[:-2])) + 0.5 * v
+    record, zero = Record(u, slow + e), np.zeros(n)
+    bench = judge(record, zero, feedback=True)
+    knows, heard = slow, np.concatenate(([0.0], 0.95 * slow[:-1]))
+    for run, share in ((knows, 0.9), (heard, 0.0)):
+        gain = bench.over(run, zero)
+        assert (gain.share > 0.9) == (share > 0.0)
+        assert _echoes(bench, run) == (share == 0.0)
+
+
+def test_little_beyond_a_linear_model_is_no_answer_where_the_input_answers_at_once() -> None:
+    rng, n = np.random.default_rng(6), 1500
+    y = rng.standard_normal(n)
+    for share, echo in ((0.01, True), (0.5, False)):
+        assert _echoes(judge(Record(y, y), np.zeros(n), inverse=True), share * y) is echo
+
+
+def test_a_bent_effect_that_halves_the_linear_error_keeps_its_name() -> None:
+    rng, n = np.random.default_rng(7), 1500
+    y = rng.standard_normal(n)
+    bench = judge(Record(y, y), np.zeros(n))
+    for share, news, bends in ((0.1, False, False), (0.1, True, True), (0.6, False, True)):
+        claimed = Named(None, (), (), None, share * y, named("lag"))  # pyright: ignore[reportArgumentType]
+        assert claimed.bends(news, bench) is bends

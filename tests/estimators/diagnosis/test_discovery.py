@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import best_linear
 from estimators.diagnosis.discovery import DiscoveredModel, discover, recursion_kernels
+from estimators.diagnosis.discovery.answer import _late_inputs
 from estimators.diagnosis.discovery.dictionary import SHARP, Kind, candidates
 from estimators.diagnosis.discovery.form import FREE, Assembly, Factor, Form, Term
 from estimators.diagnosis.discovery.screening import screen
@@ -202,6 +205,14 @@ def test_the_inverse_of_a_controller_that_answers_at_once_is_no_discovery() -> N
         x = 0.8 * x + 0.2 * u[k]
     record = Record(u, y)
     assert not discover([record], best_linear([record]), "quick").found
+
+
+def test_inputs_are_late_for_each_output_by_its_own_model() -> None:
+    """The first output follows its input a sample later, the second at once; the second input drives the second output only."""
+    outputs = [SimpleNamespace(inputs=(0,), delays=(1,)), SimpleNamespace(inputs=(0, 1), delays=(0, 2))]
+    record = Record(np.random.default_rng(0).standard_normal((50, 2)), np.zeros((50, 2)))
+    baseline = SimpleNamespace(outputs=outputs)
+    assert _late_inputs(baseline, record) == (("u0", "u1"), ("u1",))  # pyright: ignore[reportArgumentType]
 
 
 def test_a_sign_is_no_sharper_than_the_input_tells():
