@@ -27,6 +27,9 @@ STEP = 100
 record may not show are those that are quick beside it."""
 NOTHING = 0.005
 """Share of the least error that is no reason for a larger model, however sure it is."""
+OPEN = 1.0
+"""Variance of a run on the inputs asked for, of the error seen on unused blocks, from which on it tells models apart: five blocks
+know a variance to a half, and what is left out for less of it was mostly right."""
 WORSE = 0.02
 """A simpler model may cost at most so much of the least error, however uncertain that is."""
 
@@ -99,6 +102,8 @@ def tried(
     if slow and asked and np.isfinite(level := float(squares.mean())):
         last = candidate.models[-1]
         beyond += float(np.mean([last.unset(prior, level, len(u), blocks.window) for u in asked]))
+    if not beyond > OPEN * float(squares.mean()):
+        beyond = 0.0
     return Trial(candidate, unused, squares, slow, undetermined(folds, records), beyond)
 
 

@@ -298,7 +298,7 @@ INPUT = (
             parameters={"rate": "u/sample"}, trials=6, reversing=True, family="rates", apply=_rate_limited_samples,
             starts=_rates),
     _moving("backlash_input", "backlash", "play in the actuator", parameters={"half_width": "u", "start": "1"}, trials=6, reversing=True,
-            apply=_play, starts=_widths),
+            lagged=True, apply=_play, starts=_widths),
     _moving("stiction", "stiction", "the actuator sticks until its command is far enough off, then jumps", trials=12,
             parameters={"half_width": "u", "left": "1", "start": "1"}, reversing=True, apply=_sticky,
             starts=lambda s: ([[f * s.su, r, 0.0] for f in np.linspace(0.1, 1.4, 14) for r in (0.0, 0.4, 0.8)],

@@ -1,4 +1,5 @@
-"""Effects at the input whose shape is found by a profile: a servo of two speeds, a staircase, a gain that is periodic in time.
+"""Effects at the input whose shape is found by a profile: a servo of two speeds, a staircase, a gain that is periodic in time, a
+disturbance that passes.
 
 Their likelihood has many minima over the shape, and poles that bent to imitate them hide which is the right one: every shape
 of a grid has the linear part made anew before the shapes are compared.
@@ -39,8 +40,15 @@ HARMONIC = (0.5, 1.6)
 common with a wave over the input's levels has any size."""
 WHOLE = (0.85, 1.15, 61)
 """Steps that are tried with a level at zero, over the one found: from, to, how many."""
+SHORT = 3
+"""Poles of the model that a passing disturbance is put into: more of them would follow it."""
+BANK = (300.0, 100.0, 30.0, 10.0, 3.0)
+"""Rates, per record, of the lags that a mixture of stands for any linear part: slower ones hardly differ from what is added."""
 LEAST_TURNS = 1.2
 """Of a gain in a record: fewer are a drift."""
+
+TIMES = 48
+"""Of a record, at any two of which a disturbance may begin and end: what lasts no two of them is an impulse."""
 
 
 def _servo(x: Array, p: Array, clock: Clock) -> Array:
@@ -69,6 +77,12 @@ def kept(run: Callable[[Array, Array], Array], x: Array, p: Array) -> Array:
         known = run(np.ascontiguousarray(x), p)
         _recent.append((key, known))
     return known
+
+
+def _passed(x: Any, p: Array, clock: Clock) -> Any:
+    from estimators.diagnosis.effects.input import after
+
+    return x + p[0] * (after(clock, p[1]) - after(clock, p[2]))
 
 
 def profile(
@@ -227,6 +241,55 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         yield from lean(channel, ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0]))
 
 
+def _banked(x: Array) -> Array:
+    """(N, T, lags) signals (N, T) through each lag of a bank."""
+    poles = np.exp(-np.array(BANK) / len(x))
+    return np.stack([lfilter([0.0, 1.0 - z], [1.0, -z], x, axis=0) for z in poles], axis=2)
+
+
+def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """A pulse between the two times at which it explains most, where any mixture of lags stands for the linear part: poles of the
+    linear model have bent to follow it."""
+    from estimators.diagnosis.effects.input import after
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.structure import Part
+
+    s, n, nu, keep = base.structure, len(channel), len(base.structure.inputs), channel.keep
+    if s.layout != "tf" or s.order < 1:
+        return
+    times = channel.clock.k[0] + np.linspace(0.03, 0.97, TIMES) * n
+    steps = np.stack([after(channel.clock, t) for t in times], axis=1)
+    known = _banked(np.column_stack((channel.u[:, list(s.inputs)], np.ones(n)))).reshape(n, -1)
+    Z = np.linalg.qr(np.column_stack((known, np.ones(n)))[keep])[0]
+    D, r = (x[keep] - Z @ (Z.T @ x[keep]) for x in (_banked(steps).reshape(n, -1), channel.y))
+    shape = (TIMES, len(BANK)) * 2
+    common, products = (r @ D).reshape(shape[:2]), (D.T @ D).reshape(shape)
+    own = products[np.arange(TIMES), :, np.arange(TIMES)]
+    cross = products.transpose(0, 2, 1, 3)
+    power = own[:, None] + own - cross - cross.transpose(0, 1, 3, 2)
+    c = common[:, None] - common
+    ridge = 1e-6 * np.trace(power, axis1=2, axis2=3)[..., None, None] / len(BANK) + 1e-300
+    gains = np.triu(
+        np.sum(c * np.linalg.solve(power + ridge * np.eye(len(BANK)), c[..., None])[..., 0], axis=2), 2
+    )
+    first, last = np.unravel_index(int(np.argmax(gains)), gains.shape)
+    if not firm(base, float(r @ r) - float(gains[first, last])):
+        return
+    few, p, scales = of_order(base, min(s.order, SHORT), min(s.taps, SHORT))
+    wide = replace(channel, u=np.column_stack((channel.u, steps[:, first] - steps[:, last])))
+    begun = fit_linear(wide, replace(few, inputs=(*s.inputs, channel.u.shape[1]))).p
+    b = begun[few.order : few.order + (nu + 1) * few.taps].reshape(nu + 1, few.taps)
+    p[: few.plant_size], scales[: few.plant_size] = (
+        begun[: few.plant_size],
+        np.maximum(np.abs(begun[: few.plant_size]), 1e-3),
+    )
+    bare = replace(base, structure=few, p=p, scales=scales)
+    for row, j in zip(b[:-1], s.inputs, strict=True):
+        size, su = float(row @ b[-1]) / (float(row @ row) + 1e-300), float(np.std(channel.u[:, j]))
+        start = np.concatenate((p, [size, times[first], times[last]]))
+        yield from ended(channel, bare, Part(PULSE, j), [start], [su, 1.0, 1.0])
+
+
 def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """A staircase is its input less a sawtooth, whose first harmonic over the input's levels tells step and level: the step of
     most in common with the residual is taken, then both are moved as long as the error falls, as they have no derivative."""
@@ -299,4 +362,10 @@ SWAY = Effect(
     parameters={"frequency": "rad/sample", "cosine": "1", "sine": "1"},
 )  # fmt: skip
 
-PROFILED = (SERVO, STAIRS, SWAY)
+PULSE = Effect(
+    key="pulse_input", cause="step_disturbance", nature=Nature.ADDED, slot=Slot.INPUT, trials=1.0, per_sample=True, family="steps",
+    sentence="a disturbance enters at the plant input and passes", apply=_passed, search=_passing, settles=True,
+    parameters={"size": "u", "start": "sample", "end": "sample"},
+)  # fmt: skip
+
+PROFILED = (SERVO, STAIRS, SWAY, PULSE)

@@ -10,7 +10,7 @@ import numpy as np
 from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.model.fitting import Fit, fit
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.named import Bench, Named, bent, named_steps
+from estimators.diagnosis.search.named import LEFT, Bench, Named, bent, named_steps
 from estimators.diagnosis.search.selection import FULL, Attribution, second
 
 TRIED = 8
@@ -47,9 +47,10 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
                 least = min(least, n.step_error(bench))
         return sorted(found, key=lambda n: n.step_error(bench))
 
-    # what is only added has a search of its own, and fits any one record
+    # what is only added has a search of its own, and fits any one record; but a step leaves little of one that it is in only
     lasting = lambda e: e.nature is not Nature.ADDED
-    alone = [f for f in a.alternatives if lasting(f.structure.effects[-1].effect)][:TRIED]
+    stepped = lambda f: f.structure.effects[-1].effect.timed and _spread(f) ** 2 < LEFT * _spread(a.base) ** 2
+    alone = [f for f in a.alternatives if lasting(f.structure.effects[-1].effect) or stepped(f)][:TRIED]
     singles = judged(alone, HALF, [first])
     few = max(1, round(PAIRED * min(1.0, FULL / len(bench.channel))))  # longer records tell more apart
     menu = replace(menu, effects=tuple(filter(lasting, menu.effects)))

@@ -221,7 +221,8 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             held = _bending(bench, f, [_as_curve(c, f) for c in held], unused)
             alike, told = _as_linear(bench, a, f) if len(held) == 1 and bent(held[0]) else (None, False)
             claims = tuple(_with_rivals(held, a, f))
-            linear = alike is not None or all(_foretold(c, bench) for c in claims)
+            left = float(np.sum(f.residual**2) / max(np.sum(a.base.residual**2), 1e-300))
+            linear = alike is not None or all(_foretold(c, bench, left) for c in claims)
             step = replace(_step(bench, f, held, unused), linear=linear) if held else None
             n = Named(f, claims, tuple(dropped), step, unused, alike)
             return n if told else n.as_linear()
@@ -318,9 +319,15 @@ def _holds(c: Claim, bench: Bench) -> bool:
     return c.p_value < bench.alpha or c.gain.meets(bench.policy.overwhelming)
 
 
-def _foretold(c: Claim, bench: Bench) -> bool:
+LEFT = 0.05
+"""Of a linear model's squared error, what a joint model may leave for an added signal to be no slow noise: a step or a passing
+disturbance takes up to nine tenths of a random walk."""
+
+
+def _foretold(c: Claim, bench: Bench, left: float) -> bool:
     """Whether linear predictors know of it: dynamics, a level, an added signal of a size that slow noise is not taken for."""
-    added = c.part.effect.nature is Nature.ADDED and c.gain.meets(bench.policy.overwhelming)
+    sure = c.gain.meets(bench.policy.overwhelming) or (left < LEFT and c.gain.meets(bench.policy.searched))
+    added = c.part.effect.nature is Nature.ADDED and sure
     return c.part.effect.nature is Nature.LINEAR or c.key == OFFSET.key or added
 
 

@@ -385,15 +385,18 @@ def test_a_model_that_hangs_on_single_blocks_where_it_is_asked_gives_way():
     steps = np.tile([1.0, -1.0], 500)[:, None]
     assert run_spread(models, [steps], [ramp]) > 100 * run_spread(models, [ramp], [ramp])
     assert run_spread(models[:1] * 5, [steps], [ramp]) == 0.0
-    record = Record(ramp, np.zeros((1000, 1)))
+    rng = np.random.default_rng(0)
+    y = lfilter(models[2].num[0], models[2].den, ramp[:, 0]) + 0.02 * rng.standard_normal(1000)
+    record = Record(ramp, y)
     blocks = blocks_of([record], 5, 20, 30)
     candidate = Candidate("ARX", "", 2, [*models, models[-1]], Arx(1, 1, (1,), False))
     prior = Prior(0.0, np.ones(9), 0.1)
-    unasked, asked = (tried(candidate, [record], 0, blocks, prior, a) for a in ((), (steps,)))
+    unasked, alike, asked = (tried(candidate, [record], 0, blocks, prior, a) for a in ((), (ramp,), (steps,)))
     assert unasked is not None
+    assert alike is not None
     assert asked is not None
-    assert unasked.beyond == 0.0
-    assert asked.charged.mean() > unasked.charged.mean() + 0.01
+    assert unasked.beyond == alike.beyond == 0.0
+    assert asked.charged.mean() > 2.0 * unasked.charged.mean()
 
 
 @pytest.mark.parametrize(("pole", "samples"), [(0.999, 20), (0.999, 0), (0.5, 20)])

@@ -169,6 +169,25 @@ def test_a_growing_curve_is_tried_behind_a_lag_however_little_its_score_promises
     assert (best.structure.parts[-1].key, best.structure.parts[-1].first) == ("input_exponential", 1)
 
 
+def test_play_is_tried_behind_the_lag_of_its_actuator() -> None:
+    """A control cable: the servo lags, then the cable has play, then the surface swings; coloured noise."""
+    rng, n = np.random.default_rng(3), 800
+    u = 6.0 * lfilter([0.05], [1.0, -0.95], 6.0 * rng.standard_normal(n))
+    servo = np.asarray(lfilter([0.0, 0.35], [1.0, -0.65], u))
+    effect, clock = named("backlash_input"), Clock(np.arange(float(n)), n)
+    assert effect.apply is not None
+    moved = effect.apply(servo, np.array([2.0, 0.0]), clock)
+    y = lfilter([0.0, 0.1], [1.0, -1.7, 0.8], moved) + 0.05 * lfilter(
+        [1.0], [1.0, -0.7], rng.standard_normal(n)
+    )
+    channel = Channel(u[:, None], y, clock, np.ones(n, dtype=bool))
+    base = fit_linear(channel, replace(Structure(3, (0,)).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2))
+    fits = list(augmented(channel, base, Menu((effect, named("dead_zone")), (), 2), iterations=15, top=2))
+    best = min(fits, key=lambda f: float(np.sum(f.residual**2)))
+    assert (best.structure.parts[-1].key, best.structure.parts[-1].first) == ("backlash_input", 1)
+    assert float(np.sqrt(np.mean(best.residual**2))) < 0.1
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_strong_eccentric_is_found_from_the_balance_of_forces(seed: int) -> None:
     """A motor that nearly stalls on every turn: its linear model is bent so far that its error has no angle in it."""

@@ -1,4 +1,5 @@
-"""A servo of two speeds, a staircase, a periodic gain: named and removed; not where something else is periodic, slow or bent."""
+"""A servo of two speeds, a staircase, a periodic gain, a passing disturbance: named and removed; not where something else is
+periodic, slow or bent."""
 
 from dataclasses import replace
 
@@ -14,11 +15,12 @@ from estimators.diagnosis.model.fitting import Channel
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
+from estimators.diagnosis.search.named import LEFT
 from estimators.diagnosis.search.selection import significance
 from oed.data import Record
 from tests.estimators.diagnosis.case_classes import CLASSES, PLANT, excitation
 
-PROFILED = ("rate_limit_servo", "input_staircase", "gain_periodic")
+PROFILED = ("rate_limit_servo", "input_staircase", "gain_periodic", "pulse_input")
 N = 800
 
 
@@ -128,3 +130,33 @@ def test_a_servo_takes_the_pole_that_the_linear_model_had_for_its_lag():
     assert found[0].structure.order == 1
     assert np.std(found[0].residual) < 1.05 * 0.002
     np.testing.assert_allclose(np.abs(found[0].p[-3:]), [0.3, 0.5, 1.4], rtol=0.05)
+
+
+def test_a_disturbance_that_passes_is_found_where_the_linear_model_took_it_for_slow_poles():
+    """A door stands open for a fifth of the record and is shut again before the test: a linear model of many poles follows that."""
+    rng = np.random.default_rng(8)
+    u, k = np.repeat(rng.uniform(-1.0, 1.0, 80), 20), np.arange(1600)
+    heat = np.where((k > 350) & (k < 640), 4.0, 0.0)
+    den = np.poly([0.98, 0.99])
+    y = lfilter([0.0, den.sum()], den, u + heat) + 0.01 * rng.standard_normal(1600)
+    record = Record(u, y)
+    found = diagnose(record[:1100], record[1100:])
+    assert found.effect == "step_disturbance"
+    assert found.rmse_after.value < 0.02 < 0.5 * found.rmse_before.value
+    assert found.parameters["pulse_input.start"][0] == pytest.approx(350, abs=2)
+    assert found.parameters["pulse_input.end"][0] == pytest.approx(640, abs=2)
+
+
+@pytest.mark.parametrize("radius", [1.0, 0.99])
+def test_no_passing_disturbance_explains_slow_noise_as_one_that_is_there_does(radius):
+    """Of 100 random walks none is left with a twentieth of its power by a step or a pulse, free times and sizes."""
+    rng = np.random.default_rng(9)
+    y = lfilter([1.0], [1.0, -radius], rng.standard_normal((100, 400)), axis=1)
+    y -= y.mean(axis=1, keepdims=True)
+    sums = np.cumsum(y, axis=1)[:, 12:388:6]
+    at = np.arange(13, 389, 6)
+    long = np.maximum(at - at[:, None], 0)
+    pulse = np.triu(sums[:, None, :] - sums[:, :, None], 1) ** 2 / np.maximum(long * (1 - long / 400), 1)
+    step = sums**2 / (at * (1 - at / 400))
+    left = 1.0 - np.maximum(pulse.max(axis=(1, 2)), step.max(axis=1)) / np.sum(y**2, axis=1)
+    assert left.min() > LEFT
