@@ -136,8 +136,10 @@ def run_spread(models: Sequence[LinearModel], inputs: Sequence[Array], seen: Seq
     found = []
     for u in inputs:
         drive = np.nan_to_num(u - level)
-        runs = [sum(lfilter(b, m.den, x) for b, x in zip(m.num, drive.T, strict=True)) for m in models]
-        found.append(jackknife(np.array(runs)).mean())
+        runs = [
+            [np.asarray(lfilter(b, m.den, x)) for b, x in zip(m.num, drive.T, strict=True)] for m in models
+        ]
+        found.append(jackknife(np.array(runs).sum(axis=1)).mean())
     return float(np.mean(found))
 
 
