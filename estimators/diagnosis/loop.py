@@ -203,14 +203,14 @@ def _outcome(
         # From sample to sample of the record as it is.
         radii = base.outputs[i].model.radius, largest_pole(denominator(named.fit)) ** (1.0 / bench.thin)
         slow = [base.blocks.slow(radius) for radius in radii] == [False, True]
-        echoes = bench.inverse and _echoes(bench, named.step.unused[0])
+        echoes = bench.inverse and bench.echoes(named.step.unused[0])
         steps.append(
             replace(named.step, unused=(*named.step.unused, *unseen), slow=slow, admitted=not echoes)
         )
         named = replace(named, step=steps[-1])
     if discovery.model is not None:
         step = _discovered_step(discovery, discovery.model, i)
-        steps.append(replace(step, admitted=not _echoes(bench, step.unused[0])))
+        steps.append(replace(step, admitted=not bench.echoes(step.unused[0])))
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     started = as_started(steps, train, i, setting.skip)
@@ -247,13 +247,6 @@ def _outcome(
     errors = (r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records)
     inverse = bench.inverse and has_feedback(records, list(errors), counted)
     return Outcome(i, found, named, ladder, share, left, discovery, inverse)
-
-
-def _echoes(bench: Bench, run: Array) -> bool:
-    """Whether a run of unused blocks (N,) gains so little that it may only hear the answer of the input to the noise."""
-    gain = bench.over(run, bench.base.unused[0][:, bench.output])
-    limit = bench.policy.searched
-    return (bench.feedback and not gain.beyond(limit[0])) or (bench.inverse and not gain.meets(limit))
 
 
 def _remainder_step(

@@ -170,6 +170,11 @@ class Bench:
         gain, chance, _ = answered([self.train], [errors], [self.counted])
         return gain - chance
 
+    def echoes(self, run: Array) -> bool:
+        """Whether a run of unused blocks (N,) gains so little that it may only hear the answer of the input to the noise."""
+        gain, limit = self.over(run, self.base.unused[0][:, self.output]), self.policy.searched
+        return (self.feedback and not gain.beyond(limit[0])) or (self.inverse and not gain.meets(limit))
+
     @cached_property
     def _answered(self) -> float:
         return self._answer(self.base.unused[0][:, self.output])

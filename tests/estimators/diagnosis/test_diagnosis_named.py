@@ -16,7 +16,7 @@ from estimators.diagnosis.effects import CATALOGUE, Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.ladder import Gain
-from estimators.diagnosis.loop import Setting, _echoes, diagnose
+from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
@@ -288,14 +288,14 @@ def test_what_an_input_answers_is_noise_only_where_a_better_model_leaves_it() ->
     for run, share in ((knows, 0.9), (heard, 0.0)):
         gain = bench.over(run, zero)
         assert (gain.share > 0.9) == (share > 0.0)
-        assert _echoes(bench, run) == (share == 0.0)
+        assert bench.echoes(run) == (share == 0.0)
 
 
 def test_little_beyond_a_linear_model_is_no_answer_where_the_input_answers_at_once() -> None:
     rng, n = np.random.default_rng(6), 1500
     y = rng.standard_normal(n)
     for share, echo in ((0.01, True), (0.5, False)):
-        assert _echoes(judge(Record(y, y), np.zeros(n), inverse=True), share * y) is echo
+        assert judge(Record(y, y), np.zeros(n), inverse=True).echoes(share * y) is echo
 
 
 def test_a_bent_effect_that_halves_the_linear_error_keeps_its_name() -> None:
