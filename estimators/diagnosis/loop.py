@@ -88,8 +88,7 @@ def diagnose(
     Notes
     -----
     What a test record's outputs are is never used to choose or to fit anything. Its inputs and its clock decide whether the
-    training data determine a model's run there: of linear models one that they do is taken, and the answer is the model below, said so,
-    where they do not.
+    training data determine a model's run there; where they do not, the answer is the model below, and that is said.
     """
     test = None if test is None else as_records(test, missing=True)[0]
     setting = Setting() if setting is None else setting
