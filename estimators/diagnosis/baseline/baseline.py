@@ -18,7 +18,7 @@ REACH = 400
 """Most samples that set a training record's state: their covariance is solved as one matrix."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Options:
     """What the caller knows and wants of the linear model.
 

@@ -1,5 +1,4 @@
-"""Effects at the input whose shape is found by a profile: a servo of two speeds, a staircase, a gain that is periodic in time, a
-disturbance that passes.
+"""Effects at the input that are profiled: a servo of two speeds, a staircase, a periodic gain, a disturbance that passes.
 
 Their likelihood has many minima over the shape, and poles that bent to imitate them hide which is the right one: every shape
 of a grid has the linear part made anew before the shapes are compared.
