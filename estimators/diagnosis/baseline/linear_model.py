@@ -161,8 +161,8 @@ class LinearModel:
         cov = REST * toeplitz(prior.covariance[:n]) if prior.rest else toeplitz(prior.covariance[:n])
         seen = free[:window] @ cov
         inner = seen @ free[:window].T + noise * np.eye(len(seen))
-        left = cov - seen.T @ np.linalg.solve(inner, seen)
-        return float(np.mean(np.sum((free @ left) * free, axis=1)))
+        left = cov - seen.T @ np.linalg.pinv(inner, rcond=1e-13, hermitian=True) @ seen
+        return max(float(np.mean(np.sum((free @ left) * free, axis=1))), 0.0)
 
     def _after_inputs(self, prior: Prior, u: Array, window: Array) -> Array:
         """(N,) simulated output after unknown inputs, as far as the samples of the window (w,) tell of them."""

@@ -406,4 +406,6 @@ def test_a_state_that_a_window_leaves_open_is_counted_over_the_run(pole, samples
     decay = pole ** (2.0 * np.arange(1, n + 1))
     left = 1.0 / (1.0 / c + decay[:samples].sum() / s)
     model = LinearModel(np.array([1.0, -pole]), np.array([[0.0, 1.0]]))
-    assert model.unset(Prior(0.0, np.full(9, c), s), s, n, samples) == pytest.approx(left * decay.mean())
+    prior = Prior(0.0, np.full(9, c), s)
+    assert model.unset(prior, s, n, samples) == pytest.approx(left * decay.mean())
+    assert model.unset(prior, 0.0, n, samples) == pytest.approx(0.0 if samples else left * decay.mean())
