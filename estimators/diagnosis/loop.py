@@ -217,8 +217,7 @@ def _outcome(
     steps = [
         replace(s, admitted=s.admitted and (s.linear or predictor().news(s.unused) > NEWS)) for s in started
     ]
-    step = named.step
-    if named.alike and step and not named.bends(predictor().news(step.unused) > NEWS, bench):
+    if named.alike is not None and named.step is not None and predictor().news(named.step.unused) <= NEWS:
         named = named.as_linear()
     if any(
         s.kind is Kind.NAMED and first.admitted > s.admitted for s, first in zip(steps, started, strict=True)

@@ -82,5 +82,5 @@ def test_each_sinusoid_excites_two(lines) -> None:
 def test_white_and_constant_inputs(rng) -> None:
     assert excitation_order(rng.normal(size=100), 20) == 20
     assert excitation_order(np.full(50, 3.0), 5) == 0
-    with pytest.raises(InputError, match="empty or holds something else"):
+    with pytest.raises(InputError, match="the sequence of data is empty"):
         defects([])

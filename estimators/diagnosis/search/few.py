@@ -18,6 +18,8 @@ TRIED = 8
 records the right one stood among the first five where the search, which goes by one-step errors, preferred another."""
 PAIRED = 4
 """Of them, those that a second effect is looked for beside: where two are needed, the right one need not be the best alone."""
+SECOND = 6
+"""Effects beside one of them that are put before unused blocks."""
 HALF = 1.5
 """Error on the record itself, of the least on unused blocks, from which on a single effect is neither an answer nor half of one."""
 
@@ -62,7 +64,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
             break
         needed = 2.0 * n.fit.n * float(np.log(max(_spread(n.fit) / (told * least), 1.0)))
         more = second(bench.channel, n.fit, menu, coloured=False, needed=needed)
-        pairs += judged(more[:PAIRED], told, (first, *singles, *pairs))
+        pairs += judged(more[:SECOND], told, (first, *singles, *pairs))
     options = sorted(
         (n for n in (first, *singles, *pairs) if n.step is not None), key=lambda n: n.step_error(bench)
     )

@@ -80,11 +80,6 @@ class Named:
             self, claims=(Claim(replace(head.part, effect=self.alike), head.gain, head.p_value, names),)
         )
 
-    def bends(self, news: bool, bench: Bench) -> bool:
-        """Whether a bent effect keeps its name though linear dynamics fit as well: as news, or as it halves the linear error."""
-        gain = bench.over(self.unused, bench.base.unused[0][:, bench.output])
-        return news or gain.meets(bench.policy.overwhelming)
-
     @property
     def whole(self) -> bool:
         """Whether every effect of the joint model holds, but for forms that others stand in."""

@@ -121,9 +121,9 @@ def _white(f: Fit) -> Fit:
 
 FEW = 8
 """Gauss-Newton steps after which candidates are compared: what is far behind then does not win with more."""
-BASES, FULL = 3, 1500
-"""Single effects of different causes that a second one is looked for beside, the best and two in its place; fewer beside
-longer records, whose criteria tell the best from the others."""
+BASES, FULL = 5, 1500
+"""Single effects of different causes that a second one is looked for beside, the best and four in its place, as loops that follow
+any lag may take two of them; fewer beside longer records, whose criteria tell the best from the others."""
 PLAIN = 1.0
 """Gain that a second effect must promise beside one that leaves white noise: tones, delays, modes and whatever else has a
 search of its own in place of a score would colour it."""

@@ -24,7 +24,7 @@ from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.leftover import leftovers
 from estimators.diagnosis.search import few as stage
 from estimators.diagnosis.search.candidates import Menu, augmented
-from estimators.diagnosis.search.named import Bench, Named, _as_linear
+from estimators.diagnosis.search.named import Bench, _as_linear
 from estimators.diagnosis.search.selection import Attribution
 from oed.data import Record
 from oed.errors import InputError
@@ -296,12 +296,3 @@ def test_little_beyond_a_linear_model_is_no_answer_where_the_input_answers_at_on
     y = rng.standard_normal(n)
     for share, echo in ((0.01, True), (0.5, False)):
         assert judge(Record(y, y), np.zeros(n), inverse=True).echoes(share * y) is echo
-
-
-def test_a_bent_effect_that_halves_the_linear_error_keeps_its_name() -> None:
-    rng, n = np.random.default_rng(7), 1500
-    y = rng.standard_normal(n)
-    bench = judge(Record(y, y), np.zeros(n))
-    for share, news, bends in ((0.1, False, False), (0.1, True, True), (0.6, False, True)):
-        claimed = Named(None, (), (), None, share * y, named("lag"))  # pyright: ignore[reportArgumentType]
-        assert claimed.bends(news, bench) is bends
