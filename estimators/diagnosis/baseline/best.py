@@ -89,7 +89,7 @@ def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options)
     asked = tuple(u[:, list(inputs)] for u in options.asked)
     search = Search(own, i, blocks, prior, not options.deviations, asked)
     parts, places = _pieces(own, blocks)
-    screen = search if parts is own else Search(parts, i, places, prior, search.offset, asked)
+    screen = search if parts is own else replace(search, records=parts, blocks=places)
     screen, known, lines = _screened(screen)
     if lines and parts is own:
         own = list(screen.records)

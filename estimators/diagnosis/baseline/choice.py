@@ -97,14 +97,23 @@ def tried(
         unused[block.record][block.rows] = run[block.rows]
     squares = batch_squares(unused, records, output, blocks)
     slow = blocks.slow(candidate.models[-1].radius)
-    folds, seen = candidate.models[:-1], [r.u for r in records]
-    beyond = max(0.0, run_spread(folds, asked, seen) - run_spread(folds, seen, seen)) if asked else 0.0
-    if slow and asked and np.isfinite(level := float(squares.mean())):
-        last = candidate.models[-1]
-        beyond += float(np.mean([last.unset(prior, level, len(u), blocks.window) for u in asked]))
-    if not beyond > OPEN * float(squares.mean()):
-        beyond = 0.0
-    return Trial(candidate, unused, squares, slow, undetermined(folds, records), beyond)
+    trial = Trial(candidate, unused, squares, slow, undetermined(candidate.models[:-1], records))
+    return replace(trial, beyond=_left_open(trial, records, blocks, prior, asked)) if asked else trial
+
+
+def _left_open(
+    trial: Trial, records: Sequence[Record], blocks: Blocks, prior: Prior, asked: Sequence[Array]
+) -> float:
+    """Variance of the runs on the inputs asked for that the records do not show; none below the error on unused blocks."""
+    *folds, last = trial.candidate.models
+    error, seen, state = float(trial.squares.mean()), [r.u for r in records], 0.0
+    if trial.slow and np.isfinite(error):
+        state = float(np.mean([last.unset(prior, error, len(u), blocks.window) for u in asked]))
+    runs = run_spread(folds, asked, seen)
+    if not runs + state > OPEN * error:
+        return 0.0
+    beyond = max(0.0, runs - run_spread(folds, seen, seen)) + state
+    return beyond if beyond > OPEN * error else 0.0
 
 
 def _rings(model: LinearModel, length: int) -> bool:

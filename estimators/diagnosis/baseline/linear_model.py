@@ -158,7 +158,7 @@ class LinearModel:
         """Mean variance of a free run of `length` samples, as far as a window of samples with noise of a variance leaves its state
         open where the record may start anywhere."""
         n, free = self.order, self.free(length)
-        cov = REST * toeplitz(prior.covariance[:n]) if prior.rest else toeplitz(prior.covariance[:n])
+        cov = (REST if prior.rest else 1.0) * toeplitz(prior.covariance[:n])
         seen = free[:window] @ cov
         inner = seen @ free[:window].T + noise * np.eye(len(seen))
         left = cov - seen.T @ np.linalg.pinv(inner, rcond=1e-13, hermitian=True) @ seen

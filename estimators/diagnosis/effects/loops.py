@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Effect, Nature, Slot, level_before
-from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, firm, kept, of_order, profile
+from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, firm, kept, profile, quick_behind
 
 Array = NDArray[Any]
-QUICK = 0.2
-"""Pole of the filter behind a loop that the shapes are tried with."""
 PACES = (0.5, 1.0, 2.0, 4.0)
 """Of the linear model's slowest pole, how fast a loop is taken to be: one that is limited looks slower than it is."""
 DRIFTING = 3.0
@@ -164,24 +162,22 @@ def _shaped(effect: Any, shapes: Any, steps: Any, near: float = 1.0) -> Any:
             return
         slowest = slowest_rate(denominator(base), len(channel))
         u = np.ascontiguousarray(channel.u[:, s.inputs[0]])
-        few, p, scales = of_order(base, 1, 2)
-        gain = float(np.std(channel.y)) / (float(np.std(u)) + 1e-300)
-        p[:3], scales[:3] = [-QUICK, 0.0, 0.0], [1.0, gain, gain]
-        part, found = Part(effect(), s.inputs[0]), []
+        quick, part = quick_behind(channel, base), Part(effect(), s.inputs[0])
+        found = []
         for delay in {0, s.delay}:  # what a limit holds back looks late to a linear model
-            bare = replace(base, structure=replace(few, delay=delay), p=p, scales=scales)
+            bare = replace(quick, structure=replace(quick.structure, delay=delay))
             tried = profile(channel, bare, part, shapes(slowest, u))
             found += [(tried[0][0], delay, bare, tried)] if tried else []
-        for left, _, bare, tried in sorted(found, key=lambda entry: entry[:2])[:1]:
-            if left > near * float(np.sum(base.residual**2)):
-                continue
-            starts = [q for _, q in tried[:BEGUN]]
-            if near > 1.0:
-                starts = [_nearer(channel, bare, part, best) for best in tried[:MOVED]]
-            for f in ended(channel, bare, part, starts, steps(slowest, float(np.std(u)))):
-                if firm(base, float(np.sum(f.residual**2))):
-                    yield f
-                    yield from _behind(channel, f) if near > 1.0 and len(f.noise) else ()
+        left, _, bare, tried = min(found, key=lambda entry: entry[:2], default=(np.inf, 0, quick, []))
+        if left > near * float(np.sum(base.residual**2)):
+            return
+        starts = [q for _, q in tried[:BEGUN]]
+        if near > 1.0:
+            starts = [_nearer(channel, bare, part, best) for best in tried[:MOVED]]
+        for f in ended(channel, bare, part, starts, steps(slowest, float(np.std(u)))):
+            if firm(base, float(np.sum(f.residual**2))):
+                yield f
+                yield from _behind(channel, f) if near > 1.0 and len(f.noise) else ()
 
     return search
 

@@ -6,9 +6,8 @@ process of any order may follow or, as a lag of the actuator, come before.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -17,12 +16,10 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
-from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, kept, of_order, profile
+from estimators.diagnosis.effects.loops import PACES, slowest_rate
+from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, kept, profile, quick_behind
 
 Array = NDArray[Any]
-_recent: deque[tuple[tuple[Any, ...], Array]] = deque(
-    maxlen=8
-)  # of one shape: the linear part changes more often
 FASTEST = 5.0  # rate per sample above which a process is no different from none
 INSTANT = 3.0
 """Rate per sample from which a process has settled to 5 % within each: what it does to its input is a curve."""
@@ -37,10 +34,8 @@ SLOWER = 0.3
 """Of a process' rate, that of a slow state may be: as quick as the process, it is a curve of it."""
 NEARBY = 25.0
 """Times the linear model's squares, which may have poles that imitate a process, within which its shapes are worth a fit."""
-QUICK = 0.2
-"""Pole of the filter behind a process that its shapes are tried with."""
-PACES, CONTENTS = (0.5, 1.0, 2.0, 4.0), (-0.6, 0.5, 1.5, 4.0, 10.0)
-"""Of the linear model's slowest rate, what a capacity had at the start of a record; relative changes of it over the record."""
+CONTENTS = (-0.6, 0.5, 1.5, 4.0, 10.0)
+"""Relative changes over the record of what a capacity had at its start."""
 FILLS, MOST_FLOWS = 0.5, 3
 """Of all that flows, what must be net for something to be filled or emptied; inputs of a record that are tried with one another."""
 LEAST_FLOW = 1e-3  # of the mean flow: what stands still takes for ever
@@ -104,17 +99,14 @@ def passed(force: Callable[..., Any], u: Array, p: Array, *, start: float | None
     rate = abs(float(p[0]))
     if not 0.0 < rate < FASTEST:
         return np.full(len(u), np.inf)
-    level = level_before(u)
-    c = np.array(p[1:], dtype=float)
-    key = (force, p.tobytes(), u.tobytes())
-    known = next((run for mark, run in tuple(_recent) if mark == key), None)
-    if known is not None:
-        return known
-    x0 = _rest(force, level, c, level if start is None else start)
-    again = np.append(u, u[-1])  # one sample more, for the state at the end of the last
-    out = states("first", np.log([rate]), again, Inside(((force, c, None),)), np.array([x0]))[1:, 0]
-    _recent.append((key, out))
-    return out
+
+    def run(u: Array, p: Array) -> Array:
+        level, c = level_before(u), np.array(p[1:], dtype=float)
+        x0 = _rest(force, level, c, level if start is None else start)
+        again = np.append(u, u[-1])  # one sample more, for the state at the end of the last
+        return states("first", np.log([rate]), again, Inside(((force, c, None),)), np.array([x0]))[1:, 0]
+
+    return kept(run, u, p, (force, start))
 
 
 @dataclass(frozen=True)
@@ -211,11 +203,7 @@ def _profiled(
     channel: Any, base: Any, part: Any, shapes: Iterable[list[float]], sizes: list[float]
 ) -> Iterator[Any]:
     """Fits from a grid of shapes with a quick linear part behind, whose poles no score of the linear model's tells."""
-    few, p, scales = of_order(base, 1, 2)
-    gains = [np.std(channel.y) / (np.std(channel.u[:, i]) + 1e-300) for i in base.structure.inputs]
-    p[:1], p[1 : few.plant_size] = -QUICK, 0.0
-    scales[:1], scales[1 : few.plant_size] = 1.0, np.repeat(gains, 2)
-    bare = replace(base, structure=few, p=p, scales=scales)
+    bare = quick_behind(channel, base)
     tried = profile(channel, bare, part, shapes)
     if tried and tried[0][0] < NEARBY * float(np.sum(base.residual**2)):
         fits = ended(channel, bare, part, (q for _, q in tried[:BEGUN]), sizes)
@@ -237,7 +225,6 @@ def _warm(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 
 def _capacities(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """Every input with every flow that fills more than it takes back."""
-    from estimators.diagnosis.effects.loops import slowest_rate
     from estimators.diagnosis.model.structure import Part
     from estimators.diagnosis.search.free_runs import denominator
 
@@ -251,6 +238,19 @@ def _capacities(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
             sizes = [slowest, 1.0 / abs(total), float(np.std(u)) + abs(float(np.mean(u))), 1.0, 0.0]
             yield from _profiled(channel, base, Part(FILLED, j), _fillings(slowest, u, flow, i), sizes)
 
+
+FILLED = Effect(
+    key="capacity_filled", cause="filling_capacity", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=100, alone=True,
+    sentence="a flow fills what the input acts on, or empties it: the time constant follows the flow's integral since the record began",
+    parameters={"rate": "1/sample", "fill": "1/(u sample)", "bring": "u", "carry": "1", "flow": "1"},
+    apply=lambda x, p, clock: _filled(x[:, None], 0, np.array([*p[:4], 1.0]), clock), signal=_filled, search=_capacities,
+)  # fmt: skip
+WARMED = Effect(
+    key="loss_heat", cause="slow_hidden_state", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=60, alone=True, family="heat",
+    sentence="the loss changes with a slow state that its own power feeds: oil, a winding that warms",
+    parameters={"rate": "1/sample", "share": "1", "heat": "1/u^2", "pace": "1/sample"},
+    apply=lambda x, p, clock: kept(_warming, x, p), search=_warm,
+)  # fmt: skip
 
 PROCESS = (
     _process("rise_and_fall", "asymmetric_rise_and_fall", "it rises at another rate than it falls", _one_way,
@@ -271,18 +271,6 @@ PROCESS = (
              _exchange, {"volume": "u sample"}, lambda s: (
                  [[r / s.level, v * s.level] for r in s.rates for v in (0.0, 3.0, 10.0)], [max(s.rates) / s.level, s.level]),
              apply=_through_flow),
+    FILLED,
+    WARMED,
 )  # fmt: skip
-
-FILLED = Effect(
-    key="capacity_filled", cause="filling_capacity", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=100, alone=True,
-    sentence="a flow fills what the input acts on, or empties it: the time constant follows the flow's integral since the record began",
-    parameters={"rate": "1/sample", "fill": "1/(u sample)", "bring": "u", "carry": "1", "flow": "1"},
-    apply=lambda x, p, clock: _filled(x[:, None], 0, np.array([*p[:4], 1.0]), clock), signal=_filled, search=_capacities,
-)  # fmt: skip
-WARMED = Effect(
-    key="loss_heat", cause="slow_hidden_state", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=60, alone=True, family="heat",
-    sentence="the loss changes with a slow state that its own power feeds: oil, a winding that warms",
-    parameters={"rate": "1/sample", "share": "1", "heat": "1/u^2", "pace": "1/sample"},
-    apply=lambda x, p, clock: kept(_warming, x, p), search=_warm,
-)  # fmt: skip
-PROCESS = (*PROCESS, FILLED, WARMED)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import find_peaks, lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
+from estimators.diagnosis.effects.input import after
 
 Array = NDArray[Any]
 _recent: deque[tuple[tuple[Any, ...], Array]] = deque(maxlen=8)
@@ -43,11 +44,12 @@ SHORT = 3
 """Poles of the model that a passing disturbance is put into: more of them would follow it."""
 BANK = (300.0, 100.0, 30.0, 10.0, 3.0)
 """Rates, per record, of the lags that a mixture of stands for any linear part: slower ones hardly differ from what is added."""
-LEAST_TURNS = 1.2
-"""Of a gain in a record: fewer are a drift."""
-
 TIMES = 48
 """Of a record, at any two of which a disturbance may begin and end: what lasts no two of them is an impulse."""
+LEAST_TURNS = 1.2
+"""Of a gain in a record: fewer are a drift."""
+QUICK = 0.2
+"""Pole of the filter behind a process or a loop that its shapes are tried with."""
 
 
 def _servo(x: Array, p: Array, clock: Clock) -> Array:
@@ -68,9 +70,10 @@ def _swaying(x: Any, p: Array, clock: Clock) -> Any:
     return x * (1.0 + p[1] * np.cos(p[0] * clock.k) + p[2] * np.sin(p[0] * clock.k))
 
 
-def kept(run: Callable[[Array, Array], Array], x: Array, p: Array) -> Array:
-    """A recursion's run over a signal (N,), kept as long as only the linear part behind it changes."""
-    key = (run, p.tobytes(), x.tobytes())
+def kept(run: Callable[[Array, Array], Array], x: Array, p: Array, mark: Any = None) -> Array:
+    """A recursion's run over a signal (N,), kept as long as only the linear part behind it changes; `mark` tells it from others
+    where the function does not."""
+    key = (run if mark is None else mark, p.tobytes(), x.tobytes())
     known = next((out for mark, out in tuple(_recent) if mark == key), None)
     if known is None:
         known = run(np.ascontiguousarray(x), p)
@@ -79,8 +82,6 @@ def kept(run: Callable[[Array, Array], Array], x: Array, p: Array) -> Array:
 
 
 def _passed(x: Any, p: Array, clock: Clock) -> Any:
-    from estimators.diagnosis.effects.input import after
-
     return x + p[0] * (after(clock, p[1]) - after(clock, p[2]))
 
 
@@ -124,6 +125,15 @@ def of_order(f: Any, order: int, taps: int) -> tuple[Any, Array, Array]:
         size = now.stop - now.start
         p[now], scales[now] = f.p[then][:size], f.scales[then][:size]
     return few, p, scales
+
+
+def quick_behind(channel: Any, base: Any) -> Any:
+    """The fit with a quick linear part of gains alone, for shapes that replace the dynamics: their poles are not the linear model's."""
+    few, p, scales = of_order(base, 1, 2)
+    gains = [np.std(channel.y) / (np.std(channel.u[:, j]) + 1e-300) for j in base.structure.inputs]
+    p[0], p[1 : few.plant_size] = -QUICK, 0.0
+    scales[0], scales[1 : few.plant_size] = 1.0, np.repeat(gains, 2)
+    return replace(base, structure=few, p=p, scales=scales)
 
 
 def lean(channel: Any, fits: Iterable[Any]) -> Iterator[Any]:
@@ -249,8 +259,7 @@ def _banked(x: Array) -> Array:
 def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """A pulse between the two times at which it explains most, where any mixture of lags stands for the linear part: poles of the
     linear model have bent to follow it."""
-    from estimators.diagnosis.effects.input import after
-    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.linear import fit_linear, plant_scales
     from estimators.diagnosis.model.structure import Part
 
     s, n, nu, keep = base.structure, len(channel), len(base.structure.inputs), channel.keep
@@ -278,10 +287,8 @@ def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     wide = replace(channel, u=np.column_stack((channel.u, steps[:, first] - steps[:, last])))
     begun = fit_linear(wide, replace(few, inputs=(*s.inputs, channel.u.shape[1]))).p
     b = begun[few.order : few.order + (nu + 1) * few.taps].reshape(nu + 1, few.taps)
-    p[: few.plant_size], scales[: few.plant_size] = (
-        begun[: few.plant_size],
-        np.maximum(np.abs(begun[: few.plant_size]), 1e-3),
-    )
+    p[: few.plant_size] = begun[: few.plant_size]
+    scales[: few.plant_size] = plant_scales(few, p)
     bare = replace(base, structure=few, p=p, scales=scales)
     for row, j in zip(b[:-1], s.inputs, strict=True):
         size, su = float(row @ b[-1]) / (float(row @ row) + 1e-300), float(np.std(channel.u[:, j]))

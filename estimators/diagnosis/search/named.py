@@ -181,9 +181,9 @@ class Bench:
         gain = paired_gain([y], [first], [second], [counted], self.policy)
         if not self.feedback or not np.isfinite(gain.value):
             return gain
-        errors = [np.where(counted, y - run, 0.0) for run in (first, second)]
         if self._answer(second) < ANSWERED * self._answered:
             return gain  # what the input seemed to answer was an error of the linear model, and no noise
+        errors = [np.where(counted, y - run, 0.0) for run in (first, second)]
         noise = autoregression(errors[:1], [counted])
         steps = [whitened(noise, e) for e in errors]
         one_step = paired_gain([0.0 * y], steps[:1], steps[1:], [counted], self.policy)

@@ -9,6 +9,10 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators import diagnose
+from estimators.diagnosis.baseline import blocks_of
+from estimators.diagnosis.baseline.choice import Candidate, run_spread, tried
+from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.ladder import Gain
 from estimators.diagnosis.ladder.held_out import _as_read, _curve_unknown, _undetermined
@@ -131,3 +135,36 @@ def test_no_pole_rings_in_place_of_a_cycle_that_nobody_logs() -> None:
     found = diagnose(_consumed(1, 0), _consumed(2, 1000), Setting(orders=(3,)))
     assert found.effect == "periodic_disturbance"
     assert found.rmse_after.value < 0.5 * found.rmse_before.value
+
+
+def test_a_model_that_hangs_on_single_blocks_where_it_is_asked_gives_way():
+    """Slow ramps do not show the quick pole that each block's fit puts elsewhere: asked for steps, its runs differ."""
+    models = [LinearModel(np.array([1.0, -p]), np.array([[0.0, 1.0 - p]])) for p in (0.2, 0.5, 0.3, 0.6, 0.1)]
+    ramp = np.repeat(np.linspace(-1.0, 1.0, 200), 5)[:, None]
+    steps = np.tile([1.0, -1.0], 500)[:, None]
+    assert run_spread(models, [steps], [ramp]) > 100 * run_spread(models, [ramp], [ramp])
+    assert run_spread(models[:1] * 5, [steps], [ramp]) == 0.0
+    rng = np.random.default_rng(0)
+    y = lfilter(models[2].num[0], models[2].den, ramp[:, 0]) + 0.02 * rng.standard_normal(1000)
+    record = Record(ramp, y)
+    blocks = blocks_of([record], 5, 20, 30)
+    candidate = Candidate("ARX", "", 2, [*models, models[-1]], Arx(1, 1, (1,), False))
+    prior = Prior(0.0, np.ones(9), 0.1)
+    unasked, alike, asked = (tried(candidate, [record], 0, blocks, prior, a) for a in ((), (ramp,), (steps,)))
+    assert unasked is not None
+    assert alike is not None
+    assert asked is not None
+    assert unasked.beyond == alike.beyond == 0.0
+    assert asked.charged.mean() > 2.0 * unasked.charged.mean()
+
+
+@pytest.mark.parametrize(("pole", "samples"), [(0.999, 20), (0.999, 0), (0.5, 20)])
+def test_a_state_that_a_window_leaves_open_is_counted_over_the_run(pole, samples):
+    """First order, by hand: variance c of the past output, less what samples of noise s tell of it, times the mean decay."""
+    c, s, n = 4.0, 0.3, 500
+    decay = pole ** (2.0 * np.arange(1, n + 1))
+    left = 1.0 / (1.0 / c + decay[:samples].sum() / s)
+    model = LinearModel(np.array([1.0, -pole]), np.array([[0.0, 1.0]]))
+    prior = Prior(0.0, np.full(9, c), s)
+    assert model.unset(prior, s, n, samples) == pytest.approx(left * decay.mean())
+    assert model.unset(prior, 0.0, n, samples) == pytest.approx(0.0 if samples else left * decay.mean())
