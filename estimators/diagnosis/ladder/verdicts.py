@@ -21,6 +21,7 @@ from estimators.diagnosis.model.fitting import Fit, ar_model, innovations
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.leftover import Leftover, leftovers
+from estimators.diagnosis.result.report import error_stated
 from estimators.diagnosis.search.named import Claim
 from estimators.diagnosis.search.selection import FAMILY
 from estimators.residual.measures import p_stated
@@ -102,7 +103,7 @@ def _headline(first: list[Finding], withdrawn: bool, outcomes: Sequence[Outcome]
     said = "; ".join(_equations(outcomes))
     if top.cause == UNKNOWN:
         return f"an effect without a name ({top.nature}){': ' + said if said else ''}; {errors}"
-    given = [f"{name.rpartition('.')[2]} {v:.4g} +- {se:.1g} {unit}".rstrip() for o in outcomes
+    given = [f"{name.rpartition('.')[2]} {v:.4g} +- {error_stated(se, 1)} {unit}".rstrip() for o in outcomes
              for name, (v, se, unit) in _parameters(o, False).items() if name.startswith(top.key + ".")]  # fmt: skip
     words = ", ".join(given[:MOST]) if top.key else said
     return f"{top.cause.replace('_', ' ')}{': ' + words if words else ''}; {errors}"

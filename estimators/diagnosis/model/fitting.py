@@ -58,7 +58,9 @@ class Fit:
     `variance` innovation variance; `deviance` n log(variance): minus twice the log-likelihood, up to a
     constant; `residual` (N,) simulation error, 0 where a sample does not count; `n` samples that count;
     `jacobian` (N, size) derivatives of the residual at the solution; `scales` (size,) typical sizes of the
-    parameters.
+    parameters; `weight` AR coefficients by which the error was whitened whose squares the fit made least,
+    `whitened` those by which the jacobian was; `unrounded` (N,) where samples are rounded: the expected error
+    of what was rounded, and the jacobian's root of what rounding leaves of the information.
     """
 
     structure: Structure
@@ -70,6 +72,9 @@ class Fit:
     n: int
     jacobian: Array = field(repr=False)
     scales: Array = field(repr=False)
+    weight: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    whitened: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    unrounded: Array | None = field(default=None, repr=False)
 
     @property
     def size(self) -> int:
@@ -323,18 +328,40 @@ def fit(
     target = channel.y if channel.step == 0 else _expected(channel.y, simulated, channel.step, sigma[0])
     r = np.where(keep, target - simulated, 0.0)
     variance = float(np.sum(_innovation(r, noise) ** 2) / n)
-    deviance = n * np.log(max(variance, 1e-300))
+    deviance, whitened, unrounded = n * np.log(max(variance, 1e-300)), shape, None
     if channel.step > 0:
         r = np.where(keep, channel.y - simulated, 0.0)
         deviance, variance = _rounded_deviance(channel.y[keep], simulated[keep], channel.step, sigma[0])
+        J, unrounded = _unrounded(channel, structure, p, r, steps, variance)
     if colour and channel.step == 0:
         again, _ = ar_model(r)
         v = float(np.sum(_innovation(r, again) ** 2) / n)
         if n * np.log(max(v, 1e-300)) + len(again) * np.log(n) < deviance + len(noise) * np.log(n):
             if not len(noise) and J.size:
                 J = np.asarray(lfilter(np.concatenate(([1.0], again)), [1.0], J, axis=0))
+                whitened = again
             noise, variance, deviance = again, v, n * np.log(max(v, 1e-300))
-    return Fit(structure, p, noise, variance, deviance, r, n, J, scales)
+    return Fit(structure, p, noise, variance, deviance, r, n, J, scales, shape, whitened, unrounded)
+
+
+def _unrounded(
+    channel: Channel, structure: Structure, p: Array, r: Array, steps: Array, variance: float
+) -> tuple[Array, Array]:
+    """Derivatives (N, size) of the error of rounded samples, and the error (N,) that they let expect of what was rounded.
+
+    Both so that their products are the scores: e = E[y | its interval] - simulated moves with the parameters by the share
+    mean(e^2)/variance of what the simulation does, and both are divided by its root.
+    """
+
+    def gap(q: Array) -> Array | None:
+        y = simulate(structure, q, channel.u, channel.clock)
+        return np.where(channel.keep, channel.y - y, 0.0) if _finite(y) else None
+
+    J = np.zeros((len(channel), len(p)))
+    _differences(gap, r, p, steps, set(), None, J)
+    e = np.where(channel.keep, _expected(r, np.zeros(len(r)), channel.step, np.sqrt(variance)), 0.0)
+    share = np.sqrt(max(float(np.sum(e**2)) / max(int(channel.keep.sum()), 1) / variance, 1e-12))
+    return J * share, e / share
 
 
 def leaving(f: Fit, residual: Array) -> Fit:
@@ -342,32 +369,3 @@ def leaving(f: Fit, residual: Array) -> Fit:
     noise, deviance = ar_model(residual)
     variance = float(np.sum(innovations(residual, noise) ** 2) / f.n)
     return replace(f, residual=residual, noise=noise, variance=variance, deviance=deviance)
-
-
-def parameters_of(f: Fit, prefix: str = "") -> dict[str, tuple[float, float, str]]:
-    """Parameters of a fit's parts, with standard errors that know of the noise's correlation."""
-    if not f.jacobian.size:
-        return {}
-    J, e = f.jacobian, innovations(f.residual, f.noise)[: len(f.jacobian)]
-    norms = np.sqrt(np.sum(J**2, axis=0)) + 1e-300
-    H = np.linalg.pinv((J / norms).T @ (J / norms))
-    errors = np.sqrt(np.maximum(np.diag(H @ _score_covariance(J / norms, e) @ H), 0.0)) / norms
-    out: dict[str, tuple[float, float, str]] = {}
-    for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
-        for i, (name, unit) in enumerate(part.parameters(f.structure.order)):
-            label = f"{prefix}{part.key}.{name}"
-            if label in out:  # the same effect at another input
-                label += f"_{part.channel + 1}"
-            out[label] = (float(f.p[sl.start + i]), float(errors[sl.start + i]), unit)
-    return out
-
-
-def _score_covariance(J: Array, e: Array) -> Array:
-    """Covariance of J'e by Bartlett's weights (Newey and West), its lag growing as the cube root of the record."""
-    scores = J * e[:, None]
-    lags = int(np.ceil(1.3 * len(e) ** (1 / 3)))
-    S = scores.T @ scores
-    for k in range(1, lags + 1):
-        C = scores[k:].T @ scores[:-k]
-        S += (1.0 - k / (lags + 1.0)) * (C + C.T)
-    return S * len(e) / max(len(e) - J.shape[1], 1)

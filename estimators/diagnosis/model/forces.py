@@ -106,7 +106,9 @@ def balanced_fit(channel: Channel, dt: float, balance: ForceBalance) -> Fit | No
     # the errors are correlated over most of the record: standard errors by the number of independent samples
     r = found.residual
     variance = float(np.mean(r**2)) * len(r) / effective_samples(r)
-    return replace(found, jacobian=J * np.sqrt(found.variance / variance))
+    return replace(
+        found, jacobian=J * np.sqrt(found.variance / variance), weight=found.noise, whitened=found.noise
+    )
 
 
 def effective_samples(r: Array) -> float:

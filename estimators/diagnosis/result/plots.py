@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from estimators.diagnosis.model.errors import spread
 from oed.files.writing import write_figure
 
 if TYPE_CHECKING:
@@ -112,9 +113,8 @@ def characteristics(result: Diagnosis, output: int = 0) -> list[Characteristic]:
     drawn = [(q, sl) for q, sl in found if q.drawn(np.linspace(-1.0, 1.0, 3), f.p[sl]) is not None]
     if not drawn or not f.jacobian.size:
         return []
-    norms = np.sqrt(np.sum(f.jacobian**2, axis=0)) + 1e-300
-    covariance = np.linalg.pinv((f.jacobian / norms).T @ (f.jacobian / norms)) * f.variance
-    covariance = covariance / np.outer(norms, norms).clip(1e-290)
+    covariance = spread(f).covariance
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)  # of a threshold no derivative tells
     curves = []
     for part, sl in drawn:
         values, name = _range_of(part, f, channel)

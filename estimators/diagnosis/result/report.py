@@ -175,7 +175,9 @@ class Diagnosis:
         ]
         lines += [f"  - {sentence}" for sentence in self.evidence]
         for name, (value, se, unit) in self.parameters.items():
-            lines.append(f"  {name} = {value:.5g} +- {se:.2g} {self.in_units(unit) or '(no unit)'}")
+            lines.append(
+                f"  {name} = {value:.5g} +- {error_stated(se, 2)} {self.in_units(unit) or '(no unit)'}"
+            )
         if self.linear:
             poles = ", ".join(_pole(*row) for row in self.linear["poles"])
             lines.append(f"linear model: {self.linear['structure']}; poles {poles or 'none'}")
@@ -201,6 +203,11 @@ class Diagnosis:
         if self.remaining:
             lines.append(self.remaining)
         return "\n".join(lines)
+
+
+def error_stated(error: float, digits: int) -> str:
+    """A standard error in words or digits: that of a threshold between samples, which no derivative tells, is not known."""
+    return f"{error:.{digits}g}" if np.isfinite(error) else "unknown"
 
 
 def _plain(keys: Sequence[str]) -> str:

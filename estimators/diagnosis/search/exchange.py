@@ -112,5 +112,5 @@ def whole_delay(channel: Channel, f: Fit) -> Fit:
         f.structure, best.p, channel.u, channel.clock
     )
     J = best.jacobian.copy()
-    J[:, at] = innovations(np.where(channel.keep, -moved / 1e-6, 0.0), best.noise)
+    J[:, at] = innovations(np.where(channel.keep, -moved / 1e-6, 0.0), best.whitened)
     return replace(best, jacobian=J, scales=f.scales)

@@ -20,7 +20,8 @@ from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.effects.process import FILLED, at_once
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
-from estimators.diagnosis.model.fitting import Channel, Fit, parameters_of
+from estimators.diagnosis.model.errors import parameters_of
+from estimators.diagnosis.model.fitting import Channel, Fit
 from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
@@ -372,7 +373,7 @@ def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
 def _step(bench: Bench, f: Fit, claims: list[Claim], unused: Array) -> Step:
     answer = bench.answer(f)
     return Step(
-        Kind.NAMED, tuple(c.key for c in claims), (unused,), answer, len(f.p), parameters_of(f),
+        Kind.NAMED, tuple(c.key for c in claims), (unused,), answer, len(f.p), parameters_of(f, bench.channel),
         tuple(c.part.effect.sentence for c in claims), noise=f.noise, nature=claims[0].part.effect.nature.value,
         folds=tuple(replace(answer, p=p) for p in bench.known[f][1]),
     )  # fmt: skip
