@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import queue
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from typing import Any
 
 from oed.errors import CampaignError, InputError
 
 CONNECT, SAY, END = 10.0, 10.0, 120.0
 """Seconds to connect; without a worker until it is said; and until the campaign ends, keeping what was finished."""
-LOOK = 1.0
-"""Seconds between two looks at the cluster while nothing arrives."""
+LOOK, ANSWER = 1.0, 5.0
+"""Seconds between two looks at the cluster while nothing arrives, and for the scheduler's answer: one that hangs gives none."""
 FETCH = 30.0
 """Seconds for a result, of a megabyte at most, to come from its worker."""
 
@@ -88,18 +89,21 @@ class _Watch:
 
     def look(self) -> None:
         """Say that there is no worker, and after a while end."""
+        there = "does not answer"
         if self.client.status == "running":
             with contextlib.suppress(OSError, TimeoutError):
-                if self.client.scheduler_info(n_workers=-1)["workers"]:
+                ask = self.client.scheduler.identity
+                if self.client.sync(ask, n_workers=-1, callback_timeout=ANSWER)["workers"]:
                     self.seen()
+                there = "has no worker"
         gone = time.monotonic() - self.since
         where = self.client.scheduler.address if self.client.scheduler else "the scheduler"
         if gone > END:
-            raise CampaignError(f"the Dask cluster at {where} has had no worker for {END:.0f} s; {KEPT}")
+            raise CampaignError(f"the Dask cluster at {where} {there}, for {END:.0f} s now; {KEPT}")
         if gone > SAY and not self.said:
             self.said = True
             print(
-                f"the Dask cluster at {where} has no worker; waiting for one until {END:.0f} s are over.",
+                f"the Dask cluster at {where} {there}; waiting until {END:.0f} s are over.",
                 file=sys.stderr,
             )
 
@@ -117,6 +121,8 @@ def _connected(address: str) -> Iterator[Any]:
     logging.disable(logging.CRITICAL)
     try:
         try:
+            with ThreadPoolExecutor(1) as aside:  # a notebook has a loop of its own, in which none can be run
+                aside.submit(asyncio.run, _answer(address)).result()
             client = Client(address, timeout=CONNECT)
         except (OSError, TimeoutError, ValueError) as error:
             raise InputError(
@@ -130,3 +136,13 @@ def _connected(address: str) -> Iterator[Any]:
                 client.close(timeout=5)
     finally:
         logging.disable(level)
+
+
+async def _answer(address: str) -> None:
+    """Ask the scheduler for its name: where one hangs, a client's own time limit is followed by a wait without end."""
+    from distributed import Security
+    from distributed.core import rpc
+
+    how = Security().get_connection_args("client")
+    async with rpc(address, timeout=CONNECT, connection_args=how) as scheduler:
+        await asyncio.wait_for(scheduler.identity(n_workers=0), CONNECT)

@@ -146,7 +146,7 @@ def efficiency_figure(rows: Sequence[Row], plant: str, theory: Mapping[float, ND
              "panel": f"peak gain, noise {variance:g}", "text": format_value(float(v))}
             for n, v in enumerate(values)
         ]  # fmt: skip
-    names = {str(p["series"]) for p in points}
+    names = dict.fromkeys(str(p["series"]) for p in points)
     return Figure(
         f"efficiency-{plant}", f"{plant}: efficiency against the number of experiments, measured (marks) and predicted (line).",
         f"Efficiency of every input on {plant} against the number of experiments, for the peak gain and for D, by noise level.",
@@ -281,7 +281,7 @@ def hair_dryer_figures(story: Any) -> list[Figure]:
     return [
         Figure("hair-dryer", "What the residual says: correlation of input and residual (thin lines: 99 % bounds).",
                "Correlation of input and residual against the lag, before and after the delay was added.", lags,
-               "lag (samples)", "correlation", dict.fromkeys({r["series"] for r in lags}, "both"), rules=(-story.bound, story.bound)),
+               "lag (samples)", "correlation", dict.fromkeys((r["series"] for r in lags), "both"), rules=(-story.bound, story.bound)),
         Figure("hair-dryer-simulation", "Simulation on data not used for the fit.", "Measured and simulated output over time.",
                runs, "time (s)", "air temperature sensor (V)", zoom=True),
     ]  # fmt: skip

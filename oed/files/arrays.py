@@ -44,7 +44,7 @@ def table_of_arrays(shapes: Mapping[str, tuple[int, ...]], get: Callable[[str], 
                     by_column |= dict(zip(marked[letter], texts(get(f"{side}_{what}"))))
 
     def load(wanted: Sequence[str]) -> list[NDArray[np.float64]]:
-        whole = {name: np.asarray(get(name)) for name in {place[column][0] for column in wanted}}
+        whole = {name: np.asarray(get(name)) for name in dict.fromkeys(place[c][0] for c in wanted)}
         columns = []
         for column in wanted:
             name, k = place[column]

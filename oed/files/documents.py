@@ -17,6 +17,10 @@ from oed.errors import InputError, OedError
 
 LARGEST = 64 * 2**20
 """Bytes of a document: the largest models and settings here have some hundred kilobytes."""
+LARGEST_TOML = 2**20
+"""Bytes of a TOML document: its reader is slow, and those here are written by hand."""
+MOST = 1_000_000
+"""Values in a document: checked in seconds. A report of a campaign of 20 rows has 7000."""
 LONGEST_NUMBER = 400
 """Digits of a number in a document: a double needs 17, written out at most 325."""
 SHOWN = 60
@@ -41,9 +45,8 @@ def read_document(
     path = Path(path)
     where = f"{what} {path}"
     try:
-        if path.stat().st_size > LARGEST:
-            raise error(f"{where} has {path.stat().st_size} bytes; at most {LARGEST} are read.")
-        text = path.read_bytes().decode("utf-8-sig")
+        size, most = path.stat().st_size, LARGEST_TOML if path.suffix == ".toml" else LARGEST
+        text = path.read_bytes().decode("utf-8-sig") if size <= most else ""
     except OSError as reason:
         raise error(
             f"{where} cannot be read ({reason.strerror or reason}); check the name and the folder."
@@ -52,6 +55,8 @@ def read_document(
         raise error(f"{where} is not text in UTF-8 (byte {reason.start}); save it as UTF-8.") from None
     except ValueError:  # a null byte in the path
         raise error(f"{what} {str(path)!r} has no name that a file can have.") from None
+    if size > most:
+        raise error(f"{where} has {size:,} bytes; at most {most:,} are read.")
     if path.suffix == ".toml":
         try:
             content: Any = tomllib.loads(text)
@@ -62,7 +67,10 @@ def read_document(
 
 
 def parsed_json(text: str, where: str, *, error: type[OedError] = InputError) -> Any:
-    """JSON text as Python values; refused are keys that occur twice, numbers that are not finite, deep nesting."""
+    """JSON text as Python values; refused are keys that occur twice, numbers that are not finite, deep nesting, and more
+    values than can be checked in seconds."""
+    if sum(map(text.count, ",[{")) > MOST:
+        raise error(f"{where} has more than {MOST:,} values; that many are not read.")
     try:
         return json.loads(
             text, object_pairs_hook=_once, parse_constant=_constant, parse_float=_float, parse_int=_int

@@ -15,8 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.data import frozen
 from oed.errors import InputError
+from oed.files.documents import FLAG, LARGEST, NUMBER, TEXT, WHOLE, checked, keyed, listed, parsed_json
 from oed.models.polynomials import Orders, Polynomial, polynomial
 from oed.models.statespaces import StateSpace
+from oed.models.structures import STRUCTURES
 
 if TYPE_CHECKING:
     from oed.plants.plant import Plant
@@ -135,28 +137,73 @@ class Model:
         return f"{self.structure!r}: {values}"
 
 
+LONGEST_ORDER = 20_000
+"""Of a saved model, as many as a plant file's coefficients."""
+_ORDER = WHOLE | {
+    "minimum": 0,
+    "maximum": LONGEST_ORDER,
+    "description": f"a whole number from 0 to {LONGEST_ORDER}",
+}
+_PER_OUTPUT = listed(_ORDER, "orders, one per output", minItems=1)
+_PER_ENTRY = listed(listed(_ORDER, "orders", minItems=1), "orders per input, a row per output", minItems=1)
+_VALUES = listed(NUMBER, "numbers", minItems=1)
+_POLYNOMIAL = keyed(
+    {"kind": {"enum": list(STRUCTURES), "description": f"one of {', '.join(STRUCTURES)}"}}
+    | dict.fromkeys(("na", "nc", "nd"), _PER_OUTPUT)
+    | dict.fromkeys(("nb", "nf", "nk"), _PER_ENTRY),
+    ("na", "nb", "nc", "nd", "nf", "nk"),
+)
+_STATE_SPACE = keyed(
+    {"kind": TEXT, "blocks": _PER_OUTPUT, "n_inputs": _ORDER, "feedthrough": FLAG, "noise": FLAG}, ("blocks",)
+)
+MODEL = keyed(
+    {
+        "structure": {"type": "object", "required": ["kind"], "description": "an object with the kind and the orders"},
+        "theta": listed(NUMBER, "numbers"),
+        "noise_covariance": listed(_VALUES, "rows of numbers", minItems=1),
+        "dt": {"type": "number", "exclusiveMinimum": 0, "description": "a positive number"},
+    },
+    ("structure", "theta", "noise_covariance", "dt"),
+    others={},
+)  # fmt: skip
+"""What makes the model of a saved file; what a fit says beside it decides nothing here."""
+
+
 def model_from_json(text: str | dict) -> Model:
     """The model that `Model.to_json` wrote."""
-    try:
-        given = json.loads(text) if isinstance(text, str) else text
-        orders = dict(given["structure"])
-        if orders["kind"] == "ss":
-            del orders["kind"]
-            structure: Polynomial | StateSpace = StateSpace(**orders)
-        else:
-            structure = Polynomial(**orders)
-        return Model(structure, given["theta"], given["noise_covariance"], given["dt"])
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
-        raise InputError(f"this is not a saved model ({error}); give what Model.to_json wrote.") from None
+    where = "this is not a saved model"
+    given = parsed_json(text, where) if isinstance(text, str) else text
+    checked(given, MODEL, where)
+    orders = dict(given["structure"])
+    of_states = orders["kind"] == "ss"
+    checked(orders, _STATE_SPACE if of_states else _POLYNOMIAL, f"{where}: structure")
+    for name, rows in (*orders.items(), ("noise_covariance", given["noise_covariance"])):
+        if isinstance(rows, list) and len({len(row) for row in rows if isinstance(row, list)}) > 1:
+            raise InputError(f"{where}: the rows of {name} are of different lengths.")
+    # More orders than parameters would be counted before they are compared: gigabytes of names.
+    if of_states:
+        del orders["kind"]
+        ny, n, nu = len(orders["blocks"]), sum(orders["blocks"]), orders.get("n_inputs", 1)
+        wanted = (
+            n * (ny + nu) + n * ny * orders.get("noise", True) + ny * nu * orders.get("feedthrough", False)
+        )
+    else:
+        wanted = sum(map(sum, (orders["na"], orders["nc"], orders["nd"], *orders["nb"], *orders["nf"])))
+    if wanted > len(given["theta"]):
+        raise InputError(
+            f"{where}: its orders ask for more parameters than the {len(given['theta'])} of theta."
+        )
+    structure = StateSpace(**orders) if of_states else Polynomial(**orders)
+    return Model(structure, given["theta"], given["noise_covariance"], given["dt"])
 
 
 def saved_model(source: Any) -> Model | None:
     """The model in a file that `oed identify --out` wrote, or in its parsed mapping; None where it holds something else."""
     try:
-        given = (
-            json.loads(Path(source).read_text(encoding="utf-8")) if isinstance(source, str | Path) else source
-        )
-    except (OSError, ValueError, RecursionError):
+        given = source
+        if isinstance(source, str | Path) and Path(source).stat().st_size <= LARGEST:
+            given = parsed_json(Path(source).read_text(encoding="utf-8"), str(source))
+    except (OSError, ValueError):
         return None
     wanted = {"structure", "theta", "noise_covariance", "dt"}
     return model_from_json(dict(given)) if isinstance(given, Mapping) and wanted <= set(given) else None

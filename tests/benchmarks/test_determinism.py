@@ -77,6 +77,29 @@ def test_another_seed_gives_other_bytes(usual, tmp_path):
     assert digest(tmp_path / "x", seed=1) != usual
 
 
+@pytest.mark.validate
+def test_a_report_has_the_same_bytes_for_every_hash_seed(tmp_path):
+    """What a page iterates over is a list: a set of names has another order in every process."""
+    words = "compare --plant reference --noise-variance 1 --methods white power multisine --estimators frf gain --samples 50"
+    words += " --experiments 3 --replicates 2 --jobs 1 --quiet --out o"
+    told = []
+    for seed in "012":
+        folder = tmp_path / seed
+        folder.mkdir()
+        call = [sys.executable, "-m", "benchmarks.cli", *words.split()]
+        subprocess.run(
+            call, check=True, cwd=folder, env=os.environ | {"PYTHONHASHSEED": seed}, capture_output=True
+        )
+        files = (
+            f
+            for f in sorted((folder / "o").rglob("*"))
+            if f.is_file() and f.name not in ("lock", "cost.json")
+        )
+        told.append({f.name: blake2b(f.read_bytes()).hexdigest() for f in files})
+    assert {"report.html", "report.json"} <= set(told[0])
+    assert told[0] == told[1] == told[2]
+
+
 def memory_mb() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 

@@ -120,10 +120,27 @@ def test_a_cluster_without_workers_and_one_that_is_lost(tmp_path, monkeypatch, c
         n_workers=0, processes=True, dashboard_address=":0", silence_logs=50
     ) as cluster:
         began = time.monotonic()
-        with pytest.raises(CampaignError, match="has had no worker for 2 s; what was finished is kept"):
+        with pytest.raises(CampaignError, match="has no worker, for 2 s now; what was finished is kept"):
             run_campaign(settings, 2, tmp_path / "a", scheduler=cluster.scheduler_address)
         assert time.monotonic() - began < 15
-    assert "has no worker; waiting for one until" in capsys.readouterr().err
+    assert "has no worker; waiting until" in capsys.readouterr().err
+
+
+def test_a_scheduler_that_hangs_is_not_waited_for(monkeypatch, capsys):
+    """Stopped, or behind a cable that was pulled: its system keeps the connection, and no answer comes."""
+
+    def sync(ask, n_workers, callback_timeout=None):
+        assert callback_timeout, "it would be waited for for ever"
+        raise TimeoutError
+
+    monkeypatch.setattr(cluster_module, "SAY", 0.0)
+    client = SimpleNamespace(status="running", scheduler=SimpleNamespace(address="tcp://x:1", identity=None), sync=sync)  # fmt: skip
+    watch = cluster_module._Watch(client)
+    watch.look()
+    assert "the Dask cluster at tcp://x:1 does not answer; waiting until" in capsys.readouterr().err
+    monkeypatch.setattr(cluster_module, "END", 0.0)
+    with pytest.raises(CampaignError, match="does not answer, for 0 s now; what was finished is kept"):
+        watch.look()
 
 
 class Lost:

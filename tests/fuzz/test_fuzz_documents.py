@@ -18,12 +18,14 @@ from benchmarks.campaign.settings import Settings as Campaign
 from benchmarks.campaign.settings import campaign_from_toml
 from estimators.sessions.settings import Settings, settings_from_json, settings_to_json
 from oed.errors import OedError
+from oed.models.model import Model, arx, bj, model_from_json
+from oed.models.statespaces import StateSpace
 from oed.plants.json import plant_from_json, plant_to_json
 
-TESTS = 8  # with those of the readers beside this file
+TESTS = 10  # with those of the readers beside this file
 MANY = int(os.environ.get("OED_FUZZ", "0"))
 quick = settings(
-    max_examples=MANY // TESTS or 125, derandomize=not MANY, database=None, deadline=timedelta(seconds=20),
+    max_examples=MANY // TESTS or 100, derandomize=not MANY, database=None, deadline=timedelta(seconds=20),
     suppress_health_check=list(HealthCheck),
 )  # fmt: skip
 PLANTS = (
@@ -33,6 +35,10 @@ PLANTS = (
     {"num": [[[0, 1], [0, 2]], [[0, 1], [0, 3]]], "den": [[[1, -0.5], [1]], [[1, -0.2], [1, 0.3]]],
      "noise": {"covariance": [[2.0, 1], [1, 3]]}},
 )  # fmt: skip
+MODELS = tuple(
+    Model(structure, [0.1, 0.2, 0.5, 0.3, 0.1, -0.2][: structure.n], [[1.0]], 0.5).to_dict()
+    for structure in (arx(2, 1), bj(1, 1, 1, 1), StateSpace((2,)))
+)
 CAMPAIGN = {
     "plants": ["reference", "random-fir-1..3"], "noise_variances": [1.0, 0.1], "methods": ["white", "power"],
     "estimators": ["frf", "pem"], "samples": 100, "experiments": 5, "seed": 3, "profile_replicates": 0, "replicates": 4,
@@ -101,6 +107,20 @@ def test_a_changed_plant_is_read_as_it_stands_or_refused(content, how):
         for i, row in enumerate(num):
             for j, entry in enumerate(row):
                 assert plant.num[i][j].tolist() == [float(v) / den[i][j][0] for v in entry]
+
+
+@quick
+@given(st.sampled_from(MODELS), changes)
+def test_a_changed_model_is_read_as_it_stands_or_refused(content, how):
+    content = changed(content, how)
+    model = read(lambda: model_from_json(json.dumps(content)))
+    if model is None:
+        return
+    said = json.loads(model.to_json())
+    assert said["theta"] == content["theta"]
+    assert said["noise_covariance"] == content["noise_covariance"]
+    assert {k: v for k, v in said["structure"].items() if k in content["structure"]} == content["structure"]
+    read(lambda: plant_from_json(content))
 
 
 @quick

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 
 import pytest
 
@@ -109,3 +110,53 @@ def test_a_wrong_session_file(key, value, words):
     with pytest.raises(CampaignError, match=words):
         settings_from_json(json.dumps(content | {key: value}), "session.json")
     assert settings_from_json(json.dumps(content), "session.json") == Settings("power", 100)
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ('{"num": ' + "[[1]]," * 400_000 + '"den": 1}', "has more than 1,000,000 values"),
+        ("{" + ",".join(f'"k{k}": 1' for k in range(1_000_001)) + "}", "has more than 1,000,000 values"),
+        (" " * (64 * 2**20 + 1), "has 67,108,865 bytes; at most 67,108,864 are read"),
+    ],
+    ids=["lists", "keys", "bytes"],
+)
+def test_documents_of_gigabytes_once_read_are_refused_before(tmp_path, text, words):
+    file = tmp_path / "p.json"
+    file.write_text(text)
+    began = time.process_time()
+    with pytest.raises(InputError, match=words):
+        plant_from_json(file)
+    assert time.process_time() - began < 2
+    toml = tmp_path / "c.toml"
+    toml.write_text("#" * (2**20 + 1))
+    with pytest.raises(InputError, match="has 1,048,577 bytes; at most 1,048,576 are read"):
+        campaign_from_toml(toml)
+
+
+ARX = {"kind": "arx", "na": [1], "nb": [[1]], "nc": [0], "nd": [0], "nf": [[0]], "nk": [[1]]}
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"structure": ARX | {"nb": [[1e308]]}}, r"structure: nb.*1e.308"),
+        ({"structure": ARX | {"nb": [[20000]]}}, "its orders ask for more parameters than the 2 of theta"),
+        ({"structure": {"kind": "ss", "blocks": [20000] * 60}}, "its orders ask for more parameters"),
+        ({"structure": ARX | {"nb": [[1], [1, 1]]}}, "the rows of nb are of different lengths"),
+        ({"structure": ARX | {"nn": 1}}, "the key 'nn' is unknown"),
+        ({"structure": ARX | {"kind": "x"}}, "kind is 'x'; it must be one of fir"),
+        ({"theta": ["x", 1]}, r"theta\[0\] is 'x'; it must be a number"),
+        ({"noise_covariance": [[1], [1, 1]]}, "the rows of noise_covariance are of different lengths"),
+        ({"dt": 0}, "dt is 0; it must be a positive number"),
+    ],
+    ids=lambda value: repr(value)[:60],
+)
+def test_a_wrong_model_file_is_one_line(tmp_path, change, words):
+    model = {"structure": ARX, "theta": [0.1, 0.2], "noise_covariance": [[1.0]], "dt": 0.5}
+    file = tmp_path / "model.json"
+    file.write_text(json.dumps(model))
+    assert plant_from_json(file).den[0][0].tolist() == [1, 0.1]
+    file.write_text(json.dumps(model | change))
+    with pytest.raises(InputError, match=words):
+        plant_from_json(file)
