@@ -25,7 +25,9 @@ def _iterations() -> None:
     from estimators.montecarlo.engine import monte_carlo
     from estimators.montecarlo.noise_ahead import noise_of_replicates
     from oed.plants.named import named_plant
+    from oed.plants.norms import peak
 
+    peak(named_plant("reference"))
     monte_carlo(named_plant("reference"), 20, 2, 2)
     noise_of_replicates((1, 2), 0, 1, 20)
 
