@@ -225,6 +225,21 @@ def test_from_a_cell_to_the_command_by_keyboard_alone(browser, page):
     assert not run(browser, "return document.querySelector('dialog').open")
 
 
+CAPTIONS = """return [...document.querySelectorAll('.scroll')].map(box => [0, 9999].map(left => {
+    box.scrollLeft = left; const a = box.getBoundingClientRect(), b = box.querySelector('caption').getBoundingClientRect();
+    return [box.scrollLeft, Math.round(b.left - a.left), b.right <= a.right + 1, b.height] }))"""
+
+
+@pytest.mark.parametrize("width", [1400, 400])
+def test_a_caption_stands_still_beside_a_table_that_scrolls(browser, short, width):
+    opened(browser, short, width)
+    found = run(browser, CAPTIONS)
+    assert width == 1400 or any(end[0] > 100 for _, end in found), "a table is wider than the page"
+    for start, end in found:
+        assert start[1:3] == end[1:3] == [0, True]
+        assert start[3] == end[3] > 0
+
+
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", [1400, 400])
 def test_nothing_scrolls_sideways_and_the_checker_finds_nothing_serious(browser, short, width, dark):
