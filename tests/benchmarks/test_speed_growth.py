@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from benchmarks.page.figures_growth import growth_figure
+from benchmarks.page.figures_growth import growth_figure, growth_page
 from benchmarks.speed.growth import Verb, exponent, measured, verbs
 from oed.plants.named import named_plant
 from oed.plants.norms import peak
@@ -31,6 +31,10 @@ def test_memory_of_a_list_grows_as_its_length() -> None:
         row | {"baseline": "peer", "baseline_exponent": 1.0, "points": row["points"] | {"peer": [1.0, 2, 3]}},
     ]
     assert [len(ax.get_lines()) for ax in growth_figure(both).axes] == [1, 2]
+    page = growth_page(both, "docs/growth.md", "growth.svg", "abc")
+    assert "20000 to 320000" in page
+    assert "at commit `abc`" in page
+    assert page.count("| list | entries |") == 2
 
 
 def test_every_verb_works_at_its_smallest_size() -> None:

@@ -22,6 +22,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "names", nargs="*", metavar="NAME", help="which files of benchmarks/speed (default all)"
     )
     parser.add_argument("--figure", metavar="FILE.svg", help="draw how cost grows (of `growth`), log-log")
+    parser.add_argument(
+        "--page", metavar="FILE.md", help="write how cost grows as a page, its figure beside it (of `growth`)"
+    )
+    parser.add_argument("--commit", default="", help="what the page names as its source")
     parser.add_argument("--strict", action="store_true", help="exit 1 where a target is missed")
 
 
@@ -42,11 +46,16 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     for k, name in enumerate(chosen):
         stage("benchmarks", k, len(chosen))
         rows += import_module(f"benchmarks.speed.{name}").rows()
-    if args.figure:
-        from benchmarks.page.figures_growth import growth_figure
-        from oed.files.writing import write_figure
+    page = Path(args.page) if args.page else None
+    if args.figure or page:
+        from benchmarks.page.figures_growth import growth_figure, growth_page
+        from oed.files.writing import write_figure, write_whole
 
-        write_figure(Path(args.figure), growth_figure([row for row in rows if "points" in row]))
+        grown = [row for row in rows if "points" in row]
+        figure = Path(args.figure) if args.figure or page is None else page.with_suffix(".svg")
+        write_figure(figure, growth_figure(grown))
+        if page:
+            write_whole(page, growth_page(grown, str(page), figure.name, args.commit))
     missed = [row["name"] for row in rows if row.get("holds") is False]
     shown = {key: name for key, name in COLUMNS.items() if any(key in row for row in rows)}
     text = to_text(rows, shown)
