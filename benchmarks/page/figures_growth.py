@@ -23,13 +23,13 @@ The peers' fits begin near the truth, ours find their starts; their designs take
 
 ![CPU seconds against size, log-log]({figure})
 
-Made by `oed speed growth --page {page}`{commit}, on {cores} cores with a load of {load:.1f} while it ran: CPU seconds are some ten
-per cent longer beside other work, powers as they are.
+Made by `oed speed growth --page {page}`{commit}, on {cores} cores with a load of {load:.1f} while it ran. CPU seconds
+leave out the time that other work had, but not what that takes of the caches.
 """
 """The page of the documentation; the sizes are what ten minutes of CPU time allow."""
 SHOWN = {
     "verb": "verb", "grows": "what grows", "sizes": "from, to", "seconds": "CPU s", "exponent": "grows as", "baseline": "peer",
-    "baseline_seconds": "its CPU s", "baseline_exponent": "its growth", "peak_mb": "MB", "memory_exponent": "memory",
+    "baseline_seconds": "its CPU s", "baseline_exponent": "its growth", "peak_mb": "MB", "memory_exponent": "MB grows as",
 }  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 
@@ -50,3 +51,13 @@ def test_the_norm_is_computed_in_every_call() -> None:
     assert ours() is not ours()
     plant = named_plant("reference")
     assert peak(plant) is peak(plant)  # the negative control
+
+
+def test_the_page_of_the_documentation_has_every_verb() -> None:
+    """Its table is of a whole run: every verb and what grows, in turn, with powers and the commit."""
+    text = (Path(__file__).parents[2] / "docs" / "growth.md").read_text(encoding="utf-8")
+    rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")][2:]
+    assert [(row[0].strip("| "), row[1]) for row in rows] == [(verb.name, verb.grows) for verb in verbs()]
+    assert [row[2] for row in rows] == [f"{verb.sizes[0]} to {verb.sizes[-1]}" for verb in verbs()]
+    assert all(math.isfinite(float(row[4])) for row in rows)
+    assert "at commit `" in text

@@ -26,6 +26,8 @@ NULL, LEANS = 1e-12, 1e-2
 share of it from which on it is not either: derivatives by differences are good to about a millionth."""
 PARABOLA = (0.5, 2.0)
 """What the squares rise by at the ends of a 95 % interval, of what the derivatives say, within which the derivatives are believed."""
+REACH = 40
+"""Samples on either side of a time of change in which another may do as well: between them the squares have a minimum each."""
 FARTHEST, NORMAL = 64.0, 1.959964
 """Multiple of an interval up to which its end is looked for where the squares are no parabola, and its half width in errors."""
 
@@ -74,7 +76,10 @@ def parameters_of(f: Fit, channel: Channel, prefix: str = "") -> dict[str, tuple
             if label in out:  # the same effect at another input
                 label += f"_{part.channel + 1}"
             at = sl.start + i
-            out[label] = (float(f.p[at]), _followed(f, channel, known, at, float(errors[at])), unit)
+            error = _followed(f, channel, known, at, float(errors[at]))
+            if part.effect.timed and unit == "sample":
+                error = max(error, _other_times(f, channel, at))
+            out[label] = (float(f.p[at]), error, unit)
     return out
 
 
@@ -96,6 +101,29 @@ def _followed(f: Fit, channel: Channel, known: Spread, at: int, error: float) ->
     if all(low * height < rise(side) < high * height for side in (1.0, -1.0)):
         return error
     return error * max(1.0, *(_end(lambda t, side=side: rise(side * t), height) for side in (1.0, -1.0)))
+
+
+def _other_times(f: Fit, channel: Channel, at: int) -> float:
+    """Standard error (samples) whose 95 % interval ends at the farthest other time of a change that fits as well, what the other
+    parameters can make good of it taken out."""
+    J = np.asarray(
+        lfilter(np.r_[1.0, f.weight], np.r_[1.0, f.whitened], np.delete(f.jacobian, at, axis=1), axis=0)
+    )
+    norms = np.sqrt(np.sum(J**2, axis=0))
+    Q = np.linalg.qr(J[:, norms > 0.0] / norms[norms > 0.0])[0]
+    least = float(np.sum(innovations(f.residual, f.weight) ** 2))
+    most = least * (1.0 + NORMAL**2 / f.n)
+    if len(channel) != len(f.residual):
+        return 0.0
+    farthest, q = 0.0, f.p.copy()
+    for step in range(-REACH, REACH + 1):
+        q[at] = f.p[at] + step
+        y = simulate(f.structure, q, channel.u, channel.clock)
+        if np.isfinite(y[-1]):
+            r = innovations(np.where(channel.keep, channel.y - y, 0.0), f.weight)
+            if float(np.sum((r - Q @ (Q.T @ r)) ** 2)) < most:
+                farthest = max(farthest, abs(step) / NORMAL)
+    return farthest
 
 
 def _end(rise: Callable[[float], float], height: float) -> float:
