@@ -162,6 +162,11 @@ class DiscoveredModel:
         terms = [t for t, _ in self.resolved()]
         return signal_axes(terms, self.scales, self.names)
 
+    def _swings(self, chain: int) -> bool:
+        """Whether the linear part of a chain has complex poles."""
+        poles = np.roots(np.concatenate(([1.0], self.theta[self.assembly.alphas[chain]])))
+        return bool(np.any(np.abs(poles.imag) > 1e-6 * np.abs(poles)))
+
     def _unit(self, term: Term) -> str:
         if term.slot == "output":
             return self.names[f"y{term.chain}"][1]
@@ -188,7 +193,7 @@ class DiscoveredModel:
                     term.chain,
                     nature(term),
                     meaning(term),
-                    same_as(term, self.form.orders[term.chain]),
+                    same_as(term, self._swings(term.chain)),
                     self._parameters(number, term, k, error, unit),
                     self._curve(number, term, unit),
                 )

@@ -105,9 +105,16 @@ SAME = {
     ("output", "y", Kind.ABS): "magnitude_sensor",
 }  # fmt: skip
 """What the catalogue calls a term of one factor: by slot, kind of signal and kind of function."""
-WHOLE = {("force", "u"): "hammerstein", ("output", "y"): "output_nonlinearity", ("force", "y"): "duffing",
-         ("force", "v"): "asymmetric_rise_and_fall"}  # fmt: skip
-"""The same for any other function of one signal; a force of the output is a spring only where there is a mass."""
+WHOLE = {
+    ("force", "u"): "hammerstein",
+    ("output", "y"): "output_nonlinearity",
+    ("force", "v"): "asymmetric_rise_and_fall",
+}
+"""The same for any other function of one signal, but for forces of the output."""
+SPRINGS = (Kind.SQUARE, Kind.CUBE, Kind.SIGNED_SQUARE, Kind.ABS, Kind.HINGE)
+"""Forces of the output that are a spring's where something swings: others keep their equation and have no name."""
+NARROW = 0.3
+"""Of a signal's standard deviation, width of a force that saturates, below which it is dry friction."""
 
 
 def _couples(term: Term) -> bool:
@@ -119,8 +126,8 @@ def _couples(term: Term) -> bool:
     return term.slot == "force" and bool(others) and moving and bent and _letters(term, {}) <= {"y", "v"}
 
 
-def same_as(term: Term, order: int = 2) -> str:
-    """The catalogue's name for a term that says the same in a chain of an order, or nothing."""
+def same_as(term: Term, swings: bool = True) -> str:
+    """The catalogue's name for a term that says the same in a chain that can swing or not, or nothing."""
     if _couples(term):
         return "coriolis_coupling"
     if len(term.factors) == 2:
@@ -132,7 +139,16 @@ def same_as(term: Term, order: int = 2) -> str:
     f = term.factors[0]
     side = f.signal[0] if not f.signal.startswith("du") else "d"
     found = SAME.get((term.slot, side, f.kind)) or WHOLE.get((term.slot, side), "")
-    return "nonlinear_loss" if found in ("duffing", "pendulum") and order < 2 else found
+    flat = f.kind == Kind.SIGN or (f.kind == Kind.TANH and abs(f.q) < NARROW)
+    if found == "coulomb_friction" and not flat:
+        return "nonlinear_drag"
+    if (term.slot, side) != ("force", "y") or found == "square_root_outflow":
+        return found
+    if swings:
+        return found or ("duffing" if f.kind in SPRINGS else "")
+    return (
+        "coulomb_friction" if flat else "nonlinear_loss"
+    )  # a speed, or a level: nothing swings without a mass
 
 
 def _single(term: Term, f: Factor) -> str:

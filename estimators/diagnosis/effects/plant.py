@@ -177,7 +177,7 @@ PLANT = (
     _inside("position_damping", "nonlinear_drag", "a damping d x^2 v that depends on the position", trials=6,
             parameters={"d": "sample/u^2"}, refines=("drag", "stiffness_cubic"), layouts=MOVING, force=_position_damping,
             starts=lambda s: _grid([0.05], [0.3], [-0.05], sizes=[s.su / (s.sx**2 * s.sv)])),
-    _inside("hysteretic_spring", "backlash",
+    _inside("hysteretic_spring", "hysteresis",
             "a hysteretic restoring force inside the plant (Bouc-Wen), which saturates at the level", trials=15,
             parameters={"level": "u", "width": "u"}, reversing=True, refines=("coulomb", "drag"), layouts=MOVING,
             inside=_hysteretic,

@@ -58,11 +58,13 @@ class Outcome:
         return cause in names and (nature == self.discovered or weight > SOME * sum(t.weight for t in mine))
 
     def named_carries(self, policy: Policy, agreed: bool = False) -> bool:
-        """Whether the named model is so near the answer on unused blocks that its names stand for both: less, if alike."""
+        """Whether the named model is so near the answer on unused blocks that its names stand for both: less, if some agree with it."""
         linear, answer = self.value(Kind.LINEAR) ** 2, self.ladder.rungs[self.ladder.answer].value ** 2
         named, (share, factor) = self.value(Kind.NAMED) ** 2, policy.carried
         share = policy.agreed if agreed else share
-        alike = any(self.agrees(c.part.effect.nature, c.part.effect.cause) for c in self.named.claims[:1])
+        alike = agreed or any(
+            self.agrees(c.part.effect.nature, c.part.effect.cause) for c in self.named.claims[:1]
+        )
         near = named <= factor**2 * answer or (
             alike and any(s.kind is Kind.DISCOVERED for s in self.ladder.chosen.chain)
         )

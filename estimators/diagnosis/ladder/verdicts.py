@@ -52,6 +52,7 @@ def verdict(outcomes: Sequence[Outcome], held: HeldOut, setting: Setting) -> dic
     ]
     system = [f for o in outcomes for f in _system(o, _tag(o, several), setting.policy)]
     withdrawn = bool(system) and not held.difference.low > 0.0 and not held.untried
+    doubted = [f.cause for f in system if withdrawn]
     if withdrawn or not system:
         system = [f for o in outcomes for f in _predictable(o, _tag(o, several), setting.policy)]
     for o, rest in zip(outcomes, rests, strict=True):
@@ -76,7 +77,7 @@ def verdict(outcomes: Sequence[Outcome], held: HeldOut, setting: Setting) -> dic
         "detected": bool(found), "effect": chosen[0] if chosen else NONE,
         "variant": ", ".join(dict.fromkeys((*(_meanings(outcomes) if first else []), *(f.key for f in found if f.key)))),
         "nature": found[0].nature if found else NONE,
-        "ranked": (*chosen, *_tried(outcomes, chosen)) if chosen else (NONE,),
+        "ranked": tuple(dict.fromkeys((*chosen, *doubted, *_tried(outcomes)))) if chosen else (NONE,),
         "p_value": min((f.p_value for f in found), default=1.0),
         "evidence": (*([UNCLAIMED] if withdrawn else []), *(f.sentence for f in found), *_dropped(outcomes, several, effects)),
         "parameters": {k: v for o in outcomes for k, v in _parameters(o, several).items()},
@@ -342,13 +343,13 @@ LEAST = 6.0
 """Of Schwarz's criterion: odds of twenty to one."""
 
 
-def _tried(outcomes: Sequence[Outcome], chosen: list[str]) -> tuple[str, ...]:
-    """The other single effects, by what they gain."""
+def _tried(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+    """The single effects, by what they gain."""
     pool: dict[str, float] = {}
     for o in outcomes:
         for c in o.examined.attribution.claims:
             pool[c.cause] = pool.get(c.cause, 0.0) + max(c.gain, 0.0)
-    return tuple(k for k, gain in sorted(pool.items(), key=lambda x: -x[1]) if k not in chosen and gain > 0)
+    return tuple(k for k, gain in sorted(pool.items(), key=lambda x: -x[1]) if gain > 0)
 
 
 def _confusable(outcomes: Sequence[Outcome], chosen: list[str]) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.effects import Effect, Nature, Slot, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import STORE_CURVE
-from estimators.diagnosis.effects.process import FILLED, at_once
+from estimators.diagnosis.effects.process import FILLED
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.model.errors import parameters_of
 from estimators.diagnosis.model.fitting import Channel, Fit
@@ -29,7 +29,8 @@ from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.result.answers import NamedAnswer
 from estimators.diagnosis.search.exchange import without
-from estimators.diagnosis.search.free_runs import blocked, denominator, largest_pole, start_of
+from estimators.diagnosis.search.free_runs import blocked, start_of
+from estimators.diagnosis.search.naming import as_shown
 from estimators.diagnosis.search.selection import Attribution
 from estimators.diagnosis.share.feedback import answered, autoregression, whitened
 from estimators.residual.measures import p_stated
@@ -219,7 +220,9 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
         if not weak:
             held = sorted((c for c in claims if _holds(c, bench)), key=lambda c: -c.gain.value)
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
-            held = _bending(bench, f, [_as_curve(c, f) for c in held], unused)
+            held = _bending(
+                bench, f, [replace(c, part=as_shown(c.part, f, bench.channel)) for c in held], unused
+            )
             alike, told = _as_linear(bench, a, f) if len(held) == 1 and bent(held[0]) else (None, False)
             claims = tuple(_with_rivals(held, a, f))
             left = float(np.sum(f.residual**2) / max(np.sum(a.base.residual**2), 1e-300))
@@ -242,20 +245,6 @@ SMALL, MUST = 0.05, 0.5
 """Size of the inputs, of theirs, at which a model is taken for proportional; and the power of its departure from that, of what
 it gains over a linear model, below which poles and delays that came with an effect have gained it: a nonlinear part cannot
 gain more than its own power, half of which is left for chance."""
-
-
-def _as_curve(c: Claim, f: Fit) -> Claim:
-    """The claim; of a curve of the input where its process is too quick for a memory, of one behind the plant where the lag before
-    the curve is slower than what follows it."""
-    p, own = f.p[f.structure.slices()[f.structure.parts.index(c.part)]], c.part.own
-    behind = c.part.effect.nature is Nature.INPUT_STATIC and own > 0
-    if behind and largest_pole(np.concatenate(([1.0], p[: c.part.first]))) > largest_pole(denominator(f)):
-        return replace(c, part=replace(c.part, effect=named("sandwich")))
-    return (
-        replace(c, part=replace(c.part, effect=named("input_polynomial")))
-        if at_once(c.part.effect, p[own:])
-        else c
-    )
 
 
 def _bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Claim]:

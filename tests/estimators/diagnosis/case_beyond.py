@@ -29,7 +29,7 @@ class Beyond:
 BEYOND = {
     "stiffness_square": Beyond("duffing", "dynamic nonlinearity", ("osc",)),
     "stiffness_asymmetric": Beyond("duffing", "dynamic nonlinearity", ("osc",)),
-    "hysteretic_spring": Beyond("backlash", "dynamic nonlinearity", ("osc",)),
+    "hysteretic_spring": Beyond("hysteresis", "dynamic nonlinearity", ("osc",)),
     "position_damping": Beyond("nonlinear_drag", "dynamic nonlinearity", ("osc",)),
     "product_late": Beyond("unknown", "dynamic nonlinearity"),  # u(k-4) y(k-6): no product of the catalogue
     "product_of_inputs": Beyond("unknown", "dynamic nonlinearity"),  # u(k) u(k-3)

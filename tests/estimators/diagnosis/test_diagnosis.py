@@ -104,7 +104,7 @@ def test_a_planted_hysteresis_is_found_with_its_parameters():
         return Record(u, y + 0.02 * rng.standard_normal(n), t0=float(start))
 
     result = diagnose(record(600, 0), record(400, 700), SETTING)
-    assert result.effect == "backlash"
+    assert result.effect == "hysteresis"
     assert result.variant == "hysteresis"
     for name, true in (("share", 0.6), ("width", 0.5)):
         value, se, _ = result.parameters[f"hysteresis.{name}"]

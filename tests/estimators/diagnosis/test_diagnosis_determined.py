@@ -14,12 +14,10 @@ from estimators.diagnosis.baseline.choice import Candidate, run_spread, tried
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.effects import named
-from estimators.diagnosis.ladder import Gain
 from estimators.diagnosis.ladder.held_out import _as_read, _curve_unknown, _undetermined
 from estimators.diagnosis.model.fitting import levenberg_marquardt
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Setting
-from estimators.diagnosis.search.named import Claim, _as_curve
 from oed.data import Record
 
 RNG = np.random.default_rng(7)
@@ -101,22 +99,6 @@ def test_a_curve_between_the_levels_of_its_input_is_a_guess() -> None:
     assert not _curve_unknown(curve, train, train)
     assert not _curve_unknown(friction, train, test)
     assert not _curve_unknown(SimpleNamespace(answer=object()), train, test)
-
-
-def _claimed(key: str, p: list[float], first: int = 0) -> str:
-    """Key of the effect that is claimed where one was fitted before a pole at 0.5."""
-    part = Part(named(key), 0, first=first)
-    s = Structure(1).adding(part)
-    fit = SimpleNamespace(structure=s, p=np.array([-0.5, 1.0, *p]))
-    return _as_curve(Claim(part, Gain(1.0, 0.1, 0.5), 0.0), fit).key
-
-
-def test_a_process_without_memory_and_a_curve_behind_the_plant_are_named_as_what_they_are() -> None:
-    assert _claimed("loss", [0.5, 0.1, 0.1]) == "loss"
-    assert _claimed("loss", [4.5, 0.1, 0.1]) == "input_polynomial"
-    assert _claimed("input_power", [0.4]) == "input_power"
-    assert _claimed("input_power", [-0.2, 0.4], first=1) == "input_power"
-    assert _claimed("input_power", [-0.9, 0.4], first=1) == "sandwich"
 
 
 def _consumed(seed: int, start: int) -> Record:

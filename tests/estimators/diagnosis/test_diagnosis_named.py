@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.discovery.dictionary import Kind
 from estimators.diagnosis.discovery.form import Factor, Term
-from estimators.diagnosis.discovery.wording import same_as
+from estimators.diagnosis.discovery.wording import NARROW, same_as
 from estimators.diagnosis.effects import CATALOGUE, Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
@@ -85,17 +85,22 @@ def test_residual_tests_skip_parameters_that_are_held(rng) -> None:
 
 
 def test_terms_get_names_of_the_catalogue_where_they_say_the_same() -> None:
-    def said(kind: int, signal: str, slot: str, order: int = 2) -> str:
-        return same_as(Term((Factor(kind, signal, 0.0),), slot), order)
+    def said(kind: int, signal: str, slot: str, swings: bool = True, width: float = 1.0) -> str:
+        return same_as(Term((Factor(kind, signal, 0.0, width),), slot), swings)
 
     assert said(Kind.SIN, "y0", "force") == "pendulum"
-    assert said(Kind.SIN, "y0", "force", order=1) == "nonlinear_loss"  # nothing swings without a mass
+    assert said(Kind.SIN, "y0", "force", swings=False) == "nonlinear_loss"  # nothing swings without a mass
     assert said(Kind.BELL, "v0", "force") == "stribeck_friction"
     assert said(Kind.LOG, "u0", "force") == "hammerstein"
     assert said(Kind.ABS, "du0", "force") == ""
+    assert said(Kind.CUBE, "y0", "force") == "duffing"
+    assert said(Kind.INVERSE, "y0", "force") == ""  # no spring: its equation says more
+    for signal, swings in (("v0", True), ("y0", False)):  # y0 may be a speed
+        assert said(Kind.TANH, signal, "force", swings, 0.9 * NARROW) == "coulomb_friction"
+        assert said(Kind.TANH, signal, "force", swings, 1.1 * NARROW) != "coulomb_friction"
     pairs = {("u0", "u1"): "product_of_inputs", ("u0", "y0"): "bilinear", ("u0", "u0"): "", ("u0", "v0"): ""}
     for (a, b), name in pairs.items():
-        assert same_as(Term((Factor(Kind.LINEAR, a, 0.0), Factor(Kind.LINEAR, b, 0.0)), "force"), 2) == name
+        assert same_as(Term((Factor(Kind.LINEAR, a, 0.0), Factor(Kind.LINEAR, b, 0.0)), "force")) == name
     found = {
         said(k, s, slot) for k in range(16) for s in ("y0", "v0", "u0", "du0") for slot in ("force", "output")
     }
