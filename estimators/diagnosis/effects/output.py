@@ -132,6 +132,7 @@ OUTPUT = (
 SHIFTS = (0.5, 1.0, 1.8, 2.8, 4.0, 5.5)  # samples by which the clocks are apart in the end
 JUMPS = (1.0, 2.0, 3.0, 5.0)  # samples lost at once
 TIMES = 12  # of a jump, over the record
+AGES = (0.1, 0.4, 1.0, 2.0)  # logarithms of the gain lost over the record
 EDGE = 0.07  # of the record, at either end of which no jump is looked for
 NOTHING = 1.02  # of the linear model's squared error, that the best shape may leave before it is fitted
 
@@ -156,10 +157,28 @@ def _jumped(y: Array, p: Array, clock: Clock) -> Array:
     return _read(y, np.arange(len(y)) + p[0] * np.clip(clock.k - p[1], 0.0, 1.0))
 
 
+def _in_step(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array] | None:
+    """The output as its clock should have read it."""
+    k = np.arange(len(channel), dtype=float)
+    when = e.apply(k, np.array(shape), channel.clock) if e.apply is not None else k  # what each sample shows
+    if not np.all(np.isfinite(when)):
+        return None
+    back = np.interp(k, when, k) if np.all(np.diff(when) > 0) else k - (when - k)
+    return _read(channel.y, back), np.ones(len(k))
+
+
+def _kept_up(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
+    """The output as it would have been at the gain of the record's start."""
+    gain = np.exp(-shape[0] * channel.clock.turn)
+    return channel.y / gain, gain
+
+
 def _mended(
     effect: Callable[[], Effect],
     shapes: Callable[[int], list[list[float]]],
     closer: Callable[[int, list[float]], list[list[float]]],
+    units: Callable[[int], list[float]] = lambda n: [1.0, 1.0],
+    undone: Callable[[Effect, list[float], Any], tuple[Array, Array] | None] = _in_step,
 ) -> Callable[..., Iterator[Any]]:
     """Fits from the best shapes, and from others closer to the best, each with the poles that the output has once its shape is undone."""
 
@@ -172,22 +191,18 @@ def _mended(
         s, n = base.structure, len(channel)
         if s.layout != "tf" or s.effects or not channel.keep.all():
             return
-        k, found = np.arange(n, dtype=float), []
-        e = effect()
+        found, e = [], effect()
 
         def mended(shape: list[float]) -> None:
-            when = (
-                e.apply(k, np.array(shape), channel.clock) if e.apply is not None else k
-            )  # what each sample shows
-            if not np.all(np.isfinite(when)):
+            got = undone(e, shape, channel)
+            if got is None:
                 return
-            back = np.interp(k, when, k) if np.all(np.diff(when) > 0) else k - (when - k)
-            there = replace(channel, y=_read(channel.y, back))
+            there = replace(channel, y=got[0])
             p = np.zeros(s.size)
             p[: s.order] = fresh_poles(there.y, there.u[:, list(s.inputs)], s, there.keep)
             p = relinearised(there, s, p) if stable_polynomial(p[: s.order]) else None
             if p is not None:
-                rest = there.y - simulate(s, p, there.u, there.clock)
+                rest = got[1] * (there.y - simulate(s, p, there.u, there.clock))
                 found.append((float(rest @ rest), shape, p))
 
         for shape in shapes(n):
@@ -200,9 +215,7 @@ def _mended(
             mended(shape)
         part = Part(e, s.inputs[0])
         for _, shape, p in sorted(found, key=lambda entry: entry[0])[:2]:
-            scales = np.concatenate((base.scales, [1.0 / n, 1.0] if len(shape) == 1 else [1.0, 1.0]))[
-                : len(p) + len(shape)
-            ]
+            scales = np.concatenate((base.scales, units(n)))
             yield fit(
                 channel, s.adding(part), np.concatenate((p, shape)), scales, noise=base.noise, iterations=25
             )
@@ -214,7 +227,14 @@ DRIFT = Effect(
     key="clock_drift", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=12,
     sentence="the clock of the output runs off from that of the input", parameters={"drift": "1"}, apply=_drifted,
     search=_mended(lambda: DRIFT, lambda n: [[sign * d / n] for d in SHIFTS for sign in (1.0, -1.0)],
-                   lambda n, best: [[best[0] * f] for f in (0.8, 0.9, 1.1, 1.25)]),
+                   lambda n, best: [[best[0] * f] for f in (0.8, 0.9, 1.1, 1.25)], lambda n: [1.0 / n]),
+)  # fmt: skip
+DECAY = Effect(
+    key="gain_decay", cause="gain_drift", family="drifts", nature=Nature.TIME, slot=Slot.OUTPUT, trials=6,
+    sentence="the gain from all inputs decays with time, or grows: exp(-rate t)", parameters={"rate": "1/record"},
+    apply=lambda x, p, c: x * np.exp(-p[0] * c.turn),
+    search=_mended(lambda: DECAY, lambda n: [[sign * r] for r in AGES for sign in (1.0, -1.0)],
+                   lambda n, best: [[best[0] * f] for f in (0.75, 1.3)], lambda n: [1.0], _kept_up),
 )  # fmt: skip
 LOST = Effect(
     key="lost_samples", cause="lost_samples", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=0.1,
@@ -311,4 +331,4 @@ REFRESHED = Effect(
     parameters={"period": "sample", "phase": "sample"}, apply=_refreshed, search=_ages,
 )  # fmt: skip
 
-TIMING = (DRIFT, LOST, REFRESHED)
+TIMING = (DRIFT, LOST, REFRESHED, DECAY)

@@ -175,16 +175,20 @@ def _supported(o: Outcome, claimed: list[Finding], policy: Policy) -> list[Findi
     """The claims, first of those that may have come first one of the nature that the regression of the residual saw.
 
     What a joint model loses without one of its effects says little of which that was: each bends towards the other. One may
-    have that gains half as much as the first, or that explains alone nearly all that the joint model does.
+    have that gains half as much as the first, or that explains alone nearly all that the joint model does. Else linear dynamics,
+    which any misled order asks for, come behind such a one of another nature.
     """
     squares = lambda f: float(np.sum(f.residual**2))
     a, least = o.examined.attribution, policy.carried[0]
     limit = squares(a.base) - least * (squares(a.base) - squares(o.named.fit))
     alone = {g.structure.effects[0].key for g in a.alternatives if squares(g) <= limit}
-    for f in claimed if o.share.explainable else ():
-        if f.nature == o.share.nature and (f.weight >= policy.agreed * claimed[0].weight or f.key in alone):
-            return [replace(f, weight=claimed[0].weight), *(g for g in claimed if g is not f)]
-    return claimed
+    near = [f for f in claimed if f.weight >= policy.agreed * claimed[0].weight or f.key in alone]
+    seen = [f for f in near if o.share.explainable and f.nature == o.share.nature]
+    other = [f for f in near if f.nature != Nature.LINEAR]
+    if not (seen or other):
+        return claimed
+    first = (seen or other)[0]
+    return [replace(first, weight=claimed[0].weight), *(f for f in claimed if f is not first)]
 
 
 def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:

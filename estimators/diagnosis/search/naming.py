@@ -8,7 +8,7 @@ import numpy as np
 
 from estimators.diagnosis.effects import Nature, named
 from estimators.diagnosis.effects.plant import MOVING
-from estimators.diagnosis.effects.process import at_once
+from estimators.diagnosis.effects.process import FILLED, at_once
 from estimators.diagnosis.model.fitting import Channel, Fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
@@ -17,12 +17,16 @@ from estimators.diagnosis.search.free_runs import denominator, largest_pole
 FOLD, FOLDED = "magnitude_sensor", 0.02
 """Cause of a sensor that folds; and of the samples, what it must read from its rarer side: from one side alone it is a curve like any other."""
 
+CONTENT = 0.2
+"""Of a capacity, change over the record below which its flow does no more than multiply what it carries away."""
+
 
 def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
     """The part of a fit with the effect by whose name it goes.
 
     A curve of the input where its process is too quick for a memory; of the output where the lag before the curve is slower than
-    what follows it, or where a fold is hardly reached; a loss where nothing can swing that a spring would hold.
+    what follows it, or where a fold is hardly reached; a loss where nothing can swing that a spring would hold; a product where
+    the flow into a capacity hardly fills it.
     """
     at = f.structure.parts.index(part)
     p, effect = f.p[f.structure.slices()[at]], part.effect
@@ -33,6 +37,8 @@ def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
         return replace(part, effect=named("input_polynomial"))
     if effect.cause == "duffing" and not _swings(f):
         return replace(part, effect=replace(effect, cause=named("loss").cause))
+    if effect is FILLED and abs(p[part.own + 1] * np.sum(channel.u[:, int(p[part.own + 4]) - 1])) < CONTENT:
+        return replace(part, effect=named("bilinear"))
     if effect.cause == FOLD and not _folds(f, at, channel):
         return replace(part, effect=replace(effect, cause=named("output_polynomial").cause))
     return part
