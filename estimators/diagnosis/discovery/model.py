@@ -26,6 +26,7 @@ from estimators.diagnosis.discovery.wording import (
     signal_axes,
     term_text,
 )
+from estimators.diagnosis.effects.plant import SWINGS
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -163,9 +164,10 @@ class DiscoveredModel:
         return signal_axes(terms, self.scales, self.names)
 
     def _swings(self, chain: int) -> bool:
-        """Whether the linear part of a chain has complex poles."""
-        poles = np.roots(np.concatenate(([1.0], self.theta[self.assembly.alphas[chain]])))
-        return bool(np.any(np.abs(poles.imag) > 1e-6 * np.abs(poles)))
+        """Whether the linear part of a chain has light poles."""
+        roots = np.roots(np.concatenate(([1.0], self.theta[self.assembly.alphas[chain]])))
+        poles = np.log(1.0 + self.form.paces[chain] * roots + 0j)
+        return bool(np.any((roots.imag != 0.0) & (-poles.real < SWINGS * np.abs(poles))))
 
     def _unit(self, term: Term) -> str:
         if term.slot == "output":

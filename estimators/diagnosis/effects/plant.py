@@ -17,6 +17,8 @@ Array = NDArray[Any]
 
 MOVING = frozenset({"oscillator", "driven", "sensed", "modes", "integrator"})  # velocity is not position
 DRIVEN = frozenset({"cascade", "driven"})  # the last state follows the input and drives the others
+SWINGS = 0.9
+"""Damping ratio below which a plant swings: two lags in a row are fitted as a pair just short of 1."""
 SPRINGS = ("stiffness_cubic", "stiffness")
 
 

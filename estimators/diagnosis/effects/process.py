@@ -251,6 +251,12 @@ WARMED = Effect(
     parameters={"rate": "1/sample", "share": "1", "heat": "1/u^2", "pace": "1/sample"},
     apply=lambda x, p, clock: kept(_warming, x, p), search=_warm,
 )  # fmt: skip
+THROUGH = _process(
+    "through_flow", "flow_dependent_delay", "the input is a flow: the residence time and the delay fall with it", _exchange,
+    {"volume": "u sample"}, lambda s: (
+        [[r / s.level, v * s.level] for r in s.rates for v in (0.0, 3.0, 10.0)], [max(s.rates) / s.level, s.level]),
+    apply=_through_flow,
+)  # fmt: skip
 
 PROCESS = (
     _process("rise_and_fall", "asymmetric_rise_and_fall", "it rises at another rate than it falls", _one_way,
@@ -267,10 +273,7 @@ PROCESS = (
     _process("vessel", "level_dependent_outflow", "a vessel that widens with its level, emptied through an orifice", _vessel,
              {"k": "u^0.5", "widening": "1/u"},
              lambda s: _shapes(s, [1.0, 0.5], [1.0, 1.5], sizes=[_outflows(s), 1.0 / (abs(float(np.mean(s.u))) + s.su)])),
-    _process("through_flow", "flow_dependent_delay", "the input is a flow: the residence time and the delay fall with it",
-             _exchange, {"volume": "u sample"}, lambda s: (
-                 [[r / s.level, v * s.level] for r in s.rates for v in (0.0, 3.0, 10.0)], [max(s.rates) / s.level, s.level]),
-             apply=_through_flow),
+    THROUGH,
     FILLED,
     WARMED,
 )  # fmt: skip

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimators.diagnosis.effects import Nature, named
-from estimators.diagnosis.effects.plant import MOVING
-from estimators.diagnosis.effects.process import FILLED, at_once
+from estimators.diagnosis.effects.plant import MOVING, SWINGS
+from estimators.diagnosis.effects.process import FILLED, THROUGH, at_once
 from estimators.diagnosis.model.fitting import Channel, Fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.search.free_runs import denominator, largest_pole
 
+Array = NDArray[Any]
 FOLD, FOLDED = "magnitude_sensor", 0.02
 """Cause of a sensor that folds; and of the samples, what it must read from its rarer side: from one side alone it is a curve like any other."""
 
-CONTENT = 0.2
-"""Of a capacity, change over the record below which its flow does no more than multiply what it carries away."""
+CONTENT, LATE = 0.2, 0.5
+"""Of a capacity, change over the record, and of a pipe, samples of delay at the mean flow, below which a flow does no more than
+multiply what it carries away."""
 
 
 def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
@@ -26,7 +30,7 @@ def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
 
     A curve of the input where its process is too quick for a memory; of the output where the lag before the curve is slower than
     what follows it, or where a fold is hardly reached; a loss where nothing can swing that a spring would hold; a product where
-    the flow into a capacity hardly fills it.
+    a flow hardly fills its capacity, or passes no pipe.
     """
     at = f.structure.parts.index(part)
     p, effect = f.p[f.structure.slices()[at]], part.effect
@@ -37,11 +41,20 @@ def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
         return replace(part, effect=named("input_polynomial"))
     if effect.cause == "duffing" and not _swings(f):
         return replace(part, effect=replace(effect, cause=named("loss").cause))
-    if effect is FILLED and abs(p[part.own + 1] * np.sum(channel.u[:, int(p[part.own + 4]) - 1])) < CONTENT:
+    if _multiplies(part, p[part.own :], channel):
         return replace(part, effect=named("bilinear"))
     if effect.cause == FOLD and not _folds(f, at, channel):
         return replace(part, effect=replace(effect, cause=named("output_polynomial").cause))
     return part
+
+
+def _multiplies(part: Part, q: Array, channel: Channel) -> bool:
+    """Whether a flow into or through a capacity, of parameters q, only multiplies its content."""
+    if part.effect is FILLED:
+        return abs(float(q[1] * np.sum(channel.u[:, int(q[4]) - 1]))) < CONTENT
+    return part.effect is THROUGH and abs(float(q[1])) < LATE * abs(
+        float(np.mean(channel.u[:, part.channel]))
+    )
 
 
 def _swings(f: Fit) -> bool:
@@ -49,7 +62,7 @@ def _swings(f: Fit) -> bool:
     if f.structure.layout not in MOVING or f.structure.layout == "integrator":
         return True
     stiffness, damping = np.exp(f.p[:2])
-    return bool(damping**2 < 4.0 * stiffness)
+    return bool(damping < 2.0 * SWINGS * np.sqrt(stiffness))
 
 
 def _folds(f: Fit, at: int, channel: Channel) -> bool:

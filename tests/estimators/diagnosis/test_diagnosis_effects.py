@@ -53,6 +53,7 @@ TIMED = {
         lambda x, k, p: x * (1 + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k)),
     ),
     "gain_drift": ([0.4], lambda x, k, p: x * (1 + p[0] * k / 150)),
+    "gain_decay": ([0.4], lambda x, k, p: x * math.exp(-p[0] * k / 150)),
 }
 
 

@@ -1,15 +1,21 @@
 """Names say no more than a fit shows: curves, losses, folds that a record hardly reaches."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from estimators.diagnosis.effects import named
+from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock
-from estimators.diagnosis.model.fitting import Channel
+from estimators.diagnosis.effects.path import INITIAL
+from estimators.diagnosis.effects.plant import SWINGS
+from estimators.diagnosis.model.fitting import Channel, fit
+from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
-from estimators.diagnosis.search.naming import FOLDED, as_shown
+from estimators.diagnosis.search.naming import CONTENT, FOLDED, LATE, as_shown
 
 CHANNEL: Any = None
 
@@ -36,7 +42,7 @@ def test_a_process_without_memory_and_a_curve_behind_the_plant_are_named_as_what
 
 
 def test_a_spring_where_nothing_can_swing_is_a_loss() -> None:
-    for damping, cause in ((0.3, "duffing"), (1.9, "duffing"), (2.1, "nonlinear_loss")):
+    for damping, cause in ((0.3, "duffing"), (1.98 * SWINGS, "duffing"), (2.02 * SWINGS, "nonlinear_loss")):
         plant = Structure(2, layout="oscillator"), np.log([1.0, damping]).tolist()
         effect = _shown("stiffness_cubic", [0.1], plant=plant)
         assert (effect.key, effect.cause) == ("stiffness_cubic", cause)
@@ -50,3 +56,36 @@ def test_a_fold_that_is_hardly_reached_is_a_curve() -> None:
         plant = Structure(1), [0.0, 1.0]
         assert _shown("squared", [-share], plant=plant, channel=channel).cause == cause
         assert _shown("squared", [share - 1.0], plant=plant, channel=channel).cause == cause
+
+
+def test_a_flow_that_hardly_fills_or_passes_no_pipe_is_a_product() -> None:
+    n = 1000
+    u = np.full((n, 2), 2.0)
+    channel = Channel(u, u[:, 0], Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
+    for share, cause in ((0.8, "bilinear"), (1.2, "other")):
+        fill = share * CONTENT / (2.0 * n)
+        found = (
+            _shown("capacity_filled", [0.1, fill, 1.0, 1.0, 2.0], channel=channel),
+            _shown("through_flow", [0.1, 2.0 * share * LATE], channel=channel),
+        )
+        assert [e.cause == "bilinear" for e in found] == [cause == "bilinear"] * 2
+
+
+def test_the_gain_that_all_inputs_lose_is_found_though_a_slow_pole_had_taken_its_place(rng) -> None:
+    """Two inputs about levels of their own: as the gain decays so does the level, which a pole that nothing drives follows too."""
+    n, rate = 900, 0.5
+    u = 45.0 + 10.0 * np.column_stack([np.repeat(rng.choice([-1.0, 1.0], n // 15), 15) for _ in range(2)])
+    x = lfilter([0.0, 0.02], [1.0, -1.6, 0.63], 0.3 * u[:, 0] + 0.1 * u[:, 1])
+    y = 3.0 + x * np.exp(-rate * np.arange(n) / n) + 0.05 * rng.standard_normal(n)
+    channel = Channel(u[60:], y[60:], Clock(np.arange(n - 60.0), n - 60), np.ones(n - 60, dtype=bool))
+    s = replace(Structure(2, (0, 1)).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2)
+    base = fit_linear(channel, s)
+    found = min(named("gain_decay").search(channel, base, ()), key=lambda f: f.criterion)
+    drift = fit(
+        channel, s.adding(Part(named("gain_drift"))), np.append(base.p, 0.0), np.append(base.scales, 1.0)
+    )
+    rms = lambda f: float(np.sqrt(np.mean(f.residual**2)))
+    assert rms(base) > 2.0 * 0.05
+    assert rms(drift) > 1.3 * 0.05
+    assert rms(found) < 1.15 * 0.05
+    np.testing.assert_allclose(found.p[-1], rate * (n - 60) / n, rtol=0.03)
