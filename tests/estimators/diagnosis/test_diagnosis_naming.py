@@ -76,11 +76,12 @@ def test_the_gain_that_all_inputs_lose_is_found_though_a_slow_pole_had_taken_its
     n, rate = 900, 0.5
     u = 45.0 + 10.0 * np.column_stack([np.repeat(rng.choice([-1.0, 1.0], n // 15), 15) for _ in range(2)])
     x = lfilter([0.0, 0.02], [1.0, -1.6, 0.63], 0.3 * u[:, 0] + 0.1 * u[:, 1])
-    y = 3.0 + x * np.exp(-rate * np.arange(n) / n) + 0.05 * rng.standard_normal(n)
+    y = 3.0 + np.asarray(x) * np.exp(-rate * np.arange(n) / n) + 0.05 * rng.standard_normal(n)
     channel = Channel(u[60:], y[60:], Clock(np.arange(n - 60.0), n - 60), np.ones(n - 60, dtype=bool))
     s = replace(Structure(2, (0, 1)).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2)
     base = fit_linear(channel, s)
-    found = min(named("gain_decay").search(channel, base, ()), key=lambda f: f.criterion)
+    search: Any = named("gain_decay").search
+    found = min(search(channel, base, ()), key=lambda f: f.criterion)
     drift = fit(
         channel, s.adding(Part(named("gain_drift"))), np.append(base.p, 0.0), np.append(base.scales, 1.0)
     )
