@@ -21,6 +21,7 @@ from estimators.diagnosis.discovery.wording import (
     DEGREE,
     Axis,
     meaning,
+    named_by_shape,
     nature,
     same_as,
     signal_axes,
@@ -200,6 +201,23 @@ class DiscoveredModel:
                     self._curve(number, term, unit),
                 )
             )
+        return self._renamed(out)
+
+    def _renamed(self, found: list[FoundTerm]) -> list[FoundTerm]:
+        """The terms; of several that are one curve of a rate, each with the name of the whole curve's shape."""
+        kinds = [t for t, _ in self.resolved() if t.slot != "slow"]
+        of = lambda t: (t.slot, t.chain, t.factors[0].signal)
+        groups: dict[tuple[str, int, str], list[int]] = {}
+        for i, t in enumerate(kinds):
+            if len(t.factors) == 1 and t.slot == "force" and t.factors[0].signal == f"v{t.chain}":
+                groups.setdefault(of(t), []).append(i)
+        out = list(found)
+        for group in (g for g in groups.values() if len(g) > 1):
+            name = named_by_shape(
+                found[group[0]].curve.grid, np.sum([found[i].curve.value for i in group], axis=0)
+            )
+            for i in group:
+                out[i] = replace(found[i], same_as=name)
         return out
 
     def _parameters(self, number: int, term: Term, k: float, error: float, unit: str):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,12 +99,13 @@ def nature(term: Term) -> str:
 SAME = {
     ("force", "v", Kind.SIGN): "coulomb_friction", ("force", "v", Kind.TANH): "coulomb_friction",
     ("force", "v", Kind.BELL): "stribeck_friction", ("force", "v", Kind.SIGNED_SQUARE): "nonlinear_drag",
-    ("force", "v", Kind.CUBE): "nonlinear_drag", ("force", "v", Kind.SIGNED_ROOT): "nonlinear_drag",
+    ("force", "v", Kind.CUBE): "nonlinear_drag", ("force", "v", Kind.SIGNED_ROOT): "coulomb_friction",
     ("force", "y", Kind.ROOT): "square_root_outflow",
     ("force", "y", Kind.SIN): "pendulum", ("force", "y", Kind.COS): "pendulum", ("force", "u", Kind.TANH): "input_saturation",
     ("output", "y", Kind.ABS): "magnitude_sensor",
 }  # fmt: skip
-"""What the catalogue calls a term of one factor: by slot, kind of signal and kind of function."""
+"""What the catalogue calls a term of one factor: by slot, kind of signal and kind of function; what grows less than the speed is
+friction, what grows more is drag."""
 WHOLE = {
     ("force", "u"): "hammerstein",
     ("output", "y"): "output_nonlinearity",
@@ -140,8 +141,6 @@ def same_as(term: Term, swings: bool = True) -> str:
     side = f.signal[0] if not f.signal.startswith("du") else "d"
     found = SAME.get((term.slot, side, f.kind)) or WHOLE.get((term.slot, side), "")
     flat = f.kind == Kind.SIGN or (f.kind == Kind.TANH and abs(f.q) < NARROW)
-    if found == "coulomb_friction" and not flat:
-        return "nonlinear_drag"
     if (term.slot, side) != ("force", "y") or found == "square_root_outflow":
         return found
     if swings:
@@ -149,6 +148,24 @@ def same_as(term: Term, swings: bool = True) -> str:
     return (
         "coulomb_friction" if flat else "nonlinear_loss"
     )  # a speed, or a level: nothing swings without a mass
+
+
+OF_RATE: Mapping[str, tuple[Callable[[Array], Array], ...]] = {
+    "coulomb_friction": (np.sign, lambda v: np.sign(v) * np.sqrt(np.abs(v))), "nonlinear_drag": (lambda v: v * np.abs(v), lambda v: v**3),
+    "asymmetric_rise_and_fall": (np.abs, lambda v: np.maximum(v, 0.0)),
+}  # fmt: skip
+"""Shapes that a force of the rate may have beside its linear part, by name."""
+
+
+def named_by_shape(rate: Array, force: Array) -> str:
+    """The name of the shape nearest to a curve of the rate that several terms make up together, its linear part left free."""
+    size = float(np.max(np.abs(rate)))
+
+    def left(shape: Callable[[Array], Array]) -> float:
+        X = np.stack((np.ones_like(rate), rate / size, shape(rate / size)), axis=1)
+        return float(np.sum((force - X @ np.linalg.lstsq(X, force, rcond=None)[0]) ** 2))
+
+    return min(OF_RATE, key=lambda name: min(left(shape) for shape in OF_RATE[name]))
 
 
 def _single(term: Term, f: Factor) -> str:

@@ -133,6 +133,21 @@ SHIFTS = (0.5, 1.0, 1.8, 2.8, 4.0, 5.5)  # samples by which the clocks are apart
 JUMPS = (1.0, 2.0, 3.0, 5.0)  # samples lost at once
 TIMES = 12  # of a jump, over the record
 AGES = (0.1, 0.4, 1.0, 2.0)  # logarithms of the gain lost over the record
+CARRIED = (
+    1.0,
+    2.0,
+    3.0,
+    4.5,
+    6.0,
+    8.0,
+    11.0,
+    15.0,
+    20.0,
+    27.0,
+    36.0,
+    50.0,
+)  # samples that a belt takes at its mean speed
+LEAST_FLOW = 1e-3  # of the mean: what stands still takes for ever
 EDGE = 0.07  # of the record, at either end of which no jump is looked for
 NOTHING = 1.02  # of the linear model's squared error, that the best shape may leave before it is fitted
 
@@ -173,14 +188,49 @@ def _kept_up(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]
     return channel.y / gain, gain
 
 
+def _entered(flow: Array, volume: float) -> Array:
+    """(N,) when what leaves a belt or pipe at the end of each sample had entered, negative before the record."""
+    through = np.cumsum(np.maximum(np.abs(flow), LEAST_FLOW * float(np.mean(np.abs(flow)))))
+    return np.interp(through - volume, through, np.arange(len(through)), left=-1.0)
+
+
+def _conveyed(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+    x = U[:, channel]
+    return (
+        np.interp(_entered(U[:, int(p[1]) - 1], p[0]), np.arange(len(x)), x)
+        if p[0] >= 0.0
+        else np.full(len(x), np.inf)
+    )
+
+
+def _unconveyed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
+    """The output before its belt or pipe; what had not left it at the end stays at its last value."""
+    when, k = _entered(channel.u[:, int(shape[1]) - 1], shape[0]), np.arange(len(channel))
+    return np.interp(k, when, channel.y), np.ones(len(k))
+
+
+def _ways(channel: Any) -> list[list[float]]:
+    """Delays at the mean flow of each of several inputs that never stands still or turns."""
+    flows = [
+        (i, float(np.mean(u)))
+        for i, u in enumerate(channel.u.T)
+        if channel.u.shape[1] > 1 and np.min(u * np.mean(u)) > 0
+    ]
+    return [[d * abs(mean), i + 1.0] for i, mean in flows for d in CARRIED]
+
+
 def _mended(
     effect: Callable[[], Effect],
-    shapes: Callable[[int], list[list[float]]],
-    closer: Callable[[int, list[float]], list[list[float]]],
-    units: Callable[[int], list[float]] = lambda n: [1.0, 1.0],
+    shapes: Callable[[Any], list[list[float]]],
+    closer: Callable[[Any, list[float]], list[list[float]]],
+    units: Callable[[Any], list[float]] = lambda c: [1.0, 1.0],
     undone: Callable[[Effect, list[float], Any], tuple[Array, Array] | None] = _in_step,
+    late: bool = True,
 ) -> Callable[..., Iterator[Any]]:
-    """Fits from the best shapes, and from others closer to the best, each with the poles that the output has once its shape is undone."""
+    """Fits from the best shapes, and from others closer to the best, each with the poles that the output has once its shape is undone.
+
+    Shapes, those closer to one, and their units are of a channel; not `late` where the effect is the delay of the linear part.
+    """
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         from estimators.diagnosis.model.fitting import fit
@@ -188,7 +238,7 @@ def _mended(
         from estimators.diagnosis.model.simulation import simulate
         from estimators.diagnosis.model.structure import Part, stable_polynomial
 
-        s, n = base.structure, len(channel)
+        s = base.structure if late else replace(base.structure, delay=0)
         if s.layout != "tf" or s.effects or not channel.keep.all():
             return
         found, e = [], effect()
@@ -205,17 +255,17 @@ def _mended(
                 rest = got[1] * (there.y - simulate(s, p, there.u, there.clock))
                 found.append((float(rest @ rest), shape, p))
 
-        for shape in shapes(n):
+        for shape in shapes(channel):
             mended(shape)
         if min((entry[0] for entry in found), default=np.inf) > NOTHING * float(
             base.residual @ base.residual
         ):
             return
-        for shape in closer(n, min(found, key=lambda entry: entry[0])[1]):
+        for shape in closer(channel, min(found, key=lambda entry: entry[0])[1]):
             mended(shape)
         part = Part(e, s.inputs[0])
         for _, shape, p in sorted(found, key=lambda entry: entry[0])[:2]:
-            scales = np.concatenate((base.scales, units(n)))
+            scales = np.concatenate((base.scales, units(channel)))
             yield fit(
                 channel, s.adding(part), np.concatenate((p, shape)), scales, noise=base.noise, iterations=25
             )
@@ -226,23 +276,30 @@ def _mended(
 DRIFT = Effect(
     key="clock_drift", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=12,
     sentence="the clock of the output runs off from that of the input", parameters={"drift": "1"}, apply=_drifted,
-    search=_mended(lambda: DRIFT, lambda n: [[sign * d / n] for d in SHIFTS for sign in (1.0, -1.0)],
-                   lambda n, best: [[best[0] * f] for f in (0.8, 0.9, 1.1, 1.25)], lambda n: [1.0 / n]),
+    search=_mended(lambda: DRIFT, lambda c: [[sign * d / len(c)] for d in SHIFTS for sign in (1.0, -1.0)],
+                   lambda c, best: [[best[0] * f] for f in (0.8, 0.9, 1.1, 1.25)], lambda c: [1.0 / len(c)]),
 )  # fmt: skip
 DECAY = Effect(
     key="gain_decay", cause="gain_drift", family="drifts", nature=Nature.TIME, slot=Slot.OUTPUT, trials=6,
     sentence="the gain from all inputs decays with time, or grows: exp(-rate t)", parameters={"rate": "1/record"},
     apply=lambda x, p, c: x * np.exp(-p[0] * c.turn),
-    search=_mended(lambda: DECAY, lambda n: [[sign * r] for r in AGES for sign in (1.0, -1.0)],
-                   lambda n, best: [[best[0] * f] for f in (0.75, 1.3)], lambda n: [1.0], _kept_up),
+    search=_mended(lambda: DECAY, lambda c: [[sign * r] for r in AGES for sign in (1.0, -1.0)],
+                   lambda c, best: [[best[0] * f] for f in (0.75, 1.3)], lambda c: [1.0], _kept_up),
+)  # fmt: skip
+CONVEYED = Effect(
+    key="conveyed", cause="flow_dependent_delay", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, trials=60,
+    sentence="a belt or a pipe that an input drives brings what is measured: the delay falls with its speed",
+    parameters={"volume": "u sample", "flow": "1"}, apply=lambda x, p, c: x, signal=_conveyed,
+    search=_mended(lambda: CONVEYED, _ways, lambda c, best: [[best[0] * f, best[1]] for f in (0.8, 0.9, 1.1, 1.25)],
+                   lambda c: [float(np.mean(np.abs(c.u))), 0.0], _unconveyed, late=False),
 )  # fmt: skip
 LOST = Effect(
     key="lost_samples", cause="lost_samples", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=0.1,
     per_sample=True, sentence="samples of the output are lost, or come twice, and what follows is out of step",
     parameters={"samples": "1", "time": "sample"}, apply=_jumped,
-    search=_mended(lambda: LOST, lambda n: [[sign * d, t * n] for t in np.linspace(0.08, 0.92, TIMES) for d in JUMPS[:2]
+    search=_mended(lambda: LOST, lambda c: [[sign * d, t * len(c)] for t in np.linspace(0.08, 0.92, TIMES) for d in JUMPS[:2]
                                             for sign in (1.0, -1.0)],
-                   lambda n, best: [[d, best[1] + t * n] for d in {best[0], np.sign(best[0]) * JUMPS[2]}
+                   lambda c, best: [[d, best[1] + t * len(c)] for d in {best[0], np.sign(best[0]) * JUMPS[2]}
                                     for t in np.linspace(-0.07, 0.07, 9)]),
 )  # fmt: skip
 
@@ -331,4 +388,4 @@ REFRESHED = Effect(
     parameters={"period": "sample", "phase": "sample"}, apply=_refreshed, search=_ages,
 )  # fmt: skip
 
-TIMING = (DRIFT, LOST, REFRESHED, DECAY)
+TIMING = (DRIFT, LOST, REFRESHED, DECAY, CONVEYED)

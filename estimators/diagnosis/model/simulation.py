@@ -195,6 +195,8 @@ def simulate(
         for part, sl in zip(s.parts, slices, strict=True):
             if part.effect.slot is slot:
                 played = _played(s, p, U, p[sl]) if first and part.effect.between else None
+                if part.effect.signal is not None:
+                    played = part.effect.signal(np.column_stack((u, y)), u.shape[1], p[sl], clock)
                 y = part.apply(y, p[sl], clock) if played is None else played
                 first = False
     return y[settle : settle + n]

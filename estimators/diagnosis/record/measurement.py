@@ -69,6 +69,7 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
         at = np.flatnonzero(y == end)
         if 1 < len(at) == at[-1] - at[0] + 1 <= 1 + _longest(held):
             held[at[1:]] = True
+    held &= ~_returned_to(y)
     steps = np.abs(np.diff(y))
     moved = steps[steps > 0]
     if len(
@@ -81,6 +82,15 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
     if len(np.unique(fresh)) < 0.97 * len(fresh):  # values recur anyway: a coarse scale, not a lost sample
         held[:] = False
     return held
+
+
+def _returned_to(y: Array) -> NDArray[np.bool_]:
+    """(N,) samples whose value stands at another place of the record too: the signal rests there, as a plant by night."""
+    _, where, count = np.unique(y, return_inverse=True, return_counts=True)
+    first, last = np.full(len(count), len(y)), np.zeros(len(count), dtype=int)
+    np.minimum.at(first, where, np.arange(len(y)))
+    np.maximum.at(last, where, np.arange(len(y)))
+    return (last - first >= count)[where]
 
 
 RESTING = 8

@@ -16,6 +16,7 @@ from estimators.diagnosis.model.structure import Structure
 from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
+from estimators.diagnosis.share.feedback import wald
 
 Array = NDArray[Any]
 EVERYTHING = Menu()
@@ -83,7 +84,8 @@ def significance(null: Fit, f: Fit, family: int = FAMILY) -> float:
 def feedback_test(u: Array, e: Array, lags: int = 5, memory: int = 12) -> float:
     """Likelihood-ratio p-value of 'the input u (N,) does not follow the noise': past innovations e (N,) help to predict it.
 
-    Innovations at lags 0 to `lags`, beside `memory` past inputs that predict first.
+    Innovations at lags 0 to `lags`, beside `memory` past inputs that predict first; the larger p-value of equal and of unequal
+    variances.
     """
     n = len(u)
     own = [np.concatenate((np.zeros(i), u[: n - i])) for i in range(1, memory + 1)] + [np.ones(n)]
@@ -108,7 +110,8 @@ def feedback_test(u: Array, e: Array, lags: int = 5, memory: int = 12) -> float:
     rss0, rss1 = float(r0 @ r0), float(r1 @ r1)
     if rss0 <= 1e-12 * float(u @ u) or rss1 <= 0 or (n > 4000 and rss1 > 0.98 * rss0):
         return 1.0  # nothing left to predict, or a share too small for a loop
-    return float(chi2.sf(rows.sum() * np.log(rss0 / rss1), lags + 1))
+    equal = float(chi2.sf(rows.sum() * np.log(rss0 / rss1), lags + 1))
+    return max(equal, wald(X0[rows], X1[rows, X0.shape[1] :] / scale[X0.shape[1] :], target[rows]))
 
 
 def _white(f: Fit) -> Fit:

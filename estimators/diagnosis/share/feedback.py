@@ -21,8 +21,10 @@ PAST = 30
 """Samples of its own past from which an input is predicted."""
 MATTERS = 0.02
 """Share of an input's innovations that the noise must explain: a weaker loop echoes less noise than a block can tell."""
-ALPHA = 1e-3
+ALPHA = 1e-4
 """False-alarm rate: with feedback only what improves the one-step prediction counts, a hard demand elsewhere."""
+MOST_LEVER = 0.99
+"""Leverage beyond which a sample's own weight in the fit is not divided out of its residual."""
 
 
 def autoregression(signals: Sequence[Array], uses: Sequence[NDArray[np.bool_]]) -> Array:
@@ -52,8 +54,13 @@ def has_feedback(
     records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
 ) -> bool:
     """Whether an input answers the noise, surely and by a share of it that matters."""
-    gain, chance, samples = answered(records, residual, uses)
-    return gain > MATTERS and bool(chi2.sf(samples * gain, chance * samples) < ALPHA)
+    noise = autoregression(residual, uses)
+    clean = [whitened(noise, np.where(c, e, 0.0)) * c for e, c in zip(residual, uses, strict=True)]
+    inputs = range(records[0].n_inputs)
+    designs = [_design([r.u[:, j] for r in records], clean) for j in inputs]
+    if not max(_gain(*d) for d in designs) > MATTERS:
+        return False
+    return min(wald(*d) for d in designs) * len(inputs) < ALPHA
 
 
 def answered(
@@ -66,19 +73,41 @@ def answered(
     """
     noise = autoregression(residual, uses)
     clean = [whitened(noise, np.where(c, e, 0.0)) * c for e, c in zip(residual, uses, strict=True)]
-    gains, samples = [], sum(len(r) - PAST for r in records)
-    for j in range(records[0].n_inputs):
-        own, both, target = [], [], []
-        for r, e in zip(records, clean, strict=True):
-            x = r.u[:, j] - r.u[:, j].mean()
-            past = [_late(x, i) for i in range(1, PAST + 1)]
-            own.append(np.stack(past, axis=1)[PAST:])
-            both.append(np.stack([*past, *(_late(e, i) for i in range(1, LEADS + 1))], axis=1)[PAST:])
-            target.append(x[PAST:])
-        b = np.concatenate(target)
-        before, after = (_left(np.concatenate(A), b) for A in (own, both))
-        gains.append(1.0 - after / max(before, 1e-300))
+    samples = sum(len(r) - PAST for r in records)
+    gains = [_gain(*_design([r.u[:, j] for r in records], clean)) for j in range(records[0].n_inputs)]
     return max(gains), LEADS / samples, samples
+
+
+def _design(inputs: Sequence[Array], noises: Sequence[Array]) -> tuple[Array, Array, Array]:
+    """An input's own past (n, PAST), the noise before (n, LEADS) and the input (n,), of all records."""
+    own, lead, target = [], [], []
+    for u, e in zip(inputs, noises, strict=True):
+        x = u - u.mean()
+        own.append(np.stack([_late(x, i) for i in range(1, PAST + 1)], axis=1)[PAST:])
+        lead.append(np.stack([_late(e, i) for i in range(1, LEADS + 1)], axis=1)[PAST:])
+        target.append(x[PAST:])
+    return np.concatenate(own), np.concatenate(lead), np.concatenate(target)
+
+
+def _gain(own: Array, lead: Array, target: Array) -> float:
+    """Share of what the input's own past leaves of it that the noise explains."""
+    return 1.0 - _left(np.hstack((own, lead)), target) / max(_left(own, target), 1e-300)
+
+
+def wald(own: Array, lead: Array, target: Array) -> float:
+    """p-value of 'the noise of samples before explains nothing of an input beyond its own past' by the variance of each sample's own residual (MacKinnon and White's HC3).
+
+    An input of weather or of a driver is still by night and at rest: the test of equal variances takes its storms for answers.
+    """
+    size = np.sqrt(np.mean(own**2, axis=0))
+    Q = np.linalg.qr(own / np.where(size > 0, size, 1.0))[0]
+    X, b = lead - Q @ (Q.T @ lead), target - Q @ (Q.T @ target)
+    G = np.linalg.pinv(X.T @ X, hermitian=True)
+    theta = G @ (X.T @ b)
+    lever = np.sum(Q**2, axis=1) + np.einsum("ij,jk,ik->i", X, G, X)
+    scores = X * ((b - X @ theta) / (1.0 - np.minimum(lever, MOST_LEVER)))[:, None]
+    V = np.linalg.pinv(G @ (scores.T @ scores) @ G, hermitian=True)
+    return float(chi2.sf(theta @ V @ theta, lead.shape[1]))
 
 
 def _late(x: Array, by: int) -> Array:

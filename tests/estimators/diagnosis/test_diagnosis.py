@@ -147,6 +147,13 @@ def test_rounded_and_held_samples_are_recognised():
     assert held_samples(held).sum() == 4  # a limit that is reached again
     assert held_samples(y).sum() == 0
     assert held_samples(np.round(y)).sum() == 0  # values recur: coarse, not lost
+    nights = np.where(np.arange(400) % 100 < 40, -0.3, y)
+    nights[150:153] = nights[149]
+    assert set(np.flatnonzero(held_samples(nights))) == {
+        150,
+        151,
+        152,
+    }  # neither its largest value nor its least
 
 
 def test_rest_is_no_loss_and_a_loss_is_no_rest():

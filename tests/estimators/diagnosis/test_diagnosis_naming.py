@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
+from estimators.diagnosis.discovery.wording import named_by_shape
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock
@@ -90,3 +91,37 @@ def test_the_gain_that_all_inputs_lose_is_found_though_a_slow_pole_had_taken_its
     assert rms(drift) > 1.3 * 0.05
     assert rms(found) < 1.15 * 0.05
     np.testing.assert_allclose(found.p[-1], rate * (n - 60) / n, rtol=0.03)
+
+
+def test_a_delay_that_follows_a_logged_speed_is_found_where_the_linear_model_has_its_mean(rng) -> None:
+    n, way = 800, 40.0
+    u = np.column_stack(
+        [np.repeat(rng.standard_normal(n // 8), 8), np.repeat(rng.uniform(3.0, 9.0, n // 40), 40)]
+    )
+    x = np.asarray(lfilter([0.0, 0.3], [1.0, -0.7], u[:, 0] + 0.05 * u[:, 1]))
+    through = np.cumsum(u[:, 1])
+    y = np.interp(
+        np.interp(through - way, through, np.arange(n)), np.arange(n), x
+    ) + 0.02 * rng.standard_normal(n)
+    channel = Channel(u[40:], y[40:], Clock(np.arange(n - 40.0), n - 40), np.ones(n - 40, dtype=bool))
+    s = replace(Structure(1, (0, 1), delay=6).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2)
+    base = fit_linear(channel, s)
+    search: Any = named("conveyed").search
+    found = min(search(channel, base, ()), key=lambda f: f.criterion)
+    assert float(np.std(base.residual)) > 5.0 * 0.02
+    assert float(np.std(found.residual[20:])) < 1.2 * 0.02
+    np.testing.assert_allclose(found.p[-2:], [way, 2.0], rtol=0.02)
+    still = replace(channel, u=channel.u - [0.0, 4.0])  # what turns drives no belt
+    assert not list(search(still, base, ()))
+
+
+def test_terms_that_make_up_one_curve_of_the_rate_are_named_by_its_shape(rng) -> None:
+    v = np.linspace(-5.0, 5.0, 41)
+    bent = {
+        "coulomb_friction": -2.0 * np.sign(v) * np.sqrt(np.abs(v))
+        + 3.0 * np.tanh(v / 8.0),  # flat beyond a jump
+        "nonlinear_drag": -1.5 * v * np.abs(v) + 0.03 * v**3,
+        "asymmetric_rise_and_fall": -0.5 * np.abs(v) + 0.2 * np.maximum(v - 0.3, 0.0),
+    }
+    for name, force in bent.items():
+        assert named_by_shape(v, force + 7.0 * v + 0.02 * rng.standard_normal(len(v))) == name

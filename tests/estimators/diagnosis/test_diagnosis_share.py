@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import chi2
 
 from estimators.diagnosis.baseline import best_linear
+from estimators.diagnosis.search.selection import feedback_test
 from estimators.diagnosis.share import explainable_share
 from estimators.diagnosis.share.news import NEWS, Predictor
 from oed.data import Record
@@ -158,3 +160,27 @@ def test_missing_samples_hide_no_news_and_too_few_say_nothing() -> None:
     record = Record(u[:12], np.nan_to_num(y[:12]))
     few = Predictor.of([record], [np.zeros((12, 1))], 0, [np.ones(12, dtype=bool)])
     assert few.news([np.zeros(12)]) == np.inf
+
+
+def test_an_input_whose_strength_goes_with_that_of_the_noise_does_not_follow_it() -> None:
+    """Weather: both are still by night. An input that does follow is seen beside it, and so is one in quiet noise."""
+    n, equal, robust, seen = 600, [], [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        size = np.exp(
+            1.5 * np.sin(2.0 * np.pi * np.arange(n) / 100.0)
+            + 0.7 * np.repeat(rng.standard_normal(n // 20), 20)
+        )
+        noise, own = size * rng.standard_normal(n), size * rng.standard_normal(n)
+        lags = np.stack([np.roll(noise, i) for i in range(1, 6)], axis=1)[10:]
+        ratio = (
+            own[10:]
+            @ own[10:]
+            / np.sum((own[10:] - lags @ np.linalg.lstsq(lags, own[10:], rcond=None)[0]) ** 2)
+        )
+        equal.append(chi2.sf((n - 10) * np.log(ratio), 5))
+        robust.append(feedback_test(own, noise))
+        seen.append(feedback_test(own + 0.5 * np.concatenate(([0.0], noise[:-1])), noise))
+    assert np.mean(np.array(equal) < 1e-2) > 0.5
+    assert np.mean(np.array(robust) < 1e-2) < 0.05
+    assert np.mean(np.array(seen) < 1e-3) > 0.8

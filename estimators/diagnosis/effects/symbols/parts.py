@@ -235,6 +235,8 @@ def acted(w: Wiring, part: Any, x: Any, p: Array, k: Any, length: int) -> Any:
     x, q, effect = blocked(w, part, x, p), p[part.own :], part.effect
     if effect.apply is None:
         return x
+    if effect.signal is not None:  # it reads another input
+        w.refuse(f"the effect {effect.key!r} ({effect.sentence}) has no CasADi twin", REMEDY)
     if isinstance(effect.apply, Passing):
         return _process(w, x, q, effect.apply)
     known = effect in _known()
