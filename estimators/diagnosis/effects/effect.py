@@ -204,8 +204,8 @@ class Effect:
     inside : callable, optional
         parameters -> fields of `plant_kernels.Elements`: dry friction, hysteresis and stops, which a force cannot express.
     signal : callable, optional
-        (inputs (N, nu), channel, parameters, clock) -> (N,) the signal s of `force`, what a path adds, or what becomes of an input; of the
-        output, which stands behind the inputs then.
+        (inputs (N, nu), channel, parameters, clock) -> (N,) the signal s of `force`, what a path adds, or what becomes of an input,
+        or of the output, which stands behind the inputs.
     change : mapping, optional
         By layout, how the logarithms of its rates move per unit of the first parameter, at the time of the second.
     layouts : frozenset of str, optional
@@ -384,9 +384,7 @@ def _needs(e: Effect) -> list[tuple[bool, str]]:
     found = e.starts is not None or e.search is not None or e.block
     acts = e.force is not None or e.inside is not None or e.change is not None
     amplitude = e.amplitude is not None and e.amplitude >= len(e.parameters)
-    modulates = (
-        e.signal is not None and e.force is None and e.slot not in (Slot.PATH, Slot.INPUT, Slot.OUTPUT)
-    )
+    modulates = e.signal is not None and e.force is None and e.slot is Slot.PLANT
     return [
         (not e.key or not e.cause or not e.sentence, "a key, a cause and a sentence"),
         (on_signal and e.apply is None, "apply, what it makes of its signal"),
