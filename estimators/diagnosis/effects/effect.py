@@ -204,8 +204,7 @@ class Effect:
     inside : callable, optional
         parameters -> fields of `plant_kernels.Elements`: dry friction, hysteresis and stops, which a force cannot express.
     signal : callable, optional
-        (inputs (N, nu), channel, parameters, clock) -> (N,) the signal s of `force`, what a path adds, or what becomes of an input,
-        or of the output, which stands behind the inputs.
+        (inputs (N, nu), channel, parameters, clock) -> (N,) s of `force`, what a path adds, what becomes of an input or (last) the output.
     change : mapping, optional
         By layout, how the logarithms of its rates move per unit of the first parameter, at the time of the second.
     layouts : frozenset of str, optional
