@@ -191,24 +191,41 @@ def _progress(args: argparse.Namespace) -> Iterator[None]:
         yield
 
 
+ONCE_MORE = 0.05
+"""Seconds until an interruption that was dropped comes again: any finaliser has ended by then."""
+
+
 class _Terminated(KeyboardInterrupt):
     """The process was asked to end by SIGTERM: like Ctrl-C, but for the exit status."""
 
 
 @contextlib.contextmanager
 def _terminated_like_interrupted() -> Iterator[None]:
-    """While the block runs, SIGTERM ends it as Ctrl-C does, so that workers end too and what was finished is kept."""
+    """While the block runs, SIGTERM ends it as Ctrl-C does, so that workers end too and what was finished is kept. What
+    is raised inside a finaliser or a callback of Python's own is dropped there, and asked for once more."""
+    hook, asked = sys.unraisablehook, []
 
     def stop(number: int, frame: Any) -> NoReturn:
         raise _Terminated
 
+    def once_more(dropped: Any) -> None:
+        if not issubclass(dropped.exc_type, KeyboardInterrupt):
+            return hook(dropped)
+        number = signal.SIGTERM if issubclass(dropped.exc_type, _Terminated) else signal.SIGINT
+        asked.append(threading.Timer(ONCE_MORE, os.kill, (os.getpid(), number)))
+        asked[-1].daemon = True
+        return asked[-1].start()
+
     if threading.current_thread() is not threading.main_thread():  # whoever owns that decides
         yield
         return
-    before = signal.signal(signal.SIGTERM, stop)
+    before, sys.unraisablehook = signal.signal(signal.SIGTERM, stop), once_more
     try:
         yield
     finally:
+        for timer in asked:
+            timer.cancel()
+        sys.unraisablehook = hook
         signal.signal(signal.SIGTERM, before)
 
 

@@ -76,7 +76,7 @@ def _siso_text(plant: Plant, limit: LimitSpectrum, payload: dict[str, Any]) -> s
     gamma = payload["hinf_norm"]
     together = payload["c_efficiency_by_experiments"]
     mean = payload["beta2_mean"]
-    bias = f"biased by {np.sqrt(mean) - gamma:+.4g}" if mean > 0 else "lost in the noise"
+    bias = f"biased by {limit.beta2_bias:+.4g}" if mean > 0 else "lost in the noise"
     lines = [
         f"Power iterations (Algorithm 1) on {plant.name}, noise variance {plant.noise_variance:g}",
         f"  H-infinity norm      {gamma:.12g} at {payload['peak_frequency']:.10g} rad/sample, {_hertz(plant, payload)}"

@@ -35,6 +35,12 @@ def noise_filter(residuals: Parts, most: int | None = None) -> NDArray[np.float6
     return best
 
 
+def unit(x: NDArray) -> NDArray:
+    """A signal over the power of two next to its largest value: beside a constant, or squared, any unit is as good."""
+    top = float(np.max(np.abs(x), initial=0.0))
+    return x / 2.0 ** np.floor(np.log2(top)) if 0 < top < np.inf else x
+
+
 def delayed(x: NDArray, lags: Iterable[int]) -> NDArray:
     """A signal at several lags: x (N, 1) -> (N, L)."""
     n, out = len(x), []

@@ -71,8 +71,17 @@ class LimitSpectrum:
     @property
     def beta2_mean(self) -> float:
         """Limit of E beta_2^2 = mu^2 - lambda_e (1/2pi) int |H|^2 dw; [S] Lemma 11."""
-        noise = self.plant.noise_covariance[0, 0] * noise_power(self.plant)
-        return float(self.mu2 - noise)
+        return float(self.mu2 - self._noise)
+
+    @property
+    def beta2_bias(self) -> float:
+        """Root of that limit minus the norm, from their small difference: the two agree in all digits at little noise."""
+        root = np.sqrt(self.beta2_mean) if self.beta2_mean > 0 else np.nan
+        return float((self.mu2_excess - self._noise) / (root + self.peak.value))
+
+    @property
+    def _noise(self) -> float:
+        return float(self.plant.noise_covariance[0, 0] * noise_power(self.plant))
 
     @property
     def spectrum_max(self) -> float:

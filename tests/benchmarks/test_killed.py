@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 import benchmarks.campaign.cluster as cluster_module
+import benchmarks.cli as cli_module
 from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.users_own import Own
 from benchmarks.campaign.whole_campaign import run_campaign
@@ -232,3 +233,23 @@ def test_one_worker_of_one_thread_does_the_work(tmp_path, own):
     (estimates,) = found[0].final.values()
     assert {int(v) for v in estimates.estimate} == pids
     assert os.getpid() not in pids
+
+
+@pytest.mark.skipif(not hasattr(os, "kill"), reason="signals")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_that_a_finaliser_drops_ends_the_command_all_the_same(number, capsys):
+    """Python drops what is raised inside a finaliser or a weak reference's callback, with lines of its own."""
+
+    class Finalised:
+        def __del__(self):
+            signal.raise_signal(number)
+
+    ended = False
+    with cli_module._terminated_like_interrupted():
+        try:
+            Finalised()
+            time.sleep(10)
+        except KeyboardInterrupt as error:
+            ended = isinstance(error, cli_module._Terminated) is (number == signal.SIGTERM)
+    assert ended
+    assert "Traceback" not in capsys.readouterr().err

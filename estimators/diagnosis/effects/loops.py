@@ -111,6 +111,8 @@ def _switching(slowest: float, u: Array) -> Iterator[list[float]]:
     wide = float(np.ptp(u))
     for faster in PACES[:-1]:
         alone = _switched(u, np.array([faster * slowest, 0.0, 0.0, 0.0, 1e300]))
+        if not np.all(np.isfinite(alone)):  # in units in which its steps are no numbers
+            continue
         for low, high in combinations(np.quantile(alone, LEVELS), 2):
             for push in PUSHES:
                 yield [faster * slowest, push * wide, 0.0, float(low), float(high)]

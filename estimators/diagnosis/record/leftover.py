@@ -15,6 +15,7 @@ from estimators.diagnosis.effects.effect import Nature
 from estimators.diagnosis.model.fitting import Channel, Fit, ar_model, innovations
 from estimators.diagnosis.model.layouts import LAYOUTS, states
 from estimators.diagnosis.model.simulation import simulate
+from estimators.residual.algebra import unit
 
 Array = NDArray[Any]
 LAGS = 20
@@ -113,7 +114,7 @@ def _best_products(
     """(likelihood ratio, Schwarz's price, terms, products tried) of the few products that explain most, one taken after another."""
     keep, n = channel.keep, int(channel.keep.sum())
     X = np.stack([np.where(keep, x / (float(np.sqrt(np.mean(x**2))) + 1e-300), 0.0)
-                  for x in _products(channel, f, y)], axis=1)  # fmt: skip
+                  for x in map(unit, _products(channel, f, y))], axis=1)  # fmt: skip
     best = (0.0, 0.0, 0)
     for noise in [f.noise, np.zeros(0)][: 1 + bool(len(f.noise))]:
         W = np.stack([innovations(x, noise) for x in X.T], axis=1)
@@ -137,7 +138,7 @@ def _best_products(
 
 def _sized(columns: list[Array], keep: NDArray[np.bool_]) -> Array:
     """Columns of unit size, zero where a sample does not count."""
-    X = np.stack([c / (float(np.sqrt(np.mean(c**2))) + 1e-300) for c in columns], axis=1)
+    X = np.stack([c / (float(np.sqrt(np.mean(c**2))) + 1e-300) for c in map(unit, columns)], axis=1)
     return np.where(keep[:, None], X, 0.0)
 
 
@@ -167,7 +168,8 @@ def _deviance(r: Array, X: Array, noise: Array, keep: NDArray[np.bool_]) -> floa
         again = start
         for _ in range(2):
             W = np.stack([innovations(c, again) for c in X.T], axis=1)
-            size = np.sqrt(np.sum(W**2, axis=0)) + 1e-300
+            size = np.abs(W).max(axis=0, initial=0.0) + 1e-300  # their squares may be no numbers
+            size = size * (np.sqrt(np.sum((W / size) ** 2, axis=0)) + 1e-300)
             beta = np.linalg.lstsq(W / size, innovations(r, again), rcond=1e-9)[0] / size
             rest = r - X @ beta
             again, value = ar_model(np.where(keep, rest, 0.0))

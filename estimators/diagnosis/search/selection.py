@@ -17,6 +17,7 @@ from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
 from estimators.diagnosis.share.feedback import wald
+from estimators.residual.algebra import unit
 
 Array = NDArray[Any]
 EVERYTHING = Menu()
@@ -87,7 +88,7 @@ def feedback_test(u: Array, e: Array, lags: int = 5, memory: int = 12) -> float:
     Innovations at lags 0 to `lags`, beside `memory` past inputs that predict first; the larger p-value of equal and of unequal
     variances.
     """
-    n = len(u)
+    u, e, n = unit(u), unit(e), len(u)
     own = [np.concatenate((np.zeros(i), u[: n - i])) for i in range(1, memory + 1)] + [np.ones(n)]
     past = [np.concatenate((np.zeros(i), e[: n - i])) for i in range(lags + 1)]
     X0, X1 = np.stack(own, axis=1)[memory:], np.stack(own + past, axis=1)[memory:]
@@ -356,7 +357,7 @@ def _importance(final: Fit, claims: list[Claim], simulated: dict[str, float]) ->
 
 def _follows_input(u: Array, e: Array, lags: int = 20) -> bool:
     """Whether innovations are predicted by the past input or its cube, which noise is not (p < 1e-8)."""
-    n = len(e)
+    u, n = unit(u), len(e)
     columns = [np.concatenate((np.zeros(i), x[: n - i])) for x in (u, u**3) for i in range(1, lags + 1)]
     X = np.stack(columns, axis=1)
     X = X / (np.sqrt(np.mean(X**2, axis=0)) + 1e-300)

@@ -195,6 +195,10 @@ def test_feedback_shows_in_the_input_and_open_loop_does_not():
     e, r = 0.1 * rng.standard_normal(1500), np.repeat(rng.choice([-1.0, 1.0], 150), 10)
     assert feedback_test(r - 0.5 * np.concatenate(([0.0], e[:-1])), e) < 1e-10
     assert feedback_test(r, e) > 1e-3
+    # beside the constant, an input in small units was no column at all, and in large ones the constant none
+    usual = feedback_test(r + 0.5 * np.roll(r, 1), e)
+    for unit in (2.0**-130, 2.0**130):
+        assert np.isclose(feedback_test(unit * (r + 0.5 * np.roll(r, 1)), unit * e), usual, rtol=1e-6)
 
 
 def test_bad_input_is_refused_with_its_remedy():

@@ -1,5 +1,8 @@
 """Limit spectra: every digit of theory.md sections 1, 2 and 4, order of convergence, several peaks, colour."""
 
+from decimal import Decimal, localcontext
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -251,3 +254,15 @@ def test_gains_nine_decades_apart_are_a_design_or_a_line():
     assert solve_design(_two_by_two([1, -0.5], [1, 0.999999999]), "hinf").gap < 1e-6
     with pytest.raises(SolverFailure, match="no inverse in double precision"):
         solve_design(_two_by_two([1, 0.999999999], [1, 0.3]), "A")
+
+
+@pytest.mark.parametrize("gain", [1.0, 1e6, 1e9])
+def test_the_bias_of_the_own_estimate_has_its_digits_at_little_noise(gain):
+    """sqrt(gamma^2 - noise) - gamma had an error of 4 % at a gain of 1e7 and was 0 from 1e8 on."""
+    limit = limit_spectrum(Plant([0, gain], [1, -0.5], noise_covariance=1.0))
+    gamma = Fraction(2 * gain)
+    square = gamma**2 + Fraction(limit.mu2_excess) - 1
+    with localcontext() as context:
+        context.prec = 60
+        exact = (Decimal(square.numerator) / square.denominator).sqrt() - Decimal(2 * gain)
+    assert np.isclose(limit.beta2_bias, float(exact), rtol=1e-9, atol=0)
