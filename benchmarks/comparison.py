@@ -20,6 +20,7 @@ from benchmarks.campaign.whole_campaign import TIME_LIMIT, check_amounts, fill_s
 from benchmarks.tables.columns import headings, is_number
 from benchmarks.tables.formats import to_text
 from benchmarks.tables.tabulation import tabulate
+from oed.covariances import on_one_thread
 from oed.errors import CampaignError, InputError
 from oed.files.lock import locked
 from oed.files.writing import write_whole
@@ -78,6 +79,7 @@ class _Progress:
             self.bar.close()
 
 
+@on_one_thread
 def compare(
     *,
     plants: Sequence[str] | None = None,

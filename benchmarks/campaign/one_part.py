@@ -19,6 +19,7 @@ from benchmarks.campaign.deadline import TimeLimit, within
 from benchmarks.campaign.plants import content_of, load_plant
 from benchmarks.campaign.registry import ESTIMATORS, Estimate, compatible, fits, method_for
 from benchmarks.campaign.settings import Settings
+from oed.covariances import on_one_thread
 from oed.errors import CampaignError, Status
 from oed.experiments import simulated
 from oed.information import information_of_each
@@ -119,6 +120,7 @@ def _prepared(plant: str, noise_variance: float, method: str, content: str) -> t
     return loaded, method_for(method, loaded)
 
 
+@on_one_thread
 def run_part(
     settings: Settings,
     part: Part,

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from benchmarks.campaign.one_part import run_part
+from benchmarks.comparison import compare
 from estimators import diagnose
 from estimators.pem import identify
 from oed.covariances import on_one_thread
@@ -52,7 +54,18 @@ def test_it_is_given_back_after_an_error():
 
 
 @pytest.mark.parametrize(
-    "verb", [solve_design, masked_design, robust_design, quantile_design, basis_design, identify, diagnose]
+    "verb",
+    [
+        solve_design,
+        masked_design,
+        robust_design,
+        quantile_design,
+        basis_design,
+        identify,
+        diagnose,
+        run_part,
+        compare,
+    ],
 )
 def test_every_verb_has_it(verb):
     assert verb.__wrapped__.__name__ == verb.__name__
