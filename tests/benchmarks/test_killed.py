@@ -245,11 +245,14 @@ def test_a_signal_that_a_finaliser_drops_ends_the_command_all_the_same(number, c
             signal.raise_signal(number)
 
     ended = False
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # behind nohup Python has none
     with cli_module._terminated_like_interrupted():
         try:
             Finalised()
             time.sleep(10)
         except KeyboardInterrupt as error:
             ended = isinstance(error, cli_module._Terminated) is (number == signal.SIGTERM)
+        finally:
+            signal.signal(signal.SIGINT, before)
     assert ended
     assert "Traceback" not in capsys.readouterr().err
