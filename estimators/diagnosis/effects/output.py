@@ -107,6 +107,8 @@ OUTPUT = (
             starts=lambda s: ([[f / s.sy] for f in (0.3, 1.0, -0.3, -1.0)], [1 / s.sy])),
     _sensor("output_logarithm", "the sensor reads the logarithm of what it sees", {"c": "1/y"}, 4, apply=_logarithm,
             starts=_bends),
+    _sensor("output_ratio", "the sensor saturates as a ratio: y/(1 + c |y|)", {"c": "1/y"}, 4,
+            apply=lambda x, p, c: x / (1.0 + np.abs(p[0] * x)), starts=_bends),
     _sensor("output_sigmoid", "the sensor saturates smoothly on either side of a centre: tanh(c (y - centre))/c",
             {"c": "1/y", "centre": "y"}, 8, apply=sigmoid,
             starts=lambda s: ([[f / s.sy, m] for f in (0.4, 1.0) for m in s.centres(s.y)], [1 / s.sy, s.sy])),
@@ -226,15 +228,17 @@ def _mended(
     units: Callable[[Any], list[float]] = lambda c: [1.0, 1.0],
     undone: Callable[[Effect, list[float], Any], tuple[Array, Array] | None] = _in_step,
     late: bool = True,
+    fitted: bool = False,
 ) -> Callable[..., Iterator[Any]]:
     """Fits from the best shapes, and from others closer to the best, each with the poles that the output has once its shape is undone.
 
-    Shapes, those closer to one, and their units are of a channel; not `late` where the effect is the delay of the linear part.
+    Shapes, those closer to one, and their units are of a channel; not `late` where the effect is the delay of the linear part; the
+    poles are `fitted` where levels would mislead a quick guess.
     """
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         from estimators.diagnosis.model.fitting import fit
-        from estimators.diagnosis.model.linear import fresh_poles, relinearised
+        from estimators.diagnosis.model.linear import fit_linear, fresh_poles, relinearised
         from estimators.diagnosis.model.simulation import simulate
         from estimators.diagnosis.model.structure import Part, stable_polynomial
 
@@ -248,9 +252,12 @@ def _mended(
             if got is None:
                 return
             there = replace(channel, y=got[0])
-            p = np.zeros(s.size)
-            p[: s.order] = fresh_poles(there.y, there.u[:, list(s.inputs)], s, there.keep)
-            p = relinearised(there, s, p) if stable_polynomial(p[: s.order]) else None
+            p: Array | None = np.zeros(s.size)
+            if fitted:
+                p = fit_linear(there, s, rough=True).p
+            else:
+                p[: s.order] = fresh_poles(there.y, there.u[:, list(s.inputs)], s, there.keep)
+                p = relinearised(there, s, p) if stable_polynomial(p[: s.order]) else None
             if p is not None:
                 rest = got[1] * (there.y - simulate(s, p, there.u, there.clock))
                 found.append((float(rest @ rest), shape, p))
@@ -284,7 +291,7 @@ DECAY = Effect(
     sentence="the gain from all inputs decays with time, or grows: exp(-rate t)", parameters={"rate": "1/record"},
     apply=lambda x, p, c: x * np.exp(-p[0] * c.turn),
     search=_mended(lambda: DECAY, lambda c: [[sign * r] for r in AGES for sign in (1.0, -1.0)],
-                   lambda c, best: [[best[0] * f] for f in (0.75, 1.3)], lambda c: [1.0], _kept_up),
+                   lambda c, best: [[best[0] * f] for f in (0.75, 1.3)], lambda c: [1.0], _kept_up, fitted=True),
 )  # fmt: skip
 CONVEYED = Effect(
     key="conveyed", cause="flow_dependent_delay", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, trials=60,

@@ -20,7 +20,7 @@ Array = NDArray[Any]
 FOLD, FOLDED = "magnitude_sensor", 0.02
 """Cause of a sensor that folds; and of the samples, what it must read from its rarer side: from one side alone it is a curve like any other."""
 
-CONTENT, LATE = 0.2, 0.5
+CONTENT, LATE = 0.4, 0.5
 """Of a capacity, change over the record, and of a pipe, samples of delay at the mean flow, below which a flow does no more than
 multiply what it carries away."""
 

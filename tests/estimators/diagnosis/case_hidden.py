@@ -85,11 +85,32 @@ def vat(u, a):
     return _lag(out, 0.4)
 
 
+def ageing(u, a):
+    """A bed whose activity falls off, heated and fed about levels of their own."""
+    fed = 0.6 * u[:, 0] + 0.4 * u[:, 1]
+    return _sensor(fed, fed[0], 0.7) * np.exp(-0.6 * a * np.arange(len(u)) / len(u))
+
+
+def belt(u, a):
+    """Bulk that a belt of logged speed brings to the scale; without it, the scale stands where it falls."""
+    fed = u[:, 0] + 0.1 * u[:, 1]
+    k, way = np.arange(len(u), dtype=float), np.cumsum(u[:, 1])
+    return np.interp(np.interp(way - 12.0 * a, way, k), k, _sensor(fed, fed[0], 0.7))
+
+
+def gauge(u, a):
+    """A gauge that flattens off as a ratio."""
+    x = _sensor(u, u[0], 0.7)
+    return x / (1.0 + 0.5 * a * np.abs(x))
+
+
 ALL_CLASSES = CLASSES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
     "gain_of_angle": (rollers, 2, {"mean": 3.0, "size": 0.5}), "gain_fatigue": (tired, 2, {"mean": 2.0}),
     "loss_heat": (thickened, 2, {"mean": 3.0}), "capacity_filled": (vat, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
+    "gain_decay": (ageing, 2, {"mean": 4.0, "inputs": 2}), "conveyed": (belt, 2, {"mean": 2.0, "size": 0.5, "inputs": 2}),
+    "output_ratio": (gauge, 2, {"mean": 4.0, "size": 1.2}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
@@ -97,4 +118,6 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("rate_in_loop", "wind_up"), ("rate_of_loop", "wind_up"), ("wind_up", "rate_in_loop"), ("rate_limit_servo", "rate_in_loop"),
     ("gain_of_angle", "gain_periodic"), ("gain_periodic", "gain_of_angle"), ("gain_fatigue", "gain_heat"), ("gain_heat", "gain_fatigue"),
     ("loss_heat", "loss_cubic"), ("loss_cubic", "loss_heat"), ("capacity_filled", "product_of_inputs"), ("bilinear", "capacity_filled"),
+    ("gain_decay", "product_of_inputs"), ("conveyed", "product_of_inputs"), ("conveyed", "capacity_filled"), ("output_ratio", "loss_cubic"),
+    ("output_ratio", "magnitude"),
 ]  # fmt: skip
