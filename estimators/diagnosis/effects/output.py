@@ -252,12 +252,12 @@ def _mended(
             if got is None:
                 return
             there = replace(channel, y=got[0])
-            p: Array | None = np.zeros(s.size)
             if fitted:
                 p = fit_linear(there, s, rough=True).p
             else:
-                p[: s.order] = fresh_poles(there.y, there.u[:, list(s.inputs)], s, there.keep)
-                p = relinearised(there, s, p) if stable_polynomial(p[: s.order]) else None
+                q = np.zeros(s.size)
+                q[: s.order] = fresh_poles(there.y, there.u[:, list(s.inputs)], s, there.keep)
+                p = relinearised(there, s, q) if stable_polynomial(q[: s.order]) else None
             if p is not None:
                 rest = got[1] * (there.y - simulate(s, p, there.u, there.clock))
                 found.append((float(rest @ rest), shape, p))
