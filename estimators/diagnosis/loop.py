@@ -239,7 +239,7 @@ def _outcome(
     rest = None
     if discovery.sought and above.explainable:  # else unused blocks have said that nothing of it lasts
         rest = _remainder_step(records, i, base, ladder, above, setting)
-    if rest is not None:
+    if rest is not None and not bench.echoes(rest.unused[0]):
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     # What the answer explains was no noise that an input answers.
     errors = (r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records)

@@ -91,7 +91,7 @@ def nature(term: Term) -> str:
         return "time variation"
     if letters == {"u"}:
         return "static input nonlinearity"
-    if term.slot == "output" and letters == {"y"}:
+    if term.slot == "output" and {f.signal for f in term.factors} == {f"y{term.chain}"}:
         return "static output nonlinearity"
     return "dynamic nonlinearity"
 
@@ -141,6 +141,8 @@ def same_as(term: Term, swings: bool = True) -> str:
     side = f.signal[0] if not f.signal.startswith("du") else "d"
     found = SAME.get((term.slot, side, f.kind)) or WHOLE.get((term.slot, side), "")
     flat = f.kind == Kind.SIGN or (f.kind == Kind.TANH and abs(f.q) < NARROW)
+    if term.slot == "output" and f.signal != f"y{term.chain}":
+        return ""  # another output is no sensor of this one
     if (term.slot, side) != ("force", "y") or found == "square_root_outflow":
         return found
     if swings:

@@ -383,7 +383,7 @@ def _needs(e: Effect) -> list[tuple[bool, str]]:
     found = e.starts is not None or e.search is not None or e.block
     acts = e.force is not None or e.inside is not None or e.change is not None
     amplitude = e.amplitude is not None and e.amplitude >= len(e.parameters)
-    modulates = e.signal is not None and e.force is None and e.slot is Slot.PLANT
+    modulates = e.signal is not None and e.force is None and not (on_signal or e.slot is Slot.PATH)
     return [
         (not e.key or not e.cause or not e.sentence, "a key, a cause and a sentence"),
         (on_signal and e.apply is None, "apply, what it makes of its signal"),

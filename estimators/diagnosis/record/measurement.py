@@ -69,7 +69,8 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
         at = np.flatnonzero(y == end)
         if 1 < len(at) == at[-1] - at[0] + 1 <= 1 + _longest(held):
             held[at[1:]] = True
-    held &= ~_returned_to(y)
+    returned = _returned_to(y)
+    held &= ~returned
     steps = np.abs(np.diff(y))
     moved = steps[steps > 0]
     if len(
@@ -78,7 +79,7 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
         smallest = float(np.min(moved))
         if held.sum() < 2 * np.sum(moved < 1.5 * smallest):
             held[:] = False
-    fresh = y[~held]
+    fresh = y[~held & ~returned]
     if len(np.unique(fresh)) < 0.97 * len(fresh):  # values recur anyway: a coarse scale, not a lost sample
         held[:] = False
     return held

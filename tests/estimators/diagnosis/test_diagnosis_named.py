@@ -94,6 +94,7 @@ def test_terms_get_names_of_the_catalogue_where_they_say_the_same() -> None:
     assert said(Kind.LOG, "u0", "force") == "hammerstein"
     assert said(Kind.ABS, "du0", "force") == ""
     assert said(Kind.CUBE, "y0", "force") == "duffing"
+    assert (said(Kind.CUBE, "y0", "output"), said(Kind.CUBE, "y1", "output")) == ("output_nonlinearity", "")
     assert said(Kind.INVERSE, "y0", "force") == ""  # no spring: its equation says more
     for width, cause in ((0.9, "coulomb_friction"), (1.1, "nonlinear_loss")):  # y0 may be a speed
         assert said(Kind.TANH, "y0", "force", False, width * NARROW) == cause
@@ -298,5 +299,5 @@ def test_what_an_input_answers_is_noise_only_where_a_better_model_leaves_it() ->
 def test_little_beyond_a_linear_model_is_no_answer_where_the_input_answers_at_once() -> None:
     rng, n = np.random.default_rng(6), 1500
     y = rng.standard_normal(n)
-    for share, echo in ((0.01, True), (0.5, False)):
+    for share, echo in ((0.01, True), (0.45, True), (0.55, False)):
         assert judge(Record(y, y), np.zeros(n), inverse=True).echoes(share * y) is echo

@@ -180,7 +180,7 @@ def test_an_input_whose_strength_goes_with_that_of_the_noise_does_not_follow_it(
         )
         equal.append(chi2.sf((n - 10) * np.log(ratio), 5))
         robust.append(feedback_test(own, noise))
-        seen.append(feedback_test(own + 0.5 * np.concatenate(([0.0], noise[:-1])), noise))
+        seen.append(feedback_test(own + np.concatenate(([0.0], noise[:-1])), noise))
     assert np.mean(np.array(equal) < 1e-2) > 0.5
     assert np.mean(np.array(robust) < 1e-2) < 0.05
     assert np.mean(np.array(seen) < 1e-3) > 0.8
