@@ -147,9 +147,8 @@ def same_as(term: Term, swings: bool = True) -> str:
         return found
     if swings:
         return found or ("duffing" if f.kind in SPRINGS else "")
-    return (
-        "coulomb_friction" if flat else "nonlinear_loss"
-    )  # a speed, or a level: nothing swings without a mass
+    # a speed, or a level: nothing swings without a mass
+    return "coulomb_friction" if flat else "nonlinear_loss"
 
 
 OF_RATE: Mapping[str, tuple[Callable[[Array], Array], ...]] = {

@@ -135,20 +135,8 @@ SHIFTS = (0.5, 1.0, 1.8, 2.8, 4.0, 5.5)  # samples by which the clocks are apart
 JUMPS = (1.0, 2.0, 3.0, 5.0)  # samples lost at once
 TIMES = 12  # of a jump, over the record
 AGES = (0.1, 0.4, 1.0, 2.0)  # logarithms of the gain lost over the record
-CARRIED = (
-    1.0,
-    2.0,
-    3.0,
-    4.5,
-    6.0,
-    8.0,
-    11.0,
-    15.0,
-    20.0,
-    27.0,
-    36.0,
-    50.0,
-)  # samples that a belt takes at its mean speed
+CARRIED = (1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 11.0, 15.0, 20.0, 27.0, 36.0, 50.0)  # fmt: skip
+"""Samples that a belt takes at its mean speed: a third more from one to the next, as the best is looked for closer."""
 LEAST_FLOW = 1e-3  # of the mean: what stands still takes for ever
 EDGE = 0.07  # of the record, at either end of which no jump is looked for
 NOTHING = 1.02  # of the linear model's squared error, that the best shape may leave before it is fitted
@@ -198,11 +186,9 @@ def _entered(flow: Array, volume: float) -> Array:
 
 def _conveyed(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     x = U[:, channel]
-    return (
-        np.interp(_entered(U[:, int(p[1]) - 1], p[0]), np.arange(len(x)), x)
-        if p[0] >= 0.0
-        else np.full(len(x), np.inf)
-    )
+    if p[0] < 0.0:
+        return np.full(len(x), np.inf)
+    return np.interp(_entered(U[:, int(p[1]) - 1], p[0]), np.arange(len(x)), x)
 
 
 def _unconveyed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
