@@ -206,11 +206,10 @@ class DiscoveredModel:
     def _renamed(self, found: list[FoundTerm]) -> list[FoundTerm]:
         """The terms; of several that are one curve of a rate, each with the name of the whole curve's shape."""
         kinds = [t for t, _ in self.resolved() if t.slot != "slow"]
-        of = lambda t: (t.slot, t.chain, t.factors[0].signal)
-        groups: dict[tuple[str, int, str], list[int]] = {}
+        groups: dict[int, list[int]] = {}
         for i, t in enumerate(kinds):
             if len(t.factors) == 1 and t.slot == "force" and t.factors[0].signal == f"v{t.chain}":
-                groups.setdefault(of(t), []).append(i)
+                groups.setdefault(t.chain, []).append(i)
         out = list(found)
         for group in (g for g in groups.values() if len(g) > 1):
             name = named_by_shape(

@@ -48,7 +48,7 @@ def spread(f: Fit) -> Spread:
     squares of these samples' own errors (Newey and West), which a fit makes small where they are few, and which are right
     where the noise changes with the input.
     """
-    J = np.asarray(lfilter(np.r_[1.0, f.weight], np.r_[1.0, f.whitened], f.jacobian, axis=0))
+    J = _weighted(f)
     norms = np.sqrt(np.sum(J**2, axis=0))
     told = norms > 0.0
     J, norms = J / np.where(told, norms, 1.0), np.where(told, norms, 1.0)
@@ -61,6 +61,11 @@ def spread(f: Fit) -> Spread:
     lost = np.any(np.abs(vectors[:, null]) > LEANS, axis=1) & (f.scales != 0.0)
     C[lost, lost] = np.inf
     return Spread(C, H / np.outer(norms, norms))
+
+
+def _weighted(f: Fit) -> Array:
+    """(N, size) the jacobian with the weight of the error whose squares the fit made least."""
+    return np.asarray(lfilter(np.r_[1.0, f.weight], np.r_[1.0, f.whitened], f.jacobian, axis=0))
 
 
 def parameters_of(f: Fit, channel: Channel, prefix: str = "") -> dict[str, tuple[float, float, str]]:
@@ -106,15 +111,13 @@ def _followed(f: Fit, channel: Channel, known: Spread, at: int, error: float) ->
 def _other_times(f: Fit, channel: Channel, at: int) -> float:
     """Standard error (samples) whose 95 % interval ends at the farthest other time of a change that fits as well, what the other
     parameters can make good of it taken out."""
-    J = np.asarray(
-        lfilter(np.r_[1.0, f.weight], np.r_[1.0, f.whitened], np.delete(f.jacobian, at, axis=1), axis=0)
-    )
+    if len(channel) != len(f.residual):
+        return 0.0
+    J = np.delete(_weighted(f), at, axis=1)
     norms = np.sqrt(np.sum(J**2, axis=0))
     Q = np.linalg.qr(J[:, norms > 0.0] / norms[norms > 0.0])[0]
     least = float(np.sum(innovations(f.residual, f.weight) ** 2))
     most = least * (1.0 + NORMAL**2 / f.n)
-    if len(channel) != len(f.residual):
-        return 0.0
     farthest, q = 0.0, f.p.copy()
     for step in range(-REACH, REACH + 1):
         q[at] = f.p[at] + step

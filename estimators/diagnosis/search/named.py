@@ -164,8 +164,7 @@ class Bench:
     def _answer(self, run: Array) -> float:
         """Share of the input's innovations that answers the error of a run of unused blocks, beyond chance."""
         errors = np.where(self.counted, np.nan_to_num(self.train.y[:, self.output]) - run, 0.0)
-        gain, chance, _ = answered([self.train], [errors], [self.counted])
-        return gain - chance
+        return answered([self.train], [errors], [self.counted])
 
     def echoes(self, run: Array) -> bool:
         """Whether a run of unused blocks (N,) gains so little that it may only hear the answer of the input to the noise."""

@@ -54,28 +54,31 @@ def has_feedback(
     records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
 ) -> bool:
     """Whether an input answers the noise, surely and by a share of it that matters."""
-    noise = autoregression(residual, uses)
-    clean = [whitened(noise, np.where(c, e, 0.0)) * c for e, c in zip(residual, uses, strict=True)]
-    inputs = range(records[0].n_inputs)
-    designs = [_design([r.u[:, j] for r in records], clean) for j in inputs]
+    designs = _designs(records, residual, uses)
     if not max(_gain(*d) for d in designs) > MATTERS:
         return False
-    return min(wald(*d) for d in designs) * len(inputs) < ALPHA
+    return min(wald(*d) for d in designs) * len(designs) < ALPHA
 
 
 def answered(
     records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
-) -> tuple[float, float, int]:
-    """Share of the innovations of the input that answers the noise most, what chance makes of it, and how many there are.
+) -> float:
+    """Share of the innovations of the input that answers the noise most, beyond what chance makes of it.
 
     Granger's test: past whitened residuals help to predict an input beyond the input's own past. An input may be
     predictable, as narrow-band ones are: only what its own past does not tell counts.
     """
+    designs = _designs(records, residual, uses)
+    return max(_gain(*d) for d in designs) - LEADS / len(designs[0][-1])
+
+
+def _designs(
+    records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
+) -> list[tuple[Array, Array, Array]]:
+    """Of every input what its test is made of, the noise whitened."""
     noise = autoregression(residual, uses)
     clean = [whitened(noise, np.where(c, e, 0.0)) * c for e, c in zip(residual, uses, strict=True)]
-    samples = sum(len(r) - PAST for r in records)
-    gains = [_gain(*_design([r.u[:, j] for r in records], clean)) for j in range(records[0].n_inputs)]
-    return max(gains), LEADS / samples, samples
+    return [_design([r.u[:, j] for r in records], clean) for j in range(records[0].n_inputs)]
 
 
 def _design(inputs: Sequence[Array], noises: Sequence[Array]) -> tuple[Array, Array, Array]:
