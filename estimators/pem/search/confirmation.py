@@ -39,6 +39,9 @@ class Standing(Enum):
 
     CONFIRMED = "no rival fits better"
     OVER_ORDERED = "rivals differ by modes that the data do not tell from nothing"
+    UNTOLD = (
+        "nothing is left, so that a rival could only be another pair of B and F for much the same response"
+    )
     OPEN = "another optimum may be better"
 
 
@@ -92,8 +95,10 @@ def standing(problem: Problem, optimum: Optimum) -> Standing:
         pairs.append((place["c"][0], place["d"][0], True))
     spread = spread * (point.loss / problem.n_samples)
     told = [_told(point.z, spread, *pair) for pair in pairs]
-    if any(COMMON < t <= RADIUS for t in told) or not _nothing_left(problem, optimum):
+    if not _nothing_left(problem, optimum):
         return Standing.OPEN
+    if any(COMMON < t <= RADIUS for t in told):
+        return Standing.UNTOLD
     if min(told, default=np.inf) <= COMMON:
         return Standing.OVER_ORDERED
     return Standing.OPEN if form.nc[0] or form.nd[0] or not optimum.status.ok else Standing.CONFIRMED

@@ -83,7 +83,7 @@ def _pull(problem: Problem, point: Point, free: NDArray) -> NDArray[np.float64]:
         ends = None
         while ends is None and step > 1e-12:  # smaller where a pole would leave the unit circle
             shift = step * np.eye(len(point.z))[k]
-            up, down = problem.evaluate(point.z + shift), problem.evaluate(point.z - shift)
+            up, down = (problem.evaluate(z, affine=True) for z in (point.z + shift, point.z - shift))
             if up is not None and down is not None:
                 ends = (up.gradient - down.gradient)[free] / (2 * step)
             step /= 10
@@ -101,16 +101,25 @@ def _moves(found: Range, u: NDArray, y: NDArray, lever: NDArray) -> NDArray[np.f
         return moved
     L11, L21, *_ = factor.blocks()
     past = found.instruments
-    known = np.linalg.pinv(L11.T, rcond=1e-11) @ (L21.T @ past)
+    known = factor.divided(L11, L21.T @ past, transposed=True)
     n = past.shape[1]
     x = np.zeros((count, n))
-    for k in range(i):
-        x += u[k : k + count] @ past[k * nu : (k + 1) * nu]
-        x += y[k : k + count] @ past[(i * nu + k * ny) : (i * nu + (k + 1) * ny)]
-        x -= u[i + k : i + k + count] @ known[k * nu : (k + 1) * nu]
-    for k in range(i):  # noise k samples ahead of the present
-        own = lever[:, k * ny : (k + 1) * ny].transpose(2, 1, 0).reshape(n, -1)  # (n, ny count of parameters)
-        moved[i + k : i + k + count] += (x @ own).reshape(count, ny, -1)
+    ahead = np.concatenate([past[: i * nu], -known]).reshape(2 * i, nu, n)
+    back = past[i * nu :].reshape(i, ny, n)
+    for signal, weights in ((u, ahead), (y[: len(y) - i], back)):
+        for c in range(signal.shape[1]):
+            for s in range(n):
+                x[:, s] += np.correlate(signal[:, c], weights[:, c, s], "valid")
+    # noise k samples ahead of the present: a convolution over k
+    length = count + i
+    pushed = np.zeros((length // 2 + 1, ny, len(lever)), dtype=complex)
+    for s in range(n):
+        state, own = (
+            np.fft.rfft(x[:, s], length),
+            np.fft.rfft(lever[:, :, s].reshape(-1, i, ny), length, axis=1),
+        )
+        pushed += np.einsum("f,afj->fja", state, own)
+    moved[i : i + count + i - 1] = np.fft.irfft(pushed, length, axis=0)[: count + i - 1]
     return moved
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 CHUNK = 4096
 """Rows that are factored at a time."""
@@ -35,6 +36,8 @@ class Factor:
 
     def shorter(self, horizon: int) -> Factor:
         """The factor of fewer block rows, at the same samples."""
+        if horizon == self.horizon:
+            return self
         i, nu, ny = self.horizon, self.n_inputs, self.n_outputs
         begin, cut = np.cumsum([0, i * nu, i * nu, i * ny]), i - horizon
         parts = ((0, horizon * nu), (cut * nu, i * nu), (cut * ny, i * ny), (0, horizon * ny))
@@ -49,6 +52,13 @@ class Factor:
         a = self.horizon * self.n_inputs
         b = a + self.horizon * (self.n_inputs + self.n_outputs)
         return L[:a, :a], L[a:b, :a], L[a:b, a:b], L[b:, :a], L[b:, a:b], L[b:, b:]
+
+    def divided(self, block: NDArray, right: NDArray, *, transposed: bool = False) -> NDArray[np.float64]:
+        """The inverse of a diagonal block of R', or its transpose's, times a matrix: by substitution where the factor has its
+        digits, else the pseudoinverse."""
+        if self.gram is None:
+            return np.linalg.pinv(block.T if transposed else block, rcond=1e-11) @ right
+        return solve_triangular(block, right, lower=True, trans=int(transposed), check_finite=False)
 
 
 def _triangle(matrix: NDArray) -> NDArray[np.float64]:
@@ -102,45 +112,45 @@ def lagged(signal: NDArray, lags: int, first: int, count: int) -> NDArray[np.flo
     return past[:, ::-1].reshape(count, -1)
 
 
+def _factored(
+    signals: list[tuple[NDArray, NDArray]], rows: int, order: NDArray, centred: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Triangular factor of all windows of some samples, their entries in an order, and the products that it is of."""
+    gram = _products(signals, rows, centred)[order[:, None], order]
+    if (R := _root(gram)) is not None:
+        return R, gram
+    R = np.zeros((0, len(order) + centred))
+    for joint in (np.column_stack(pair) for pair in signals):
+        count = len(joint) - rows + 1
+        for a in range(0, max(count, 0), CHUNK):
+            n = min(CHUNK, count - a)
+            own = windows(joint, rows, a, n)[:, order]
+            R = _triangle(np.vstack([R, np.column_stack([np.ones((n, int(centred))), own])]))
+    # where there is a constant it comes first: what is below its row is orthogonal to it
+    return R[centred:, centred:], None
+
+
 def factored(signals: list[tuple[NDArray, NDArray]], horizon: int, centred: bool) -> Factor:
     """Factor of all records together."""
     nu, ny = signals[0][0].shape[1], signals[0][1].shape[1]
     place = np.arange(2 * horizon * (nu + ny)).reshape(2, horizon, nu + ny)
-    order = np.concatenate(
-        [p.ravel() for p in (place[1, :, :nu], place[0, :, :nu], place[0, :, nu:], place[1, :, nu:])]
-    )
-    gram = _products(signals, 2 * horizon, centred)[order[:, None], order]
-    if (R := _root(gram)) is not None:
-        return Factor(R, horizon, nu, ny, gram)
-    R = np.zeros((0, 2 * horizon * (nu + ny) + centred))
-    for u, y in signals:
-        count = len(u) - 2 * horizon + 1
-        for a in range(0, max(count, 0), CHUNK):
-            n = min(CHUNK, count - a)
-            parts = [(u, a + horizon), (u, a), (y, a), (y, a + horizon)]
-            rows = [windows(signal, horizon, first, n) for signal, first in parts]
-            R = _triangle(np.vstack([R, np.column_stack([np.ones((n, int(centred))), *rows])]))
-    # where there is a constant it comes first: what is below its row is orthogonal to it
-    return Factor(R[1:, 1:] if centred else R, horizon, nu, ny)
+    parts = place[1, :, :nu], place[0, :, :nu], place[0, :, nu:], place[1, :, nu:]
+    R, gram = _factored(signals, 2 * horizon, np.concatenate([p.ravel() for p in parts]), centred)
+    return Factor(R, horizon, nu, ny, gram)
 
 
 def autoregressive_order(signals: list[tuple[NDArray, NDArray]], most: int, centred: bool) -> int:
     """Order of the autoregression with inputs that Akaike's criterion takes: how far back the data look."""
     nu, ny = signals[0][0].shape[1], signals[0][1].shape[1]
-    R, total = np.zeros((0, 1 + nu + most * (nu + ny) + ny)), 0
-    for u, y in signals:
-        joint = np.column_stack([u, y])
-        count = len(u) - most
-        for a in range(0, max(count, 0), CHUNK):
-            n = min(CHUNK, count - a)
-            now = slice(most + a, most + a + n)
-            rows = [np.full(n, centred), u[now], lagged(joint, most, a, n), y[now]]
-            R = _triangle(np.vstack([R, np.column_stack(rows)]))
-            total += n
+    place = np.arange((most + 1) * (nu + ny)).reshape(most + 1, nu + ny)[::-1]  # the last sample first
+    R, _ = _factored(
+        signals, most + 1, np.concatenate([place[0, :nu], place[1:].ravel(), place[0, nu:]]), centred
+    )
+    total = sum(max(len(u) - most, 0) for u, _ in signals)
     outputs = R[:, -ny:]
     floor = np.finfo(float).eps ** 2 * np.trace(outputs.T @ outputs) * np.eye(ny)
     values = []
     for order in range(1, most + 1):
-        left = outputs[1 + nu + order * (nu + ny) :]
+        left = outputs[nu + order * (nu + ny) :]
         values.append(total * np.linalg.slogdet(left.T @ left + floor)[1] + 2 * order * (nu + ny) * ny)
     return int(np.argmin(values)) + 1

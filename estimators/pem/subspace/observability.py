@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,12 +37,13 @@ class Range:
         """(i (nu + ny), n): the past, free of the future inputs, times this is the state, each over its singular value
         squared."""
         _, L21, L22, *_ = self.factor.blocks()
-        inverse, size = np.linalg.pinv(L22, rcond=1e-11), self.singular_values[: len(self.A)]
+        size = self.singular_values[: len(self.A)]
+        over = partial(self.factor.divided, L22)
         # the state is q = left' weight Theta S S|u^-1 (past given the future inputs); moesp and cva have S = S|u
         if self.method != "n4sid":
-            return inverse.T @ (self.right.T * size) / size**2
-        past = inverse.T @ (self.right.T * size)[L21.shape[1] :]
-        return (past + inverse.T @ inverse @ L21 @ (self.right.T * size)[: L21.shape[1]]) / size**2
+            return over(self.right.T * size, transposed=True) / size**2
+        known, own = np.split(self.right.T * size, [L21.shape[1]])
+        return over(own + over(L21 @ known), transposed=True) / size**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +90,7 @@ def range_of(factor: Factor, order: int, method: str, leading: bool = False) -> 
     along = weight @ L32
     if method == "n4sid":
         along = L32 @ np.linalg.pinv(L22, rcond=1e-11) @ np.hstack([L21, L22])
-    left, singular, right = _leading(along, order) if leading else _decomposed(along)
+    left, singular, right = _decomposed(along, order if leading else len(along))
     if singular[order - 1] <= 1e-11 * singular[0]:
         shown = int(np.sum(singular > 1e-11 * singular[0]))
         raise InputError(
@@ -100,17 +102,13 @@ def range_of(factor: Factor, order: int, method: str, leading: bool = False) -> 
     return Range(A, basis[:ny], basis, singular, factor, weight, unweight, method, right[:order])
 
 
-def _decomposed(along: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    return np.linalg.svd(along, full_matrices=False)
-
-
-def _leading(along: NDArray, count: int) -> tuple[NDArray, NDArray, NDArray]:
+def _decomposed(along: NDArray, count: int) -> tuple[NDArray, NDArray, NDArray]:
     """The first singular vectors and values, from the products of the rows where those tell them."""
     from scipy.linalg import eigh
 
     rows = len(along)
-    values, left = eigh(along @ along.T, subset_by_index=[rows - count, rows - 1])
+    values, left = eigh(along @ along.T, subset_by_index=[rows - count, rows - 1], check_finite=False)
     if not values[0] > TOLD * values[-1]:
-        return _decomposed(along)
+        return np.linalg.svd(along, full_matrices=False)
     singular = np.sqrt(values[::-1])
     return left[:, ::-1], singular, (left[:, ::-1] / singular).T @ along

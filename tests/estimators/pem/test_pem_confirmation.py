@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from benchmarks.speed.pem import _case
 from estimators.pem import identify
+from estimators.pem.search import global_search
 from estimators.pem.search.confirmation import Standing, confirmed, first_start, standing
 from estimators.pem.search.problem import prepare
 from oed.data import Record
@@ -65,6 +67,19 @@ def test_a_search_at_its_limit_of_steps_does_not_hide_orders_that_are_too_high()
     for order, expected in ((4, Standing.OVER_ORDERED), (2, Standing.OPEN)):
         problem, optimum = ended(oe(order, order), record(3))
         assert standing(problem, replace(optimum, status=Status.MAX_ITERATIONS)) is expected
+
+
+def test_no_modes_are_drawn_where_nothing_is_left_and_none_moved(monkeypatch) -> None:
+    """Order 8: two roots of B and F are 12 standard errors apart, the residual is white. Forty-eight random starts took
+    three quarters of the search and found nothing."""
+    data, _, _ = _case(8, 2000)
+    assert standing(*ended(oe(8, 8), data)) is Standing.UNTOLD
+    monkeypatch.setattr(global_search, "drawn", lambda *_: pytest.fail("modes are drawn"))
+    found = identify(data, "oe", (8, 8), offset=False)
+    monkeypatch.undo()
+    assert found.loss == pytest.approx(
+        identify(data, "oe", (8, 8), offset=False, search="thorough").loss, rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("seed", [0, 1])

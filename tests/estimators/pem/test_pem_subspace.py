@@ -9,12 +9,14 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks.campaign.plants import hair_dryer_record
+from benchmarks.tables.timings import in_turn
 from estimators.pem import identify
 from estimators.pem.choice import held_out_error, select_orders
-from estimators.pem.subspace import hankel, observability
+from estimators.pem.subspace import errors, hankel, observability, subspace_fit
 from estimators.pem.subspace.errors import range_sensitivity
 from estimators.pem.subspace.hankel import autoregressive_order, factored, windows
 from estimators.pem.subspace.observability import range_of
+from estimators.pem.subspace.subspace_fit import TRIED
 from estimators.pem.uncertainty import profile_interval, sandwich
 from estimators.residual.tests import residual_tests
 from oed.data import Record
@@ -127,14 +129,58 @@ def test_default_horizon(rng) -> None:
     assert list(found.tried) == [how.horizon]
 
 
-def test_unstable_horizons_are_passed_over() -> None:
+@pytest.mark.parametrize(("order", "samples", "method"), [(4, 500, "n4sid"), (5, 800, "moesp")])
+def test_unstable_horizons_are_passed_over(order, samples, method) -> None:
     """Too many states for the hair dryer: most horizons give an unstable model, the best one once it has all samples."""
     fit, how = subspace(
-        hair_dryer_record()[:500], "ss", (4,), offset=True, initial="estimate", method="moesp"
+        hair_dryer_record()[:samples], "ss", (order,), offset=True, initial="estimate", method=method
     )
     assert fit.model.stable
-    assert len(how.tried) < 20
+    assert len(how.tried) < TRIED
     assert how.tried[how.horizon] > min(how.tried.values())
+
+
+def test_all_horizons_are_tried_where_the_first_few_give_no_model(rng, monkeypatch) -> None:
+    record, seen, real = siso(rng), [], subspace_fit._foretold
+
+    def foretold(form, problem, found):
+        seen.append(found.factor.horizon)
+        if len(seen) <= TRIED:
+            raise InputError("unstable")
+        return real(form, problem, found)
+
+    monkeypatch.setattr(subspace_fit, "_foretold", foretold)
+    how = subspace(record, "ss", (2,), initial="estimate", method="moesp")[1]
+    assert len(how.tried) > 2 * TRIED
+    assert {min(how.tried), max(how.tried)} == {seen[0], seen[TRIED - 1]}
+
+
+def test_noise_is_folded_over_the_horizon_as_sample_by_sample(rng) -> None:
+    """What noise adds to A, by correlations and Fourier transforms, is the plain sum over samples and lags."""
+    u, y = rng.normal(size=(60, 2)), rng.normal(size=(60, 2))
+    found = observability.range_of(factored([(u, y)], 4, False), 2, "moesp")
+    lever = rng.normal(size=(3, 8, 2))
+    L11, L21, *_ = found.factor.blocks()
+    known, past = np.linalg.solve(L11.T, L21.T @ found.instruments), found.instruments
+    expected = np.zeros((60, 2, 3))
+    for t in range(60 - 7):
+        x = np.r_[u[t : t + 4].ravel(), y[t : t + 4].ravel()] @ past - u[t + 4 : t + 8].ravel() @ known
+        for k in range(4):
+            expected[t + 4 + k] += np.einsum("ajs,s->ja", lever.reshape(3, 4, 2, 2)[:, k], x)
+    np.testing.assert_allclose(errors._moves(found, u, y, lever), expected, atol=1e-12)
+
+
+def test_subspace_of_ten_thousand_samples_costs_less_than_a_factor_of_its_rows(rng) -> None:
+    """It took 2.6 of them (41 horizons, pseudoinverses, a sum over each lag), and takes .7."""
+    u = rng.normal(size=10_000)
+    record = Record(u, lfilter([0, 0.5], [1, -0.8], u) + 0.3 * rng.normal(size=10_000))
+    signals = [(record.u, record.y)]
+    ours, rows = in_turn(
+        lambda: identify(record, "ss", (1,), method="moesp", offset=False),
+        lambda: np.linalg.qr(windows(np.column_stack(signals[0]), 100, 0, 9901), mode="r"),
+        rounds=3,
+    )
+    assert ours[0] < 1.5 * rows[0]
 
 
 def test_standard_errors(rng) -> None:
@@ -307,14 +353,15 @@ def test_too_short_too_many_states_unstable(rng) -> None:
         identify(record.replace(y=y), "ss", (2,), method="moesp", missing=True, offset=False)
 
 
-@pytest.mark.parametrize("ratio", [1e-2, 1e-5])
-def test_leading_singular_vectors_are_those_of_the_decomposition(ratio):
+@pytest.mark.parametrize("count", [4, 8])
+@pytest.mark.parametrize("ratio", [1e-1, 1e-2, 1e-5])
+def test_leading_singular_vectors_are_those_of_the_decomposition(ratio, count):
     """From the products of the rows where these have the digits (1e-2), else (1e-5) by the decomposition itself."""
     rng = np.random.default_rng(0)
     left, right = (np.linalg.qr(rng.normal(size=(size, 8)))[0] for size in (8, 20))
     along = (left * np.geomspace(1, ratio**2, 8)) @ right.T
     U, s, _ = np.linalg.svd(along, full_matrices=False)
-    found = observability._leading(along, 4)
+    found = observability._decomposed(along, count)
     np.testing.assert_allclose(found[1][:4], s[:4], rtol=1e-10)
     np.testing.assert_allclose(np.abs(np.sum(found[0][:, :4] * U[:, :4], axis=0)), 1, rtol=1e-10)
     np.testing.assert_allclose(found[2][:4] * found[1][:4, None], found[0][:, :4].T @ along, atol=1e-12)
