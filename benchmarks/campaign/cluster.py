@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import queue
 import sys
 import time
@@ -16,6 +17,8 @@ from oed.errors import CampaignError, InputError
 
 CONNECT, SAY, END = 10.0, 10.0, 120.0
 """Seconds to connect; without a worker until it is said; and until the campaign ends, keeping what was finished."""
+SILENT = 30.0
+"""Seconds without a sign of life until a worker is called silent: they send two a second, which compiled code may hold back."""
 LOOK, ANSWER = 1.0, 5.0
 """Seconds between two looks at the cluster while nothing arrives, and for the scheduler's answer: one that hangs gives none."""
 FETCH = 30.0
@@ -82,6 +85,7 @@ class _Watch:
     def __init__(self, client: Any) -> None:
         self.client = client
         self.since, self.said = time.monotonic(), False
+        self.heard: dict[str, tuple[float, float]] = {}  # a worker's last sign by its clock, and when by ours
 
     def seen(self) -> None:
         """A worker has answered."""
@@ -93,7 +97,9 @@ class _Watch:
         if self.client.status == "running":
             with contextlib.suppress(OSError, TimeoutError):
                 ask = self.client.scheduler.identity
-                if self.client.sync(ask, n_workers=-1, callback_timeout=ANSWER)["workers"]:
+                workers = self.client.sync(ask, n_workers=-1, callback_timeout=ANSWER)["workers"]
+                if workers:
+                    self.silent({name: worker["last_seen"] for name, worker in workers.items()})
                     self.seen()
                 there = "has no worker"
         gone = time.monotonic() - self.since
@@ -106,6 +112,21 @@ class _Watch:
                 f"the Dask cluster at {where} {there}; waiting until {END:.0f} s are over.",
                 file=sys.stderr,
             )
+
+    def silent(self, signs: dict[str, float]) -> None:
+        """Say which workers have stopped: only the scheduler can give up what they hold, after minutes."""
+        now = time.monotonic()
+        for name, sign in signs.items():
+            before, when = self.heard.get(name, (None, now))
+            if sign != before:
+                self.heard[name] = sign, now
+            elif now - when > SILENT:
+                self.heard[name] = sign, math.inf  # said once
+                print(
+                    f"the worker {name} of the Dask cluster has not been heard of for {SILENT:.0f} s; what it holds is done "
+                    "elsewhere once the scheduler gives it up (`worker-ttl`, 5 minutes unless set).",
+                    file=sys.stderr,
+                )
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ import pytest
 
 from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.whole_campaign import fill_store
+from tests.conftest import ROOT
 
 ENDURANCE = (1000, pytest.param(100_000, marks=pytest.mark.validate))
 """Runs over which handles and memory are looked at; after four fifths every input has begun, with all that it imports."""
@@ -25,9 +26,10 @@ from benchmarks.campaign.whole_campaign import run_campaign
 from benchmarks.campaign.settings import Settings
 with suppress(locale.Error):
     locale.setlocale(locale.LC_ALL, "")
-run_campaign(Settings(plants=("reference", "three-by-two"), noise_variances=(1.0, 0.1), methods=("white", "power", "procedure-2"),
+runs = run_campaign(Settings(plants=("reference", "three-by-two"), noise_variances=(1.0, 0.1), methods=("white", "power", "procedure-2"),
     estimators=("frf", "gain", "mu", "fir-selected"), samples=60, experiments=4, profile_replicates=1, seed=%s), 5,
     Path(sys.argv[1]), jobs=1)
+print([(r.key, k, e.estimate.tobytes()) for r in runs for k, e in r.final.items()])
 """
 ENVIRONMENTS = {
     "hash seed": {"PYTHONHASHSEED": "4711"},
@@ -37,19 +39,21 @@ ENVIRONMENTS = {
 }
 
 
-def digest(folder: Path, seed: int = 0, **environment: str) -> str:
+def made(folder: Path, seed: int = 0, python: Path | str = sys.executable, **environment: str) -> str:
+    """A campaign in a process of its own; every bit of its estimates."""
     usual = {
         "PYTHONHASHSEED": "1",
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
         "MKL_NUM_THREADS": "1",
     }
-    subprocess.run(
-        [sys.executable, "-c", SCRIPT % seed, folder],
-        check=True,
-        env=os.environ | usual | environment,
-        capture_output=True,
-    )
+    call = [python, "-c", SCRIPT % seed, folder]
+    return subprocess.check_output(call, env=os.environ | usual | environment, text=True)
+
+
+def digest(folder: Path, seed: int = 0, **environment: str) -> str:
+    """All that it wrote."""
+    made(folder, seed, **environment)
     files = sorted(folder.rglob("*.parquet")) + [folder / "campaign.json"]
     assert len(files) > 8
     return blake2b(b"".join(f.name.encode() + f.read_bytes() for f in files)).hexdigest()
@@ -83,6 +87,23 @@ def spoken(environment: dict[str, str], folder: Path) -> dict[str, str]:
 @pytest.mark.parametrize("what", ENVIRONMENTS)
 def test_the_same_bytes(what, usual, tmp_path):
     assert digest(tmp_path / "x", **spoken(ENVIRONMENTS[what], tmp_path)) == usual
+
+
+def other_pythons() -> list[Path]:
+    """Of the environments beside the checkout, those of another version: .venv-3.13, or .venv from there."""
+    ask = "import sys; print(sys.version_info[:2] != (%d, %d))" % sys.version_info[:2]
+    say = lambda python: subprocess.run([python, "-c", ask], capture_output=True, text=True, check=False).stdout
+    return [p for p in sorted(ROOT.glob(".venv*/bin/python")) if say(p).strip() == "True"]
+
+
+@pytest.mark.parametrize("python", other_pythons() or [None], ids=str)
+def test_another_python_gives_the_same_numbers(python, tmp_path):
+    """With the libraries of the same lock the tolerance is nil; parts differ in the version that they say."""
+    if python is None:
+        pytest.skip("no environment of another Python beside the checkout (CI makes them)")
+    found = made(tmp_path / "y", python=python, NUMBA_CACHE_DIR=str(python.parents[1] / "cache" / "numba"))
+    assert len(found) > 1000
+    assert found == made(tmp_path / "x")
 
 
 @pytest.mark.slow

@@ -144,6 +144,21 @@ def test_a_scheduler_that_hangs_is_not_waited_for(monkeypatch, capsys):
         watch.look()
 
 
+def test_a_worker_that_was_stopped_is_said_once(monkeypatch, capsys):
+    """It keeps its connection and what it holds; its neighbour goes on sending signs of life."""
+    signs = {"tcp://a:1": 7.0, "tcp://b:2": 7.0}
+    identity = lambda *_, **__: {"workers": {name: {"last_seen": sign} for name, sign in signs.items()}}
+    client = SimpleNamespace(status="running", scheduler=SimpleNamespace(address="tcp://x:1", identity=None), sync=identity)  # fmt: skip
+    clock = [100.0]
+    monkeypatch.setattr(cluster_module.time, "monotonic", lambda: clock[0])
+    watch = cluster_module._Watch(client)
+    for second in range(100):
+        clock[0], signs["tcp://b:2"] = 100.0 + second, float(second)
+        watch.look()
+        assert bool(capsys.readouterr().err.count("tcp://a:1")) == (second == cluster_module.SILENT + 1)
+    assert "tcp://b:2" not in capsys.readouterr().err
+
+
 class Lost:
     """A future whose result was on its way when the scheduler was killed, and the client that gave it."""
 
