@@ -29,7 +29,9 @@ LEFT = 10.0
 """Seconds in which workers whose first process is gone are gone too; two are promised, on a machine of one's own."""
 COMPARE = "compare --plant reference --noise-variance 1 --methods white power --estimators gain fir-selected"
 COMPARE += " --samples 200 --experiments 6 --replicates 300 --profile-replicates 0 --quiet"
-ITERATE = "iterate --plant three-by-two --algorithm mimo --samples 2000 --iterations 40 --noise-variance 1 --quiet"
+ITERATE = (
+    "iterate --plant three-by-two --algorithm mimo --samples 2000 --iterations 40 --noise-variance 1 --quiet"
+)
 SESSION = "--method sequential --samples 200 --dt 0.01 --experiments 4 --orders 2 2 --delay 1 --quiet"
 UNTOLD = ("lock", "cost.json", "progress.json", "journal.txt")
 """What a folder keeps of its own history: locks, seconds, and a journal with the times of day."""

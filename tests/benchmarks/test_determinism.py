@@ -91,8 +91,10 @@ def test_the_same_bytes(what, usual, tmp_path):
 
 def other_pythons() -> list[Path]:
     """Of the environments beside the checkout, those of another version: .venv-3.13, or .venv from there."""
-    ask = "import sys; print(sys.version_info[:2] != (%d, %d))" % sys.version_info[:2]
-    say = lambda python: subprocess.run([python, "-c", ask], capture_output=True, text=True, check=False).stdout
+    ask = f"import sys; print(sys.version_info[:2] != {tuple(sys.version_info[:2])})"
+    say = lambda python: (
+        subprocess.run([python, "-c", ask], capture_output=True, text=True, check=False).stdout
+    )
     return [p for p in sorted(ROOT.glob(".venv*/bin/python")) if say(p).strip() == "True"]
 
 

@@ -239,7 +239,9 @@ def test_names_of_rows_break_at_hyphens_only(browser, tmp_path, width):
     opened(browser, save_page(tmp_path, small_page(rows)), width)
     run(browser, "document.querySelectorAll('section').forEach(s => s.style.contentVisibility = 'visible')")
     assert run(browser, "return document.querySelectorAll('.matrix tbody th').length") == len(names)
-    assert set(run(browser, BROKEN)) == {"W" * 60}  # and what is as long as this is broken rather than cut off
+    assert set(run(browser, BROKEN)) == {
+        "W" * 60
+    }  # and what is as long as this is broken rather than cut off
 
 
 CAPTIONS = """return [...document.querySelectorAll('.scroll')].map(box => [0, 9999].map(left => {

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from oed.errors import InputError
+
 HELP = "find the residual of a linear model, trace it to its cause, add the effect, report before and after"
 EXAMPLE = "oed diagnose train.csv --test test.csv --meta meta.json --json"
 
@@ -19,6 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--meta", metavar="META.json", help="sampling time, structure and order known beforehand")
     add("--skip", type=int, default=0, metavar="n", help="test samples that may set the initial state")
     add("--order", type=int, help="order of the linear model (default: from --meta, else chosen)")
+    add("--model", metavar="MODEL.json", help="a model of the system, as `oed identify --out` writes it: its orders are kept, its error stands beside")
     add("--inputs", metavar="NAMES", help="input columns, with commas (default: those that begin with u)")
     add("--outputs", metavar="NAMES", help="output columns, with commas (default: those that begin with y)")
     add("--dt", type=float, help="sampling time in seconds")
@@ -39,6 +42,24 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if args.out:
         new_folder(args.out, "--out")
     orders = () if args.order is None else (args.order,)
+    given = None
+    if args.model:
+        from oed.files import read_record
+        from oed.plants.json import plant_from_json
+        from oed.plants.judging import errors_of, orders_of
+
+        if orders:
+            raise InputError("--model and --order both tell the order; give one of them.")
+        plant = plant_from_json(args.model)
+        where = args.test or args.train[0]
+        record = read_record(where, inputs=args.inputs, outputs=args.outputs, dt=args.dt, missing=True)
+        orders = orders_of(plant)
+        given = {
+            "file": args.model,
+            "orders": orders,
+            "record": where,
+            "rmse": errors_of(plant, record).tolist(),
+        }
     result, notes = diagnose_files(
         args.train, args.test, meta=args.meta, skip=args.skip, columns=Columns(args.inputs, args.outputs, args.dt),
         setting=Setting(orders=orders, alpha=args.alpha, effort=Effort(args.effort)),
@@ -47,7 +68,14 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     payload = result.to_dict() | {"notes": notes}
     if args.meta:
         payload["case"] = Path(args.meta).parent.name
-    text = "\n".join([*notes, str(result)])
+    words = list(notes)
+    if given is not None:
+        payload["model_given"] = given
+        errors = ", ".join(f"{value:.4g}" for value in given["rmse"])
+        words.append(
+            f"the model {args.model} misses {given['record']} by {errors}; its orders are kept for the linear model."
+        )
+    text = "\n".join([*words, str(result)])
     if args.out:
         if not args.json:  # the answer first: figures take their time
             print(text, flush=True)
