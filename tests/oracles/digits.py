@@ -5,6 +5,7 @@ from __future__ import annotations
 from decimal import Decimal, localcontext
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oed.data import Spectrum
 from oed.plants.plant import Plant
@@ -30,8 +31,8 @@ def _inverse(a: Pair) -> Pair:
     return a[0] / size, -a[1] / size
 
 
-def exact_loss(kind: str, plant: Plant, spectrum: Spectrum) -> float:
-    """D or A of the lines of one input at a plant of one output in white noise."""
+def exact_loss(kind: str, plant: Plant, spectrum: Spectrum, V: NDArray | None = None) -> float:
+    """D or A of the lines of one input at a plant of one output in white noise; or trace V' M^-1 V, V (n, s)."""
     with localcontext() as context:
         context.prec = 60
         A, B = ([Decimal(float(x)) for x in side[0][0]] for side in (plant.den, plant.num))
@@ -53,10 +54,10 @@ def exact_loss(kind: str, plant: Plant, spectrum: Spectrum) -> float:
             rows += [[size * x[part] for x in line] for part in (0, 1)]
         n = len(plant.free)
         M = [[sum(row[i] * row[j] for row in rows) for j in range(n)] for i in range(n)]
-        return _loss_of(kind, M)
+        return _loss_of(kind, M, np.eye(n) if V is None else V)
 
 
-def _loss_of(kind: str, M: list[list[Decimal]]) -> float:
+def _loss_of(kind: str, M: list[list[Decimal]], V: NDArray) -> float:
     """By elimination, the unit matrix beside M."""
     n, log = len(M), Decimal(0)
     M = [[*row, *(Decimal(int(i == j)) for j in range(n))] for i, row in enumerate(M)]
@@ -68,4 +69,9 @@ def _loss_of(kind: str, M: list[list[Decimal]]) -> float:
             if i != k:
                 factor = M[i][k]
                 M[i] = [x - factor * y for x, y in zip(M[i], M[k], strict=True)]
-    return float((-log / n).exp()) if kind == "D" else float(sum(M[k][n + k] for k in range(n)))
+    return float((-log / n).exp()) if kind == "D" else _trace([row[n:] for row in M], V)
+
+
+def _trace(inverse: list[list[Decimal]], V: NDArray) -> float:
+    columns = [[Decimal(float(x)) for x in column] for column in V.T]
+    return float(sum(a * b * x for v in columns for a, row in zip(v, inverse) for b, x in zip(v, row)))
