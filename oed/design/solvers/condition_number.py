@@ -19,12 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.covariances import square_root
 from oed.design.assembling import TRIFLES, UNTOLD, assembled, spectrum_of_lines
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.design import Design
 from oed.design.problem.families import local_maxima, maxima_between
 from oed.design.problem.grid import denser, within
-from oed.design.problem.lines import Problem
+from oed.design.problem.lines import LAST_DIGITS, Problem
 from oed.design.solvers.merging_lines import at_clusters
 from oed.design.solvers.polishing import polish
 from oed.design.solvers.weights_clarabel import linear_matrix_programme, smat, svec
@@ -35,11 +36,14 @@ LOOKED_AT = 3
 """Certificates that are evaluated anew at the end, on the grid as it has grown: the last that were the best."""
 LIFT = 1e-6
 """Most that a certificate is lifted by: more is not rounding but a line that is missing."""
+OVER = 1e-9
+"""Excess over a line's own price for the least eigenvalue from which on it comes in: of the greatest price of all lines it may be
+a hundred times less and still hold up the bound."""
 NEARLY = 1e-2
 """Gap below which the support shows well enough to try Newton's method on it."""
 SPENT = 1e-5
 """Share of a multiplier's largest eigenvalue below which the others are what an interior point leaves of zero."""
-PATIENCE = 4
+PATIENCE = 2
 """Rounds that gain no fifth of the gap after which rounding of the programme holds it up."""
 IDLE = 1e-12
 """Share of the most that a line tells below which another leaves: of the power it may be a billionth and still count."""
@@ -92,8 +96,18 @@ class _Setting:
         return flat @ flat.T
 
     def loss(self, lines: _Lines, w: NDArray) -> float:
-        values = np.linalg.eigvalsh(self.constant + self.told(lines, w))
-        return float(values[-1] / values[0]) if values[0] > 0 else np.inf
+        """From the factor, whose singular values have twice the digits of the information's eigenvalues."""
+        flat = np.moveaxis(lines.F * np.sqrt(w)[:, None, None], 0, 1).reshape(self.map.n, -1)
+        if np.any(self.constant):
+            flat = np.concatenate([flat, square_root(self.constant)], axis=1)
+        values = np.linalg.svd(flat, compute_uv=False)
+        return float(values[0] / values[-1]) ** 2 if len(values) == len(flat) and values[-1] > 0 else np.inf
+
+    def rounding(self, lines: _Lines, w: NDArray) -> float:
+        """How far rounding alone moves the loss, relative: seen where the frequencies move by their last digits."""
+        kept, eps = self.loss(lines, w), np.finfo(float).eps
+        again = [self.loss(self.lines(lines.omega * (1 + k * eps), lines.direction), w) for k in LAST_DIGITS]
+        return float(np.max(np.abs(np.array(again) / kept - 1)))
 
     def forms(self, omega: NDArray, Z: NDArray) -> NDArray[np.complex128]:
         D = self.factor(omega)
@@ -145,7 +159,8 @@ def condition_design(
         high, direction = setting.excess(omega, Z_low, Z_high, setting.loss(lines, w))
         # The own lines are at 0 already; what lies above can come in.
         at = local_maxima(high)
-        at = at[high[at] > 1e-9 * np.abs(high).max()]
+        own = setting.loss(lines, w) * np.trace(setting.forms(omega[at], Z_low), axis1=1, axis2=2).real
+        at = at[high[at] > OVER * own]
         told = w * np.sum(lines.F**2, axis=(1, 2))
         stay = told > IDLE * told.max()
         if not len(at):
@@ -331,7 +346,8 @@ def _as_design(
         keep = w > share * w.max()
         if setting.loss(lines, w * keep) <= most:
             break
-    spectrum = spectrum_of_lines(lines.omega[keep], lines.direction[keep], w[keep])
+    lines, w = _Lines(lines.omega[keep], lines.direction[keep], lines.F[keep]), w[keep]
+    spectrum = spectrum_of_lines(lines.omega, lines.direction, w)
     information = setting.map.of_spectrum(spectrum)
     scale = bound * float(np.sum(Z_low * (setting.turn @ information @ setting.turn.T)))
     offset = setting.surplus(Z_low, Z_high, bound)
@@ -345,9 +361,17 @@ def _as_design(
     values, vectors = np.linalg.eigh(Z_low)
     X = np.asarray(setting.turn.T @ vectors * np.sqrt(np.clip(values, 0, None)), dtype=np.float64)
     certificate = Certificate(
-        X, {"input power": 0.0}, 1.0, 1 / bound, bound, float(prices[top]), float(omega[top]), price
+        X,
+        {"input power": 0.0},
+        1.0,
+        1 / bound,
+        bound,
+        float(prices[top]),
+        float(omega[top]),
+        price,
+        rounding=setting.rounding(lines, w),
     )
     return assembled(
-        setting.problem, spectrum, certificate, setting.problem.original.loss(information),
+        setting.problem, spectrum, certificate, setting.loss(lines, w),
         used={"input power": spectrum.total_power}, tolerance=tolerance, solver="clarabel", rounds=rounds,
     )  # fmt: skip
