@@ -87,11 +87,25 @@ def _siso_text(plant: Plant, limit: LimitSpectrum, payload: dict[str, Any]) -> s
         "  efficiency of the limit spectrum against certified optima:",
         "    " + _efficiencies_text(plant, payload),
         "  peak-gain efficiency of the first n experiments together:",
-        "    " + ", ".join(f"n={k + 1}: {together[k]:.4f}" for k in _some(len(together))),
+        "    " + _together_text(plant, limit, together),
     ]
     if "finite_norm" in payload:
         lines.append(_finite_text(payload))
     return "\n".join(lines)
+
+
+def _too_many(plant: Plant) -> str:
+    return (
+        f"the plant has {len(plant.free)} unknown parameters, and optima are computed for at most {MOST_PARAMETERS}; "
+        "name the ones that matter in `free`"
+    )
+
+
+def _together_text(plant: Plant, limit: LimitSpectrum, together: Any) -> str:
+    if np.isnan(together).all():
+        many = f"the gain is largest at {len(limit.peak.frequencies)} frequencies, and its estimate has no derivative there"
+        return f"left out: {_too_many(plant) if limit.peak.unique else many}"
+    return ", ".join(f"n={k + 1}: {together[k]:.4f}" for k in _some(len(together)))
 
 
 def _hertz(plant: Plant, payload: dict[str, Any]) -> str:
@@ -109,10 +123,7 @@ WORDS = {
 
 def _efficiencies_text(plant: Plant, payload: dict[str, Any]) -> str:
     if len(plant.free) > MOST_PARAMETERS:
-        return (
-            f"left out: the plant has {len(plant.free)} unknown parameters, and optima are computed for at most {MOST_PARAMETERS}; "
-            "name the ones that matter in `free`"
-        )
+        return f"left out: {_too_many(plant)}"
     values = {k: payload[f"{k.lower()}_efficiency"] for k in CRITERIA}
     said = {k: f"{v:.5f}" if v >= PLAIN else f"{v:.3g}" for k, v in values.items()}
     said |= {k: "0 to rounding" for k, v in values.items() if v == 0}

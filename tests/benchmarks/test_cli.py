@@ -64,6 +64,11 @@ def test_theory_prints_small_efficiencies_by_their_digits_and_leaves_none_out_si
     assert "volume (D) 9.42e-08, all parameters, sum (A) 7.06e-10" in capfd.readouterr().out
     assert main(["theory", "--plant", str(tmp_path / "long.json"), "--experiments", "1"]) == 0
     assert "left out: the plant has 101 unknown parameters" in capfd.readouterr().out
+    (tmp_path / "two.json").write_text(json.dumps({"num": [0, 1], "den": [1, 0, -0.81]}))  # peaks at 0 and pi
+    assert main(["theory", "--plant", str(tmp_path / "two.json"), "--experiments", "2"]) == 0
+    said = capfd.readouterr().out
+    assert "left out: the gain is largest at 2 frequencies" in said
+    assert "nan" not in said
 
 
 def test_theory_at_vanishing_noise_keeps_its_digits(capfd):
