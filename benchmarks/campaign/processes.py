@@ -33,7 +33,9 @@ def as_finished(
     # A worker that has come to hold much more than after its first task, as by its imports, is replaced and says so.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs were given")
     # Ended by a signal, workers leave tasks undone; that is said in a line of our own.
-    warnings.filterwarnings("ignore", r"\d+ tasks (which were still being processed|have been successfully executed)")
+    warnings.filterwarnings(
+        "ignore", r"\d+ tasks (which were still being processed|have been successfully executed)"
+    )
     for _ in range(ROUNDS):
         before = len(todo)
         if not todo:

@@ -10,7 +10,7 @@ from math import isfinite, pi
 from pathlib import Path
 from typing import Any
 
-HELP = "experiments on a rig by files: start, rest, next, record, status, estimate"
+HELP = "experiments on a rig by files: start, rest, next, record, undo, watch, status, estimate"
 EXAMPLE = "oed session start rig --method power --samples 1000 --dt 0.001 --amplitude 2"
 METHODS = ("power", "procedure-2", "two-stage", "sequential", "bandit", "diagnose-next")
 

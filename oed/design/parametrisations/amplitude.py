@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.criteria import Criterion
+from oed.design.problem.budgets import LARGEST
 from oed.design.problem.design import Design
 from oed.design.solve import solve_design
 from oed.errors import InputError
@@ -66,14 +67,10 @@ def amplitude_design(
     """
     from oed.information import information_of_signal
 
-    if not (np.isfinite(amplitude) and amplitude > 0):
-        raise InputError(f"the amplitude is {amplitude}; it must be positive and finite.")
-    if rate is not None and not (np.isfinite(rate) and rate > 0):
-        raise InputError(f"the rate is {rate}; it must be positive and finite.")
     plant = as_plant(plant)
-    channels = np.full(plant.n_inputs, float(amplitude) ** 2)
-    if rate is not None and rate < 2 * amplitude:
-        options["rate_power"] = np.full(plant.n_inputs, float(rate) ** 2)
+    channels = np.full(plant.n_inputs, _power("amplitude", amplitude))
+    if rate is not None and not rate >= 2 * amplitude:  # a larger one limits nothing
+        options["rate_power"] = np.full(plant.n_inputs, _power("rate", rate))
     design = solve_design(plant, criterion, input_power=input_power, channel_power=channels, **options)
     best: Realised | None = None
     for _ in range(max(1, tries)):
@@ -107,3 +104,16 @@ def slew_limited(u: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
         last = last + np.clip(wanted - last, -rate, rate)
         out[t] = last
     return out
+
+
+def _power(name: str, limit: float) -> float:
+    """The most power that a limit on every sample leaves."""
+    if not (np.isfinite(limit) and limit > 0):
+        raise InputError(f"the {name} is {limit}; it must be positive and finite.")
+    power = float(limit) * float(limit)  # a product overflows to infinity where a power of Python's raises
+    if not 1 / LARGEST <= power <= LARGEST:
+        most = LARGEST**0.5
+        raise InputError(
+            f"the {name} is {limit:g}; it must lie between {1 / most:g} and {most:g}: choose other units."
+        )
+    return power
