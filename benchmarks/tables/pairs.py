@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from benchmarks.campaign.registry import told
 from benchmarks.campaign.run_columns import Estimates
+from benchmarks.campaign.settings import Settings
 from benchmarks.tables.statistics import error_of_squares, rms_with_error
 from oed.errors import InputError
 
@@ -174,15 +175,27 @@ AGAINST = {
 }  # fmt: skip
 
 
+APART = "has no plant, noise level, input and estimator in common with this comparison at its budget; compare with "
+APART += "--samples, --experiments and --plant as there."
+
+
+def check_budget(
+    folder: str | Path, samples: int = Settings.samples, experiments: int = Settings.experiments
+) -> None:
+    """InputError unless an earlier comparison has this budget somewhere: experiments of so many samples each."""
+    asked = float(samples * experiments), float(experiments)
+    if asked not in {
+        (float(row["samples"]), float(row["experiments"])) for row in published_rows(Path(folder))
+    }:
+        raise InputError(f"{folder} {APART}")
+
+
 def against_rows(rows: Sequence[Row], folder: str | Path) -> list[Row]:
     """Rho of every way that both have at the same budget, its difference, and whether that is more than chance."""
     there = {_key(row): row for row in published_rows(Path(folder))}
     both = [(row, there[_key(row)]) for row in rows if _key(row) in there]
     if not both:
-        raise InputError(
-            f"{folder} has no plant, noise level, input and estimator in common with this comparison at its budget; compare "
-            "with --samples, --experiments and --plant as there."
-        )
+        raise InputError(f"{folder} {APART}")
     table = []
     for mine, theirs in both:
         row = {key: mine[key] for key in (*KEY, "noise_variance", "rho", "rho_se")}

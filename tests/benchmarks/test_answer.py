@@ -16,7 +16,13 @@ from benchmarks.tables.answer import FEW, answer_rows, carried_by
 from benchmarks.tables.columns import not_run_rows
 from benchmarks.tables.formats import to_csv, to_parquet
 from benchmarks.tables.growth import growth_of
-from benchmarks.tables.pairs import against_rows, against_sentence, chosen_and_judged, ratio_of_means
+from benchmarks.tables.pairs import (
+    against_rows,
+    against_sentence,
+    check_budget,
+    chosen_and_judged,
+    ratio_of_means,
+)
 from benchmarks.tables.statistics import below_one
 from benchmarks.tables.tabulation import Tables, judged_ways
 from estimators.rules.procedure2 import procedure_2
@@ -221,6 +227,15 @@ def test_against_nothing_comparable_is_refused(rng, tmp_path):
     folder = published(tmp_path / "a", [row | {"samples": 999} for row in rows])
     with pytest.raises(InputError, match="in common with this comparison at its budget"):
         against_rows(rows, folder)
+    each, experiments = 999 // 3, 3
+    folder = published(
+        tmp_path / "b",
+        [row | {"samples": 999, "experiments": experiments, "noise_variance": 1.0} for row in rows],
+    )
+    check_budget(folder, each, experiments)
+    for asked in ((each + 1, experiments), (each, experiments + 1), ()):  # before any run
+        with pytest.raises(InputError, match="in common with this comparison at its budget"):
+            check_budget(folder, *asked)
     (folder / "comparison.csv").write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="is no table of a comparison"):
         against_rows(rows, folder)

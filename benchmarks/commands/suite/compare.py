@@ -86,9 +86,10 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     for file in dict.fromkeys(name.rpartition(":")[0] for name in own if ".py:" in name):
         print(f"oed compare: running the code in {file}", file=sys.stderr)
     if args.against:
-        from benchmarks.tables.pairs import published_rows
+        from benchmarks.tables.pairs import check_budget
 
-        published_rows(Path(args.against))  # an hour of runs is not the moment to learn that it is not there
+        # an hour of runs is not the moment to learn that it is not there, or of another budget
+        check_budget(args.against, **{k: options[k] for k in ("samples", "experiments") if k in options})
     told: list[Comparison] = []
 
     def tell(early: Comparison) -> None:
