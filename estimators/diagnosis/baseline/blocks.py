@@ -47,9 +47,14 @@ class Blocks:
     guard: int
     blocks: tuple[Block, ...]
 
+    @property
+    def shortest(self) -> int:
+        """Samples of the shortest block."""
+        return min(b.stop - b.start for b in self.blocks)
+
     def slow(self, radius: float) -> bool:
         """Whether a pole of this radius remembers longer than the shortest block."""
-        return radius > 1.0 - 1.0 / min(b.stop - b.start for b in self.blocks)
+        return radius > 1.0 - 1.0 / self.shortest
 
     def training(self, held_out: Block) -> list[NDArray[np.bool_]]:
         """The samples that a fit may use while a block is held out."""

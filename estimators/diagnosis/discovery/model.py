@@ -217,7 +217,17 @@ class DiscoveredModel:
             )
             for i in group:
                 out[i] = replace(found[i], same_as=name)
+        for i, t in enumerate(kinds):
+            if out[i].same_as == "input_saturation" and not self._saturates(t, found[i].curve):
+                out[i] = replace(found[i], same_as="hammerstein")
         return out
+
+    def _saturates(self, term: Term, curve: Curve) -> bool:
+        """Whether the input acts less and less with its size: what its curve takes from the linear path may open as it grows."""
+        direct = term.factors[0].signal == f"u{self._driver(term.chain)}"
+        slope = np.abs(direct + np.gradient(curve.value, curve.grid))
+        inner = np.abs(curve.grid - curve.grid.mean()) < 0.25 * np.ptp(curve.grid)
+        return float(slope[~inner].mean()) < float(slope[inner].mean())
 
     def _parameters(self, number: int, term: Term, k: float, error: float, unit: str):
         out = {"coefficient": (k, error, unit)}

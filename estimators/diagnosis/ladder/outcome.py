@@ -53,9 +53,13 @@ class Outcome:
         many causes have it.
         """
         mine = [t for t in self.discovery.terms if t.output == self.index]
-        weight = sum(t.weight for t in mine if t.nature == nature)
         names = {t.same_as for t in mine} if nature == Nature.DYNAMIC else {cause}
-        return cause in names and (nature == self.discovered or weight > SOME * sum(t.weight for t in mine))
+        return cause in names and (nature == self.discovered or self.weighs(nature))
+
+    def weighs(self, nature: str) -> bool:
+        """Whether the discovered terms of a nature have some of their weight."""
+        mine = [t for t in self.discovery.terms if t.output == self.index]
+        return sum(t.weight for t in mine if t.nature == nature) > SOME * sum(t.weight for t in mine)
 
     def named_carries(self, policy: Policy, agreed: bool = False) -> bool:
         """Whether the named model is so near the answer on unused blocks that its names stand for both: less, if some agree with it."""

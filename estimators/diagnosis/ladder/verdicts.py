@@ -158,8 +158,11 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
         agreed = [f for f in claimed if o.agrees(f.nature, f.cause)]
         if agreed and o.named_carries(policy, agreed=True):
             return [*agreed, Finding("", agreed[0].cause, agreed[0].nature, 0.0, 0.0, words)]
-        cause = next((t.same_as for t in mine[:1] if t.nature == o.discovered and t.same_as), UNKNOWN)
-        return [Finding("", cause, o.discovered, weight, 0.0, words)] + [
+        kind = o.discovered
+        if o.share.explainable and o.weighs(o.share.nature):
+            kind = o.share.nature
+        cause = next((t.same_as for t in mine[:1] if t.nature == kind and t.same_as), UNKNOWN)
+        return [Finding("", cause, kind, weight, 0.0, words)] + [
             Finding("", t.same_as, t.nature, 0.1 * weight / (2 + k), 0.0, f"{t.meaning}{tag}: {t.text}")
             for k, t in enumerate(mine[1:]) if t.same_as and t.same_as != cause
         ]  # fmt: skip

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.baseline.choice import SLOW
 from estimators.diagnosis.effects import Clock, Effect, Nature, Slot, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.input import LINES, SANDWICH
@@ -28,7 +29,7 @@ from estimators.diagnosis.record.measurement import (
 )
 from estimators.diagnosis.search.blocks import curved, grown, sandwich
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.free_runs import thinned
+from estimators.diagnosis.search.free_runs import denominator, largest_pole, thinned
 from estimators.diagnosis.search.selection import Attribution, attribute, feedback_of
 from oed.data import Record
 
@@ -87,6 +88,9 @@ class Known:
     order: int
     delay: int = 0
     added: Array | None = None  # (N,) tones that no input drives, which a light pole would take for its own
+    memory: float = (
+        np.inf
+    )  # samples that a pole may remember: those of a block, unless the best linear model's does longer
 
 
 FITTED = {Effort.QUICK: 6, Effort.NORMAL: 14, Effort.THOROUGH: 0}
@@ -104,6 +108,18 @@ def _beside(channel: Channel, s: Structure, added: Array) -> Fit:
     added = added[: len(channel)]
     f = fit_linear(replace(channel, y=channel.y - added), s)
     return leaving(f, f.residual + np.where(channel.keep, added, 0.0))
+
+
+def _forgetting(channel: Channel, s: Structure, first: Fit, known: Known) -> tuple[Structure, Fit]:
+    """The linear fit, of lower order where a pole that remembers longer than it may lowers the error too little: it follows what
+    an effect does slowly, and would run away with the effect beside it."""
+    while s.order > 1 and largest_pole(denominator(first)) > 1.0 - 1.0 / known.memory:
+        s = replace(s, order=s.order - 1, taps=s.taps - 1)
+        fewer = fit_linear(channel, s) if known.added is None else _beside(channel, s, known.added)
+        if np.sum(fewer.residual**2) > SLOW**2 * np.sum(first.residual**2):
+            return first.structure, first
+        first = fewer
+    return s, first
 
 
 def _order(channel: Channel, record: Record, setting: Setting, i: int, known: Known) -> int:
@@ -135,7 +151,10 @@ def examine(record: Record, i: int, setting: Setting, known: Known | None = None
     known = Known(PHYSICAL + 1) if known is None else known
     thin = _thinning(np.nan_to_num(record.y[:, i]))
     known = replace(
-        known, delay=known.delay // thin, added=None if known.added is None else known.added[::thin]
+        known,
+        delay=known.delay // thin,
+        added=None if known.added is None else known.added[::thin],
+        memory=known.memory / thin,
     )
     record = thinned(record, thin)
     if len(record) > LONG:
@@ -233,6 +252,7 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
     few = FITTED[setting.effort] * min(1.0, PAID / n)
     menu = Menu(setting.effects, others, max(LEAST_FITTED, round(few)) if few else 0)
     first = fit_linear(channel, s) if known.added is None else _beside(channel, s, known.added)
+    s, first = _forgetting(channel, s, first, known)
     naive = fit_linear(replace(channel, keep=~missing), s) if not np.array_equal(keep, ~missing) else first
     if step > 0.0:
         sigma = float(np.sqrt(np.mean(first.residual[keep] ** 2)))
