@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom
+from scipy.stats import binom, mannwhitneyu, norm, rankdata
 
 from oed.data import Record
 
@@ -79,10 +79,20 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
         smallest = float(np.min(moved))
         if held.sum() < 2 * np.sum(moved < 1.5 * smallest):
             held[:] = False
-    fresh = y[~held & ~returned]
-    if len(np.unique(fresh)) < 0.97 * len(fresh):  # values recur anyway: a coarse scale, not a lost sample
+    fresh, again = np.unique(y[~held & ~returned]), np.unique(y[returned])
+    # Values recur anyway: a coarse scale, not a lost sample. One to which the signal comes back is one, however often it does.
+    if len(fresh) < 0.97 * np.sum(~held & ~returned) or len(again) > 0.03 * (len(fresh) + len(again)):
+        held[:] = False
+    last = np.flatnonzero(held[:-1] & ~held[1:])
+    # What was lost comes at once with the next sample, so that this moves no less than others; a signal that creeps does not.
+    if len(last) and mannwhitneyu(steps[last], moved, alternative="less").pvalue < CREEPS:
         held[:] = False
     return held
+
+
+CREEPS = 0.05
+"""Significance from which on moves after repeated samples are smaller than others: after losses they are larger, which one set
+of losses in a thousand hides."""
 
 
 def _returned_to(y: Array) -> NDArray[np.bool_]:
@@ -126,6 +136,23 @@ def at_reversals(wild: NDArray[np.bool_], simulated: Array) -> bool:
     near = np.convolve(turned, np.ones(3), "same") > 0
     hits = int(np.sum(wild & near))
     return bool(binom.sf(hits - 1, int(wild.sum()), float(near.mean())) < 1e-3)
+
+
+CHANCE = 1e-4
+"""Probability, for each signal asked, below which wild samples lie where it is large or quick by no accident."""
+
+
+def foretold(wild: NDArray[np.bool_], u: Array, simulated: Array) -> bool:
+    """Whether wild samples (N,) lie where the inputs (N, nu) or the simulated output (N,) are high, low or quick.
+
+    Faults come at any time: the sum of their ranks is that of samples drawn at random. What a model cannot follow does not.
+    """
+    count, n = int(wild.sum()), len(wild)
+    signals = [
+        x for s in (simulated, *u.T) for x in (s, np.abs(s - np.median(s)), np.abs(np.diff(s, prepend=s[:1])))
+    ]
+    mean, spread = 0.5 * count * (n + 1), np.sqrt(count * (n - count) * (n + 1) / 12.0)
+    return any(2.0 * norm.sf(abs(rankdata(x)[wild].sum() - mean) / spread) < CHANCE for x in signals)
 
 
 def wild_samples(residual: Array, keep: NDArray[np.bool_], limit: float = 5.0) -> NDArray[np.bool_]:
