@@ -142,7 +142,7 @@ EDGE = 0.07  # of the record, at either end of which no jump is looked for
 NOTHING = 1.02  # of the linear model's squared error, that the best shape may leave before it is fitted
 
 
-def _read(y: Array, at: Array) -> Array:
+def read_at(y: Array, at: Array) -> Array:
     """Values between the samples by a cubic spline; the first and the last value beyond the ends."""
     from scipy.interpolate import CubicSpline
 
@@ -151,7 +151,7 @@ def _read(y: Array, at: Array) -> Array:
 
 
 def _drifted(y: Array, p: Array, clock: Clock) -> Array:
-    return _read(y, np.arange(len(y)) + p[0] * clock.k)
+    return read_at(y, np.arange(len(y)) + p[0] * clock.k)
 
 
 def _jumped(y: Array, p: Array, clock: Clock) -> Array:
@@ -159,17 +159,17 @@ def _jumped(y: Array, p: Array, clock: Clock) -> Array:
         not EDGE < p[1] / clock.length < 1.0 - EDGE
     ):  # all samples are out of step, or none: a delay, or nothing
         return np.full(len(y), np.inf)
-    return _read(y, np.arange(len(y)) + p[0] * np.clip(clock.k - p[1], 0.0, 1.0))
+    return read_at(y, np.arange(len(y)) + p[0] * np.clip(clock.k - p[1], 0.0, 1.0))
 
 
-def _in_step(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array] | None:
+def in_step(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array] | None:
     """The output as its clock should have read it."""
     k = np.arange(len(channel), dtype=float)
     when = e.apply(k, np.array(shape), channel.clock) if e.apply is not None else k  # what each sample shows
     if not np.all(np.isfinite(when)):
         return None
     back = np.interp(k, when, k) if np.all(np.diff(when) > 0) else k - (when - k)
-    return _read(channel.y, back), np.ones(len(k))
+    return read_at(channel.y, back), np.ones(len(k))
 
 
 def _kept_up(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
@@ -212,7 +212,7 @@ def _mended(
     shapes: Callable[[Any], list[list[float]]],
     closer: Callable[[Any, list[float]], list[list[float]]],
     units: Callable[[Any], list[float]] = lambda c: [1.0, 1.0],
-    undone: Callable[[Effect, list[float], Any], tuple[Array, Array] | None] = _in_step,
+    undone: Callable[[Effect, list[float], Any], tuple[Array, Array] | None] = in_step,
     late: bool = True,
     fitted: bool = False,
 ) -> Callable[..., Iterator[Any]]:
@@ -315,7 +315,7 @@ def _refreshed(y: Array, p: Array, clock: Clock) -> Array:
     """The value of the last refresh, every p[0] samples, one of them at sample p[1]."""
     if not 1.05 < p[0] < 0.1 * clock.length:
         return np.full(len(y), np.inf)
-    return _read(y, np.floor((clock.k - p[1]) / p[0]) * p[0] + p[1] - clock.k[0])
+    return read_at(y, np.floor((clock.k - p[1]) / p[0]) * p[0] + p[1] - clock.k[0])
 
 
 def _ages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -348,7 +348,7 @@ def _ages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     k, x, trials = channel.clock.k, channel.y - base.residual, []
     for q, phase in shapes:  # the linear model's delay holds the mean age already
         at = np.floor((k - phase) / q) * q + phase - k[0]
-        e = np.where(keep, channel.y - _read(x, at + 0.5 * (q - 1.0)), 0.0)
+        e = np.where(keep, channel.y - read_at(x, at + 0.5 * (q - 1.0)), 0.0)
         trials.append((float(e @ e), (q, phase), at))
     for left, shape, at in sorted(trials, key=lambda t: t[0])[:LINES]:
         if left > NOTHING * float(base.residual @ base.residual):
