@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, mannwhitneyu, norm, rankdata
+from scipy.stats import binom, chi2, mannwhitneyu, rankdata
 
 from oed.data import Record
 
@@ -145,14 +145,13 @@ CHANCE = 1e-4
 def foretold(wild: NDArray[np.bool_], u: Array, simulated: Array) -> bool:
     """Whether wild samples (N,) lie where the inputs (N, nu) or the simulated output (N,) are high, low or quick.
 
-    Faults come at any time: the sum of their ranks is that of samples drawn at random. What a model cannot follow does not.
+    Faults come at any time: their ranks are uniform, and minus twice the sum of their logarithms is chi-squared (Fisher). What a
+    model cannot follow comes where it is asked for most.
     """
-    count, n = int(wild.sum()), len(wild)
-    signals = [
-        x for s in (simulated, *u.T) for x in (s, np.abs(s - np.median(s)), np.abs(np.diff(s, prepend=s[:1])))
-    ]
-    mean, spread = 0.5 * count * (n + 1), np.sqrt(count * (n - count) * (n + 1) / 12.0)
-    return any(2.0 * norm.sf(abs(rankdata(x)[wild].sum() - mean) / spread) < CHANCE for x in signals)
+    n, ends = len(wild), (simulated, -simulated, *u.T, *-u.T)
+    signals = (*ends, *(np.abs(np.diff(s, prepend=s[:1])) for s in (simulated, *u.T)))
+    told = (-2.0 * np.sum(np.log((n + 0.5 - rankdata(s)[wild]) / n)) for s in signals)
+    return any(chi2.sf(value, 2 * int(wild.sum())) < CHANCE for value in told)
 
 
 def wild_samples(residual: Array, keep: NDArray[np.bool_], limit: float = 5.0) -> NDArray[np.bool_]:

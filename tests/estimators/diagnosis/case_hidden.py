@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.estimators.diagnosis.case_classes import CLASSES, FINE, LOOKALIKES, _lag, _linear, _sensor
+from tests.estimators.diagnosis.case_classes import CLASSES, FINE, LOOKALIKES, _lag, _linear, _read, _sensor
 
 __all__ = ["ALL_CLASSES", "ALL_LOOKALIKES"]
 
@@ -104,13 +104,19 @@ def gauge(u, a):
     return x / (1.0 + 0.5 * a * np.abs(x))
 
 
+def tape(u, a):
+    """A reading whose time base swings by two samples."""
+    k = np.arange(len(u))
+    return _read(u, np.maximum(k - 2.0 * a * np.cos(0.06 * k + 0.5), 0.0))
+
+
 ALL_CLASSES = CLASSES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
     "gain_of_angle": (rollers, 2, {"mean": 3.0, "size": 0.5}), "gain_fatigue": (tired, 2, {"mean": 2.0}),
     "loss_heat": (thickened, 2, {"mean": 3.0}), "capacity_filled": (vat, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "gain_decay": (ageing, 2, {"mean": 4.0, "inputs": 2}), "conveyed": (belt, 2, {"mean": 2.0, "size": 0.5, "inputs": 2}),
-    "output_ratio": (gauge, 2, {"mean": 4.0, "size": 1.2}),
+    "output_ratio": (gauge, 2, {"mean": 4.0, "size": 1.2}), "delay_periodic": (tape, 2, {}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
@@ -119,5 +125,6 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("gain_of_angle", "gain_periodic"), ("gain_periodic", "gain_of_angle"), ("gain_fatigue", "gain_heat"), ("gain_heat", "gain_fatigue"),
     ("loss_heat", "loss_cubic"), ("loss_cubic", "loss_heat"), ("capacity_filled", "product_of_inputs"), ("bilinear", "capacity_filled"),
     ("gain_decay", "product_of_inputs"), ("conveyed", "product_of_inputs"), ("conveyed", "capacity_filled"), ("output_ratio", "loss_cubic"),
-    ("output_ratio", "magnitude"),
+    ("output_ratio", "magnitude"), ("delay_periodic", "gain_periodic"), ("gain_periodic", "delay_periodic"),
+    ("delay_periodic", "refreshed"), ("delay_periodic", "clock_drift"),
 ]  # fmt: skip

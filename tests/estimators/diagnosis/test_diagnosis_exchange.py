@@ -10,7 +10,7 @@ from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
-from estimators.diagnosis.record.measurement import at_reversals
+from estimators.diagnosis.record.measurement import at_reversals, foretold, held_samples
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.exchange import exchanged, whole_delay, without
 
@@ -98,6 +98,32 @@ def test_wild_samples_where_a_signal_turns_are_told_from_faults():
     anywhere[rng.choice(800, 6, replace=False)] = True
     assert at_reversals(at_turns, signal)
     assert not at_reversals(anywhere, signal)
+
+
+def test_wild_samples_where_the_signals_are_large_or_quick_are_told_from_faults(rng):
+    u = np.cumsum(rng.standard_normal(1000))
+    x = lfilter([0.2], [1.0, -0.8], u)
+    for at in (np.argsort(-x)[:5], np.argsort(x)[:5], np.argsort(-np.abs(np.diff(u, prepend=u[0])))[:5]):
+        assert foretold(np.isin(np.arange(1000), at), u[:, None], x)
+    drawn = [np.isin(np.arange(1000), rng.choice(1000, 5, replace=False)) for _ in range(200)]
+    assert sum(foretold(wild, u[:, None], x) for wild in drawn) <= 2  # six signals at 1e-4 each
+
+
+def test_repeated_samples_of_a_coarse_scale_or_of_what_creeps_are_no_losses(rng):
+    y = lfilter([0.1], [1.0, -1.6, 0.7], rng.standard_normal(800))
+    lost = y.copy()
+    lost[[100, 300, 450, 600, 700]] = lost[[99, 299, 449, 599, 699]]
+    assert held_samples(lost).sum() == 5
+    rest = (
+        np.exp(-np.abs(np.arange(800) - 400) / 40.0) * y
+    )  # it creeps far from its middle, to fewer and fewer digits
+    slow = np.argsort(np.abs(np.diff(rest)))[:6]
+    rest[slow + 1] = rest[slow]
+    assert held_samples(rest).sum() == 0
+    table = np.where(
+        y > 0, np.round(y, 2), np.round(y, 3)
+    )  # steps that grow with the level: many values recur
+    assert held_samples(table).sum() == 0
 
 
 def test_the_lag_before_a_curve_stays_when_the_curve_is_taken_out():

@@ -7,15 +7,19 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
+from estimators.diagnosis.baseline.choice import SLOW
+from estimators.diagnosis.discovery.model import DiscoveredModel
 from estimators.diagnosis.discovery.wording import named_by_shape
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.effects.plant import SWINGS
+from estimators.diagnosis.ladder.outcome import SOME, Outcome
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.search.examination import Known, _forgetting
 from estimators.diagnosis.search.naming import CONTENT, FOLDED, LATE, as_shown
 
 CHANNEL: Any = None
@@ -125,3 +129,37 @@ def test_terms_that_make_up_one_curve_of_the_rate_are_named_by_its_shape(rng) ->
     }
     for name, force in bent.items():
         assert named_by_shape(v, force + 7.0 * v + 0.02 * rng.standard_normal(len(v))) == name
+
+
+def test_a_curve_that_opens_as_the_input_grows_is_no_saturation() -> None:
+    grid = np.linspace(-3.0, 3.0, 61)
+    term: Any = SimpleNamespace(factors=[SimpleNamespace(signal="u0")])
+    model: Any = SimpleNamespace(_driver=lambda chain: 0)
+    term.chain = 0
+    for sign, closes in ((1.0, True), (-0.9, False)):
+        curve: Any = SimpleNamespace(grid=grid, value=sign * np.tanh(grid))
+        assert DiscoveredModel._saturates(model, term, curve) is closes
+
+
+def test_the_nature_that_the_residual_shows_leads_where_the_terms_have_it() -> None:
+    terms = [
+        SimpleNamespace(output=0, nature=n, weight=w)
+        for n, w in (("a", 8.0), ("b", 2.0), ("c", 0.9 * SOME * 10.0))
+    ]
+    o: Any = SimpleNamespace(discovery=SimpleNamespace(terms=terms), index=0)
+    assert [Outcome.weighs(o, n) for n in "abc"] == [True, True, False]
+
+
+def test_the_search_starts_from_a_linear_part_without_a_pole_that_an_effect_has_slowed(rng) -> None:
+    """Two inputs whose product heats: one order too many is spent on what the product does slowly, and runs away beside it."""
+    u = np.repeat(rng.standard_normal((80, 2)), 15, axis=0)
+    y = lfilter([0.0, 0.05], [1.0, -0.95], u[:, 0] + 0.5 * u[:, 1] + u[:, 0] * u[:, 1])
+    channel = Channel(u, y, Clock(np.arange(1200.0), 1200), np.ones(1200, dtype=bool))
+    s = Structure(2, (0, 1))
+    first = fit_linear(channel, s)
+    slow = replace(first, p=np.concatenate((np.poly([0.9995, 0.9])[1:], first.p[2:])))
+    for memory, order in ((240.0, 1), (np.inf, 2)):
+        assert _forgetting(channel, s, slow, Known(2, memory=memory))[0].order == order
+    few = fit_linear(channel, Structure(1, (0, 1)))
+    poor = replace(slow, residual=few.residual / (1.01 * SLOW))
+    assert _forgetting(channel, s, poor, Known(2, memory=240.0))[0].order == 2  # it pays for itself
