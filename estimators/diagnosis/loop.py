@@ -133,10 +133,8 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
     ahead = delay == 0 and not setting.orders and not echo  # else the input holds the noise of its own sample
     m = base.outputs[i]  # approximated by a long numerator, its poles say nothing
     long = m.together is None and m.model.num.shape[1] >= LONG
-    memory = np.inf if base.blocks.slow(m.model.radius) else base.blocks.shortest
-    known = Known(
-        PHYSICAL + 1 if long else order, max(delay - 1, 0), set_aside(left, m.tones, train.dt), memory
-    )
+    order, memory = PHYSICAL + 1 if long else order, base.blocks.memory(m.model.radius)
+    known = Known(order, max(delay - 1, 0), set_aside(left, m.tones, train.dt), memory)
     record = early(train) if ahead else train
     rest = bool(setting.deviations) or (setting.deviations is None and _starts_at_rest(train, i, base))
 

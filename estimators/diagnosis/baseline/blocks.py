@@ -52,6 +52,10 @@ class Blocks:
         """Samples of the shortest block."""
         return min(b.stop - b.start for b in self.blocks)
 
+    def memory(self, radius: float) -> float:
+        """Samples that a pole beside one of this radius may remember: a block, unless the one remembers longer."""
+        return np.inf if self.slow(radius) else self.shortest
+
     def slow(self, radius: float) -> bool:
         """Whether a pole of this radius remembers longer than the shortest block."""
         return radius > 1.0 - 1.0 / self.shortest

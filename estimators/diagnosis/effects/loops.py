@@ -1,6 +1,6 @@
-"""Hidden loops between the input and the linear part: an actuator of limited stroke or speed, a relay with hysteresis.
+"""Hidden loops between the input and the linear part: an actuator of limited stroke or speed, a relay; and loops of hysteresis.
 
-They replace the slowest dynamics, so that the linear model is no guide to them: their shapes are profiled with a gain and a
+The former replace the slowest dynamics, so that the linear model is no guide to them: their shapes are profiled with a gain and a
 short filter behind them.
 """
 
@@ -14,8 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.effect import Effect, Nature, Slot, level_before
-from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, firm, kept, profile, quick_behind
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
+from estimators.diagnosis.effects.output import mended
+from estimators.diagnosis.effects.profiled import (
+    BEGUN,
+    CROSSED,
+    ended,
+    entering,
+    firm,
+    kept,
+    profile,
+    quick_behind,
+)
 
 Array = NDArray[Any]
 PACES = (0.5, 1.0, 2.0, 4.0)
@@ -210,4 +220,65 @@ STEERED, STEERING = (
     ))
 )  # fmt: skip
 
-LOOPS = (WINDUP, STEERED, STEERING, RELAY)
+PLAYS = 4
+"""Plays side by side (Prandtl and Ishlinskii): half widths of a quarter, a half, three quarters and all of the largest, which is
+free; a loop of as many corners each way is as round as noise lets it be seen."""
+
+
+def play_widths(largest: float) -> Array:
+    """(PLAYS,) half widths of the plays side by side."""
+    return abs(largest) * np.arange(1, PLAYS + 1) / PLAYS
+
+
+def plays(x: Array, p: Array, clock: Clock) -> Array:
+    """A signal and, by their weights p[1:], its plays of up to p[0] half width, at rest before the record."""
+    from estimators.diagnosis.effects.recursion_kernels import play
+
+    x = np.ascontiguousarray(x)
+    return x + sum(w * play(x, r, level_before(x)) for w, r in zip(p[1:], play_widths(p[0]), strict=True))
+
+
+def looped(size: float) -> list[list[float]]:
+    """Shapes of plays side by side for a signal of a size: narrow to wide, and little to most of it."""
+    return [[w * size / (1.0 + a), *(PLAYS * [a / PLAYS])] for w in (0.5, 1.0, 2.0, 4.0) for a in (0.7, 3.0)]
+
+
+def _hysteretic(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Plays side by side with a linear part made for them: the linear model's poles hold their lag."""
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import renewed
+
+    if base.structure.layout != "tf" or base.structure.effects:
+        return
+    for j, u in entering(channel, base):
+        part, size = Part(SIDE_BY_SIDE, j), float(np.std(u))
+        starts = [np.concatenate((base.p, shape)) for shape in looped(2.0 * size)]
+        every = [q for p in starts for q in (p, *renewed(channel, base.structure.adding(part), p))]
+        yield from ended(channel, base, part, every, [size, *(PLAYS * [1.0])])
+
+
+def _unplayed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
+    """The output before its hysteresis; an error of it is larger behind."""
+    from estimators.diagnosis.effects.recursion_kernels import unplayed
+
+    widths, weights = play_widths(shape[0]), np.array(shape[1:])
+    return unplayed(np.ascontiguousarray(channel.y), widths, weights), np.full(
+        len(channel), 1.0 + weights.sum()
+    )
+
+
+SIDE_BY_SIDE = Effect(
+    key="plays", cause="hysteresis", nature=Nature.DYNAMIC, slot=Slot.INPUT, reversing=True, trials=40, apply=plays, search=_hysteretic,
+    sentence="the input acts with hysteresis: directly, and through plays of four widths side by side",
+    parameters={"width": "u"} | {f"weight{i}": "1" for i in range(1, PLAYS + 1)},
+)  # fmt: skip
+PLAYED = Effect(
+    key="plays_output", cause="hysteresis", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, reversing=True, trials=40,
+    sentence="the output has hysteresis: it is read directly, and through plays of four widths side by side",
+    parameters={"width": "y"} | {f"weight{i}": "1" for i in range(1, PLAYS + 1)}, apply=plays,
+    search=mended(lambda: PLAYED, lambda c: looped(float(np.std(c.y))),
+                  lambda c, best: [[best[0] * f, *(np.array(best[1:]) * g)] for f in (0.7, 1.0, 1.4) for g in (0.6, 1.6)],
+                  lambda c: [float(np.std(c.y)), *(PLAYS * [1.0])], _unplayed),
+)  # fmt: skip
+
+LOOPS = (WINDUP, STEERED, STEERING, RELAY, SIDE_BY_SIDE, PLAYED)

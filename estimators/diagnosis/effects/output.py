@@ -207,7 +207,7 @@ def _ways(channel: Any) -> list[list[float]]:
     return [[d * abs(mean), i + 1.0] for i, mean in flows for d in CARRIED]
 
 
-def _mended(
+def mended(
     effect: Callable[[], Effect],
     shapes: Callable[[Any], list[list[float]]],
     closer: Callable[[Any, list[float]], list[list[float]]],
@@ -233,7 +233,7 @@ def _mended(
             return
         found, e = [], effect()
 
-        def mended(shape: list[float]) -> None:
+        def tried(shape: list[float]) -> None:
             got = undone(e, shape, channel)
             if got is None:
                 return
@@ -249,13 +249,13 @@ def _mended(
                 found.append((float(rest @ rest), shape, p))
 
         for shape in shapes(channel):
-            mended(shape)
+            tried(shape)
         if min((entry[0] for entry in found), default=np.inf) > NOTHING * float(
             base.residual @ base.residual
         ):
             return
         for shape in closer(channel, min(found, key=lambda entry: entry[0])[1]):
-            mended(shape)
+            tried(shape)
         part = Part(e, s.inputs[0])
         for _, shape, p in sorted(found, key=lambda entry: entry[0])[:2]:
             scales = np.concatenate((base.scales, units(channel)))
@@ -269,28 +269,28 @@ def _mended(
 DRIFT = Effect(
     key="clock_drift", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=12,
     sentence="the clock of the output runs off from that of the input", parameters={"drift": "1"}, apply=_drifted,
-    search=_mended(lambda: DRIFT, lambda c: [[sign * d / len(c)] for d in SHIFTS for sign in (1.0, -1.0)],
+    search=mended(lambda: DRIFT, lambda c: [[sign * d / len(c)] for d in SHIFTS for sign in (1.0, -1.0)],
                    lambda c, best: [[best[0] * f] for f in (0.8, 0.9, 1.1, 1.25)], lambda c: [1.0 / len(c)]),
 )  # fmt: skip
 DECAY = Effect(
     key="gain_decay", cause="gain_drift", family="drifts", nature=Nature.TIME, slot=Slot.OUTPUT, trials=6,
     sentence="the gain from all inputs decays with time, or grows: exp(-rate t)", parameters={"rate": "1/record"},
     apply=lambda x, p, c: x * np.exp(-p[0] * c.turn),
-    search=_mended(lambda: DECAY, lambda c: [[sign * r] for r in AGES for sign in (1.0, -1.0)],
+    search=mended(lambda: DECAY, lambda c: [[sign * r] for r in AGES for sign in (1.0, -1.0)],
                    lambda c, best: [[best[0] * f] for f in (0.75, 1.3)], lambda c: [1.0], _kept_up, fitted=True),
 )  # fmt: skip
 CONVEYED = Effect(
     key="conveyed", cause="flow_dependent_delay", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, trials=60,
     sentence="a belt or a pipe that an input drives brings what is measured: the delay falls with its speed",
     parameters={"volume": "u sample", "flow": "1"}, apply=lambda x, p, c: x, signal=_conveyed,
-    search=_mended(lambda: CONVEYED, _ways, lambda c, best: [[best[0] * f, best[1]] for f in (0.8, 0.9, 1.1, 1.25)],
+    search=mended(lambda: CONVEYED, _ways, lambda c, best: [[best[0] * f, best[1]] for f in (0.8, 0.9, 1.1, 1.25)],
                    lambda c: [float(np.mean(np.abs(c.u))), 0.0], _unconveyed, late=False),
 )  # fmt: skip
 LOST = Effect(
     key="lost_samples", cause="lost_samples", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=0.1,
     per_sample=True, sentence="samples of the output are lost, or come twice, and what follows is out of step",
     parameters={"samples": "1", "time": "sample"}, apply=_jumped,
-    search=_mended(lambda: LOST, lambda c: [[sign * d, t * len(c)] for t in np.linspace(0.08, 0.92, TIMES) for d in JUMPS[:2]
+    search=mended(lambda: LOST, lambda c: [[sign * d, t * len(c)] for t in np.linspace(0.08, 0.92, TIMES) for d in JUMPS[:2]
                                             for sign in (1.0, -1.0)],
                    lambda c, best: [[d, best[1] + t * len(c)] for d in {best[0], np.sign(best[0]) * JUMPS[2]}
                                     for t in np.linspace(-0.07, 0.07, 9)]),

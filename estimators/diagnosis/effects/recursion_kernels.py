@@ -41,6 +41,29 @@ def play(signal, half_width, start=0.0):  # pragma: no cover - compiled
 
 
 @compiled
+def unplayed(signal, widths, weights):  # pragma: no cover - compiled
+    """The signal that has a given sum with its plays of positive weights: by bisection, as the sum grows with it."""
+    out = np.empty_like(signal)
+    stood = np.full(len(widths), signal[0] / (1.0 + np.sum(weights)))
+    reach = np.max(np.abs(signal)) + np.sum(weights * widths) + 1e-300
+    for k in range(signal.shape[0]):
+        low, high = -reach, reach
+        for _ in range(50):
+            x = 0.5 * (low + high)
+            total = x
+            for i in range(len(widths)):
+                total += weights[i] * min(max(stood[i], x - widths[i]), x + widths[i])
+            if total < signal[k]:
+                low = x
+            else:
+                high = x
+        out[k] = x
+        for i in range(len(widths)):
+            stood[i] = min(max(stood[i], x - widths[i]), x + widths[i])
+    return out
+
+
+@compiled
 def relay(signal, half_width):  # pragma: no cover - compiled
     """-1 or 1: a relay that switches up above `half_width` and down below -`half_width`, down at first."""
     out = np.empty_like(signal)

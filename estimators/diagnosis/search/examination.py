@@ -89,9 +89,7 @@ class Known:
     order: int
     delay: int = 0
     added: Array | None = None  # (N,) tones that no input drives, which a light pole would take for its own
-    memory: float = (
-        np.inf
-    )  # samples that a pole may remember: those of a block, unless the best linear model's does longer
+    memory: float = np.inf  # samples that a pole may remember
 
 
 FITTED = {Effort.QUICK: 6, Effort.NORMAL: 14, Effort.THOROUGH: 0}

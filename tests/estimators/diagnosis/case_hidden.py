@@ -104,6 +104,27 @@ def gauge(u, a):
     return x / (1.0 + 0.5 * a * np.abs(x))
 
 
+def _plays(x):
+    """The mean of three plays, of half widths that grow."""
+    out = np.zeros((3, len(x)))
+    for row, half in zip(out, np.std(x) * np.array([0.25, 0.5, 1.0]), strict=True):
+        stood = x[0]
+        for k, v in enumerate(x):
+            row[k] = stood = min(max(stood, v - half), v + half)
+    return out.mean(axis=0)
+
+
+def soil(u, a):
+    """A retention that dries on another way than it wets."""
+    x = _sensor(u, u[0], 0.7)
+    return 0.4 * x + 0.6 * ((1.0 - a) * x + a * _plays(x))
+
+
+def ceramic(u, a):
+    """An actuator of ceramic, before the mass that it moves."""
+    return _sensor(0.4 * u + 0.6 * ((1.0 - a) * u + a * _plays(u)), u[0], 0.7)
+
+
 def tape(u, a):
     """A reading whose time base swings by two samples."""
     k = np.arange(len(u))
@@ -117,6 +138,7 @@ ALL_CLASSES = CLASSES | {
     "loss_heat": (thickened, 2, {"mean": 3.0}), "capacity_filled": (vat, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "gain_decay": (ageing, 2, {"mean": 4.0, "inputs": 2}), "conveyed": (belt, 2, {"mean": 2.0, "size": 0.5, "inputs": 2}),
     "output_ratio": (gauge, 2, {"mean": 4.0, "size": 1.2}), "delay_periodic": (tape, 2, {}),
+    "plays": (ceramic, 2, {}), "plays_output": (soil, 2, {}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
@@ -126,5 +148,6 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("loss_heat", "loss_cubic"), ("loss_cubic", "loss_heat"), ("capacity_filled", "product_of_inputs"), ("bilinear", "capacity_filled"),
     ("gain_decay", "product_of_inputs"), ("conveyed", "product_of_inputs"), ("conveyed", "capacity_filled"), ("output_ratio", "loss_cubic"),
     ("output_ratio", "magnitude"), ("delay_periodic", "gain_periodic"), ("gain_periodic", "delay_periodic"),
+    ("plays", "hysteresis_rate"), ("plays", "clearance"), ("plays_output", "plays"), ("plays_output", "input_kink"), ("plays_output", "clearance"),
     ("delay_periodic", "refreshed"), ("delay_periodic", "clock_drift"),
 ]  # fmt: skip

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.effect import Clock, Effect
+from estimators.diagnosis.effects.loops import play_widths
 from estimators.diagnosis.effects.path import curve_of_charge
 from estimators.diagnosis.effects.process import Passing
 from estimators.diagnosis.effects.recursion_kernels import WITHIN, warm_rest
@@ -33,6 +34,15 @@ def _play(w: Wiring, x: Any, p: Array) -> Any:
     s = _stood(w, x, p, 1)
     s.after = terms.play_step()(s.x, x, abs(p[0]))
     return s.after
+
+
+def _side_by_side(w: Wiring, x: Any, p: Array) -> Any:
+    out = x
+    for weight, half in zip(p[1:], play_widths(p[0]), strict=True):
+        s = w.state(w.value(x))
+        s.after = terms.play_step()(s.x, x, half)
+        out += weight * s.after
+    return out
 
 
 def _servo(which: int) -> Callable[[Wiring, Any, Array], Any]:
@@ -187,6 +197,7 @@ def _line_from_origin(w: Wiring, x: Any, p: Array) -> Any:
 
 
 TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
+    "plays": _side_by_side, "plays_output": _side_by_side,
     "backlash_input": _play, "backlash_sampled": _play, "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
     "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "rate_in_loop": _steered(0), "rate_of_loop": _steered(1),
     "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "loss_heat": _warmed, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
