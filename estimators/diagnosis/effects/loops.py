@@ -238,9 +238,14 @@ def plays(x: Array, p: Array, clock: Clock) -> Array:
     return x + sum(w * play(x, r, level_before(x)) for w, r in zip(p[1:], play_widths(p[0]), strict=True))
 
 
+REACHES, SHARES = (0.5, 1.0, 2.0, 4.0), (0.7, 3.0)
+"""Of a signal's standard deviation, the widest play, and of what acts directly, what acts through plays, from which shapes go on:
+a play as wide as the signal is long never moves, and what is narrower than noise is none."""
+
+
 def looped(size: float) -> list[list[float]]:
-    """Shapes of plays side by side for a signal of a size: narrow to wide, and little to most of it."""
-    return [[w * size / (1.0 + a), *(PLAYS * [a / PLAYS])] for w in (0.5, 1.0, 2.0, 4.0) for a in (0.7, 3.0)]
+    """Shapes of plays side by side for a signal of a size."""
+    return [[w * size / (1.0 + a), *(PLAYS * [a / PLAYS])] for w in REACHES for a in SHARES]
 
 
 def _hysteretic(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -261,10 +266,9 @@ def _unplayed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array
     """The output before its hysteresis; an error of it is larger behind."""
     from estimators.diagnosis.effects.recursion_kernels import unplayed
 
-    widths, weights = play_widths(shape[0]), np.array(shape[1:])
-    return unplayed(np.ascontiguousarray(channel.y), widths, weights), np.full(
-        len(channel), 1.0 + weights.sum()
-    )
+    weights = np.array(shape[1:])
+    before = unplayed(np.ascontiguousarray(channel.y), play_widths(shape[0]), weights)
+    return before, np.full(len(channel), 1.0 + weights.sum())
 
 
 SIDE_BY_SIDE = Effect(

@@ -291,7 +291,7 @@ LOST = Effect(
     per_sample=True, sentence="samples of the output are lost, or come twice, and what follows is out of step",
     parameters={"samples": "1", "time": "sample"}, apply=_jumped,
     search=mended(lambda: LOST, lambda c: [[sign * d, t * len(c)] for t in np.linspace(0.08, 0.92, TIMES) for d in JUMPS[:2]
-                                            for sign in (1.0, -1.0)],
+                                           for sign in (1.0, -1.0)],
                    lambda c, best: [[d, best[1] + t * len(c)] for d in {best[0], np.sign(best[0]) * JUMPS[2]}
                                     for t in np.linspace(-0.07, 0.07, 9)]),
 )  # fmt: skip

@@ -48,7 +48,7 @@ def unplayed(signal, widths, weights):  # pragma: no cover - compiled
     reach = np.max(np.abs(signal)) + np.sum(weights * widths) + 1e-300
     for k in range(signal.shape[0]):
         low, high = -reach, reach
-        for _ in range(50):
+        for _ in range(50):  # to the last digits
             x = 0.5 * (low + high)
             total = x
             for i in range(len(widths)):

@@ -32,9 +32,8 @@ LEAST_TURNS = 3  # in a record, for its force to repeat
 PEAK = 25.0  # times the mean power over all angles: by chance in one record of millions
 CHUNK = 250  # rates at a time, whose responses fill some megabytes
 TRIED = 2  # rates whose neighbourhood is looked at
-STEEP = (
-    0.8  # of a sample for each sample, by which a time base may swing at first: beyond one it would turn back
-)
+STEEP = 0.8  # samples per sample by which a time base may swing at first: beyond one it would turn back
+FINER = 4  # frequencies per line of a record, among which a swing's is looked for
 WINDOWS = (0.04, 0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0)
 """Growing shares of the record, each by half: a phase that is kept at first is kept to the end, and what nearly stands still on top
 is lost within a turn or two where the parameters are a little off."""
@@ -307,27 +306,26 @@ def _timings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     s, n, k = base.structure, len(channel), channel.clock.k
     if s.layout != "tf" or s.effects or not channel.keep.all():
         return
-    rate = np.gradient(channel.y - base.residual)
-    common = np.abs(np.fft.rfft(base.residual * rate, 4 * n))
-    common[: LEAST_TURNS * 4] = 0.0
-    starts, part, form = [], Part(SWUNG, s.inputs[0]), s.adding(Part(SWUNG, s.inputs[0]))
-    for top in np.argsort(-common * (common == maximum_filter1d(common, 9)))[:FEW]:
-        w = 2.0 * np.pi * top / (4.0 * n)
+    r, part, starts = base.residual, Part(SWUNG, s.inputs[0]), []
+    rate = np.gradient(channel.y - r)
+    common = np.abs(np.fft.rfft(r * rate, FINER * n))
+    common[: LEAST_TURNS * FINER] = 0.0
+    for top in np.argsort(-common * (common == maximum_filter1d(common, 2 * FINER + 1)))[:FEW]:
+        w = 2.0 * np.pi * top / (FINER * n)
         D = rate[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1)
-        shape = np.array([w, *np.linalg.lstsq(D, base.residual, rcond=None)[0]])
-        if np.hypot(*shape[1:]) * w > STEEP:
-            shape[1:] *= STEEP / (w * np.hypot(*shape[1:]))
+        c = np.linalg.lstsq(D, r, rcond=None)[0]
+        if base.n * float(np.log(float(r @ r) / float(np.sum((r - D @ c) ** 2)))) < FIRM:
+            break
+        shape = np.array([w, *(c * min(1.0, STEEP / (w * np.hypot(*c))))])
         starts.append(np.concatenate((base.p, shape)))
         there, bare = in_step(SWUNG, list(shape), channel), np.zeros(s.size)
-        if there is not None:
-            bare[: s.order] = fresh_poles(there[0], channel.u[:, list(s.inputs)], s, channel.keep)
-            q = (
-                relinearised(replace(channel, y=there[0]), s, bare)
-                if stable_polynomial(bare[: s.order])
-                else None
-            )
-            starts += [] if q is None else [np.concatenate((q, shape))]
-    yield from ended(channel, base, part, [p for p in starts if len(p) == form.size], [1.0 / n, 1.0, 1.0])
+        if there is None:
+            continue
+        bare[: s.order] = fresh_poles(there[0], channel.u[:, list(s.inputs)], s, channel.keep)
+        again = replace(channel, y=there[0])
+        if stable_polynomial(bare[: s.order]) and (q := relinearised(again, s, bare)) is not None:
+            starts.append(np.concatenate((q, shape)))
+    yield from ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0])
 
 
 SWUNG = Effect(
