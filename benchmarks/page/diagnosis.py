@@ -148,7 +148,7 @@ def _curves(result: Diagnosis, i: int) -> list[Figure]:
         rows = [row for row in line(c.x, c.y, "found, with its 95 % band", c.band) if np.isfinite(row["x"])]
         rows += line(c.x[[0, -1]], c.x[[0, -1]], "linear") if c.identity else []
         drawn.append(Figure(f"curve-{i + 1}-{k + 1}", _capital(c.sentence), f"The effect's curve: {c.sentence}.", rows,
-                            c.argument, "acts as"))  # fmt: skip
+                            *c.labels))  # fmt: skip
     return drawn
 
 

@@ -142,7 +142,7 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
         return Bench(
             found.last, base, i, record, found.thin_of(found.attribution.final), rest, not setting.deviations,
             setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead, echo and delay > 0,
-            echo and delay == 0,
+            echo and delay == 0, setting.skip,
         )  # fmt: skip
 
     motion = as_motion(record, i, setting, known)

@@ -99,14 +99,23 @@ class Characteristic:
 
     sentence: str
     argument: str
+    unit: str  # of what it acts on
     x: Any
     y: Any
     band: Any
     identity: bool  # whether y = x would be linear
 
+    @property
+    def labels(self) -> tuple[str, str]:
+        """Of the axes, in the user's units."""
+        unit = f" ({self.unit})" if self.unit else ""
+        return self.argument + ("" if "units" in self.argument else unit), "acts as" + unit
+
 
 def characteristics(result: Diagnosis, output: int = 0) -> list[Characteristic]:
     """The curves of the effects that were found; the middle 99 % of the values are shown."""
+    from estimators.diagnosis.effects import Slot
+
     out, f = result.extra["outputs"][output], result.extra["finals"][output]
     channel = out.last if f is out.attribution.final else out.channel
     found = [(q, sl) for q, sl in zip(f.structure.parts, f.structure.slices(), strict=True)]
@@ -128,9 +137,12 @@ def characteristics(result: Diagnosis, output: int = 0) -> list[Characteristic]:
             q[i] += step
             slopes[:, i] = (part.drawn(x, q) - y) / step
         band = 2 * np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", slopes, covariance[sl, sl], slopes), 0.0))
-        curves.append(
-            Characteristic(part.effect.sentence, name, x, y, band, part.effect.against != "velocity")
+        train = result.extra["train"]
+        unit = (
+            train.output_units[output] if part.effect.slot is Slot.OUTPUT else train.input_units[part.channel]
         )
+        straight = part.effect.against != "velocity"
+        curves.append(Characteristic(part.effect.sentence, name, unit, x, y, band, straight))
     return curves
 
 
@@ -149,7 +161,7 @@ def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
         axis.plot(c.x, c.y, color="C0", label="with its band, 2 s.e.")
         if c.identity:
             axis.plot(c.x, c.x, color="0.5", lw=0.8, ls="--", label="linear")
-        axis.set(xlabel=c.argument, ylabel="acts as", title=c.sentence)
+        axis.set(xlabel=c.labels[0], ylabel=c.labels[1], title=c.sentence)
         axis.title.set_fontsize(9)
         axis.legend()
     return figure

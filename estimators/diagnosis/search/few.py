@@ -31,7 +31,8 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     whatever its cause. Where no noise model stands in its answer there is nothing that it could have hidden.
     """
     first = named_steps(bench, a)
-    if not len(a.final.noise):
+    kept = [first] if _starts(bench, first) else []
+    if kept and not len(a.final.noise):
         return first
 
     linear = bench.base.unused[0][:, bench.output]
@@ -53,20 +54,21 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     lasting = lambda e: e.nature is not Nature.ADDED
     stepped = lambda f: f.structure.effects[-1].effect.timed and _spread(f) ** 2 < LEFT * _spread(a.base) ** 2
     alone = [f for f in a.alternatives if lasting(f.structure.effects[-1].effect) or stepped(f)][:TRIED]
-    singles = judged(alone, HALF, [first])
+    singles = judged(alone, HALF, kept)
     few = max(1, round(PAIRED * min(1.0, FULL / len(bench.channel))))  # longer records tell more apart
     menu = replace(menu, effects=tuple(filter(lasting, menu.effects)))
     told = 1.0 / (1.0 - bench.policy.searched[1])
     pairs = []
     for n in singles[:few]:
-        least = min(x.step_error(bench) for x in (first, *singles) if x.step is not None or x is n)
+        least = min(x.step_error(bench) for x in (*kept, *singles) if x.step is not None or x is n)
         if n.step_error(bench) > HALF * least:
             break
         needed = 2.0 * n.fit.n * float(np.log(max(_spread(n.fit) / (told * least), 1.0)))
         more = second(bench.channel, n.fit, menu, coloured=False, needed=needed)
-        pairs += judged(more[:SECOND], told, (first, *singles, *pairs))
+        pairs += judged(more[:SECOND], told, (*kept, *singles, *pairs))
     options = sorted(
-        (n for n in (first, *singles, *pairs) if n.step is not None), key=lambda n: n.step_error(bench)
+        (n for n in (*kept, *singles, *pairs) if n.step is not None and _starts(bench, n)),
+        key=lambda n: n.step_error(bench),
     )
     if not options:
         return first
@@ -79,6 +81,17 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
                    if n.claims[0].cause != head.cause and not _worse(bench, n, options[0]))  # fmt: skip
     step = None if best.step is None else replace(best.step, rivals=others)
     return replace(best, claims=(replace(head, rivals=rivals), *best.claims[1:]), step=step)
+
+
+def _starts(bench: Bench, n: Named) -> bool:
+    """Whether a run from the record's own start, set as a test record's will be, is no worse than the linear model's: blocks have a
+    window that sets their state, and do not see what a model takes for granted of a start."""
+    if n.step is None:
+        return True
+    y, use = bench.train.y[:, bench.output], bench.counted
+    run = n.step.simulate(bench.train, bench.skip)
+    left = float(np.sum((y - run)[use] ** 2)) if np.all(np.isfinite(run)) else np.inf
+    return left <= float(np.sum((y - bench.base.y_model[0][:, bench.output])[use] ** 2))
 
 
 def _spread(f: Fit) -> float:

@@ -115,6 +115,7 @@ class Bench:
     # the present input answers the present noise: a model may also be the controller's inverse, so that it gets no claims;
     # its free runs are judged as any other's, as one-step errors would be in favour of the inverse
     inverse: bool = False
+    skip: int = 0  # samples of a test record that may set its initial state
     # free runs of blocks by fits that were asked before, and their parameters without each block
     known: dict[Fit, tuple[Array, tuple[Array, ...]]] = field(default_factory=dict)
 

@@ -159,6 +159,23 @@ def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(mo
     assert paired == fits[1:4]
 
 
+def test_what_does_not_start_as_a_test_record_will_is_no_answer() -> None:
+    """Blocks have a window that sets their state; a run from the record's own start shows what integrates what was fitted to it."""
+    y, rise = np.sin(np.arange(50.0)), np.linspace(0.0, 9.0, 50)
+    base = SimpleNamespace(y_model=[np.zeros((50, 1))], unused=[np.zeros((50, 1))])
+    bench = SimpleNamespace(
+        train=SimpleNamespace(y=y[:, None]), output=0, base=base, counted=np.ones(50, dtype=bool), skip=0
+    )
+    starting = [
+        stage._starts(
+            bench, SimpleNamespace(step=SimpleNamespace(simulate=lambda record, skip, off=off: y + off))
+        )  # type: ignore[arg-type]
+        for off in (0.0 * rise, rise, np.full(50, np.nan))
+    ]
+    assert starting == [True, False, False]
+    assert stage._starts(bench, SimpleNamespace(step=None))  # type: ignore[arg-type]
+
+
 def test_a_growing_curve_is_tried_behind_a_lag_however_little_its_score_promises() -> None:
     """An equal-percentage valve whose stem lags: with four effects fitted, its curve is there, behind a lag, and the best."""
     rng = np.random.default_rng(1)
