@@ -54,7 +54,10 @@ def verdict(outcomes: Sequence[Outcome], held: HeldOut, setting: Setting) -> dic
     withdrawn = bool(system) and not held.difference.low > 0.0 and not held.untried
     doubted = [f.cause for f in system if withdrawn]
     if withdrawn or not system:
-        system = [f for o in outcomes for f in _predictable(o, _tag(o, several), setting.policy)]
+        loop = any(
+            o.share.feedback for o in outcomes
+        )  # what one output feeds back, all outputs see at the inputs
+        system = [f for o in outcomes if not loop for f in _predictable(o, _tag(o, several), setting.policy)]
     for o, rest in zip(outcomes, rests, strict=True):
         if not any(f.cause == UNKNOWN for f in system):
             system += _unexplained(o, rest, setting.alpha / len(outcomes), _tag(o, several))
@@ -197,8 +200,7 @@ def _supported(o: Outcome, claimed: list[Finding], policy: Policy) -> list[Findi
 def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     """What a regression predicts of the linear model's residual on unused blocks, where no model of it could be given."""
     least = policy.searched[1]
-    known = o.share.feedback or bool(o.examined.signatures)
-    if known or not (o.bent and o.share.low > least):
+    if o.examined.signatures or not (o.bent and o.share.low > least):
         return []
     words = f"no model of it holds on unused blocks{tag}, but there is more than noise: {o.share.natures[0].sentence}"
     return [Finding("", UNKNOWN, o.share.nature, o.share.share, 0.0, words)]

@@ -18,8 +18,8 @@ from estimators.diagnosis.model.simulation import simulate
 from estimators.residual.algebra import unit
 
 Array = NDArray[Any]
-LAGS = 20
-OWN = 5  # lags of the simulated output, which slow poles and feedback leave in a residual: a direction goes with them
+LAGS = 40  # of the inputs: with 20, what rings longer than the linear model does left what looks bent
+OWN = 20  # lags of the simulated output, which slow poles and feedback leave in a residual: a direction goes with them
 TERMS = 6  # most products taken together
 
 

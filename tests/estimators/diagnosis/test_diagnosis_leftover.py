@@ -14,6 +14,8 @@ from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.forces import effective_samples, force_balance
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.policy import Effort
+from estimators.diagnosis.record import leftover
 from estimators.diagnosis.record.leftover import leftovers
 from estimators.diagnosis.search.blocks import curved, sandwich
 from estimators.diagnosis.search.candidates import Menu, augmented
@@ -21,6 +23,7 @@ from estimators.diagnosis.search.exchange import exchanged
 from estimators.diagnosis.search.free_runs import Start, blocked
 from oed.data import Record
 from oed.errors import InputError
+from tests.estimators.diagnosis.case_linear import linear_case
 
 SETTING = Setting(orders=(2,), structure="SISO")
 B, A = [0.0, 0.1, 0.1], [1.0, -1.5, 0.7]
@@ -217,3 +220,21 @@ def test_samples_lost_at_an_end_of_a_record_are_a_delay():
         assert np.isfinite(named("lost_samples").apply(y, np.array([2.0, time]), clock)).all() is np.bool_(
             finite
         )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lags, own, false", [(20, 5, True), (leftover.LAGS, leftover.OWN, False)])
+def test_what_rings_longer_than_the_lags_taken_out_does_not_look_bent(monkeypatch, lags, own, false):
+    """A plant of order 6 with light modes, on a record that a model of order 5 follows: with few lags its ringing looked like a curve."""
+    monkeypatch.setattr(leftover, "LAGS", lags)
+    monkeypatch.setattr(leftover, "OWN", own)
+    train, test, _ = linear_case(1310)
+    found = diagnose(train, test, Setting(effort=Effort.QUICK, separate=True, deviations=False))
+    assert ("nonlinearity" in found.nature) == false
+
+
+@pytest.mark.slow
+def test_what_one_output_feeds_back_is_no_effect_at_another():
+    train, test, _ = linear_case(1320)
+    found = diagnose(train, test, Setting(effort=Effort.QUICK, separate=True, deviations=False))
+    assert found.nature in ("noise", "none")
