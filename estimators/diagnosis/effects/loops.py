@@ -263,12 +263,13 @@ def _hysteretic(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
 
 
 def _unplayed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
-    """The output before its hysteresis; an error of it is larger behind."""
-    from estimators.diagnosis.effects.recursion_kernels import unplayed
+    """The output before its hysteresis, and how much larger an error of it is behind: by the weights of the plays that move."""
+    from estimators.diagnosis.effects.recursion_kernels import play, unplayed
 
-    weights = np.array(shape[1:])
-    before = unplayed(np.ascontiguousarray(channel.y), play_widths(shape[0]), weights)
-    return before, np.full(len(channel), 1.0 + weights.sum())
+    widths, weights = play_widths(shape[0]), np.array(shape[1:])
+    x = unplayed(np.ascontiguousarray(channel.y), widths, weights)
+    moves = [np.diff(play(x, r, x[0]), prepend=x[0]) != 0.0 for r in widths]
+    return x, 1.0 + weights @ np.array(moves)
 
 
 SIDE_BY_SIDE = Effect(
