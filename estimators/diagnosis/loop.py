@@ -36,7 +36,7 @@ from estimators.diagnosis.search.elsewhere import seen_elsewhere
 from estimators.diagnosis.search.examination import PHYSICAL, Examined, Known, as_motion, examine
 from estimators.diagnosis.search.few import best_named
 from estimators.diagnosis.search.free_runs import denominator, largest_pole
-from estimators.diagnosis.search.named import Bench, Named, named_steps
+from estimators.diagnosis.search.named import Bench, Named, linear_step, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback
 from estimators.diagnosis.share.news import NEWS, Predictor
@@ -140,7 +140,7 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
 
     def bench_of(found: Examined) -> Bench:
         return Bench(
-            found.last, base, i, record, found.thin_of(found.attribution.final), rest, not setting.deviations,
+            found.last, base, i, train, found.thin_of(found.attribution.final), rest, not setting.deviations,
             setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead, echo and delay > 0,
             echo and delay == 0, setting.skip,
         )  # fmt: skip
@@ -190,14 +190,14 @@ def _outcome(
     found, bench, named = parts
     (share, left), (discovery, again) = shares, discovered
     train, *others = records
-    steps = [_linear_step(base, i, bench.rest)]
+    steps = [linear_step(base, i, bench.rest)]
     kept = np.repeat(found.last.keep, bench.thin)
     out = np.flatnonzero(np.isfinite(train.y[: len(kept), i]) & ~kept)
     if len(out):  # samples that are no measurement: the best linear model without them
         y = train.y.copy()
         y[out, i] = np.nan
         clean = best_linear([train.replace(y=y), *others], _options(train, setting))
-        steps.append(_linear_step(clean, i, bench.rest, tuple(sig.key for sig in found.signatures)))
+        steps.append(linear_step(clean, i, bench.rest, tuple(sig.key for sig in found.signatures)))
     if named.step is not None:  # no parameter of it saw the other records
         unseen = [named.step.simulate(r, base.blocks.window) for r in others]
         # From sample to sample of the record as it is.
@@ -324,14 +324,6 @@ def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:
         tuple(t.meaning for t in terms), d.equation, nature=d.nature,
         folds=tuple(DiscoveredAnswer(i, m) for m in d.folds),
     )  # fmt: skip
-
-
-def _linear_step(base: Baseline, i: int, rest: bool, adds: tuple[str, ...] = ()) -> Step:
-    m = base.outputs[i]
-    answer = LinearAnswer(i, m.inputs, m.model, m.prior, rest)
-    size = m.model.order + m.model.num.size
-    unused = tuple(u[:, i] for u in base.unused)
-    return Step(Kind.LINEAR, adds, unused, answer, size, noise=m.noise[1:], linear=True)
 
 
 def _starts_at_rest(train: Record, i: int, base: Baseline) -> bool:

@@ -54,10 +54,9 @@ def verdict(outcomes: Sequence[Outcome], held: HeldOut, setting: Setting) -> dic
     withdrawn = bool(system) and not held.difference.low > 0.0 and not held.untried
     doubted = [f.cause for f in system if withdrawn]
     if withdrawn or not system:
-        loop = any(
-            o.share.feedback for o in outcomes
-        )  # what one output feeds back, all outputs see at the inputs
-        system = [f for o in outcomes if not loop for f in _predictable(o, _tag(o, several), setting.policy)]
+        # What one output feeds back, all outputs see at the inputs.
+        told = [] if any(o.share.feedback for o in outcomes) else outcomes
+        system = [f for o in told for f in _predictable(o, _tag(o, several), setting.policy)]
     for o, rest in zip(outcomes, rests, strict=True):
         if not any(f.cause == UNKNOWN for f in system):
             system += _unexplained(o, rest, setting.alpha / len(outcomes), _tag(o, several))
@@ -161,9 +160,7 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
         agreed = [f for f in claimed if o.agrees(f.nature, f.cause)]
         if agreed and o.named_carries(policy, agreed=True):
             return [*agreed, Finding("", agreed[0].cause, agreed[0].nature, 0.0, 0.0, words)]
-        kind = o.discovered
-        if o.share.explainable and o.weighs(o.share.nature):
-            kind = o.share.nature
+        kind = o.share.nature if o.share.explainable and o.weighs(o.share.nature) else o.discovered
         cause = next((t.same_as for t in mine[:1] if t.nature == kind and t.same_as), UNKNOWN)
         return [Finding("", cause, kind, weight, 0.0, words)] + [
             Finding("", t.same_as, t.nature, 0.1 * weight / (2 + k), 0.0, f"{t.meaning}{tag}: {t.text}")

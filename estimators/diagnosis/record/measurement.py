@@ -92,7 +92,7 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
 
 CREEPS = 0.05
 """Significance from which on moves after repeated samples are smaller than others: after losses they are larger, which one set
-of losses in a thousand hides."""
+of three in three hundred hides."""
 
 
 def _returned_to(y: Array) -> NDArray[np.bool_]:
@@ -142,7 +142,7 @@ CHANCE = 1e-4
 """Probability, for each signal asked, below which wild samples lie where it is large or quick by no accident."""
 
 
-def foretold(wild: NDArray[np.bool_], u: Array, simulated: Array) -> bool:
+def at_extremes(wild: NDArray[np.bool_], u: Array, simulated: Array) -> bool:
     """Whether wild samples (N,) lie where the inputs (N, nu) or the simulated output (N,) are high, low or quick.
 
     Faults come at any time: their ranks are uniform, and minus twice the sum of their logarithms is chi-squared (Fisher). What a

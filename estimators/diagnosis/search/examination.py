@@ -21,8 +21,8 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.record.measurement import (
     Signature,
+    at_extremes,
     at_reversals,
-    foretold,
     held_samples,
     resting_samples,
     rounding_step,
@@ -291,7 +291,7 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
         size = float(np.median(np.abs((y - simulated)[wild])))
         spread = float(np.sqrt(np.mean(found.final.residual[channel.keep] ** 2)))
         still = _enough(wild & wild_samples(y - simulated, keep), n).any()
-        expected = foretold(wild, channel.u, simulated) or _reversing(found, wild, simulated)
+        expected = at_extremes(wild, channel.u, simulated) or _reversing(found, wild, simulated)
         if not still or size < 4.0 * spread or expected:
             # they stood out from a model error only
             channel = replace(channel, keep=keep)

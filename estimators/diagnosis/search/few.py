@@ -31,7 +31,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     whatever its cause. Where no noise model stands in its answer there is nothing that it could have hidden.
     """
     first = named_steps(bench, a)
-    kept = [first] if _starts(bench, first) else []
+    kept = [first] if bench.starts(first) else []
     if kept and not len(a.final.noise):
         return first
 
@@ -67,7 +67,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
         more = second(bench.channel, n.fit, menu, coloured=False, needed=needed)
         pairs += judged(more[:SECOND], told, (*kept, *singles, *pairs))
     options = sorted(
-        (n for n in (*kept, *singles, *pairs) if n.step is not None and _starts(bench, n)),
+        (n for n in (*kept, *singles, *pairs) if n.step is not None and bench.starts(n)),
         key=lambda n: n.step_error(bench),
     )
     if not options:
@@ -81,17 +81,6 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
                    if n.claims[0].cause != head.cause and not _worse(bench, n, options[0]))  # fmt: skip
     step = None if best.step is None else replace(best.step, rivals=others)
     return replace(best, claims=(replace(head, rivals=rivals), *best.claims[1:]), step=step)
-
-
-def _starts(bench: Bench, n: Named) -> bool:
-    """Whether a run from the record's own start, set as a test record's will be, is no worse than the linear model's: blocks have a
-    window that sets their state, and do not see what a model takes for granted of a start."""
-    if n.step is None:
-        return True
-    y, use = bench.train.y[:, bench.output], bench.counted
-    run = n.step.simulate(bench.train, bench.skip)
-    left = float(np.sum((y - run)[use] ** 2)) if np.all(np.isfinite(run)) else np.inf
-    return left <= float(np.sum((y - bench.base.y_model[0][:, bench.output])[use] ** 2))
 
 
 def _spread(f: Fit) -> float:

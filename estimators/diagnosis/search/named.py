@@ -20,6 +20,7 @@ from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.effects.process import FILLED
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
+from estimators.diagnosis.ladder.steps import as_started
 from estimators.diagnosis.model.errors import parameters_of
 from estimators.diagnosis.model.fitting import Channel, Fit
 from estimators.diagnosis.model.forces import effective_samples
@@ -27,7 +28,7 @@ from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.paired import as_good
-from estimators.diagnosis.result.answers import NamedAnswer
+from estimators.diagnosis.result.answers import LinearAnswer, NamedAnswer
 from estimators.diagnosis.search.exchange import without
 from estimators.diagnosis.search.free_runs import blocked, start_of
 from estimators.diagnosis.search.naming import as_shown
@@ -94,6 +95,15 @@ class Named:
         return bench.error(self.unused)
 
 
+def linear_step(base: Baseline, i: int, rest: bool, adds: tuple[str, ...] = ()) -> Step:
+    """The best linear model of an output as the first step."""
+    m = base.outputs[i]
+    answer = LinearAnswer(i, m.inputs, m.model, m.prior, rest)
+    size = m.model.order + m.model.num.size
+    unused = tuple(u[:, i] for u in base.unused)
+    return Step(Kind.LINEAR, adds, unused, answer, size, noise=m.noise[1:], linear=True)
+
+
 @dataclass(frozen=True, eq=False)
 class Bench:
     """What the trials of one output share: data, blocks, how runs start, thresholds."""
@@ -126,6 +136,13 @@ class Bench:
         keep = np.repeat(self.channel.keep, self.thin)
         use[: len(keep)] &= keep[: len(use)]
         return use
+
+    def starts(self, n: Named) -> bool:
+        """Whether the ladder will not refuse a named model for how it starts."""
+        if n.step is None:
+            return True
+        steps = [linear_step(self.base, self.output, self.rest), n.step]
+        return as_started(steps, self.train, self.output, self.skip)[1].admitted
 
     def unused(self, f: Fit) -> Array:
         """(N,) free run of every block by parameters that did not see it."""

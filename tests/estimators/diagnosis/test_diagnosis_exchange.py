@@ -10,7 +10,7 @@ from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
-from estimators.diagnosis.record.measurement import at_reversals, foretold, held_samples
+from estimators.diagnosis.record.measurement import at_extremes, at_reversals, held_samples
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.exchange import exchanged, whole_delay, without
 
@@ -104,9 +104,9 @@ def test_wild_samples_where_the_signals_are_large_or_quick_are_told_from_faults(
     u = np.cumsum(rng.standard_normal(1000))
     x = lfilter([0.2], [1.0, -0.8], u)
     for at in (np.argsort(-x)[:5], np.argsort(x)[:5], np.argsort(-np.abs(np.diff(u, prepend=u[0])))[:5]):
-        assert foretold(np.isin(np.arange(1000), at), u[:, None], x)
+        assert at_extremes(np.isin(np.arange(1000), at), u[:, None], x)
     drawn = [np.isin(np.arange(1000), rng.choice(1000, 5, replace=False)) for _ in range(200)]
-    assert sum(foretold(wild, u[:, None], x) for wild in drawn) <= 2  # six signals at 1e-4 each
+    assert sum(at_extremes(wild, u[:, None], x) for wild in drawn) <= 2  # six signals at 1e-4 each
 
 
 def test_repeated_samples_of_a_coarse_scale_or_of_what_creeps_are_no_losses(rng):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ from estimators.diagnosis.discovery.wording import NARROW, same_as
 from estimators.diagnosis.effects import CATALOGUE, Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
-from estimators.diagnosis.ladder import Gain
+from estimators.diagnosis.ladder import Gain, Step
+from estimators.diagnosis.ladder import Kind as Stage
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
@@ -23,6 +25,7 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.leftover import leftovers
 from estimators.diagnosis.search import few as stage
+from estimators.diagnosis.search import named as searched
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.named import Bench, _as_linear
 from estimators.diagnosis.search.selection import Attribution
@@ -152,28 +155,39 @@ def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(mo
     monkeypatch.setattr(stage, "second", second)
     gain = SimpleNamespace(meets=lambda limits: True)
     base = SimpleNamespace(unused=[np.zeros((1, 1))])
-    bench = SimpleNamespace(base=base, output=0, channel=range(100), over=lambda *a: gain, policy=Policy())
+    bench = SimpleNamespace(base=base, output=0, channel=range(100), over=lambda *a: gain, policy=Policy(),
+                            starts=lambda n: True)  # fmt: skip
     a = Attribution(None, None, fits[0], [], [], 1.0, alternatives=tuple(fits[1:]))  # type: ignore[arg-type]
     stage.best_named(bench, a, Menu())  # type: ignore[arg-type]
     assert asked == fits[:4]  # the search's own, and all but the last
     assert paired == fits[1:4]
 
 
-def test_what_does_not_start_as_a_test_record_will_is_no_answer() -> None:
+def test_what_does_not_start_as_a_test_record_will_is_no_answer(monkeypatch) -> None:
     """Blocks have a window that sets their state; a run from the record's own start shows what integrates what was fitted to it."""
     y, rise = np.sin(np.arange(50.0)), np.linspace(0.0, 9.0, 50)
-    base = SimpleNamespace(y_model=[np.zeros((50, 1))], unused=[np.zeros((50, 1))])
-    bench = SimpleNamespace(
-        train=SimpleNamespace(y=y[:, None]), output=0, base=base, counted=np.ones(50, dtype=bool), skip=0
-    )
-    starting = [
-        stage._starts(
-            bench, SimpleNamespace(step=SimpleNamespace(simulate=lambda record, skip, off=off: y + off))
-        )  # type: ignore[arg-type]
-        for off in (0.0 * rise, rise, np.full(50, np.nan))
-    ]
-    assert starting == [True, False, False]
-    assert stage._starts(bench, SimpleNamespace(step=None))  # type: ignore[arg-type]
+    step = lambda run: Step(Stage.NAMED, (), (y,), SimpleNamespace(simulate=lambda record, window: run), 1)  # type: ignore[arg-type]
+    monkeypatch.setattr(searched, "linear_step", lambda *about: step(0.0 * y))
+    bench: Any = SimpleNamespace(train=Record(y, y), output=0, base=None, rest=False, skip=0)
+    runs = (y, y + rise, np.full(50, np.nan))
+    assert [Bench.starts(bench, SimpleNamespace(step=step(run))) for run in runs] == [True, False, False]  # type: ignore[arg-type]
+    assert Bench.starts(bench, SimpleNamespace(step=None))  # type: ignore[arg-type]
+
+
+def test_a_start_is_judged_on_the_record_as_it_is_where_the_input_acts_at_once(rng, monkeypatch) -> None:
+    """The model takes the input a sample earlier itself: on a record moved already it would be two samples early."""
+    u = rng.standard_normal(400)
+    e = lfilter([1.0], [1.0, -0.8], 0.02 * rng.standard_normal(400))
+    asked, starts = [], Bench.starts
+
+    def kept(bench, n):
+        asked.append((bench.ahead, n.step is not None, starts(bench, n)))
+        return asked[-1][-1]
+
+    monkeypatch.setattr(Bench, "starts", kept)
+    found = diagnose(Record(u, lfilter([0.3], [1.0, -0.7], np.clip(u, -0.7, 0.7)) + e))
+    assert found.effect == "input_saturation"
+    assert asked[0] == (True, True, True)
 
 
 def test_a_growing_curve_is_tried_behind_a_lag_however_little_its_score_promises() -> None:
