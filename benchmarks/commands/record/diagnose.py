@@ -41,25 +41,8 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     if args.out:
         new_folder(args.out, "--out")
-    orders = () if args.order is None else (args.order,)
-    given = None
-    if args.model:
-        from oed.files import read_record
-        from oed.plants.json import plant_from_json
-        from oed.plants.judging import errors_of, orders_of
-
-        if orders:
-            raise InputError("--model and --order both tell the order; give one of them.")
-        plant = plant_from_json(args.model)
-        where = args.test or args.train[0]
-        record = read_record(where, inputs=args.inputs, outputs=args.outputs, dt=args.dt, missing=True)
-        orders = orders_of(plant)
-        given = {
-            "file": args.model,
-            "orders": orders,
-            "record": where,
-            "rmse": errors_of(plant, record).tolist(),
-        }
+    given = _given(args) if args.model else None
+    orders = given["orders"] if given is not None else () if args.order is None else (args.order,)
     result, notes = diagnose_files(
         args.train, args.test, meta=args.meta, skip=args.skip, columns=Columns(args.inputs, args.outputs, args.dt),
         setting=Setting(orders=orders, alpha=args.alpha, effort=Effort(args.effort)),
@@ -68,14 +51,13 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     payload = result.to_dict() | {"notes": notes}
     if args.meta:
         payload["case"] = Path(args.meta).parent.name
-    words = list(notes)
+    words = [*notes, str(result)]
     if given is not None:
         payload["model_given"] = given
         errors = ", ".join(f"{value:.4g}" for value in given["rmse"])
-        words.append(
-            f"the model {args.model} misses {given['record']} by {errors}; its orders are kept for the linear model."
-        )
-    text = "\n".join([*words, str(result)])
+        beside = f"the model {args.model} misses {given['record']} by {errors}; its orders are kept for the linear model."
+        words.insert(-1, beside)
+    text = "\n".join(words)
     if args.out:
         if not args.json:  # the answer first: figures take their time
             print(text, flush=True)
@@ -96,3 +78,17 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         payload |= {"out": str(folder), "model": str(folder / "model.json")}
         text = "\n".join([*said, f"written to {folder}"])
     return payload, text
+
+
+def _given(args: argparse.Namespace) -> dict[str, Any]:
+    """The model that the user has: its orders, and its error on the test record, or on the first that it is fitted to."""
+    from oed.files import read_record
+    from oed.plants.json import plant_from_json
+    from oed.plants.judging import errors_of, orders_of
+
+    if args.order is not None:
+        raise InputError("--model and --order both tell the order; give one of them.")
+    plant, where = plant_from_json(args.model), args.test or args.train[0]
+    record = read_record(where, inputs=args.inputs, outputs=args.outputs, dt=args.dt, missing=True)
+    rmse = errors_of(plant, record).tolist()
+    return {"file": args.model, "orders": orders_of(plant), "record": where, "rmse": rmse}

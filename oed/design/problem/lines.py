@@ -68,7 +68,7 @@ class Columns:
 
     def information(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
         """Sum of the columns' information: w (m,) -> (n, n)."""
-        flat = np.moveaxis(self.F * np.sqrt(w)[:, None, None], 0, 1).reshape(self.F.shape[1], -1)
+        flat = factor_of(self.F, w)
         return flat @ flat.T
 
     def prices(self, X: NDArray[np.float64], nu: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -142,27 +142,19 @@ class Problem:
 
     def loss(self, columns: Columns, w: NDArray[np.float64]) -> float:
         """Scaled loss of the weights of some columns: w (m,)."""
-        flat = np.moveaxis(columns.F * np.sqrt(w)[:, None, None], 0, 1).reshape(self.map.n, -1)
-        if np.any(self.constant):
-            flat = np.concatenate([flat, square_root(self.constant)], axis=1)
+        flat = factor_of(columns.F, w, self.constant)
         if self.criterion.whole or (self.finely and _regular(flat)):
             return self.criterion.loss_of_factor(flat)
         # Of some combinations the optimum may be singular: what lies in its range is told exactly in the model's own parameters.
         D = np.einsum("knrq,kq->nkr", self.map.factor(columns.omega), columns.direction * np.sqrt(w)[:, None])
         flat = np.concatenate([D.real, D.imag], axis=2).reshape(self.map.n, -1)
-        if np.any(self.map.constant):
-            flat = np.concatenate([flat, square_root(self.map.constant)], axis=1)
-        return self.original.loss_of_factor(flat) / self.scale
+        return self.original.loss_of_factor(_beside(flat, self.map.constant)) / self.scale
 
     def rounding(self, columns: Columns, w: NDArray[np.float64]) -> float:
-        """How far rounding alone moves the loss, relative: seen where the frequencies move by their last digits, which
-        rounds every response anew and changes nothing else; and what the coordinates may have lost."""
-        kept, eps = self.loss(columns, w), np.finfo(float).eps
-        again = [
-            self.loss(self.columns(columns.omega * (1 + k * eps), columns.direction), w) for k in LAST_DIGITS
-        ]
+        """How far rounding alone moves the loss, relative: seen at the last digits, and what the coordinates may have lost."""
+        again = lambda omega: self.loss(self.columns(omega, columns.direction), w)
         lost = LOST * self.condition * float(np.finfo(np.longdouble if self.finely else float).eps)
-        return max(lost, float(np.max(np.abs(np.array(again) / kept - 1)))) if np.isfinite(kept) else np.inf
+        return max(lost, moved_by_rounding(self.loss(columns, w), again, columns.omega))
 
     def scaled_factor(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
         """D in scaled coordinates: omega (K,) -> (K, n, r, nu)."""
@@ -208,6 +200,28 @@ class Problem:
         high = self.omega[np.where(self.band[right] == self.band[at], right, at)]
         omega = maxima_between(lambda w: self.prices_at(w, X, nu).ratio, low, high, divisions)
         return omega, self.prices_at(omega, X, nu)
+
+
+def factor_of(
+    F: NDArray[np.float64], w: NDArray[np.float64], constant: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Factor (n, k) of the information of weights w (m,) of factors F (m, n, r), and of a constant part (n, n)."""
+    flat = np.moveaxis(F * np.sqrt(w)[:, None, None], 0, 1).reshape(F.shape[1], -1)
+    return flat if constant is None else _beside(flat, constant)
+
+
+def _beside(factor: NDArray[np.float64], constant: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A factor (n, k), and that of a constant part (n, n) where there is one."""
+    return np.concatenate([factor, square_root(constant)], axis=1) if np.any(constant) else factor
+
+
+def moved_by_rounding(
+    kept: float, loss: Callable[[NDArray[np.float64]], float], omega: NDArray[np.float64]
+) -> float:
+    """How far a loss moves from what was kept, relative, where the frequencies (m,) move by their last digits, which rounds every
+    response anew and changes nothing else; infinite where there is no loss."""
+    again = [loss(omega * (1 + k * np.finfo(float).eps)) for k in LAST_DIGITS]
+    return float(np.max(np.abs(np.array(again) / kept - 1))) if np.isfinite(kept) else np.inf
 
 
 def _regular(factor: NDArray[np.float64]) -> bool:

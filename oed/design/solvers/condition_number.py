@@ -19,13 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.covariances import square_root
 from oed.design.assembling import TRIFLES, UNTOLD, assembled, spectrum_of_lines
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.design import Design
 from oed.design.problem.families import local_maxima, maxima_between
 from oed.design.problem.grid import denser, within
-from oed.design.problem.lines import LAST_DIGITS, Problem
+from oed.design.problem.lines import Problem, factor_of, moved_by_rounding
 from oed.design.solvers.merging_lines import at_clusters
 from oed.design.solvers.polishing import polish
 from oed.design.solvers.weights_clarabel import linear_matrix_programme, smat, svec
@@ -92,22 +91,19 @@ class _Setting:
         return _Lines(omega, direction, np.concatenate([G.real, G.imag], axis=2))
 
     def told(self, lines: _Lines, w: NDArray) -> NDArray[np.float64]:
-        flat = np.moveaxis(lines.F * np.sqrt(w)[:, None, None], 0, 1).reshape(self.map.n, -1)
+        flat = factor_of(lines.F, w)
         return flat @ flat.T
 
     def loss(self, lines: _Lines, w: NDArray) -> float:
         """From the factor, whose singular values have twice the digits of the information's eigenvalues."""
-        flat = np.moveaxis(lines.F * np.sqrt(w)[:, None, None], 0, 1).reshape(self.map.n, -1)
-        if np.any(self.constant):
-            flat = np.concatenate([flat, square_root(self.constant)], axis=1)
+        flat = factor_of(lines.F, w, self.constant)
         values = np.linalg.svd(flat, compute_uv=False)
         return float(values[0] / values[-1]) ** 2 if len(values) == len(flat) and values[-1] > 0 else np.inf
 
     def rounding(self, lines: _Lines, w: NDArray) -> float:
-        """How far rounding alone moves the loss, relative: seen where the frequencies move by their last digits."""
-        kept, eps = self.loss(lines, w), np.finfo(float).eps
-        again = [self.loss(self.lines(lines.omega * (1 + k * eps), lines.direction), w) for k in LAST_DIGITS]
-        return float(np.max(np.abs(np.array(again) / kept - 1)))
+        """How far rounding alone moves the loss, relative."""
+        again = lambda omega: self.loss(self.lines(omega, lines.direction), w)
+        return moved_by_rounding(self.loss(lines, w), again, lines.omega)
 
     def forms(self, omega: NDArray, Z: NDArray) -> NDArray[np.complex128]:
         D = self.factor(omega)

@@ -9,7 +9,6 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks.campaign.plants import hair_dryer_record
-from benchmarks.tables.timings import in_turn
 from estimators.pem import identify
 from estimators.pem.choice import held_out_error, select_orders
 from estimators.pem.subspace import errors, hankel, observability, subspace_fit
@@ -168,19 +167,6 @@ def test_noise_is_folded_over_the_horizon_as_sample_by_sample(rng) -> None:
         for k in range(4):
             expected[t + 4 + k] += np.einsum("ajs,s->ja", lever.reshape(3, 4, 2, 2)[:, k], x)
     np.testing.assert_allclose(errors._moves(found, u, y, lever), expected, atol=1e-12)
-
-
-def test_subspace_of_ten_thousand_samples_costs_less_than_a_factor_of_its_rows(rng) -> None:
-    """It took 2.6 of them (41 horizons, pseudoinverses, a sum over each lag), and takes .7."""
-    u = rng.normal(size=10_000)
-    record = Record(u, lfilter([0, 0.5], [1, -0.8], u) + 0.3 * rng.normal(size=10_000))
-    signals = [(record.u, record.y)]
-    ours, rows = in_turn(
-        lambda: identify(record, "ss", (1,), method="moesp", offset=False),
-        lambda: np.linalg.qr(windows(np.column_stack(signals[0]), 100, 0, 9901), mode="r"),
-        rounds=3,
-    )
-    assert ours[0] < 1.5 * rows[0]
 
 
 def test_standard_errors(rng) -> None:
