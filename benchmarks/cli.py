@@ -1,13 +1,15 @@
 """The command `oed`: one subcommand per file of the folders of `benchmarks.commands`.
 
 Exit status: 0 when the command did its job, 2 for bad input (one clear line), 130 and 143 when Ctrl-C or SIGTERM
-ended it (what was finished is kept), 1 for anything else. With
-`--json` standard output carries one JSON object and nothing else, whatever a solver prints below Python."""
+ended it (what was finished is kept), 1 for anything else. A reader of the output that goes away, such as `head`, changes
+neither what is written to files nor the exit status. With `--json` standard output carries one JSON object and nothing
+else, whatever a solver prints below Python."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import json
 import math
 import os
@@ -17,7 +19,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from typing import Any, NoReturn
 
@@ -111,6 +113,53 @@ def plain(value: Any) -> Any:
     return str(value)
 
 
+class _Lasting:
+    """A stream of text that ends no work: where it can no longer be written to, the rest goes nowhere, and why is kept."""
+
+    def __init__(self, stream: Any) -> None:
+        self.stream, self.failed = stream, None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+    def write(self, text: str) -> int:
+        self._tried(self.stream.write, text)
+        return len(text)
+
+    def flush(self) -> None:
+        self._tried(self.stream.flush)
+
+    def _tried(self, work: Callable[..., Any], *arguments: str) -> None:
+        try:
+            work(*arguments)
+        except OSError as error:
+            self.failed = self.failed or error
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self.stream.fileno())  # what is left in the buffer would fail again, at exit too
+            os.close(nowhere)
+
+    def check(self) -> None:
+        """Raise why it failed, unless its reader has gone, who has enough of it."""
+        if self.failed is not None and not isinstance(self.failed, BrokenPipeError):
+            raise self.failed
+
+
+@contextlib.contextmanager
+def _lasting() -> Iterator[_Lasting]:
+    """Standard output and standard error, those that there are, do not end the work while the block runs."""
+    out, err = _Lasting(sys.stdout), _Lasting(sys.stderr)
+    with contextlib.ExitStack() as stack:
+        for stream, redirected in ((out, contextlib.redirect_stdout), (err, contextlib.redirect_stderr)):
+            if stream.stream is not None:  # as behind `>&-`
+                if isinstance(
+                    stream.stream, io.TextIOWrapper
+                ):  # or a file whose name is no text ends the work
+                    stream.stream.reconfigure(errors="backslashreplace")
+                stack.enter_context(redirected(stream))
+                stack.callback(stream.flush)
+        yield out
+
+
 @contextlib.contextmanager
 def _standard_output_reserved() -> Iterator[Any]:
     """Send everything that is written to file descriptor 1 to standard error; yield the real one."""
@@ -143,7 +192,11 @@ def main(argv: list[str] | None = None) -> int:
     # Matrices of this size gain nothing from threads, and with one the last bits are the same whatever the cores.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    argv = sys.argv[1:] if argv is None else argv
+    with _lasting() as out:
+        return _main(sys.argv[1:] if argv is None else argv, out)
+
+
+def _main(argv: list[str], out: _Lasting) -> int:
     parser = _parser()
     if not argv:
         parser.print_help()
@@ -167,7 +220,7 @@ def main(argv: list[str] | None = None) -> int:
         print(_one_line(said), file=sys.stderr)
         return 2
     with _terminated_like_interrupted(), _progress(args):
-        return _run(args)
+        return _run(args, out)
 
 
 OWN_PROGRESS = ("compare", "diagnose-folder")
@@ -229,23 +282,23 @@ def _terminated_like_interrupted() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _run(args: argparse.Namespace) -> int:
+def _run(args: argparse.Namespace, out: _Lasting) -> int:
     try:
         if not args.json:
             _, text, *status = args.run(args)  # a status only where a command has one of its own
             print(text, flush=True)
         else:
-            with _standard_output_reserved() as out:
+            with _standard_output_reserved() as kept:
                 content, _, *status = args.run(args)
                 payload = {"schema_version": SCHEMA_VERSION, **content}
+                out = _Lasting(kept)
                 out.write(json.dumps(plain(payload), allow_nan=False) + "\n")
+                out.flush()
+        out.check()
         return status[0] if status else 0
     except OedError as error:
         print(f"oed {args.command}: {_one_line(str(error))}", file=sys.stderr)
         return 2 if isinstance(error, BAD_INPUT) else 1
-    except BrokenPipeError:  # the reader of our output has gone, such as `head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        return 1
     except KeyboardInterrupt as error:
         ended = isinstance(error, _Terminated)
         what = "ended from outside" if ended else "interrupted"
@@ -259,9 +312,6 @@ def _run(args: argparse.Namespace) -> int:
                 if error.filename is not None
                 else f"reading or writing was refused by the system ({error.strerror or error}); make room, or write elsewhere"
             )
-            os.dup2(
-                os.open(os.devnull, os.O_WRONLY), 1
-            )  # what is left in the buffer would fail again at exit
         if isinstance(error, MemoryError):
             remedy = f"there is not enough memory ({_one_line(str(error))}); ask for less"
         if remedy:

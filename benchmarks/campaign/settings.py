@@ -14,6 +14,7 @@ from benchmarks.campaign.plants import check_plants, content_of
 from benchmarks.campaign.registry import ESTIMATORS, METHODS
 from oed.errors import InputError, check_names
 from oed.files.documents import NUMBER, TEXT, WHOLE, keyed, listed, read_document
+from oed.files.writing import in_text
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,11 @@ class Settings:
             if not (np.isfinite(variance) and variance > 0):
                 raise InputError(
                     f"the noise variance is {variance:g}; a comparison needs positive, finite ones."
+                )
+        for name in (*self.plants, *self.methods, *self.estimators):
+            if in_text(name) != name:
+                raise InputError(
+                    f"{name} is a file whose name is no text (UTF-8), and tables are to name it: rename the file."
                 )
         for name in ("plants", "noise_variances", "methods", "estimators"):
             values = getattr(self, name)

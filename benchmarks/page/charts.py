@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 from typing import Any
 
 from benchmarks.page.content import Figure, series_of
@@ -79,7 +81,7 @@ def chart(figure: Figure) -> dict[str, Any]:
             layers.append(drawn.encode(**{place: axis[place], "color": colour}, **ends))
         if mark in ("line", "step", "both"):
             layers.append(part.mark_line(**line).encode(**data, strokeDash=dash, order=alt.Order("_at:Q")))
-        if mark in ("points", "both", "stems"):
+        if mark in ("points", "both", "stems") or (mark == "line" and _lonely(figure, group)):
             layers.append(
                 part.mark_point(filled=True, size=45, opacity=1, clip=True).encode(**data, shape=shape)
             )
@@ -127,8 +129,29 @@ def _height(figure: Figure) -> int:
     if figure.sideways:
         panels = {str(row.get("panel") or "") for row in figure.rows}
         most = max(len({row["y"] for row in figure.rows if str(row.get("panel") or "") == p}) for p in panels)
-        return max(60, 24 * most + 10)
+        broken = any(len(str(row["y"])) > LABEL[1] for row in figure.rows)
+        return max(60, (30 if broken else 24) * most + 10)
     return 240
+
+
+LABEL = 170, 28
+"""Of a name beside a sideways figure: pixels, and the letters that fit into a line of so many."""
+
+
+def _in_lines(names: Sequence[str]) -> str:
+    """The expression that breaks the long ones of the names into lines."""
+    broken = {name: wrap(name, LABEL[1]) for name in names if len(name) > LABEL[1]}
+    return f"{json.dumps(broken)}[datum.label] || datum.label"
+
+
+def _lonely(figure: Figure, names: Sequence[str]) -> bool:
+    """Whether none of the series has two points in a panel, so that a line of it would not be seen."""
+    places = [
+        (row.get("panel"), row.get("series") or "")
+        for row in figure.rows
+        if str(row.get("series") or "") in names
+    ]
+    return len(set(places)) == len(places)
 
 
 def _limits(figure: Figure, key: str) -> list[float]:
@@ -146,7 +169,12 @@ def _axis(figure: Figure, key: str, alt: Any) -> Any:
     title = getattr(figure, key)
     if figure.sideways and key == "y":
         order = list(dict.fromkeys(str(row["y"]) for row in figure.rows))
-        return kind("y:N", title=title or None, sort=order, axis=alt.Axis(labelLimit=170))
+        return kind(
+            "y:N",
+            title=title or None,
+            sort=order,
+            axis=alt.Axis(labelLimit=LABEL[0], labelExpr=_in_lines(order)),
+        )
     log = key in figure.log
     scale: dict[str, Any] = (
         {"type": "log", "nice": False} if log else {"type": "linear", "nice": False, "zero": False}
@@ -155,7 +183,9 @@ def _axis(figure: Figure, key: str, alt: Any) -> Any:
         scale |= {"domainMin": alt.ExprRef("from_x"), "domainMax": alt.ExprRef("to_x")}
     elif figure.shared or figure.square:
         scale["domain"] = _limits(figure, key)
-    marks = {"labelOverlap": True, "tickCount": 5}
+    marks: dict[str, Any] = {"labelOverlap": True, "tickCount": 5}
+    if all(float(row[key]).is_integer() for row in figure.rows if isinstance(row.get(key), int | float)):
+        marks["tickMinStep"] = 1  # there is no half of an experiment
     if key == "x" and log:
         places = sorted(
             {row["x"] for row in figure.rows if isinstance(row["x"], int | float) and row["x"] > 0}

@@ -52,8 +52,9 @@ def _alternatives(design: Design, plant: Plant) -> list[Row]:
 
 
 def _limits(design: Design) -> list[Row]:
+    one = len(design.spectrum.power[0]) == 1
     return [
-        {"limit": name, "used": design.power_used.get(name), "allowed": allowed, "worth": design.certificate.multipliers.get(name),
+        {"limit": "power of the input" if one and name == "power of input 1" else name, "used": design.power_used.get(name), "allowed": allowed, "worth": design.certificate.multipliers.get(name),
          "binds": "yes" if design.power_used.get(name, 0.0) >= (1 - TIGHT) * allowed else "no"}
         for name, allowed in design.limits.items()
     ]  # fmt: skip
@@ -105,7 +106,12 @@ def write_design(
             f"The signal of {len(signal)} samples keeps {100 * payload['realised_efficiency']:.3g} % of it, crest factor {payload['crest_factor']:.3g}."
         )
     if binding:
-        todo.append(f"To do better, allow more of what limits it: {', '.join(binding)}.")
+        larger = (
+            f"a larger amplitude than {made['amplitude']:g}, which limits the "
+            if made.get("amplitude")
+            else "more of what limits it: "
+        )
+        todo.append(f"To do better, allow {larger}{', '.join(binding)}.")
     columns = headed("limit", "used", "allowed", "binds", worth="worth of one unit more")
     support = [{"frequency": r["x"], "power": r["y"]} for r in lines]
     sections = [
@@ -118,7 +124,7 @@ def write_design(
                         "share of the optimum", "", {"efficiency": "bars"}, sideways=True, rules=(1.0,))]),
         Section("Lines", [], [Table("support", "Lines of the spectrum, one-sided.", headed(frequency=where, power="power (input unit squared)"), support)]),
     ]  # fmt: skip
-    stated = {k: str(v) for k, v in made.items()}
+    stated = {k: str(v) for k, v in made.items() if v is not None}
     return save_page(
         folder, Page("design", "An optimal input", answer, sure, todo, [spectrum], sections, stated)
     )

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.page.content import Figure, Page, Section, Table, headed, line, thinned
 from benchmarks.page.skeleton import save_page
 from benchmarks.tables.formats import format_value
-from estimators.diagnosis.ladder.verdicts import ECHO, NOTHING, UNCLAIMED
+from estimators.diagnosis.ladder.verdicts import ECHO, NAMELESS, NOTHING, UNCLAIMED
 from estimators.residual.measures import p_stated
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ NEXT = 200
 """Samples of the experiment that is proposed."""
 TRIED = 20
 """Effects listed as tried, the best first."""
+FURTHER = "A longer record, or an input that goes further or faster, may show what this one cannot."
+"""What to measure where no experiment is proposed."""
 RUNGS = {
     "linear": "linear model",
     "named": "+ named effect",
@@ -37,6 +39,11 @@ def _capital(sentence: str) -> str:
 def _unit(result: Diagnosis) -> str:
     units = {u for u in result.extra["test"].output_units if u}
     return f" {units.pop()}" if len(units) == 1 else ""
+
+
+def _with(words: str, unit: str) -> str:
+    """Words of an axis or a column with a unit, where there is one."""
+    return f"{words} ({unit})" if unit else words
 
 
 def _ladder(result: Diagnosis) -> tuple[Figure, Table]:
@@ -94,7 +101,8 @@ def _errors(result: Diagnosis) -> Table:
                 "high": high,
             }
         )
-    caption = "Root mean square errors with intervals of a block bootstrap, in units of the output."
+    unit = _unit(result).strip() or "units of the output"
+    caption = f"Root mean square errors with intervals of a block bootstrap, in {unit}; a share has no unit."
     return Table("errors", caption, headed("error", "value", low="2.5 %", high="97.5 %"), rows)
 
 
@@ -105,7 +113,7 @@ def _runs(result: Diagnosis, i: int) -> Figure:
                             "whole answer": result.yhat_after[:, i]})  # fmt: skip
     return Figure(f"simulated-{i + 1}", f"{name}, measured and simulated before and after, on the {result.held_out}; simulated.csv "
                   "has every sample.", f"Measured {name} with the free runs of the linear model and of the whole answer over time.",
-                  [r for r in rows if np.isfinite(r["y"])], "time (s)", f"{name} ({unit})" if unit else name, zoom=True)  # fmt: skip
+                  [r for r in rows if np.isfinite(r["y"])], "time (s)", _with(name, unit), zoom=True)  # fmt: skip
 
 
 def _residuals(result: Diagnosis, i: int) -> list[Figure]:
@@ -115,11 +123,11 @@ def _residuals(result: Diagnosis, i: int) -> list[Figure]:
     from estimators.diagnosis.result.plots import binned
 
     test = result.extra["test"]
-    y, name = np.nan_to_num(test.y[:, i]), test.output_names[i]
+    y, name, unit = np.nan_to_num(test.y[:, i]), test.output_names[i], test.output_units[i]
     level = result.yhat_before[:, i]
     drive = min(i, test.n_inputs - 1)
-    against = {f"simulated {name}": level, f"velocity of {name} (1/s)": np.gradient(level) / test.dt,
-               f"input {test.input_names[drive]}": test.u[:, drive]}  # fmt: skip
+    against = {_with(f"simulated {name}", unit): level, f"velocity of {name} ({unit or 'units'}/s)": np.gradient(level) / test.dt,
+               _with(f"input {test.input_names[drive]}", test.input_units[drive]): test.u[:, drive]}  # fmt: skip
     pairs = {"before": y - level, "after": y - result.yhat_after[:, i]}
     told = lambda x: float(
         np.sum((binned(x, pairs["before"])[1] / np.maximum(binned(x, pairs["before"])[2], 1e-300)) ** 2)
@@ -134,9 +142,9 @@ def _residuals(result: Diagnosis, i: int) -> list[Figure]:
     return [
         Figure(f"residual-{i + 1}", f"Mean residual of {name} against the variable that reveals most of it: {best} (bars: two "
                "standard errors). A flat line at zero has nothing left to explain.", f"Mean residual against {best}, before and after.",
-               points, best, "mean residual", {"before": "both", "after": "both"}, rules=(0.0,)),
+               points, best, _with("mean residual", unit), {"before": "both", "after": "both"}, rules=(0.0,)),
         Figure(f"spectrum-{i + 1}", f"Residual of {name} over frequency, before and after.", "Spectral density of the residual.",
-               spectra, "frequency (Hz)", "per root hertz", log="y"),
+               spectra, "frequency (Hz)", f"{unit or 'units'} per root hertz", log="y"),
     ]  # fmt: skip
 
 
@@ -146,7 +154,7 @@ def _curves(result: Diagnosis, i: int) -> list[Figure]:
     drawn = []
     for k, c in enumerate(characteristics(result, i)):
         rows = [row for row in line(c.x, c.y, "found, with its 95 % band", c.band) if np.isfinite(row["x"])]
-        rows += line(c.x[[0, -1]], c.x[[0, -1]], "linear") if c.identity else []
+        rows += line(c.x[[0, -1]], c.straight, "linear") if c.straight is not None else []
         drawn.append(Figure(f"curve-{i + 1}-{k + 1}", _capital(c.sentence), f"The effect's curve: {c.sentence}.", rows,
                             *c.labels))  # fmt: skip
     return drawn
@@ -186,7 +194,7 @@ def _linear(result: Diagnosis) -> list[Section]:
     ]
     columns = headed("pole", frequency="frequency (Hz)", damping="damping", time_constant="time constant (s)")
     poles = Table("poles", "Poles of the linear model; a real pole has a time constant only.", columns, rows)
-    said = [f"{result.linear['structure']}.", *(f"{why}." for why in result.linear.get("why", ()))]
+    said = [f"{result.linear['structure']}.", *(_capital(why) for why in result.linear.get("why", ()))]
     return [Section("The linear model", said, [poles] if rows else [])]
 
 
@@ -222,13 +230,17 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
             else f"{'falls' if after.value < before.value else 'rises'} from {before.value:.3g} to {after.value:.3g}"
         )
         whole = result.system.startswith((NOTHING, UNCLAIMED, ECHO))  # a sentence, not the name of a cause
-        lacks = _capital(what)[:-1] if whole else f"The linear model lacks {what} ({result.nature})"
+        nature = (
+            "" if what.startswith(NAMELESS) else f" ({result.nature})"
+        )  # of what has no name it is the name
+        lacks = _capital(what)[:-1] if whole else f"The linear model lacks {what}{nature}"
         answer = f"{lacks}; the simulation error {error}{unit}."
     else:
         answer = f"Nothing is missing from the linear model that these data could show; its simulation error is {before.value:.3g}{unit}."
     low, high = result.difference.low, result.difference.high
     sure = [f"Error on the {result.held_out}: {before}{unit} before, {after}{unit} after (95 % intervals); the difference is "
-            f"{result.difference.value:.3g} [{low:.3g}, {high:.3g}]."]  # fmt: skip
+            f"{result.difference.value:.3g} [{low:.3g}, {high:.3g}]{unit}." if not low == high == 0.0
+            else f"Error on the {result.held_out}: {before}{unit} (95 % interval)."]  # fmt: skip
     if result.detected:
         many = "all tests together, corrected for how many they are"
         sure.append(f"That the linear model's residual is white noise has {p_stated(result.p_value)} ({many})"
@@ -239,11 +251,19 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
         else []
     )
     sure += [_capital(w) for w in result.warnings]
-    todo = [f"What the final residual still shows: {result.remaining}."] if result.remaining else []
-    if nothing:
-        todo.append(
-            "Keep the linear model. A longer record, or an input that goes further or faster, may show what this one cannot."
-        )
+    sure += [f"More is left than noise: {result.remaining}."] if result.remaining else []
+    use = (
+        "DiagnosedModel.load of model.json simulates it on any record"
+        if result.model is not None
+        else "its parameters are below"
+    )
+    todo = (
+        [f"Keep the linear model: {use}.", FURTHER]
+        if nothing
+        else [f"Use the answer in place of the linear model: {use}."]
+    )
+    if result.remaining and not nothing:
+        todo.append(f"To find what is left: {FURTHER[:1].lower()}{FURTHER[1:]}")
     return answer, sure, todo
 
 
@@ -253,8 +273,6 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, A
     outputs = range(result.yhat_before.shape[1])
     answer, sure, todo = _words(result)
     following, what, downloads = _next(result)
-    if result.model is not None:
-        todo.append("To simulate the answer on any record: DiagnosedModel.load of model.json.")
     curves = [figure for i in outputs for figure in _curves(result, i)]
     parameters = [
         {"parameter": k, "value": v, "value_se": se, "unit": result.in_units(unit)}

@@ -40,7 +40,7 @@ def _entries(fit: Fit) -> list[tuple[int, int, str]]:
             for i in range(form.n_outputs) for j in range(form.n_inputs)]  # fmt: skip
 
 
-def _response(fit: Fit) -> list[Figure]:
+def _response(fit: Fit, per: str) -> list[Figure]:
     from estimators.pem.uncertainty import bode_band, step_band
 
     omega = np.geomspace(0.01, np.pi, FREQUENCIES)
@@ -61,11 +61,11 @@ def _response(fit: Fit) -> list[Figure]:
         )
     where, when = f"frequency ({unit})", "time (s)" if fit.model.dt != 1 else "sample"
     return [
-        Figure("gain", "Gain with pointwise 95 % bands.", "Gain over frequency with its band.", rows["gain"], where, "gain", log="xy"),
+        Figure("gain", "Gain with pointwise 95 % bands.", "Gain over frequency with its band.", rows["gain"], where, f"gain{per}", log="xy"),
         Figure("phase", "Phase with pointwise 95 % bands.", "Phase over frequency with its band.", rows["phase"], where,
                "phase (degrees)", log="x"),
         Figure("step", "Step response with pointwise 95 % bands.", "Step response over time with its band.", rows["step"], when,
-               "step response"),
+               f"step response{per}"),
     ]  # fmt: skip
 
 
@@ -85,7 +85,7 @@ def _poles(fit: Fit) -> tuple[Figure, Table]:
         continuous = np.log(pole) / fit.model.dt if pole else complex(-np.inf)
         real = abs(pole.imag) < 1e-12
         rows.append({
-            "pole": f"{pole:.5g}", "size": abs(pole), "frequency_hz": None if real else abs(continuous) / (2 * np.pi),
+            "pole": f"{pole.real if real else pole:.5g}", "size": abs(pole), "frequency_hz": None if real else abs(continuous) / (2 * np.pi),
             "damping": None if real else -continuous.real / abs(continuous),
             "time_constant": -1 / continuous.real if continuous.real < 0 else None,
             "error": float(np.sqrt(np.trace(covariance))),
@@ -217,7 +217,7 @@ def write_identification(
                   for k, v, s in zip(fit.names, fit.theta, fit.standard_errors, strict=True)]  # fmt: skip
     measured = _measured(fit, records[0]) if fit.model.stable and records[0].complete else []
     sections = [
-        Section("Frequency and step response", figures=_response(fit) if fit.model.stable else []),
+        Section("Frequency and step response", figures=_response(fit, f" ({per})" if len(_entries(fit)) == 1 else "") if fit.model.stable else []),
         Section("Poles", [], [poles] if poles.rows else [], [figure] if poles.rows else []),
         Section("What the residual says", list(payload.get("notes", ())), tables, drawn),
         Section("Orders", figures=_orders(fit, records, payload["structure"], payload["orders"], payload["options"] | {"delay": payload["delay"]})),

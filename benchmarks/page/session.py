@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.page.content import Figure, Page, Section, Table, headed, line, thinned
 from benchmarks.progress import in_words
+from estimators.residual.measures import stated
 from oed.errors import InputError
 from oed.files.writing import write_whole
 
@@ -104,14 +105,19 @@ def session_page(folder: Path) -> Page:
     }
     limits += [{"limit": key, "value": value} for key, value in used.items()]
     rest = rest_of(session)
-    tested = [f"{words}." for words in rest.sentences(s)] if rest else ["There is no rest test."]
+    tested = (
+        [f"{words.replace('+-', '±')}." for words in rest.sentences(s)]
+        if rest
+        else ["There is no rest test."]
+    )
     step = {"READY": f"Ask for the next input: oed session next {folder.name}.",
             "WAITING": f"Apply {Path(status['input']).name if status['input'] else 'the input'} and hand over what was measured: "
             f"oed session record {folder.name} FILE."}.get(status["status"], f"The session has ended: {status['message'].rstrip('.')}. "
             "Use the estimate; every record is in the folder, input-0001.csv with output-0001.csv and so on.")  # fmt: skip
     where = ""
     if np.isfinite(found.frequency_error):
-        where = f" at {found.frequency / (2 * np.pi * s.dt):.4g} Hz"
+        turns = 2 * np.pi * s.dt
+        where = f" at {stated(found.frequency / turns, found.frequency_error / turns).replace('+-', '±')} Hz"
     per = (
         f" {s.output_units[0] or s.outputs[0]}/{s.input_units[0] or s.inputs[0]}"
         if s.n_inputs == s.n_outputs == 1
@@ -125,10 +131,11 @@ def session_page(folder: Path) -> Page:
         todo.append(f"At most {budget - done} experiments are left: {left} on the rig.")
     answer = (f"The peak gain is {found.value:.4g}{per}{where}{span} after {done} of {budget} experiments." if np.isfinite(found.value)
               else f"There is no estimate yet: {done} of {budget} experiments are recorded.")  # fmt: skip
-    sure = [str(found)[:1].upper() + str(found)[1:].removesuffix(".") + "."]
+    said = str(found).replace("+-", "±").removesuffix(".")
+    sure = [f"{said[:1].upper()}{said[1:]}."]
     sure += [f"Flagged and not used: {Path(name).name}." for name in status["flagged"]]
     curve = Figure("estimate", f"The estimate over the experiments; intervals are cut at {CUT:g} times the last estimate.", "Estimated peak gain against the number of experiments.",
-                   _curve(session) if done else [], "experiments", "peak gain",
+                   _curve(session) if done else [], "experiments", f"peak gain ({per.strip()})" if per else "peak gain",
                    {"estimate, with its 95 % interval": "both", "the method's own gain": "points"})  # fmt: skip
     sections = [
         Section("Records", [] if rows else ["Nothing is recorded yet."],

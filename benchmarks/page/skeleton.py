@@ -19,7 +19,7 @@ from typing import Any
 from benchmarks.page.charts import CONFIG, chart, extent, style
 from benchmarks.page.content import Figure, Page, Table, cell, read_page, series_of
 from benchmarks.tables.formats import ABSENT, to_csv, to_latex, to_markdown, to_parquet
-from oed.files.writing import write_whole
+from oed.files.writing import in_text, write_whole
 
 LONGEST_NAME = 100
 """Characters of a file's name that come from the names of plants and methods; file systems allow 255 bytes."""
@@ -34,7 +34,7 @@ PREFER = ("power", "procedure-2", "two-experiment")
 def file_name(text: str) -> str:
     """A name that every file system takes, different for different texts: a plant may be a file in a folder."""
     plain = re.sub(r"[^\w.+-]+", "-", text, flags=re.ASCII)[:LONGEST_NAME]
-    return plain if plain == text else f"{plain}-{blake2b(text.encode(), digest_size=3).hexdigest()}"
+    return plain if plain == text else f"{plain}-{blake2b(in_text(text).encode(), digest_size=3).hexdigest()}"
 
 
 def save_page(folder: Path, page: Page, *, static: bool = False) -> Path:
@@ -261,7 +261,7 @@ def _head(page: Page, filters: Any) -> list[str]:
     right = []
     for title, lines in (("What to do", page.todo), ("How sure", page.sure)):
         if lines:
-            items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+            items = "".join(f"<li>{_whole_options(line)}</li>" for line in lines)
             right.append(f"<h2 class='first'>{title}</h2><ul>{items}</ul>")
     right += [
         f'<p><button type="button" data-download="{escape(name)}">save {escape(name)}</button></p>'
@@ -289,12 +289,21 @@ def _sections(page: Page) -> list[str]:
         parts.append("<section><h2>Names</h2><dl>" + "".join(
             f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in page.names.items()) + "</dl></section>")  # fmt: skip
     if page.made:
-        made = "".join(f"<dt>{escape(str(k))}</dt><dd>{escape(str(v))}</dd>" for k, v in page.made.items())
+        made = "".join(
+            f"<dt>{escape(str(k))}</dt><dd>{_whole_options(str(v))}</dd>"
+            for k, v in page.made.items()
+            if str(v)
+        )
         parts.append(f'<section id="how-this-was-made"><h2>How this was made</h2><dl>{made}</dl></section>')
     return parts
 
 
+def _whole_options(text: str) -> str:
+    """Words of a page, the options of commands in one piece."""
+    return re.sub(r"--[a-z][a-z-]*", r"<span class='whole'>\g<0></span>", escape(text))
+
+
 def _figure(figure: Figure) -> list[str]:
     name = f"figure-{file_name(figure.name)}"
-    return [f'<figure id="{name}" aria-labelledby="{name}-caption"><figcaption id="{name}-caption">{escape(figure.caption)} '
+    return [f'<figure id="{name}" aria-labelledby="{name}-caption"><figcaption id="{name}-caption">{escape(figure.caption)}&nbsp;'
             f'<a class="anchor" href="#{name}" aria-label="link to this figure">#</a></figcaption></figure>']  # fmt: skip

@@ -22,10 +22,11 @@ from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, Discovery, 
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
 from estimators.diagnosis.ladder.outcome import Outcome
+from estimators.diagnosis.ladder.stated import Contradiction, lacking, starts_at_rest, starts_moving
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, as_started, climb, paired_gain, refused
 from estimators.diagnosis.ladder.verdicts import verdict
 from estimators.diagnosis.policy import Setting
-from estimators.diagnosis.record.admission import LEAST, together
+from estimators.diagnosis.record.admission import LEAST, together, told_from_clock
 from estimators.diagnosis.record.measurement import held_samples, observations, resting_samples
 from estimators.diagnosis.remainder import Limits, fit_remainder, linear_footing, spliced
 from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, RemainderAnswer, early
@@ -36,7 +37,7 @@ from estimators.diagnosis.search.elsewhere import seen_elsewhere
 from estimators.diagnosis.search.examination import PHYSICAL, Examined, Known, as_motion, examine
 from estimators.diagnosis.search.few import best_named
 from estimators.diagnosis.search.free_runs import denominator, largest_pole
-from estimators.diagnosis.search.named import Bench, Named, linear_step, named_steps
+from estimators.diagnosis.search.named import ANYTHING, Bench, Named, linear_step, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback
 from estimators.diagnosis.share.news import NEWS, Predictor
@@ -101,9 +102,18 @@ def diagnose(
     say("the best linear model")
     asked = replace(_options(first, setting), asked=() if test is None else (test.u,))
     base = best_linear(records, asked)
+    orders = setting.orders or (None,) * first.n_outputs
+    rest = bool(setting.deviations)
+    moving = [starts_moving(records, i, base, n, asked) if rest else None for i, n in enumerate(orders)]
+    if any(
+        moving
+    ):  # the data then tell the training records' starts, and what was stated holds of the test record alone
+        setting, asked = replace(setting, deviations=None), replace(asked, deviations=None, moving=True)
+        base = best_linear(records, asked)
+    setting = replace(setting, effects=told_from_clock(setting.effects, records))
     say("effects of the catalogue")
     own = base if len(records) == 1 else best_linear([first], asked)
-    parts = [_named(first, i, own, setting) for i in range(first.n_outputs)]
+    parts = [_named(first, i, own, setting, rest) for i in range(first.n_outputs)]
     also = seen_elsewhere(first, [p[1] for p in parts], [p[2] for p in parts], _options(first, setting))
     parts = [(found, bench, n) for (found, bench, _), n in zip(parts, also, strict=True)]
     say("terms of no catalogue")
@@ -117,7 +127,13 @@ def diagnose(
         for i, part in enumerate(parts)
     ]
     held = _held_out(first, test, outcomes, setting)
-    return _diagnosis(records, test, base, outcomes, held, setting)
+    lacks = [
+        lacking(records, o, base, n, asked, setting.policy) for o, n in zip(outcomes, orders, strict=True)
+    ]
+    stated = [
+        (o, c) for found in (moving, lacks) for o, c in zip(outcomes, found, strict=True) if c is not None
+    ]
+    return _diagnosis(records, test, base, outcomes, held, setting, stated)
 
 
 def _options(train: Record, setting: Setting) -> Options:
@@ -125,8 +141,8 @@ def _options(train: Record, setting: Setting) -> Options:
     return Options(deviations=setting.deviations, diagonal=diagonal)
 
 
-def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
-    """The named stage of one output: what its samples show, and the effects that hold."""
+def _named(train: Record, i: int, base: Baseline, setting: Setting, rest: bool) -> Parts:
+    """The named stage of one output: what its samples show, and the effects that hold; `rest` whether records are stated to start so."""
     order, delays = base.outputs[i].shared
     delay, left = min(delays), train.y[:, i] - base.y_model[0][:, i]
     echo = has_feedback([train], [left], [base.blocks.counting([train])[0][:, i]])
@@ -136,7 +152,7 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting) -> Parts:
     order, memory = PHYSICAL + 1 if long else order, base.blocks.memory(m.model.radius)
     known = Known(order, max(delay - 1, 0), set_aside(left, m.tones, train.dt), memory)
     record = early(train) if ahead else train
-    rest = bool(setting.deviations) or (setting.deviations is None and _starts_at_rest(train, i, base))
+    rest = rest or (setting.deviations is None and starts_at_rest(train, i, base))
 
     def bench_of(found: Examined) -> Bench:
         return Bench(
@@ -215,17 +231,16 @@ def _outcome(
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     started = as_started(steps, train, i, setting.skip)
     predictor = cache(lambda: Predictor.of(records, base.y_model, i, counted))
-    steps = [
-        replace(s, admitted=s.admitted and (s.linear or predictor().news(s.unused) > NEWS)) for s in started
-    ]
+    vague = not share.explainable and named.anything(setting.effects)
+    holds = lambda s: not (vague and s.kind is Kind.NAMED) and predictor().news(s.unused) > NEWS
+    steps = [replace(s, admitted=s.admitted and (s.linear or holds(s))) for s in started]
     if named.alike is not None and named.step is not None and predictor().news(named.step.unused) <= NEWS:
         named = named.as_linear()
     if any(
         s.kind is Kind.NAMED and first.admitted > s.admitted for s, first in zip(steps, started, strict=True)
     ):
-        why = "a linear predictor of the output gains nothing from it"
-        dropped = tuple((c.key, why) for c in named.claims)
-        named = replace(named, claims=(), dropped=named.dropped + dropped)
+        why = ANYTHING if vague else "a linear predictor of the output gains nothing from it"
+        named = replace(named, claims=(), dropped=(*named.dropped, *((c.key, why) for c in named.claims)))
     least = int(len(out) > 0)
     ladder = climb(y, steps, counted, setting.policy, least=least)
     if ladder.chosen.kind is Kind.DISCOVERED:
@@ -326,18 +341,6 @@ def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:
     )  # fmt: skip
 
 
-def _starts_at_rest(train: Record, i: int, base: Baseline) -> bool:
-    """Whether the training record's first samples look as if no input had been before, rather than the first one for long.
-
-    Records of one rig start alike: a test record without a window to set the state is simulated from the same start.
-    """
-    m = base.outputs[i]
-    u, y = train.u[:, list(m.inputs)], train.y[:, i]
-    runs = [m.model.free_run(replace(m.prior, rest=rest), u, y, 0) for rest in (True, False)]
-    seen = np.isfinite(y)
-    return bool(np.sum((y - runs[0])[seen] ** 2) < np.sum((y - runs[1])[seen] ** 2))
-
-
 def _held_out(train: Record, test: Record | None, outcomes: list[Outcome], setting: Setting) -> HeldOut:
     record = train if test is None else test
     counts, held = np.isfinite(record.y), np.zeros(record.y.shape, dtype=bool)
@@ -368,6 +371,7 @@ def _diagnosis(
     outcomes: list[Outcome],
     held: HeldOut,
     setting: Setting,
+    stated: Sequence[tuple[Outcome, Contradiction]],
 ) -> Diagnosis:
     train = records[0]
     words = (
@@ -379,7 +383,7 @@ def _diagnosis(
     if test is not None:
         notes += outside(records, test, setting.policy)
     floor = float(np.sqrt(np.mean([_floor(o, train) ** 2 for o in outcomes])))
-    found: dict[str, Any] = verdict(outcomes, held, setting)
+    found: dict[str, Any] = verdict(outcomes, held, setting, stated)
     found["data"] += observations(records)
     return Diagnosis(
         rmse_before=held.rmse_before, rmse_after=held.rmse_after, pred_rmse_before=held.pred_before,

@@ -60,19 +60,38 @@ def _plain(kind: str, orders: tuple[int, ...], delay: int, ny: int, nu: int, dia
     return polynomial(kind, orders, delay, n_outputs=ny, n_inputs=nu, diagonal=diagonal)
 
 
-LARGEST = 1e75
-"""Size of a signal, and one over it the smallest: fourth powers are formed, and a double ends at 1e308 (see the test)."""
+LARGEST = 1e140
+"""Size of a signal and of one beside the other, and one over it the smallest: squares of signals over residuals a billion times
+smaller are formed, and a double ends at 1e308 (see the test)."""
 
 
-def check_sizes(record: Record, which: str) -> None:
+RATIOS = 1 / LARGEST, LARGEST
+"""Sizes of outputs over those of inputs: their squares are the gains' variances."""
+
+
+def check_sizes(
+    record: Record,
+    which: str,
+    most: tuple[float, float] = (LARGEST, LARGEST),
+    ratios: tuple[float, float] = RATIOS,
+) -> None:
     """Refuse a record whose squares are no doubles."""
-    for name, signal in (("inputs", record.u), ("outputs", record.y)):
-        size = np.abs(signal[np.isfinite(signal)]).max(initial=0.0)
-        if size and not 1 / LARGEST <= size <= LARGEST:
+    sizes = {
+        name: float(np.abs(x[np.isfinite(x)]).max(initial=0.0))
+        for name, x in (("inputs", record.u), ("outputs", record.y))
+    }
+    for (name, size), largest in zip(sizes.items(), most, strict=True):
+        if size and not 1 / largest <= size <= largest:
             raise InputError(
                 f"the {name} of {which} are of the size {size:.3g}; their squares leave the range of doubles, and tests "
-                f"would say what is not so: choose units in which they are between {1 / LARGEST:g} and {LARGEST:g}."
+                f"would say what is not so: choose units in which they are between {1 / largest:g} and {largest:g}."
             )
+    u, y = sizes.values()
+    if u and y and not ratios[0] <= y / u <= ratios[1]:
+        raise InputError(
+            f"the outputs of {which} are of the size {y:.3g} and its inputs of {u:.3g}; squares of what lies between them leave the "
+            f"range of doubles: choose units in which the ratio is between {ratios[0]:g} and {ratios[1]:g}."
+        )
 
 
 def check_records(

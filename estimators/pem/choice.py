@@ -296,9 +296,9 @@ def held_out_error(
         squares.append(float(np.nansum(e**2)))
         counts.append(int(np.isfinite(e).sum()))
     mean = sum(squares) / sum(counts)
-    each = np.array(squares) / np.array(counts)
+    each = np.array(squares) / np.array(counts) / (mean or 1.0)
     deviation = of_few(float(np.std(each, ddof=1)) / np.sqrt(len(each)), len(each) - 1)
-    return float(np.sqrt(mean)), deviation / (2 * float(np.sqrt(mean)) or 1.0)
+    return float(np.sqrt(mean)), float(np.sqrt(mean)) * deviation / 2
 
 
 def _left_out(records: Any, structure: str, orders: Any, nk: int, folds: int, options: dict) -> float:

@@ -41,6 +41,15 @@ def unit(x: NDArray) -> NDArray:
     return x / 2.0 ** np.floor(np.log2(top)) if 0 < top < np.inf else x
 
 
+def of_size_one(parts: Parts) -> list[NDArray]:
+    """Signals (N,) over one power of two, next to the root of the sum of all their squares."""
+    top = max(float(np.max(np.abs(x), initial=0.0)) for x in parts)
+    if not 0 < top < np.inf:
+        return list(parts)
+    near = [x / 2.0 ** np.floor(np.log2(top)) for x in parts]  # whose squares are doubles
+    return [x / 2.0 ** np.floor(0.5 * np.log2(sum(float(x @ x) for x in near))) for x in near]
+
+
 def delayed(x: NDArray, lags: Iterable[int]) -> NDArray:
     """A signal at several lags: x (N, 1) -> (N, L)."""
     n, out = len(x), []

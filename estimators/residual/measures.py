@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +27,21 @@ def in_ranges(lags: NDArray[np.int64]) -> str:
     """Whole numbers (n,) in order, those that follow each other as a range: "1 to 5, 9"."""
     runs = np.split(lags, np.flatnonzero(np.diff(lags) != 1) + 1) if lags.size else []
     return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
+
+
+PLAIN = 1e-4, 1e6
+"""Sizes of numbers that are printed without an exponent."""
+
+
+def stated(value: float, error: float) -> str:
+    """A value and its standard error to two digits of the error, which is not known of a threshold between samples: no
+    derivative tells it."""
+    if not math.isfinite(error):
+        return f"{value:.4g} +- unknown"
+    if not PLAIN[0] <= error <= max(abs(value), error) < PLAIN[1]:
+        return f"{value:.4g} +- {error:.2g}"
+    decimals = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{decimals}f} +- {error:.{decimals}f}"
 
 
 def p_stated(p: float, digits: int = 2) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimators.residual.algebra import Parts, delayed, inverse, spread_of, taken_up
+from estimators.residual.algebra import Parts, delayed, inverse, of_size_one, spread_of, taken_up
 from estimators.residual.measures import in_ranges, p_stated
 from oed.data import Record, entry_name, frozen
 from oed.errors import InputError
@@ -230,10 +230,10 @@ def autocorrelation(
     if jacobian is not None:
         stacked = np.concatenate(_parts(jacobian, 2))
         past = np.concatenate([delayed(e[:, None], range(1, lags + 1)) for e in parts])
-        gamma = stacked.T @ past
+        gamma = stacked.T @ past / power  # by itself its square may be no double
         if covariance is None:
             covariance = inverse(stacked.T @ stacked) * power / total
-        spread = spread - gamma.T @ covariance @ gamma / power**2
+        spread = spread - gamma.T @ covariance @ gamma
     return _test("whiteness", np.arange(1, lags + 1), r, spread)
 
 
@@ -325,7 +325,8 @@ def _against(of: _Linear, name: str, i: int, u: Parts, lags: Iterable[int] | int
         )
     chosen = np.arange(_limited(lags, parts) + 1) if isinstance(lags, int) else np.array([*lags], int)
     average = sum(x.sum() for x in u) / sum(map(len, u))
-    columns = [delayed(x[:, None] - average, chosen) for x in u]
+    u = of_size_one([x - average for x in u])
+    columns = [delayed(x[:, None], chosen) for x in u]
     power = sum(float(e[:, i] @ e[:, i]) for e in parts)
     z = np.sum([x.T @ e[:, i] for x, e in zip(columns, parts, strict=True)], axis=0)
     extra: NDArray | float = 0.0
@@ -336,7 +337,7 @@ def _against(of: _Linear, name: str, i: int, u: Parts, lags: Iterable[int] | int
     elif of.sensitivity is not None:
         per_output = taken_up(per_output, of.sensitivity, of.weight, of.influence)
     covariance = spread_of(parts, per_output) + extra
-    size = np.sqrt(power * sum(float(((x - average) ** 2).sum()) for x in u)) or 1.0
+    size = np.sqrt(power * sum(float(x @ x) for x in u)) or 1.0
     return _test(name, chosen, z / size, covariance / size**2)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.norm.peak_estimates import PeakEstimate, local_peak, width_left_open
+from estimators.residual.measures import stated
 from estimators.rules.trace import Trace
 from estimators.sessions.settings import Settings
 from oed.errors import OedError, Status
@@ -46,7 +47,7 @@ class SessionEstimate:
         known = np.isfinite(self.frequency_error)
         turns = 2 * np.pi * self.dt
         where = (
-            f"at {self.frequency / turns:.6g} +- {self.frequency_error / turns:.2g} Hz"
+            f"at {stated(self.frequency / turns, self.frequency_error / turns)} Hz"
             if known
             else "at no sure frequency"
         )

@@ -121,6 +121,11 @@ def write_bytes(path: str | os.PathLike[str], content: bytes, *, overwrite: bool
     return write_whole(path, content)
 
 
+def in_text(words: str) -> str:
+    """Words in which bytes that are no text, such as the name of a file may have, are written as JSON and a reader can have them."""
+    return words.encode(errors="backslashreplace").decode()
+
+
 def write_whole(
     path: Path, content: bytes | str, *, kept: str = KEPT, error: type[OedError] = InputError
 ) -> Path:
@@ -130,7 +135,7 @@ def write_whole(
     temporary = path.with_name(f".{os.getpid()}-{next(_COUNT)}.tmp")
     try:
         with temporary.open("wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
+            file.write(in_text(content).encode() if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)

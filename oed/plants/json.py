@@ -10,6 +10,7 @@ import numpy as np
 
 from oed.errors import InputError
 from oed.files.documents import NUMBER, WHOLE, checked, keyed, listed, read_document
+from oed.files.writing import in_text
 from oed.models.model import saved_model
 from oed.plants.plant import Plant
 
@@ -75,13 +76,15 @@ def plant_from_json(source: str | Path | Mapping[str, Any], *, noise_variance: f
         )
     model = saved_model(source)
     if model is not None:
-        plant = model.to_plant(name="identified" if isinstance(source, Mapping) else Path(source).parent.name)
+        plant = model.to_plant(
+            name="identified" if isinstance(source, Mapping) else in_text(Path(source).parent.name)
+        )
         return plant if noise_variance is None else plant.replace(noise_variance=noise_variance)
     if isinstance(source, Mapping):
         content, name = checked(_plain(source), PLANT, "the plant"), "plant"
         where = "the plant"
     else:
-        content, name = read_document(source, PLANT, "the plant file"), Path(source).stem
+        content, name = read_document(source, PLANT, "the plant file"), in_text(Path(source).stem)
         where = str(source)
     try:
         return _plant_of(content, name, where, noise_variance)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 
@@ -177,6 +178,13 @@ def test_json_is_alone_on_standard_output_even_below_python(tmp_path):
     assert "banner" in done.stderr
 
 
+def test_a_name_that_is_no_text_is_printed(tmp_path):
+    call = [sys.executable, "-m", "benchmarks.cli", "demo", b"\xff"]
+    done = subprocess.run(call, cwd=tmp_path, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert rb"written to \udcff" in done.stdout
+
+
 @pytest.mark.parametrize("words", [("data",), ("data", "--json")])
 def test_a_full_disk_behind_the_output_is_one_line(words):
     with open("/dev/full", "w") as full:
@@ -190,6 +198,49 @@ def test_a_full_disk_behind_the_output_is_one_line(words):
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "No space left on device" in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words, made, both",
+    [
+        ("--help", (), False),
+        ("data", (), True),
+        ("data --json", (), False),
+        (
+            "identify x.csv --structure arx --orders 1 1 --out m",
+            ("model.json", "residuals.csv", "report.html"),
+            True,
+        ),
+        ("design --plant reference --realise 50 --out m", ("design.json", "input.csv", "report.html"), False),
+    ],
+)
+def test_a_reader_that_goes_away_loses_no_result(words, made, both, tmp_path):
+    """As `oed ... | head` does it, and with `2>&1`: the folder is whole, the work well done, and no word of the pipe is said."""
+    u = np.random.default_rng(0).standard_normal(60)
+    np.savetxt(tmp_path / "x.csv", np.c_[u, np.r_[0.0, u[:-1]]], delimiter=",", header="u,y", comments="")
+    read, write = os.pipe()
+    os.close(read)
+    call = [sys.executable, "-m", "benchmarks.cli", *words.split()]
+    done = subprocess.run(
+        call, cwd=tmp_path, stdout=write, stderr=write if both else subprocess.PIPE, check=False
+    )
+    os.close(write)
+    assert done.returncode == 0, done.stderr
+    assert both or b"ipe" not in done.stderr
+    assert {file.name for file in tmp_path.glob("m/*")} >= {*made}
+
+
+@pytest.mark.slow
+def test_a_full_disk_behind_the_output_loses_no_folder(tmp_path):
+    """The answer is printed first, which fails; what was asked for in files is there."""
+    words = ["design", "--plant", "reference", "--realise", "50", "--out", str(tmp_path / "m"), "--quiet"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "benchmarks.cli", *words], stdout=full, stderr=subprocess.PIPE, check=False
+        )
+    assert (done.returncode, done.stderr.count(b"\n")) == (2, 1), done.stderr
+    assert (tmp_path / "m" / "report.html").exists()
 
 
 def test_a_defect_is_exit_status_1_with_its_traceback(monkeypatch, capsys):

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from benchmarks.commands.record import diagnose as command
 from benchmarks.page.diagnosis import _words
 from benchmarks.page.skeleton import write_report
-from estimators.diagnosis.ladder.verdicts import ECHO, NOTHING, UNCLAIMED
+from estimators.diagnosis.ladder.verdicts import ECHO, NAMELESS, NOTHING, UNCLAIMED
 from estimators.diagnosis.result.report import Diagnosis
 from oed import Record
 
@@ -22,6 +22,11 @@ from oed import Record
             "a limit at the input",
             0.1,
             "The linear model lacks a limit at the input (static); the simulation error falls from 0.2 to 0.1.",
+        ),
+        (
+            f"{NAMELESS} (static): y = u^2",
+            0.1,
+            f"The linear model lacks {NAMELESS} (static): y = u^2; the simulation error falls from 0.2 to 0.1.",
         ),
         (NOTHING, 0.2, f"N{NOTHING[1:]}; the simulation error stays at 0.2."),
         (NOTHING, 0.3, f"N{NOTHING[1:]}; the simulation error rises from 0.2 to 0.3."),
@@ -35,10 +40,12 @@ def test_the_answer_is_a_sentence(system, after, answer):
         detected=True, system=f"{system}; error on fresh data", headline=f"{system}; error on fresh data", effect="x", nature="static", rmse_before=figure(0.2),
         rmse_after=figure(after), difference=figure(0.0), held_out="test record", p_value=1e-9, confusable=(), warnings=(),
         evidence=["the noise is correlated in time"],
-        remaining="", extra={"test": SimpleNamespace(output_units=("",))},
+        remaining="", model=None, extra={"test": SimpleNamespace(output_units=("V",))},
     )  # fmt: skip
     said, sure, todo = _words(result)  # type: ignore[arg-type]
-    assert said == answer
+    assert said == answer[:-1] + " V."
+    assert any("[0, 1] V." in words for words in sure)  # the difference has a unit too
+    assert not any("residual" in words for words in todo)  # what is left is nothing to do
     # a tiny p beside "nothing is missing" was read as its opposite: it says what is left
     assert any("what is left in it: the noise is correlated" in words for words in sure) is system.startswith(
         "nothing"

@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import io
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -168,3 +169,19 @@ def test_what_was_found(place, words, line):
     found, _, err = said([*words.split(" "), "--quiet"])
     assert (found, err.count("\n")) == (2, 1), err
     assert line in err
+
+
+def test_a_folder_or_plant_whose_name_is_no_text_has_a_page(place):
+    """Its bytes were no UTF-8: pages, models and tables of it ended in a traceback."""
+    Path("\udcff.json").write_text('{"num": [[[0, 1]]], "den": [[[1, -0.5]]], "dt": 1}')
+    plant = "--plant \udcff.json --quiet"
+    for words in (
+        "session start \udcff.s --method power --samples 20 --dt 1 --quiet", "report \udcff.s --quiet",
+        f"iterate {plant} --samples 40 --iterations 2", f"design {plant} --realise 50 --out d\udcff",
+    ):  # fmt: skip
+        status, _, err = said(words.split())
+        assert (status, err) == (0, "")
+    assert "\\udcff" in Path("d\udcff/report.html").read_text()
+    status, _, err = said(f"compare {plant} --dry-run".split())
+    assert (status, err.count("\n")) == (2, 1)
+    assert "rename the file" in err

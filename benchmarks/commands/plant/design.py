@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from oed.signals import synthesis as signals
 
     plant = load_plant(args.plant, args.noise_variance)
-    writer = _writer(args.out, args.realise)
+    writer = _writer(args)
     limits = {
         name: getattr(args, name) for name in ("input_power", "output_power", "band", "solver", "points")
     }
@@ -153,8 +153,13 @@ def _parametrised(args: argparse.Namespace, plant: Any, design: Any, payload: di
     return design, payload, text
 
 
-def _writer(out: str | None, samples: int | None):
+MADE_WITH = ("parametrisation", "amplitude", "rate", "realise", "signal", "seed")
+"""Options that the page of a design states."""
+
+
+def _writer(args: argparse.Namespace):
     """A function that writes the result; complaints come before any work."""
+    out, samples = args.out, args.realise
     if out is None:
         return None
     import json
@@ -165,7 +170,9 @@ def _writer(out: str | None, samples: int | None):
 
     path = Path(out)
     if not path.suffix:
-        return partial(_write_page, new_folder(out, "--out"))
+        return partial(
+            _write_page, new_folder(out, "--out"), {name: getattr(args, name) for name in MADE_WITH}
+        )
     if path.exists():
         raise InputError(f"{out} exists already; choose another name or remove it.")
     if not path.parent.is_dir():
@@ -186,7 +193,9 @@ def _csv(u: Any) -> str:
     return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in u.tolist())])
 
 
-def _write_page(folder: Any, payload: dict[str, Any], u: Any, design: Any, plant: Any) -> None:
+def _write_page(
+    folder: Any, options: dict[str, Any], payload: dict[str, Any], u: Any, design: Any, plant: Any
+) -> None:
     """Writes the design, its signal and its page into a new folder."""
     import json
 
@@ -196,5 +205,5 @@ def _write_page(folder: Any, payload: dict[str, Any], u: Any, design: Any, plant
     write_whole(folder / "design.json", json.dumps(payload, indent=1) + "\n")
     if u is not None:
         write_whole(folder / "input.csv", _csv(u) + "\n")
-    made = {"criterion": payload["criterion"], "plant": plant.name, "solver": design.solver}
+    made = {"criterion": payload["criterion"], "plant": plant.name, "solver": design.solver} | options
     write_design(folder, design, plant, payload, u, made)

@@ -20,7 +20,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--test", metavar="TEST", help="held-out record; without it blocked cross-validation inside TRAIN")
     add("--meta", metavar="META.json", help="sampling time, structure and order known beforehand")
     add("--skip", type=int, default=0, metavar="n", help="test samples that may set the initial state")
-    add("--order", type=int, help="order of the linear model (default: from --meta, else chosen)")
+    add("--order", type=int, help="order stated for the linear model; what the data ask for beyond it is named (default: from --meta, else none)")
     add("--model", metavar="MODEL.json", help="a model of the system, as `oed identify --out` writes it: its orders are kept, its error stands beside")
     add("--inputs", metavar="NAMES", help="input columns, with commas (default: those that begin with u)")
     add("--outputs", metavar="NAMES", help="output columns, with commas (default: those that begin with y)")

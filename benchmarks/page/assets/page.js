@@ -77,7 +77,7 @@ function table(root, content) {
   const texts = rowsOf(content.text), sortKey = `sort.${content.name}`;
   const range = Object.fromEntries(content.shade.map(key => {
     const values = rows.map(row => row[key]).filter(value => typeof value === 'number');
-    return [key, [Math.min(0, ...values), Math.max(...values)]];
+    return [key, Math.max(0, ...values)];
   }));
   const body = make('tbody'), heads = {};
   const order = key => {
@@ -98,10 +98,9 @@ function table(root, content) {
     const line = make('tr');
     keys.forEach((key, k) => {
       const text = textOf(texts, row, key);
-      const cell = make(k ? 'td' : 'th', {class: number.has(key) ? null : text.length > 60 ? 'word long' : 'word', scope: k ? null : 'row'});
+      const cell = make(k ? 'td' : 'th', {class: number.has(key) ? null : text.length > (k ? 40 : 20) ? 'word long' : 'word', scope: k ? null : 'row'});
       if (range[key] && typeof row[key] === 'number') {
-        const [low, high] = range[key];
-        cell.setAttribute('style', `--share:${(100 * (row[key] - low) / (high - low || 1)).toFixed(1)}%`);
+        cell.setAttribute('style', `--share:${(100 * Math.max(0, row[key]) / range[key]).toFixed(1)}%`);
       }
       line.append(number.has(key) ? (cell.append(text), cell) : word(text, cell));
     });
@@ -124,7 +123,7 @@ function table(root, content) {
       if (name === key) th.setAttribute('aria-sort', way); else th.removeAttribute('aria-sort');
     });
     body.replaceChildren(...seen.map(row => lines[row._at]));
-    count.textContent = seen.length === rows.length ? `${rows.length} rows` : `${seen.length} of ${rows.length} rows`;
+    count.textContent = seen.length === rows.length ? `${rows.length} row${rows.length === 1 ? '' : 's'}` : `${seen.length} of ${rows.length} rows`;
   }
   const whole = make('table', {class: 'data'}, make('caption', {}, content.caption), make('thead', {}, head), body);
   root.append(bar, make('div', {class: 'scroll', tabindex: 0, role: 'region', 'aria-label': `table: ${content.caption}`}, whole));

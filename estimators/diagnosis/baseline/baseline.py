@@ -27,7 +27,8 @@ class Options:
     output i alone; `window` samples that set the state of a free run and do not count; 20 is what the
     published benchmarks allow least; `blocks` blocks of the cross-validation: each fit sees four fifths of
     the data, as a final fit nearly does; `guard` samples beside a held-out block that no fit uses: above the
-    largest order; `asked` (M, nu) inputs on which the model is wanted: one that hangs there on single blocks gives way.
+    largest order; `moving` whether the records are known to begin in a state away from rest: what rings from there
+    on is then dynamics; `asked` (M, nu) inputs on which the model is wanted: one that hangs there on single blocks gives way.
     """
 
     deviations: bool | None = None
@@ -35,6 +36,7 @@ class Options:
     window: int = 20
     blocks: int = 5
     guard: int = 30
+    moving: bool = False
     asked: tuple[Array, ...] = ()
 
 

@@ -82,12 +82,17 @@ def _with_noise(m: OutputModel, i: int, base: Baseline, records: Sequence[Record
     return replace(m, noise=noise, noise_std=deviation, warnings=tuple(warnings))
 
 
-def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options) -> tuple[OutputModel, Trial]:
+def own_inputs(records: Sequence[Record], i: int, options: Options) -> tuple[list[Record], tuple[int, ...]]:
+    """The records with the inputs alone that drive an output, and which those are."""
     inputs = (i,) if options.diagonal else tuple(range(records[0].n_inputs))
-    own = [r.replace(u=r.u[:, list(inputs)], input_names=(), input_units=()) for r in records]
-    prior = _prior(own, i, options)
+    return [r.replace(u=r.u[:, list(inputs)], input_names=(), input_units=()) for r in records], inputs
+
+
+def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options) -> tuple[OutputModel, Trial]:
+    own, inputs = own_inputs(records, i, options)
+    prior = prior_of(own, i, options)
     asked = tuple(u[:, list(inputs)] for u in options.asked)
-    search = Search(own, i, blocks, prior, not options.deviations, asked)
+    search = Search(own, i, blocks, prior, not options.deviations, asked, options.moving)
     parts, places = _pieces(own, blocks)
     screen = search if parts is own else replace(search, records=parts, blocks=places)
     screen, known, lines = _screened(screen)
@@ -146,10 +151,10 @@ def _screened(search: Search) -> tuple[Search, list[Trial], list[float]]:
 def _resonates(search: Search, known: list[Trial], without: Search, quiet: list[Trial]) -> bool:
     """Whether the records as they are have a model as good as the records without tones: a resonance that the input drives is none.
 
-    In noise, ARX of ten lags knows little of light modes; what is refined does. No sample sets the state here: a pole that rings
-    from the start on is no resonance.
+    In noise, ARX of ten lags knows little of light modes; what is refined does. No sample sets the state here, unless the records
+    are known to begin in one: a pole that rings from the start on is no resonance.
     """
-    started = replace(search.blocks, window=0)
+    started = search.blocks if search.moving else replace(search.blocks, window=0)
     found = (
         tried(t.candidate, search.records, search.output, started, search.prior)
         for t in search.refined(known)
@@ -212,7 +217,8 @@ def _pieces(records: list[Record], blocks: Blocks) -> tuple[list[Record], Blocks
     return parts, Blocks(lengths, blocks.window, 0, tuple(Block(k, 0, n) for k, n in enumerate(lengths)))
 
 
-def _prior(records: Sequence[Record], i: int, options: Options) -> Prior:
+def prior_of(records: Sequence[Record], i: int, options: Options) -> Prior:
+    """What the records of an output say of it before they begin."""
     y = np.concatenate([r.y[:, i] for r in records])
     mean = float(np.nanmean(y))
     d = np.nan_to_num(y - mean)

@@ -23,6 +23,8 @@ FEWEST = 5
 """Samples from which on an output is known to rest, or a state is set by measurement."""
 STILL = 0.05
 """Standard deviation of a resting output, of that of all its samples."""
+ALIKE = 2.0
+"""Variance of resting samples, and square of what they are off a model at rest, of its noise's variance, up to which it is noise."""
 
 
 def rest_level(u: Array, y: Array, variance: float) -> float:
@@ -128,10 +130,12 @@ class LinearModel:
 
     def expected(self, prior: Prior, u: Array) -> float:
         """Output before an unmeasured record: where the training records rested, or at rest under inputs (nu,) if there is such a rest."""
-        level = prior.level if np.array_equal(u, prior.held) else np.nan
+        level, own = prior.level if np.array_equal(u, prior.held) else np.nan, self.level(u)
+        if len(self.moved) and self.radius < FAR and (level - own) ** 2 <= ALIKE * prior.noise:
+            return own  # off its own rest a model of so many poles would ring
         if np.isfinite(level):
             return level
-        return self.level(u) if self.radius < FAR else prior.mean
+        return own if self.radius < FAR else prior.mean
 
     def free_run(self, prior: Prior, u: Array, y: Array, window: int) -> Array:
         """(N,) simulated output; the first `window` samples of y (N,) set the state, and are smoothed by it.
@@ -169,6 +173,9 @@ class LinearModel:
         n, w = len(u), len(window)
         long = min(LONGEST, 1 + int(np.log(FORGOTTEN) / np.log(max(min(self.radius, FAR), 0.1))))
         run = self.run(self.driven(u), np.full(self.order, self.level(u[0])))
+        rested = rest_level(u[:w], window, ALIKE * prior.noise / STILL**2)
+        if (rested - run[0]) ** 2 <= ALIKE * prior.noise:  # nothing came before, whatever noise may look like
+            return run
         seen = np.flatnonzero(np.isfinite(window))
         pulses = np.asarray(lfilter([1.0], self.den, _padded(self.num, w + long), axis=1))
         H = np.concatenate(

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.blocks import Blocks
-from estimators.diagnosis.baseline.choice import Candidate, Trial, tried
+from estimators.diagnosis.baseline.choice import Candidate, Trial
+from estimators.diagnosis.baseline.choice import tried as judged
 from estimators.diagnosis.baseline.disturbances import noise_model
 from estimators.diagnosis.baseline.individual import Individual
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
@@ -35,6 +36,8 @@ NEARER = 0.95
 """Of the loss from a reduction or from ARX, below which the iteration's end is another minimum and not the same."""
 REALISED = 30
 """Lags of the impulse response that a reduction to few poles keeps: three times the largest order."""
+BLIND = 0.5
+"""Error of refined models, of that of ARX, below which ARX has seen next to nothing, and its delays are those of noise."""
 STEPS = (4, 8, 4)
 """Gauss-Newton steps from each start, on from the best of them, and without one block from the optimum on all data."""
 EARLY = 2
@@ -82,6 +85,7 @@ class Search:
     prior: Prior
     offset: bool
     asked: tuple[Array, ...] = ()  # (M, inputs) on which the model is wanted
+    moving: bool = False  # whether the records are known to begin away from rest
 
     @property
     def inputs(self) -> int:
@@ -114,7 +118,7 @@ class Search:
             for na in ORDERS
             for nb in sorted({max(1, na - 1), max(1, na), na + 1, LONG})
         ]
-        found = [self._tried(self._arx(regressors, form)) for form in forms]
+        found = [self.tried(self._arx(regressors, form)) for form in forms]
         return [t for t in found if t is not None]
 
     def again(self, chosen: Candidate) -> Trial:
@@ -126,9 +130,9 @@ class Search:
             problem = OutputError(self.records, self.output, form, self.prior, np.ones(1))
             rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
             candidate = self._oe(problem, problem.fit(chosen.models[-1], rows, STEPS[1])[0], chosen.kind)
-        trial = self._tried(candidate)
+        trial = self.tried(candidate)
         return (
-            self._tried(replace(chosen, models=[chosen.models[-1]] * (len(self.blocks.blocks) + 1)))
+            self.tried(replace(chosen, models=[chosen.models[-1]] * (len(self.blocks.blocks) + 1)))
             if trial is None
             else trial
         )  # type: ignore[return-value]
@@ -136,15 +140,20 @@ class Search:
     def _lagged(self, widest: Arx) -> Lagged:
         return lagged(self.records, self.output, self.blocks, widest, self.prior.rest)
 
+    def _least(self, form: Arx) -> LinearModel:
+        """ARX of a form, fitted to all blocks."""
+        return self._lagged(replace(form, offset=True)).fit(form, -1)
+
     def _arx(self, regressors: Lagged, form: Arx) -> Candidate:
         models = [regressors.fit(form, b) for b in [*range(len(self.blocks.blocks)), -1]]
         return Candidate("ARX" if form.na else "FIR", _words(form), form.size, models, form)
 
-    def _tried(self, candidate: Candidate | None) -> Trial | None:
+    def tried(self, candidate: Candidate | None) -> Trial | None:
+        """A model's runs on unused blocks; None where they are not bounded."""
         return (
             None
             if candidate is None
-            else tried(candidate, self.records, self.output, self.blocks, self.prior, self.asked)
+            else judged(candidate, self.records, self.output, self.blocks, self.prior, self.asked)
         )
 
     def refined(self, known: Sequence[Trial]) -> list[Trial]:
@@ -153,6 +162,17 @@ class Search:
         if not best:
             return []
         delays = list(dict.fromkeys(t.candidate.form.delay for t in best[:10]))[:2]
+        found = self._orders(best, delays)
+        short = tuple(d if d > max(DELAYS) else min(d, 1) for d in delays[0])
+        if min((t.rmse for t in found), default=np.inf) < BLIND * best[0].rmse and short not in delays:
+            best = sorted((*best, *found), key=lambda t: t.rmse)
+            found += self._orders(best, [short])
+        if self.inputs > 1:
+            found += self._of_each(sorted((*best, *found), key=lambda t: t.rmse))
+        return found
+
+    def _orders(self, best: Sequence[Trial], delays: Sequence[tuple[int, ...]]) -> list[Trial]:
+        """An output-error model of every order, of one of the delays."""
         found = []
         for n in REFINED:
             forms = [(n, tuple(max(d, 1) for d in delay)) for delay in delays] + [(n + 1, delays[0])]
@@ -163,10 +183,7 @@ class Search:
             ]
             if fits:
                 _, problem, model = min(fits, key=lambda f: f[0])
-                found.append(self._tried(self._oe(problem, model, "OE")))
-        if self.inputs > 1:
-            known = sorted((*known, *(t for t in found if t is not None)), key=lambda t: t.rmse)
-            found += self._of_each(known)
+                found.append(self.tried(self._oe(problem, model, "OE")))
         return [t for t in found if t is not None]
 
     def _prefiltered(self, form: Arx) -> LinearModel | None:
@@ -178,8 +195,7 @@ class Search:
             return None
         records, stable = self.records, None
         for _ in range(PREFILTERED):
-            regressors = replace(self, records=records)._lagged(replace(form, offset=True))
-            model = regressors.fit(form, -1)
+            model = replace(self, records=records)._least(form)
             roots = np.roots(model.den).astype(complex)
             outside = np.abs(roots) >= 1.0
             roots[outside] = 1.0 / np.conj(roots[outside])
@@ -211,7 +227,18 @@ class Search:
         count = sum(self.blocks.lengths)
         return count * np.log(max(loss, 1e-300)) + form.size * np.log(count), problem, model
 
-    def _of_each(self, known: Sequence[Trial]) -> list[Trial | None]:
+    def of_form(self, form: Arx, *near: LinearModel) -> Candidate | None:
+        """Output error of one form, from least squares, their iteration and reductions of models near by; `noise` is its mean square."""
+        rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
+        starts = [self._least(form), self._prefiltered(form), *(realised(m, form, REALISED) for m in near)]
+        problem = OutputError(self.records, self.output, form, self.prior, np.ones(1))
+        ends = [problem.fit(m, rows, LONGER) for m in starts if m is not None and m.radius < 1.0]
+        if not ends:
+            return None
+        model, loss = min(ends, key=lambda end: end[1])
+        return replace(self._oe(problem, model, "OE"), noise=loss)
+
+    def _of_each(self, known: Sequence[Trial]) -> list[Trial]:
         """Models with poles of its own for each input, from reductions of the best model known and of the best ARX, then one another."""
         best = known[0].candidate
         arx = next((t.candidate for t in known if t.candidate.kind == "ARX"), best)
@@ -231,8 +258,8 @@ class Search:
             ]
             words = f"{n} poles of its own for each input, {n + SPARE} coefficients, delay {min(delay)}"
             models = [problem.model(t) for t in (*parts, theta)]
-            found.append(self._tried(Candidate("OE", words, problem.size, models, problem.common, loss)))
-        return found
+            found.append(self.tried(Candidate("OE", words, problem.size, models, problem.common, loss)))
+        return [t for t in found if t is not None]
 
     def _oe(self, problem: OutputError, model: LinearModel, kind: str) -> Candidate:
         models = [problem.fit(model, self.blocks.training(b), STEPS[2])[0] for b in self.blocks.blocks]

@@ -304,9 +304,10 @@ def _last(ladder: Ladder, kind: Kind) -> int:
 def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
     """What the test record asks that no training record covered: ranges of inputs, outputs and their rates."""
     out = []
-    for words, of in (
-        ("input", lambda r: r.u), ("output", lambda r: r.y), ("rate of the input", lambda r: np.diff(r.u, axis=0)),
-        ("rate of the output", lambda r: np.diff(r.y, axis=0)),
+    for words, of, units in (
+        ("input", lambda r: r.u, test.input_units), ("output", lambda r: r.y, test.output_units),
+        ("rate of the input", lambda r: np.diff(r.u, axis=0), [f"{u}/sample" if u else "" for u in test.input_units]),
+        ("rate of the output", lambda r: np.diff(r.y, axis=0), [f"{u}/sample" if u else "" for u in test.output_units]),
     ):  # fmt: skip
         known = np.concatenate([of(r) for r in train])
         low, high, asked = np.nanmin(known, axis=0), np.nanmax(known, axis=0), of(test)
@@ -314,7 +315,7 @@ def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
         for j in np.flatnonzero(share > policy.outside):
             number = f" {j + 1}" if known.shape[1] > 1 else ""
             out.append(f"{100 * share[j]:.2g} % of the test record's samples leave the range of the {words}{number} "
-                       f"that the training data cover ({low[j]:.4g} to {high[j]:.4g})")  # fmt: skip
+                       f"that the training data cover ({f'{low[j]:.4g} to {high[j]:.4g} {units[j]}'.rstrip()})")  # fmt: skip
     return out + _between(train, test, policy) + _new_frequencies(train, test, policy)
 
 

@@ -16,17 +16,18 @@ from scipy.stats import chi2
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot, named
 from estimators.diagnosis.ladder.held_out import HeldOut
 from estimators.diagnosis.ladder.outcome import Outcome
+from estimators.diagnosis.ladder.stated import Contradiction
 from estimators.diagnosis.ladder.steps import Kind
 from estimators.diagnosis.model.fitting import Fit, ar_model, innovations
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.leftover import Leftover, leftovers
-from estimators.diagnosis.result.report import error_stated
 from estimators.diagnosis.search.named import Claim
 from estimators.diagnosis.search.selection import FAMILY
-from estimators.residual.measures import p_stated
+from estimators.residual.measures import p_stated, stated
 
 UNKNOWN, NONE = "unknown", "none"
+NAMELESS = "an effect without a name"
 UNCLAIMED = "no cause found that holds on unused data"
 NOTHING = "nothing is missing from the linear model that data not used could show"
 ECHO = "the input answers the noise of its own sample: no cause can be told from the controller's answer"
@@ -44,8 +45,13 @@ class Finding:
     sentence: str
 
 
-def verdict(outcomes: Sequence[Outcome], held: HeldOut, setting: Setting) -> dict[str, Any]:
-    """The fields of a `Diagnosis` that name causes."""
+def verdict(
+    outcomes: Sequence[Outcome],
+    held: HeldOut,
+    setting: Setting,
+    stated: Sequence[tuple[Outcome, Contradiction]] = (),
+) -> dict[str, Any]:
+    """The fields of a `Diagnosis` that name causes; what was `stated` and does not hold is one where no other is."""
     several, effects = len(outcomes) > 1, {e.key: e for e in (*CATALOGUE, *setting.effects)}
     rests = [
         leftovers(o.examined.last, o.named.fit, alpha=setting.alpha / len(outcomes) / 10) for o in outcomes
@@ -60,6 +66,8 @@ def verdict(outcomes: Sequence[Outcome], held: HeldOut, setting: Setting) -> dic
     for o, rest in zip(outcomes, rests, strict=True):
         if not any(f.cause == UNKNOWN for f in system):
             system += _unexplained(o, rest, setting.alpha / len(outcomes), _tag(o, several))
+    if not (system or withdrawn):
+        system = [_seen(effects, c.key, c.share, c.p_value, c.sentence + _tag(o, several)) for o, c in stated]
     first = sorted(system, key=lambda f: -f.weight)
     data = sorted(
         (f for o in outcomes for f in _data(o, setting, effects, _tag(o, several))), key=lambda f: -f.weight
@@ -105,10 +113,10 @@ def _headline(first: list[Finding], withdrawn: bool, outcomes: Sequence[Outcome]
     top = first[0]
     said = "; ".join(_equations(outcomes))
     if top.cause == UNKNOWN:
-        return f"an effect without a name ({top.nature}){': ' + said if said else ''}; {errors}"
-    given = [f"{name.rpartition('.')[2]} {v:.4g} +- {error_stated(se, 1)} {unit}".rstrip() for o in outcomes
+        return f"{NAMELESS} ({top.nature}){': ' + said if said else ''}; {errors}"
+    given = [f"{name.rpartition('.')[2]} {stated(v, se)} {unit}".rstrip() for o in outcomes
              for name, (v, se, unit) in _parameters(o, False).items() if name.startswith(top.key + ".")]  # fmt: skip
-    words = ", ".join(given[:MOST]) if top.key else said
+    words = (", ".join(given[:MOST]) or top.sentence) if top.key else said
     return f"{top.cause.replace('_', ' ')}{': ' + words if words else ''}; {errors}"
 
 
@@ -307,11 +315,10 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
         noisy = item.nature == Nature.NOISE
         if item.p_value >= (SURE if noisy else limit) or item.nature == Nature.LINEAR:
             continue  # the linear model is the best there is on unused blocks: another is no cause
-        most = (
-            item is rest[0] and item.nature != Nature.ADDED
-        )  # which slow or narrow noise looks like; others go with it
+        # slow or narrow noise looks like what is added, or runs by the clock; others go with it
+        most = item is rest[0] and item.nature not in (Nature.ADDED, Nature.TIME)
         telling = most and item.gain > TELLING * f.n and item.p_value < FIRM < a.feedback
-        if not noisy and not o.left.explainable and not telling:
+        if not (noisy or o.left.explainable or telling):
             continue  # a significant dependence that predicts nothing on unused blocks
         if (noisy and not o.named.claims and not len(f.noise)) or (
             not noisy and item.gain > max(0.5 * explained, LEAST)
@@ -359,10 +366,8 @@ def _tried(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
 
 
 def _confusable(outcomes: Sequence[Outcome], chosen: list[str]) -> tuple[str, ...]:
-    names = [
-        name for o in outcomes for c in o.named.claims if chosen and c.cause == chosen[0] for name in c.rivals
-    ]
-    return tuple(dict.fromkeys(names))
+    claims = [c for o in outcomes for c in o.named.claims if chosen and c.cause == chosen[0]]
+    return tuple(dict.fromkeys(name for c in claims for name in c.rivals))
 
 
 def _parameters(o: Outcome, several: bool) -> dict[str, tuple[float, float, str]]:

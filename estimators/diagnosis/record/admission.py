@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
+from estimators.diagnosis.effects import Effect, Nature
+from estimators.diagnosis.record.measurement import goes_with_clock
 from estimators.diagnosis.record.overlap import copied_rows
 from estimators.pem.checks import check_sizes
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.objects import as_records
 
+LARGEST, RATIOS = (1e50, 1e75), (1e-50, 1e75)
+"""Sizes of inputs and of outputs, one over them the smallest, and of outputs over inputs: a search forms fourth powers, and with inputs
+from 1e60 on recursions of effects inside a plant divide by what has become zero (see `tests/estimators/pem/test_pem_units.py`)."""
 LEAST = 50
 """Samples of a training record: five blocks of ten, below which no error on unused blocks says anything."""
 
@@ -23,7 +29,7 @@ def _check(train: Record, test: Record | None) -> None:
             raise InputError(
                 f"the {name} input has missing samples; simulation needs every input: fill or cut them."
             )
-        check_sizes(record, f"the {name} record")
+        check_sizes(record, f"the {name} record", LARGEST, RATIOS)
     if len(train) < LEAST:
         raise InputError(
             f"the training record has {len(train)} samples; at least {LEAST} are needed: measure longer."
@@ -64,3 +70,15 @@ def together(train: Any, test: Record | None) -> list[Record]:
         _alike(records[0], record, "other training record")
         _check(record, test)
     return records
+
+
+CLOCKS = ("integral_curve",)
+"""Effects that run by an integral of the input, which is a clock where the input goes one way."""
+
+
+def told_from_clock(effects: Iterable[Effect], records: Sequence[Record]) -> tuple[Effect, ...]:
+    """The effects that the records can tell from what depends on the level: none that runs by the clock, where an input goes with it."""
+    found = tuple(effects)
+    if not goes_with_clock(records):
+        return found
+    return tuple(e for e in found if e.nature is not Nature.TIME and e.key not in CLOCKS)

@@ -16,6 +16,7 @@ from estimators.diagnosis.model.fitting import Channel, Fit, ar_model, innovatio
 from estimators.diagnosis.model.layouts import LAYOUTS, states
 from estimators.diagnosis.model.simulation import simulate
 from estimators.residual.algebra import unit
+from estimators.residual.measures import p_stated
 
 Array = NDArray[Any]
 LAGS = 40  # of the inputs: with 20, what rings longer than the linear model does left what looks bent
@@ -209,7 +210,7 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
         if count and p < alpha:
             share = 1.0 - float(np.exp(-ratio / n))
             out.append(Leftover(Nature.DYNAMIC, f"the residual still depends on products of past inputs and outputs "
-                                f"({100 * share:.2g} % of its variance, p = {p:.2g})", p, ratio - price))  # fmt: skip
+                                f"({100 * share:.2g} % of its variance, {p_stated(p)})", p, ratio - price))  # fmt: skip
     for nature, words, columns in groups:
         linear = nature == Nature.LINEAR
         X = np.concatenate((plain if linear else J, _sized(columns, keep)), axis=1)
@@ -218,7 +219,7 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
         if p < alpha:
             share = 1.0 - float(np.exp(-ratio / n))
             out.append(Leftover(nature, f"the residual still depends on {words} ({100 * share:.2g} % of its "
-                                f"variance, p = {p:.2g})", p, ratio - len(columns) * float(np.log(n))))  # fmt: skip
+                                f"variance, {p_stated(p)})", p, ratio - len(columns) * float(np.log(n))))  # fmt: skip
     e = innovations(r, f.noise)
     Q = (
         np.linalg.qr(np.stack([innovations(c, f.noise) for c in J.T], axis=1))[0]
@@ -231,14 +232,14 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
     p = min(1.0, tests * len(power) * float(np.exp(-line)))
     if p < alpha:
         at = (1 + int(np.argmax(power))) / len(e0)
-        words = f"the residual has a line at {at:.4g} cycles per sample (p = {p:.2g})"
+        words = f"the residual has a line at {at:.4g} cycles per sample ({p_stated(p)})"
         out.append(Leftover(Nature.ADDED, words, p, 2.0 * line - 3.0 * float(np.log(n))))
     kept = e0[keep]
     p = min(1.0, tests * float(f_oneway(*np.array_split(np.abs(kept), 8)).pvalue))
     if p < alpha:
-        out.append(Leftover(Nature.NOISE, f"the noise changes its size in time (p = {p:.2g})", p, 0.0))
+        out.append(Leftover(Nature.NOISE, f"the noise changes its size in time ({p_stated(p)})", p, 0.0))
     tails = float(kurtosis(kept)) * np.sqrt(n / 24.0)
     p = min(1.0, tests * 2.0 * float(chi2.sf(max(tails, 0.0) ** 2, 1)))
     if tails > 0 and p < alpha * 1e-2:  # the normal limit of a kurtosis is slow
-        out.append(Leftover(Nature.NOISE, f"the noise has heavy tails (p = {p:.2g})", p, 0.0, "outliers"))
+        out.append(Leftover(Nature.NOISE, f"the noise has heavy tails ({p_stated(p)})", p, 0.0, "outliers"))
     return sorted(out, key=lambda x: -x.gain)

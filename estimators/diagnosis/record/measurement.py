@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, chi2, mannwhitneyu, rankdata
+from scipy.stats import binom, chi2, mannwhitneyu, rankdata, spearmanr
 
 from oed.data import Record
 
@@ -191,6 +191,19 @@ LONG_REST = 10
 """Samples of rest before the input starts that are worth a word: some loggers repeat their first sample once or twice."""
 
 
+GOES = 0.9
+"""Rank correlation of an input with the clock from which on what changes with time is not told from what depends on the level."""
+
+
+def goes_with_clock(records: Sequence[Record]) -> bool:
+    """Whether an input only rises, or only falls, through every record: a ramp, or a staircase."""
+    return all(
+        np.abs([spearmanr(u, np.arange(len(u))).statistic for u in r.u.T if np.ptp(u) > 0]).max(initial=0.0)
+        > GOES
+        for r in records
+    )
+
+
 def observations(records: Sequence[Record]) -> tuple[str, ...]:
     """Sentences on what is missing from the records and on rest before their inputs start: facts, no faults."""
     said = []
@@ -206,4 +219,8 @@ def observations(records: Sequence[Record]) -> tuple[str, ...]:
         moved = np.flatnonzero((record.u != record.u[:1]).any(axis=1))
         if len(moved) and moved[0] >= LONG_REST:
             said.append(f"the input rests for the first {moved[0]} of {n} samples{which}")
+    if goes_with_clock(records):
+        said.append(
+            "the input goes with the clock: what changes with time cannot be told from what depends on the level, and is not looked for"
+        )
     return tuple(said)

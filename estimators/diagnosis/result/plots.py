@@ -90,12 +90,39 @@ def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
     if slot is Slot.INPUT:
         sl = f.structure.slices()[f.structure.parts.index(part)]
         return part.blocked(u, f.p[sl]), "between the two blocks" if part.first else "input"
-    return channel.y - f.residual, "output before the sensor"
+    return _before(part, f, channel), "output before the sensor"
+
+
+def _before(part: Any, f: Any, channel: Any) -> Any:
+    """(N,) the output where an effect at the output meets it: without this effect and those behind it."""
+    from estimators.diagnosis.effects import Slot
+    from estimators.diagnosis.model.simulation import simulate
+
+    parts, at = f.structure.parts, f.structure.parts.index(part)
+    last = (Slot.OUTPUT, Slot.ADDED)
+    kept, places = f.structure.keeping(
+        [q.effect.slot not in last or (q.effect.slot is Slot.OUTPUT and k < at) for k, q in enumerate(parts)]
+    )
+    return simulate(kept, f.p[places], channel.u, channel.clock)
+
+
+ALIKE = 0.2
+"""Of the values that go in, the span of those that come out from which on a curve is compared with y = x. Where it is further
+off, the linear part has the rest of the gain, and the nearest straight line shows what bends."""
+
+
+def _straight(x: Any, y: Any) -> Any:
+    """(2,) the line that a curve y at x (K,) is compared with, at its ends."""
+    ends, span = x[[0, -1]], np.ptp(x)
+    if ALIKE * span <= np.ptp(y) <= span / ALIKE and np.max(np.abs(y - x)) <= span:
+        return ends
+    return np.polyval(np.polyfit(x, y, 1), ends)
 
 
 @dataclass(frozen=True, eq=False)
 class Characteristic:
-    """How an effect acts over the values (K,) that its argument takes in the record: `y` with its `band` of 2 standard errors."""
+    """How an effect acts over the values (K,) that its argument takes in the record: `y` with its `band` of 2 standard errors,
+    `straight` (2,) what would be linear, at the ends; None where there is no such line."""
 
     sentence: str
     argument: str
@@ -103,7 +130,7 @@ class Characteristic:
     x: Any
     y: Any
     band: Any
-    identity: bool  # whether y = x would be linear
+    straight: Any
 
     @property
     def labels(self) -> tuple[str, str]:
@@ -141,7 +168,7 @@ def characteristics(result: Diagnosis, output: int = 0) -> list[Characteristic]:
         unit = (
             train.output_units[output] if part.effect.slot is Slot.OUTPUT else train.input_units[part.channel]
         )
-        straight = part.effect.against != "velocity"
+        straight = _straight(x, y) if part.effect.against != "velocity" and np.isfinite(y).all() else None
         curves.append(Characteristic(part.effect.sentence, name, unit, x, y, band, straight))
     return curves
 
@@ -159,8 +186,8 @@ def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
     for axis, c in zip(figure.subplots(1, len(curves), squeeze=False)[0], curves, strict=True):
         axis.fill_between(c.x, c.y - c.band, c.y + c.band, color="C0", alpha=0.3, lw=0)
         axis.plot(c.x, c.y, color="C0", label="with its band, 2 s.e.")
-        if c.identity:
-            axis.plot(c.x, c.x, color="0.5", lw=0.8, ls="--", label="linear")
+        if c.straight is not None:
+            axis.plot(c.x[[0, -1]], c.straight, color="0.5", lw=0.8, ls="--", label="linear")
         axis.set(xlabel=c.labels[0], ylabel=c.labels[1], title=c.sentence)
         axis.title.set_fontsize(9)
         axis.legend()

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.residual.measures import stated
+
 if TYPE_CHECKING:
     from estimators.diagnosis.result.model import DiagnosedModel
 
@@ -175,9 +177,7 @@ class Diagnosis:
         ]
         lines += [f"  - {sentence}" for sentence in self.evidence]
         for name, (value, se, unit) in self.parameters.items():
-            lines.append(
-                f"  {name} = {value:.5g} +- {error_stated(se, 2)} {self.in_units(unit) or '(no unit)'}"
-            )
+            lines.append(f"  {name} = {stated(value, se)} {self.in_units(unit) or '(no unit)'}")
         if self.linear:
             poles = ", ".join(_pole(*row) for row in self.linear["poles"])
             lines.append(f"linear model: {self.linear['structure']}; poles {poles or 'none'}")
@@ -203,11 +203,6 @@ class Diagnosis:
         if self.remaining:
             lines.append(self.remaining)
         return "\n".join(lines)
-
-
-def error_stated(error: float, digits: int) -> str:
-    """A standard error in words or digits: that of a threshold between samples, which no derivative tells, is not known."""
-    return f"{error:.{digits}g}" if np.isfinite(error) else "unknown"
 
 
 def _plain(keys: Sequence[str]) -> str:

@@ -6,6 +6,7 @@ blocks that no parameter saw, beyond its standard error, and significance in the
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -38,6 +39,13 @@ from estimators.residual.measures import p_stated
 from oed.data import Record
 
 Array = NDArray[Any]
+
+
+NATURES, ANYTHING = (
+    3,
+    "effects of several natures do as well, and a regression predicts nothing of what is left",
+)
+"""Natures of equal rivals from which on a single effect is no cause: two are one place seen from both sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +90,11 @@ class Named:
         return replace(
             self, claims=(Claim(replace(head.part, effect=self.alike), head.gain, head.p_value, names),)
         )
+
+    def anything(self, effects: Iterable[Effect]) -> bool:
+        """Whether its one effect has equals of so many natures that unused blocks tell nothing of which it is."""
+        names = {name for c in self.claims for name in c.rivals}
+        return len(self.claims) == 1 and len({e.nature for e in effects if e.cause in names}) >= NATURES
 
     @property
     def whole(self) -> bool:

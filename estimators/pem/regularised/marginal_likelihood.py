@@ -270,7 +270,8 @@ def regularised(
     residuals = [fit.residuals_of(r) for r in records]
     e = np.concatenate(residuals)
     moment = e.T @ e / total
-    unit = moment / np.sqrt(np.outer(np.diag(moment), np.diag(moment)))
+    sizes = np.sqrt(np.diag(moment))
+    unit = moment / np.outer(sizes, sizes)
     model = Model(target, theta, unit * np.outer(deviations, deviations), records[0].dt)
     y = np.concatenate([r.y for r in records])
     return replace(

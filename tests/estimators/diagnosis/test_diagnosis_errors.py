@@ -20,7 +20,6 @@ from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
-from estimators.diagnosis.result.report import error_stated
 from estimators.diagnosis.search.candidates import Menu, augmented
 from tests.benchmarks.test_printed_errors import Row, checked, coverage
 
@@ -164,7 +163,7 @@ def test_what_no_derivative_tells_is_printed_as_unknown() -> None:
     value, error, _ = parameters_of(f, channel)["relay.half_width"]
     assert value == pytest.approx(0.3)
     assert np.isinf(error)
-    assert error_stated(error, 2) == "unknown"
+    assert stated(value, error) == "0.3 +- unknown"
     held = replace(f, scales=np.zeros(len(f.p)))  # the negative control: what is held has no error
     assert parameters_of(held, channel)["relay.half_width"][1] == 0.0
 

@@ -6,7 +6,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from estimators import diagnose
-from estimators.diagnosis.record.measurement import LONG_REST, observations
+from estimators.diagnosis.effects import CATALOGUE
+from estimators.diagnosis.model.structure import Part
+from estimators.diagnosis.record.admission import told_from_clock
+from estimators.diagnosis.record.measurement import LONG_REST, goes_with_clock, observations
+from estimators.diagnosis.search.named import Claim, Named
 from oed import Record
 
 
@@ -41,3 +45,27 @@ def test_a_diagnosis_says_them_and_finds_nothing_missing():
     assert "the input rests for the first 40 of 640 samples" in found.data
     assert "y: 4 of 640 samples are missing, 4 in a row at most" in found.data
     assert not found.detected
+
+
+def test_an_input_that_goes_one_way_is_a_clock():
+    stairs, (u, y) = Record(np.repeat(np.arange(10.0), 60), np.zeros(600)), rig()
+    ramp = Record(np.arange(600.0) + 20 * u, y)
+    assert goes_with_clock([stairs])
+    assert goes_with_clock([ramp, stairs])
+    assert not goes_with_clock([Record(u, y)])
+    assert not goes_with_clock([stairs, Record(u, y)])
+    assert "goes with the clock" in observations([stairs])[-1]
+    # nothing is lost but what runs by a clock
+    gone = {e.key for e in CATALOGUE} - {e.key for e in told_from_clock(CATALOGUE, [stairs])}
+    assert {"gain_drift", "integral_curve"} <= gone
+    assert not gone & {"saturation", "plays", "output_drift"}
+    assert told_from_clock(CATALOGUE, [Record(u, y)]) == tuple(CATALOGUE)
+
+
+def test_an_effect_with_equals_of_many_natures_is_none():
+    def named(*rivals):
+        return Named(None, (Claim(Part(CATALOGUE[0]), None, 0.0, rivals),), (), None)  # type: ignore[arg-type]
+
+    assert named("parameter_change", "duffing", "hammerstein").anything(CATALOGUE)
+    assert not named("input_deadzone", "hammerstein", "output_nonlinearity").anything(CATALOGUE)
+    assert not named().anything(CATALOGUE)

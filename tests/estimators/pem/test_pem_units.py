@@ -2,47 +2,101 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from estimators import diagnose
 from estimators.pem import identify
+from estimators.pem.choice import held_out_error
 from estimators.residual.tests import residual_tests
 from oed.data import Record
 from oed.errors import InputError
 
 
-def record(u_size: float = 1.0, y_size: float = 1.0, dt: float = 1.0) -> Record:
+def record(u_size: float = 1.0, y_size: float = 1.0, dt: float = 1.0, noise: float = 0.3) -> Record:
     """A plant of order one in noise that is not white, so that a test of whiteness must fail."""
     rng = np.random.default_rng(0)
     u, e = rng.standard_normal((2, 400))
-    y = lfilter([0, 1, 0.5], [1, -0.8], u) + 0.3 * lfilter([1], [1, -0.9], e)
+    y = lfilter([0, 1, 0.5], [1, -0.8], u) + noise * lfilter([1], [1, -0.9], e)
     return Record(u_size * u[:, None], y_size * y[:, None], dt=dt)
 
 
-def conclusions(data: Record) -> dict[str, float]:
-    fit = identify(data, "oe", (2, 1), 1)
+def conclusions(
+    data: Record, structure: str = "oe", orders: tuple[int, ...] = (2, 1), **options: Any
+) -> dict[str, float]:
+    """The tests' p-values, how much is explained, and the gain's error: none has a unit."""
+    fit = identify(data, structure, orders, 1, **options)
+    gain, error, _ = fit.hinf_norm
     return {name: test.p_value for name, test in residual_tests(fit, data).items()} | {
-        "pole": fit.model.theta[-1]
-    }
+        "fit": fit.fit_percent, "error": error / gain,
+    }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "sizes", [(1, 1e-75), (1, 5e73), (1e-74, 1), (1e74, 1), (1e-40, 1e40), (1, 1, 1e-9), (1, 1, 1e9)]
-)
+FAR = [(1, 1e-138), (1, 1e138), (1e-139, 1), (1e137, 1), (1e138, 1e138), (1e-139, 1e-138)]
+STRUCTURES: list[tuple[str, tuple[int, ...], dict[str, Any]]] = [
+    ("oe", (2, 1), {}), ("arx", (1, 2), {}), ("armax", (1, 2, 1), {}), ("bj", (2, 1, 1, 1), {}), ("ss", (2,), {}),
+    ("ss", (2,), {"method": "n4sid"}), ("fir", (30,), {"regularisation": "tc"}), ("oe", (2, 1), {"robust": "student"}),
+]  # fmt: skip
+
+
+def same(found: dict[str, float], usual: dict[str, float]) -> bool:
+    return all(np.isclose(found[name], usual[name], rtol=1e-4, atol=1e-9) for name in usual)
+
+
+@pytest.mark.parametrize("sizes", [(1, 1e-75), (1e-74, 1), (1e-40, 1e40), (1, 1, 1e-9), (1, 1, 1e9), *FAR])
 def test_powers_of_ten_change_no_conclusion(sizes):
     usual, found = conclusions(record()), conclusions(record(*sizes))
-    assert usual["whiteness"] < 1e-6
-    assert found["whiteness"] < 1e-6
-    for name in ("input", "feedback", "pole"):
-        assert np.isclose(found[name], usual[name], rtol=1e-6)  # the search stops at another last bit
+    assert max(usual["whiteness"], found["whiteness"]) < 1e-6
+    assert same(found, usual)
 
 
-@pytest.mark.parametrize("sizes", [(1, 1e-100), (1, 1e150), (1e-160, 1), (1e200, 1), (1, 1e-300)])
+@pytest.mark.parametrize("sizes", FAR)
+def test_nor_where_hardly_anything_is_left(sizes):
+    """Squares of the signals over those of a residual that is a billion times smaller are the largest that are formed."""
+    assert same(conclusions(record(*sizes, noise=1e-9)), conclusions(record(noise=1e-9)))
+
+
+@pytest.mark.parametrize("structure, orders, options", STRUCTURES, ids=str)
+def test_nor_of_any_structure(structure, orders, options):
+    usual = conclusions(record(), structure, orders, **options)
+    for sizes in FAR[::2]:
+        assert same(conclusions(record(*sizes), structure, orders, **options), usual), sizes
+
+
+@pytest.mark.parametrize("sizes", [(1, 1e-150), (1, 1e150), (1e-160, 1), (1e200, 1), (1, 1e-300)])
 def test_beyond_the_range_of_squares_is_a_line(sizes):
     """Before, a failed test of whiteness became p = 1 at 1e-100, and larger sizes ended in tracebacks."""
     with pytest.raises(InputError, match="of the size .* choose units"):
         conclusions(record(*sizes))
     with pytest.raises(InputError, match="of the training record are of the size .* choose units"):
         diagnose(record(*sizes))
+
+
+def test_nor_the_error_of_blocks_left_out():
+    usual, found = (held_out_error(data, "oe", (2, 1), 1, folds=3) for data in (record(), record(1, 1e138)))
+    assert np.allclose(np.array(found) / 1e138, usual, rtol=1e-6)
+
+
+def test_a_ratio_beyond_the_range_of_squares_is_a_line():
+    with pytest.raises(InputError, match="choose units in which the ratio"):
+        conclusions(record(1e-80, 1e80))
+    with pytest.raises(InputError, match="choose units in which the ratio"):
+        diagnose(record(1e40, 1e-40))
+
+
+@pytest.mark.validate
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of models that are tried and lose
+@pytest.mark.parametrize("sizes", [(1, 1e-48), (1, 1e74), (1e-49, 1), (1e48, 1), (1e-35, 1e35), (1e48, 1e48)])
+def test_nor_of_a_diagnosis(sizes):
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.uniform(-2, 2, 100), 4)
+    y = lfilter([0, 0.1, 0.1], [1, -1.5, 0.7], np.clip(u, -1.1, 1.1)) + 0.02 * rng.standard_normal(400)
+    usual, found = (diagnose(Record(a * u[:, None], b * y[:, None])) for a, b in ((1.0, 1.0), sizes))
+    assert (found.effect, found.variant, found.nature) == ("input_saturation", usual.variant, usual.nature)
+    assert np.isclose(found.rmse_after.value / sizes[1], usual.rmse_after.value, rtol=1e-6)
+    assert np.isclose(
+        found.parameters["saturation.limit"][0] / sizes[0], usual.parameters["saturation.limit"][0], rtol=1e-6
+    )

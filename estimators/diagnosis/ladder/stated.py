@@ -1,0 +1,123 @@
+"""What was stated of records, a start at rest or the order of their linear part, and what the data say instead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from estimators.diagnosis.baseline.baseline import Baseline, Options
+from estimators.diagnosis.baseline.best import own_inputs, prior_of
+from estimators.diagnosis.baseline.regression import Arx
+from estimators.diagnosis.baseline.search import DELAYS, EARLY, Search
+from estimators.diagnosis.ladder.outcome import Outcome
+from estimators.diagnosis.ladder.steps import Kind, paired_gain
+from estimators.diagnosis.model.forces import effective_samples
+from estimators.diagnosis.policy import Policy
+from oed.data import Record
+
+Array = NDArray[Any]
+
+MOVING = 1e-6
+"""Significance of a state at the start from which on a record does not begin at rest: that was stated, and takes much to be denied."""
+SET = 200
+"""Samples that set the state whose worth is judged: light poles have shown theirs by then."""
+PLAIN = 4
+"""Order of the model whose start is looked at where none is stated: what has more poles follows a start as dynamics."""
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """What does not hold of what was stated: the effect that it goes by, the evidence, its share of the error, its significance."""
+
+    key: str
+    sentence: str
+    share: float
+    p_value: float = 0.0
+
+
+def _search(records: Sequence[Record], i: int, base: Baseline, options: Options) -> Search:
+    own, _ = own_inputs(records, i, options)
+    return Search(own, i, base.blocks, prior_of(own, i, options), not options.deviations)
+
+
+def starts_at_rest(train: Record, i: int, base: Baseline) -> bool:
+    """Whether the training record's first samples look as if no input had been before, rather than the first one for long.
+
+    Records of one rig start alike: a test record without a window to set the state is simulated from the same start.
+    """
+    m = base.outputs[i]
+    u, y = train.u[:, list(m.inputs)], train.y[:, i]
+    runs = [m.model.free_run(replace(m.prior, rest=rest), u, y, 0) for rest in (True, False)]
+    seen = np.isfinite(y)
+    return bool(np.sum((y - runs[0])[seen] ** 2) < np.sum((y - runs[1])[seen] ** 2))
+
+
+def starts_moving(
+    records: Sequence[Record], i: int, base: Baseline, order: int | None, options: Options
+) -> Contradiction | None:
+    """Whether records stated to start at rest do not: a model with states at their starts beside the same one without."""
+    n = min(base.outputs[i].shared[0], PLAIN) if order is None else order
+    search = _search(records, i, base, options)
+    still, free = (replace(search, prior=replace(search.prior, rest=rest)) for rest in (True, False))
+    form = Arx(n, n + 1, (1,) * search.inputs, search.offset)
+    first = search.inputs and still.of_form(form)
+    then = first and free.of_form(form, first.models[-1])
+    if not (first and then):
+        return None
+    prior = replace(free.prior, noise=then.noise)
+    left = [
+        r.y[:, i] - then.models[-1].free_run(prior, r.u, r.y[:, i], min(SET, len(r))) for r in search.records
+    ]
+    samples = effective_samples(np.concatenate([e[np.isfinite(e)] for e in left]))
+    kept = max(then.noise, 1e-300) / max(first.noise, 1e-300)
+    p = float(chi2.sf(max(-samples * np.log(kept), 0.0), max(n, 1) * len(records)))
+    share = 1.0 - float(np.sqrt(kept))
+    words = f"the record does not start at rest, as was stated: with a state at its start the error is {share:.0%} less"
+    return Contradiction("initial", words, share, p) if p < MOVING else None
+
+
+def lacking(
+    records: Sequence[Record], o: Outcome, base: Baseline, order: int | None, options: Options, policy: Policy
+) -> Contradiction | None:
+    """What a linear model of a stated order lacks, whose input acts in its own sample or the next.
+
+    Where the answer is the linear model and nothing bends what it leaves: a delay, if the stated order does as well as the best
+    model with one; else an order more, else two: what needs still more is no such thing. With several inputs an order is each one's own affair.
+    """
+    i, search = o.index, _search(records, o.index, base, options)
+    linear = o.ladder.chosen.kind is Kind.LINEAR and not o.bent and not o.share.feedback
+    if order is None or not linear or search.inputs != 1:
+        return None
+    y = [np.nan_to_num(r.y[:, i]) for r in records]
+
+    def form(n: int, nb: int, delay: int) -> Arx:
+        return Arx(n, nb, (delay,), search.offset)
+
+    def left(*forms: Arx) -> float:
+        """Share of the error on unused blocks by which the best linear model is better; 0 where that is no more than chance."""
+        trials = [search.tried(search.of_form(form, base.outputs[i].model)) for form in forms]
+        known = [t for t in trials if t is not None and np.isfinite(t.rmse)]
+        if not known:
+            return 1.0
+        best = min(known, key=lambda t: t.rmse).unused
+        gain = paired_gain(y, best, o.ladder.linear.unused, o.ladder.counted, policy)
+        return gain.share if gain.meets(policy.claimed) else 0.0
+
+    share = left(form(order, order, 1), form(order, order + 1, 0))
+    if share <= 0.0:
+        return None
+    late = {d for at in base.outputs[i].delays for d in range(at - EARLY, at + EARLY + 1)}.union(DELAYS)
+    told = {
+        "delay": ("the input acts later than in the next sample", [form(order, order + 1, d) for d in sorted(late) if d > 1]),
+        "order_one": ("the linear part needs one more order", [form(order + 1, order + 1, 1)]),
+        "order": ("the linear part needs a higher order", [form(order + 2, order + 2, 1)]),
+    }  # fmt: skip
+    less = f"the error on unused blocks is {share:.0%} less than with the order {order} that was stated"
+    # what none of them explains was no linear part of so few poles, and is not named
+    key = next((key for key, (_, forms) in told.items() if left(*forms) <= 0.0), None)
+    return None if key is None else Contradiction(key, f"{told[key][0]}: {less}", share)

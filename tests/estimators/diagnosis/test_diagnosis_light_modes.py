@@ -1,0 +1,46 @@
+"""Light modes of several inputs: their delays, and where a record of them starts."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.diagnosis.baseline import best_linear
+from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from oed.data import Record
+
+
+def rms(e):
+    return float(np.sqrt(np.mean(e**2)))
+
+
+def test_light_modes_of_two_inputs_that_arx_does_not_see_have_their_own_delay():
+    """In noise of 5 % the delays of ARX, which explains nothing, are those of noise: order 8 stood for 4, and more error with it."""
+    rng, n, phase = np.random.default_rng(1), 1200, 2 * np.pi * np.arange(1200) / 1200
+    lines = [rng.permutation(np.arange(3, n // 4))[: n // 12] for _ in range(2)]
+    u = np.stack(
+        [np.cos(np.outer(phase, q) + rng.uniform(0, 2 * np.pi, len(q))).sum(axis=1) for q in lines], axis=1
+    )
+    u[:15], y = 0.0, np.zeros(n)
+    for w, radius in ((0.2616, 0.9972), (0.3408, 0.9963)):
+        gains = rng.uniform(0.5, 1.0, 2) * rng.choice([-1.0, 1.0], 2)
+        y += lfilter([0.0, 1.0], [1.0, -2.0 * radius * np.cos(w), radius**2], u @ gains)
+    noise = 0.05 * float(np.std(y))
+    base = best_linear([Record(u, y + noise * rng.standard_normal(n))])
+    assert base.outputs[0].delays == (1, 1)
+    assert base.rmse_unused[0] < 1.2 * noise
+
+
+@pytest.mark.parametrize("window", [0, 15])
+def test_light_poles_of_each_input_are_not_set_ringing_by_the_noise_of_a_rest(window):
+    """Near-double poles make a growing swing of any error of the level, or of samples that only noise moves."""
+    rng, pair = np.random.default_rng(3), 0.997 * np.exp(0.26j * np.array([1.0, -1.0]))
+    den = np.real(np.poly([*pair, *(1.0005 * pair), *pair]))
+    model = LinearModel(den, np.array([[0.0, 0.05], [0.0, 0.02]]), 0.0, np.ones(2))
+    u = np.concatenate((np.zeros((15, 2)), rng.standard_normal((400, 2))))
+    truth = model.run(model.driven(u), np.zeros(6))
+    size = float(np.std(truth))
+    y = truth + 0.05 * size * rng.standard_normal(len(u))
+    known = Prior(
+        0.0, size**2 * 0.9 ** np.arange(8.0), (0.05 * size) ** 2, level=0.02 * size, held=np.zeros(2)
+    )
+    assert rms(model.free_run(known, u, y, window) - truth) < 1e-6 * size

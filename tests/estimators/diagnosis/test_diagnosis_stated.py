@@ -1,0 +1,72 @@
+"""What was stated of a record, its order or a start at rest, and does not hold, is said; what holds is left alone."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.diagnosis.baseline import Options, best_linear
+from estimators.diagnosis.ladder.stated import lacking, starts_moving
+from estimators.diagnosis.ladder.steps import climb
+from estimators.diagnosis.loop import diagnose
+from estimators.diagnosis.policy import Effort, Policy, Setting
+from estimators.diagnosis.search.named import linear_step
+from oed import Record
+
+POLES = np.poly([0.8, 0.6])
+LIGHT = np.poly([0.99 * np.exp(0.5j), 0.99 * np.exp(-0.5j)]).real
+
+
+def record(den=POLES, num=(0.0, 0.1, 0.05), *, n=600, delay=0, colour=(1.0,), start=None, seed=0) -> Record:
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1.0, 1.0], n // 5), 5)
+    y = lfilter(num, den, np.concatenate((np.zeros(delay), u))[:n])
+    noise = lfilter([1.0], colour, rng.standard_normal(n))
+    y += 0.03 * y.std() * noise / noise.std()
+    if start is not None:
+        y += start * lfilter([1.0, 0.0], den, np.eye(1, n)[0]) * y.std()
+    return Record(u, y, 0.1)
+
+
+def lacks(r: Record, order: int, **shares) -> str | None:
+    options, policy = Options(deviations=True), Policy()
+    base = best_linear([r], options)
+    y, counted = [r.y[:, 0]], [base.blocks.counting([r])[0][:, 0]]
+    ladder = climb(y, [linear_step(base, 0, True)], counted, policy)
+    o = SimpleNamespace(index=0, ladder=ladder, bent=False, share=SimpleNamespace(feedback=False), **shares)
+    found = lacking([r], o, base, order, options, policy)  # type: ignore[arg-type]
+    return found and found.key
+
+
+@pytest.mark.parametrize(
+    "made, order, key",
+    [
+        (record(delay=3), 2, "delay"),
+        (record(), 1, "order_one"),
+        (record(np.convolve(POLES, LIGHT), (0.0, 0.02, 0.0, -0.01)), 2, "order"),
+        (record(), 2, None),
+        (record(colour=(1.0, -0.95)), 2, None),
+        (record(LIGHT), 2, None),
+    ],
+    ids=["delay", "one order more", "a mode", "as stated", "as stated, slow noise", "as stated, light"],
+)
+def test_what_a_stated_order_lacks(made, order, key):
+    assert lacks(made, order) == key
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("den, colour", [(POLES, (1.0, -0.98)), (LIGHT, (1.0,)), (LIGHT, LIGHT)])
+def test_records_at_rest_are_believed(den, colour, seed):
+    r = record(den, colour=colour, seed=seed)
+    options = Options(deviations=True)
+    assert starts_moving([r], 0, best_linear([r], options), 2, options) is None
+
+
+def test_a_record_that_starts_in_a_state_is_fitted_and_told():
+    train, test = record(LIGHT, start=1.0), record(LIGHT, seed=1)
+    found = diagnose(train, test, Setting(orders=(2,), deviations=True, separate=True, effort=Effort.QUICK))
+    assert found.effect == "initial_condition"
+    assert "does not start at rest" in found.system
+    # the test record does start at rest, and the model is as good as without the state
+    assert found.rmse_after.value < 0.05 * test.y.std()
