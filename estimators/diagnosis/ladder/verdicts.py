@@ -311,12 +311,14 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
             a.coloured.criterion - f.criterion, f.n * float(np.log(before / max(after, 1e-300))), 0.0
         )
     limit = SURE if o.named.claims or len(f.noise) else alpha / 10
+    bursts = any(item.nature == Nature.NOISE for item in rest)
     for item in rest:
         noisy = item.nature == Nature.NOISE
         if item.p_value >= (SURE if noisy else limit) or item.nature == Nature.LINEAR:
             continue  # the linear model is the best there is on unused blocks: another is no cause
-        # slow or narrow noise looks like what is added, or runs by the clock; others go with it
-        most = item is rest[0] and item.nature not in (Nature.ADDED, Nature.TIME)
+        # slow or narrow noise looks like what is added, bursts look like what changes with time; others go with it
+        looks = (Nature.ADDED, Nature.TIME) if bursts else (Nature.ADDED,)
+        most = item is rest[0] and item.nature not in looks
         telling = most and item.gain > TELLING * f.n and item.p_value < FIRM < a.feedback
         if not (noisy or o.left.explainable or telling):
             continue  # a significant dependence that predicts nothing on unused blocks

@@ -21,6 +21,7 @@ from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.candidates import Menu, augmented
+from estimators.residual.measures import stated
 from tests.benchmarks.test_printed_errors import Row, checked, coverage
 
 RESONANT, QUICK, SPRING = (

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.baseline import blocks_of
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import Clock, named
+from estimators.diagnosis.ladder.verdicts import FIRM
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.forces import effective_samples, force_balance
@@ -222,15 +223,18 @@ def test_samples_lost_at_an_end_of_a_record_are_a_delay():
         )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("lags, own, false", [(20, 5, True), (leftover.LAGS, leftover.OWN, False)])
-def test_what_rings_longer_than_the_lags_taken_out_does_not_look_bent(monkeypatch, lags, own, false):
-    """A plant of order 6 with light modes, on a record that a model of order 5 follows: with few lags its ringing looked like a curve."""
+@pytest.mark.parametrize("lags, own, bent", [(20, 5, True), (leftover.LAGS, leftover.OWN, False)])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_rings_longer_than_the_lags_taken_out_does_not_look_bent(monkeypatch, lags, own, bent, seed):
+    """Beside two poles a light mode rings that the linear model lacks: with few lags it looks like a curve that is no accident."""
     monkeypatch.setattr(leftover, "LAGS", lags)
     monkeypatch.setattr(leftover, "OWN", own)
-    train, test, _ = linear_case(1310)
-    found = diagnose(train, test, Setting(effort=Effort.QUICK, separate=True, deviations=False))
-    assert ("nonlinearity" in found.nature) == false
+    rng, radius = np.random.default_rng(seed), 0.97
+    u = np.repeat(rng.choice([-1.0, 1.4], 450), 2)
+    ringing = lfilter([0.0, 3.0 * (1.0 - radius)], [1.0, -2.0 * radius * np.cos(0.6), radius**2], u)
+    channel = channel_of(Record(u, lfilter([0.0, *B], A, u) + ringing + 0.02 * rng.standard_normal(900)))
+    found = leftovers(channel, fit_linear(channel, Structure(2, delay=2)))
+    assert any("nonlinear" in x.nature and x.p_value < FIRM for x in found) is bent
 
 
 @pytest.mark.slow

@@ -174,6 +174,7 @@ def test_what_does_not_start_as_a_test_record_will_is_no_answer(monkeypatch) -> 
     assert Bench.starts(bench, SimpleNamespace(step=None))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_start_is_judged_on_the_record_as_it_is_where_the_input_acts_at_once(rng, monkeypatch) -> None:
     """The model takes the input a sample earlier itself: on a record moved already it would be two samples early."""
     u = rng.standard_normal(400)

@@ -132,6 +132,7 @@ def test_a_servo_takes_the_pole_that_the_linear_model_had_for_its_lag():
     np.testing.assert_allclose(np.abs(found[0].p[-3:]), [0.3, 0.5, 1.4], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_a_disturbance_that_passes_is_found_where_the_linear_model_took_it_for_slow_poles():
     """A door stands open for a fifth of the record and is shut again before the test: a linear model of many poles follows that."""
     rng = np.random.default_rng(8)
