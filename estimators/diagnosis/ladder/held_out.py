@@ -42,6 +42,12 @@ class HeldOut:
     answered: tuple[Step, ...]  # per output, the step whose free run is given
     warnings: tuple[str, ...]
     untried: bool = False  # whether the record asks for a curve where nothing is known of it, so that it says nothing of a claim
+    lost: bool = False  # whether the record's own mean is nearer to it than the answer's free run
+
+    @property
+    def bears(self) -> bool:
+        """Whether the record bears what is claimed of the system: its errors are less with it, and less than a constant's."""
+        return self.untried or (self.difference.low > 0.0 and not self.lost)
 
 
 def _resampled(squares: list[Array], rng: np.random.Generator) -> list[Array]:
@@ -227,11 +233,12 @@ def assess(
              for run, noises in ((before, [np.zeros(0)] * len(steps)), (after, [s.noise for s in steps]))]  # fmt: skip
     first, second = squares(before), squares(after)
     figures = bootstrap(first, rng), bootstrap(second, rng)
+    worse = _worse_than_constant(y, weight, figures, policy)
     return HeldOut(
         before, after, figures[0], figures[1], bootstrap(squares(y - ahead[0]), rng), bootstrap(squares(y - ahead[1]), rng),
         bootstrap(first, rng, second), removed(first, second, (floor, len(train)), rng, policy),
         tuple(_rungs(ladders, runs, squares, rng)), tuple(steps),
-        (*warnings, *_worse_than_constant(y, weight, figures, record.output_names, policy)), untried,
+        (*warnings, *worse.values()), untried, ANSWER in worse,
     )  # fmt: skip
 
 
@@ -251,17 +258,19 @@ def _exploded(ladder: Ladder, instead: int | None, name: str) -> str:
     )
 
 
+ANSWER = "answer"
+
+
 def _worse_than_constant(
-    y: Array, weight: Array, figures: Sequence[ErrorFigure], names: Sequence[str], policy: Policy
-) -> list[str]:
-    """A free run that predicts less than the record's own mean does."""
+    y: Array, weight: Array, figures: Sequence[ErrorFigure], policy: Policy
+) -> dict[str, str]:
+    """The free runs, of the linear model and the answer, that predict less than the record's own mean does, each with a sentence."""
     spread = np.sqrt(np.mean([np.var(y[weight[:, i], i]) for i in range(y.shape[1])]))
-    out = []
-    for words, figure in zip(("linear model", "answer"), figures, strict=True):
-        if figure.value > policy.constant * spread:
-            out.append(f"the free run of the {words} is worse on data not used ({figure.value:.4g}) than the record's "
-                       f"own mean ({spread:.4g})")  # fmt: skip
-    return out
+    return {
+        words: f"the free run of the {words} is worse on data not used ({figure.value:.4g}) than the record's own mean ({spread:.4g})"
+        for words, figure in zip(("linear model", ANSWER), figures, strict=True)
+        if figure.value > policy.constant * spread
+    }
 
 
 def _rungs(

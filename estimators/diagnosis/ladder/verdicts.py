@@ -57,7 +57,7 @@ def verdict(
         leftovers(o.examined.last, o.named.fit, alpha=setting.alpha / len(outcomes) / 10) for o in outcomes
     ]
     system = [f for o in outcomes for f in _system(o, _tag(o, several), setting.policy)]
-    withdrawn = bool(system) and not held.difference.low > 0.0 and not held.untried
+    withdrawn = bool(system) and not held.bears
     doubted = [f.cause for f in system if withdrawn]
     if withdrawn or not system:
         # What one output feeds back, all outputs see at the inputs.
