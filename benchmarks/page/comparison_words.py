@@ -76,7 +76,7 @@ def advice_sentences(answer: Sequence[Row], best: Sequence[Row]) -> list[str]:
     if not lines and free:
         top = min(free, key=lambda r: r["rho"])
         lines = [f"Apply {top['method']} and estimate with {top['best_estimator']}: rho {format_value(top['rho'], top['rho_se'])} on "
-                 f"{top['plant']}."]  # fmt: skip
+                 f"{top['plant']} (the error over its bound: 1 is the best an unbiased estimate can do)."]  # fmt: skip
     return lines
 
 

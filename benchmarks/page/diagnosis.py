@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,8 @@ TRIED = 20
 """Effects listed as tried, the best first."""
 FURTHER = "A longer record, or an input that goes further or faster, may show what this one cannot."
 """What to measure where no experiment is proposed."""
+SUFFICES = "Nothing is missing from the linear model that these data could show"
+UNCONFIRMED = "More is left than noise, but these data confirm no cause: the linear model stands"
 RUNGS = {
     "linear": "linear model",
     "named": "+ named effect",
@@ -223,6 +226,7 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
         what = result.headline.split("; error on fresh data")[0].replace("+-", "±") or result.effect.replace(
             "_", " "
         )
+        what = re.sub(r"(?<=± )(\S+) 1(?=[,;]|$)", r"\1", what)  # a number of no unit
         same = f"{before.value:.3g}" == f"{after.value:.3g}"
         error = (
             f"stays at {after.value:.3g}"
@@ -236,7 +240,9 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
         lacks = _capital(what)[:-1] if whole else f"The linear model lacks {what}{nature}"
         answer = f"{lacks}; the simulation error {error}{unit}."
     else:
-        answer = f"Nothing is missing from the linear model that these data could show; its simulation error is {before.value:.3g}{unit}."
+        # what is left may be plain and yet have no cause that the data confirm: then "nothing" would be false
+        lacks = UNCONFIRMED if result.remaining else SUFFICES
+        answer = f"{lacks}; its simulation error is {before.value:.3g}{unit}."
     low, high = result.difference.low, result.difference.high
     sure = [f"Error on the {result.held_out}: {before}{unit} before, {after}{unit} after (95 % intervals); the difference is "
             f"{result.difference.value:.3g} [{low:.3g}, {high:.3g}]{unit}." if not low == high == 0.0
@@ -261,6 +267,8 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
         [f"Keep the linear model: {use}.", FURTHER]
         if nothing
         else [f"Use the answer in place of the linear model: {use}."]
+        if after.value <= before.value
+        else [f"Keep the linear model: the answer's error on the {result.held_out} is not lower."]
     )
     if result.remaining and not nothing:
         todo.append(f"To find what is left: {FURTHER[:1].lower()}{FURTHER[1:]}")

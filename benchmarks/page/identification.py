@@ -196,10 +196,13 @@ def write_identification(
     answer = f"A model of structure {payload['structure'].upper()} with orders {orders} {does} % of the output; {suffices}."
     sure = [f"Peak gain {gamma:.4g} ± {error:.2g} {per} at {omega / (2 * np.pi * fit.model.dt):.4g} Hz; standard errors hold if the model can describe the data.",
             f"Fitted to {fit.n_samples} samples; the search ended: {fit.status.value[:1].lower()}{fit.status.value[1:]}"]  # fmt: skip
-    if "test" in payload:
-        sure.append(
-            f"On fresh data it simulates {payload['test']['simulation_fit_percent']:.1f} % of the output."
-        )
+    fresh = payload["test"]["simulation_fit_percent"] if "test" in payload else None
+    useless = fresh is not None and fresh <= 0
+    if useless:
+        answer = f"{answer[:-1]}; on fresh data it is worse than a constant."
+    if fresh is not None:
+        worse = "Its error on fresh data is larger than that of a constant, the mean of the output."
+        sure.insert(0, worse if useless else f"On fresh data it simulates {fresh:.1f} % of the output.")
     todo = ["Find what is missing: oed diagnose with the same record."] if wrong else []
     if wrong == ["whiteness"]:
         todo = [
@@ -209,7 +212,9 @@ def write_identification(
         f"Data: {defect['message']}" for defect in payload.get("data_defects", ()) if "message" in defect
     ]
     todo.append(
-        "Use the model: every command takes model.json as a plant, such as oed design --plant model.json."
+        "Try other orders or another structure before this model is used: --orders auto."
+        if useless
+        else "Use the model: every command takes model.json as a plant, such as oed design --plant model.json."
     )
     drawn, tables = _residual(tests)
     figure, poles = _poles(fit)

@@ -72,6 +72,21 @@ def test_identification(tmp_path, capfd):
     assert best["x"] == 2
 
 
+def test_a_model_that_fails_on_fresh_data_says_so_first(tmp_path):
+    """The share of the data fitted stood alone in the answer beside -6510 % on fresh data."""
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal((2, 200))
+    y = lfilter([0, 0.5], [1, -0.8], u) * [[1], [-1]] + 0.1 * rng.standard_normal((2, 200))
+    files = [str(tmp_path / f"{k}.csv") for k in range(2)]
+    for file, pair in zip(files, zip(u, y, strict=True), strict=True):
+        np.savetxt(file, np.column_stack(pair), delimiter=",", header="u,y", comments="")
+    options = ["--structure", "arx", "--orders", "1", "1", "--out", str(tmp_path / "out"), "--quiet"]
+    assert main(["identify", files[0], "--test", files[1], *options]) == 0
+    content, _ = told(tmp_path / "out")
+    assert content["answer"].endswith("on fresh data it is worse than a constant.")
+    assert not any("Use the model" in words for words in content["todo"])
+
+
 def test_design(tmp_path, capfd):
     words = [
         "design",
