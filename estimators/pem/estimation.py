@@ -38,7 +38,10 @@ from oed.errors import InputError, Status
 from oed.files.objects import as_records
 from oed.models.model import Polynomial, StateSpace, polynomial
 
-_INITIAL = ("zero", "estimate", "backcast")
+_CHOICES: dict[str, tuple] = {
+    "initial": ("zero", "estimate", "backcast"), "offset": (True, False, "mean"),
+    "search": ("auto", "quick", "thorough"), "robust": (None, "huber", "student"),
+}  # fmt: skip
 
 
 @on_one_thread
@@ -155,14 +158,9 @@ def identify(
     experiments = as_records(records, missing=missing)
     form = structure_for(structure, orders, delay, diagonal, experiments)
     initial = initial or ("estimate" if offset else "zero")
-    if initial not in _INITIAL:
-        raise InputError(f"initial is {initial!r}; choose one of {', '.join(_INITIAL)}.")
-    if offset not in (True, False, "mean"):
-        raise InputError(f"offset is {offset!r}; choose True, False or 'mean'.")
-    if search not in ("auto", "quick", "thorough"):
-        raise InputError(f"search is {search!r}; choose auto, quick or thorough.")
-    if robust not in (None, "huber", "student"):
-        raise InputError(f"robust is {robust!r}; choose huber, student or None.")
+    for name, known in _CHOICES.items():
+        if (value := (asked | {"initial": initial})[name]) not in known:
+            raise InputError(f"{name} is {value!r}; choose one of {', '.join(map(str, known))}.")
     if max_iterations < 1:
         raise InputError(f"max_iterations is {max_iterations}; the search takes at least 1 step.")
     if missing and robust:
@@ -201,7 +199,8 @@ def identify(
         ))  # fmt: skip
     how = Settings(offset, initial != "zero", missing, search, max_iterations, tolerance)
     joint = prepare(form, experiments, offset=offset, initial=how.unknown, missing=missing)
-    joint = with_limits(joint, fixed or {}, bounds or {})
+    limits = fixed or {}, bounds or {}
+    joint = with_limits(joint, *limits)
     begin = None if start is None else _scaled_start(start, joint)
     problem, optimum = _fitted(form, experiments, joint, begin, how)
     if prior:
@@ -212,17 +211,24 @@ def identify(
             raise InputError("constraints go with the squared loss, without priors and missing samples.")
         optimum, normals = constrained(problem, optimum, constraints, how)
     if robust:
-        ends = [robustly(problem, optimum, robust, how)]
-        if begin is None:  # outliers may have led the squared loss to a wrong optimum: once more without them
-            cleaned = without_outliers(experiments, problem.residuals(optimum.point))
-            again = prepare(form, cleaned, offset=offset, initial=how.unknown)
-            z = _fitted(form, cleaned, with_limits(again, fixed or {}, bounds or {}), None, how)[1].point.z
-            z = z * again.scale / problem.scale
-            for point in problem.points([z]):
-                begun = Optimum(point, Status.OK, optimum.iterations, np.inf)
-                ends.append(robustly(problem, begun, robust, how))
-        problem, optimum = min(ends, key=lambda end: robust_scale(*end))
+        problem, optimum = _withstanding(problem, optimum, robust, experiments, begin, how, limits)
     return restored(result(problem, optimum, experiments, offset, initial, robust, normals))
+
+
+def _withstanding(
+    problem: Problem, optimum: Optimum, loss: str, records: list[Record], begin: NDArray | None, how: Settings,
+    limits: tuple[Mapping[str, float], Mapping[str, tuple[float, float]]],
+) -> tuple[Problem, Optimum]:  # fmt: skip
+    """The optimum of a loss that withstands outliers, begun where the squared loss has its own."""
+    ends = [robustly(problem, optimum, loss, how)]
+    if begin is None:  # outliers may have led the squared loss to a wrong optimum: once more without them
+        cleaned = without_outliers(records, problem.residuals(optimum.point))
+        again = prepare(problem.structure, cleaned, offset=how.offset, initial=how.unknown)
+        z = _fitted(problem.structure, cleaned, with_limits(again, *limits), None, how)[1].point.z
+        for point in problem.points([z * again.scale / problem.scale]):
+            begun = Optimum(point, Status.OK, optimum.iterations, np.inf)
+            ends.append(robustly(problem, begun, loss, how))
+    return min(ends, key=lambda end: robust_scale(*end))
 
 
 def _fitted(

@@ -117,40 +117,48 @@ def solve_design(
         if any(limit is not None for limit in (output_power, channel_power, rate_power)):
             raise InputError("modified-E knows a limit on the input power only; leave out the others.")
         return condition_design(problem, refine=refine, tolerance=tolerance)
-    finish = partial(collapsed, tolerance=tolerance)
+    found = _first_found(problem, model, criterion, solver, refine, tolerance)
+    if refine:
+        found = _refined(found, problem, solver, tolerance)
+    design = certified(found, tolerance=tolerance, solver=solver)
+    return design if refine else _beside_the_grid(design, frequency_grid(information, bands, 400))
+
+
+def _first_found(
+    problem: Problem, model: Any, criterion: str | Criterion, solver: str, refine: bool, tolerance: float
+) -> Exchange:
+    """What the solver that suits the problem finds."""
     if solver == "clarabel":
         from oed.design.solvers.whole_grid import reference_exchange
 
-        found = reference_exchange(problem, refine=refine, tolerance=tolerance)
-    elif (
-        refine and (known := peak_sinusoid(problem, model, criterion)) is not None and known.gap <= tolerance
-    ):
-        found = known
-    elif directions.applies(problem):
-        found = directions.direction_exchange(problem, refine=refine, tolerance=0.3 * tolerance)
-    else:
-        found = exchange(problem, refine=refine, tolerance=tolerance, finish=finish if refine else None)
-    if refine:
-        if found.gap > tolerance or len(found.columns) > problem.map.n:
-            found = finish(found)
-        for _ in range(2):
-            found = _looked_at_again(found)
-            if found.gap <= tolerance or solver != "newton":
-                break
-            before = found.gap
-            again = exchange(
-                found.problem,
-                columns=found.columns + seed_columns(problem),
-                tolerance=tolerance,
-                max_rounds=10,
-                accuracy=min(1e-4, 0.1 * before),
-                finish=finish,
-            )
-            found = collapsed(better(found, again), tolerance)
-            if found.gap > 0.1 * before:
-                break  # rounding, not a missing line, is what holds the gap up
-    design = certified(found, tolerance=tolerance, solver=solver)
-    return design if refine else _beside_the_grid(design, frequency_grid(information, bands, 400))
+        return reference_exchange(problem, refine=refine, tolerance=tolerance)
+    known = peak_sinusoid(problem, model, criterion) if refine else None
+    if known is not None and known.gap <= tolerance:
+        return known
+    if directions.applies(problem):
+        return directions.direction_exchange(problem, refine=refine, tolerance=0.3 * tolerance)
+    finish = partial(collapsed, tolerance=tolerance) if refine else None
+    return exchange(problem, refine=refine, tolerance=tolerance, finish=finish)
+
+
+def _refined(found: Exchange, problem: Problem, solver: str, tolerance: float) -> Exchange:
+    """The lines merged, and their certificate looked at again, between the lines too; where it fails, the search goes on."""
+    finish = partial(collapsed, tolerance=tolerance)
+    if found.gap > tolerance or len(found.columns) > found.problem.map.n:
+        found = finish(found)
+    for _ in range(2):
+        found = _looked_at_again(found)
+        if found.gap <= tolerance or solver != "newton":
+            break
+        before = found.gap
+        again = exchange(
+            found.problem, columns=found.columns + seed_columns(problem), tolerance=tolerance,
+            max_rounds=10, accuracy=min(1e-4, 0.1 * before), finish=finish,
+        )  # fmt: skip
+        found = finish(better(found, again))
+        if found.gap > 0.1 * before:
+            break  # rounding, not a missing line, is what holds the gap up
+    return found
 
 
 def _beside_the_grid(design: Design, omega: NDArray[np.float64]) -> Design:

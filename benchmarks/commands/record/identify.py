@@ -66,26 +66,16 @@ AS_GIVEN = (
 
 def run(args: argparse.Namespace) -> tuple[dict, str]:
     """Identify a model."""
-    from estimators.diagnosis.record.admission import check_fresh
     from estimators.pem import identify
     from estimators.pem.results import needed
     from estimators.residual.tests import residual_tests
     from estimators.stages import stage
-    from oed.files import read_record
     from oed.files.writing import new_folder
     from oed.inspection import defects
     from oed.lazily import where_installed
 
     notes: list[str] = []
-    stage("reading the data")
-    reading: dict[str, Any] = {
-        name: getattr(args, name) for name in ("inputs", "outputs", "dt", "missing")
-    } | {"notes": notes}
-    records = [read_record(spec, **reading) for spec in args.data]
-    fresh = read_record(args.test, **reading) if args.test else None
-    if fresh is not None:
-        for record in records:
-            check_fresh(record, fresh)
+    records, fresh = _read(args, notes)
     out = new_folder(args.out, "--out") if args.out else None
     orders = args.orders or DEFAULTS[args.structure]
     if "auto" in orders:
@@ -127,16 +117,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     if unanswered:
         lines += ["seen in the data, and left as it is:", *(f"  {defect}" for defect in unanswered)]
     if offset:
-        lines += [
-            f"  level of {name}: {value:.6g}" + (f" +- {error:.2g}" if error else "") + f" {unit}".rstrip()
-            for name, unit, value, error in zip(
-                [*records[0].input_names, *records[0].output_names],
-                [*records[0].input_units, *records[0].output_units],
-                [*fit.input_level, *fit.output_level],
-                [*(0 * fit.input_level), *fit.output_level_errors],
-                strict=True,
-            )
-        ]
+        lines += _levels(fit, records[0])
     if tests:
         lines += ["residual tests (p-values):", *(f"  {test!r}" for test in tests.values())]
     if args.folds is not None:
@@ -166,6 +147,32 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
             write_identification(out, fit, records, tests, made, payload | more)
         lines.append(f"written to {payload['out']}")
     return payload, "\n".join(lines)
+
+
+def _read(args: argparse.Namespace, notes: list[str]) -> tuple[list, Any]:
+    """The records to fit, and the fresh one."""
+    from estimators.diagnosis.record.admission import check_fresh
+    from estimators.stages import stage
+    from oed.files import read_record
+
+    stage("reading the data")
+    how = {name: getattr(args, name) for name in ("inputs", "outputs", "dt", "missing")}
+    records = [read_record(spec, **how, notes=notes) for spec in args.data]
+    fresh = read_record(args.test, **how, notes=notes) if args.test else None
+    if fresh is not None:
+        for record in records:
+            check_fresh(record, fresh)
+    return records, fresh
+
+
+def _levels(fit, record) -> list[str]:
+    return [
+        f"  level of {name}: {value:.6g}" + (f" +- {error:.2g}" if error else "") + f" {unit}".rstrip()
+        for name, unit, value, error in zip(
+            [*record.input_names, *record.output_names], [*record.input_units, *record.output_units],
+            [*fit.input_level, *fit.output_level], [*(0 * fit.input_level), *fit.output_level_errors], strict=True,
+        )
+    ]  # fmt: skip
 
 
 TOLD = 2.0

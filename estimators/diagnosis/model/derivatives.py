@@ -15,19 +15,16 @@ from estimators.diagnosis.model.simulation import acted, free_responses, plant_s
 from estimators.diagnosis.model.structure import Structure
 
 Array = NDArray[Any]
+Columns = Iterator[tuple[int, Array]]  # index of a parameter, derivative (N,) of the output by it
 OFFSET = "offset"  # key of the effect; its module imports this one
 
 
-def exact_columns(s: Structure, p: Array, u: Array, clock: Clock) -> Iterator[tuple[int, Array]]:
+def exact_columns(s: Structure, p: Array, u: Array, clock: Clock) -> Columns:
     """Derivatives of the simulated output that need no finite difference.
 
-    In layout "tf", y = sum B_j/F u_j gives dy/db_ji = z^-(1+delay+i) u_j/F and dy/df_i = -z^-i y/F; in a
-    physical layout y = C x gives dy/dC_i = x_i. Static curves at the output multiply by their slope. A constant that is
-    added gives ones, an initial state its free response.
-
-    Shapes: p (s.size,), u (N, nu).
-
-    The finite differences of the fit are the twin that the tests compare with.
+    A constant that is added gives ones; what else is exact, the plant's own parameters, has the slope of the static curves at
+    the output as a factor. Shapes: p (s.size,), u (N, nu). The finite differences of the fit are the twin that the tests
+    compare with.
     """
     for part, sl in zip(s.parts, s.slices(), strict=True):
         if part.key == OFFSET:
@@ -40,46 +37,50 @@ def exact_columns(s: Structure, p: Array, u: Array, clock: Clock) -> Iterator[tu
     U = acted(s, p, u, clock)
     if U is None:
         return
-    if s.layout != "tf":
-        X = plant_states(s, p, U, clock)
-        head = LAYOUTS[s.layout][1]
-        if X is None:
-            return
-        slope = _slope(s, p, X @ p[head : head + s.order], clock)
-        for i in range(s.order):
-            yield head + i, X[:, i] if slope is None else X[:, i] * slope
-        return
+    linear, columns = (_of_transfer if s.layout == "tf" else _of_layout)(s, p, U, clock)
+    if linear is not None:
+        slope = _slope(s, p, linear, clock)
+        for i, column in columns:
+            yield i, column if slope is None else column * slope
+
+
+def _of_layout(s: Structure, p: Array, U: Array, clock: Clock) -> tuple[Array | None, Columns]:
+    """The output (N,) before its curves, y = C x, and dy/dC_i = x_i."""
+    X = plant_states(s, p, U, clock)
+    head = LAYOUTS[s.layout][1]
+    if X is None:
+        return None, iter(())
+    return X @ p[head : head + s.order], ((head + i, X[:, i]) for i in range(s.order))
+
+
+def _of_transfer(s: Structure, p: Array, U: Array, clock: Clock) -> tuple[Array | None, Columns]:
+    """The output (N,) before its curves, y = sum B_j/F u_j, and dy/df_i = -z^-i y/F, dy/db_ji = z^-(1+delay+i) u_j/F.
+
+    An initial state adds its free response, which has the same poles.
+    """
     from estimators.diagnosis.effects.recursion_kernels import rational
 
     n, f = len(U), p[: s.order]
-    one = np.ones((1, 1))
     b = p[s.order : s.plant_size].reshape(len(s.inputs), s.taps)
     linear = rational(np.ascontiguousarray(U), np.ascontiguousarray(b), f, s.delay)
-    for part, sl in zip(s.parts, s.slices(), strict=True):
-        if part.effect.slot is Slot.START:  # the free response has the same poles
-            impulse = np.zeros(n)
-            impulse[: s.order] = p[sl]
-            linear = linear + lfilter([1.0], np.concatenate(([1.0], f)), impulse)
-    if not np.isfinite(linear[-1]):
-        return
-    slope = _slope(s, p, linear, clock)
+    begun = [sl for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect.slot is Slot.START]
+    for sl in begun:
+        impulse = np.zeros(n)
+        impulse[: s.order] = p[sl]
+        linear = linear + lfilter([1.0], np.concatenate(([1.0], f)), impulse)
 
-    def late(x: Array, by: int) -> Array:
-        out = np.zeros(n)
-        out[by:] = x[: n - by]
-        return out if slope is None else out * slope
+    def through(x: Array, lags: range) -> Iterator[Array]:
+        w = rational(np.ascontiguousarray(x[:, None]), np.ones((1, 1)), f, 0)  # one sample late already
+        return (np.concatenate((np.zeros(lag), w[: n - lag])) for lag in lags)
 
-    w = rational(np.ascontiguousarray(linear[:, None]), one, f, 0)  # one sample late already
-    for i in range(s.order):
-        yield i, -late(w, i)
-    for part, sl in zip(s.parts, s.slices(), strict=True):
-        if part.effect.slot is Slot.START:
-            for i, free in enumerate(free_responses(s, p, n).T, sl.start):
-                yield i, free if slope is None else free * slope
-    for j in range(len(s.inputs)):
-        w = rational(np.ascontiguousarray(U[:, j : j + 1]), one, f, 0)
-        for i in range(s.taps):
-            yield s.order + j * s.taps + i, late(w, s.delay + i)
+    def columns() -> Columns:
+        yield from enumerate(-w for w in through(linear, range(s.order)))
+        for sl in begun:
+            yield from enumerate(free_responses(s, p, n).T, sl.start)
+        for j, x in enumerate(U.T):
+            yield from enumerate(through(x, range(s.delay, s.delay + s.taps)), s.order + j * s.taps)
+
+    return (linear if np.isfinite(linear[-1]) else None), columns()
 
 
 def _slope(s: Structure, p: Array, x: Array, clock: Clock) -> Array | None:

@@ -260,6 +260,22 @@ def _rounded_deviance(y: Array, simulated: Array, step: float, sigma: float) -> 
     return best + n * (2.0 * np.log(step) - 1.0 - np.log(2 * np.pi)), best_sigma**2
 
 
+def _errors(channel: Channel, structure: Structure, noise: Array, q: Array) -> Array | None:
+    """One-step-ahead errors (N,) of the simulated output, 0 where a sample does not count; None where it does not stay finite."""
+    y = simulate(structure, q, channel.u, channel.clock)
+    return _innovation(np.where(channel.keep, channel.y - y, 0.0), noise) if _finite(y) else None
+
+
+def _steps(structure: Structure, scales: Array) -> Array:
+    """Steps of the finite differences: a quarter of a sample where nothing happens between samples."""
+    steps = 1e-6 * scales
+    for part, sl in zip(structure.parts, structure.slices(), strict=True):
+        for i, unit in enumerate(part.effect.units[: sl.stop - sl.start]):
+            if unit == "sample" and part.effect.per_sample:
+                steps[sl.start + i] = 0.25
+    return steps
+
+
 def fit(
     channel: Channel,
     structure: Structure,
@@ -271,69 +287,29 @@ def fit(
     colour: bool = True,
 ) -> Fit:
     """Fit a structure to a channel from a start."""
-    shape = np.zeros(0) if noise is None else noise
-    noise = shape
-    keep = channel.keep
-    sigma = [np.inf]
-
-    def errors(q: Array, structure: Structure = structure) -> Array | None:
-        y = simulate(structure, q, channel.u, channel.clock)
-        if not _finite(y):
-            return None
-        target = channel.y
-        if channel.step > 0 and np.isfinite(sigma[0]):
-            target = _expected(target, y, channel.step, sigma[0])
-        return _innovation(np.where(keep, target - y, 0.0), shape)
+    noise = shape = np.zeros(0) if noise is None else noise
+    if channel.step > 0:
+        return _fit_rounded(channel, structure, p, scales, shape, iterations)
+    keep, n = channel.keep, int(channel.keep.sum())
 
     def exact(q: Array) -> Iterator[tuple[int, Array]]:
         for i, d in exact_columns(structure, q, channel.u, channel.clock):
             if scales[i] != 0.0:
                 yield i, -_innovation(np.where(keep, d, 0.0), shape)
 
-    steps = 1e-6 * scales
-    for part, sl in zip(structure.parts, structure.slices(), strict=True):
-        for i, unit in enumerate(part.effect.units[: sl.stop - sl.start]):
-            if unit == "sample" and part.effect.per_sample:
-                steps[sl.start + i] = 0.25
-    n = int(keep.sum())
-    if channel.step > 0:
-        p, cost, J = levenberg_marquardt(errors, p, scales, iterations=iterations, steps=steps)
-        if np.isfinite(cost):
-            sigma[0] = max(float(np.sqrt(cost / n)), channel.step / 30)
-
-            def likelihood(q: Array) -> Array | None:
-                y = simulate(structure, q, channel.u, channel.clock)
-                if not np.all(np.isfinite(y)):
-                    return None
-                return np.where(keep, _deviance_residual(channel.y, y, channel.step, sigma[0]), 0.0)
-
-            for _ in range(3):
-                p, _, J = levenberg_marquardt(
-                    likelihood, p, scales, iterations=max(5, iterations // 3), steps=steps
-                )
-                simulated = simulate(structure, p, channel.u, channel.clock)
-                _, variance = _rounded_deviance(channel.y[keep], simulated[keep], channel.step, sigma[0])
-                sigma[0] = max(float(np.sqrt(variance)), channel.step / 200)
-    else:
-        inside = any(q.effect.force is not None or q.effect.inside is not None for q in structure.parts)
-        rough = partial(errors, structure=replace(structure, steps=COARSE)) if inside else None
-        p, cost, J = levenberg_marquardt(
-            errors, p, scales, iterations=iterations, steps=steps, rough=rough, exact=exact,
-            ends=ROUGH if iterations < WHOLE and structure.effects else ENDS,
-        )  # fmt: skip
+    inside = any(q.effect.force is not None or q.effect.inside is not None for q in structure.parts)
+    rough = partial(_errors, channel, replace(structure, steps=COARSE), shape) if inside else None
+    p, cost, J = levenberg_marquardt(
+        partial(_errors, channel, structure, shape), p, scales, iterations=iterations,
+        steps=_steps(structure, scales), rough=rough, exact=exact,
+        ends=ROUGH if iterations < WHOLE and structure.effects else ENDS,
+    )  # fmt: skip
     if not np.isfinite(cost):
-        empty = np.zeros((0, len(p)))
-        return Fit(structure, p, noise, np.inf, np.inf, np.full(len(channel), np.inf), n, empty, scales)
-    simulated = simulate(structure, p, channel.u, channel.clock)
-    target = channel.y if channel.step == 0 else _expected(channel.y, simulated, channel.step, sigma[0])
-    r = np.where(keep, target - simulated, 0.0)
+        return _unfitted(channel, structure, p, scales, noise)
+    r = np.where(keep, channel.y - simulate(structure, p, channel.u, channel.clock), 0.0)
     variance = float(np.sum(_innovation(r, noise) ** 2) / n)
-    deviance, whitened, unrounded = n * np.log(max(variance, 1e-300)), shape, None
-    if channel.step > 0:
-        r = np.where(keep, channel.y - simulated, 0.0)
-        deviance, variance = _rounded_deviance(channel.y[keep], simulated[keep], channel.step, sigma[0])
-        J, unrounded = _unrounded(channel, structure, p, r, steps, variance)
-    if colour and channel.step == 0:
+    deviance, whitened = n * np.log(max(variance, 1e-300)), shape
+    if colour:
         again, _ = ar_model(r)
         v = float(np.sum(_innovation(r, again) ** 2) / n)
         if n * np.log(max(v, 1e-300)) + len(again) * np.log(n) < deviance + len(noise) * np.log(n):
@@ -341,27 +317,51 @@ def fit(
                 J = np.asarray(lfilter(np.concatenate(([1.0], again)), [1.0], J, axis=0))
                 whitened = again
             noise, variance, deviance = again, v, n * np.log(max(v, 1e-300))
-    return Fit(structure, p, noise, variance, deviance, r, n, J, scales, shape, whitened, unrounded)
+    return Fit(structure, p, noise, variance, deviance, r, n, J, scales, shape, whitened)
 
 
-def _unrounded(
-    channel: Channel, structure: Structure, p: Array, r: Array, steps: Array, variance: float
-) -> tuple[Array, Array]:
-    """Derivatives (N, size) of the error of rounded samples, and the error (N,) that they let expect of what was rounded.
+def _unfitted(channel: Channel, structure: Structure, p: Array, scales: Array, noise: Array) -> Fit:
+    """What stands for a fit whose start does not stay finite."""
+    nothing, n = np.zeros((0, len(p))), int(channel.keep.sum())
+    return Fit(structure, p, noise, np.inf, np.inf, np.full(len(channel), np.inf), n, nothing, scales)
 
-    Both so that their products are the scores: e = E[y | its interval] - simulated moves with the parameters by the share
-    mean(e^2)/variance of what the simulation does, and both are divided by its root.
-    """
 
-    def gap(q: Array) -> Array | None:
+def _fit_rounded(
+    channel: Channel, structure: Structure, p: Array, scales: Array, noise: Array, iterations: int
+) -> Fit:
+    """Fit to rounded samples: least squares, then the likelihood of their intervals, in turn with the noise level."""
+    keep, n, steps = channel.keep, int(channel.keep.sum()), _steps(structure, scales)
+    p, cost, _ = levenberg_marquardt(
+        partial(_errors, channel, structure, noise), p, scales, iterations=iterations, steps=steps
+    )
+    if not np.isfinite(cost):
+        return _unfitted(channel, structure, p, scales, noise)
+    sigma = max(float(np.sqrt(cost / n)), channel.step / 30)
+
+    def likelihood(q: Array) -> Array | None:
         y = simulate(structure, q, channel.u, channel.clock)
-        return np.where(channel.keep, channel.y - y, 0.0) if _finite(y) else None
+        if not _finite(y):
+            return None
+        return np.where(keep, _deviance_residual(channel.y, y, channel.step, sigma), 0.0)
 
-    J = np.zeros((len(channel), len(p)))
-    _differences(gap, r, p, steps, set(), None, J)
-    e = np.where(channel.keep, _expected(r, np.zeros(len(r)), channel.step, np.sqrt(variance)), 0.0)
-    share = np.sqrt(max(float(np.sum(e**2)) / max(int(channel.keep.sum()), 1) / variance, 1e-12))
-    return J * share, e / share
+    def deviance_here() -> tuple[float, float]:
+        simulated = simulate(structure, p, channel.u, channel.clock)
+        return _rounded_deviance(channel.y[keep], simulated[keep], channel.step, sigma)
+
+    for _ in range(3):
+        p, _, _ = levenberg_marquardt(likelihood, p, scales, iterations=max(5, iterations // 3), steps=steps)
+        sigma = max(float(np.sqrt(deviance_here()[1])), channel.step / 200)
+    r = np.where(keep, channel.y - simulate(structure, p, channel.u, channel.clock), 0.0)
+    deviance, variance = deviance_here()
+    J, e = (
+        np.zeros((len(channel), len(p))),
+        np.where(keep, _expected(r, np.zeros(len(r)), channel.step, np.sqrt(variance)), 0.0),
+    )
+    _differences(partial(_errors, channel, structure, np.zeros(0)), r, p, steps, set(), None, J)
+    # Both divided so that their products are the scores: e = E[y | its interval] - simulated moves with the parameters by
+    # the share mean(e^2)/variance of what the simulation does.
+    share = np.sqrt(max(float(np.sum(e**2)) / max(n, 1) / variance, 1e-12))
+    return Fit(structure, p, noise, variance, deviance, r, n, J * share, scales, noise, noise, e / share)
 
 
 def leaving(f: Fit, residual: Array) -> Fit:

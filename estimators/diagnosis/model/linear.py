@@ -234,52 +234,46 @@ def _column(layout: str, r: Array, C: Array, u: Array, wanted: Array) -> Array:
     return np.linalg.lstsq(X, wanted, rcond=1e-9)[0]
 
 
-def layout_starts(channel: Channel, base: Fit) -> list[tuple[Structure, Array, Array]]:
-    """The linear fit in each physical layout of its order, output map by least squares."""
-    s = base.structure
-    real, pairs = _rates(base.p[: s.order])
-    options: list[tuple[str, list[float]]] = []
-    alone = _alone(channel, s, base.p)
-    main = int(np.argmax([np.std(y) for y in alone]))
-    order = [main, *(j for j in range(len(s.inputs)) if j != main)]
+def _layouts_of(
+    order: int, real: list[float], pairs: list[tuple[float, float]]
+) -> list[tuple[str, list[float]]]:
+    """The physical layouts of an order, each with the rates that put its poles where the model has them."""
 
     def pair_of(a: float, b: float) -> tuple[float, float]:
         return a * b, a + b
 
-    if s.order == 1:
-        options.append(("first", [real[0]]))
-    elif s.order == 2:
-        if not pairs and real[0] < 0.03:
-            options.append(("integrator", [real[1]]))
-        if pairs and pairs[0][0] < 1e-3:
-            options.append(("integrator", [pairs[0][1]]))
-        if pairs:
-            a0, a1 = pairs[0]
-            options.append(("oscillator", [a0, a1]))
-            w = np.sqrt(a0)
-            options += [("cascade", [w, 1.2 * w]), ("chain", [w, 1.2 * w])]
-        else:
-            a, b = real
-            options += [("oscillator", list(pair_of(a, b))), ("cascade", [a, b]), ("cascade", [b, a])]
-            options += [("chain", [a, b]), ("chain", [b, a])]
-    elif s.order == 3:
-        if pairs:
-            options += [("driven", [*pairs[0], real[0]]), ("sensed", [*pairs[0], real[0]])]
-        else:
-            a, b, c = real
-            options += [("driven", [*pair_of(a, b), c]), ("sensed", [*pair_of(a, b), c])]
-    elif s.order == 4:
-        both = list(pairs)
-        while len(both) < 2 and len(real) >= 2:
-            both.append(pair_of(real.pop(0), real.pop(0)))
-        if len(both) == 2:
-            options += [("modes", [*both[0], *both[1]]), ("modes", [*both[1], *both[0]])]
+    if order == 1:
+        return [("first", [real[0]])]
+    if order == 2 and pairs:
+        w = np.sqrt(pairs[0][0])
+        slow = [("integrator", [pairs[0][1]])] if pairs[0][0] < 1e-3 else []
+        return [*slow, ("oscillator", [*pairs[0]]), ("cascade", [w, 1.2 * w]), ("chain", [w, 1.2 * w])]
+    if order == 2:
+        a, b = real
+        slow = [("integrator", [b])] if a < 0.03 else []
+        both = [(layout, rates) for layout in ("cascade", "chain") for rates in ([a, b], [b, a])]
+        return [*slow, ("oscillator", [*pair_of(a, b)]), *both]
+    if order == 3:
+        rates = [*pairs[0], real[0]] if pairs else [*pair_of(*real[:2]), real[2]]
+        return [("driven", rates), ("sensed", rates)]
+    if order == 4:
+        first, second = [*pairs, *(pair_of(*real[i : i + 2]) for i in range(0, len(real), 2))][:2]
+        return [("modes", [*first, *second]), ("modes", [*second, *first])]
+    return []
+
+
+def layout_starts(channel: Channel, base: Fit) -> list[tuple[Structure, Array, Array]]:
+    """The linear fit in each physical layout of its order, output map by least squares."""
+    s = base.structure
+    alone = _alone(channel, s, base.p)
+    main = int(np.argmax([np.std(y) for y in alone]))
+    order = [main, *(j for j in range(len(s.inputs)) if j != main)]
     out = []
     target = channel.y - (simulate(s, base.p, channel.u, channel.clock) - alone[main])
     U = channel.u[:, [s.inputs[j] for j in order]]
     if s.delay:
         U = np.concatenate((np.zeros((s.delay, U.shape[1])), U[: -s.delay]))
-    for layout, rates in options:
+    for layout, rates in _layouts_of(s.order, *_rates(base.p[: s.order])):
         r = np.log(np.maximum(rates, 1e-6))
         X = states(layout, r, U[:, 0])
         if not np.all(np.isfinite(X)):

@@ -85,18 +85,7 @@ def augmented(
     `best` starts per effect and `iterations` Gauss-Newton steps per start; only the `top` effects whose scores promise
     most, 0 for all. Where a gain is `needed`, only effects whose scores promise a part of it, and none without a score.
     """
-    s = base.structure
-    causes = {p.effect.cause for p in s.effects}
-    present = {p.effect for p in s.parts}
-    wanted = [
-        e
-        for e in menu.effects
-        if e.simulated
-        and not e.block
-        and e not in present
-        and e.cause not in causes
-        and not (e.alone and s.effects)
-    ]
+    s, wanted = base.structure, _wanted(menu, base.structure)
     tasks: list[_Task] = []
     for e in wanted:
         if e.search is not None:
@@ -117,12 +106,7 @@ def augmented(
                 for j in layout.structure.inputs if e.each else layout.structure.inputs[:1]:
                     tasks += _scan(channel, base, layout, Part(e, j), best)
     tasks = sorted((t for t in tasks if UNDERSTATED * t.promise >= needed), key=lambda task: -task.promise)
-    chosen: list[Effect] = []
-    wide = bool(tasks) and tasks[0].promise > LEAST_PROMISE and not s.effects
-    for task in tasks:
-        promising = not top or (len(chosen) < top and task.promise > LEAST_PROMISE)
-        if task.effect not in chosen and (promising or (wide and task.effect.key in BLIND)):
-            chosen.append(task.effect)
+    chosen = _chosen(tasks, top, bool(s.effects))
     found: list[Fit] = []
     most = 0.0  # that any effect gained so far
     for e in (e for e in chosen if e.slot is not Slot.PLANT):
@@ -140,6 +124,27 @@ def augmented(
     yield from _refined_fits(
         channel, base, [e for e in plant if e.refines], simple, layouts, most, iterations
     )
+
+
+def _wanted(menu: Menu, s: Structure) -> list[Effect]:
+    """The effects of a menu that a structure can take and whose cause it has not."""
+    causes = {p.effect.cause for p in s.effects}
+    present = {p.effect for p in s.parts}
+    return [
+        e for e in menu.effects
+        if e.simulated and not e.block and e not in present and e.cause not in causes and not (e.alone and s.effects)
+    ]  # fmt: skip
+
+
+def _chosen(tasks: list[_Task], top: int, explained: bool) -> list[Effect]:
+    """The effects to fit, of tasks that are in the order of their promise: the `top` ones, and those whose score is blind."""
+    chosen: list[Effect] = []
+    wide = bool(tasks) and tasks[0].promise > LEAST_PROMISE and not explained
+    for task in tasks:
+        promising = not top or (len(chosen) < top and task.promise > LEAST_PROMISE)
+        if task.effect not in chosen and (promising or (wide and task.effect.key in BLIND)):
+            chosen.append(task.effect)
+    return chosen
 
 
 def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int) -> Iterator[Fit]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,10 +18,8 @@ from estimators.diagnosis.model.simulation import acted, joined, simulate
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 
 Array = NDArray[Any]
-SHARES = (
-    1.0,
-    0.4,
-)  # of the amplitude that the score promises: the model bends more than the score, which is linear
+SHARES = (1.0, 0.4)
+"""Of the amplitude that the score promises: the model bends more than the score, which is linear."""
 
 RENEWED = 4
 """Shapes of an effect whose linear part is made anew before they are compared: those whose score is best."""
@@ -67,59 +65,74 @@ def _before_added(channel: Channel, s: Structure, p: Array) -> tuple[Array, NDAr
     return simulate(bare, p[at], channel.u, channel.clock), at
 
 
-def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
-    """The best shapes of an effect's grid by their score, the model's own parameters projected out, best first."""
-    if part.effect.starts is None:
-        return []
-    grid, sizes = part.effect.starts(sizes_of(channel, base, part))
-    s, amplitude = base.structure.adding(part), part.effect.amplitude
-    scales = np.concatenate((base.scales, sizes))
-    keep = channel.keep
+@dataclass(frozen=True, eq=False)
+class _Score:
+    """What a linear step of an effect's amplitude, `alpha` of the shape's in `p`, promises; `d` (N,) how the shape moves the innovations."""
 
-    def white(x: Array) -> Array:
-        x = np.where(keep, x, 0.0)
-        return np.asarray(lfilter(np.concatenate(([1.0], base.noise)), [1.0], x)) if len(base.noise) else x
+    promise: float
+    alpha: float
+    p: Array
+    d: Array
 
-    r = white(base.residual)
-    Q, R = np.linalg.qr(base.jacobian) if base.jacobian.size else (np.zeros((len(r), 0)), np.zeros((0, 0)))
+
+def _white(channel: Channel, base: Fit, x: Array) -> Array:
+    """A signal as the noise model of a fit sees it, 0 where a sample does not count."""
+    x = np.where(channel.keep, x, 0.0)
+    return np.asarray(lfilter(np.concatenate(([1.0], base.noise)), [1.0], x)) if len(base.noise) else x
+
+
+def _scores(
+    channel: Channel, base: Fit, s: Structure, shapes: list[list[float]], Q: Array, signed: bool
+) -> Iterator[_Score]:
+    """The score of each shape, with the model's own parameters, whose derivatives Q spans, projected out."""
     reference = simulate(base.structure, base.p, channel.u, channel.clock)
+    r = _white(channel, base, base.residual)
     r0 = r - Q @ (Q.T @ r)
     rss = float(r0 @ r0) + 1e-300
-    found: list[tuple[float, float, Array, Array]] = []
-    for shape in grid:
+    for shape in shapes:
         p = np.concatenate((base.p, shape))
         y = simulate(s, p, channel.u, channel.clock)
         if not np.all(np.isfinite(y)):
             continue
-        d = white(y - reference)
+        d = _white(channel, base, y - reference)
         d0 = d - Q @ (Q.T @ d)
         power = float(d0 @ d0)
         if power <= 1e-16 * float(d @ d) or power == 0:
             continue
         alpha = float(d0 @ r0) / power
         promise = base.n * -np.log(max(1.0 - alpha**2 * power / rss, 1e-12))
-        if amplitude is None and alpha < 0:
-            promise *= 1e-3
-        found.append((promise, alpha, p, d))
-    found.sort(key=lambda x: -x[0])
+        yield _Score(promise if signed or alpha >= 0 else promise * 1e-3, alpha, p, d)
+
+
+def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
+    """The best shapes of an effect's grid by their score, the model's own parameters projected out, best first."""
+    if part.effect.starts is None:
+        return []
+    grid, sizes = part.effect.starts(sizes_of(channel, base, part))
+    s, amplitude, own = base.structure.adding(part), part.effect.amplitude, len(base.p)
+    scales = np.concatenate((base.scales, sizes))
+    r = _white(channel, base, base.residual)
+    Q, R = np.linalg.qr(base.jacobian) if base.jacobian.size else (np.zeros((len(r), 0)), np.zeros((0, 0)))
+    found = sorted(_scores(channel, base, s, grid, Q, amplitude is not None), key=lambda x: -x.promise)
     fresh: dict[int, list[Array]] = {}  # by shape
     if part.effect.slot in (Slot.INPUT, Slot.PLANT, Slot.OUTPUT) and not base.structure.effects:
-        for k, (promise, alpha, p, d) in enumerate(found[:RENEWED]):
-            fresh[id(p)] = renewed(channel, s, p)
-            for q in fresh[id(p)]:
-                rest = white(channel.y - simulate(s, q, channel.u, channel.clock))
+        for k, score in enumerate(found[:RENEWED]):
+            fresh[id(score.p)] = renewed(channel, s, score.p)
+            promises = [score.promise]
+            for q in fresh[id(score.p)]:
+                rest = _white(channel, base, channel.y - simulate(s, q, channel.u, channel.clock))
                 left = float(rest @ rest) / (float(r @ r) + 1e-300)
-                promise = max(promise, base.n * -np.log(max(left, 1e-12)))
-            found[k] = (promise, alpha, p, d)
-        found.sort(key=lambda x: -x[0])
-    own = len(base.p)
+                promises.append(base.n * -np.log(max(left, 1e-12)))
+            found[k] = replace(score, promise=max(promises))
+        found.sort(key=lambda x: -x.promise)
     out = []
-    for promise, alpha, p, d in found[:best]:
+    for score in found[:best]:
+        p, alpha = score.p, score.alpha
         step = alpha if amplitude is not None else min(max(alpha, 0.0), 1.0)
         move = np.zeros(own)
         if R.size:
             try:
-                move = np.linalg.solve(R, Q.T @ (r - step * d))
+                move = np.linalg.solve(R, Q.T @ (r - step * score.d))
             except np.linalg.LinAlgError:
                 move = np.zeros(own)
         options = fresh[id(p)] if id(p) in fresh else renewed(channel, s, p)
@@ -130,7 +143,7 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
             options.append(trial.copy())
             trial[:own] -= move
             options.append(trial)
-        out.append(Start(s, min(options, key=lambda q: _squares(channel, s, q)), scales, promise))
+        out.append(Start(s, min(options, key=lambda q: _squares(channel, s, q)), scales, score.promise))
     if part.effect.alone and s.layout == "tf" and not base.structure.effects:
         out += _quick(channel, s, [np.concatenate((base.p, shape)) for shape in grid], scales, base)
     return sorted(out, key=lambda start: -start.promise)
@@ -165,9 +178,8 @@ def renewed(channel: Channel, s: Structure, p: Array) -> list[Array]:
     found = [] if (q := relinearised(channel, s, p)) is None else [q]
     entering = acted(s, p, channel.u, channel.clock) if found and s.layout == "tf" else None
     if entering is not None:
-        for order in range(
-            max(s.order - 1, 1), s.order + 1
-        ):  # a pole too many settles where noise or a trend wants it
+        # a pole too many settles where noise or a trend wants it
+        for order in range(max(s.order - 1, 1), s.order + 1):
             q = p.copy()
             few = replace(s, order=order, taps=min(s.taps, order), parts=())
             q[: s.order] = 0.0
