@@ -5,11 +5,8 @@
 As the noise vanishes mu tends to gamma and the spectrum's poles close in on the unit circle, so that grids
 fail and mu^2 - |G|^2 cancels. Two measures keep every digit: the unknown is the excess
 delta = mu^2 - gamma^2, and gamma^2 |A|^2 - |B|^2, a polynomial in x = cos w with a double root at every peak, is
-divided by these roots before it is evaluated. Three ways to the same number:
-
-- `limit_spectrum`: quadrature on panels that shrink towards every peak;
-- `method="lyapunov"`: the integral is a squared H2 norm, of the spectral factor of mu^2 A A* - B B*;
-- `limit_spectrum_on_grid`: the eigenproblem of the matrix H_d of [S] Sec. 5."""
+divided by these roots before it is evaluated, on panels that shrink towards every peak. The second way to the
+same number is `limit_spectrum_on_grid`: the eigenproblem of the matrix H_d of [S] Sec. 5."""
 
 from __future__ import annotations
 
@@ -53,15 +50,12 @@ class LimitSpectrum:
         delta = mu^2 - gamma^2, solved for directly.
     spectrum : Spectrum
         Phi as the nodes of a quadrature: its powers sum to 1.
-    method : str
-        How the excess was found.
     """
 
     plant: Plant
     peak: Peak
     mu2_excess: float
     spectrum: Spectrum = field(repr=False)
-    method: str = "quadrature"
 
     @property
     def mu2(self) -> float:
@@ -149,9 +143,7 @@ class _Gap:
     def __init__(self, plant: Plant, top: Peak) -> None:
         B, A = plant.num[0][0], plant.den[0][0]
         self.A, self.B, self.level = A, B, top.value**2
-        self.a = _autocorrelation(A)
-        b = _autocorrelation(B)
-        self.q = chebyshev.chebsub(top.value**2 * self.a, b)
+        self.q = chebyshev.chebsub(self.level * _autocorrelation(A), _autocorrelation(B))
         self.centres = top.frequencies
         # divided by (x - x^)^2 inside, by (x - x^) at 0 and pi, where x moves as w^2
         for w in top.frequencies:
@@ -214,7 +206,7 @@ def resolution(plant: Plant, top: Peak) -> float:
     return max(min(SMALLEST, RESOLVED * width), NARROWEST)
 
 
-def limit_spectrum(plant: Any, *, method: str = "quadrature") -> LimitSpectrum:
+def limit_spectrum(plant: Any) -> LimitSpectrum:
     """Limit of the input spectrum under Algorithm 1 with noise, [S] Theorem 7.
 
     Solves (1/2pi) int lambda_e |H|^2 / (delta + gamma^2 - |G|^2) dw = 1 for the excess delta = mu^2 - gamma^2.
@@ -223,8 +215,6 @@ def limit_spectrum(plant: Any, *, method: str = "quadrature") -> LimitSpectrum:
     ----------
     plant : Plant or what `oed.plants.systems.as_plant` takes
         One input, one output, positive noise variance; H may be any rational filter.
-    method : {"quadrature", "lyapunov"}
-        Graded quadrature, or the H2 norm of the spectral factor (white noise only).
 
     Returns
     -------
@@ -236,47 +226,23 @@ def limit_spectrum(plant: Any, *, method: str = "quadrature") -> LimitSpectrum:
     InputError
         If the plant is MIMO or without noise.
     SolverFailure
-        If the Lyapunov way disagrees with the quadrature by more than 1e-6.
+        If the noise is too little beside the gains for the limit to be told from sinusoids.
 
     Notes
     -----
     Source: [S] (9)-(10), solved as docs/theory/iterations.md advises. The quadrature keeps 10 digits however
-    little the noise, since its panels shrink with the peak; the Lyapunov way may break down from delta / gamma^2 of about
-    1e-12 on, and says so. Twins: `limit_spectrum_on_grid`, and adaptive quadrature in tests/oracles.
+    little the noise, since its panels shrink with the peak. Twins: `limit_spectrum_on_grid`, and adaptive quadrature in tests/oracles.
     """
     plant = as_plant(plant)
     check_limit(plant)
-    if method not in ("quadrature", "lyapunov"):
-        raise InputError(
-            f"there is no method {method!r} for the limit spectrum; choose quadrature or lyapunov."
-        )
     top = peak(plant)
     variance = float(plant.noise_covariance[0, 0])
     nodes = graded_nodes(centres(plant, top), resolution(plant, top))
     gap = _Gap(plant, top)(nodes.centre, nodes.offset)
     shape = variance * noise_shape(plant, nodes.omega)
-    if method == "lyapunov":
-        if not plant.white_noise:
-            raise InputError(
-                "the Lyapunov way is written for white noise; use method='quadrature' for coloured noise."
-            )
-        total = _integral_by_lyapunov(plant, top)
-        power = lambda delta: variance * total(delta)
-    else:
-        power = lambda delta: float(nodes.weight @ (shape / (delta + gap)))
-    upper = variance * float(nodes.weight @ (shape / variance))
-    if method == "lyapunov":
-        delta = _solve_lyapunov(power, upper)
-        if not abs(float(nodes.weight @ (shape / (delta + gap))) - 1) < 1e-6:
-            raise SolverFailure(
-                f"at noise variance {variance:g} the spectrum's poles are too close to the unit circle for the Lyapunov "
-                "equation, which has lost its digits; use method='quadrature'."
-            )
-    else:
-        delta = solve_excess(power, upper)
-    return LimitSpectrum(
-        plant, top, delta, Spectrum(nodes.omega, nodes.weight * shape / (delta + gap)), method
-    )
+    power = lambda delta: float(nodes.weight @ (shape / (delta + gap)))
+    delta = solve_excess(power, variance * float(nodes.weight @ (shape / variance)))
+    return LimitSpectrum(plant, top, delta, Spectrum(nodes.omega, nodes.weight * shape / (delta + gap)))
 
 
 def solve_excess(power: Callable[[float], float], upper: float) -> float:
@@ -295,90 +261,6 @@ def solve_excess(power: Callable[[float], float], upper: float) -> float:
     if lower == upper or f(np.log(upper)) >= 0:  # to rounding: the gap is nothing beside the noise
         return float(upper)
     return float(np.exp(np.asarray(brentq(f, np.log(lower), np.log(upper), xtol=1e-15))))
-
-
-def _solve_lyapunov(power: Callable[[float], float], upper: float) -> float:
-    """The same where the power may break down near the unit circle: NaN then."""
-    from warnings import catch_warnings, simplefilter
-
-    with catch_warnings():
-        simplefilter("ignore")  # what scipy warns of is decided by the caller's check
-        try:
-            return solve_excess(power, upper)
-        except (ValueError, ArithmeticError, SolverFailure):  # LinAlgError is a ValueError
-            return float("nan")
-
-
-def _integral_by_lyapunov(plant: Plant, top: Peak) -> Callable[[float], float]:
-    """delta -> (1/2pi) int dw / (delta + gamma^2 - |G|^2) = ||A/S||_2^2 with S S* = mu^2 A A* - B B*."""
-    from scipy.linalg import solve_discrete_lyapunov
-
-    gap = _Gap(plant, top)
-    A = plant.den[0][0]
-    if np.abs(gap.q).max(initial=0.0) <= 1e-12 * top.value**2 * np.abs(gap.a).max():
-        return lambda delta: 1 / delta  # the gain is the same at all frequencies
-
-    def total(delta: float) -> float:
-        roots = _factor_roots(gap, delta)
-        S = np.real(np.poly(roots))
-        x = np.linspace(-0.9, 0.9, 7)
-        w = np.arccos(x)
-        target = (delta + gap(np.zeros(7), w)) * chebyshev.chebval(x, gap.a)
-        z = np.exp(-1j * w)
-        scale2 = float(np.median(target / np.abs(np.polyval(S[::-1], z)) ** 2))
-        n = max(len(S), len(A)) - 1
-        if n == 0:
-            return 1 / scale2
-        den, num = (np.concatenate([p, np.zeros(n + 1 - len(p))]) for p in (S, A))
-        F = np.vstack([-den[1:], np.eye(n)[:-1]])
-        c = num[1:] - num[0] * den[1:]
-        P = solve_discrete_lyapunov(F, np.outer(np.eye(n)[0], np.eye(n)[0]))
-        return float(c @ P @ c + num[0] ** 2) / scale2
-
-    return total
-
-
-def _factor_roots(gap: _Gap, delta: float) -> NDArray[np.complex128]:
-    """Roots in z, inside the unit circle, of delta |A|^2 + (gamma^2 |A|^2 - |B|^2). The polynomial in x is
-    assembled for starting values; Newton steps on its factored form then restore the digits that assembling
-    loses for the roots that close in on the peaks."""
-    product = gap.q
-    divisors: list[tuple[float, int]] = [(np.cos(w), 1 if w in (0.0, np.pi) else 2) for w in gap.centres]
-    for xc, times in divisors:
-        for _ in range(times):
-            product = chebyshev.chebmul(product, [-xc, 1.0])
-    full = chebyshev.chebadd(delta * gap.a, product)
-    starts = list(chebyshev.chebroots(np.trim_zeros(full, "b")).astype(complex))
-    # x - 1 and x + 1 are kept apart: x = 1 + 1e-11 would have lost its digits.
-    below, above = [x - 1 for x in starts], [x + 1 for x in starts]
-    da, dq = chebyshev.chebder(gap.a), chebyshev.chebder(gap.q)
-    value = lambda poly, x: complex(chebyshev.chebval(x, poly)) if len(poly) else 0j
-    for xc, times in divisors:
-        # Near a peak: delta a + (x - xc)^times r(x) = 0, with r from the other factors.
-        rest = value(gap.q, xc) * np.prod([(xc - o) ** t for o, t in divisors if o != xc])
-        ratio = -delta * value(gap.a, xc) / rest
-        for root in [np.sqrt(ratio + 0j), -np.sqrt(ratio + 0j)] if times == 2 else [ratio]:
-            guess = xc + root
-            k = int(np.argmin([abs(s - guess) for s in starts]))
-            d = root
-            for _ in range(60):  # Newton in d = x - xc
-                x = xc + d
-                others = np.prod([(d + xc - o) ** t for o, t in divisors if o != xc])
-                slope_others = sum(t / (d + xc - o) for o, t in divisors if o != xc)
-                f = delta * value(gap.a, x) + d**times * others * value(gap.q, x)
-                df = delta * value(da, x) + others * (
-                    times * d ** (times - 1) * value(gap.q, x)
-                    + d**times * (value(dq, x) + slope_others * value(gap.q, x))
-                )
-                step = f / df
-                d = d - step
-                if abs(step) <= 4e-16 * abs(d):
-                    break
-            starts[k], below[k], above[k] = xc + d, (xc - 1) + d, (xc + 1) + d
-    x = np.array(starts)
-    root = np.sqrt(np.array(below)) * np.sqrt(np.array(above))
-    z = x - root
-    return np.where(np.abs(z) < 1, z, x + root)
 
 
 def _minimum(limit: LimitSpectrum) -> float:

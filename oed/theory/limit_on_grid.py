@@ -48,9 +48,7 @@ def limit_spectrum_on_grid(plant: Plant, points: int = 1000) -> LimitSpectrum:
     excess = solve_excess(lambda d: float(np.mean(variance / (d + (top - gain2)))), variance)
     Phi = variance / (excess + (top - gain2))
     found = peak(plant)
-    return LimitSpectrum(
-        plant, found, top + excess - found.value**2, Spectrum(omega, Phi / points), f"H_d on {points} lines"
-    )
+    return LimitSpectrum(plant, found, top + excess - found.value**2, Spectrum(omega, Phi / points))
 
 
 def spectra_of_iterations(

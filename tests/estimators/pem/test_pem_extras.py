@@ -156,7 +156,7 @@ def test_means_are_those_of_the_samples_that_are_there(rng):
         ({"prior": {"b1": (0, 0)}}, "must be positive"),
         ({"robust": "l1"}, "huber, student"),
         ({"prefilter": ([1], [1, -2])}, "stable"),
-        ({"search": "hard"}, "auto, quick or thorough"),
+        ({"search": "hard"}, "auto, quick, thorough"),
     ],
 )
 def test_bad_requests_are_told(change, words, rng) -> None:
