@@ -67,7 +67,7 @@ def propose(
     levels = Proposal(_silenced(_levels(length, power, amplitude, rng), samples))
     if not records:
         return levels
-    from estimators.diagnosis.next_experiment.discrimination import discriminate
+    from estimators.diagnosis.next_experiment import discriminate
     from estimators.diagnosis.policy import Setting
     from estimators.diagnosis.search.examination import examine
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from estimators.diagnosis.next_experiment.model_error import model_error_gain
 from estimators.norm.peak_estimates import corrected
 from estimators.norm.worst_inputs import worst_case
 from estimators.pem import identify, identify_response
@@ -61,18 +60,6 @@ def of_session(plant: Plant, method: str, samples: int, experiments: int, seed: 
         "value": (found.value, found.standard_error, true.value),
         "frequency": (found.frequency, found.frequency_error, true.frequency),
     }
-
-
-def of_model_error(plant: Plant, samples: int, iterations: int, seed: int) -> Row:
-    """The norm of what a model lacks, here all of the plant."""
-    found, true = (
-        model_error_gain(
-            simulated(plant, seed=seed), lambda u: np.zeros((len(u), plant.n_outputs)), samples=samples,
-            iterations=iterations, rng=np.random.default_rng([seed, 0]),
-        ),
-        peak(plant),
-    )  # fmt: skip
-    return {"value": (found.gamma, found.standard_error, true.value)} if found.status.ok else {}
 
 
 def of_response(seed: int) -> Row:
@@ -134,8 +121,6 @@ CASES: dict[str, Callable[[int], Row]] = {
     "session two-stage": lambda seed: of_session(REFERENCE, "two-stage", 500, 4, seed),
     "identify": of_identify,
     "identify, a frequency response": of_response,
-    "model error": lambda seed: of_model_error(REFERENCE, 500, 20, seed),
-    "model error, variance 9": lambda seed: of_model_error(named_plant("reference", 9.0), 500, 20, seed),
     "session bandit": lambda seed: of_session(REFERENCE, "bandit", 500, 10, seed),
 }
 
@@ -169,9 +154,7 @@ def test_coverage(name: str, record_figure) -> None:
     checked(name, CASES[name], 500, record_figure)
 
 
-@pytest.mark.parametrize(
-    "name", ["session power, broad peak", "identify", "identify, a frequency response", "model error"]
-)
+@pytest.mark.parametrize
 def test_coverage_of_few_runs(name: str) -> None:
     for key, (held, total) in coverage(CASES[name], 100).items():
         assert binom.ppf(5e-4, total, 0.93) <= held, (key, held, total)

@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.fitting import Fit, levenberg_marquardt
 from estimators.diagnosis.model.simulation import simulate
-from estimators.diagnosis.next_experiment.discrimination import Discrimination, discriminate
-from estimators.diagnosis.result.report import Diagnosis
-from oed.errors import InputError
 
 Array = NDArray[Any]
 
@@ -33,9 +30,6 @@ class Decision:
     standard_errors: Array
     samples: float
     samples_error: float
-
-    def __str__(self) -> str:
-        return f"{self.samples:.0f} +- {self.samples_error:.0f} samples"
 
 
 def _crossing(lengths: Array, rates: Array, wanted: float) -> float:
@@ -67,13 +61,6 @@ def decision_samples(
     Both models are fitted again to the old record and the new experiment together (Gauss-Newton steps on the
     new errors, the old record's information as a prior): the one with the smaller cost is decided for.
     """
-    if len(u) < max(lengths) or list(lengths) != sorted(lengths):
-        raise InputError(f"the input has {len(u)} samples and the lengths are {lengths}; give them in increasing "
-                         "order, none above the length of the input.")  # fmt: skip
-    if replicates < 2 or not noise > 0 or not 0.5 < wanted < 1:
-        raise InputError(
-            f"replicates {replicates}, noise {noise} and wanted {wanted} must be at least 2, positive, and between 0.5 and 1."
-        )
     right = np.zeros((len(lengths), replicates), dtype=bool)
     for r in range(replicates):
         truth = (a, b)[r % 2]
@@ -107,19 +94,3 @@ def _cost(f: Fit, u: Array, y: Array, noise: float) -> float:
 
     _, cost, _ = levenberg_marquardt(errors, f.p, f.scales, iterations=4, steps=steps)
     return cost
-
-
-def next_experiment(
-    result: Diagnosis, *, length: int, rng: np.random.Generator, amplitude: float | None = None
-) -> tuple[tuple[str, str], Discrimination] | None:
-    """The experiment that separates the first cause from the one that the record cannot tell it from."""
-    train = result.extra["train"]
-    if not result.confusable or train.n_inputs != 1:
-        return None
-    for out in result.extra["outputs"]:
-        fits = {claim.cause: claim.fit for claim in reversed(out.attribution.claims)}
-        if out.thin == 1 and result.effect in fits and result.confusable[0] in fits:
-            limit = float(np.max(np.abs(train.u))) if amplitude is None else amplitude
-            pair = (result.effect, result.confusable[0])
-            return pair, discriminate(fits[pair[0]], fits[pair[1]], length=length, amplitude=limit, rng=rng)
-    return None

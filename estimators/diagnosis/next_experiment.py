@@ -13,6 +13,7 @@ from scipy.stats import norm
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
+from estimators.diagnosis.result.report import Diagnosis
 from oed.errors import InputError
 
 Array = NDArray[Any]
@@ -155,3 +156,19 @@ def discriminate(
         makers[kind](x), best, float(norm.cdf(np.sqrt(best) / 2)), float(length * needed / max(best, 1e-300)),
         distance(a, b, white), distance(a, b, flat), white, flat,
     )  # fmt: skip
+
+
+def next_experiment(
+    result: Diagnosis, *, length: int, rng: np.random.Generator, amplitude: float | None = None
+) -> tuple[tuple[str, str], Discrimination] | None:
+    """The experiment that separates the first cause from the one that the record cannot tell it from."""
+    train = result.extra["train"]
+    if not result.confusable or train.n_inputs != 1:
+        return None
+    for out in result.extra["outputs"]:
+        fits = {claim.cause: claim.fit for claim in reversed(out.attribution.claims)}
+        if out.thin == 1 and result.effect in fits and result.confusable[0] in fits:
+            limit = float(np.max(np.abs(train.u))) if amplitude is None else amplitude
+            pair = (result.effect, result.confusable[0])
+            return pair, discriminate(fits[pair[0]], fits[pair[1]], length=length, amplitude=limit, rng=rng)
+    return None

@@ -1,1 +1,0 @@
-"""What to measure next: the input that tells rival models apart, and how surely it will."""
