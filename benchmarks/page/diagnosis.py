@@ -203,9 +203,9 @@ def _linear(result: Diagnosis) -> list[Section]:
 
 def _next(result: Diagnosis) -> tuple[list[Section], list[str], dict[str, str]]:
     """What to measure next, with its input."""
-    from estimators.diagnosis.next_experiment import next_experiment
+    from estimators.diagnosis.next_experiment import deciding_experiment
 
-    designed = next_experiment(result, length=NEXT, rng=np.random.default_rng(0))
+    designed = deciding_experiment(result, length=NEXT, rng=np.random.default_rng(0))
     if designed is None:
         return [], [], {}
     (first, second), experiment = designed

@@ -158,7 +158,7 @@ def discriminate(
     )  # fmt: skip
 
 
-def next_experiment(
+def deciding_experiment(
     result: Diagnosis, *, length: int, rng: np.random.Generator, amplitude: float | None = None
 ) -> tuple[tuple[str, str], Discrimination] | None:
     """The experiment that separates the first cause from the one that the record cannot tell it from."""

@@ -10,7 +10,7 @@ from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.model.fitting import Channel
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Structure
-from estimators.diagnosis.next_experiment import discriminate, distance, next_experiment
+from estimators.diagnosis.next_experiment import deciding_experiment, discriminate, distance
 from estimators.diagnosis.search.candidates import Menu, augmented
 from oed.data import Record
 from oed.errors import InputError
@@ -109,9 +109,9 @@ def test_the_next_experiment_is_designed_for_the_confusable_pair():
     result = SimpleNamespace(
         effect="input_saturation", confusable=("hammerstein",), extra={"train": train, "outputs": [out]}
     )
-    pair, design = next_experiment(result, length=60, rng=np.random.default_rng(7))
+    pair, design = deciding_experiment(result, length=60, rng=np.random.default_rng(7))
     assert pair == ("input_saturation", "hammerstein")
     assert len(design.u) == 60
     assert np.max(np.abs(design.u)) <= np.max(np.abs(channel.u)) + 1e-12
     sure = SimpleNamespace(effect="input_saturation", confusable=(), extra=result.extra)
-    assert next_experiment(sure, length=60, rng=np.random.default_rng(7)) is None
+    assert deciding_experiment(sure, length=60, rng=np.random.default_rng(7)) is None
