@@ -10,18 +10,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
+from importlib import import_module
+from pkgutil import iter_modules
 from typing import Any
 
 import numpy as np
 
+import estimators.rules
 from estimators.norm.gains import gain, mu, rayleigh
-from estimators.rules import inputs
-from estimators.rules.averaging import averaged_iterations
-from estimators.rules.bandit import thompson_sampling
-from estimators.rules.krylov import lanczos, ritz
-from estimators.rules.power import power_iterations
-from estimators.rules.procedure2 import procedure_2
-from estimators.rules.trace import Rule, Trace, run
+from estimators.rules.krylov import ritz
+from estimators.rules.trace import OFFERS, Rule, Trace, run
 from oed.errors import InputError, OedError, Status, check_names
 from oed.experiments import Experiment
 from oed.plants.plant import Plant
@@ -112,8 +110,8 @@ def _run_rule(rule: Rule, experiment: Experiment, *, samples: int, iterations: i
     return run(rule, experiment, samples=samples, experiments=iterations, rng=rng)
 
 
-def _blind(rule: Rule, words: str, *, one_channel: bool = False, iterations: bool = False) -> Input:
-    return Input(lambda: partial(_run_rule, rule), words, one_channel=one_channel, iterations=iterations)
+def _running(rule: Rule) -> Callable[[], Method]:
+    return lambda: partial(_run_rule, rule)
 
 
 def _oracle(criterion: str, plant: Plant) -> Method:
@@ -145,20 +143,12 @@ def _adaptive(name: str, structure: Structure | None = None) -> Method:
 
 
 _ORDERS = "orders and delay"
-_PROCEDURE_2 = partial(procedure_2, scaling="each")
+for _module in iter_modules(estimators.rules.__path__, "estimators.rules."):
+    import_module(_module.name)  # which offers the rules in it
 METHODS: dict[str, Input] = {
-    "white": _blind(inputs.white, "white Gaussian noise"),
-    "multisine": _blind(inputs.multisine, "sinusoids of one size at all frequencies, random phases"),
-    "prbs": _blind(inputs.prbs, "a pseudo-random binary signal"),
-    "sweep": _blind(inputs.sweep, "a sinusoid whose frequency runs through the band"),
-    "power": _blind(power_iterations, "the power iterations: the next input is the last output, reversed in time and scaled",
-                    one_channel=True, iterations=True),
-    "averaged": _blind(averaged_iterations, "power iterations with their records averaged", one_channel=True, iterations=True),
-    "two-experiment": _blind(_PROCEDURE_2, "the iterations with the plant and its transpose in turn", one_channel=True,
-                             iterations=True),
-    "procedure-2": _blind(_PROCEDURE_2, "the iterations for several channels; 1 + pq experiments each", iterations=True),
-    "krylov": _blind(lanczos, "Lanczos iterations on all records so far", one_channel=True, iterations=True),
-    "bandit": _blind(thompson_sampling, "Thompson sampling over the lines of the spectrum", one_channel=True),
+    name: Input(_running(offer.rule), offer.words, one_channel=offer.one_channel, iterations=offer.iterations)
+    for name, offer in sorted(OFFERS.items())
+} | {
     "two-stage": Input(partial(_adaptive, "two_stage"), "white noise first, then the optimal input of the model",
                        Told.STRUCTURE, _ORDERS),
     "sequential": Input(partial(_adaptive, "sequential"), "the optimal input of the model so far, again and again",
@@ -239,8 +229,6 @@ def _peak_estimator(module: str, function: str) -> Callable[[Trace], Estimate]:
     """An estimator of `estimators` that returns a PeakEstimate."""
 
     def estimate(trace: Trace) -> Estimate:
-        from importlib import import_module
-
         return _from_peak(getattr(import_module(f"estimators.{module}"), function)(trace))
 
     return estimate

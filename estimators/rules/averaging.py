@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimators.rules.limits import Limits, scaled
 from estimators.rules.power import first_input
-from estimators.rules.trace import Step
+from estimators.rules.trace import Step, offered
 from oed.errors import InputError
 
 
+@offered("averaged", "power iterations with their records averaged", one_channel=True, iterations=True)
 def averaged_iterations(
     samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, exponent: float = 0.5,
     limits: Limits | None = None, start: ArrayLike | None = None,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.norm.local_models import PeakEstimate
-from estimators.rules.trace import Step, Trace
+from estimators.rules.trace import Step, Trace, offered
 from oed.errors import InputError, Status
 
 DRAWS = 200
@@ -62,6 +62,7 @@ def _posterior(
     return _Posterior(mean, noise / power, noise)
 
 
+@offered("bandit", "Thompson sampling over the lines of the spectrum", one_channel=True)
 def thompson_sampling(
     samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, power: float = 1.0,
     explore: float = 0.05,

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.rules.limits import Limits, scaled
-from estimators.rules.trace import Rule, Step
+from estimators.rules.trace import Rule, Step, offered
 from oed.data import as_signal
 from oed.errors import InputError
 
 Steps = Generator[Step, NDArray[np.float64], None]
 
 
+@offered("white", "white Gaussian noise")
 def white(
     samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, power: float = 1.0
 ) -> Steps:
@@ -26,6 +27,7 @@ def white(
         yield Step(scaled(rng.standard_normal((samples, n_inputs)), limits), "white")
 
 
+@offered("multisine", "sinusoids of one size at all frequencies, random phases")
 def multisine(
     samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, power: float = 1.0
 ) -> Steps:
@@ -40,6 +42,7 @@ def multisine(
         yield Step(scaled(np.fft.irfft(U, samples, axis=0), limits), "multisine")
 
 
+@offered("prbs", "a pseudo-random binary signal")
 def prbs(
     samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, power: float = 1.0
 ) -> Steps:
@@ -55,6 +58,7 @@ def prbs(
         yield Step(level * sequence[places % len(sequence)], "prbs")
 
 
+@offered("sweep", "a sinusoid whose frequency runs through the band")
 def sweep(
     samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, power: float = 1.0
 ) -> Steps:

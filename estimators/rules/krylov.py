@@ -15,10 +15,11 @@ from estimators.norm.gains import Gains, from_squares, transposed_output
 from estimators.rules.limits import Limits, scaled
 from estimators.rules.power import first_input
 from estimators.rules.procedure2 import procedure_2
-from estimators.rules.trace import Step, Trace
+from estimators.rules.trace import Step, Trace, offered
 from oed.errors import InputError
 
 
+@offered("krylov", "Lanczos iterations on all records so far", one_channel=True, iterations=True)
 def lanczos(
     samples: int, n_inputs: int, n_outputs: int, rng: np.random.Generator, *, limits: Limits | None = None,
     start: ArrayLike | None = None,

@@ -8,11 +8,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.rules.limits import Limits, scaled, white_start
-from estimators.rules.trace import Step
+from estimators.rules.trace import Step, offered
 from oed.data import as_signal
 from oed.errors import InputError
 
 
+@offered(
+    "power",
+    "the power iterations: the next input is the last output, reversed in time and scaled",
+    one_channel=True,
+    iterations=True,
+)
 def power_iterations(
     samples: int,
     n_inputs: int,

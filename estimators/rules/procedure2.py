@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Generator
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.rules.limits import Limits, scaled
 from estimators.rules.power import first_input
-from estimators.rules.trace import Step
+from estimators.rules.trace import Step, offered
 from oed.errors import check_names
 
 SCALINGS = ("none", "each", "common")
@@ -48,6 +49,13 @@ def procedure_2(
                 answer = yield Step(factor * second, f"transpose {i + 1} {j + 1}")
                 z[:, i] += answer[:, j] / factor
         u = scaled(z[::-1], limits)
+
+
+_IN_TURN = "the iterations with the plant and its transpose in turn"
+offered("two-experiment", _IN_TURN, one_channel=True, iterations=True)(partial(procedure_2, scaling="each"))
+offered("procedure-2", "the iterations for several channels; 1 + pq experiments each", iterations=True)(
+    partial(procedure_2, scaling="each")
+)
 
 
 def _fed(x: NDArray[np.float64], i: int, j: int, n_inputs: int) -> NDArray[np.float64]:

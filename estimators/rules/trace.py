@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,31 @@ from oed.errors import ExperimentError, InputError, OedError, Status
 from oed.experiments import Experiment, Usage
 
 Rule = Callable[[int, int, int, np.random.Generator], Generator[Any, NDArray[np.float64], None]]
+AnyRule = TypeVar("AnyRule", bound=Callable[..., Generator[Any, NDArray[np.float64], None]])
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A rule that the comparison has by name, in `words`: whether it is for one channel alone, and one of the iterations."""
+
+    rule: Callable[..., Any]
+    words: str
+    one_channel: bool = False
+    iterations: bool = False
+
+
+OFFERS: dict[str, Offer] = {}
+"""By name, filled where the rules are written."""
+
+
+def offered(name: str, words: str, **how: bool) -> Callable[[AnyRule], AnyRule]:
+    """Offer the rule that follows to the comparison."""
+
+    def keep(rule: AnyRule) -> AnyRule:
+        OFFERS[name] = Offer(rule, words, **how)
+        return rule
+
+    return keep
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,10 @@ from math import isfinite, pi
 from pathlib import Path
 from typing import Any
 
+from estimators.sessions.settings import METHOD_NAMES
+
 HELP = "experiments on a rig by files: start, rest, next, record, undo, watch, status, estimate"
 EXAMPLE = "oed session start rig --method power --samples 1000 --dt 0.001 --amplitude 2"
-METHODS = ("power", "procedure-2", "two-stage", "sequential", "bandit", "diagnose-next")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +63,7 @@ def _configure_start(sub: argparse.ArgumentParser) -> None:
     numbers = {"type": _numbers, "metavar": "X[,X..]"}
     add = sub.add_argument
     # fmt: off
-    add("--method", required=True, choices=METHODS,
+    add("--method", required=True, choices=METHOD_NAMES,
         help="what chooses the next input: power iterations (power; of several channels procedure-2), a model fitted once (two-stage) or after "
         "every experiment (sequential), power moved to the loudest line (bandit), what the diagnosis cannot tell apart (diagnose-next)")
     add("--samples", type=int, required=True, metavar="N", help="samples of one experiment (or period)")
