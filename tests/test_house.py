@@ -156,3 +156,15 @@ def test_paths_named_in_the_guides_exist(name: str) -> None:
     missing = [p for p in paths if not (ROOT / p).exists()]
     assert paths, "the guide names no path"
     assert not missing, missing
+
+
+def test_functions_named_in_the_guide_exist() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8").split("## The tree")[0]
+    named = [
+        (path, name)
+        for path, words in re.findall(r"`([\w/]+\.py)`\s\(([^)]*)\)", text)
+        for name in re.findall(r"`(\w+)`", words)
+    ]
+    missing = [(p, n) for p, n in named if f"def {n}(" not in (ROOT / p).read_text(encoding="utf-8")]
+    assert named, "the guide names no function"
+    assert not missing, missing
