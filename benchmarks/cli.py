@@ -40,7 +40,11 @@ SCHEMA_VERSION = 1
 BAD_INPUT = (InputError, NotIdentifiable, InfeasibleDesign, CampaignError)
 
 
-NUMBERS = {"int": "a whole number", "float": "a number", "_order": "a whole number or auto"}
+NUMBERS = {
+    "int": "a whole number",
+    "float": "a number",
+    "order": "a whole number or auto, several written apart (2 2)",
+}
 """What the message of a wrong argument calls its type."""
 
 
@@ -216,6 +220,8 @@ def _main(argv: list[str], out: _Lasting) -> int:
         return 2
     if unknown:
         hint = near(unknown[0], args.options)
+        if "inputs" in args and not unknown[0].startswith("-"):
+            hint = " (several names are one word with commas: --inputs u1,u2)"
         said = f"oed {args.command}: {unknown[0]} is not understood{hint}; see oed {args.command} --help."
         print(_one_line(said), file=sys.stderr)
         return 2

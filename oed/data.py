@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -121,7 +122,7 @@ class Record:
                 f"the input has {len(u)} samples and the output {len(y)}; they must be equal: "
                 "cut both to the time in which both were recorded."
             )
-        if isinstance(self.dt, str) or not (isfinite(self.dt) and self.dt > 0):
+        if not (isinstance(self.dt, Real) and isfinite(self.dt) and self.dt > 0):
             raise InputError(f"the sampling time is {self.dt}; it must be a positive number of seconds.")
         object.__setattr__(self, "u", u)
         object.__setattr__(self, "y", y)

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any
 
 EXTRAS = {
-    "pandas": "files", "pyarrow": "files", "h5py": "files", "xarray": "files", "control": "control", "cvxpy": "convex",
+    "pandas": "files", "pyarrow": "files", "h5py": "files", "xarray": "files", "control": "control", "cvxpy": "convex", "casadi": "casadi",
     "matplotlib": "report", "altair": "report", "vl_convert": "report", "joblib": "compare", "tqdm": "compare", "distributed": "dask",
 }  # fmt: skip
 """What a light install does not have, and the extra that brings it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import re
 from collections.abc import Sequence
 from functools import lru_cache
@@ -71,7 +72,15 @@ def load_plant(spec: str, noise_variance: float | None = None) -> Plant:
             )
         from oed.plants.json import plant_from_json
 
-        return plant_from_json(spec, noise_variance=noise_variance)
+        try:
+            return plant_from_json(spec, noise_variance=noise_variance)
+        except InputError as error:
+            if not _diagnosed(spec):
+                raise error from None
+            raise InputError(
+                f"{spec} is the model of a diagnosis, whose effects no plant holds; take a linear model of the same record: "
+                "oed identify RECORD --out DIR, then --plant DIR/model.json."
+            ) from None
     check_plants([spec])
     numbered = RANDOM.fullmatch(spec)
     if numbered:
@@ -89,6 +98,14 @@ def load_plant(spec: str, noise_variance: float | None = None) -> Plant:
 
     plant = named_plant(spec)
     return plant if noise_variance is None else plant.replace(noise_variance=noise_variance)
+
+
+def _diagnosed(spec: str) -> bool:
+    """Whether a file is the model that `oed diagnose --out` wrote."""
+    try:
+        return "answers" in json.loads(Path(spec).read_text(encoding="utf-8"))
+    except (OSError, ValueError, TypeError, RecursionError):
+        return False
 
 
 def _random(spec: str, family: str, number: int, noise_variance: float | None) -> Plant:

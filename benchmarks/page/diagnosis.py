@@ -214,7 +214,8 @@ def _next(result: Diagnosis) -> tuple[list[Section], list[str], dict[str, str]]:
     rows = line(range(len(experiment.u)), experiment.u, "")
     figure = Figure("next-input", "The input to apply next.", "The proposed input over its samples.", rows, "sample", "u",
                     zoom=True)  # fmt: skip
-    text = "u\n" + "".join(f"{v:.9g}\n" for v in experiment.u)
+    dt = result.extra["train"].dt
+    text = "t,u\n" + "".join(f"{k * dt!r},{v:.9g}\n" for k, v in enumerate(experiment.u))
     return [Section("What to measure next", [words], figures=[figure])], [words], {"next_input.csv": text}
 
 

@@ -22,6 +22,8 @@ ELLIPSE = float(np.sqrt(-2 * np.log(0.05)))
 """Radius of a 95 % ellipse in standard deviations: chi-squared with two degrees of freedom."""
 SUSPECT = 0.01
 """p-value below which a residual test is named on top of the page."""
+TOLD = 2.0
+"""Standard errors that a gain must have to be told from zero: a 95 % interval."""
 FREQUENCIES = 250
 STEP = 80
 """Points of the frequency response and samples of the step response: enough for lines some 600 pixels wide."""
@@ -33,14 +35,7 @@ def _banded(x: Any, value: Any, error: Any, series: str, factor: float = 1.0) ->
     return line(x, factor * np.asarray(value), series, factor * LEVEL * np.asarray(error))
 
 
-def _entries(fit: Fit) -> list[tuple[int, int, str]]:
-    form = fit.model.structure
-    several = form.n_outputs * form.n_inputs > 1
-    return [(i, j, f"input {j + 1} to output {i + 1}" if several else "")
-            for i in range(form.n_outputs) for j in range(form.n_inputs)]  # fmt: skip
-
-
-def _response(fit: Fit, per: str) -> list[Figure]:
+def _response(fit: Fit, record: Record) -> list[Figure]:
     from estimators.pem.uncertainty import bode_band, step_band
 
     omega = np.geomspace(0.01, np.pi, FREQUENCIES)
@@ -48,7 +43,10 @@ def _response(fit: Fit, per: str) -> list[Figure]:
     gain, phase = bode_band(fit, omega)
     step = step_band(fit, STEP)
     rows: dict[str, list[Row]] = {"gain": [], "phase": [], "step": []}
-    for i, j, name in _entries(fit):
+    several = record.n_outputs * record.n_inputs > 1
+    per = "" if several else f" ({_per(record)})"
+    for i, j in np.ndindex(record.n_outputs, record.n_inputs):
+        name = f"{record.input_names[j]} to {record.output_names[i]}" if several else ""
         sizes = _banded(omega / turn, gain.value[:, i, j], gain.standard_error[:, i, j], name)
         rows["gain"] += [
             r | {"low": max(r["low"], 1e-2 * r["y"])} for r in sizes if r["y"] > 0
@@ -139,7 +137,11 @@ def _orders(
         ]
         return [Figure("orders", "Singular values of the subspace method.", "Singular values by number.", rows, "number",
                        "singular value", {"taken": "points", "left": "points"}, log="y")]  # fmt: skip
-    if structure not in ("oe", "arx") or len(_entries(fit)) > 1 or not all(r.complete for r in records):
+    if (
+        structure not in ("oe", "arx")
+        or records[0].n_outputs * records[0].n_inputs > 1
+        or not all(r.complete for r in records)
+    ):
         return []
     given: dict[str, Any] = {k: v for k, v in options.items() if k in ("offset", "initial", "robust")} | {
         "search": "quick"
@@ -170,14 +172,19 @@ def _measured(fit: Fit, record: Record) -> list[Figure]:
     return drawn
 
 
+def _per(record: Record) -> str:
+    """Unit of a gain: that of the first output over that of the first input, or their names."""
+    return (
+        f"{record.output_units[0] or record.output_names[0]}/{record.input_units[0] or record.input_names[0]}"
+    )
+
+
 def write_identification(
     folder: Path, fit: Fit, records: Sequence[Record], tests: Mapping[str, ResidualTest], made: Mapping[str, Any],
     payload: Mapping[str, Any],
 ) -> Path:  # fmt: skip
     """Write report.json, its tables and the page of an identified model."""
     gamma, error, omega = fit.hinf_norm
-    first = records[0]
-    per = f"{first.output_units[0] or first.output_names[0]}/{first.input_units[0] or first.input_names[0]}"
     wrong = [name for name, test in tests.items() if test.p_value < SUSPECT]
     suffices = (
         "nothing is left in the residual"
@@ -194,7 +201,10 @@ def write_identification(
     )
     orders = " ".join(map(str, payload["orders"]))
     answer = f"A model of structure {payload['structure'].upper()} with orders {orders} {does} % of the output; {suffices}."
-    sure = [f"Peak gain {gamma:.4g} ± {error:.2g} {per} at {omega / (2 * np.pi * fit.model.dt):.4g} Hz; standard errors hold if the model can describe the data.",
+    told = gamma > TOLD * error
+    if not told:
+        answer = f"{answer[:-1]}; these data do not tell its largest gain."
+    sure = [f"Peak gain {gamma:.4g} ± {error:.2g} {_per(records[0])} at {omega / (2 * np.pi * fit.model.dt):.4g} Hz; standard errors hold if the model can describe the data.",
             f"Fitted to {fit.n_samples} samples; the search ended: {fit.status.value[:1].lower()}{fit.status.value[1:]}"]  # fmt: skip
     fresh = payload["test"]["simulation_fit_percent"] if "test" in payload else None
     useless = fresh is not None and fresh <= 0
@@ -214,6 +224,8 @@ def write_identification(
     todo.append(
         "Try other orders or another structure before this model is used: --orders auto."
         if useless
+        else "Before this model is used, check that inputs and outputs are not swapped, the delay (--delay auto), fewer orders, and that the input moves enough."
+        if not told
         else "Use the model: every command takes model.json as a plant, such as oed design --plant model.json."
     )
     drawn, tables = _residual(tests)
@@ -222,7 +234,7 @@ def write_identification(
                   for k, v, s in zip(fit.names, fit.theta, fit.standard_errors, strict=True)]  # fmt: skip
     measured = _measured(fit, records[0]) if fit.model.stable and records[0].complete else []
     sections = [
-        Section("Frequency and step response", figures=_response(fit, f" ({per})" if len(_entries(fit)) == 1 else "") if fit.model.stable else []),
+        Section("Frequency and step response", figures=_response(fit, records[0]) if fit.model.stable else []),
         Section("Poles", [], [poles] if poles.rows else [], [figure] if poles.rows else []),
         Section("What the residual says", list(payload.get("notes", ())), tables, drawn),
         Section("Orders", figures=_orders(fit, records, payload["structure"], payload["orders"], payload["options"] | {"delay": payload["delay"]})),

@@ -20,7 +20,7 @@ from estimators.diagnosis.baseline.disturbances import set_aside
 from estimators.diagnosis.baseline.search import LONG
 from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
-from estimators.diagnosis.ladder.held_out import HeldOut, assess, outside
+from estimators.diagnosis.ladder.held_out import HeldOut, assess, begun, outside
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.stated import Contradiction, lacking, starts_at_rest, starts_moving
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, as_started, climb, paired_gain, refused
@@ -381,7 +381,7 @@ def _diagnosis(
     )
     notes = [*held.warnings, *base.warnings]
     if test is not None:
-        notes += outside(records, test, setting.policy)
+        notes += outside(records, test, setting.policy) + begun(test, held.after, setting.skip)
     floor = float(np.sqrt(np.mean([_floor(o, train) ** 2 for o in outcomes])))
     found: dict[str, Any] = verdict(outcomes, held, setting, stated)
     found["data"] += observations(records)

@@ -186,22 +186,42 @@ def automatic(
 def _climb(
     given: list[Record], structure: str, nk: int, options: dict
 ) -> list[tuple[tuple[int, ...], float]]:
-    """Orders from the smallest, each with its simulation error on blocks left out, until no more is gained."""
+    """Orders from the smallest, each with its simulation error on blocks left out, until no more is gained; then fewer poles, until
+    that costs: of several inputs the one that comes latest sets how far all numerators reach, and poles that follow them there
+    cancel, anywhere, so that no gain is told."""
     rows: list[tuple[tuple[int, ...], float]] = []
+    said = ""
     window = int(OPENING * (len(given[0]) // FOLDS if len(given) == 1 else min(map(len, given))))
+    error_of = lambda orders: held_out_error(
+        given, structure, orders, nk, folds=FOLDS, window=window, **options
+    )[0]
     for k in range(1, MOST + 1):
         stage("orders, at most", k - 1, MOST)
         orders = (k * (1 if structure == "ss" else STRUCTURES[structure].step),) * len(ORDERS[structure])
         try:
-            error = held_out_error(given, structure, orders, nk, folds=FOLDS, window=window, **options)[0]
-        except OedError as said:  # too short a record, or more than it can tell
-            if not rows:
-                raise InputError(f"not even the smallest {structure} model can be fitted: {said}") from None
-            break
+            error = error_of(orders)
+        except OedError as refused:  # too short a record, or more than it can tell; or too small to be told (a noise of one pole)
+            said = said or str(refused)
+            if rows:
+                break
+            continue
         rows.append((orders, error))
         if len(rows) - int(np.argmin([e for _, e in rows])) > PATIENCE:
             break
-    return rows
+    if not rows:
+        raise InputError(f"not even the smallest {structure} model can be fitted: {said}")
+    best = min(error for _, error in rows)
+    orders, error = next(row for row in rows if row[1] <= best * (1 + WORTH))
+    poles = [name in ("na", "nf") for name in ORDERS[structure]]
+    fewer: list[tuple[tuple[int, ...], float]] = []
+    while any(poles) and min(orders) > 1 and error <= best * (1 + WORTH):
+        orders = tuple(n - one for n, one in zip(orders, poles, strict=True))
+        try:
+            error = error_of(orders)
+        except OedError:
+            break
+        fewer.insert(0, (orders, error))
+    return [*fewer, *rows]
 
 
 def _first_delay(given: list[Record]) -> int:

@@ -161,6 +161,8 @@ def _number(entry: str, row: int, column: str, source: str) -> float:
         hint = "write decimal points, not commas"
     elif _is_number(re.sub(r"[,' ]", "", entry)):
         hint = "write them without marks between the thousands"
+    elif re.match(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}", entry):
+        hint = "write dates like 2024-01-31 12:00:00.05, or the time in seconds"
     raise InputError(
         f"row {row} (counting from 0), column {column} of {source} is {entry[:40]!r}; entries must be numbers: {hint}."
     )

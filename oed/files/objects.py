@@ -287,7 +287,7 @@ def as_records(given: Any, *, missing: bool = False) -> list[Record]:
 def _is_signal(item: Any) -> bool:
     """Whether an object is one signal: an array, a column of a DataFrame, a list of numbers."""
     if isinstance(item, list | tuple):
-        return bool(item) and isinstance(item[0], int | float | np.number)
+        return bool(item) and isinstance(item[0], int | float | np.number | str)
     return isinstance(item, np.ndarray) or ("pandas", "Series") in _kinds(item)
 
 
@@ -314,7 +314,7 @@ def _record_of_object(item: Any, missing: bool) -> Record | None:
     if isinstance(item, Record):
         return item
     if isinstance(item, tuple) and len(item) in (2, 3) and all(map(_is_signal, item[:2])):
-        return Record(np.asarray(item[0]), np.asarray(item[1]), dt=float(item[2]) if len(item) == 3 else 1.0)
+        return Record(np.asarray(item[0]), np.asarray(item[1]), dt=item[2] if len(item) == 3 else 1.0)
     kinds = _kinds(item)
     if ("control", "FrequencyResponseData") in kinds:
         raise InputError(

@@ -131,7 +131,8 @@ def entries_of_control(system: Any, dt: float | None = None, hold: str | None = 
     if system.isctime(strict=True) or (system.dt is None and dt is not None):
         if dt is None or hold is None:
             raise InputError(
-                'the system is in continuous time; say how it is sampled, for example dt=0.01, hold="zoh".'
+                "the system is in continuous time; sample it first, for example "
+                'oed.Plant.from_control(system, dt=0.01, hold="zoh").'
             )
         system = control.sample_system(system, dt, method=hold)
     elif dt is not None:

@@ -39,8 +39,9 @@ def test_grid_and_moments_agree_and_autocorrelation_is_above():
 def test_a_realised_signal_is_written_once(tmp_path):
     out = tmp_path / "input.csv"
     payload = _run("--realise", "300", "--out", str(out), "--input-power", "2")
-    u = np.loadtxt(out, skiprows=1)
-    assert u.shape == (300,)
+    t, u = np.loadtxt(out, delimiter=",", skiprows=1).T
+    assert out.read_text().startswith("t,u\n")
+    assert t.tolist() == list(range(300))
     assert np.mean(u**2) == pytest.approx(2.0) == pytest.approx(payload["realised_power"])
     assert payload["realised_loss"] > payload["loss"]
     with pytest.raises(InputError, match="exists already"):
@@ -50,12 +51,22 @@ def test_a_realised_signal_is_written_once(tmp_path):
     assert json.loads(described.read_text())["loss"] == pytest.approx(0.033674015758, rel=1e-9)
 
 
-def test_amplitude_limits_and_multisine_lines():
+def test_amplitude_limits_and_multisine_lines(tmp_path):
     payload = _run("--criterion", "hinf", "--amplitude", "1.5", "--realise", "600")
     # The relaxation: power a^2. A square wave has 8 / pi^2 of it in its fundamental, so 1.2337 at best.
     assert payload["bound"] == pytest.approx(1 / 1.5**2, rel=1e-9)
     assert payload["realised_power"] <= 1.5**2 * (1 + 1e-12)
     assert 1.2 < payload["realised_loss"] / payload["bound"] < 1.6
+    for limits in (["--amplitude", "1.5"], ["--amplitude", "1.5", "--rate", "0.4"]):
+        file = str(tmp_path / f"{len(limits)}.csv")
+        asked = _run("--criterion", "D", "--signal", "multisine", "--realise", "600", "--out", file, *limits)
+        u = np.loadtxt(file, delimiter=",", skiprows=1)[:, 1]
+        assert np.abs(u).max() <= 1.5 * (1 + 1e-12)
+        assert np.abs(np.diff(u)).max() <= 0.4 * (1 + 1e-12) or len(limits) == 2
+        assert (
+            np.count_nonzero(np.abs(np.fft.rfft(u)) > 1e-9 * len(u)) <= 8
+        )  # lines and nothing between: it is not clipped
+        assert asked["crest_factor"] > 1.2
     lines = _run("--parametrisation", "multisine", "--realise", "500")
     for line in lines["support"]:
         assert line["frequency"] * 500 / (2 * np.pi) == pytest.approx(

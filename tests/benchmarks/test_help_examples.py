@@ -48,6 +48,10 @@ def test_the_example_of_help_runs_as_printed(name, folder, capfd):
 
 MISTAKES = {
     "identify record.csv --structure oe --orders a b": "it is 'a'; it must be a whole number or auto",
+    "identify record.csv --orders 2,2": "a whole number or auto, several written apart (2 2)",
+    "identify record.csv --inputs u v": "v is not understood (several names are one word with commas",
+    "diagnose record.csv --skip 9": "--skip is of the test record; give --test, or leave it out",
+    "design --plant diagnosed.json": "is the model of a diagnosis, whose effects no plant holds; take a linear model",
     "plot model.json --out a.svg": "give the record, or open report.html beside the model",
     "compare --plant reference --against here": "here holds no comparison.csv; give a folder of results",
     "compare --plant reference --methods own.py:f": "No such file or directory); check the name and the folder",
@@ -57,6 +61,7 @@ MISTAKES = {
 @pytest.mark.parametrize("line", MISTAKES)
 def test_a_mistake_is_answered_before_any_work(line, folder, capfd):
     (folder / "model.json").write_text(json.dumps({"num": [[[0, 1]]], "den": [[[1, -0.5]]]}))
+    (folder / "diagnosed.json").write_text('{"schema": 1, "answers": [NaN]}')
     (folder / "here").mkdir()
     try:
         status = main(shlex.split(line))

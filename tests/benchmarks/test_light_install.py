@@ -37,11 +37,14 @@ def test_the_chain_needs_no_extra(tmp_path):
     [
         (("design", "--plant", "reference", "--parametrisation", "moments"), "convex"),
         (("identify", "r.parquet"), "files"),
+        (("identify", "r.csv", "--missing"), "casadi"),
         (("compare", "--plant", "reference", "--replicates", "2"), "compare"),
     ],
 )
 def test_what_is_missing_is_named(tmp_path, monkeypatch, words, extra):
     (tmp_path / "r.parquet").write_bytes(b"PAR1PAR1")
+    rows = [f"{k % 7 % 2},{'' if k == 9 else k % 5}" for k in range(99)]
+    (tmp_path / "r.csv").write_text("\n".join(["u,y", *rows, ""]))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", ":".join(p for p in sys.path if p))
     ended = light(*words)

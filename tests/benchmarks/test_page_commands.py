@@ -87,6 +87,24 @@ def test_a_model_that_fails_on_fresh_data_says_so_first(tmp_path):
     assert not any("Use the model" in words for words in content["todo"])
 
 
+def test_a_gain_that_is_not_told_is_said_and_channels_have_their_names(tmp_path):
+    """The page asked to use a model whose gain was 31850 +- 480000000; its curves were "input 1 to output 1"."""
+    rng = np.random.default_rng(1)
+    u, noise = rng.standard_normal((200, 2)), rng.standard_normal(200)
+    np.savetxt(
+        tmp_path / "r.csv", np.column_stack([u, noise]), delimiter=",", header="valve,fan,flow", comments=""
+    )
+    words = ["--inputs", "valve,fan", "--outputs", "flow", "--structure", "arx", "--orders", "1", "1"]
+    assert main(["identify", str(tmp_path / "r.csv"), *words, "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    content, _ = told(tmp_path / "out")
+    assert content["answer"].endswith("these data do not tell its largest gain.")
+    assert content["todo"][-1].startswith(
+        "Before this model is used, check that inputs and outputs are not swapped"
+    )
+    drawn = {f["name"]: f["rows"] for s in content["sections"] for f in s["figures"]}
+    assert {row["series"] for row in drawn["gain"]} == {"valve to flow", "fan to flow"}
+
+
 def test_design(tmp_path, capfd):
     words = [
         "design",
@@ -102,7 +120,7 @@ def test_design(tmp_path, capfd):
     assert main([*words, "--json"]) == 0
     found = json.loads(capfd.readouterr().out)
     content, tables = told(tmp_path / "new")
-    assert len(np.loadtxt(tmp_path / "new" / "input.csv", skiprows=1)) == 200
+    assert len(np.loadtxt(tmp_path / "new" / "input.csv", delimiter=",", skiprows=1)) == 200
     assert json.loads((tmp_path / "new" / "design.json").read_text())["loss"] == found["loss"]
     share = {r["input"]: r["efficiency"] for r in tables["alternatives"]}
     assert share["white noise"] == pytest.approx(found["efficiency_white"])

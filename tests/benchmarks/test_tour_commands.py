@@ -83,7 +83,7 @@ def test_plot_draws(figure, tmp_path, capfd):
         "plot",
         str(tmp_path / "r.csv"),
         "--delay",
-        "3",
+        "auto" if figure == "bode" else "3",
         "--figure",
         figure,
         "--out",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import partial
 
 import control
@@ -28,6 +28,9 @@ MISTAKES = {
     "a number for a list": (lambda: oed.Plant(1, 1), "num is 1; give a list"),
     "text for a list": (lambda: oed.Plant("1", "2"), "num is '1'; give a list"),
     "text for a sampling time": (lambda: oed.Plant([0, 1], [1, -0.5], dt="1"), "the sampling time is 1; it must be a positive"),
+    "a duration for a sampling time": (lambda: identify((U, U, timedelta(seconds=1)), "oe", (1, 1)), "the sampling time is 0:00:01; it must be a positive"),
+    "lists of text": (lambda: identify((["1,5", "2"], ["1", "2"], 1.0), "oe", (1, 1)), "text.; give numbers"),
+    "continuous time": (lambda: oed.peak(control.tf([1], [1, 1])), "sample it first, for example oed.Plant.from_control"),
     "text for a seed": (lambda: oed.simulated(REFERENCE, seed="x"), "the seed is 'x'; it must be a whole number"),
     "a number for a file": (lambda: oed.read_record(5), "a file is given as int; give its name"),
     "bytes for a file": (lambda: oed.read_record(b"x.csv"), "a file is given as bytes"),

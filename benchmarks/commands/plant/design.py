@@ -32,7 +32,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--rate", type=float, metavar="r", help="largest change of the input per sample")
     add("--solver", choices=("newton", "clarabel"), default="newton", help="how weights are found")
     add("--realise", type=int, metavar="N", help="also make a signal of N samples")
-    add("--signal", choices=("multisine", "realise", "filtered-noise", "binary"), default="multisine")
+    add("--signal", choices=("multisine", "realise", "filtered-noise", "binary"),
+        help="its kind (default multisine; within --amplitude the best of all kinds, clipped ones too)")
     add("--out", metavar="FILE", help="write the signal (.csv), the design (.json), or both with a page into a new folder")
     # fmt: on
 
@@ -43,7 +44,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     from estimators.stages import stage
     from oed.design import solve_design
-    from oed.design.parametrisations.amplitude import amplitude_design
+    from oed.design.parametrisations.amplitude import amplitude_design, within
     from oed.design.problem.design import in_words
     from oed.signals import synthesis as signals
 
@@ -80,9 +81,12 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     u = None
     if args.realise is not None:
         stage("the signal")
-        how = getattr(signals, args.signal.replace("-", "_"))
-        if made is None:
-            made = signals.realisation(plant, design, args.realise, np.random.default_rng(args.seed), how=how)
+        if made is None or args.signal:
+            how = getattr(signals, (args.signal or "multisine").replace("-", "_"))
+            made = signals.realisation(
+                plant, design, args.realise, np.random.default_rng(args.seed),
+                how=how if made is None else lambda *given: within(how(*given), args.amplitude, args.rate),
+            )  # fmt: skip
         u = made.u
         payload |= {"realised_loss": made.loss, "crest_factor": made.crest_factor}
         payload |= {"realised_power": made.power, "realised_efficiency": made.efficiency}
@@ -183,14 +187,17 @@ def _writer(args: argparse.Namespace):
         raise InputError("--out with .csv writes the signal; say its length with --realise N.")
 
     def write(payload: dict[str, Any], u: Any, design: Any, plant: Any) -> None:
-        write_whole(path, (json.dumps(payload, indent=1) if path.suffix == ".json" else _csv(u)) + "\n")
+        write_whole(
+            path, (json.dumps(payload, indent=1) if path.suffix == ".json" else _csv(u, plant.dt)) + "\n"
+        )
 
     return write
 
 
-def _csv(u: Any) -> str:
-    names = ["u"] if u.shape[1] == 1 else [f"u{j + 1}" for j in range(u.shape[1])]
-    return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in u.tolist())])
+def _csv(u: Any, dt: float) -> str:
+    names = ["t", "u"] if u.shape[1] == 1 else ["t", *(f"u{j + 1}" for j in range(u.shape[1]))]
+    rows = (",".join(map(repr, (k * dt, *row))) for k, row in enumerate(u.tolist()))
+    return "\n".join([",".join(names), *rows])
 
 
 def _write_page(
@@ -204,6 +211,6 @@ def _write_page(
 
     write_whole(folder / "design.json", json.dumps(payload, indent=1) + "\n")
     if u is not None:
-        write_whole(folder / "input.csv", _csv(u) + "\n")
+        write_whole(folder / "input.csv", _csv(u, plant.dt) + "\n")
     made = {"criterion": payload["criterion"], "plant": plant.name, "solver": design.solver} | options
     write_design(folder, design, plant, payload, u, made)

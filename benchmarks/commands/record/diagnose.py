@@ -39,6 +39,8 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from oed.files.writing import new_folder
     from oed.lazily import where_installed
 
+    if args.skip and not args.test:
+        raise InputError("--skip is of the test record; give --test, or leave it out.")
     if args.out:
         new_folder(args.out, "--out")
     given = _given(args) if args.model else None

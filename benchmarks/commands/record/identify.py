@@ -21,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--structure", choices=tuple(ORDERS), default="oe",
         help="how the noise enters: white at the output (oe, the default; fir), through the poles of the system (arx, armax), by a model of its "
         "own (bj), or through the state (ss)")
-    add("--orders", nargs="+", type=_order, metavar="n",
+    add("--orders", nargs="+", type=order, metavar="n",
         help="; ".join(f"{k}: {' '.join(v)}" for k, v in ORDERS.items()) + " (default: 2); or auto, by blocks left out")
     add("--delay", default="1", help="nk in samples, or auto (default 1)")
     add("--diagonal", action="store_true", help="input i drives output i alone")
@@ -77,16 +77,13 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     notes: list[str] = []
     records, fresh = _read(args, notes)
     out = new_folder(args.out, "--out") if args.out else None
-    orders = args.orders or DEFAULTS[args.structure]
-    if "auto" in orders:
-        orders = "auto"
     offset = "mean" if args.remove_means else not args.no_offset
     options = {name: getattr(args, name) for name in AS_GIVEN} | {
         "offset": offset,
         "max_iterations": args.iterations,
     }
     stage("the fit")
-    delay = "auto" if args.delay == "auto" else _whole(args.delay)
+    orders, delay = asked(args)
     fit = identify(records, args.structure, orders, delay, **options)
     if "auto" in (orders, delay):
         orders, delay = _found(fit.model.structure)
@@ -175,13 +172,11 @@ def _levels(fit, record) -> list[str]:
     ]  # fmt: skip
 
 
-TOLD = 2.0
-"""Standard errors that a gain must have to be told from zero: a 95 % interval."""
-
-
 def _headline(fit, record, payload: dict) -> str:
     """What an engineer asks first: the gain with its unit, the error and where it was measured, the noise."""
     import numpy as np
+
+    from benchmarks.page.identification import TOLD
 
     u, y = (units[0] or names[0] for units, names in (
         (record.input_units, record.input_names), (record.output_units, record.output_names)))  # fmt: skip
@@ -218,8 +213,15 @@ def _letters(fit, record) -> str:
     return "  Where " + "; ".join(f"{letter}: {LETTERS[letter].format(per=per)}" for letter in used)
 
 
-def _order(text: str) -> int | str:
+def order(text: str) -> int | str:
+    """One of --orders."""
     return text if text == "auto" else int(text)
+
+
+def asked(args: argparse.Namespace) -> tuple[Any, Any]:
+    """Orders and delay as `identify` takes them."""
+    orders = args.orders or DEFAULTS[args.structure]
+    return "auto" if "auto" in orders else orders, "auto" if args.delay == "auto" else _whole(args.delay)
 
 
 def _found(form) -> tuple[list[int], int]:

@@ -12,12 +12,12 @@ FIGURES = ("bode", "poles", "step", "residuals", "compare")
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """The model is fitted here, so that the figure has its bands."""
-    from benchmarks.commands.record.identify import DEFAULTS
+    from benchmarks.commands.record.identify import DEFAULTS, order
 
     parser.add_argument("data", metavar="DATA", help="csv, mat, parquet or npz; FILE[a:b] takes rows")
     parser.add_argument("--structure", choices=tuple(DEFAULTS), default="oe")
-    parser.add_argument("--orders", nargs="+", type=int, help="as in oed identify")
-    parser.add_argument("--delay", type=int, default=1, help="nk in samples (default 1)")
+    parser.add_argument("--orders", nargs="+", type=order, metavar="n", help="as in oed identify, or auto")
+    parser.add_argument("--delay", default="1", help="nk in samples, or auto (default 1)")
     parser.add_argument("--figure", choices=FIGURES, default="bode")
     parser.add_argument("--test", metavar="DATA", help="fresh data for --figure compare")
     parser.add_argument(
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     """The payload and the text: where the figure is."""
     from pathlib import Path
 
-    from benchmarks.commands.record.identify import DEFAULTS
+    from benchmarks.commands.record.identify import asked
     from estimators.pem import identify
     from estimators.stages import stage
     from oed.errors import InputError
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     reading = {"inputs": args.inputs, "outputs": args.outputs, "dt": args.dt}
     record = read_record(args.data, **reading)
     stage("the fit")
-    fit = identify(record, args.structure, args.orders or DEFAULTS[args.structure], args.delay)
+    fit = identify(record, args.structure, *asked(args))
     stage("the figure")
     plots = fit.plot
     if args.figure == "compare":

@@ -328,6 +328,21 @@ def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
     return out + _between(train, test, policy) + _new_frequencies(train, test, policy)
 
 
+OPENING, MOST = 0.1, 0.5
+"""A test record began in a state of its own where so much of it, at its start, makes so much of the answer's squared error."""
+
+
+def begun(test: Record, run: Array, skip: int) -> list[str]:
+    """That a run from rest meets a test record which does not begin at rest: then the errors are those of its first samples."""
+    n = int(OPENING * len(test))
+    squares = np.nansum((test.y - run) ** 2, axis=1)
+    share = squares[:n].sum() / (squares.sum() or 1.0)
+    if skip or not n or not share > MOST:
+        return []
+    return [f"{100 * share:.0f} % of the squared error on the test record is made in its first {n} samples, as where it does not begin "
+            f"at rest; --skip {n} (in Python skip={n}) lets these set the state and leaves them out"]  # fmt: skip
+
+
 MOSTLY = 0.5
 """Share of a record's samples off all levels of an input from which on a curve of that input is a guess there."""
 GAP = 0.05

@@ -75,16 +75,12 @@ def amplitude_design(
     best: Realised | None = None
     for _ in range(max(1, tries)):
         smooth = multisine(design.spectrum, N, rng)
-        steps = np.diff(smooth, axis=0, prepend=0.0)
-        factor = amplitude / np.abs(smooth).max()
-        if rate is not None:
-            factor = min(factor, rate / np.abs(steps).max())
         # Between multisine and square wave: a multisine clipped hard keeps more power than one scaled down.
         hard = [binary(design.spectrum, N, rng, amplitude=amplitude)]
         hard += [np.clip(gain * smooth, -amplitude, amplitude) for gain in (1.0, 2.0)]
         if rate is not None:
             hard = [slew_limited(u, rate) for u in hard]
-        signals = [smooth * min(1.0, factor)]
+        signals = [within(smooth, amplitude, rate)]
         for u in hard:
             power = float(np.sum(u**2)) / N
             signals.append(u if input_power is None else u * min(1.0, np.sqrt(input_power / power)))
@@ -95,6 +91,14 @@ def amplitude_design(
     if best is None:
         raise InputError("no signal was tried; ask for at least one try.")
     return design, best
+
+
+def within(u: NDArray[np.float64], amplitude: float, rate: float | None = None) -> NDArray[np.float64]:
+    """A signal as it is, or as small as its limits ask for: u (N, nu) -> (N, nu)."""
+    factor = amplitude / np.abs(u).max()
+    if rate is not None:
+        factor = min(factor, rate / np.abs(np.diff(u, axis=0, prepend=0.0)).max())
+    return u * min(1.0, factor)
 
 
 def slew_limited(u: NDArray[np.float64], rate: float) -> NDArray[np.float64]:

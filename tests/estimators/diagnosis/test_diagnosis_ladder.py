@@ -10,7 +10,7 @@ import numpy as np
 from estimators.diagnosis.baseline.blocks import Block, Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.ladder import Kind, Step, climb, paired_gain
-from estimators.diagnosis.ladder.held_out import outside
+from estimators.diagnosis.ladder.held_out import begun, outside
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.steps import refused
 from estimators.diagnosis.policy import Policy
@@ -179,3 +179,15 @@ def test_an_input_between_the_levels_of_the_training_record_is_said() -> None:
     assert "more than 0.1 from the nearest" in said[0]
     assert "input 2" not in said[0]
     assert "between levels" not in said[1]
+
+
+def test_a_test_record_that_does_not_begin_at_rest_is_said() -> None:
+    """A run from rest misses its opening, and the error of a good model was that of a dozen samples."""
+    rng = np.random.default_rng(3)
+    y = 0.1 * rng.standard_normal(500)
+    swing = y + 3.0 * 0.8 ** np.arange(500)
+    said, quiet = (begun(Record(y, v, 1.0), np.zeros((500, 1)), 0) for v in (swing, y))
+    assert "first 50 samples" in said[0]
+    assert "skip=50" in said[0]
+    assert quiet == []
+    assert begun(Record(y, swing, 1.0), np.zeros((500, 1)), 20) == []

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from benchmarks.campaign.plants import hair_dryer_record
 from estimators import identify
 from estimators.pem.choice import estimate_delay, select_orders
 from oed.data import Record
@@ -72,3 +73,20 @@ def test_an_order_must_be_worth_it(rng):
     """Of an output that is noise alone the smallest order is taken."""
     noise = Record(rng.standard_normal(400), rng.standard_normal(400))
     assert identify(noise, "arx", "auto", offset=False).model.structure.na[0] == 1
+
+
+def test_poles_that_only_follow_a_late_input_are_left_out(rng):
+    """Of two inputs, one later by a sample: a third coefficient serves it, and a third pole would cancel anywhere."""
+    u = np.repeat(np.sign(rng.standard_normal((250, 2))), 4, axis=0)
+    clean = lfilter([0, 0, 0.3, 0.1], [1, -1.5, 0.75], u[:, 0]) + lfilter([0, 0.8], [1, -0.9], u[:, 1])
+    fit = identify(Record(u, clean + 0.2 * rng.standard_normal(len(u))), "oe", "auto", "auto")
+    assert fit.model.structure.nf.max() == 2
+    value, error, _ = fit.hinf_norm
+    assert abs(value - np.hypot(8.0, 1.6)) < 3 * error < 1
+
+
+@pytest.mark.slow
+def test_an_order_that_the_data_do_not_tell_is_passed_over():
+    """A noise of one pole cannot be told from the plant's on this record: the next orders are tried."""
+    form = identify(hair_dryer_record()[:500], "bj", "auto", 3, search="quick").model.structure
+    assert form.nf[0, 0] == 2

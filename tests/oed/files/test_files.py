@@ -178,6 +178,10 @@ CSV_ERRORS = {
         b"t;u;y\n0;1,000.5;2\n",
         "is '1,000.5'; entries must be numbers: write them without marks between the",
     ),
+    "dates of another order": (
+        b"time,u,y\n03/04/2024 10:00,1,2\n",
+        "write dates like 2024-01-31 12:00:00.05, or the time",
+    ),
     "duplicates": (b"u,y,u\n1,2,3\n", "more than one column 'u'"),
     "no input": (
         b"t,volt,y\n0,1,2\n",
