@@ -155,9 +155,8 @@ def _lasting() -> Iterator[_Lasting]:
     with contextlib.ExitStack() as stack:
         for stream, redirected in ((out, contextlib.redirect_stdout), (err, contextlib.redirect_stderr)):
             if stream.stream is not None:  # as behind `>&-`
-                if isinstance(
-                    stream.stream, io.TextIOWrapper
-                ):  # or a file whose name is no text ends the work
+                # or a file whose name is no text ends the work
+                if isinstance(stream.stream, io.TextIOWrapper):
                     stream.stream.reconfigure(errors="backslashreplace")
                 stack.enter_context(redirected(stream))
                 stack.callback(stream.flush)

@@ -129,9 +129,8 @@ def write_results(results: Path, folder: Path, name: str, commit: str) -> None:
     summary = (results / "summary.md").read_text(encoding="utf-8").split("\n\n")
     answer = json.loads((results / "report.json").read_text(encoding="utf-8"))
     cost = json.loads((results / "cost.json").read_text(encoding="utf-8"))
-    last = {
-        (row["plant"], row["noise_variance"]): row["experiments"] for row in growth
-    }  # near FARTHEST, in whole iterations
+    # near FARTHEST, in whole iterations
+    last = {(row["plant"], row["noise_variance"]): row["experiments"] for row in growth}
     told = [row for row in growth
             if row["experiments"] in (1, rows[0]["experiments"], last[row["plant"], row["noise_variance"]])]  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)

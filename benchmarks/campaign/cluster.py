@@ -55,9 +55,8 @@ def on_cluster(
                     raise TimeoutError
                 error = future.exception(timeout=FETCH)
                 result = future.result(timeout=FETCH) if error is None else None
-            except (
-                TimeoutError
-            ):  # its worker was lost before it was fetched: it is computed again where there is one
+            # its worker was lost before it was fetched: it is computed again where there is one
+            except TimeoutError:
                 future.add_done_callback(arrived.put)
                 watch.look()
                 continue

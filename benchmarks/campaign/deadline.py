@@ -79,9 +79,8 @@ def _end(thread: threading.Thread) -> None:
 def _shared(ident: int) -> bool:
     """Whether a thread is in the middle of what others depend on."""
     frame, names = sys._current_frames().get(ident), set()
-    while (
-        frame is not None and frame.f_globals is not globals()
-    ):  # from there on it is the thread's own beginning
+    # from there on it is the thread's own beginning
+    while frame is not None and frame.f_globals is not globals():
         names.add(frame.f_globals.get("__name__", "").partition(".")[0])
         frame = frame.f_back
     return bool(names & UNBROKEN)

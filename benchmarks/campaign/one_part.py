@@ -195,10 +195,8 @@ class _Noise:
 
     def __init__(self, settings: Settings, part: Part) -> None:
         self.settings, self.part = settings, part
-        self.held: tuple[int, Any] = (
-            0,
-            (),
-        )  # together: a run that is given up may be interrupted between two
+        # together: a run that is given up may be interrupted between two
+        self.held: tuple[int, Any] = (0, ())
 
     def of(self, plant: Any, replicate: int) -> dict[int, Any] | None:
         """By experiment; None where the part is small or its noise large: it is then computed run by run."""

@@ -119,11 +119,20 @@ def _runs(result: Diagnosis, i: int) -> Figure:
                   [r for r in rows if np.isfinite(r["y"])], "time (s)", _with(name, unit), zoom=True)  # fmt: skip
 
 
+def _binned(x: Any, r: Any, bins: int = 25) -> tuple[Any, Any, Any]:
+    """Mean of r in bins of equal count of x, and its standard error."""
+    order = np.argsort(x)
+    groups = np.array_split(order, min(bins, max(2, len(x) // 20)))
+    return (
+        np.array([x[g].mean() for g in groups]),
+        np.array([r[g].mean() for g in groups]),
+        np.array([r[g].std() / np.sqrt(len(g)) for g in groups]),
+    )
+
+
 def _residuals(result: Diagnosis, i: int) -> list[Figure]:
     """The residual against the variable that reveals most of it, and over frequency, before and after."""
     from scipy.signal import welch
-
-    from estimators.diagnosis.result.plots import binned
 
     test = result.extra["test"]
     y, name, unit = np.nan_to_num(test.y[:, i]), test.output_names[i], test.output_units[i]
@@ -133,12 +142,12 @@ def _residuals(result: Diagnosis, i: int) -> list[Figure]:
                _with(f"input {test.input_names[drive]}", test.input_units[drive]): test.u[:, drive]}  # fmt: skip
     pairs = {"before": y - level, "after": y - result.yhat_after[:, i]}
     told = lambda x: float(
-        np.sum((binned(x, pairs["before"])[1] / np.maximum(binned(x, pairs["before"])[2], 1e-300)) ** 2)
+        np.sum((_binned(x, pairs["before"])[1] / np.maximum(_binned(x, pairs["before"])[2], 1e-300)) ** 2)
     )
     best = max(against, key=lambda key: told(against[key]))
     points, spectra = [], []
     for label, r in pairs.items():
-        centre, mean, error = binned(against[best], r)
+        centre, mean, error = _binned(against[best], r)
         points += line(centre, mean, label, 2 * error)
         frequency, power = welch(r, 1 / test.dt, nperseg=min(256, len(r)))
         spectra += [row for row in line(frequency[1:], np.sqrt(power[1:]), label) if row["y"] > 0]
@@ -152,7 +161,7 @@ def _residuals(result: Diagnosis, i: int) -> list[Figure]:
 
 
 def _curves(result: Diagnosis, i: int) -> list[Figure]:
-    from estimators.diagnosis.result.plots import characteristics
+    from estimators.diagnosis.result.curves import characteristics
 
     drawn = []
     for k, c in enumerate(characteristics(result, i)):
@@ -235,9 +244,8 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
             else f"{'falls' if after.value < before.value else 'rises'} from {before.value:.3g} to {after.value:.3g}"
         )
         whole = result.system.startswith((NOTHING, UNCLAIMED, ECHO))  # a sentence, not the name of a cause
-        nature = (
-            "" if what.startswith(NAMELESS) else f" ({result.nature})"
-        )  # of what has no name it is the name
+        # of what has no name it is the name
+        nature = "" if what.startswith(NAMELESS) else f" ({result.nature})"
         lacks = _capital(what)[:-1] if whole else f"The linear model lacks {what}{nature}"
         answer = f"{lacks}; the simulation error {error}{unit}."
     else:
@@ -308,4 +316,4 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, A
     ]  # fmt: skip
     page = Page("diagnosis", "What the linear model lacks", answer, sure, [*what, *todo], [ladder] if ladder else [], sections,
                 {k: str(v) for k, v in (made or {}).items()}, downloads=downloads)  # fmt: skip
-    return save_page(folder, page)
+    return save_page(folder, page, static=True)

@@ -48,9 +48,8 @@ def _response(fit: Fit, record: Record) -> list[Figure]:
     for i, j in np.ndindex(record.n_outputs, record.n_inputs):
         name = f"{record.input_names[j]} to {record.output_names[i]}" if several else ""
         sizes = _banded(omega / turn, gain.value[:, i, j], gain.standard_error[:, i, j], name)
-        rows["gain"] += [
-            r | {"low": max(r["low"], 1e-2 * r["y"])} for r in sizes if r["y"] > 0
-        ]  # an absent entry has no logarithm
+        # an absent entry has no logarithm
+        rows["gain"] += [r | {"low": max(r["low"], 1e-2 * r["y"])} for r in sizes if r["y"] > 0]
         rows["phase"] += _banded(
             omega / turn, phase.value[:, i, j], phase.standard_error[:, i, j], name, 180 / np.pi
         )

@@ -105,9 +105,8 @@ def diagnose(
     orders = setting.orders or (None,) * first.n_outputs
     rest = bool(setting.deviations)
     moving = [starts_moving(records, i, base, n, asked) if rest else None for i, n in enumerate(orders)]
-    if any(
-        moving
-    ):  # the data then tell the training records' starts, and what was stated holds of the test record alone
+    # the data then tell the training records' starts, and what was stated holds of the test record alone
+    if any(moving):
         setting, asked = replace(setting, deviations=None), replace(asked, deviations=None, moving=True)
         base = best_linear(records, asked)
     setting = replace(setting, effects=told_from_clock(setting.effects, records))

@@ -108,9 +108,8 @@ def peak_gain_efficiency_by_experiments(
     c = gain_gradient(plant, top)
     nodes, Phi, _ = spectra_of_iterations(plant, experiments)
     psi = whitened_gradient(plant, nodes.omega)[:, :, 0, 0]
-    rows = np.concatenate(
-        [psi.real, psi.imag]
-    )  # in one piece: products of parts of complex numbers bypass BLAS
+    # in one piece: products of parts of complex numbers bypass BLAS
+    rows = np.concatenate([psi.real, psi.imag])
     best = float(plant.noise_covariance[0, 0]) if optimum is None else optimum
     efficiency, total = np.zeros(experiments), np.zeros((len(c), len(c)))
     for k in range(experiments):

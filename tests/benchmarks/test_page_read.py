@@ -19,7 +19,7 @@ from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
-from estimators.diagnosis.result.plots import _before, _straight
+from estimators.diagnosis.result.curves import _before, _straight
 from oed import Record
 from oed.design import solve_design
 from oed.plants.named import named_plant

@@ -72,8 +72,8 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             "test record": args.test or "none",
             "false-alarm rate": args.alpha,
         }
-        with where_installed(said, "the page or its figures"):
-            save(result, folder)
+        save(result, folder)
+        with where_installed(said, "the page"):
             from benchmarks.page.diagnosis import write_diagnosis_report
 
             write_diagnosis_report(result, folder, made)

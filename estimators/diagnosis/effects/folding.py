@@ -20,13 +20,10 @@ DRAWS = 24  # random sets of poles
 ROUNDS = 12  # of signs from the model, and the model from the signs
 SEED = 1987  # of the poles: the same record has the same answer
 NEAR_ZERO = 0.35  # of the mean magnitude: below it a minimum may be a change of sign
-LAGS = np.arange(
-    0.0, 0.96, 0.05
-)  # poles of a filter behind the fold: a jump is one of the angle only where it is undone
-SMOOTHEST, FORMS = (
-    2,
-    2,
-)  # of them whose angle, unrolled, moves least; linear models of it that are fitted with the fold
+# poles of a filter behind the fold: a jump is one of the angle only where it is undone
+LAGS = np.arange(0.0, 0.96, 0.05)
+# of them whose angle, unrolled, moves least; linear models of it that are fitted with the fold
+SMOOTHEST, FORMS = (2, 2)
 LEAST_TURNS = 2  # jumps of a record that make it one of an angle
 COUNTS = 3  # rounds of turns from the model, and the model from the turns
 CLEAR, TAIL = 3, 10  # samples before and after a jump that say little: a filter keeps them
@@ -50,9 +47,8 @@ def _wrapped(x: Array, p: Array, clock: Clock) -> Array:
     moved = np.where(turns != count, t - before, 1.0)
     when = np.clip((0.5 * modulus * (turns + count) - before) / moved, 0.0, 1.0)
     late = (1.0 - pole ** (1.0 - when)) / (1.0 - pole)  # the filter's weight of what comes after the jump
-    mean = (
-        1.0 / (1.0 - pole) + 1.0 / np.log(pole) if pole > 0.0 else 1.0
-    )  # where in the sample its weight lies
+    # where in the sample its weight lies
+    mean = 1.0 / (1.0 - pole) + 1.0 / np.log(pole) if pole > 0.0 else 1.0
     y = centre + before + mean * (t - before) - modulus * (count + (turns - count) * late)
     return y[0] + np.asarray(lfilter([1.0 - pole], [1.0, -pole], y - y[0]))
 
@@ -86,9 +82,8 @@ class _Fold:
     """How a sensor folds: what is seen without its curve, and the target of the linear part given its own output."""
 
     seen: Callable[[Array], Array]
-    target: Callable[
-        [Array, Array], Array
-    ]  # (magnitude seen, linear part) -> what the linear part should have been
+    # (magnitude seen, linear part) -> what the linear part should have been
+    target: Callable[[Array, Array], Array]
 
 
 EVEN = _Fold(np.abs, lambda t, x: np.where(x < 0, -t, t))
@@ -227,9 +222,8 @@ def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
             for q, sl in zip(new.parts, new.slices(), strict=True):
                 if q.effect is OFFSET:  # inside the fold
                     p[-3], p[sl], scales[sl] = p[sl.start], 0.0, 0.0
-            for _ in range(
-                COUNTS
-            ):  # a jump that comes samples early or late says nothing of the parameters yet
+            # a jump that comes samples early or late says nothing of the parameters yet
+            for _ in range(COUNTS):
                 e = y - simulate(new, p, channel.u, channel.clock)
                 near = replace(channel, keep=np.abs(e) < MOVED * size)
                 p = fit(near, new, p, scales, iterations=10, colour=False).p

@@ -155,9 +155,8 @@ def _drifted(y: Array, p: Array, clock: Clock) -> Array:
 
 
 def _jumped(y: Array, p: Array, clock: Clock) -> Array:
-    if (
-        not EDGE < p[1] / clock.length < 1.0 - EDGE
-    ):  # all samples are out of step, or none: a delay, or nothing
+    # all samples are out of step, or none: a delay, or nothing
+    if not EDGE < p[1] / clock.length < 1.0 - EDGE:
         return np.full(len(y), np.inf)
     return read_at(y, np.arange(len(y)) + p[0] * np.clip(clock.k - p[1], 0.0, 1.0))
 
@@ -297,18 +296,13 @@ LOST = Effect(
 )  # fmt: skip
 
 FALSE = 1e-4  # chance of a line of the age where there is none, over all frequencies
-LINES, PHASES, NEAR = (
-    3,
-    8,
-    np.linspace(-1.0, 1.0, 9),
-)  # lines tried; phases of each; periods about each, in its resolution
+# lines tried; phases of each; periods about each, in its resolution
+LINES, PHASES, NEAR = (3, 8, np.linspace(-1.0, 1.0, 9))
 
 
 MOST = 0.9  # samples that must count
-GRID, FINER = (
-    np.linspace(-1.0, 1.0, 5),
-    (0.1, 0.05, 0.025, 0.012, 0.006, 0.003, 0.0015),
-)  # ever closer to a period and its phase
+# ever closer to a period and its phase
+GRID, FINER = (np.linspace(-1.0, 1.0, 5), (0.1, 0.05, 0.025, 0.012, 0.006, 0.003, 0.0015))
 
 
 def _refreshed(y: Array, p: Array, clock: Clock) -> Array:
@@ -353,9 +347,8 @@ def _ages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     for left, shape, at in sorted(trials, key=lambda t: t[0])[:LINES]:
         if left > NOTHING * float(base.residual @ base.residual):
             break
-        when, first = np.unique(
-            at, return_index=True
-        )  # of the refreshes, and the samples that read them first
+        # of the refreshes, and the samples that read them first
+        when, first = np.unique(at, return_index=True)
         fresh = CubicSpline(when, channel.y[first])(np.arange(n)) if len(when) > 3 else channel.y
         fits = [fit_linear(replace(channel, y=fresh), replace(s, delay=d), rough=True) for d in {0, s.delay}]
         f = min(fits, key=lambda g: g.deviance)

@@ -247,9 +247,8 @@ def _stores(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     new = s.adding(Part(STORE_CURVE, j))
     at = new.slices()[-1].start
     linear = [*range(s.order, at), at, at + 1, at + 3]
-    scales = np.concatenate(
-        (base.scales, [size, size, 10.0, size, 10.0, 0.0])
-    )  # the range only names the units
+    # the range only names the units
+    scales = np.concatenate((base.scales, [size, size, 10.0, size, 10.0, 0.0]))
     scales[s.order : s.plant_size] = size / (float(np.std(channel.u[:, j])) + 1e-300)
 
     def least(p: Array, free: list[int]) -> tuple[float, Array]:

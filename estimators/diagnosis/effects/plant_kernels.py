@@ -201,9 +201,8 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
     gv = 0.0
     for i in range(m):
         gv += velocity[i] * gamma_w[i]
-    idle = (
-        forces == 0 and not dry and not bending and elements.stop == 0.0
-    )  # linear: most fits of the screening
+    # linear: most fits of the screening
+    idle = forces == 0 and not dry and not bending and elements.stop == 0.0
     for k in range(n):
         for i in range(m):
             out[k, i] = x[i]

@@ -23,10 +23,8 @@ Array = NDArray[Any]
 FASTEST = 5.0  # rate per sample above which a process is no different from none
 INSTANT = 3.0
 """Rate per sample from which a process has settled to 5 % within each: what it does to its input is a curve."""
-NEAR, DOUBLINGS = (
-    1e-3,
-    20,
-)  # first step towards a rest in sizes of the input, and how often it is doubled: as far as it matters
+# first step towards a rest in sizes of the input, and how often it is doubled: as far as it matters
+NEAR, DOUBLINGS = (1e-3, 20)
 WARM, HEATS, SLOW, MOST_WARM = (-0.6, 0.8), (0.3, 1.5), (0.05, 0.2), 20.0
 """Of a loss that its own power warms: share by which it changes in the end, heat for the mean power, time constants in records,
 that are tried; and the largest share."""

@@ -1,4 +1,4 @@
-"""A diagnosis written to a folder: the result as JSON, the simulated outputs as CSV, the figures."""
+"""A diagnosis written to a folder: the result as JSON, the simulated outputs as CSV, the model."""
 
 from __future__ import annotations
 
@@ -35,8 +35,4 @@ def save(result: Diagnosis, folder: str | os.PathLike[str]) -> Path:
     write_whole(path / "summary.txt", str(result) + "\n")
     if result.model is not None:
         result.model.save(path / "model.json")
-
-    from estimators.diagnosis.result.plots import save_figures
-
-    save_figures(result, path)
     return path

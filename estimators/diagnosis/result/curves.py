@@ -1,75 +1,16 @@
-"""Figures of a diagnosis: residual before and after, in time, against its revealing variable, in frequency."""
+"""How the effects that were found act: their curves over what the record has, with bands."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from estimators.diagnosis.model.errors import spread
-from oed.files.writing import write_figure
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from estimators.diagnosis.result.report import Diagnosis
-
-
-def binned(x: Any, r: Any, bins: int = 25) -> tuple[Any, Any, Any]:
-    """Mean of r in bins of equal count of x, and its standard error."""
-    order = np.argsort(x)
-    groups = np.array_split(order, min(bins, max(2, len(x) // 20)))
-    return (
-        np.array([x[g].mean() for g in groups]),
-        np.array([r[g].mean() for g in groups]),
-        np.array([r[g].std() / np.sqrt(len(g)) for g in groups]),
-    )
-
-
-def residual_figure(result: Diagnosis, output: int = 0) -> Figure:
-    """Residual on the test record before and after, six ways."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    test = result.extra["test"]
-    y = np.nan_to_num(test.y[:, output])
-    pairs = [("before", result.yhat_before[:, output], "C1"), ("after", result.yhat_after[:, output], "C0")]
-    figure = Figure(figsize=(12, 6.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    (time, spectrum, spread), (level, velocity, drive) = figure.subplots(2, 3)
-    u = test.u[:, min(output, test.n_inputs - 1)]
-    name = test.output_names[output]
-    for label, simulated, colour in pairs:
-        r = y - simulated
-        time.plot(test.t, r, color=colour, lw=0.7, label=label)
-        power = np.abs(np.fft.rfft((r - r.mean()) * np.hanning(len(r)))) ** 2
-        width = max(1, len(power) // 100)
-        smooth = np.convolve(power, np.ones(width) / width, mode="same")
-        spectrum.semilogy(
-            np.linspace(0, 0.5 / test.dt, len(power)), smooth + 1e-300, color=colour, label=label
-        )
-        spread.hist(r, 60, density=True, histtype="step", color=colour, label=label)
-        for axis, x in ((level, simulated), (velocity, np.gradient(simulated) / test.dt), (drive, u)):
-            centre, mean, error = binned(x, r)
-            axis.errorbar(centre, mean, 2 * error, color=colour, fmt=".-", lw=0.8, label=label)
-    time.set(xlabel="time [s]", ylabel=f"residual of {name}", title="in time")
-    spectrum.set(xlabel="frequency [Hz]", ylabel="power", title="in frequency")
-    level.set(xlabel=f"simulated {name}", ylabel="mean residual, 2 s.e.", title="against the level")
-    velocity.set(
-        xlabel=f"velocity of {name} [1/s]", ylabel="mean residual, 2 s.e.", title="against the velocity"
-    )
-    spread.set(xlabel=f"residual of {name}", ylabel="density", title="distribution")
-    drive.set(
-        xlabel=f"input {test.input_names[min(output, test.n_inputs - 1)]}",
-        ylabel="mean residual, 2 s.e.",
-        title="against the input",
-    )
-    time.legend()
-    figure.suptitle(f"{result.effect}: {result.rmse_before} -> {result.rmse_after}")
-    return figure
 
 
 def _range_of(part: Any, f: Any, channel: Any) -> tuple[Any, str]:
@@ -171,40 +112,3 @@ def characteristics(result: Diagnosis, output: int = 0) -> list[Characteristic]:
         straight = _straight(x, y) if part.effect.against != "velocity" and np.isfinite(y).all() else None
         curves.append(Characteristic(part.effect.sentence, name, unit, x, y, band, straight))
     return curves
-
-
-def nonlinearity_figure(result: Diagnosis, output: int = 0) -> Figure | None:
-    """Characteristics of the nonlinear effects that were found, each with a band of 2 standard errors."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    curves = characteristics(result, output)
-    if not curves:
-        return None
-    figure = Figure(figsize=(4.6 * len(curves), 3.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    for axis, c in zip(figure.subplots(1, len(curves), squeeze=False)[0], curves, strict=True):
-        axis.fill_between(c.x, c.y - c.band, c.y + c.band, color="C0", alpha=0.3, lw=0)
-        axis.plot(c.x, c.y, color="C0", label="with its band, 2 s.e.")
-        if c.straight is not None:
-            axis.plot(c.x[[0, -1]], c.straight, color="0.5", lw=0.8, ls="--", label="linear")
-        axis.set(xlabel=c.labels[0], ylabel=c.labels[1], title=c.sentence)
-        axis.title.set_fontsize(9)
-        axis.legend()
-    return figure
-
-
-def save_figures(result: Diagnosis, folder: str | os.PathLike[str]) -> list[Path]:
-    """Write the figures of every output as PNG and PDF."""
-    files = []
-    figures = {}
-    for i in range(result.yhat_before.shape[1]):
-        figures[f"residual_{i + 1}"] = residual_figure(result, i)
-        curve = nonlinearity_figure(result, i)
-        if curve is not None:
-            figures[f"nonlinearity_{i + 1}"] = curve
-    for name, figure in figures.items():
-        for kind in ("png", "pdf"):
-            target = Path(folder) / f"{name}.{kind}"
-            files.append(write_figure(target, figure, dpi=130))
-    return files
