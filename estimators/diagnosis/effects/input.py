@@ -124,10 +124,6 @@ def _rate_driven(x: Array, p: Array, clock: Clock) -> Array:
     return x + p[0] * bouc_wen(way, abs(p[1]) + 1e-12) / (abs(p[1]) + 1e-12)
 
 
-def _kinked(x: Any, p: Array, clock: Clock) -> Any:
-    return x + p[0] * np.tanh(p[1] * x)
-
-
 def _late(x: Array, p: Array, clock: Clock) -> Array:
     """Delay linear between samples; from no delay to a quarter of the record."""
     if not 0.0 <= p[0] <= len(x) / 4:
@@ -311,7 +307,7 @@ INPUT = (
             parameters={"level": "u", "way": "u sample"}, trials=15, reversing=True, lagged=True, apply=_rate_driven,
             starts=lambda s: ([[f * s.su, w * s.su] for f in (0.4, 1.5) for w in (0.5, 2.0, 8.0)], [s.su, s.su])),
     _static("input_kink", "hammerstein", "the input acts through a kink at zero: u + level tanh(c u), as of dry friction",
-            parameters={"level": "u", "c": "1/u"}, trials=8, apply=_kinked,
+            parameters={"level": "u", "c": "1/u"}, trials=8, apply=lambda x, p, clock: x + p[0] * np.tanh(p[1] * x),
             starts=lambda s: ([[f * s.su, c / s.su] for f in (-0.5, 0.5, 1.5) for c in (2.0, 8.0)], [s.su, 1.0 / s.su])),
     _moving("relay", "relay", "the input acts through a relay that switches with hysteresis", lagged=True,
             parameters={"half_width": "u", "level": "u"}, trials=12, apply=_relay,

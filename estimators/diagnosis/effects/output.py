@@ -44,10 +44,6 @@ def _play(x: Array, p: Array, clock: Clock) -> Array:
     return play(np.ascontiguousarray(x), abs(p[0]))
 
 
-def _play_fine(x: Array, p: Array, clock: Clock) -> Array:
-    return _play(_upsampled(x, 4), p, clock)[::4]
-
-
 def _widths(s: Sizes) -> Grid:
     return [[f * s.sy] for f in (0.08, 0.16, 0.3, 0.5, 0.8)], [s.sy]
 
@@ -126,7 +122,8 @@ OUTPUT = (
             starts=lambda s: ([[f * s.sy] for f in (0.1, 0.25, 0.5, 0.8)], [s.sy])),
     _sensor("output_absolute", "the sensor has another gain for each sign", {"c": "1"}, 1, amplitude=0,
             apply=lambda x, p, c: x + p[0] * np.abs(x), starts=lambda s: ([[0.05]], [1.0])),
-    _backlash("backlash_output", "play at the output", apply=_play_fine, between=True),
+    _backlash("backlash_output", "play at the output",
+              apply=lambda x, p, clock: _play(_upsampled(x, 4), p, clock)[::4], between=True),
     _backlash("backlash_sampled", "play at the output that moves with the samples, not between them", apply=_play),
 )  # fmt: skip
 
@@ -148,10 +145,6 @@ def read_at(y: Array, at: Array) -> Array:
 
     k = np.arange(len(y), dtype=float)
     return np.asarray(CubicSpline(k, y)(np.clip(at, 0.0, k[-1])))
-
-
-def _drifted(y: Array, p: Array, clock: Clock) -> Array:
-    return read_at(y, np.arange(len(y)) + p[0] * clock.k)
 
 
 def _jumped(y: Array, p: Array, clock: Clock) -> Array:
@@ -267,7 +260,8 @@ def mended(
 
 DRIFT = Effect(
     key="clock_drift", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=12,
-    sentence="the clock of the output runs off from that of the input", parameters={"drift": "1"}, apply=_drifted,
+    sentence="the clock of the output runs off from that of the input", parameters={"drift": "1"},
+    apply=lambda y, p, clock: read_at(y, np.arange(len(y)) + p[0] * clock.k),
     search=mended(lambda: DRIFT, lambda c: [[sign * d / len(c)] for d in SHIFTS for sign in (1.0, -1.0)],
                    lambda c, best: [[best[0] * f] for f in (0.8, 0.9, 1.1, 1.25)], lambda c: [1.0 / len(c)]),
 )  # fmt: skip

@@ -31,60 +31,12 @@ def _stiff(s: Sizes, power: int) -> float:
     return s.su / s.sx**power
 
 
-def _cubic(p, v, u, q, s, c):
-    return c[0] * p**3
-
-
-def _stiffness(p, v, u, q, s, c):
-    return (c[0] + c[1] * p) * p**2
-
-
 def _square(p, v, u, q, s, c):
     return c[0] * np.abs(p) * p
 
 
-def _quintic(p, v, u, q, s, c):
-    return c[0] * p**3 + c[1] * p**5
-
-
-def _gap(p, v, u, q, s, c):
-    return c[0] * (np.maximum(p - np.abs(c[1]), 0.0) + np.minimum(p + np.abs(c[1]), 0.0))
-
-
-def _clearance(p, v, u, q, s, c):
-    return np.minimum(np.maximum(u - p, -np.abs(c[0])), np.abs(c[0]))
-
-
-def _clearance_driven(p, v, u, q, s, c):
-    return np.minimum(np.maximum(q - p, -np.abs(c[0])), np.abs(c[0]))
-
-
 def _gaps(s: Sizes) -> Grid:
     return [[f * s.su] for f in (0.1, 0.25, 0.5, 0.9)], [s.su]
-
-
-def _upper(p, v, u, q, s, c):
-    return c[0] * np.maximum(p - c[1], 0.0)
-
-
-def _lower(p, v, u, q, s, c):
-    return c[0] * np.minimum(p - c[1], 0.0)
-
-
-def _drag(p, v, u, q, s, c):
-    return np.abs(c[0]) * np.abs(v) * v
-
-
-def _position_damping(p, v, u, q, s, c):
-    return c[0] * p**2 * v
-
-
-def _bilinear(p, v, u, q, s, c):
-    return -c[0] * u * p
-
-
-def _bilinear_driven(p, v, u, q, s, c):
-    return -c[0] * q * p
 
 
 def _corner(side: float, *levels: float, slopes: tuple[float, ...] = (0.3, 2.0, -0.3)) -> Any:
@@ -129,9 +81,9 @@ def _bilinear_starts(s: Sizes) -> Grid:
 
 PLANT = (
     _spring("stiffness_cubic", "a restoring force k3 x^3", parameters={"k3": "1/u^2"}, trials=2, family="springs",
-            force=_cubic, starts=lambda s: _grid([0.01], [0.05], [-0.02], sizes=[_stiff(s, 3)])),
+            force=lambda p, v, u, q, s, c: c[0] * p**3, starts=lambda s: _grid([0.01], [0.05], [-0.02], sizes=[_stiff(s, 3)])),
     _spring("stiffness", "a restoring force k2 x^2 + k3 x^3", parameters={"k2": "1/u", "k3": "1/u^2"}, trials=2,
-            family="springs", force=_stiffness,
+            family="springs", force=lambda p, v, u, q, s, c: (c[0] + c[1] * p) * p**2,
             starts=lambda s: _grid(*([a, b] for a in (-0.05, 0.05) for b in (-0.01, 0.03)),
                                    sizes=[_stiff(s, 2), _stiff(s, 3)])),
     _inside("coulomb", "coulomb_friction", "dry friction of constant level", parameters={"level": "u"}, trials=6,
@@ -148,36 +100,43 @@ PLANT = (
             curve=lambda x, c: _dry(x, c, tilt=c[1]),
             starts=lambda s: _grid(*([f, g] for f in (0.1, 0.3) for g in (-0.3, 0.3)), sizes=[s.su, 1.0])),
     _inside("drag", "nonlinear_drag", "quadratic drag c |v| v", parameters={"drag": "u/(u/sample)^2"}, trials=2,
-            force=_drag, against="velocity",
+            force=lambda p, v, u, q, s, c: np.abs(c[0]) * np.abs(v) * v, against="velocity",
             starts=lambda s: _grid([0.02], [0.1], [0.3], sizes=[s.su / s.sv**2])),
     _inside("bilinear", "bilinear", "the input multiplies the state", parameters={"beta": "1/u"}, trials=2,
-            family="bilinear", force=_bilinear, each=True, starts=_bilinear_starts),
+            family="bilinear", force=lambda p, v, u, q, s, c: -c[0] * u * p, each=True, starts=_bilinear_starts),
     _inside("bilinear_driven", "bilinear", "the input, after a lag of its own, multiplies the state", trials=2,
-            parameters={"beta": "1/u"}, family="bilinear", layouts=DRIVEN, force=_bilinear_driven, starts=_bilinear_starts),
+            parameters={"beta": "1/u"}, family="bilinear", layouts=DRIVEN,
+            force=lambda p, v, u, q, s, c: -c[0] * q * p, starts=_bilinear_starts),
     _spring("stiffness_square", "a restoring force k |x| x", parameters={"k": "1/u"}, trials=4, refines=SPRINGS,
             force=_square, starts=lambda s: _grid([0.05], [0.3], [-0.1], sizes=[_stiff(s, 2)])),
     _spring("stiffness_quintic", "a restoring force k3 x^3 + k5 x^5", parameters={"k3": "1/u^2", "k5": "1/u^4"}, trials=4,
-            refines=SPRINGS, force=_quintic,
+            refines=SPRINGS, force=lambda p, v, u, q, s, c: c[0] * p**3 + c[1] * p**5,
             starts=lambda s: _grid(*([a, b] for a in (0.0, 0.03) for b in (-0.003, 0.01)),
                                    sizes=[_stiff(s, 3), _stiff(s, 5)])),
     _spring("stiffness_gap", "a second spring beyond a gap on either side", parameters={"slope": "1", "gap": "u"}, trials=15,
-            refines=SPRINGS, family="springs", force=_gap,
+            refines=SPRINGS, family="springs",
+            force=lambda p, v, u, q, s, c: c[0] * (np.maximum(p - np.abs(c[1]), 0.0) + np.minimum(p + np.abs(c[1]), 0.0)),
             starts=_corner(1.0, 0.3, 0.8, 1.5, slopes=(0.3, 2.0, 10.0, -0.3))),
     _inside("clearance", "backlash", "play between the drive and what it moves: no force within a gap", trials=4,
-            parameters={"gap": "u"}, layouts=frozenset({"oscillator"}), against="position", force=_clearance, starts=_gaps),
+            parameters={"gap": "u"}, layouts=frozenset({"oscillator"}), against="position",
+            force=lambda p, v, u, q, s, c: np.minimum(np.maximum(u - p, -np.abs(c[0])), np.abs(c[0])), starts=_gaps),
     _inside("clearance_driven", "backlash", "play between the drive, after a lag of its own, and what it moves", trials=4,
-            parameters={"gap": "u"}, layouts=DRIVEN, against="position", force=_clearance_driven, starts=_gaps),
+            parameters={"gap": "u"}, layouts=DRIVEN, against="position",
+            force=lambda p, v, u, q, s, c: np.minimum(np.maximum(q - p, -np.abs(c[0])), np.abs(c[0])), starts=_gaps),
     _spring("stiffness_upper", "another stiffness above a corner: a one-sided spring or an end stop", trials=15,
-            parameters={"slope": "1", "corner": "u"}, refines=SPRINGS, family="springs", force=_upper,
+            parameters={"slope": "1", "corner": "u"}, refines=SPRINGS, family="springs",
+            force=lambda p, v, u, q, s, c: c[0] * np.maximum(p - c[1], 0.0),
             starts=_corner(1.0, 0.0, 0.7, 1.5)),
     _spring("stiffness_lower", "another stiffness below a corner: a one-sided spring or an end stop", trials=15,
-            parameters={"slope": "1", "corner": "u"}, refines=SPRINGS, family="springs", force=_lower,
+            parameters={"slope": "1", "corner": "u"}, refines=SPRINGS, family="springs",
+            force=lambda p, v, u, q, s, c: c[0] * np.minimum(p - c[1], 0.0),
             starts=_corner(-1.0, 0.0, 0.7, 1.5)),
     _inside("end_stop", "duffing", "a stop on either side holds the position, without rebound", parameters={"limit": "u"},
             trials=10, refines=SPRINGS, family="springs", inside=lambda c: {"stop": abs(c[0])},
             starts=_stop_levels),
     _inside("position_damping", "nonlinear_drag", "a damping d x^2 v that depends on the position", trials=6,
-            parameters={"d": "sample/u^2"}, refines=("drag", "stiffness_cubic"), layouts=MOVING, force=_position_damping,
+            parameters={"d": "sample/u^2"}, refines=("drag", "stiffness_cubic"), layouts=MOVING,
+            force=lambda p, v, u, q, s, c: c[0] * p**2 * v,
             starts=lambda s: _grid([0.05], [0.3], [-0.05], sizes=[s.su / (s.sx**2 * s.sv)])),
     _inside("hysteretic_spring", "hysteresis",
             "a hysteretic restoring force inside the plant (Bouc-Wen), which saturates at the level", trials=15,
@@ -249,10 +208,6 @@ def _coefficient(
     )  # fmt: skip
 
 
-def _heated_gain(x: Array, p: Array, clock: Clock) -> Array:
-    return x * (1.0 + p[0] * leaky(x**2, p[1]))
-
-
 def _tired(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.recursion_kernels import used_up
 
@@ -285,7 +240,8 @@ MODULATED = (
     Effect(key="gain_fatigue", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_tired,
            sentence="the gain is used up by the input and recovers slowly: fatigue, a depleted store", starts=_with_use,
            parameters={"use": "1/(u sample)", "recovery": "1/sample"}),
-    Effect(key="gain_heat", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_heated_gain,
+    Effect(key="gain_heat", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10,
+           apply=lambda x, p, clock: x * (1.0 + p[0] * leaky(x**2, p[1])),
            sentence="the gain follows a slow state that the squared input feeds: heat", starts=_with_heat,
            parameters={"share": "1/u^2", "time": "sample"}),
 )  # fmt: skip

@@ -39,29 +39,9 @@ FILLS, MOST_FLOWS = 0.5, 3
 LEAST_FLOW = 1e-3  # of the mean flow: what stands still takes for ever
 
 
-def _one_way(p, v, u, q, s, c):
-    return -c[0] * np.maximum(u - p, 0.0)
-
-
 def _orifice(p, v, u, q, s, c):
     d = u - p
     return d - (1.0 + np.abs(c[0]) * (d > 0.0)) * d / np.sqrt(np.abs(d) + np.abs(c[1]))
-
-
-def _loss_cubic(p, v, u, q, s, c):
-    return c[0] * p**3
-
-
-def _loss(p, v, u, q, s, c):
-    return (c[0] + c[1] * p) * p**2
-
-
-def _outflow(p, v, u, q, s, c):
-    return c[0] * np.sqrt(np.maximum(p, 0.0)) - p
-
-
-def _vessel(p, v, u, q, s, c):
-    return u - p - (u - c[0] * np.sqrt(np.maximum(p, 0.0))) / (1.0 + (c[1] * p) ** 2)
 
 
 def _exchange(p, v, u, q, s, c):
@@ -257,18 +237,23 @@ THROUGH = _process(
 )  # fmt: skip
 
 PROCESS = (
-    _process("rise_and_fall", "asymmetric_rise_and_fall", "it rises at another rate than it falls", _one_way,
+    _process("rise_and_fall", "asymmetric_rise_and_fall", "it rises at another rate than it falls",
+             lambda p, v, u, q, s, c: -c[0] * np.maximum(u - p, 0.0),
              {"asymmetry": "1"}, lambda s: _shapes(s, [-0.6], [1.0], [3.0], sizes=[1.0])),
     _process("orifice", "asymmetric_rise_and_fall", "it fills and empties through orifices, at rates of their own", _orifice,
              {"asymmetry": "1", "smooth": "u"}, lambda s: _shapes(s, [0.0, 0.05], [2.0, 0.05], sizes=[1.0, s.su])),
-    _process("loss_cubic", "nonlinear_loss", "a loss k3 x^3 that grows with the level", _loss_cubic, {"k3": "1/u^2"},
+    _process("loss_cubic", "nonlinear_loss", "a loss k3 x^3 that grows with the level",
+             lambda p, v, u, q, s, c: c[0] * p**3, {"k3": "1/u^2"},
              lambda s: _shapes(s, [0.1], [0.5], [-0.1], sizes=[_losses(s, 3)]), family="losses"),
-    _process("loss", "nonlinear_loss", "a loss k2 x^2 + k3 x^3 that depends on the level", _loss,
+    _process("loss", "nonlinear_loss", "a loss k2 x^2 + k3 x^3 that depends on the level",
+             lambda p, v, u, q, s, c: (c[0] + c[1] * p) * p**2,
              {"k2": "1/u", "k3": "1/u^2"}, lambda s: _shapes(s, [0.2, 0.2], [-0.2, 0.1], sizes=[_losses(s, 2), _losses(s, 3)]),
              family="losses"),
-    _process("outflow_root", "square_root_outflow", "an outflow that grows with the square root of the level", _outflow,
+    _process("outflow_root", "square_root_outflow", "an outflow that grows with the square root of the level",
+             lambda p, v, u, q, s, c: c[0] * np.sqrt(np.maximum(p, 0.0)) - p,
              {"k": "u^0.5"}, lambda s: _shapes(s, [1.0], sizes=[_outflows(s)])),
-    _process("vessel", "level_dependent_outflow", "a vessel that widens with its level, emptied through an orifice", _vessel,
+    _process("vessel", "level_dependent_outflow", "a vessel that widens with its level, emptied through an orifice",
+             lambda p, v, u, q, s, c: u - p - (u - c[0] * np.sqrt(np.maximum(p, 0.0))) / (1.0 + (c[1] * p) ** 2),
              {"k": "u^0.5", "widening": "1/u"},
              lambda s: _shapes(s, [1.0, 0.5], [1.0, 1.5], sizes=[_outflows(s), 1.0 / (abs(float(np.mean(s.u))) + s.su)])),
     THROUGH,

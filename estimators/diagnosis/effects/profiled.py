@@ -81,10 +81,6 @@ def kept(run: Callable[[Array, Array], Array], x: Array, p: Array, mark: Any = N
     return known
 
 
-def _passed(x: Any, p: Array, clock: Clock) -> Any:
-    return x + p[0] * (after(clock, p[1]) - after(clock, p[2]))
-
-
 def profile(
     channel: Any, base: Any, part: Any, shapes: Iterable[Any], start: Array | None = None
 ) -> list[tuple[float, Array]]:
@@ -370,7 +366,8 @@ SWAY = Effect(
 
 PULSE = Effect(
     key="pulse_input", cause="step_disturbance", nature=Nature.ADDED, slot=Slot.INPUT, trials=1.0, per_sample=True, family="steps",
-    sentence="a disturbance enters at the plant input and passes", apply=_passed, search=_passing, settles=True,
+    sentence="a disturbance enters at the plant input and passes",
+    apply=lambda x, p, clock: x + p[0] * (after(clock, p[1]) - after(clock, p[2])), search=_passing, settles=True,
     parameters={"size": "u", "start": "sample", "end": "sample"},
 )  # fmt: skip
 
