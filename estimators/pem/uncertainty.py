@@ -201,7 +201,7 @@ def profile_interval(
         while not np.isfinite(excess(far)) and abs(far - inner) > 1e-6 * error:
             far = (inner + far) / 2
         root = brentq(excess, inner, far, xtol=1e-5 * error) if excess(far) > 0 else far
-        ends.append(float(np.asarray(root)) * problem.scale[k])
+        ends.append(float(np.asarray(root) * problem.scale[k]))
     return ends[0], ends[1]
 
 
