@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
 DRAWS = 24  # random sets of poles
@@ -111,12 +112,8 @@ def _behind(effect: Callable[[], Effect], fold: _Fold) -> Callable[..., Iterator
 
         def regressors(f: Array) -> Array:
             v = np.asarray(lfilter([1.0], np.concatenate(([1.0], f)), U, axis=0))
-            late = [
-                np.concatenate((np.zeros(1 + s.delay + i), x[: len(x) - 1 - s.delay - i]))
-                for x in v.T
-                for i in range(s.taps)
-            ]
-            return np.stack([*late, np.ones(len(y))], axis=1)
+            late = [delayed(x[:, None], range(1 + s.delay, 1 + s.delay + s.taps)) for x in v.T]
+            return np.column_stack([*late, np.ones(len(y))])
 
         def settled(f: Array, target: Array) -> tuple[float, Array, Array, Array]:
             """(error, numerators and level, what the linear part should be, its denominator) after rounds of signs."""

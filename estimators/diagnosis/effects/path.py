@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before, numbered
+from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
 
@@ -160,7 +161,7 @@ def _promise(channel: Any, base: Any, x: Array) -> float:
     """Likelihood ratio that a few lags of a signal promise behind the poles of the linear model, its parameters taken out."""
     s, keep = base.structure, channel.keep
     y = np.asarray(lfilter([1.0], np.concatenate(([1.0], base.p[: s.order])), x)) if s.layout == "tf" else x
-    X = np.stack([np.concatenate((np.zeros(i), y[: len(y) - i])) for i in range(1, s.order + 3)], axis=1)
+    X = delayed(y[:, None], range(1, s.order + 3))
     Q = np.linalg.qr(base.jacobian[keep])[0] if base.jacobian.size else np.zeros((int(keep.sum()), 0))
     r, X = (z[keep] - Q @ (Q.T @ z[keep]) for z in (base.residual, X))
     left = r - X @ np.linalg.lstsq(X, r, rcond=1e-9)[0]

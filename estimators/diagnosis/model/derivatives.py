@@ -13,6 +13,7 @@ from estimators.diagnosis.effects.effect import Clock, Slot
 from estimators.diagnosis.model.layouts import LAYOUTS
 from estimators.diagnosis.model.simulation import acted, free_responses, plant_states
 from estimators.diagnosis.model.structure import Structure
+from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
 Columns = Iterator[tuple[int, Array]]  # index of a parameter, derivative (N,) of the output by it
@@ -69,12 +70,12 @@ def _of_transfer(s: Structure, p: Array, U: Array, clock: Clock) -> tuple[Array 
         impulse[: s.order] = p[sl]
         linear = linear + lfilter([1.0], np.concatenate(([1.0], f)), impulse)
 
-    def through(x: Array, lags: range) -> Iterator[Array]:
+    def through(x: Array, lags: range) -> Array:
         w = rational(np.ascontiguousarray(x[:, None]), np.ones((1, 1)), f, 0)  # one sample late already
-        return (np.concatenate((np.zeros(lag), w[: n - lag])) for lag in lags)
+        return delayed(w[:, None], lags).T
 
     def columns() -> Columns:
-        yield from enumerate(-w for w in through(linear, range(s.order)))
+        yield from enumerate(-through(linear, range(s.order)))
         for sl in begun:
             yield from enumerate(free_responses(s, p, n).T, sl.start)
         for j, x in enumerate(U.T):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.recursion_kernels import rational
+from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
 
@@ -42,11 +43,9 @@ def between_samples(U: Array, b: Array, f: Array, delay: int, by: int) -> Array 
     powers = np.real((V * (poles.astype(complex)[None, :] ** steps[:, None])[:, None, :]) @ inverse)
     out = np.zeros((len(U), by))
     for j in range(U.shape[1]):
-        u = U[:, j]
-        if delay:
-            u = np.concatenate((np.zeros(delay), u[: len(u) - delay]))
+        u = delayed(U[:, j : j + 1], [delay])[:, 0]
         w = rational(np.ascontiguousarray(u[:, None]), np.ones((1, 1)), f, 0)
-        X = np.stack([np.concatenate((np.zeros(i), w[: len(w) - i])) for i in range(n)], axis=1)
+        X = delayed(w[:, None], range(n))
         c = np.concatenate((b[j], np.zeros(n - taps)))
         rows = c @ powers
         out += X @ rows.T + u[:, None] * (rows @ settled - c @ settled)

@@ -19,6 +19,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.effects.effect import Clock, Slot
 from estimators.diagnosis.model.layouts import LAYOUTS, Inside, changed_states, layout_matrices, states
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
+from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
 
@@ -224,7 +225,7 @@ def free_responses(s: Structure, p: Array, n: int) -> Array:
         impulse = np.zeros(n)
         impulse[0] = 1.0
         g = lfilter([1.0], np.concatenate(([1.0], p[: s.order])), impulse)
-        return np.stack([np.concatenate((np.zeros(i), g[: n - i])) for i in range(s.order)], axis=1)
+        return delayed(g[:, None], range(s.order))
     head = LAYOUTS[s.layout][1]
     rest = np.zeros(n)
     return np.stack(
