@@ -224,7 +224,7 @@ def free_responses(s: Structure, p: Array, n: int) -> Array:
     if s.layout == "tf":
         impulse = np.zeros(n)
         impulse[0] = 1.0
-        g = lfilter([1.0], np.concatenate(([1.0], p[: s.order])), impulse)
+        g = np.asarray(lfilter([1.0], np.concatenate(([1.0], p[: s.order])), impulse))
         return delayed(g[:, None], range(s.order))
     head = LAYOUTS[s.layout][1]
     rest = np.zeros(n)
