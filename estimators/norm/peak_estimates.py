@@ -42,15 +42,19 @@ RIVALS = 8
 
 
 def corrected(trace: Trace) -> PeakEstimate:
-    """Bias-corrected estimate from the iterations' records: the peak of the local model. Where the records do
-    not exclude that another peak is higher, a local model is fitted there too. The one of the highest lower
-    bound is returned; where another may be as high, within two standard errors, the status is COMPETING.
-    Where no local model can be trusted, a value far off the plain gain of five lines is replaced by it."""
+    """Bias-corrected estimate from the iterations' records: the highest peak of local models."""
     if not trace.kinds or trace.kinds[0] not in ("power", "averaged", "forward"):
         raise InputError(
             "this estimator is for the records of power iterations; for other inputs use lpm, a frequency "
             "response or a model."
         )
+    return highest_peak(trace)
+
+
+def highest_peak(trace: Trace) -> PeakEstimate:
+    """The peak of the local model. Where the records do not exclude that another peak is higher, a local model is fitted there
+    too. The one of the highest lower bound is returned; where another may be as high, within two standard errors, the
+    status is COMPETING. Where no local model can be trusted, a value far off the plain gain of five lines is replaced by it."""
     spectra = Spectra.of(trace) if len({len(r) for r in trace.records}) == 1 else None
     first = local_peak(trace, spectra=spectra)
     if not np.isfinite(first.value):

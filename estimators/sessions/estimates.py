@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.norm.peak_estimates import PeakEstimate, local_peak, width_left_open
+from estimators.norm.peak_estimates import PeakEstimate, highest_peak
 from estimators.residual.measures import stated
 from estimators.rules.trace import Trace
 from estimators.sessions.settings import Settings
@@ -97,52 +97,10 @@ def _peak(settings: Settings, records: Trace) -> tuple[PeakEstimate, str, str]:
 
         return best_arm(records), "best line", ""
     try:
-        found, doubt = _against_rival(records, local_peak(records))
-        if np.isfinite(found.value):
-            found = width_left_open(found, records)
-        return found, "local model", why or doubt
+        return highest_peak(records), "local model", why
     except OedError as error:
         nan = float("nan")
         return PeakEstimate(nan, nan, nan, nan, nan, nan, Status.SINGULAR), "none", str(error)
-
-
-def _against_rival(records: Trace, found: PeakEstimate) -> tuple[PeakEstimate, str]:
-    """The peak found, or the largest one elsewhere if that is surely larger; a word of doubt where it may be.
-    The iterations may settle at the lesser of two peaks for a long time ([M] Fig. 4: 296 Hz before 121 Hz)."""
-    N = len(records.records[0])
-    half = min(30, max(N // 8, 1))
-    step = 2 * np.pi / N
-    gains = _gains_by_line(records)
-    gains[np.abs(np.arange(len(gains)) - found.frequency / step) <= 2 * half] = 0.0
-    if not np.isfinite(found.value) or not gains.any():
-        return found, ""
-    rival = local_peak(records, centre=int(np.argmax(gains)))
-    elsewhere = abs(rival.frequency - found.frequency) > half * step
-    if not (np.isfinite(rival.value) and elsewhere):
-        return found, ""
-    if rival.value - 2 * rival.standard_error > found.value:
-        return rival, ""
-    if rival.value + 2 * rival.standard_error < found.value:
-        return found, ""
-    doubt = (
-        f"a peak of {rival.value:.4g} +- {rival.standard_error:.2g} at {rival.frequency / (2 * np.pi * records.records[0].dt):.4g} Hz may be larger: "
-        "more experiments will tell, or another seed."
-    )
-    return replace(found, status=Status.INACCURATE), doubt
-
-
-def _gains_by_line(records: Trace) -> NDArray[np.float64]:
-    """Largest singular value of the frequency response by least squares over the records and five lines at a time."""
-    U, Y = (
-        np.stack([np.fft.rfft(getattr(r, side), axis=0) for r in records.records], axis=1) for side in "uy"
-    )
-    cross, power = np.einsum("kmi,kmj->kij", Y, U.conj()), np.einsum("kmi,kmj->kij", U, U.conj())
-    around = lambda x: np.pad(x, ((2, 2), (0, 0), (0, 0)))
-    smooth = lambda x: np.sum([around(x)[k : k + len(x)] for k in range(5)], axis=0)
-    cross, power = smooth(cross), smooth(power)
-    scale = np.einsum("kii->k", power).real.mean()
-    ridge = 1e-9 * scale * np.eye(power.shape[1])
-    return np.linalg.norm(cross @ np.linalg.inv(power + ridge), 2, axis=(1, 2))
 
 
 def _by_model(settings: Settings, records: Trace) -> PeakEstimate:

@@ -12,13 +12,11 @@ if TYPE_CHECKING:
         crest_factor,
         filtered_noise,
         multisine,
-        periodogram,
-        prbs,
         realise,
     )
 
-__all__ = ["binary", "crest_factor", "filtered_noise", "multisine", "periodogram", "prbs", "realise"]
+__all__ = ["binary", "crest_factor", "filtered_noise", "multisine", "realise"]
 
 __getattr__, __dir__ = exporting(__name__, {
-    "oed.signals.synthesis": "binary crest_factor filtered_noise multisine periodogram prbs realise",
+    "oed.signals.synthesis": "binary crest_factor filtered_noise multisine realise",
 })  # fmt: skip

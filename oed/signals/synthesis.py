@@ -277,57 +277,6 @@ def binary(
     return np.where(best >= 0, 1.0, -1.0) * level
 
 
-def prbs(N: int, rng: np.random.Generator, *, n_inputs: int = 1, power: float = 1.0) -> NDArray[np.float64]:
-    """A pseudo-random binary sequence (maximum length, cut to N samples), of exactly the given power.
-
-    Parameters
-    ----------
-    N : int
-        Number of samples.
-    rng : numpy.random.Generator
-        Source of the starting state of each channel's shift register.
-    n_inputs : int
-        Number of channels.
-    power : float
-        Power summed over channels.
-
-    Returns
-    -------
-    ndarray
-        (N, n_inputs).
-    """
-    from scipy.signal import max_len_seq
-
-    if int(N) != N or N < 2:
-        raise InputError(f"the signal has N = {N} samples; ask for a whole number of at least 2.")
-    bits = int(np.clip(np.ceil(np.log2(N + 1)), 2, 32))
-    u = np.zeros((N, n_inputs))
-    for j in range(n_inputs):
-        state = rng.integers(0, 2, bits)
-        state[0] = 1
-        u[:, j] = 2.0 * max_len_seq(bits, state=state, length=N)[0] - 1
-    return u * np.sqrt(power / n_inputs)
-
-
-def periodogram(u: ArrayLike) -> Spectrum:
-    """The lines of a finite signal: one-sided powers on 2 pi k / N, which sum to its mean square.
-
-    Parameters
-    ----------
-    u : array_like
-        (N, nu).
-
-    Returns
-    -------
-    Spectrum
-        N // 2 + 1 lines of rank 1.
-    """
-    u = as_signal(u, "the signal")
-    N = len(u)
-    U = np.fft.rfft(u, axis=0) / (N * np.sqrt(_line_weight(N))[:, None])
-    return Spectrum(2 * np.pi * np.arange(len(U)) / N, np.einsum("kq,kr->kqr", U, U.conj()))
-
-
 @dataclass(frozen=True, eq=False)
 class Realised:
     """A signal made from a design, and what it lost. `u` (N, nu); `loss` loss per sample of the finite
