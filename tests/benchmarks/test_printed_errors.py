@@ -154,7 +154,9 @@ def test_coverage(name: str, record_figure) -> None:
     checked(name, CASES[name], 500, record_figure)
 
 
-@pytest.mark.parametrize
+@pytest.mark.parametrize(
+    "name", ["session power, broad peak", "session power", "identify", "identify, a frequency response"]
+)
 def test_coverage_of_few_runs(name: str) -> None:
     for key, (held, total) in coverage(CASES[name], 100).items():
         assert binom.ppf(5e-4, total, 0.93) <= held, (key, held, total)
