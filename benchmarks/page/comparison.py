@@ -55,7 +55,8 @@ def write_comparison(
     answer = answer_rows(tables)
     best, sentences = headline_rows(rows), answer_sentences(answer, settings)
     said = details(rows, information, settings)
-    tell(list(sentences or said))
+    short = short_answer(answer, best, settings)
+    tell(list(sentences or said or [short]))
     siso = [
         p
         for p in settings.plants
@@ -85,13 +86,13 @@ def write_comparison(
     theory = [figure for p in siso for figure in found[f"theory of {p}"]]
     sections += [Section("The theory beside it", figures=theory)] if theory else []
     sections += [_hair_dryer(found["hair dryer"])] if "hair dryer" in found else []
-    words = sentences or said
+    words = sentences or said or [short]
     sections.append(Section("In words", words))
     save_summary(folder, [*words, *said], to_markdown(best, headings("headline")))
     families = [row for row in answer if row["plant"] != row["case"]]
     used = [*settings.methods, *settings.estimators]
     page = Page(
-        "comparison", CLAIM if answer else "Which input is worth applying for the H-infinity norm?", short_answer(answer, best, settings),
+        "comparison", CLAIM if answer else "Which input is worth applying for the H-infinity norm?", short,
         [f"At most {replicates} runs (every row says how many) of {settings.experiments} experiments of {settings.samples} samples each, everything on the same "
          "plants and the same noise; every value has its Monte-Carlo standard error, every optimum its certificate.",
          *([f"Of the {len(answer)} cases {len(families)} are families of random plants: in the table of the answer, not in the matrix."]

@@ -23,7 +23,7 @@ def short_answer(answer: Sequence[Row], best: Sequence[Row], settings: Settings)
     if not answer:
         inputs = [r for r in best if is_number(r["c_efficiency"]) and not r["method"].startswith("oracle")]
         if not inputs:
-            return "No run gave a number: see what failed and how in the tables."
+            return "No run gave a number: the same command with --dry-run says why."
         top = max(inputs, key=lambda r: r["c_efficiency"])
         return (f"Of the inputs compared, {top['method']} carries most for the peak gain: {100 * top['c_efficiency']:.0f} % of the "
                 f"optimum on {top['plant']} at noise {top['noise_variance']:g}.")  # fmt: skip

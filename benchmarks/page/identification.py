@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks.page.content import Figure, Page, Row, Section, Table, headed, line, thinned
 from benchmarks.page.skeleton import save_page
 from oed.data import Record
+from oed.models.poles import poles_in_hz
 
 if TYPE_CHECKING:
     from estimators.pem.fit import Fit
@@ -79,12 +80,15 @@ def _poles(fit: Fit) -> tuple[Figure, Table]:
         points += line(pole.real + ring[0], pole.imag + ring[1], "95 % ellipse")
         points.append({"x": None, "y": None, "series": "95 % ellipse"})  # the next ring is a line of its own
         points.append({"x": pole.real, "y": pole.imag, "series": "pole", "text": f"{pole:.4g}"})
-        continuous = np.log(pole) / fit.model.dt if pole else complex(-np.inf)
         real = abs(pole.imag) < 1e-12
+        told = poles_in_hz(
+            [complex(pole.real, 0.0 if real else abs(pole.imag))], fit.model.dt
+        )  # none of a delay
+        rings = [p for p in told if p.frequency_hz]
         rows.append({
-            "pole": f"{pole.real if real else pole:.5g}", "size": abs(pole), "frequency_hz": None if real else abs(continuous) / (2 * np.pi),
-            "damping": None if real else -continuous.real / abs(continuous),
-            "time_constant": -1 / continuous.real if continuous.real < 0 else None,
+            "pole": f"{pole.real if real else pole:.5g}", "size": abs(pole), "frequency_hz": rings[0].frequency_hz if rings else None,
+            "damping": rings[0].damping if rings else None,
+            "time_constant": told[0].time_constant if told and np.isfinite(told[0].time_constant) else None,
             "error": float(np.sqrt(np.trace(covariance))),
         })  # fmt: skip
     columns = headed("pole", "size", frequency_hz="frequency (Hz)", damping="damping",

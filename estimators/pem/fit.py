@@ -18,6 +18,7 @@ from oed.data import Record, as_signal
 from oed.errors import InputError, Status
 from oed.files.objects import as_record
 from oed.models.model import Model, Polynomial, StateSpace
+from oed.models.poles import poles_in_hz
 
 
 def noise_free(model: Model) -> tuple[Polynomial | StateSpace, NDArray[np.float64]]:
@@ -369,6 +370,8 @@ class Fit:
             units[0] or names[0]
             for units, names in ((r.input_units, r.input_names), (r.output_units, r.output_names))
         )
+        entries = (", ".join(map(str, poles_in_hz(z, self.model.dt))) for z in self.model.poles())
+        poles = " | ".join(filter(None, entries))
         rows = [f"{self.model.structure!r} fitted to {self.n_samples} samples: {self.status.value}"]
         rows += [
             f"  {k:>8} = {v:12.6g} +- {s:.2g}"
@@ -378,6 +381,7 @@ class Fit:
             f"  noise variance {self.noise_variance:.6g} ({y})^2, fit of these data "
             f"{self.fit_percent:.2f} % one step ahead, {self.simulation_fit_percent:.2f} % simulated",
             f"  peak gain {gamma:.6g} +- {error:.2g} {y}/{u} at {omega / hertz:.5g} +- {self.hinf_frequency_error / hertz:.2g} Hz",
+            f"  poles {poles or 'none'}; one sample every {self.model.dt:.6g} s",
             *(f"  {how!r}" for how in (self.regularisation, self.subspace) if how),
             *(f"  note: {note}" for note in self.notes),
         ]

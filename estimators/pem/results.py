@@ -109,8 +109,7 @@ def _covariance(
         raise NotIdentifiable(
             f"the data do not determine a combination of {', '.join(guilty)}: the information matrix is singular "
             "(its smallest eigenvalue over the largest is "
-            f"{max(values[0], 0) / values[-1]:.1e}); {_excitation(records, needed(problem.structure))} lower the "
-            "orders or excite more frequencies."
+            f"{max(values[0], 0) / values[-1]:.1e}); {_excitation(records, needed(problem.structure))}."
         )
     inverse = (vectors / values) @ vectors.T / np.outer(size, size)
     return inverse, status
@@ -125,8 +124,14 @@ def needed(form: Structure) -> int:
 
 def _excitation(records: list[Record], most: int) -> str:
     """How far the inputs excite, in words."""
-    names, reached = records[0].input_names, []
+    names, reached, enough = records[0].input_names, [], True
     for j, name in enumerate(names):
         order = excitation_order([r.u[:, j] for r in records], most)
         reached.append(f"{name} of order {order}" + (" at least" if order == most else ""))
-    return f"persistently exciting are {', '.join(reached)}, and this structure has use for order {most};"
+        enough &= order == most
+    remedy = (
+        "check that inputs and outputs are not swapped, and the delay"
+        if enough
+        else "excite more frequencies"
+    )
+    return f"persistently exciting are {', '.join(reached)}, and this structure has use for order {most}; lower the orders or {remedy}"

@@ -151,7 +151,15 @@ def test_the_first_line_says_where_the_gain_is_not_told(tmp_path, rng, capfd) ->
 def test_text_names_what_matters(data, capfd) -> None:
     assert main(["identify", str(data), "--delay", "3", "--quiet"]) == 0
     said = capfd.readouterr().out
-    for words in ("b3", "peak gain", "residual tests", "noise variance", "level of y"):
+    for words in (
+        "b3",
+        "peak gain",
+        "poles",
+        "one sample every",
+        "residual tests",
+        "noise variance",
+        "level of y",
+    ):
         assert words in said
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from oed.data import Record
+from oed.models.poles import Pole, poles_in_hz
 
 Array = NDArray[Any]
 
@@ -38,20 +39,6 @@ class Options:
     guard: int = 30
     moving: bool = False
     asked: tuple[Array, ...] = ()
-
-
-@dataclass(frozen=True)
-class Pole:
-    """A pole, or a pair of conjugate ones.
-
-    `frequency_hz` 0 for a real pole; `damping` ratio, 1 for a real stable pole; `time_constant` in seconds;
-    `radius` magnitude in the z plane.
-    """
-
-    frequency_hz: float
-    damping: float
-    time_constant: float
-    radius: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,20 +131,7 @@ class Baseline:
 
     def poles(self, output: int = 0) -> tuple[Pole, ...]:
         """Poles of one output's model, slowest first; a conjugate pair is one row."""
-        rows = []
-        for z in self.outputs[output].model.poles:
-            if z.imag < 0 or abs(z) < 1e-6:  # the other of a pair; a delay
-                continue
-            s = np.log(z) / self.dt
-            rows.append(
-                Pole(
-                    float(abs(s.imag) / (2 * np.pi)),
-                    float(-s.real / max(abs(s), 1e-300)),
-                    float(-1.0 / s.real) if s.real else np.inf,
-                    float(abs(z)),
-                )
-            )
-        return tuple(sorted(rows, key=lambda p: -p.radius))
+        return poles_in_hz(self.outputs[output].model.poles, self.dt)
 
     def simulate(self, record: Record, window: int | None = None) -> Array:
         """Free run on a record.

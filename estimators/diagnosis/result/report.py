@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.residual.measures import stated
+from oed.models.poles import Pole
 
 if TYPE_CHECKING:
     from estimators.diagnosis.result.model import DiagnosedModel
@@ -179,7 +180,7 @@ class Diagnosis:
         for name, (value, se, unit) in self.parameters.items():
             lines.append(f"  {name} = {stated(value, se)} {self.in_units(unit) or '(no unit)'}")
         if self.linear:
-            poles = ", ".join(_pole(*row) for row in self.linear["poles"])
+            poles = ", ".join(str(Pole(*row, radius=0.0)) for row in self.linear["poles"])
             lines.append(f"linear model: {self.linear['structure']}; poles {poles or 'none'}")
         lines.append(f"simulation error on the {self.held_out}: {self.rmse_before} -> {self.rmse_after}")
         for row in self.ladder:
@@ -207,9 +208,3 @@ class Diagnosis:
 
 def _plain(keys: Sequence[str]) -> str:
     return ", ".join(key.replace("_", " ") for key in keys)
-
-
-def _pole(frequency: float, damping: float, time_constant: float) -> str:
-    if frequency:
-        return f"{frequency:.4g} Hz (damping {damping:.2g})"
-    return f"{time_constant:.4g} s"
