@@ -200,6 +200,12 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _main(argv: list[str], out: _Lasting) -> int:
+    if sys.flags.optimize > 1:  # found out at the first page, after all runs
+        print(
+            "oed: run Python without -OO (PYTHONOPTIMIZE=2): libraries below need docstrings.",
+            file=sys.stderr,
+        )
+        return 2
     parser = _parser()
     if not argv:
         parser.print_help()

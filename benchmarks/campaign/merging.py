@@ -10,6 +10,7 @@ from typing import Any
 from benchmarks.campaign.settings import Limit
 from benchmarks.campaign.store import CONTENTS, KEPT, UNITED, Store, versions
 from oed.errors import CampaignError, InputError
+from oed.files.limits import file_content
 from oed.files.writing import write_whole
 
 
@@ -58,7 +59,7 @@ def merge_stores(folders: Sequence[Path], out: Path) -> dict[str, Any]:
             if store.path(path.stem).exists() or path.resolve() == store.path(path.stem).resolve():
                 continue
             try:
-                content = path.read_bytes()
+                content = file_content(path)
             except OSError as error:
                 raise CampaignError(
                     f"cannot read {path} ({error.strerror}); what was copied is kept."
@@ -72,7 +73,7 @@ def merge_stores(folders: Sequence[Path], out: Path) -> dict[str, Any]:
 
 def _description(folder: Path) -> dict[str, Any]:
     try:
-        content = json.loads((folder / "campaign.json").read_text(encoding="utf-8"))
+        content = json.loads(file_content(folder / "campaign.json"))
         return {"settings": dict(content["settings"]), "versions": content["versions"]}
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(

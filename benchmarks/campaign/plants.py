@@ -15,6 +15,7 @@ import numpy as np
 
 from oed.data import Record
 from oed.errors import InputError, check_names
+from oed.files.limits import file_content
 from oed.plants.families import FAMILIES
 from oed.plants.plant import Plant
 
@@ -48,7 +49,7 @@ def content_of(spec: str) -> str:
     if not is_file(spec):
         return ""
     try:
-        return blake2b(Path(spec).read_bytes(), digest_size=8).hexdigest()
+        return blake2b(file_content(Path(spec)), digest_size=8).hexdigest()
     except OSError as error:
         raise InputError(f"cannot read the plant file {spec}: {error.strerror}.") from None
 

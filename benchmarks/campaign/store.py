@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import oed
 from oed.errors import CampaignError, Status
+from oed.files.limits import file_content
 from oed.files.parquet import open_parquet, read_columns, table_bytes
 from oed.files.writing import tidy, write_whole
 
@@ -106,7 +107,7 @@ class Store:
     @staticmethod
     def _settings_of(file: Path) -> dict[str, Any]:
         try:
-            content = json.loads(file.read_text(encoding="utf-8"))
+            content = json.loads(file_content(file))
             found = {"settings": dict(content["settings"]), "versions": dict(content["versions"])}
             # Pairs of names and digests, as `difference` takes them: what is none is refused here.
             for name in CONTENTS:

@@ -11,6 +11,7 @@ from typing import Any
 
 from estimators.rules.trace import run
 from oed.errors import InputError
+from oed.files.limits import file_content
 
 
 class Own:
@@ -53,7 +54,7 @@ def _run_rule(rule: Any, experiment: Any, *, samples: int, iterations: int, rng:
 def _load(spec: str) -> Callable[..., Any]:
     file, _, name = spec.rpartition(":")
     try:
-        source = Path(file).read_text(encoding="utf-8")
+        source = file_content(Path(file)).decode()
     except OSError as error:
         raise InputError(
             f"the file of {spec} cannot be read ({error.strerror}); check the name and the folder."

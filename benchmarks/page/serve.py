@@ -14,6 +14,7 @@ from benchmarks.page.content import Page, read_page
 from benchmarks.page.session import session_page
 from benchmarks.page.skeleton import html
 from oed.errors import OedError
+from oed.files.limits import file_content
 
 HOST = "127.0.0.1"
 WATCHED = ("report.json", "session.json", "campaign.json", "journal.txt")
@@ -25,7 +26,7 @@ def progress_of(folder: Path) -> tuple[int, int]:
     if not (folder / "campaign.json").is_file():
         return 0, 0
     try:
-        found = json.loads((folder / "progress.json").read_text(encoding="utf-8"))
+        found = json.loads(file_content(folder / "progress.json"))
         return int(found["done"]), int(found["total"])
     except (OSError, ValueError, KeyError, TypeError):
         return 0, 0

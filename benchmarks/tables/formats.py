@@ -17,6 +17,7 @@ from typing import Any
 
 from oed.errors import InputError
 from oed.files import write_bytes
+from oed.files.limits import file_content
 from oed.files.parquet import open_parquet, read_columns, table_bytes
 
 Row = Mapping[str, Any]
@@ -222,7 +223,7 @@ def from_parquet(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], di
     import pyarrow as pa
 
     try:
-        table = read_columns(open_parquet(Path(path).read_bytes()))
+        table = read_columns(open_parquet(file_content(Path(path))))
         metadata = json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
     except (OSError, pa.ArrowException, ValueError) as error:
         message = (str(error).splitlines() or [type(error).__name__])[0]

@@ -11,7 +11,7 @@ from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.result.report import Diagnosis
 from oed.data import Record
 from oed.errors import InputError
-from oed.files.documents import keyed, read_document
+from oed.files.documents import TEXT, keyed, read_document
 
 SIGNALS = {"deviations": True, "as logged": False}
 """What `signals` of a meta.json says of the operating point; where it is absent, the data decide."""
@@ -29,9 +29,13 @@ META = keyed(
             "anyOf": [ORDER, {"type": "array", "items": ORDER, "minItems": 1}, {"type": "null"}],
             "description": "a whole number from 1 to 20, or a list with one per output",
         },
+        **dict.fromkeys(("structure", "signals", "time_unit", "input_hold", "note"), TEXT),
         **{
-            name: {"type": "string", "description": "a text"}
-            for name in ("structure", "signals", "time_unit", "input_hold", "note")
+            name: {
+                "not": {"type": "array", "contains": {"not": TEXT}},
+                "description": "a list of columns' names",
+            }
+            for name in ("inputs", "outputs")
         },
     },
     others={},
@@ -94,7 +98,7 @@ def diagnose_files(
     columns, wanted = columns or Columns(), setting or Setting()
     notes: list[str] = []
     known = read_document(meta, META, "the description") if meta is not None else {}
-    keys = (*META["properties"], "inputs", "outputs")
+    keys = META["properties"]
     if known and not set(known) & set(keys):
         raise InputError(
             f"the description {meta} has none of the keys {', '.join(keys)}; it is another file."

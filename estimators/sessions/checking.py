@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from estimators.sessions.settings import Settings
 from oed.errors import InputError
 from oed.files.clock import sampling_time
+from oed.files.limits import file_content
 from oed.files.reading import read_table
 from oed.files.tables import Table, split_unit
 
@@ -83,7 +84,7 @@ def read_output(path: Path, settings: Settings, step: int) -> Reading:
             "waited for; give that file (or rename this one if its name is wrong)."
         )
     table = read_table(path)
-    if path.suffix.lower() == ".csv" and not path.read_bytes().endswith((b"\n", b"\r")):
+    if path.suffix.lower() == ".csv" and not file_content(path).endswith((b"\n", b"\r")):
         raise InputError(
             f"{path.name} does not end with a line break; its last row may be half written: wait until the rig has "
             "closed the file (or add the line break if the file is whole)."

@@ -23,6 +23,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from oed.errors import CampaignError
+from oed.files.limits import file_content
 from oed.files.lock import locked
 from oed.files.writing import append_line, renamed, tidy
 
@@ -84,7 +85,7 @@ class Folder:
     def note(self, step: int, event: str, file: Path | None, words: str = "") -> None:
         """Add a line to the journal."""
         stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        about = f"{file.name} {fingerprint(file.read_bytes())}" if file is not None else "- -"
+        about = f"{file.name} {fingerprint(file_content(file))}" if file is not None else "- -"
         append_line(
             self.path / "journal.txt",
             " ".join([stamp, f"{step:04d}", event, about, *words.split()]),
@@ -105,7 +106,7 @@ class Folder:
         if not journal.is_file():
             return {}
         found = {}
-        for line in journal.read_text(encoding="utf-8", errors="replace").splitlines():
+        for line in file_content(journal).decode(errors="replace").splitlines():
             words = line.split()
             ours = len(words) >= 5 and (words[3] == SETTINGS or NAME.fullmatch(words[3]))
             if ours and re.fullmatch(r"[0-9a-f]{16}", words[4]):

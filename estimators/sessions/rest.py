@@ -28,6 +28,7 @@ from estimators.sessions.settings import Settings
 from estimators.sessions.stored import StoredSession, read_signal, signal_csv
 from oed.covariances import of_few
 from oed.errors import InputError
+from oed.files.limits import file_content
 from oed.files.writing import write_whole
 
 Array = NDArray[np.float64]
@@ -272,7 +273,7 @@ def record_rest(session: StoredSession, path: Path) -> RestTest:
             )
         file = session.path / f"rest-output-{last[0]:04d}.csv"
         content = signal_csv(reading.y, s.outputs, s.output_units, s.dt)
-        if file.exists() and file.read_bytes() != content:
+        if file.exists() and file_content(file) != content:
             raise InputError(
                 f"rest test {last[0]} is recorded already; ask for another one with `oed session rest {session.path}`."
             )
@@ -289,7 +290,7 @@ def rest_of(session: StoredSession) -> RestTest | None:
     if not done:
         return None
     last = max(done)
-    folder.check_unchanged(done[last], done[last].read_bytes())
+    folder.check_unchanged(done[last], file_content(done[last]))
     u = read_signal(folder.find("rest-input")[last], s.inputs)
     return rest_test(u, read_signal(done[last], s.outputs), s)
 

@@ -10,6 +10,7 @@ from estimators.sessions.session import Session
 from estimators.sessions.settings import Settings, settings_from_json, settings_to_json
 from estimators.sessions.stored import StoredSession
 from oed.errors import CampaignError, InputError
+from oed.files.limits import file_content
 from oed.files.lock import locked
 from oed.files.writing import write_whole
 
@@ -62,7 +63,7 @@ def start_session(path: str | os.PathLike[str], settings: Settings) -> StoredSes
 
 
 def _check_same(file: Path, text: str) -> None:
-    was, now = settings_from_json(file.read_text(encoding="utf-8"), str(file)), settings_from_json(text, "")
+    was, now = settings_from_json(file_content(file).decode(), str(file)), settings_from_json(text, "")
     differ = [name for name in was.__dataclass_fields__ if getattr(was, name) != getattr(now, name)]
     if differ:
         listed = (

@@ -19,6 +19,7 @@ from estimators.sessions.session import Asked, FlaggedMeasurement, Sequential
 from estimators.sessions.settings import Settings, settings_from_json
 from oed.errors import CampaignError, InputError
 from oed.files.csv import csv_table
+from oed.files.limits import file_content
 from oed.files.tables import column_name
 from oed.files.writing import write_whole
 
@@ -59,7 +60,7 @@ class StoredSession(Sequential):
     def __init__(self, path: Path) -> None:
         file = path / SETTINGS
         try:
-            content = file.read_bytes()
+            content = file_content(file)
             text = content.decode()
         except (OSError, UnicodeDecodeError):
             raise CampaignError(
@@ -109,7 +110,7 @@ class StoredSession(Sequential):
                     f"{self.folder.input_path(step).name} is missing from {self.path}; restore it."
                 )
             self._check_input(file)
-            content = outputs[step, 1].read_bytes()
+            content = file_content(outputs[step, 1])
             self.folder.check_unchanged(outputs[step, 1], content)
             y = read_signal(outputs[step, 1], self.settings.outputs)
             self._use(self.asked(), y)
@@ -122,6 +123,11 @@ class StoredSession(Sequential):
         versions = [version for at, version in inputs if at == step]
         if not versions:
             return None
+        if max(versions) > len(versions):
+            gap = min(set(range(1, len(versions) + 1)) - set(versions))
+            raise CampaignError(
+                f"{self.folder.input_path(step, gap).name} is missing from {self.path}; restore it."
+            )
         earlier = sum(1 for at, version in inputs if version > 1 and at < step)
         while self._halved < earlier + max(versions) - 1:
             self.reduce()
@@ -129,7 +135,7 @@ class StoredSession(Sequential):
         return inputs[step, max(versions)]
 
     def _check_input(self, file: Path) -> None:
-        asked, content = self.asked(), file.read_bytes()
+        asked, content = self.asked(), file_content(file)
         if content == self._input_csv(asked):
             return
         self.folder.check_unchanged(file, content)
@@ -258,7 +264,7 @@ class StoredSession(Sequential):
             values = self._checked(y, u, accept)
         except FlaggedMeasurement as fault:
             flagged = [file for (at, _), file in self.folder.find("flagged").items() if at == step]
-            if not any(file.read_bytes() == stored for file in flagged):
+            if not any(file_content(file) == stored for file in flagged):
                 name = f"flagged-{step:04d}-{len(flagged) + 1}.csv"
                 self.folder.note(
                     step, "flagged", write_whole(self.path / name, stored, kept=KEPT), str(fault)
@@ -341,7 +347,7 @@ def signal_csv(signal: Array, names: tuple[str, ...], units: tuple[str, ...], dt
 def read_signal(file: Path, names: tuple[str, ...]) -> Array:
     """The last columns of a file that the session wrote: those of the channels named."""
     try:
-        table = csv_table(file.read_bytes(), file.name)
+        table = csv_table(file_content(file), file.name)
         return np.column_stack(table.load(table.names[-len(names) :]))
     except (InputError, ValueError) as error:
         raise CampaignError(f"{file} is damaged ({error}); restore it.") from None

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from oed.errors import InputError, OedError
+from oed.files.limits import file_content
 
 LARGEST = 64 * 2**20
 """Bytes of a document: the largest models and settings here have some hundred kilobytes."""
@@ -46,7 +47,7 @@ def read_document(
     where = f"{what} {path}"
     try:
         size, most = path.stat().st_size, LARGEST_TOML if path.suffix == ".toml" else LARGEST
-        text = path.read_bytes().decode("utf-8-sig") if size <= most else ""
+        text = file_content(path).decode("utf-8-sig") if size <= most else ""
     except OSError as reason:
         raise error(
             f"{where} cannot be read ({reason.strerror or reason}); check the name and the folder."

@@ -4,8 +4,11 @@ Each limit can be raised by an environment variable, which its message names."""
 
 from __future__ import annotations
 
+import errno
 import math
 import os
+import stat
+from pathlib import Path
 
 from oed.errors import InputError
 
@@ -34,3 +37,23 @@ def check_limit(what: str, value: float, source: str) -> float:
             f"{source} asks for {asked} {what}, and at most {most:,} are read; if that is meant, set {name} higher."
         )
     return most - value
+
+
+def plain_file(path: Path) -> Path:
+    """A file that ends; an OSError, as of one that cannot be opened, where it is a pipe or a device."""
+    if not (path.is_dir() or stat.S_ISREG(path.stat().st_mode)):
+        raise OSError(errno.EINVAL, "it is a device or a pipe; give a file", str(path))
+    return path
+
+
+def own_file(path: Path) -> Path:
+    """A file that is written in place; an OSError where it is a link: a folder from somebody else may hold one to any file."""
+    if path.is_symlink():
+        raise OSError(errno.ELOOP, "it is a link to another file; remove it", str(path))
+    return path
+
+
+def file_content(path: Path) -> bytes:
+    """The bytes of a plain file of bounded size."""
+    check_limit("bytes", plain_file(path).stat().st_size, path.name)
+    return path.read_bytes()

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO
 
 from oed.errors import CampaignError, InputError
+from oed.files.limits import own_file
 
 
 @contextlib.contextmanager
@@ -18,7 +19,7 @@ def locked(path: Path, what: str) -> Iterator[None]:
     holds it. The lock is the operating system's, on the file at `path`, and not the file's existence: when a
     process is killed the system lets go, so that nothing stale is left to be removed."""
     try:
-        file = path.open("a+b")
+        file = own_file(path).open("a+b")
     except OSError as error:
         raise InputError(f"{what} cannot be written to: {error.strerror or error}.") from None
     with file:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.arrays import first_line
-from oed.files.limits import check_limit
+from oed.files.limits import check_limit, plain_file
 from oed.files.tables import Table, numbers, seconds_per
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def open_parquet(source: Path | bytes) -> parquet.ParquetFile:
     import pyarrow as pa
     from pyarrow import parquet
 
-    file = pa.BufferReader(source) if isinstance(source, bytes) else str(source)
+    file = pa.BufferReader(source) if isinstance(source, bytes) else str(plain_file(source))
     return parquet.ParquetFile(file, pre_buffer=False, page_checksum_verification=True)
 
 

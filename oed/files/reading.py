@@ -16,7 +16,7 @@ from oed.data import Record
 from oed.errors import InputError, OedError
 from oed.files.arrays import npz_table
 from oed.files.csv import csv_table
-from oed.files.limits import check_limit
+from oed.files.limits import check_limit, file_content
 from oed.files.mat import mat_table
 from oed.files.parquet import parquet_table
 from oed.files.tables import Table, record_of
@@ -140,10 +140,7 @@ def _understood(name: str, read: Callable[[], Any]) -> Any:
 
 def _content(path: Path) -> bytes:
     try:
-        check_limit("bytes", path.stat().st_size, path.name)
-        if not (path.is_file() or path.is_dir()):
-            raise InputError(f"{str(path)!r} is a device or a pipe; give a file.")
-        return path.read_bytes()
+        return file_content(path)
     except FileNotFoundError:
         raise InputError(f"the file {str(path)!r} does not exist; check the name and the folder.") from None
     except IsADirectoryError:

@@ -15,6 +15,7 @@ from oed.data import Record
 from oed.errors import InputError, OedError
 from oed.files.arrays import npz_bytes
 from oed.files.csv import csv_bytes
+from oed.files.limits import own_file
 from oed.files.mat import mat_bytes
 from oed.files.parquet import parquet_bytes
 
@@ -134,7 +135,8 @@ def write_whole(
     temporary name is short, whatever the file's own, and ends in .tmp: `tidy` removes what a kill left of it."""
     temporary = path.with_name(f".{os.getpid()}-{next(_COUNT)}.tmp")
     try:
-        with temporary.open("wb") as file:
+        temporary.unlink(missing_ok=True)
+        with temporary.open("xb") as file:  # never through a link that somebody laid there
             file.write(in_text(content).encode() if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
@@ -168,7 +170,7 @@ def write_figure(path: Path, figure: Any, **options: Any) -> Path:
 def append_line(path: Path, line: str, *, kept: str = KEPT, error: type[OedError] = InputError) -> None:
     """Add a line to a file and wait until it is on the disk; a last line that a kill cut off is ended first."""
     try:
-        with path.open("ab+") as stream:
+        with own_file(path).open("ab+") as stream:
             if stream.tell():
                 stream.seek(-1, os.SEEK_END)
                 if stream.read(1) != b"\n":

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from oed.data import frozen
 from oed.errors import InputError
 from oed.files.documents import FLAG, LARGEST, NUMBER, TEXT, WHOLE, checked, keyed, listed, parsed_json
+from oed.files.limits import file_content
 from oed.models.polynomials import Orders, Polynomial, polynomial
 from oed.models.statespaces import StateSpace
 from oed.models.structures import STRUCTURES
@@ -202,7 +203,7 @@ def saved_model(source: Any) -> Model | None:
     try:
         given = source
         if isinstance(source, str | Path) and Path(source).stat().st_size <= LARGEST:
-            given = parsed_json(Path(source).read_text(encoding="utf-8"), str(source))
+            given = parsed_json(file_content(Path(source)).decode(), str(source))
     except (OSError, ValueError):
         return None
     wanted = {"structure", "theta", "noise_covariance", "dt"}

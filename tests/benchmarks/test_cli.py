@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -251,3 +252,10 @@ def test_a_defect_is_exit_status_1_with_its_traceback(monkeypatch, capsys):
     err = capsys.readouterr().err
     assert "ZeroDivisionError" in err
     assert "defect" in err
+
+
+def test_python_without_docstrings_is_refused_before_any_work(monkeypatch, capsys):
+    """The charts' library needs them: all runs of a comparison were done before that was found."""
+    monkeypatch.setattr(sys, "flags", SimpleNamespace(optimize=2))
+    assert main(["compare", "--dry-run"]) == 2
+    assert "without -OO" in capsys.readouterr().err

@@ -69,7 +69,7 @@ def faults(monkeypatch, at: int, strike):
     opened = Path.open
 
     def opening(path, mode="r", *args, **keywords):
-        if mode not in ("wb", "ab+") or path.name.endswith("lock"):
+        if mode not in ("xb", "ab+") or path.name.endswith("lock"):
             return opened(path, mode, *args, **keywords)
         hit("open")
         file = Torn(path, mode)

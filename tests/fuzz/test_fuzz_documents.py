@@ -11,18 +11,20 @@ from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.campaign.settings import Settings as Campaign
 from benchmarks.campaign.settings import campaign_from_toml
+from estimators.diagnosis.cases import diagnose_files
 from estimators.sessions.settings import Settings, settings_from_json, settings_to_json
 from oed.errors import OedError
 from oed.models.model import Model, arx, bj, model_from_json
 from oed.models.statespaces import StateSpace
 from oed.plants.json import plant_from_json, plant_to_json
 
-TESTS = 10  # with those of the readers beside this file
+TESTS = 11  # with those of the readers beside this file
 MANY = int(os.environ.get("OED_FUZZ", "0"))
 quick = settings(
     max_examples=MANY // TESTS or 100, derandomize=not MANY, database=None, deadline=timedelta(seconds=20),
@@ -44,6 +46,8 @@ CAMPAIGN = {
     "estimators": ["frf", "pem"], "samples": 100, "experiments": 5, "seed": 3, "profile_replicates": 0, "replicates": 4,
     "time_limit": 2.5, "out": "results/x", "limit": [{"replicates": 2, "plant": "random-*", "noise_variance": 0.1, "why": "time"}],
 }  # fmt: skip
+META = {"sampling_time": 1.0, "suggested_order": 2, "structure": "SISO", "signals": "deviations", "note": "x", "inputs": ["u"],
+        "outputs": ["y"], "time_unit": "s", "rig": [1]}  # fmt: skip
 ODD = (None, True, 0, -1, 1e-320, 1e308, -1e308, 1e-300, [], {}, "x", "", [[]], [[[]]], [1], [1, 2, 3], 1e150, 5,
        [[1, 2], [3]], {"a": 1}, 0.999999999, -0.0, float("nan"), float("inf"), 10**400)  # fmt: skip
 changes = st.lists(
@@ -170,3 +174,14 @@ def test_a_changed_campaign_is_read_as_it_stands_or_refused(how, more, cut):
         assert all(getattr(limit, key) == value for key, value in entry.items())
     deciding = {key: found[key] for key in found.keys() & Campaign.__dataclass_fields__.keys()}
     read(lambda: Campaign(**deciding, limits=limits))
+
+
+@quick
+@given(changes)
+def test_a_changed_description_is_read_or_refused(how):
+    with tempfile.TemporaryDirectory() as folder:
+        for name, text in (("x.csv", "u,y\n1,2\n2,3\n"), ("meta.json", json.dumps(changed(META, how)))):
+            (Path(folder) / name).write_text(text)
+        with pytest.raises(OedError) as refused:  # a record of two samples is none to diagnose
+            diagnose_files(Path(folder) / "x.csv", meta=Path(folder) / "meta.json")
+    assert 10 < len(str(refused.value)) < 2000

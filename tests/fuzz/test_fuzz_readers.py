@@ -25,10 +25,10 @@ from oed.errors import OedError
 from oed.files import read_record, write_record
 from oed.files.mat5 import read_mat5
 
-TESTS = 9
+TESTS = 11
 MANY = int(os.environ.get("OED_FUZZ", "0"))
 quick = settings(
-    max_examples=MANY // TESTS or 110,
+    max_examples=MANY // TESTS or 90,
     derandomize=not MANY,
     database=None,
     deadline=timedelta(seconds=20),  # what a file may take at most

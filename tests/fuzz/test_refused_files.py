@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import io
 import os
@@ -12,9 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.campaign.plants import content_of
+from benchmarks.tables.formats import from_parquet
+from estimators.diagnosis.result.model import DiagnosedModel
+from estimators.sessions import open_session
 from oed.data import Record
-from oed.errors import InputError
+from oed.errors import CampaignError, InputError
 from oed.files import read_record
+from oed.files.lock import locked
+from oed.files.writing import append_line, write_whole
+from oed.models.model import saved_model
+from oed.plants.json import plant_from_json
 from tests.fuzz.test_fuzz_readers import read, v5
 
 HOSTILE = ("decimal_comma.csv", "ragged.csv", "ragged2.csv", "stopiteration.csv", "h5_index.mat", "laughs.mat", "segv.mat",
@@ -143,3 +152,32 @@ def test_a_pipe_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "p.csv")
     with pytest.raises(InputError, match="a device or a pipe"):
         read_record(tmp_path / "p.csv")
+
+
+def test_no_document_is_waited_for_or_endless(tmp_path):
+    """A plant, a session, a part or a report that is a pipe was waited for for ever; /dev/zero filled the memory."""
+    os.mkfifo(tmp_path / "session.json")
+    for read_one in (plant_from_json, saved_model, DiagnosedModel.load, from_parquet, content_of):
+        for path in (str(tmp_path / "session.json"), "/dev/zero"):
+            with contextlib.suppress(InputError):  # a model may be something else
+                assert read_one(path) is None
+    with pytest.raises(InputError, match="a device or a pipe"):
+        plant_from_json("/dev/zero")
+    with pytest.raises(CampaignError, match="there is no session"):
+        open_session(tmp_path)
+
+
+def test_nothing_is_written_through_a_link(tmp_path):
+    """A folder from somebody else may hold links in place of what is written there in place: to a shell's start, say."""
+    precious = tmp_path / "precious"
+    precious.write_text("kept")
+    (tmp_path / "link").symlink_to(precious)
+    with pytest.raises(InputError, match="it is a link to another file"), locked(tmp_path / "link", "it"):
+        pass
+    with pytest.raises(InputError, match="it is a link to another file"):
+        append_line(tmp_path / "link", "x")
+    assert not list(tmp_path.glob(".*"))
+    for number in range(1000):  # the next temporary names
+        (tmp_path / f".{os.getpid()}-{number}.tmp").symlink_to(precious)
+    write_whole(tmp_path / "link", "new")
+    assert (precious.read_text(), (tmp_path / "link").read_text()) == ("kept", "new")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from oed.errors import InputError
+from oed.files.limits import file_content
 from oed.files.lock import locked
 from oed.files.writing import append_line, write_whole
 
@@ -59,7 +60,7 @@ def _content(folder: Path) -> str:
     found = blake2b(digest_size=8)
     for name in FILES:
         file = folder / name
-        found.update(name.encode() + (file.read_bytes() if file.exists() else b"") + b"\0")
+        found.update(name.encode() + (file_content(file) if file.exists() else b"") + b"\0")
     return found.hexdigest()
 
 
@@ -76,7 +77,7 @@ def _done(out: Path, cases: list[Path]) -> set[str]:
         return set()
     wanted = {path.name: (_content(path), _version()) for path in cases}
     done: set[str] = set()
-    text = out.read_text(encoding="utf-8", errors="replace")
+    text = file_content(out).decode(errors="replace")
     kept, aside = [], []
     for line in text.splitlines():
         try:

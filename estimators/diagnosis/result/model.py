@@ -15,6 +15,7 @@ from estimators.diagnosis.effects import CATALOGUE, Effect
 from estimators.diagnosis.result.answers import Answer, RemainderAnswer, read_answer
 from oed.data import Record
 from oed.errors import InputError
+from oed.files.limits import file_content
 from oed.files.writing import write_whole
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ class DiagnosedModel:
     def load(cls, path: Path | str) -> DiagnosedModel:
         """Read the model from a file."""
         try:
-            text = Path(path).read_text(encoding="utf-8")
+            text = file_content(Path(path)).decode()
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"{path} cannot be read ({error}); give a file that `save` wrote.") from None
         return cls.from_json(text)

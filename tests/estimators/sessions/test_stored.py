@@ -228,6 +228,11 @@ def test_changed_and_missing_files_are_noticed(waiting):
         open_session(folder)
     other.write_text(kept)
     assert open_session(folder).step == 3
+    halved = folder / "input-0003-999999999.csv"  # as often as its name says, which took for ever
+    halved.write_text(kept)
+    with pytest.raises(CampaignError, match=r"input-0003-2.csv is missing"):
+        open_session(folder)
+    halved.unlink()
 
 
 def test_a_full_disk_loses_nothing(waiting, monkeypatch):
