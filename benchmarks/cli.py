@@ -1,7 +1,7 @@
 """The command `oed`: one subcommand per file of the folders of `benchmarks.commands`.
 
-Exit status: 0 when the command did its job, 2 for bad input (one clear line), 130 and 143 when Ctrl-C or SIGTERM
-ended it (what was finished is kept), 1 for anything else. A reader of the output that goes away, such as `head`, changes
+Exit status: 0 when the command did its job, 2 for bad input (one clear line), 130, 143 and 129 when Ctrl-C, SIGTERM
+or SIGHUP ended it (what was finished is kept), 1 for anything else. A reader of the output that goes away, such as `head`, changes
 neither what is written to files nor the exit status. With `--json` standard output carries one JSON object and nothing
 else, whatever a solver prints below Python."""
 
@@ -262,20 +262,31 @@ ONCE_MORE = 0.05
 class _Terminated(KeyboardInterrupt):
     """The process was asked to end by SIGTERM: like Ctrl-C, but for the exit status."""
 
+    number = signal.SIGTERM
+
+
+class _HungUp(_Terminated):
+    """Its terminal was closed, and nothing behind `nohup` said that it should go on."""
+
+    number = getattr(signal, "SIGHUP", signal.SIGTERM)  # not on Windows
+
+
+ENDING = {kind.number: kind for kind in (_HungUp, _Terminated)}
+
 
 @contextlib.contextmanager
 def _terminated_like_interrupted() -> Iterator[None]:
-    """While the block runs, SIGTERM ends it as Ctrl-C does, so that workers end too and what was finished is kept. What
+    """While the block runs, SIGTERM and SIGHUP end it as Ctrl-C does, so that workers end too and what was finished is kept. What
     is raised inside a finaliser or a callback of Python's own is dropped there, and asked for once more."""
     hook, asked = sys.unraisablehook, []
 
     def stop(number: int, frame: Any) -> NoReturn:
-        raise _Terminated
+        raise ENDING[signal.Signals(number)]
 
     def once_more(dropped: Any) -> None:
         if not issubclass(dropped.exc_type, KeyboardInterrupt):
             return hook(dropped)
-        number = signal.SIGTERM if issubclass(dropped.exc_type, _Terminated) else signal.SIGINT
+        number = getattr(dropped.exc_type, "number", signal.SIGINT)
         asked.append(threading.Timer(ONCE_MORE, os.kill, (os.getpid(), number)))
         asked[-1].daemon = True
         return asked[-1].start()
@@ -283,14 +294,16 @@ def _terminated_like_interrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # whoever owns that decides
         yield
         return
-    before, sys.unraisablehook = signal.signal(signal.SIGTERM, stop), once_more
+    heard = [number for number in ENDING if signal.getsignal(number) != signal.SIG_IGN]
+    before, sys.unraisablehook = {number: signal.signal(number, stop) for number in heard}, once_more
     try:
         yield
     finally:
         for timer in asked:
             timer.cancel()
         sys.unraisablehook = hook
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _run(args: argparse.Namespace, out: _Lasting) -> int:
@@ -311,10 +324,9 @@ def _run(args: argparse.Namespace, out: _Lasting) -> int:
         print(f"oed {args.command}: {_one_line(str(error))}", file=sys.stderr)
         return 2 if isinstance(error, BAD_INPUT) else 1
     except KeyboardInterrupt as error:
-        ended = isinstance(error, _Terminated)
-        what = "ended from outside" if ended else "interrupted"
+        what = "ended from outside" if isinstance(error, _Terminated) else "interrupted"
         print(f"oed {args.command}: {what}; what was finished is kept.", file=sys.stderr)
-        return 128 + (signal.SIGTERM if ended else signal.SIGINT)
+        return 128 + getattr(error, "number", signal.SIGINT)
     except Exception as error:
         remedy = extra_named(error) if isinstance(error, ModuleNotFoundError) else ""
         if isinstance(error, OSError):  # such as a name too long for a file, or a full disk behind `>`

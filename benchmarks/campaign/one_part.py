@@ -25,6 +25,8 @@ from oed.experiments import simulated
 from oed.information import information_of_each
 from oed.signals.noise import noise_key
 
+ENDED = (Exception, SystemExit, GeneratorExit)
+"""What may come out of code of a user's own without anybody having ended the campaign."""
 CHUNK = 5
 """Replicates of the first parts: small enough that a kill loses seconds."""
 LARGEST = 1000
@@ -140,7 +142,7 @@ def run_part(
         head, names = _head(part, replicate), _estimators(settings, part, replicate)
         try:
             plant, trace = within(time_limit, _run, settings, part, replicate, own, noise)
-        except Exception as error:  # a method that raises is a row of the table, not the end of the campaign
+        except ENDED as error:  # a method that raises is a row of the table, not the end of the campaign
             rows += [_row(head, name, final=True, **_failure(error)) for name in names or [""]]
             continue
         _add_information(sums, head, settings, plant, trace)
@@ -227,7 +229,7 @@ def _run(
     return plant, method(experiment, samples=settings.samples, iterations=settings.experiments, rng=rng)
 
 
-def _failure(error: Exception) -> Row:
+def _failure(error: BaseException) -> Row:
     if isinstance(error, TimeLimit):
         return {"status": Status.TIME_LIMIT.name, "message": str(error)}
     return {"message": f"{type(error).__name__}: {error}"}
@@ -265,7 +267,7 @@ def _estimated(
         estimate = within(time_limit, estimator, trace, plant)
         if not isinstance(estimate, Estimate):  # one's own estimator may return a plain number
             estimate = Estimate(float(estimate))
-    except Exception as error:
+    except ENDED as error:
         return _row(head, name, **_failure(error))
     status, message = estimate.status, estimate.message
     if not np.isfinite(estimate.value) and status.ok:

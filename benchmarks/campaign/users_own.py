@@ -63,7 +63,7 @@ def _load(spec: str) -> Callable[..., Any]:
     space: dict[str, Any] = {"__name__": Path(file).stem, "__file__": file}
     try:
         exec(compile(source, file, "exec"), space)  # the user's own file, on the user's own request
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"{file} does not run: {type(error).__name__}: {error}.") from None
     if not callable(space.get(name)):
         raise InputError(f"{file} has no function {name}; give FILE.py:FUNCTION.")

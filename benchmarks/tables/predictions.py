@@ -17,6 +17,9 @@ from oed.theory.limit import LimitSpectrum, limit_spectrum
 CRITERIA = ("c", "D", "A", "E")
 MOST_PARAMETERS = 64
 """Of a plant whose optima are looked for here: four certified designs of so many take some ten seconds, of a hundred minutes."""
+TOLERANCE = 1e-5
+"""Gap of an optimum that an efficiency is stated against: it is printed to five decimals, and where many peaks are narrow the next
+digit takes a minute."""
 PLAIN = 1e-3
 """An efficiency below this is printed by its digits, not by its decimals."""
 
@@ -27,8 +30,12 @@ def optimal_loss(plant: Plant, criterion: str) -> float:
     from oed.plants.norms import peak
 
     if criterion == "c":
-        return float(solve_design(plant, "hinf").bound) if peak(plant).unique else float("nan")
-    return float(solve_design(plant, criterion).bound)
+        return (
+            float(solve_design(plant, "hinf", tolerance=TOLERANCE).bound)
+            if peak(plant).unique
+            else float("nan")
+        )
+    return float(solve_design(plant, criterion, tolerance=TOLERANCE).bound)
 
 
 def optimal_losses(plant: Plant) -> Any:

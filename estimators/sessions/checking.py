@@ -17,6 +17,7 @@ from oed.files.clock import sampling_time
 from oed.files.limits import file_content
 from oed.files.reading import read_table
 from oed.files.tables import Table, split_unit
+from oed.plants.checking import LARGEST
 
 Array = NDArray[np.float64]
 HELD = 5
@@ -191,13 +192,18 @@ def _distance(u: Array, asked: Array, settings: Settings) -> float:
     return float(np.max(error / np.maximum(size, 1e-300)))
 
 
+def usable(signal: Array) -> NDArray[np.bool_]:
+    """Which samples are numbers of which fourth powers are formed, as those of gains are."""
+    return np.abs(signal) < LARGEST
+
+
 def faults(y: Array, u: Array, settings: Settings, *, silent: bool = False) -> str:
     """What makes a measurement unfit for use, empty where nothing does: y (rows, ny), u (rows, nu)."""
     for i, name in enumerate(settings.outputs):
         signal = y[:, i]
-        bad = ~np.isfinite(signal)
+        bad = ~usable(signal)
         if bad.any():
-            return f"{int(bad.sum())} samples of {name} are missing or not finite, the first at {int(np.argmax(bad))}"
+            return f"{int(bad.sum())} samples of {name} are missing, not finite or beyond {LARGEST:g}, the first at {int(np.argmax(bad))}"
         if settings.abort is not None and np.abs(signal).max() > settings.abort[i]:
             t = int(np.argmax(np.abs(signal) > settings.abort[i]))
             return f"{name} went beyond its abort level {settings.abort[i]:g} ({signal[t]:.6g} at sample {t})"

@@ -27,7 +27,7 @@ from estimators.sessions.layout import rig_samples
 from estimators.sessions.settings import Settings
 from estimators.sessions.stored import StoredSession, read_signal, signal_csv
 from oed.covariances import of_few
-from oed.errors import InputError
+from oed.errors import CampaignError, InputError
 from oed.files.limits import file_content
 from oed.files.writing import write_whole
 
@@ -291,8 +291,13 @@ def rest_of(session: StoredSession) -> RestTest | None:
         return None
     last = max(done)
     folder.check_unchanged(done[last], file_content(done[last]))
-    u = read_signal(folder.find("rest-input")[last], s.inputs)
-    return rest_test(u, read_signal(done[last], s.outputs), s)
+    asked = folder.find("rest-input").get(last)
+    if asked is None:
+        raise CampaignError(f"rest-input-{last[0]:04d}.csv is missing from {session.path}; restore it.")
+    u, y = read_signal(asked, s.inputs), read_signal(done[last], s.outputs)
+    if not (len(u) == len(y) == len(rest_input(s, SHARE)) and np.ptp(u, axis=0).all()):
+        raise CampaignError(f"{done[last]} is no record of a rest test of this session; restore it.")
+    return rest_test(u, y, s)
 
 
 def next_warnings(found: RestTest, s: Settings, whole: Array) -> list[str]:

@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from estimators.rules.trace import Step, Trace
-from estimators.sessions.checking import check_input, check_output, check_reference, faults, fitting_factor
+from estimators.sessions.checking import (
+    check_input,
+    check_output,
+    check_reference,
+    faults,
+    fitting_factor,
+    usable,
+)
 from estimators.sessions.estimates import SessionEstimate, estimate_of
 from estimators.sessions.layout import measured, placed, rig_samples, taper
 from estimators.sessions.methods import rule_of
@@ -115,7 +122,7 @@ class Sequential(ABC):
             check_reference(beside, asked.whole, self._whole, self.settings)
         self._check_new(values)
         fault = faults(values, asked.whole, self.settings, silent=asked.kind.startswith("transpose"))
-        if fault and (not accept or not np.isfinite(values).all()):
+        if fault and (not accept or not usable(values).all()):
             raise FlaggedMeasurement(
                 f"the measurement of step {asked.step} is flagged and not used: {fault}. Apply the same input again "
                 "(after an abort halved by `oed session next DIR --reduce`) and record that; the session waits."

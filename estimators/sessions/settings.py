@@ -15,6 +15,8 @@ from oed.files.documents import FLAG, NUMBER, TEXT, WHOLE, checked, keyed, parse
 SCHEMA = 1
 METHOD_NAMES = ("power", "procedure-2", "two-stage", "sequential", "bandit", "diagnose-next")
 ONE_CHANNEL = ("power", "bandit", "diagnose-next")
+MOST = 10**7
+"""Numbers in a file of a session, and of anything else that is counted: files of more are larger than is read, and fill the memory."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +116,23 @@ class Settings:
         for name, least in (("samples", 4), ("experiments", 1), ("lead", 0), ("ramp", 0), ("rest", 0), ("periods", 1),
                             ("warm_up", 0), ("delay", 0), ("seed", 0)):  # fmt: skip
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-                raise InputError(f"{name} is {value!r}; it must be a whole number of at least {least}.")
+            most = np.inf if name == "seed" else MOST
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int | np.integer)
+                or not least <= value <= most
+            ):
+                raise InputError(f"{name} is {value!r}; it must be a whole number from {least} to {most:,}.")
             object.__setattr__(self, name, int(value))
-        if not (np.isfinite(self.dt) and self.dt > 0):
+        if not 0 < self.dt * MOST**2 < np.inf:  # the longest session's length is a number
             raise InputError(f"the sampling time is {self.dt}; it must be a positive number of seconds.")
+        numbers = (
+            self.samples * (self.periods + self.warm_up) + 2 * self.ramp + self.lead + self.rest
+        ) * max(self.n_inputs, self.n_outputs)
+        if numbers > MOST:
+            raise InputError(
+                f"each file would hold {numbers:,} numbers and at most {MOST:,} are used; ask for shorter experiments or fewer periods."
+            )
         if 2 * self.ramp > self.samples:
             raise InputError(
                 f"the ramps of {self.ramp} samples each do not fit into {self.samples} samples; shorten them."

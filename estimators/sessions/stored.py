@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimators.sessions.checking import read_output
+from estimators.sessions.checking import read_output, usable
 from estimators.sessions.folder import KEPT, SETTINGS, Folder
 from estimators.sessions.session import Asked, FlaggedMeasurement, Sequential
 from estimators.sessions.settings import Settings, settings_from_json
@@ -348,6 +348,9 @@ def read_signal(file: Path, names: tuple[str, ...]) -> Array:
     """The last columns of a file that the session wrote: those of the channels named."""
     try:
         table = csv_table(file_content(file), file.name)
-        return np.column_stack(table.load(table.names[-len(names) :]))
+        signal = np.column_stack(table.load(table.names[-len(names) :]))
+        if not usable(signal).all():
+            raise InputError("it has samples that are not finite or too large")
+        return signal
     except (InputError, ValueError) as error:
         raise CampaignError(f"{file} is damaged ({error}); restore it.") from None

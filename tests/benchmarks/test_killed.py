@@ -30,6 +30,10 @@ def deadly(samples, n_inputs, n_outputs, rng):
     os.kill(os.getpid(), signal.SIGKILL)
     yield
 
+def leaving(samples, n_inputs, n_outputs, rng):
+    raise SystemExit(3)
+    yield
+
 def slow(samples, n_inputs, n_outputs, rng):
     import time
     time.sleep(0.3)
@@ -60,6 +64,14 @@ def test_what_kills_its_worker_is_a_row(tmp_path, own, capfd):
     assert "Traceback" not in said
 
 
+def test_what_ends_python_is_a_row(tmp_path, own):
+    """One's own method that calls sys.exit ended the whole campaign without a word."""
+    brought = Own([own("leaving")], ["frf"])
+    settings = Settings(**SMALL | {"methods": brought.methods, "sources": tuple(brought.sources)})
+    (found,) = run_campaign(settings, 2, tmp_path / "out", jobs=1, own=brought.functions)
+    assert found.final["frf"].statuses == {"FAILED": 2}
+
+
 def family(pid: int) -> list[int]:
     """Processes that a process has started, and theirs."""
     found = []
@@ -83,7 +95,10 @@ def alive(pid: int) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes under /proc")
-@pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.validate)])
+@pytest.mark.parametrize(
+    "how",
+    [signal.SIGKILL, *(pytest.param(n, marks=pytest.mark.validate) for n in (signal.SIGTERM, signal.SIGHUP))],
+)
 def test_no_process_is_left(tmp_path, own, how):
     """The first process alone is hit, as by `kill`; its workers are in the middle of a part."""
     out = tmp_path / "out"
@@ -102,8 +117,8 @@ def test_no_process_is_left(tmp_path, own, how):
     assert len(children) >= 2
     process.send_signal(how)
     _, said = process.communicate(timeout=30)
-    if how == signal.SIGTERM:
-        assert process.returncode == 143
+    if how != signal.SIGKILL:
+        assert process.returncode == 128 + how
         assert said.splitlines() == [
             f"oed compare: running the code in {tmp_path / 'own.py'}",
             "oed compare: ended from outside; what was finished is kept.",
@@ -267,7 +282,7 @@ def test_one_worker_of_one_thread_does_the_work(tmp_path, own):
 
 
 @pytest.mark.skipif(not hasattr(os, "kill"), reason="signals")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_that_a_finaliser_drops_ends_the_command_all_the_same(number, capsys):
     """Python drops what is raised inside a finaliser or a weak reference's callback, with lines of its own."""
 
@@ -282,7 +297,7 @@ def test_a_signal_that_a_finaliser_drops_ends_the_command_all_the_same(number, c
             Finalised()
             time.sleep(10)
         except KeyboardInterrupt as error:
-            ended = isinstance(error, cli_module._Terminated) is (number == signal.SIGTERM)
+            ended = getattr(error, "number", signal.SIGINT) == number
         finally:
             signal.signal(signal.SIGINT, before)
     assert ended

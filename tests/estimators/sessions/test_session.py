@@ -159,16 +159,22 @@ def held(y):
     return y
 
 
-def missing(y):
+def missing(y, value=np.nan):
     y = y.copy()
-    y[17] = np.nan
+    y[17] = value
     return y
 
 
 @pytest.mark.parametrize(
     "change, options, sentence, acceptable",
     [
-        (missing, {}, "1 samples of y are missing or not finite, the first at 17", False),
+        (missing, {}, "1 samples of y are missing, not finite or beyond 1e.50, the first at 17", False),
+        (
+            lambda y: missing(y, 1e200),
+            {},
+            "1 samples of y are missing, not finite or beyond 1e.50, the first at 17",
+            False,
+        ),
         (held, {}, "repeats the value .* for 8 samples from sample 40", True),
         (lambda y: np.clip(y, -9, 0.3 * y.max()), {}, "looks saturated", True),
         (lambda y: y, {"sensor_range": ((-0.2, 0.2),)}, "y is saturated in", True),
@@ -233,7 +239,7 @@ def test_reference_inputs_tell_what_is_wrong():
     "options, sentence",
     [
         ({"method": "powr"}, "did you mean power"),
-        ({"samples": 3}, "at least 4"),
+        ({"samples": 3}, "from 4 to"),
         ({"dt": 0.0}, "sampling time"),
         ({"amplitude": -1.0}, "limit amplitude"),
         ({"inputs": ("u", "u")}, "given once"),

@@ -17,6 +17,7 @@ from estimators.rules.procedure2 import procedure_2
 from estimators.rules.trace import run
 from estimators.sessions import FlaggedMeasurement, Settings, open_session, start_session
 from estimators.sessions.estimates import estimate_of
+from estimators.sessions.rest import rest_of
 from oed.errors import CampaignError, InputError
 from oed.experiments import simulated
 from oed.plants.named import named_plant
@@ -233,6 +234,12 @@ def test_changed_and_missing_files_are_noticed(waiting):
     with pytest.raises(CampaignError, match=r"input-0003-2.csv is missing"):
         open_session(folder)
     halved.unlink()
+    (folder / "rest-output-0001.csv").write_text("t_s,z_mm,phi_rad\n0.0,1,2\n0.1,2,3\n")
+    with pytest.raises(CampaignError, match=r"rest-input-0001.csv is missing"):
+        rest_of(open_session(folder))
+    (folder / "rest-input-0001.csv").write_text("t_s,fz_N,mphi_Nm\n0.0,1,2\n0.1,2,3\n")
+    with pytest.raises(CampaignError, match="is no record of a rest test of this session"):
+        rest_of(open_session(folder))
 
 
 def test_a_full_disk_loses_nothing(waiting, monkeypatch):

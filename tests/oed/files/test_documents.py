@@ -102,6 +102,9 @@ def test_a_wrong_campaign_file(tmp_path, text, words):
         ("power", [1], "power is .1.; it must be a number, or null"),
         ("inputs", "u", "inputs is 'u'; it must be a list"),
         ("centre", 1, "centre is 1; it must be true or false"),
+        ("samples", 10**9, "samples is 1000000000; it must be a whole number from 4 to 10,000,000"),
+        ("periods", 10**6, "each file would hold 100,000,000 numbers"),
+        ("dt", 1e308, "the sampling time is 1e.308"),
         ("dt", 1e400, "the number Infinity"),
     ],
 )
