@@ -230,10 +230,11 @@ def _outcome(
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     started = as_started(steps, train, i, setting.skip)
     predictor = cache(lambda: Predictor.of(records, base.y_model, i, counted))
+    news = lambda s: predictor().news(s.unused) > NEWS or (s.kind is Kind.NAMED and bench.tells(named.fit))
     vague = not share.explainable and named.anything(setting.effects)
-    holds = lambda s: not (vague and s.kind is Kind.NAMED) and predictor().news(s.unused) > NEWS
+    holds = lambda s: not (vague and s.kind is Kind.NAMED) and news(s)
     steps = [replace(s, admitted=s.admitted and (s.linear or holds(s))) for s in started]
-    if named.alike is not None and named.step is not None and predictor().news(named.step.unused) <= NEWS:
+    if named.alike is not None and named.step is not None and not news(named.step):
         named = named.as_linear()
     if any(
         s.kind is Kind.NAMED and first.admitted > s.admitted for s, first in zip(steps, started, strict=True)

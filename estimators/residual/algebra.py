@@ -115,3 +115,15 @@ def inverse(matrix: NDArray) -> NDArray:
     (n, n)."""
     size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     return np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)
+
+
+NEAR = 3
+"""Stretches that an error may last: with five blocks of four, as long as a block's own parameters act."""
+
+
+def sum_error(off: NDArray[np.float64]) -> float:
+    """Standard error of a sum of values off their mean, in the order of time (Bartlett's weights); no less than of independent ones."""
+    m = len(off)
+    own = float(off @ off)
+    near = sum((1.0 - k / (NEAR + 1.0)) * float(off[k:] @ off[:-k]) for k in range(1, min(NEAR, m - 1) + 1))
+    return float(np.sqrt(max(own, own + 2.0 * near) * m / max(m - 1, 1)))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.baseline.choice import SLOW
 from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.policy import Policy
+from estimators.residual.algebra import sum_error
 from oed.data import Record
 
 if TYPE_CHECKING:
@@ -133,19 +134,7 @@ def _mean(pieces: Array) -> tuple[float, float]:
     """Mean over samples and its standard error; pieces near one another are correlated, as slow errors last longer than one."""
     total = pieces[:, 1].sum()
     mean = float(pieces[:, 0].sum() / total)
-    return mean, _spread(pieces[:, 0] - mean * pieces[:, 1]) / float(total)
-
-
-def _spread(off: Array) -> float:
-    """Standard error of a sum of values off their mean, in the order of time (Bartlett's weights); no less than of independent ones."""
-    m = len(off)
-    own = float(off @ off)
-    near = sum((1.0 - k / (NEAR + 1.0)) * float(off[k:] @ off[:-k]) for k in range(1, min(NEAR, m - 1) + 1))
-    return float(np.sqrt(max(own, own + 2.0 * near) * m / max(m - 1, 1)))
-
-
-NEAR = 3
-"""Pieces that an error may last: with five blocks of four pieces, as long as a block's own parameters act."""
+    return mean, sum_error(pieces[:, 0] - mean * pieces[:, 1]) / float(total)
 
 
 def paired_gain(
@@ -162,7 +151,7 @@ def paired_gain(
     gained = first_pieces - second_pieces * [1.0, 0.0]
     (value, error), (base, _) = _mean(gained), _mean(first_pieces)
     relative = gained[:, 0] / np.maximum(first_pieces[:, 0] + second_pieces[:, 0], 1e-300)
-    spread = _spread(relative - relative.mean()) / len(relative)
+    spread = sum_error(relative - relative.mean()) / len(relative)
     share = 1.0 - float(np.sqrt(max(base - value, 0.0) / max(base, 1e-300)))
     return Gain(value, error, share, float(np.mean(relative)) / max(spread, 1e-300))
 

@@ -16,35 +16,30 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimators.diagnosis.baseline import Baseline
-from estimators.diagnosis.effects import Effect, Nature, Slot, named
+from estimators.diagnosis.effects import Effect, Nature, Slot
 from estimators.diagnosis.effects.added import OFFSET
-from estimators.diagnosis.effects.path import STORE_CURVE
-from estimators.diagnosis.effects.process import FILLED
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.ladder.steps import as_started
 from estimators.diagnosis.model.errors import parameters_of
 from estimators.diagnosis.model.fitting import Channel, Fit
 from estimators.diagnosis.model.forces import effective_samples
-from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.result.answers import LinearAnswer, NamedAnswer
 from estimators.diagnosis.search.exchange import without
-from estimators.diagnosis.search.free_runs import blocked, start_of
-from estimators.diagnosis.search.naming import as_shown
+from estimators.diagnosis.search.free_runs import blocked, lengthened, start_of
+from estimators.diagnosis.search.naming import BENT, as_shown, bending, scaled_runs
 from estimators.diagnosis.search.selection import Attribution
 from estimators.diagnosis.share.feedback import answered, autoregression, whitened
+from estimators.diagnosis.share.news import FREE, Predictor
 from estimators.residual.measures import p_stated
 from oed.data import Record
 
 Array = NDArray[Any]
 
-
-NATURES, ANYTHING = (
-    3,
-    "effects of several natures do as well, and a regression predicts nothing of what is left",
-)
+ANYTHING = "effects of several natures do as well, and a regression predicts nothing of what is left"
+NATURES = 3
 """Natures of equal rivals from which on a single effect is no cause: two are one place seen from both sides."""
 
 
@@ -76,9 +71,7 @@ class Named:
     claims: tuple[Claim, ...]  # largest gain first
     dropped: tuple[tuple[str, str], ...]  # key, and why in words
     step: Step | None  # None where nothing holds
-    unused: Array = field(
-        default_factory=lambda: np.zeros(0)
-    )  # (N,) prediction of unused blocks; empty for no effects
+    unused: Array = field(default_factory=lambda: np.zeros(0))  # (N,) of unused blocks; empty for no effects
     alike: Effect | None = None  # linear dynamics that fit the record as well as its one bent effect
 
     def as_linear(self) -> Named:
@@ -87,9 +80,8 @@ class Named:
             return self
         head = self.claims[0]
         names = tuple(n for n in dict.fromkeys((*head.rivals, head.cause)) if n != self.alike.cause)
-        return replace(
-            self, claims=(Claim(replace(head.part, effect=self.alike), head.gain, head.p_value, names),)
-        )
+        part = replace(head.part, effect=self.alike)
+        return replace(self, claims=(Claim(part, head.gain, head.p_value, names),))
 
     def anything(self, effects: Iterable[Effect]) -> bool:
         """Whether its one effect has equals of so many natures that unused blocks tell nothing of which it is."""
@@ -204,6 +196,23 @@ class Bench:
         return (self.feedback and weak) or (self.inverse and not gain.meets(policy.overwhelming))
 
     @cached_property
+    def _inputs(self) -> Predictor:
+        return Predictor.of([self.train], self.base.y_model[:1], self.output, [self.counted], past=False)
+
+    def tells(self, f: Fit) -> bool:
+        """Whether a fit's run of unused blocks is news to all that is linear in the inputs, its own dynamics at small ones among that;
+        never where an input answers the noise."""
+        if self.feedback or self.inverse:
+            return False
+        none, little, *_ = scaled_runs(f, self.channel)
+        near = lengthened(little - none, self.thin, len(self.train))
+        if not np.all(np.isfinite(near)):
+            return False
+        return (
+            FREE < self._inputs.beside([near]).news([self.unused(f)]) < np.inf
+        )  # else there are too few samples
+
+    @cached_property
     def _answered(self) -> float:
         return self._answer(self.base.unused[0][:, self.output])
 
@@ -251,9 +260,8 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
         if not weak:
             held = sorted((c for c in claims if _holds(c, bench)), key=lambda c: -c.gain.value)
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
-            held = _bending(
-                bench, f, [replace(c, part=as_shown(c.part, f, bench.channel)) for c in held], unused
-            )
+            shown = [replace(c, part=as_shown(c.part, f, bench.channel)) for c in held]
+            held = bending(bench, f, shown, unused)
             alike, told = _as_linear(bench, a, f) if len(held) == 1 and bent(held[0]) else (None, False)
             claims = tuple(_with_rivals(held, a, f))
             left = float(np.sum(f.residual**2) / max(np.sum(a.base.residual**2), 1e-300))
@@ -268,39 +276,6 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
     if bench.channel.step > 0:  # the linear model as a coarse sensor reads it
         step = Step(Kind.NAMED, ("quantised",), (bench.unused(f),), bench.answer(f), len(f.p), linear=True)
     return Named(f, (), tuple(dropped), step)
-
-
-BENT = (Nature.INPUT_STATIC, Nature.OUTPUT_STATIC, Nature.DYNAMIC)
-"""Natures of causes by which a run departs from proportion."""
-SMALL, MUST = 0.05, 0.5
-"""Size of the inputs, of theirs, at which a model is taken for proportional; and the power of its departure from that, of what
-it gains over a linear model, below which poles and delays that came with an effect have gained it: a nonlinear part cannot
-gain more than its own power, half of which is left for chance."""
-
-
-def _bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Claim]:
-    """The claims; of missing dynamics where a run is too near proportion for a nonlinear effect to have gained what it did.
-
-    What is proportional to either sign of the input alone, as rates that differ up and down, shows with the sign reversed.
-    """
-    c, s = bench.channel, f.structure
-    middle = np.mean(c.u, axis=0)
-    if any(
-        part.effect in (STORE_CURVE, FILLED) for part in s.parts
-    ):  # it bends along the way that the mean input takes it
-        middle = 0.0 * middle
-    runs = [simulate(s, f.p, middle + size * (c.u - middle), c.clock) for size in (0.0, SMALL, -1.0, 1.0)]
-    if not all(np.all(np.isfinite(run)) for run in runs):
-        return held
-    little, back, full = (run - runs[0] for run in runs[1:])
-    power = float(np.mean((full - little / SMALL)[c.keep] ** 2 + (0.5 * (full + back))[c.keep] ** 2))
-    gained = bench.over(unused, bench.base.unused[0][:, bench.output]).value
-    return [
-        replace(claim, part=replace(claim.part, effect=named("order")))
-        if claim.part.effect.nature in BENT and power < MUST * min(gained, claim.gain.value)
-        else claim
-        for claim in held
-    ]
 
 
 ANSWERED = 0.3
@@ -370,13 +345,12 @@ def bent(c: Claim) -> bool:
 
 
 def _as_linear(bench: Bench, a: Attribution, f: Fit) -> tuple[Effect | None, bool]:
-    """Linear dynamics that fit the record as well as a model of one bent effect, and whether unused blocks tell the two apart, by
-    what the best of a search must gain.
-    """
+    """Linear dynamics that fit the record as well as a model of one bent effect, and whether unused blocks tell the two apart: by
+    what the best of a search must gain, or by more than is linear in the inputs."""
     alike = [o for o in a.claims if o.effect.nature is Nature.LINEAR and as_good(f, o.fit)]
     told = [bench.over(bench.unused(f), bench.unused(o.fit)).meets(bench.policy.searched) for o in alike]
     first = next((o for o, apart in zip(alike, told, strict=True) if not apart), alike[0] if alike else None)
-    return None if first is None else first.effect, all(told)
+    return (first.effect, all(told) or bench.tells(f)) if first else (None, True)
 
 
 def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:

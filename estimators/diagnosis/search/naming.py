@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects import Nature, named
+from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.effects.plant import MOVING, SWINGS
 from estimators.diagnosis.effects.process import FILLED, THROUGH, at_once
 from estimators.diagnosis.model.fitting import Channel, Fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.search.free_runs import denominator, largest_pole
+
+if TYPE_CHECKING:
+    from estimators.diagnosis.search.named import Bench, Claim
 
 Array = NDArray[Any]
 FOLD, FOLDED = "magnitude_sensor", 0.02
@@ -23,6 +27,12 @@ FOLD, FOLDED = "magnitude_sensor", 0.02
 CONTENT, LATE = 0.4, 0.5
 """Of a capacity, change over the record, and of a pipe, samples of delay at the mean flow, below which a flow does no more than
 multiply what it carries away."""
+BENT = (Nature.INPUT_STATIC, Nature.OUTPUT_STATIC, Nature.DYNAMIC)
+"""Natures of causes by which a run departs from proportion."""
+SMALL, MUST = 0.05, 0.5
+"""Size of the inputs, of theirs, at which a model is taken for proportional; and the power of its departure from that, of what
+it gains over a linear model, below which poles and delays that came with an effect have gained it: a nonlinear part cannot
+gain more than its own power, half of which is left for chance."""
 
 
 def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
@@ -71,3 +81,36 @@ def _folds(f: Fit, at: int, channel: Channel) -> bool:
     x = simulate(replace(f.structure, parts=f.structure.parts[:at]), f.p[:start], channel.u, channel.clock)
     above = float(np.mean(x[channel.keep] + f.p[start] > 0.0))
     return min(above, 1.0 - above) >= FOLDED
+
+
+def scaled_runs(f: Fit, c: Channel) -> list[Array]:
+    """Runs of a fit on the inputs at no size about their mean, at a SMALL one, reversed and whole."""
+    middle = np.mean(c.u, axis=0)
+    if any(
+        part.effect in (STORE_CURVE, FILLED) for part in f.structure.parts
+    ):  # it bends along the way that the mean input takes it
+        middle = 0.0 * middle
+    return [
+        simulate(f.structure, f.p, middle + size * (c.u - middle), c.clock)
+        for size in (0.0, SMALL, -1.0, 1.0)
+    ]
+
+
+def bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Claim]:
+    """The claims; of missing dynamics where a run is too near proportion for a nonlinear effect to have gained what it did.
+
+    What is proportional to either sign of the input alone, as rates that differ up and down, shows with the sign reversed.
+    """
+    runs = scaled_runs(f, bench.channel)
+    if not all(np.all(np.isfinite(run)) for run in runs):
+        return held
+    little, back, full = (run - runs[0] for run in runs[1:])
+    keep = bench.channel.keep
+    power = float(np.mean((full - little / SMALL)[keep] ** 2 + (0.5 * (full + back))[keep] ** 2))
+    gained = bench.over(unused, bench.base.unused[0][:, bench.output]).value
+    return [
+        replace(claim, part=replace(claim.part, effect=named("order")))
+        if claim.part.effect.nature in BENT and power < MUST * min(gained, claim.gain.value)
+        else claim
+        for claim in held
+    ]

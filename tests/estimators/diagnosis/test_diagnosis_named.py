@@ -115,15 +115,17 @@ def test_what_a_pole_explains_as_well_is_linear_dynamics(rng) -> None:
     y = lfilter([0.0, 0.1, 0.1], [1.0, -1.5, 0.7], u) + 0.02 * rng.standard_normal(500)
     channel = Channel(u[:, None], y, Clock(np.arange(500.0), 500), np.ones(500, dtype=bool))
     good, poor = (fit_linear(channel, Structure(order)) for order in (2, 1))
-    for rival, gain, cause, told in (
-        (good, 0.0, "sensor_lag", False),
-        (good, 0.3, "sensor_lag", True),
-        (poor, 0.0, None, True),
+    for rival, gain, news, cause, told in (
+        (good, 0.0, False, "sensor_lag", False),
+        (good, 0.3, False, "sensor_lag", True),
+        (good, 0.0, True, "sensor_lag", True),
+        (poor, 0.0, False, None, True),
     ):
         a = SimpleNamespace(claims=[SimpleNamespace(effect=named("lag"), cause="sensor_lag", fit=rival)])
         bench = SimpleNamespace(
-            unused=lambda f: f, over=lambda *a, gain=gain: Gain(gain, 0.01, gain), policy=Policy()
-        )
+            unused=lambda f: f, over=lambda *a, gain=gain: Gain(gain, 0.01, gain), policy=Policy(),
+            tells=lambda f, news=news: news,
+        )  # fmt: skip
         found = _as_linear(bench, a, good)  # pyright: ignore[reportArgumentType]
         assert (found[0] and found[0].cause, found[1]) == (cause, told)
 
