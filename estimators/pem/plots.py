@@ -104,6 +104,12 @@ def _band(ax: Axes, x: Any, value: Any, low: Any, high: Any, name: str) -> None:
     ax.fill_between(x, low, high, color=line.get_color(), alpha=0.25, lw=0)
 
 
+def _entry(fit: Fit, i: int, j: int) -> str:
+    """What an entry of G is called beside others: its input and its output by their names."""
+    r = fit.records[0]
+    return f"{r.input_names[j]} to {r.output_names[i]}" if r.n_outputs * r.n_inputs > 1 else ""
+
+
 def plot_bode(fits: Fit | Mapping[str, Fit], *, level: float = 0.95, points: int = 400) -> Figure:
     """Gain and phase of every entry of G with pointwise confidence bands."""
     named = dict(fits) if isinstance(fits, Mapping) else {"model": fits}
@@ -125,7 +131,7 @@ def plot_bode(fits: Fit | Mapping[str, Fit], *, level: float = 0.95, points: int
         # an absent entry has no logarithm
         there = any(line.get_ydata().max() > 0 for line in axes[0, column].lines)
         axes[0, column].set(xscale="log", yscale="log" if there else "linear")
-        axes[0, column].set_title(f"input {j + 1} to output {i + 1}" if len(entries) > 1 else "")
+        axes[0, column].set_title(_entry(next(iter(named.values())), i, j))
         axes[1, column].set_xlabel(f"frequency [{unit}]")
     axes[0, 0].set_ylabel("gain")
     axes[1, 0].set_ylabel("phase [deg]")
@@ -167,7 +173,7 @@ def plot_step(fit: Fit, samples: int = 100, *, level: float = 0.95) -> Figure:
     for i in range(ny):
         for j in range(nu):
             _band(axes[i, j], band.x, band.value[:, i, j], low[:, i, j], high[:, i, j], "step response")
-            axes[i, j].set_title(f"input {j + 1} to output {i + 1}" if ny * nu > 1 else "")
+            axes[i, j].set_title(_entry(fit, i, j))
     axes[-1, 0].set_xlabel("sample")
     axes[0, 0].set_ylabel("step response")
     return figure

@@ -30,6 +30,8 @@ def test_figures(rng, tmp_path) -> None:
     ]
     assert len(figures[1].axes) == len(tests)
     assert len(figures[2].axes) == 8
+    for figure, last in ((figures[2], 3), (figures[4], 3)):
+        assert figure.axes[last].get_title() == "u2 to y2"
     for k, figure in enumerate(figures):
         figure.savefig(tmp_path / f"{k}.png", dpi=50)
         assert (tmp_path / f"{k}.png").stat().st_size > 2000
