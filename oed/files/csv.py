@@ -29,7 +29,9 @@ def csv_table(content: bytes, source: str) -> Table:
     try:  # spreadsheets write "Unicode text" in UTF-16, with a mark
         text = content.decode("utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{source} is not text in UTF-8 ({error}); save it as UTF-8.") from None
+        raise InputError(
+            f"{source} is not text in UTF-8 ({error}); save the table as CSV in UTF-8."
+        ) from None
     if "\0" in text:
         raise InputError(f"{source} is not a text file (it has null characters); its suffix says CSV.")
     text = text.replace("\r\n", "\n").replace("\r", "\n")  # whoever wrote it ended lines in one of three ways

@@ -188,7 +188,7 @@ CSV_ERRORS = {
         "no column that begins with u (its columns: t, volt, y); name the inputs with --inputs",
     ),
     "no output": (b"t,u,level\n0,1,2\n", "no column that begins with y"),
-    "latin": ("u,y_°C\n1,2\n".encode("latin-1"), "not text in UTF-8"),
+    "latin": ("u,y_°C\n1,2\n".encode("latin-1"), "save the table as CSV in UTF-8"),
     "binary": (b"u,y\n\0\0", "null characters"),
     "clock repeats": (
         b"t,u,y\n0,1,1\n1,1,1\n1,1,1\n",
