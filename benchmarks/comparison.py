@@ -22,6 +22,7 @@ from benchmarks.tables.formats import to_text
 from benchmarks.tables.tabulation import tabulate
 from oed.covariances import on_one_thread
 from oed.errors import CampaignError, InputError
+from oed.files.documents import parsed_json
 from oed.files.limits import file_content
 from oed.files.lock import locked
 from oed.files.writing import write_whole
@@ -168,7 +169,7 @@ def _add_cost(folder: Path, wall: float, workers: int) -> None:
     """cost.json: what the runs took so far, every resumption added; not part of what is bound to the settings."""
     file = folder / "cost.json"
     try:
-        before = float(json.loads(file_content(file))["wall_seconds"])
+        before = float(parsed_json(file_content(file).decode(), file.name)["wall_seconds"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         before = 0.0  # none yet, or damaged: no result is in it
     cost = {

@@ -308,6 +308,17 @@ def test_cases_of_another_version_are_done_again(cases, monkeypatch):
     assert len((cases / "r.jsonl").read_text().splitlines()) == 2
 
 
+@pytest.mark.parametrize(
+    "text", ["u,y\n1,2\n", "precious", '{"case": ["a"], "effect": 1}\n', '{"note": 1}\n', '{"case": 5}\n']
+)
+def test_a_file_that_is_no_result_is_not_written_over(cases, capsys, text):
+    """A record given as --out by mistake was emptied."""
+    (cases / "r.jsonl").write_text(text)
+    assert main(["diagnose-folder", str(cases / "P"), "--out", str(cases / "r.jsonl"), "--jobs", "1"]) == 2
+    assert (cases / "r.jsonl").read_text() == text
+    assert "line 1 of" in capsys.readouterr().err
+
+
 def test_a_cut_line_is_done_again_and_a_second_process_refused(cases, capsys):
     diagnosed(cases)
     out = cases / "r.jsonl"

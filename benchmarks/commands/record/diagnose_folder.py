@@ -18,6 +18,8 @@ from oed.files.writing import append_line, write_whole
 
 HELP = "diagnose every case of a folder (train.csv, test.csv, meta.json in each); resumes"
 EXAMPLE = "oed diagnose-folder cases/public/P --out results.jsonl --jobs 2"
+BEGIN = '{"case": '
+"""Of every line of results."""
 FILES = ("train.csv", "test.csv", "meta.json")
 
 
@@ -72,19 +74,24 @@ def _version() -> str:
 
 def _done(out: Path, cases: list[Path]) -> set[str]:
     """Cases whose line was made from the same files by the same version. Lines about other content are set
-    aside in a file of their own; the line that a killed run was writing is dropped."""
+    aside in a file of their own; the line that a killed run was writing is dropped. Another file is refused."""
     if not out.exists():
         return set()
     wanted = {path.name: (_content(path), _version()) for path in cases}
     done: set[str] = set()
     text = file_content(out).decode(errors="replace")
     kept, aside = [], []
-    for line in text.splitlines():
+    lines = text.split("\n")
+    for number, line in enumerate(lines, 1):
         try:
             found = json.loads(line)
-            case, made = found["case"], (found.get("content"), found.get("version"))
+            case, made = "" + found["case"], (found.get("content"), found.get("version"))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            continue
+            if number == len(lines) and BEGIN.startswith(line[: len(BEGIN)]):
+                continue
+            raise InputError(
+                f"line {number} of {out} is no result of this command; give another --out. Nothing was changed."
+            ) from None
         good = case not in done and wanted.get(case, made) == made
         (kept if good else aside).append(line)
         if good:
