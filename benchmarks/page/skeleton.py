@@ -10,6 +10,7 @@ import base64
 import json
 import os
 import re
+from contextlib import suppress
 from functools import lru_cache
 from hashlib import blake2b, sha256
 from html import escape
@@ -19,6 +20,7 @@ from typing import Any
 from benchmarks.page.charts import CONFIG, chart, extent, style
 from benchmarks.page.content import Figure, Page, Table, cell, read_page, series_of
 from benchmarks.tables.formats import ABSENT, to_csv, to_latex, to_markdown, to_parquet
+from oed.errors import OedError
 from oed.files.writing import in_text, write_whole
 
 LONGEST_NAME = 100
@@ -78,18 +80,15 @@ def _bundle() -> str:
     """Vega, Vega-Lite and Vega-Embed as one script; bundling takes seconds, so a copy is kept in the user's cache."""
     import vl_convert
 
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "oed"
-    file = home / f"vega-{vl_convert.get_vega_version()}-{vl_convert.__version__}.js"
-    try:
-        return file.read_text(encoding="utf-8")
-    except OSError:
-        whole = vl_convert.javascript_bundle()  # pyright: ignore[reportCallIssue]
-        text = whole.replace("</script", "<\\/script")
-    try:
-        home.mkdir(parents=True, exist_ok=True)
-        write_whole(file, text)
-    except OSError:  # no place to keep it: it is bundled again next time
-        pass
+    kept = lambda: Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "oed"
+    name = f"vega-{vl_convert.get_vega_version()}-{vl_convert.__version__}.js"
+    with suppress(OSError, RuntimeError):  # the second where the user has no home
+        return (kept() / name).read_text(encoding="utf-8")
+    whole = vl_convert.javascript_bundle()  # pyright: ignore[reportCallIssue]
+    text = whole.replace("</script", "<\\/script")
+    with suppress(OSError, RuntimeError, OedError):  # no place to keep it: it is bundled again next time
+        kept().mkdir(parents=True, exist_ok=True)
+        write_whole(kept() / name, text)
     return text
 
 

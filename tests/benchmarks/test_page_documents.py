@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import benchmarks.page.skeleton as skeleton
 from benchmarks.page.charts import COLOURS, chart, extent, style
 from benchmarks.page.content import MOST_POINTS, Figure, Page, Section, Table, read_page, thinned
 from benchmarks.page.figures_static import drawn, save_figure
@@ -189,3 +190,18 @@ def test_the_legend_of_a_narrow_figure_stays_within_it(count, letters):
     assert legend.x0 >= 0
     assert legend.x1 <= sheet.bbox.x1
     assert axes.height > 0.5 * 3.0 * sheet.dpi
+
+
+@pytest.mark.parametrize("where", ["read-only", "nobody's"])
+def test_a_page_is_made_where_its_scripts_cannot_be_kept(where, tmp_path, monkeypatch):
+    """A home that is full or may not be written to ended a command after its work, and so did a user without one."""
+    import vl_convert
+
+    def none():
+        raise RuntimeError("Could not determine home directory.")
+
+    (tmp_path / "oed").symlink_to("/proc")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path) if where == "read-only" else "")
+    monkeypatch.setattr(Path, "home", none)
+    monkeypatch.setattr(vl_convert, "javascript_bundle", lambda: "let a;</script>")
+    assert skeleton._bundle.__wrapped__() == "let a;<\\/script>"
