@@ -118,7 +118,9 @@ def diagnose(
     say("terms of no catalogue")
     shares = [_shares(records, i, base, part[2].step) for i, part in enumerate(parts)]
     done = all(_exhausted(part, left) for part, (_, left) in zip(parts, shares, strict=True))
-    discovery = Discovery(None, sought=False) if done else discover(records, base, setting.effort.value)
+    discovery = (
+        Discovery(None, sought=False) if done else discover(records, base, setting.effort.value, setting.skip)
+    )
     say("comparison on blocks not used")
     again = cache(lambda: _without_the_last_block(records, base, discovery, setting))
     outcomes = [
@@ -126,6 +128,7 @@ def diagnose(
         for i, part in enumerate(parts)
     ]
     held = _held_out(first, test, outcomes, setting)
+    outcomes = [o.standing(step) for o, step in zip(outcomes, held.answered, strict=True)]
     lacks = [
         lacking(records, o, base, n, asked, setting.policy) for o, n in zip(outcomes, orders, strict=True)
     ]
@@ -309,7 +312,7 @@ def _without_the_last_block(
     budget = BUDGETS[setting.effort.value]
     if whole.model is not None:
         budget = budget.about(whole.model.form.orders, len(whole.terms))
-    return linear, discover(heads, linear, budget)
+    return linear, discover(heads, linear, budget, setting.skip)
 
 
 def _confirmed(
@@ -337,7 +340,7 @@ def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:
         Kind.DISCOVERED, tuple(t.text for t in terms), tuple(u[:, i] for u in d.unused),
         DiscoveredAnswer(i, model), len(model.theta), parameters,
         tuple(t.meaning for t in terms), d.equation, nature=d.nature,
-        folds=tuple(DiscoveredAnswer(i, m) for m in d.folds),
+        folds=tuple(DiscoveredAnswer(i, m) for m in d.folds), rivals=tuple(DiscoveredAnswer(i, m) for m in d.rivals),
     )  # fmt: skip
 
 

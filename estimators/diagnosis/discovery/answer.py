@@ -28,6 +28,7 @@ BUDGETS = {
 ADMITTED = 1.0  # standard errors by which unused blocks must get better than with the best linear model: the usual rule
 LEAST = 0.02  # share of the error below which what was found is as good as nothing, among so many candidates
 SEARCHED = 2000  # samples on which terms are looked for; what is found is fitted to all and judged on all
+ALIKE = 1.5  # times the answer's error on unused blocks, up to which another model is asked what it makes of a record
 BATCHES = 4  # parts of every block: the units of the standard error of a difference
 
 
@@ -41,7 +42,7 @@ class Discovery:
     (ny,) on the samples that count; `gain` by how many standard errors the blocks got better than the
     baseline's; `considered` the models that were compared and their errors on unused blocks over the
     baseline's, simplest first; `sought` false where what is left is noise, so that no search was made; `folds` the
-    model fitted without each block.
+    model fitted without each block; `rivals` models with other terms that do nearly as well.
     """
 
     model: DiscoveredModel | None
@@ -54,6 +55,7 @@ class Discovery:
     considered: tuple[tuple[str, float], ...] = ()
     sought: bool = True
     folds: tuple[DiscoveredModel, ...] = ()
+    rivals: tuple[DiscoveredModel, ...] = ()
 
     @property
     def found(self) -> bool:
@@ -61,8 +63,13 @@ class Discovery:
         return self.model is not None
 
 
-def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget = "normal") -> Discovery:
-    """Terms that the linear model lacks, as an equation; nothing where unused blocks do not vouch for it."""
+def discover(
+    records: Sequence[Record], baseline: Baseline, budget: str | Budget = "normal", skip: int | None = None
+) -> Discovery:
+    """Terms that the linear model lacks, as an equation; nothing where unused blocks do not vouch for it.
+
+    `skip` first samples of a new record that may set its state; None: as many as a block's window.
+    """
     budget = BUDGETS[budget] if isinstance(budget, str) else budget
     delays = (
         np.max([m.shared[1] for m in baseline.outputs], axis=0)
@@ -75,14 +82,14 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
     smooth = [(y - scales.y) / scales.sy for y in baseline.y_model]
     zeros = {f"y{i}": float(-scales.y[i] / scales.sy[i]) for i in range(records[0].n_outputs)}
     zeros |= {f"u{j}": float(-scales.u[j] / scales.su[j]) for j in range(records[0].n_inputs)}
-    judge = _Judge(records, baseline, scales, pieces)
+    judge = _Judge(records, baseline, scales, pieces, skip)
     own = tuple(m.shared[0] for m in baseline.outputs)
     most = max(SEARCHED // len(pieces), 1)
     short = [Piece(q.d[:most], q.y[:most], q.weight[:most]) for q in pieces]
     front = _front(greedy_search(short, scales, [y[:most] for y in smooth], zeros, budget, own))
     again = (fit(f.form, f.theta, f.starts, pieces, iterations=budget.rounds) for f in front)
     front = [f for f in again if f is not None and forgets(f, pieces) and bends(f, pieces, 0)]
-    whole, gain, considered = _chosen(_pruned(front, pieces, budget.rounds), judge)
+    whole, alike, gain, considered = _chosen(_pruned(front, pieces, budget.rounds), judge)
     got = None if whole is None else judge.unused(whole, False)
     if whole is None or got is None or not judge.better(got[0]):
         return Discovery(None, considered=considered, gain=gain)
@@ -99,6 +106,7 @@ def discover(records: Sequence[Record], baseline: Baseline, budget: str | Budget
         gain,
         considered,
         folds=tuple(replace(model, theta=theta) for theta in folds),
+        rivals=tuple(replace(model, form=f.form, theta=f.theta, prior=start_prior(f, pieces)) for f in alike),
     )
 
 
@@ -117,10 +125,16 @@ class _Judge:
     """Squared errors where parameters did not see the data, by batch, in units of each output's spread."""
 
     def __init__(
-        self, records: Sequence[Record], baseline: Baseline, scales: Scales, pieces: Sequence[Piece]
+        self,
+        records: Sequence[Record],
+        baseline: Baseline,
+        scales: Scales,
+        pieces: Sequence[Piece],
+        skip: int | None,
     ):
         self.records, self.baseline, self.scales, self.pieces = records, baseline, scales, pieces
         self.blocks = baseline.blocks
+        self.skip = self.blocks.window if skip is None else skip
         self.counting = baseline.blocks.counting(records)
         self.batches = baseline.blocks.batches(BATCHES)
 
@@ -155,15 +169,16 @@ class _Judge:
         return np.array(out)
 
     def through(self, f: Fitted) -> float:
-        """Mean square of runs through whole records from their windows, as on a new record; infinite where one explodes.
+        """Mean square of runs through whole records from their own starts, as on a new record; infinite where one explodes.
 
-        Blocks are short and start anew: where a model leaves its path only in a long run they do not see it.
+        Blocks are short and start anew from a window: where a model leaves its path only in a long run, or does not find it
+        without a window, they do not see it.
         """
-        asm, prior, window = Assembly(f.form), start_prior(f, self.pieces), self.blocks.window
+        asm, prior, window = Assembly(f.form), start_prior(f, self.pieces), self.skip
         runs = [free_run(asm, f.theta, prior, p, window) for p in self.pieces]
         e = [((p.y - y) * p.weight)[window:] for p, y in zip(self.pieces, runs)]
         total = sum(float((x**2).sum()) for x in e) / max(
-            sum(float(p.weight.sum()) for p in self.pieces), 1.0
+            sum(float(p.weight[window:].sum()) for p in self.pieces), 1.0
         )
         return total if np.isfinite(total) else np.inf
 
@@ -177,8 +192,12 @@ class _Judge:
         return np.sqrt(total / np.maximum(count, 1))
 
 
-def _chosen(found: list[Fitted], judge: _Judge) -> tuple[Fitted | None, float, tuple[tuple[str, float], ...]]:
-    """The simplest model within one standard error of the best where it did not see the data, None if it is linear."""
+def _chosen(
+    found: list[Fitted], judge: _Judge
+) -> tuple[Fitted | None, list[Fitted], float, tuple[tuple[str, float], ...]]:
+    """The simplest model within one standard error of the best where it did not see the data, None if it is linear; and others
+    that do nearly as well.
+    """
     base = judge.of(judge.baseline.unused)
     tried = []
     for f in found:
@@ -193,7 +212,7 @@ def _chosen(found: list[Fitted], judge: _Judge) -> tuple[Fitted | None, float, t
     lasting = min((judge.through(f) for f, _ in linear), default=np.inf)
     nonlinear = [t for t in nonlinear if judge.through(t[0]) < lasting]
     if not nonlinear or not linear:
-        return None, 0.0, considered
+        return None, [], 0.0, considered
     best = min(nonlinear, key=lambda t: t[1].mean())
     near = [t for t in nonlinear if t is best or _errors(t[1], best[1]) < 1.0]
     f, s = min(near, key=lambda t: t[0].free)
@@ -201,7 +220,8 @@ def _chosen(found: list[Fitted], judge: _Judge) -> tuple[Fitted | None, float, t
     gain = min(_errors(a, b) for a, b in rivals)
     forward = min(x[m:].mean() for _, x in linear)
     less = s[m:].mean() < forward and all(b.mean() < (1 - LEAST) ** 2 * a.mean() for a, b in rivals)
-    return (f if gain > ADMITTED and less else None), gain, considered
+    alike = [g for g, t in nonlinear if g is not f and t.mean() < ALIKE**2 * s.mean()]
+    return (f if gain > ADMITTED and less else None), alike, gain, considered
 
 
 def _pruned(found: Sequence[Fitted], pieces: Sequence[Piece], rounds: int) -> list[Fitted]:

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.discovery.model import leading_nature
 from estimators.diagnosis.effects import Nature
-from estimators.diagnosis.ladder.steps import Kind, Ladder
+from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
+from estimators.diagnosis.model.fitting import ar_model, innovations
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.search.examination import Examined
 from estimators.diagnosis.search.named import Named
 from estimators.diagnosis.share import Share
 
+FAILED = "its run on the test record is no answer"
+WORSE = 1.1
+"""One-step error, of the best linear model's on unused blocks, up to which a fit, which has seen them, is as good."""
+TWICE = 2.0
+"""Squared error of the named model on unused blocks, up to which a regression explains as much: it has many more columns."""
 SOME = 0.1
 """Of the weight of the terms discovered, from which on those of a nature are no accident of a dictionary's other curves."""
 
@@ -37,10 +43,55 @@ class Outcome:
         """Least error on unused blocks of the steps of a kind; infinite where there is none."""
         return min((r.value for r in self.ladder.rungs if r.step.kind is kind), default=np.inf)
 
+    def standing(self, step: Step) -> Outcome:
+        """With the step that stands on a record as the answer, in place of one that does not, whose names go with it; a linear one
+        leaves open what is missing.
+        """
+        chosen = self.ladder.chosen
+        if step is chosen or step.kind is Kind.LINEAR:
+            return self
+        at = next(i for i, r in enumerate(self.ladder.rungs) if r.step is step)
+        out = replace(self, ladder=replace(self.ladder, answer=at))
+        before, after = ({s.kind for s in q.chain} for q in (chosen, step))
+        if Kind.NAMED not in before - after:
+            return out
+        dropped = (*self.named.dropped, *((c.key, FAILED) for c in self.named.claims))
+        return replace(out, named=replace(self.named, claims=(), dropped=dropped))
+
     @property
     def bent(self) -> bool:
         """Whether a regression predicts what the linear model leaves, and not by linear dynamics."""
         return self.share.explainable and self.share.nature not in (Nature.LINEAR, Nature.NOISE)
+
+    @property
+    def of_the_best(self) -> bool:
+        """Whether the residual that was tested is that of a model as good as the best linear one: what a worse one leaves depends
+        on anything that the better one knows. One-step errors, which a noise model does not flatter on one side only.
+        """
+        f, c, unused = self.named.fit, self.examined.last, self.ladder.linear.unused[0]
+        if len(unused) != len(c):  # a thinned record: its simulation errors
+            return float(np.sqrt(np.mean(f.residual[c.keep] ** 2))) <= WORSE * self.ladder.rungs[0].value
+        use = c.keep & self.ladder.counted[0]
+        e = np.where(use, c.y - unused, 0.0)
+        return f.variance <= WORSE**2 * float(np.mean(innovations(e, ar_model(e)[0])[use] ** 2))
+
+    def surely(self, share: float) -> bool:
+        """Whether the answer bends, and takes so large a share of the error on unused blocks: with intervals that lie apart, or
+        where a regression predicts some of it too.
+        """
+        first, last = self.ladder.rungs[0], self.ladder.rungs[self.ladder.answer]
+        bends = last.step.nature not in ("", Nature.LINEAR)
+        return bends and last.value < (1.0 - share) * first.value and (last.high < first.low or self.bent)
+
+    def gainsaid(self, nature: str) -> bool:
+        """Whether causes of another nature, without any model of them, explain as much as the named model does, and surely more
+        than those of this one do: a cousin of the truth bends until it fits, a regression of its place alone does not.
+        """
+        if self.share.feedback or not self.bent:
+            return False
+        best, own = self.share.natures[0], [e for e in self.share.natures if e.nature == nature]
+        named = (self.value(Kind.NAMED) / self.value(Kind.LINEAR)) ** 2
+        return any(e.high < best.low for e in own) and 1.0 - best.share <= TWICE * named
 
     @property
     def discovered(self) -> str:

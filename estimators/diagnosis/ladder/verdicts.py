@@ -18,7 +18,7 @@ from estimators.diagnosis.ladder.held_out import HeldOut
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.stated import Contradiction
 from estimators.diagnosis.ladder.steps import Kind
-from estimators.diagnosis.model.fitting import Fit, ar_model, innovations
+from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.leftover import Leftover, leftovers
@@ -149,8 +149,10 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     if o.inverse:
         return []
     claimed = _supported(o, _claimed(o, tag), policy)
-    if claimed and all(f.nature == Nature.LINEAR for f in claimed) and o.bent:
-        words = f"unused blocks get better with other linear dynamics{tag}, but there is more: {o.share.natures[0].sentence}"
+    linear = bool(claimed) and o.bent and all(f.nature == Nature.LINEAR for f in claimed)
+    if linear or (claimed and o.gainsaid(claimed[0].nature)):
+        what = "other linear dynamics" if linear else claimed[0].cause.replace("_", " ")
+        words = f"unused blocks get better with {what}{tag}, but there is more: {o.share.natures[0].sentence}"
         claimed = [Finding("", UNKNOWN, o.share.nature, claimed[0].weight, 0.0, words)]
     if Kind.NAMED in kinds:
         gained = sum(f.weight for f in claimed)
@@ -203,12 +205,18 @@ def _supported(o: Outcome, claimed: list[Finding], policy: Policy) -> list[Findi
 
 
 def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
-    """What a regression predicts of the linear model's residual on unused blocks, where no model of it could be given."""
-    least = policy.searched[1]
-    if o.examined.signatures or not (o.bent and o.share.low > least):
+    """What a regression predicts of the linear model's residual on unused blocks, or a model that the test record did not bear
+    has gained there beyond all luck, where no model of it could be given.
+    """
+    if o.examined.signatures:
         return []
-    words = f"no model of it holds on unused blocks{tag}, but there is more than noise: {o.share.natures[0].sentence}"
-    return [Finding("", UNKNOWN, o.share.nature, o.share.share, 0.0, words)]
+    if o.bent and o.share.low > policy.searched[1]:
+        words = f"no model of it holds on unused blocks{tag}, but there is more than noise: {o.share.natures[0].sentence}"
+        return [Finding("", UNKNOWN, o.share.nature, o.share.share, 0.0, words)]
+    if o.inverse or not o.surely(policy.lasting):
+        return []
+    words = f"a model lowers the error on unused blocks{tag} by {_percent(o):.3g} %, but does not hold on the test record"
+    return [Finding("", UNKNOWN, o.ladder.chosen.nature, 1.0, 0.0, words)]
 
 
 def _percent(o: Outcome) -> float:
@@ -254,7 +262,7 @@ def _data(o: Outcome, setting: Setting, effects: dict[str, Effect], tag: str) ->
     order = {"held": 4.0, "quantised": 3.0, "outliers": 1.0}
     found = [_seen(effects, s.key, order.get(s.key, 0.0), 0.0, s.sentence) for s in o.examined.signatures]
     if p < setting.alpha / 100 and (
-        o.share.feedback or _of_the_best(o)
+        o.share.feedback or o.of_the_best
     ):  # else a model's error may foretell an input
         words = f"past innovations help to predict the input{tag} ({p_stated(p)}): the data are from a closed loop"
         found.append(_seen(effects, "feedback", 2.0, p, words))
@@ -299,7 +307,7 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
         or o.ladder.chosen.kind in (Kind.DISCOVERED, Kind.REMAINDER)
     ):
         return []  # an input that knows the noise makes any residual depend on it
-    if not _of_the_best(o):
+    if not o.of_the_best:
         return []
     explained = 0.0
     if (
@@ -335,19 +343,6 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
     return []
 
 
-def _of_the_best(o: Outcome) -> bool:
-    """Whether the residual that was tested is that of a model as good as the best linear one: what a worse one leaves depends
-    on anything that the better one knows. One-step errors, which a noise model does not flatter on one side only."""
-    f, c, unused = o.named.fit, o.examined.last, o.ladder.linear.unused[0]
-    if len(unused) != len(c):  # a thinned record: its simulation errors
-        return float(np.sqrt(np.mean(f.residual[c.keep] ** 2))) <= WORSE * o.ladder.rungs[0].value
-    use = c.keep & o.ladder.counted[0]
-    e = np.where(use, c.y - unused, 0.0)
-    return f.variance <= WORSE**2 * float(np.mean(innovations(e, ar_model(e)[0])[use] ** 2))
-
-
-WORSE = 1.1
-"""One-step error, of the best linear model's on unused blocks, up to which a fit, which has seen them, is as good."""
 SURE = 1e-6
 """Significance under a noise model or beside an effect is less sure than it says."""
 TELLING, FIRM = 0.08, 1e-12

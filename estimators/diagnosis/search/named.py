@@ -226,8 +226,8 @@ class Bench:
         if self._answer(second) < ANSWERED * self._answered:
             return gain  # what the input seemed to answer was an error of the linear model, and no noise
         errors = [np.where(counted, y - run, 0.0) for run in (first, second)]
-        noise = autoregression(errors[:1], [counted])
-        steps = [whitened(noise, e) for e in errors]
+        # each under a noise model of its own: that of a smooth model error makes much of the white noise that a better one leaves
+        steps = [whitened(autoregression([e], [counted]), e) for e in errors]
         one_step = paired_gain([0.0 * y], steps[:1], steps[1:], [counted], self.policy)
         return min(gain, one_step, key=lambda g: g.share)
 

@@ -17,8 +17,8 @@ from estimators.diagnosis.discovery.model import leading_nature, strongest_first
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
-from estimators.diagnosis.ladder import Gain, paired_gain
-from estimators.diagnosis.ladder.held_out import _undecided
+from estimators.diagnosis.ladder import Gain, Kind, paired_gain
+from estimators.diagnosis.ladder.held_out import APART, _undecided
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear
@@ -178,10 +178,15 @@ def test_what_was_searched_on_the_same_blocks_must_gain_more_there() -> None:
 
 
 def test_rivals_that_disagree_leave_a_run_undecided(rng) -> None:
-    linear = rng.standard_normal(N)
+    linear, (cause, form) = rng.standard_normal(N), (APART[Kind.NAMED], APART[Kind.DISCOVERED])
     run = linear + 0.5
-    assert _undecided(run, linear, [linear - 0.5, linear + 1.4])
-    assert not _undecided(run, linear, [linear + 0.4, linear + 0.6, np.full(N, np.nan)])
+    assert _undecided(run, linear, [linear - 0.5, linear + 1.4], cause)
+    assert not _undecided(run, linear, [linear + 0.4, linear + 0.6, np.full(N, np.nan)], cause)
+    # models of one search share what they get wrong: less tells them apart
+    assert _undecided(run, linear, [linear + 0.1, linear + 0.9], form)
+    assert not _undecided(run, linear, [linear + 0.1, linear + 0.9], cause)
+    assert not _undecided(run, linear, [linear + 0.4, linear + 0.6], form)
+    assert not _undecided(run, linear, [], form)
 
 
 def test_terms_that_nearly_cancel_are_as_strong_as_they_are_together() -> None:

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.choice import SLOW
@@ -15,12 +16,16 @@ from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.effects.plant import SWINGS
-from estimators.diagnosis.ladder.outcome import SOME, Outcome
+from estimators.diagnosis.ladder import Kind, Ladder
+from estimators.diagnosis.ladder.held_out import _order
+from estimators.diagnosis.ladder.outcome import FAILED, SOME, Outcome
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.examination import Known, _forgetting
+from estimators.diagnosis.search.named import Named
 from estimators.diagnosis.search.naming import CONTENT, FOLDED, LATE, as_shown
+from estimators.diagnosis.share import Evidence
 
 CHANNEL: Any = None
 
@@ -148,6 +153,78 @@ def test_the_nature_that_the_residual_shows_leads_where_the_terms_have_it() -> N
     ]
     o: Any = SimpleNamespace(discovery=SimpleNamespace(terms=terms), index=0)
     assert [Outcome.weighs(o, n) for n in "abc"] == [True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("own", "best", "left", "feedback", "told"),
+    [
+        (0.33, 0.966, 0.02, False, True),  # a dead zone and a mode for a meter that rectifies
+        (0.93, 0.966, 0.02, False, False),  # its own nature explains as much
+        (0.33, 0.80, 0.02, False, False),  # the named model explains far more than any regression
+        (0.33, 0.966, 0.02, True, False),  # in a loop the shares are those of one-step predictions
+    ],
+)
+def test_a_name_is_not_given_where_causes_of_another_place_explain_as_much(
+    own, best, left, feedback, told
+) -> None:
+    natures = [
+        Evidence("a", best, best - 0.02, best + 0.02, ""),
+        Evidence("b", own, own - 0.1, own + 0.1, ""),
+    ]
+    share: Any = SimpleNamespace(feedback=feedback, natures=natures, nature="a", explainable=True)
+    rungs = [
+        SimpleNamespace(step=SimpleNamespace(kind=k), value=v)
+        for k, v in ((Kind.LINEAR, 1.0), (Kind.NAMED, left**0.5))
+    ]
+    none: Any = None
+    o = Outcome(0, none, none, SimpleNamespace(rungs=rungs), share, none, none)  # type: ignore[arg-type]
+    assert o.gainsaid("b") is told
+    assert not o.gainsaid("a")
+    assert not o.gainsaid("c")  # of a nature that no regression looks for it says nothing
+
+
+@pytest.mark.parametrize(
+    ("high", "nature", "bent", "told"),
+    [
+        (0.5, "dynamic nonlinearity", False, True),
+        (1.0, "dynamic nonlinearity", True, True),  # a regression is another witness
+        (1.0, "dynamic nonlinearity", False, False),
+        (0.5, "linear dynamics", True, False),
+    ],
+)
+def test_what_surely_bends_is_told_though_no_model_of_it_lasts(high, nature, bent, told) -> None:
+    rungs = [
+        SimpleNamespace(value=1.0, low=0.9, high=1.1),
+        SimpleNamespace(value=0.4, low=0.3, high=high, step=SimpleNamespace(nature=nature)),
+    ]
+    o: Any = SimpleNamespace(ladder=SimpleNamespace(rungs=rungs, answer=1), bent=bent)
+    assert Outcome.surely(o, 0.5) is told
+    assert not Outcome.surely(o, 0.7)
+
+
+def test_the_names_of_a_model_go_where_another_stands_in_its_place() -> None:
+    def rung(kind: Kind, value: float, high: float, admitted: bool = True) -> Any:
+        step: Any = SimpleNamespace(kind=kind, admitted=admitted)
+        step.chain = (step,)
+        return SimpleNamespace(step=step, value=value, high=high)
+
+    rungs = (rung(Kind.LINEAR, 1.0, 1.1), rung(Kind.NAMED, 0.2, 0.3), rung(Kind.DISCOVERED, 0.25, 0.3))
+    none: Any = None
+    claims = (SimpleNamespace(key="a"),)
+    for third, order in (
+        (rungs[2], [1, 2, 0]),  # what does as well stands in before the linear model
+        (rung(Kind.DISCOVERED, 0.25, 0.3, admitted=False), [1, 0]),  # what was refused never does
+        (rung(Kind.DISCOVERED, 0.9, 1.05), [1, 0]),  # nor what may be no better than it
+    ):
+        ladder = Ladder((*rungs[:2], third), 1, ())
+        assert _order(ladder) == order
+    found = Named(none, claims, (), none)  # type: ignore[arg-type]
+    o = Outcome(0, none, found, Ladder(rungs, 1, ()), none, none, none)
+    other = o.standing(rungs[2].step)
+    assert (other.ladder.chosen, other.named.claims) == (rungs[2].step, ())
+    assert other.named.dropped == (("a", FAILED),)
+    for same in (rungs[1], rungs[0]):  # the linear model leaves open what is missing
+        assert o.standing(same.step) is o
 
 
 def test_the_search_starts_from_a_linear_part_without_a_pole_that_an_effect_has_slowed(rng) -> None:
