@@ -192,7 +192,7 @@ class Bench:
     def echoes(self, run: Array) -> bool:
         """Whether a run of unused blocks (N,) gains so little that it may only hear the answer of the input to the noise."""
         gain, policy = self.over(run, self.base.unused[0][:, self.output]), self.policy
-        weak = not gain.beyond(policy.searched[0])
+        weak = not gain.meets(policy.searched)
         return (self.feedback and weak) or (self.inverse and not gain.meets(policy.overwhelming))
 
     @cached_property

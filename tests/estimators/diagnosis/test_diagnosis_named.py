@@ -328,6 +328,9 @@ def test_what_an_input_answers_is_noise_only_where_a_better_model_leaves_it() ->
         gain = bench.over(run, zero)
         assert (gain.share > 0.9) == (share > 0.0)
         assert bench.echoes(run) == (share == 0.0)
+    # Where noise is what the input answers, each run has a noise model of its own: under that of the smooth error the gain is .12.
+    answering = Record(np.concatenate(([0.0, 0.0], e[:-2])) + 0.1 * v, 0.1 * slow + e)
+    assert judge(answering, zero, feedback=True).over(0.1 * slow, zero).share > 0.15
 
 
 def test_little_beyond_a_linear_model_is_no_answer_where_the_input_answers_at_once() -> None:
