@@ -159,7 +159,7 @@ def _delays(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 
     s, part = base.structure, Part(DELAY, base.structure.inputs[0])
     if len(s.effects):
-        yield from fitted(channel, base, scored(channel, base, part, 3), 20)
+        yield from fitted(channel, base, scored(channel, base, part, 3).starts, 20)
         return
     if s.layout != "tf":
         return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,11 +51,11 @@ class Menu:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """One effect at one input, in one layout, with its starts: what their scores promise over the base model."""
+    """One effect at one input, in one layout: what its scores promise over the base model, and its starts, made once it is fitted."""
 
     effect: Effect
-    starts: list[Start]
     promise: float
+    starts: Callable[[], list[Start]]
 
 
 def _least(fits: Iterable[Fit]) -> list[Fit]:
@@ -111,7 +111,7 @@ def augmented(
     most = 0.0  # that any effect gained so far
     for e in (e for e in chosen if e.slot is not Slot.PLANT):
         for task in (task for task in tasks if task.effect is e):
-            for f in _least(fitted(channel, base, task.starts, iterations)):
+            for f in _least(fitted(channel, base, task.starts(), iterations)):
                 most = max(most, base.deviance - f.deviance)
                 found.append(f)
                 yield f
@@ -208,12 +208,15 @@ def _own(channel: Channel, base: Fit, e: Effect, menu: Menu) -> Iterator[Fit]:
 
 def _scan(channel: Channel, base: Fit, model: Fit, part: Part, best: int) -> list[_Task]:
     """The starts of an effect added to a model: the base, or the base in another layout."""
-    starts = scored(channel, model, part, best)
-    if not starts:
+    found = scored(channel, model, part, best)
+    if not np.isfinite(found.promise):
         return []
-    promise = starts[0].promise + base.deviance - model.deviance
-    further = None if part.effect.more is None else part.effect.more(channel, model, part.channel)
-    return [_Task(part.effect, starts if further is None else [*starts, further], promise)]
+
+    def starts() -> list[Start]:
+        further = None if part.effect.more is None else part.effect.more(channel, model, part.channel)
+        return found.starts if further is None else [*found.starts, further]
+
+    return [_Task(part.effect, found.promise + base.deviance - model.deviance, starts)]
 
 
 def _refined_fits(
@@ -229,8 +232,8 @@ def _refined_fits(
         near = min(parents, key=lambda f: f.deviance).structure.layout
         layout = next((f for f in layouts if f.structure.layout == near and e.fits(near)), None)
         if layout is not None:
-            starts = scored(channel, layout, Part(e, layout.structure.inputs[0]), 2)
-            for f in _least(fitted(channel, base, starts, QUICK)):
+            found = scored(channel, layout, Part(e, layout.structure.inputs[0]), 2)
+            for f in _least(fitted(channel, base, found.starts, QUICK)):
                 yield fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=iterations)
 
 
@@ -258,7 +261,7 @@ def _plant_fits(
         plain = ended.get(e.extends)
         if plain is not None and base.deviance - plain.deviance < 6.0:
             continue
-        starts = [start for task in tasks if task.effect is e for start in task.starts]
+        starts = [start for task in tasks if task.effect is e for start in task.starts()]
         quick = fitted(channel, base, starts, QUICK)
         if plain is not None:
             known = plain.structure.parts[-1].count(plain.structure.order)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,19 @@ class Start:
     p: Array
     scales: Array
     promise: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """The best shapes of an effect: what they promise, and the starts that `made` makes of them, once one of them is fitted."""
+
+    promise: float = -np.inf
+    made: Callable[[], list[Start]] = list
+
+    @cached_property
+    def starts(self) -> list[Start]:
+        """The starts, most promising first."""
+        return sorted(self.made(), key=lambda start: -start.promise)
 
 
 def sizes_of(channel: Channel, base: Fit, part: Part) -> Sizes:
@@ -104,10 +118,10 @@ def _scores(
         yield _Score(promise if signed or alpha >= 0 else promise * 1e-3, alpha, p, d)
 
 
-def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
-    """The best shapes of an effect's grid by their score, the model's own parameters projected out, best first."""
+def scored(channel: Channel, base: Fit, part: Part, best: int) -> Scored:
+    """The best shapes of an effect's grid by their score, the model's own parameters projected out."""
     if part.effect.starts is None:
-        return []
+        return Scored()
     grid, sizes = part.effect.starts(sizes_of(channel, base, part))
     s, amplitude, own = base.structure.adding(part), part.effect.amplitude, len(base.p)
     scales = np.concatenate((base.scales, sizes))
@@ -125,8 +139,8 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
                 promises.append(base.n * -np.log(max(left, 1e-12)))
             found[k] = replace(score, promise=max(promises))
         found.sort(key=lambda x: -x.promise)
-    out = []
-    for score in found[:best]:
+
+    def start(score: _Score) -> Start:
         p, alpha = score.p, score.alpha
         step = alpha if amplitude is not None else min(max(alpha, 0.0), 1.0)
         move = np.zeros(own)
@@ -143,10 +157,13 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> list[Start]:
             options.append(trial.copy())
             trial[:own] -= move
             options.append(trial)
-        out.append(Start(s, min(options, key=lambda q: _squares(channel, s, q)), scales, score.promise))
+        return Start(s, min(options, key=lambda q: _squares(channel, s, q)), scales, score.promise)
+
+    quick: list[Start] = []
     if part.effect.alone and s.layout == "tf" and not base.structure.effects:
-        out += _quick(channel, s, [np.concatenate((base.p, shape)) for shape in grid], scales, base)
-    return sorted(out, key=lambda start: -start.promise)
+        quick = _quick(channel, s, [np.concatenate((base.p, shape)) for shape in grid], scales, base)
+    promise = max((x.promise for x in (*found[:best], *quick)), default=-np.inf)
+    return Scored(promise, lambda: [*map(start, found[:best]), *quick])
 
 
 def _quick(channel: Channel, s: Structure, shapes: list[Array], scales: Array, base: Fit) -> list[Start]:
