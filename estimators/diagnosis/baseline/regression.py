@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel
+from estimators.residual.algebra import least_squares
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -77,15 +78,13 @@ class Lagged:
         """The candidate by least squares, on all blocks or without one of them."""
         columns, R = self.columns(form), self.factors[held_out]
         # relative to the largest singular value: what the data do not tell apart stays at its least size
-        theta = (
-            np.linalg.lstsq(R[:, columns], R[:, -1], rcond=1e-10)[0] * self.scale[-1] / self.scale[columns]
-        )
+        theta = least_squares(R[:, columns], R[:, -1], 1e-10) * self.scale[-1] / self.scale[columns]
         return form.model(np.concatenate((-theta[: form.na], theta[form.na :])))
 
     def one_step(self, form: Arx) -> float:
         """Root mean square of the one-step error of a fit to all blocks, in units of the output's column."""
         columns, R = self.columns(form), self.factors[-1]
-        rest = R[:, -1] - R[:, columns] @ np.linalg.lstsq(R[:, columns], R[:, -1], rcond=1e-10)[0]
+        rest = R[:, -1] - R[:, columns] @ least_squares(R[:, columns], R[:, -1], 1e-10)
         return float(np.linalg.norm(rest) * self.scale[-1])
 
 

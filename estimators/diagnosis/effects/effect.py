@@ -170,7 +170,9 @@ class Sizes:
 
 def level_before(u: Array) -> float:
     """The input before a record began: its first value where the signal stands on a level, zero where it swings about zero."""
-    return float(u[0]) if abs(np.mean(u)) > OPERATING * np.std(u) else 0.0
+    mean = float(np.add.reduce(u)) / len(u)
+    power = float(np.dot(u, u)) / len(u)
+    return float(u[0]) if mean * mean > OPERATING**2 * (power - mean * mean) else 0.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -298,12 +300,12 @@ class Effect:
                 f"the effect {self.key!r} in slot {str(self.slot)!r} lacks {' and '.join(lacks)}: give it."
             )
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
         """Unit of each parameter."""
         return tuple(self.parameters.values())
 
-    @property
+    @cached_property
     def timed(self) -> bool:
         """Whether its last parameter is the time at which something changes."""
         return self.per_sample and self.units[-1:] == ("sample",)

@@ -98,6 +98,7 @@ def servo_mean(signal, up, down, lag, start):  # pragma: no cover - compiled
     and `down` per sample; it stands at `start` before the record."""
     out = np.empty_like(signal)
     v = start
+    whole = np.exp(-1.0 / max(lag, 1e-300))
     for k in range(signal.shape[0]):
         side = 1.0 if signal[k] > v else -1.0
         rate = max(up if signal[k] > v else down, 1e-300)
@@ -105,7 +106,7 @@ def servo_mean(signal, up, down, lag, start):  # pragma: no cover - compiled
         # at its full rate for a part of the interval, until the lag asks for less
         full = min(max(gap / rate - lag, 0.0), 1.0)
         left = gap - rate * full
-        near = np.exp(-(1.0 - full) / max(lag, 1e-300))
+        near = whole if full == 0.0 else 1.0 if full == 1.0 else np.exp(-(1.0 - full) / max(lag, 1e-300))
         out[k] = signal[k] - side * (0.5 * (gap + left) * full + left * lag * (1.0 - near))
         v = signal[k] - side * left * near
     return out
@@ -160,6 +161,7 @@ def steered_loop(signal, p, start, which):  # pragma: no cover - compiled
     pace, proportional, integral, lag = p[0], p[1], p[2], max(p[5], 1e-9)
     still = np.exp(-pace * h)
     stays = np.exp(-h / max(p[6], 1e-9))
+    near = np.exp(-h / lag)  # where no part of a step is at the full rate; where all of it is, nothing is left to near
     for k in range(signal.shape[0]):
         for _ in range(WITHIN):
             e = signal[k] - x
@@ -168,7 +170,11 @@ def steered_loop(signal, p, start, which):  # pragma: no cover - compiled
             rate = p[3] if gap > 0.0 else p[4]
             full = min(max(abs(gap) / rate - lag, 0.0), h)
             left = abs(gap) - rate * full
-            move = abs(gap) - left * np.exp(-(h - full) / lag)
+            if full == 0.0:
+                left *= near
+            elif full < h:
+                left *= np.exp(-(h - full) / lag)
+            move = abs(gap) - left
             then = s + (move if gap > 0.0 else -move)
             drive = z
             z = 0.5 * (s + then) + (z - 0.5 * (s + then)) * stays
@@ -281,31 +287,6 @@ def rate_limited(signal, rate, start):  # pragma: no cover - compiled
         v += min(max(signal[k] - v, -rate), rate)
         out[k] = v
     return out
-
-
-@compiled
-def rational(u, b, f, delay):  # pragma: no cover - compiled
-    """Sum of B_j/F u_j with B_j = b[j, 0] z^-(1+delay) + ...; infinite once it overflows."""
-    n = u.shape[0]
-    channels = b.shape[0]
-    taps = b.shape[1]
-    order = f.shape[0]
-    y = np.zeros(n)
-    for k in range(n):
-        total = 0.0
-        for j in range(channels):
-            for i in range(taps):
-                at = k - 1 - delay - i
-                if at >= 0:
-                    total += b[j, i] * u[at, j]
-        for i in range(order):
-            if k - 1 - i >= 0:
-                total -= f[i] * y[k - 1 - i]
-        if not abs(total) < 1e100:
-            y[k:] = np.inf
-            return y
-        y[k] = total
-    return y
 
 
 @compiled

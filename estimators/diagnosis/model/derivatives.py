@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Slot
 from estimators.diagnosis.model.layouts import LAYOUTS
-from estimators.diagnosis.model.simulation import acted, free_responses, plant_states
+from estimators.diagnosis.model.simulation import acted, plant_states, transferred
 from estimators.diagnosis.model.structure import Structure
-from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
 Columns = Iterator[tuple[int, Array]]  # index of a parameter, derivative (N,) of the output by it
@@ -59,29 +58,14 @@ def _of_transfer(s: Structure, p: Array, U: Array, clock: Clock) -> tuple[Array 
 
     An initial state adds its free response, which has the same poles.
     """
-    from estimators.diagnosis.effects.recursion_kernels import rational
+    from estimators.diagnosis.model.transfer_kernels import derived
 
-    n, f = len(U), p[: s.order]
-    b = p[s.order : s.plant_size].reshape(len(s.inputs), s.taps)
-    linear = rational(np.ascontiguousarray(U), np.ascontiguousarray(b), f, s.delay)
-    begun = [sl for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect.slot is Slot.START]
-    for sl in begun:
-        impulse = np.zeros(n)
-        impulse[: s.order] = p[sl]
-        linear = linear + lfilter([1.0], np.concatenate(([1.0], f)), impulse)
-
-    def through(x: Array, lags: range) -> Array:
-        w = rational(np.ascontiguousarray(x[:, None]), np.ones((1, 1)), f, 0)  # one sample late already
-        return delayed(w[:, None], lags).T
-
-    def columns() -> Columns:
-        yield from enumerate(-through(linear, range(s.order)))
-        for sl in begun:
-            yield from enumerate(free_responses(s, p, n).T, sl.start)
-        for j, x in enumerate(U.T):
-            yield from enumerate(through(x, range(s.delay, s.delay + s.taps)), s.order + j * s.taps)
-
-    return (linear if np.isfinite(linear[-1]) else None), columns()
+    linear = transferred(s, p, U)
+    if not math.isfinite(linear[-1]):
+        return None, iter(())
+    rows = derived(np.ascontiguousarray(U), linear, p[: s.order], s.delay, s.taps, s.begins is not None)
+    at = [*range(s.plant_size), *(() if s.begins is None else range(s.begins.start, s.begins.stop))]
+    return linear, zip(at, rows, strict=True)
 
 
 def _slope(s: Structure, p: Array, x: Array, clock: Clock) -> Array | None:

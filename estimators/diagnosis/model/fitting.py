@@ -123,7 +123,7 @@ def ar_model(r: Array, largest: int = 12) -> tuple[Array, float]:
     return best, best_deviance
 
 
-def _finite(x: Array) -> bool:
+def finite(x: Array) -> bool:
     """Whether every value is finite: their sum is, which is quicker to ask (infinities that cancel give NaN)."""
     return math.isfinite(float(np.add.reduce(x)))
 
@@ -135,7 +135,7 @@ def _differences(
     """Writes finite differences into the columns of J (N, size) that are not known."""
     wanted = [i for i in np.flatnonzero(steps) if i not in known]
     here = rough(p) if wanted and rough is not None else None
-    if rough is not None and here is not None and _finite(here):
+    if rough is not None and here is not None and finite(here):
         residual, r = rough, here
     for i in wanted:
         J[:, i] = 0.0
@@ -143,7 +143,7 @@ def _differences(
             q = p.copy()
             q[i] += sign * steps[i]
             ri = residual(q)
-            if ri is not None and _finite(ri):
+            if ri is not None and finite(ri):
                 J[:, i] = sign * (ri - r) / steps[i]
                 break
 
@@ -171,29 +171,30 @@ def levenberg_marquardt(
     cost = float(r @ r)
     steps = 1e-6 * scales if steps is None else steps
     damping, small = 1e-3, 0
-    J = np.zeros((len(r), len(p)))
+    J, unit = np.zeros((len(p), len(r))).T, np.eye(len(p))  # each column in one piece
     for _ in range(iterations):
         known = set()
         for i, column in () if exact is None else exact(p):
             J[:, i] = column
             known.add(i)
         _differences(residual, r, p, steps, known, rough, J)
-        norms = np.sqrt(np.einsum("ij,ij->j", J, J))
+        H = J.T @ J
+        norms = np.sqrt(H.diagonal())
         idle = norms * scales <= IDLE * np.sqrt(cost)
-        J[:, idle], norms[idle] = 0.0, 1.0
-        Js = J / norms
-        H, g = Js.T @ Js, Js.T @ r
+        if idle.any():
+            J[:, idle], H[idle], H[:, idle], norms[idle] = 0.0, 0.0, 0.0, 1.0
+        H, g = H / norms / norms[:, None], J.T @ r / norms
         improved, left = False, [TRIES, SHORTER]
         while min(left) > 0:
             try:
-                delta = -np.linalg.solve(H + damping * np.eye(len(p)), g) / norms
+                delta = -np.linalg.solve(H + damping * unit, g) / norms
             except np.linalg.LinAlgError:
                 damping *= 10
                 left[0] -= 1
                 continue
             q = p + delta
             rq = residual(q)
-            if rq is not None and _finite(rq):
+            if rq is not None and finite(rq):
                 with np.errstate(over="ignore"):
                     new = float(rq @ rq)
                 if new < cost:
@@ -263,7 +264,7 @@ def _rounded_deviance(y: Array, simulated: Array, step: float, sigma: float) -> 
 def _errors(channel: Channel, structure: Structure, noise: Array, q: Array) -> Array | None:
     """One-step-ahead errors (N,) of the simulated output, 0 where a sample does not count; None where it does not stay finite."""
     y = simulate(structure, q, channel.u, channel.clock)
-    return _innovation(np.where(channel.keep, channel.y - y, 0.0), noise) if _finite(y) else None
+    return _innovation(np.where(channel.keep, channel.y - y, 0.0), noise) if finite(y) else None
 
 
 def _steps(structure: Structure, scales: Array) -> Array:
@@ -340,7 +341,7 @@ def _fit_rounded(
 
     def likelihood(q: Array) -> Array | None:
         y = simulate(structure, q, channel.u, channel.clock)
-        if not _finite(y):
+        if not finite(y):
             return None
         return np.where(keep, _deviance_residual(channel.y, y, channel.step, sigma), 0.0)
 
@@ -354,7 +355,7 @@ def _fit_rounded(
     r = np.where(keep, channel.y - simulate(structure, p, channel.u, channel.clock), 0.0)
     deviance, variance = deviance_here()
     J, e = (
-        np.zeros((len(channel), len(p))),
+        np.zeros((len(p), len(channel))).T,
         np.where(keep, _expected(r, np.zeros(len(r)), channel.step, np.sqrt(variance)), 0.0),
     )
     _differences(partial(_errors, channel, structure, np.zeros(0)), r, p, steps, set(), None, J)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.recursion_kernels import rational
+from estimators.diagnosis.model.transfer_kernels import rational
 from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
@@ -44,7 +44,7 @@ def between_samples(U: Array, b: Array, f: Array, delay: int, by: int) -> Array 
     out = np.zeros((len(U), by))
     for j in range(U.shape[1]):
         u = delayed(U[:, j : j + 1], [delay])[:, 0]
-        w = rational(np.ascontiguousarray(u[:, None]), np.ones((1, 1)), f, 0)
+        w = rational(np.ascontiguousarray(u[:, None]), np.ones((1, 1)), f, 0, np.zeros(0))
         X = delayed(w[:, None], range(n))
         c = np.concatenate((b[j], np.zeros(n - taps)))
         rows = c @ powers

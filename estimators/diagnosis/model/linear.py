@@ -12,10 +12,11 @@ from scipy.signal import lfilter
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Slot
 from estimators.diagnosis.model.derivatives import exact_columns
-from estimators.diagnosis.model.fitting import Channel, Fit, fit
+from estimators.diagnosis.model.fitting import Channel, Fit, finite, fit
 from estimators.diagnosis.model.layouts import LAYOUTS, states
 from estimators.diagnosis.model.simulation import free_responses, simulate
 from estimators.diagnosis.model.structure import Structure, stable_polynomial
+from estimators.residual.algebra import least_squares
 
 Array = NDArray[Any]
 
@@ -39,14 +40,14 @@ def _lagged(y: Array, U: Array, n: int, taps: int, delay: int) -> Array:
     columns = _late(-y, range(1, n + 1))
     for x in U.T:
         columns += _late(x, range(1 + delay, taps + delay + 1))
-    return np.stack(columns, axis=1)
+    return np.array(columns).T
 
 
 def _regression(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> Array:
     X = _lagged(y, U, n, taps, delay)
     rows = keep.copy()
     rows[:n] = False
-    return np.linalg.lstsq(X[rows], y[rows], rcond=None)[0]
+    return least_squares(X[rows], y[rows])
 
 
 def prefiltered_error(y: Array, U: Array, den: Array, s: Structure, rows: NDArray[np.bool_]) -> float:
@@ -57,16 +58,22 @@ def prefiltered_error(y: Array, U: Array, den: Array, s: Structure, rows: NDArra
     v = np.asarray(lfilter([1.0], den, y))
     W = np.asarray(lfilter([1.0], den, U, axis=0))
     X = _lagged(v, W, s.order, s.taps, s.delay)[rows]
-    rest = v[rows] - X @ np.linalg.lstsq(X, v[rows], rcond=None)[0]
+    rest = v[rows] - X @ least_squares(X, v[rows])
     return float(rest @ rest)
+
+
+NEAREST = 0.998
+"""Radius from which on a pole counts as unstable: it rings through a record."""
 
 
 def _reflected(f: Array) -> Array:
     """The polynomial with its unstable roots moved inside the circle."""
+    if stable_polynomial(f / NEAREST ** np.arange(1, len(f) + 1), 1.0):
+        return f
     roots = np.roots(np.concatenate(([1.0], f)))
     size = np.abs(roots)
     roots = np.where(
-        size >= 0.998, roots / np.maximum(size, 1e-9) * np.minimum(0.995, 1 / np.maximum(size, 1e-9)), roots
+        size >= NEAREST, roots / np.maximum(size, 1e-9) * np.minimum(0.995, 1 / np.maximum(size, 1e-9)), roots
     )
     return np.real(np.poly(roots))[1:]
 
@@ -77,7 +84,7 @@ def numerators(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Array)
     Shapes: y (N,), U (N, nu), keep (N,), returns (nu * taps,).
     """
     X = _lagged(y, np.asarray(lfilter([1.0], np.concatenate(([1.0], f)), U, axis=0)), 0, taps, delay)
-    return np.linalg.lstsq(X[keep], y[keep], rcond=None)[0]
+    return least_squares(X[keep], y[keep])
 
 
 def _starts(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> list[Array]:
@@ -136,20 +143,15 @@ def relinearised(channel: Channel, s: Structure, p: Array) -> Array | None:
     if s.layout == "tanks" or any(q.effect.slot in (Slot.OUTPUT, Slot.PATH) for q in s.parts):
         return None
     head = s.order if s.layout == "tf" else LAYOUTS[s.layout][1]
-    columns = {i: d for i, d in exact_columns(s, p, channel.u, channel.clock) if head <= i < s.plant_size}
-    for part, sl in zip(s.parts, s.slices(), strict=True):
-        if part.effect is OFFSET:
-            columns[sl.start] = np.ones(len(channel))
-        elif part.effect.slot is Slot.START and s.layout == "tf":
-            columns |= dict(enumerate(free_responses(s, p, len(channel)).T, sl.start))
+    columns = {i: d for i, d in exact_columns(s, p, channel.u, channel.clock) if i >= head}
     if not columns:
         return None
-    at, X = list(columns), np.stack(list(columns.values()), axis=1)
+    at, X = list(columns), np.array(list(columns.values())).T
     rest = channel.y - simulate(s, p, channel.u, channel.clock)
-    if not (np.all(np.isfinite(rest)) and np.all(np.isfinite(X))):
+    if not (finite(rest) and np.all(np.isfinite(X))):
         return None
     q = p.copy()
-    q[at] += np.linalg.lstsq(X[channel.keep], rest[channel.keep], rcond=1e-10)[0]
+    q[at] += least_squares(X[channel.keep], rest[channel.keep], 1e-10)
     return q
 
 

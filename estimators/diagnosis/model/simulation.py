@@ -32,6 +32,8 @@ SETTLE = 2000
 FINE = 8
 """Values per sample that a play at the output follows: leaves 0.1 % of the output at 0.6 rad per sample."""
 
+NO_START = np.zeros(0)
+
 # states of the last models: derivatives by the output map or by effects at the output move none of them
 _recent: deque[tuple[tuple[Any, ...], Array]] = deque(maxlen=8)
 
@@ -41,10 +43,7 @@ def _plant(s: Structure, p: Array, U: Array, clock: Clock, rest: bool, start: Ar
         f = p[: s.order]
         if not stable_polynomial(f):
             return None
-        from estimators.diagnosis.effects.recursion_kernels import rational
-
-        b = p[s.order : s.plant_size].reshape(len(s.inputs), s.taps)
-        return rational(np.ascontiguousarray(U), np.ascontiguousarray(b), f, s.delay)
+        return transferred(s, p, U, rest)
     if s.layout == "tanks":
         from estimators.diagnosis.effects.recursion_kernels import tank_levels
 
@@ -55,6 +54,15 @@ def _plant(s: Structure, p: Array, U: Array, clock: Clock, rest: bool, start: Ar
     X = plant_states(s, p, U, clock, rest=rest, start=start)
     head = LAYOUTS[s.layout][1]
     return None if X is None else X @ p[head : head + s.order]
+
+
+def transferred(s: Structure, p: Array, U: Array, rest: bool = False) -> Array:
+    """Output (N,) of the transfer functions for what enters them, with the initial state of their structure unless at `rest`."""
+    from estimators.diagnosis.model.transfer_kernels import rational
+
+    b = p[s.order : s.plant_size].reshape(len(s.inputs), s.taps)
+    begins = NO_START if rest or s.begins is None else p[s.begins]
+    return rational(np.ascontiguousarray(U), np.ascontiguousarray(b), p[: s.order], s.delay, begins)
 
 
 def plant_states(
@@ -130,19 +138,18 @@ def acted(s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False)
     """
     n = len(u)
     U = u[:, list(s.inputs)]  # a copy
-    for part, sl in zip(s.parts, s.slices(), strict=True):
+    for part, sl in s.placed[0]:
         if part.effect.timed and not rest and not _within(p[sl][-1], n):
             return None
-        if part.effect.slot is Slot.INPUT:
-            j, read = s.inputs.index(part.channel), part.effect.signal
-            U[:, j] = (
-                part.apply(U[:, j], p[sl], clock) if read is None else read(u, part.channel, p[sl], clock)
-            )
-        elif part.effect.slot in (Slot.PLANT, Slot.FORM) and part.first:
-            j = s.inputs.index(part.channel)
-            U[:, j] = part.blocked(U[:, j], p[sl])
-        else:
+        if not part.enters:
             continue
+        j, read = s.inputs.index(part.channel), part.effect.signal
+        if part.effect.slot is not Slot.INPUT:
+            U[:, j] = part.blocked(U[:, j], p[sl])
+        elif read is None:
+            U[:, j] = part.apply(U[:, j], p[sl], clock)
+        else:
+            U[:, j] = read(u, part.channel, p[sl], clock)
         if not math.isfinite(U[-1, j]):
             return None
     return U
@@ -163,7 +170,7 @@ def simulate(
         clock = Clock(
             np.concatenate((np.full(settle, clock.k[0]), clock.k)), clock.length, settle + clock.lead
         )
-    if any(part.effect.ahead for part in s.parts):
+    if s.ahead:
         u = np.concatenate((u, np.repeat(u[-1:], AHEAD, axis=0)))
         clock = Clock(
             np.concatenate((clock.k, clock.k[-1] + 1.0 + np.arange(AHEAD))), clock.length, clock.lead
@@ -171,35 +178,28 @@ def simulate(
     U = acted(s, p, u, clock, rest=rest)
     if U is None:
         return np.full(n, np.inf)
-    slices = s.slices()
     y = _plant(s, p, U, clock, rest, start)
     if y is None:
         return np.full(n, np.inf)
-    for part, sl in zip(s.parts, slices, strict=True):
-        if part.effect.slot is Slot.PATH and part.effect.apply is not None:
+    _, beside, after = s.placed
+    for part, sl in beside:
+        if part.effect.apply is not None:
             y = y + part.apply(u[:, part.channel], p[sl], clock)
-        elif part.effect.slot is Slot.PATH and part.effect.signal is not None:
+        elif part.effect.signal is not None:
             y = y + part.effect.signal(u, part.channel, p[sl], clock)
-        elif part.effect.slot is Slot.PATH:
+        else:
             half = part.count(s.order) // 2
             b, f = p[sl][:half], p[sl][half:]
             if not stable_polynomial(f):
                 return np.full(n, np.inf)
             lead = np.zeros(1 + s.delay)
             y = y + lfilter(np.concatenate((lead, b)), np.concatenate(([1.0], f)), u[:, part.channel])
-        elif part.effect.slot is Slot.START and not rest and s.layout == "tf":
-            impulse = np.zeros(len(y))
-            impulse[: s.order] = p[sl]
-            y = y + lfilter([1.0], np.concatenate(([1.0], p[: s.order])), impulse)
-    first = True  # of the effects at the output
-    for slot in (Slot.OUTPUT, Slot.ADDED):
-        for part, sl in zip(s.parts, slices, strict=True):
-            if part.effect.slot is slot:
-                played = _played(s, p, U, p[sl]) if first and part.effect.between else None
-                if part.effect.signal is not None:
-                    played = part.effect.signal(np.column_stack((u, y)), u.shape[1], p[sl], clock)
-                y = part.apply(y, p[sl], clock) if played is None else played
-                first = False
+    for k, (part, sl) in enumerate(after):
+        if part.effect.signal is not None:
+            y = part.effect.signal(np.column_stack((u, y)), u.shape[1], p[sl], clock)
+            continue
+        played = _played(s, p, U, p[sl]) if part.effect.between and not k else None
+        y = part.apply(y, p[sl], clock) if played is None else played
     return y[settle : settle + n]
 
 

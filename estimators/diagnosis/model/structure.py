@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.effect import Clock, Effect, level_before, numbered
+from estimators.diagnosis.effects.effect import Clock, Effect, Slot, level_before, numbered
 from estimators.diagnosis.model.layouts import LAYOUTS, STEPS
 
 Array = NDArray[Any]
@@ -53,6 +53,12 @@ class Part:
     def own(self) -> int:
         """Where the effect's own parameters start, after those of the block."""
         return self.first * (2 if self.free else 1)
+
+    @property
+    def enters(self) -> bool:
+        """Whether it, or the linear block before it, acts on an input."""
+        slot = self.effect.slot
+        return slot is Slot.INPUT or (self.first > 0 and slot in (Slot.PLANT, Slot.FORM))
 
     def parameters(self, order: int) -> list[tuple[str, str]]:
         """Names and units in the order of the parameter vector, given the order of the linear part."""
@@ -111,7 +117,7 @@ class Structure:
         if self.taps == 0:
             object.__setattr__(self, "taps", self.order)
 
-    @property
+    @cached_property
     def plant_size(self) -> int:
         """Number of parameters of the linear part."""
         if self.layout == "tf":
@@ -141,6 +147,27 @@ class Structure:
             out.append(slice(start, start + part.count(self.order)))
             start = out[-1].stop
         return out
+
+    @cached_property
+    def placed(self) -> tuple[tuple[tuple[Part, slice], ...], ...]:
+        """The parts with their parameters, by where they act on the way of a signal: before the linear part, beside it, and after it, the
+        sum's curves before what is added."""
+        every = list(zip(self.parts, self._slices, strict=True))
+        before = [x for x in every if x[0].effect.timed or x[0].enters]
+        beside = [x for x in every if x[0].effect.slot is Slot.PATH]
+        after = [x for slot in (Slot.OUTPUT, Slot.ADDED) for x in every if x[0].effect.slot is slot]
+        return tuple(before), tuple(beside), tuple(after)
+
+    @cached_property
+    def begins(self) -> slice | None:
+        """Where the initial state stands in the vector; None where it is zero."""
+        every = zip(self.parts, self._slices, strict=True)
+        return next((sl for part, sl in every if part.effect.slot is Slot.START), None)
+
+    @cached_property
+    def ahead(self) -> bool:
+        """Whether a part reads the output beyond the end of a record."""
+        return any(part.effect.ahead for part in self.parts)
 
     def keeping(self, wanted: Sequence[bool]) -> tuple[Structure, NDArray[np.int_]]:
         """The structure with some of its parts only."""

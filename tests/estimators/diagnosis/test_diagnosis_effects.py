@@ -13,7 +13,6 @@ from estimators.diagnosis.effects.recursion_kernels import (
     hinges,
     play,
     rate_limited,
-    rational,
     servo_mean,
 )
 from estimators.diagnosis.effects.symbols import terms
@@ -25,6 +24,7 @@ from estimators.diagnosis.model.layouts import Inside, layout_matrices, states
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.model.transfer_kernels import rational
 from estimators.diagnosis.search.candidates import Menu, augmented
 
 CURVES = {
@@ -226,7 +226,7 @@ def test_rational_agrees_with_lfilter():
     rng = np.random.default_rng(7)
     u, b, f = rng.standard_normal((200, 2)), np.array([[0.5, 0.2], [0.1, -0.3]]), np.array([-1.5, 0.7])
     expected = sum(lfilter([0.0, 0.0, *b[j]], [1.0, *f], u[:, j]) for j in range(2))
-    np.testing.assert_allclose(rational(u, b, f, 1), expected, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(rational(u, b, f, 1, np.zeros(0)), expected, rtol=1e-9, atol=1e-11)
 
 
 @pytest.mark.parametrize("key", ["input_lines", "output_lines"])
