@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +37,24 @@ def noise_filter(residuals: Parts, most: int | None = None) -> NDArray[np.float6
 
 
 SETTLED = 1e-6
-"""Correction of a solution by its own residual, of the solution, up to which normal equations bear the least squares: the next
-correction would be the square of it."""
+"""Correction of a solution by its own residual, of the solution, up to which a root of the matrix bears it: the next correction
+would be the square of it."""
+
+
+def _corrected(H: NDArray, first: NDArray, left: Callable[[NDArray], NDArray]) -> NDArray | None:
+    """Solution c of H c = `first` by a Cholesky root, corrected once by what it leaves; None where the root does not bear it."""
+    root, failed = dpotrf(H)
+    if failed:
+        return None
+    c, _ = dpotrs(root, first)
+    more, _ = dpotrs(root, left(c))
+    return c + more if more @ more <= SETTLED**2 * (c @ c) else None
+
+
+def definite(A: NDArray, b: NDArray, rcond: float) -> NDArray:
+    """Solution (n,) of a positive definite system A (n, n); where rounding leaves it none, of least squares (`rcond` as there)."""
+    c = _corrected(A, b, lambda c: b - A @ c)
+    return np.linalg.lstsq(A, b, rcond=rcond)[0] if c is None else c
 
 
 def least_squares(X: NDArray, y: NDArray, rcond: float | None = None) -> NDArray:
@@ -47,12 +63,10 @@ def least_squares(X: NDArray, y: NDArray, rcond: float | None = None) -> NDArray
     H = X.T @ X
     size = np.sqrt(H.diagonal())
     if len(X) >= len(H) and size.min(initial=np.inf) > 0.0 and size.max(initial=0.0) < np.inf:
-        root, failed = dpotrf(H / size / size[:, None])
-        if not failed:
-            c, _ = dpotrs(root, (X.T @ y) / size)
-            more, _ = dpotrs(root, (X.T @ (y - X @ (c / size))) / size)
-            if more @ more <= SETTLED**2 * (c @ c):
-                return (c + more) / size
+        left = lambda c: (X.T @ (y - X @ (c / size))) / size
+        c = _corrected(H / size / size[:, None], (X.T @ y) / size, left)
+        if c is not None:
+            return c / size
     return np.linalg.lstsq(X, y, rcond=rcond)[0]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -85,9 +86,8 @@ def tried(
     The run begins where the record begins, as on a test record: a state set just before each block would let a slow
     pole that no input drives stand for a level or a drift.
     """
-    if any(model.radius > 1.0 for model in candidate.models) or _rings(
-        candidate.models[-1], max(blocks.lengths)
-    ):
+    longest = max(blocks.lengths)
+    if not all(model.bounded for model in candidate.models) or _rings(candidate.models[-1], longest):
         return None
     unused = [np.full(n, np.nan) for n in blocks.lengths]
     prior = replace(prior, noise=max(prior.noise, candidate.noise))
@@ -161,11 +161,20 @@ def jackknife(estimates: Array) -> Array:
 def batch_squares(unused: Sequence[Array], records: Sequence[Record], output: int, blocks: Blocks) -> Array:
     """Mean squares of measured minus simulated output over each batch of each block that has a sample."""
     out = []
-    for b in blocks.batches(BATCHES):
-        e = records[b.record].y[b.start : b.stop, output] - unused[b.record][b.start : b.stop]
-        if (seen := np.isfinite(records[b.record].y[b.start : b.stop, output])).any():
-            out.append(np.mean(e[seen] ** 2))
-    return np.array(out)
+    for record, run, (*starts, stop) in zip(records, unused, _edges(blocks), strict=True):
+        y = record.y[:stop, output]
+        seen = np.isfinite(y)
+        e = np.where(seen, y - run[:stop], 0.0)
+        count = np.add.reduceat(seen, starts, dtype=float)
+        out.append(np.add.reduceat(e * e, starts)[count > 0.0] / count[count > 0.0])
+    return np.concatenate(out)
+
+
+@lru_cache(maxsize=8)
+def _edges(blocks: Blocks) -> tuple[tuple[int, ...], ...]:
+    """Where the batches of each record begin, one after the other, and where the last ends."""
+    batches = [[b for b in blocks.batches(BATCHES) if b.record == k] for k in range(len(blocks.lengths))]
+    return tuple((*(b.start for b in of), of[-1].stop) for of in batches)
 
 
 def simplest(trials: Iterable[Trial]) -> Trial:

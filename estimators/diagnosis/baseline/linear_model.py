@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
+from estimators.residual.algebra import definite
+
 Array = NDArray[Any]
 
 REST = 1e-6
@@ -78,6 +80,13 @@ class LinearModel:
         """(n,) poles in the z plane."""
         return np.roots(self.den).astype(complex)
 
+    @property
+    def bounded(self) -> bool:
+        """Whether no pole is outside the circle."""
+        from estimators.diagnosis.baseline.linear_kernels import stable
+
+        return stable(self.den) or self.radius <= 1.0
+
     @cached_property
     def radius(self) -> float:
         """Largest magnitude of a pole."""
@@ -99,21 +108,19 @@ class LinearModel:
         gain = float(self.den.sum())
         return float(self.num.sum(axis=1) @ u + self.constant) / gain if gain else np.inf
 
-    @cached_property
-    def _memory(self) -> Array:
-        """(n, n): past outputs y(-1), ..., y(-n) to the state of the filter 1/A."""
-        n, a = self.order, self.den[1:]
-        return -np.array([np.concatenate((a[m:], np.zeros(m))) for m in range(n)]).reshape(n, n)
-
     def run(self, driven: Array, past: Array) -> Array:
         """(N,) free run after the outputs `past` = y(-1), ..., y(-n)."""
+        from estimators.diagnosis.baseline.linear_kernels import continued
+
         if not self.order:
             return driven
-        return np.asarray(lfilter([1.0], self.den, driven, zi=self._memory @ past)[0])
+        return continued(driven, self.den[1:], np.ascontiguousarray(past)[:, None])[:, 0]
 
     def free(self, length: int) -> Array:
         """(length, n) what each of the outputs y(-1), ..., y(-n) leaves in the free run."""
-        return np.asarray(lfilter([1.0], self.den, np.zeros((self.order, length)), zi=self._memory.T)[0]).T
+        from estimators.diagnosis.baseline.linear_kernels import continued
+
+        return continued(np.zeros(length), self.den[1:], np.eye(self.order))
 
     def _before(self, prior: Prior, u: Array, y: Array) -> tuple[float, Array]:
         """Mean and covariance (n, n) of the outputs before the first sample."""
@@ -155,7 +162,7 @@ class LinearModel:
             lead = np.concatenate((np.eye(n)[::-1], self.free(w)))
             spread = lead @ cov @ lead.T
             inner = spread[np.ix_(seen, seen)] + prior.noise * np.eye(len(seen))  # pyright: ignore[reportCallIssue]
-            ahead += spread[:, seen] @ np.linalg.lstsq(inner, y[seen - n] - ahead[seen], rcond=1e-13)[0]
+            ahead += spread[:, seen] @ definite(inner, y[seen - n] - ahead[seen], 1e-13)
         return np.concatenate((ahead[n:], self.run(driven[w:], ahead[w:][::-1])))
 
     def unset(self, prior: Prior, noise: float, length: int, window: int) -> float:

@@ -161,7 +161,9 @@ def steered_loop(signal, p, start, which):  # pragma: no cover - compiled
     pace, proportional, integral, lag = p[0], p[1], p[2], max(p[5], 1e-9)
     still = np.exp(-pace * h)
     stays = np.exp(-h / max(p[6], 1e-9))
-    near = np.exp(-h / lag)  # where no part of a step is at the full rate; where all of it is, nothing is left to near
+    near = np.exp(
+        -h / lag
+    )  # where no part of a step is at the full rate; where all of it is, nothing is left to near
     for k in range(signal.shape[0]):
         for _ in range(WITHIN):
             e = signal[k] - x

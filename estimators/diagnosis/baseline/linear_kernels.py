@@ -1,0 +1,37 @@
+"""Compiled recursions of a linear model: its run on from past outputs, and whether its poles are inside the circle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimators.diagnosis.effects.recursion_kernels import compiled
+
+
+@compiled
+def continued(driven, a, past):  # pragma: no cover - compiled
+    """Runs (N, m) of y(k) = driven(k) - a1 y(k-1) - ..., a without its leading 1, each after a column of past (n, m): y(-1), y(-2), ..."""
+    length = driven.shape[0]
+    n = a.shape[0]
+    runs = past.shape[1]
+    y = np.empty((length, runs))
+    for k in range(length):
+        for j in range(runs):
+            total = driven[k]
+            for i in range(n):
+                total -= a[i] * (y[k - 1 - i, j] if i < k else past[i - k, j])
+            y[k, j] = total
+    return y
+
+
+@compiled
+def stable(den):  # pragma: no cover - compiled
+    """Whether all roots of a polynomial with leading 1 are inside the circle, by Schur and Cohn."""
+    a = den.copy()
+    for m in range(a.shape[0] - 1, 0, -1):
+        k = a[m]
+        if not abs(k) < 1.0:
+            return False
+        b = a[: m + 1][::-1].copy()
+        for i in range(m):
+            a[i] = (a[i] - k * b[i]) / (1.0 - k * k)
+    return True
