@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
 from estimators.diagnosis.effects.input import after
+from estimators.diagnosis.effects.profiled import kept
 
 Array = NDArray[Any]
 SWEEPS = 121  # rates of change of a frequency that are tried, up to half the sampling rate over the record
@@ -20,8 +21,13 @@ TONE = {"frequency": "rad/sample", "cosine": "y", "sine": "y"}
 def _tones(y: Array, p: Array, clock: Clock) -> Array:
     total = np.zeros(len(clock.k))
     for w, a, b in p.reshape(-1, 3):
-        total += a * np.cos(w * clock.k) + b * np.sin(w * clock.k)
+        cosine, sine = kept(_turned, clock.k, np.array([w]))
+        total += a * cosine + b * sine
     return y + total
+
+
+def _turned(k: Array, p: Array) -> Array:
+    return np.stack((np.cos(p[0] * k), np.sin(p[0] * k)))
 
 
 def _highest_peaks(channel: Any, base: Any, count: int) -> tuple[Array, Array] | None:
