@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
-from estimators.diagnosis.effects.input import after
-from estimators.diagnosis.effects.profiled import kept
+from estimators.diagnosis.effects.input import after, kept
 
 Array = NDArray[Any]
 SWEEPS = 121  # rates of change of a frequency that are tried, up to half the sampling rate over the record

@@ -170,8 +170,7 @@ class Sizes:
 
 def level_before(u: Array) -> float:
     """The input before a record began: its first value where the signal stands on a level, zero where it swings about zero."""
-    mean = float(np.add.reduce(u)) / len(u)
-    power = float(np.dot(u, u)) / len(u)
+    mean, power = np.add.reduce(u) / len(u), np.dot(u, u) / len(u)
     return float(u[0]) if mean * mean > OPERATING**2 * (power - mean * mean) else 0.0
 
 
@@ -374,9 +373,8 @@ class Effect:
             at = (x, still) if self.against == "position" else (still, x)
             value = self.force(*at, still, still, still, q)
             return x + value if self.against == "position" else value
-        return (
-            self.apply(x, q, Clock(np.zeros_like(x), 1)) if self.static and self.apply is not None else None
-        )
+        static = self.apply if self.static else None
+        return None if static is None else static(x, q, Clock(np.zeros_like(x), 1))
 
 
 def _needs(e: Effect) -> list[tuple[bool, str]]:

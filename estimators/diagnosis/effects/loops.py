@@ -15,17 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
+from estimators.diagnosis.effects.input import kept
 from estimators.diagnosis.effects.output import mended
-from estimators.diagnosis.effects.profiled import (
-    BEGUN,
-    CROSSED,
-    ended,
-    entering,
-    firm,
-    kept,
-    profile,
-    quick_behind,
-)
+from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, entering, firm, profile, quick_behind
 
 Array = NDArray[Any]
 PACES = (0.5, 1.0, 2.0, 4.0)

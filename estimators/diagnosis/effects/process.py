@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
+from estimators.diagnosis.effects.input import kept
 from estimators.diagnosis.effects.loops import PACES, slowest_rate
-from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, kept, profile, quick_behind
+from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, profile, quick_behind
 
 Array = NDArray[Any]
 FASTEST = 5.0  # rate per sample above which a process is no different from none

@@ -6,8 +6,7 @@ of a grid has the linear part made anew before the shapes are compared.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +18,6 @@ from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, lev
 from estimators.diagnosis.effects.input import after
 
 Array = NDArray[Any]
-_recent: deque[tuple[tuple[Any, ...], Array]] = deque(maxlen=8)
 FIRM = 60.0
 """Likelihood ratio of the best shape of a grid, against the linear model, below which nothing is fitted: chance over some
 hundred shapes of three parameters reaches 25 in white noise, twice that in a coloured one."""
@@ -68,17 +66,6 @@ def _swaying(x: Any, p: Array, clock: Clock) -> Any:
     if not LEAST_TURNS <= abs(p[0]) * clock.length / (2.0 * np.pi) <= 0.5 * clock.length:
         return 0.0 * x + np.inf
     return x * (1.0 + p[1] * np.cos(p[0] * clock.k) + p[2] * np.sin(p[0] * clock.k))
-
-
-def kept(run: Callable[[Array, Array], Array], x: Array, p: Array, mark: Any = None) -> Array:
-    """A recursion's run over a signal (N,), kept as long as only the linear part behind it changes; `mark` tells it from others
-    where the function does not."""
-    key = (run if mark is None else mark, p.tobytes(), x.tobytes())
-    known = next((out for mark, out in tuple(_recent) if mark == key), None)
-    if known is None:
-        known = run(np.ascontiguousarray(x), p)
-        _recent.append((key, known))
-    return known
 
 
 def profile(

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import lfilter, lfiltic
 
 from estimators.diagnosis.baseline import Options, best_linear, blocks_of
 from estimators.diagnosis.baseline.choice import Candidate
 from estimators.diagnosis.baseline.disturbances import noise_model, tones
+from estimators.diagnosis.baseline.linear_kernels import continued, stable
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.regression import Arx
 from oed.data import Record
@@ -375,3 +376,18 @@ def test_two_light_modes_beside_each_other_are_dynamics_and_no_tones():
     base = best_linear([Record(u, y + noise * rng.standard_normal(n))])
     assert not base.outputs[0].tones
     assert base.rmse_unused[0] < 1.3 * noise
+
+
+def test_runs_go_on_as_filters_do_and_stability_is_that_of_the_roots():
+    """The twins of `linear_kernels`: the filter 1/A from the state that past outputs leave, and the roots of A."""
+    rng = np.random.default_rng(5)
+    for order in (1, 2, 5):
+        den = plant(rng, order)[1]
+        driven, past = rng.standard_normal(50), rng.standard_normal((order, 3))
+        runs = continued(driven, den[1:], past)
+        for run, before in zip(runs.T, past.T, strict=True):
+            own = lfilter([1.0], den, driven, zi=lfiltic([1.0], den, before))[0]
+            np.testing.assert_allclose(run, own, rtol=1e-10, atol=1e-10)
+        for radius in (0.9, 1.1):
+            scaled = den * (radius / np.abs(np.roots(den)).max()) ** np.arange(order + 1)
+            assert stable(scaled) == (radius < 1.0)
