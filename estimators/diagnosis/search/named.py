@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from estimators.diagnosis.baseline import Baseline
@@ -28,7 +29,7 @@ from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.result.answers import LinearAnswer, NamedAnswer
 from estimators.diagnosis.search.exchange import without
-from estimators.diagnosis.search.free_runs import blocked, lengthened, start_of
+from estimators.diagnosis.search.free_runs import blocked, denominator, lengthened, start_of
 from estimators.diagnosis.search.naming import BENT, as_shown, bending, scaled_runs
 from estimators.diagnosis.search.selection import Attribution
 from estimators.diagnosis.share.feedback import answered, autoregression, whitened
@@ -204,13 +205,14 @@ class Bench:
         never where an input answers the noise."""
         if self.feedback or self.inverse:
             return False
-        none, little, *_ = scaled_runs(f, self.channel)
-        near = lengthened(little - none, self.thin, len(self.train))
-        if not np.all(np.isfinite(near)):
-            return False
-        return (
-            FREE < self._inputs.beside([near]).news([self.unused(f)]) < np.inf
-        )  # else there are too few samples
+        c = self.channel
+        none, little, *_ = scaled_runs(f, c)  # what sticks at small inputs shows its poles by theirs alone
+        known = self._inputs
+        for signal in (little - none, *lfilter([1.0], denominator(f), c.u - c.u.mean(axis=0), axis=0).T):
+            if not np.all(np.isfinite(signal)):
+                return False
+            known = known.beside([lengthened(signal, self.thin, len(self.train))])
+        return FREE < known.news([self.unused(f)]) < np.inf  # else there are too few samples
 
     @cached_property
     def _answered(self) -> float:
