@@ -93,3 +93,32 @@ def test_plot_draws(figure, tmp_path, capfd):
     text = (tmp_path / "f.svg").read_text()
     assert text.count("<path") > 5
     assert main([*words[:-1], str(tmp_path / "f.bmp")]) == 2
+
+
+def test_several_structures_are_compared_as_a_table_and_a_figure(tmp_path, capfd):
+    from benchmarks.campaign.plants import hair_dryer_record
+    from oed import write_record
+
+    record = hair_dryer_record()
+    write_record(record[:300], str(tmp_path / "a.csv"))
+    write_record(record[300:600], str(tmp_path / "b.csv"))
+    words = [
+        "plot",
+        str(tmp_path / "a.csv"),
+        "--structure",
+        "oe",
+        "arx",
+        "--delay",
+        "3",
+        "--figure",
+        "compare",
+    ]
+    words += ["--test", str(tmp_path / "b.csv"), "--out", str(tmp_path / "f.svg")]
+    assert main([*words, "--json"]) == 0
+    rows = json.loads(capfd.readouterr().out)["rows"]
+    assert {row["model"] for row in rows} == {"oe", "arx"}
+    assert rows[0]["simulation_rmse"] <= rows[1]["simulation_rmse"]
+    assert main(words) == 0
+    assert "one-step fit %" in capfd.readouterr().out
+    assert main([*words, "--orders", "2", "2"]) == 2
+    assert "several are for --figure compare" in capfd.readouterr().err

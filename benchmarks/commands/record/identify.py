@@ -68,6 +68,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     """Identify a model."""
     from estimators.pem import identify
     from estimators.pem.results import needed
+    from estimators.residual.comparison import errors_on
     from estimators.residual.tests import residual_tests
     from estimators.stages import stage
     from oed.files.writing import new_folder
@@ -83,7 +84,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         "max_iterations": args.iterations,
     }
     stage("the fit")
-    orders, delay = asked(args)
+    orders, delay = asked(args, args.structure)
     fit = identify(records, args.structure, orders, delay, **options)
     if "auto" in (orders, delay):
         orders, delay = _found(fit.model.structure)
@@ -104,7 +105,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
 
         payload["hinf_frequency_hz"] = payload["hinf_frequency"] / (2 * np.pi * records[0].dt)
     if fresh is not None:
-        payload["test"] = _fresh(fit, fresh, args.skip)
+        payload["test"] = errors_on(fit, fresh, skip=args.skip) | {"skipped": args.skip}
         if not args.skip and fit.initial != "zero":
             notes.append(
                 "--test is simulated from rest; with --skip 20 its first 20 samples set the state and are not judged."
@@ -218,9 +219,9 @@ def order(text: str) -> int | str:
     return text if text == "auto" else int(text)
 
 
-def asked(args: argparse.Namespace) -> tuple[Any, Any]:
-    """Orders and delay as `identify` takes them."""
-    orders = args.orders or DEFAULTS[args.structure]
+def asked(args: argparse.Namespace, structure: str) -> tuple[Any, Any]:
+    """Orders and delay of a structure as `identify` takes them."""
+    orders = args.orders or DEFAULTS[structure]
     return "auto" if "auto" in orders else orders, "auto" if args.delay == "auto" else _whole(args.delay)
 
 
@@ -238,27 +239,6 @@ def _whole(text: str) -> int:
         return int(text)
     except ValueError:
         raise InputError(f"--delay is {text!r}; give a whole number of samples, or auto.") from None
-
-
-def _fresh(fit, record, skip: int) -> dict:
-    """Errors on a record that was not fitted: simulated, and one step ahead; the first samples left out."""
-    import numpy as np
-
-    from estimators.residual.measures import fit_percent
-    from oed.errors import InputError
-
-    if not 0 <= skip < len(record):
-        raise InputError(f"--skip {skip} of {len(record)} test samples; leave some to judge by.")
-    window = 0 if fit.initial == "zero" else skip
-    simulated = fit.simulate_record(record, window=window)[skip:]
-    e = fit.residuals_of(record, initial="estimate")[skip:]
-    y = record.y[skip:]
-    return {
-        "simulation_rmse": float(np.sqrt(np.nanmean((y - simulated) ** 2))),
-        "simulation_fit_percent": fit_percent(y, simulated),
-        "prediction_rmse": float(np.sqrt(np.nanmean(e**2))),
-        "skipped": skip,
-    }
 
 
 def _write(folder, fit, records) -> str:

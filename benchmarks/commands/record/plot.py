@@ -15,7 +15,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     from benchmarks.commands.record.identify import DEFAULTS, order
 
     parser.add_argument("data", metavar="DATA", help="csv, mat, parquet or npz; FILE[a:b] takes rows")
-    parser.add_argument("--structure", choices=tuple(DEFAULTS), default="oe")
+    parser.add_argument(
+        "--structure",
+        nargs="+",
+        choices=tuple(DEFAULTS),
+        default=["oe"],
+        help="of --figure compare also several",
+    )
     parser.add_argument("--orders", nargs="+", type=order, metavar="n", help="as in oed identify, or auto")
     parser.add_argument("--delay", default="1", help="nk in samples, or auto (default 1)")
     parser.add_argument("--figure", choices=FIGURES, default="bode")
@@ -35,6 +41,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
 
     from benchmarks.commands.record.identify import asked
     from estimators.pem import identify
+    from estimators.residual.comparison import compare_models
     from estimators.stages import stage
     from oed.errors import InputError
     from oed.files import read_record
@@ -50,18 +57,26 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
             f"{args.data} is a model, and figures are of a model and its record; give the record, or open report.html beside the "
             "model: oed identify --out made it."
         )
+    if len(args.structure) > 1 and (args.figure != "compare" or args.orders not in (None, ["auto"])):
+        raise InputError(
+            f"--structure names {len(args.structure)} structures; several are for --figure compare, with --orders auto or none."
+        )
     reading = {"inputs": args.inputs, "outputs": args.outputs, "dt": args.dt}
     record = read_record(args.data, **reading)
     stage("the fit")
-    fit = identify(record, args.structure, *asked(args))
+    fits = {name: identify(record, name, *asked(args, name)) for name in args.structure}
+    plots = fits[args.structure[0]].plot
     stage("the figure")
-    plots = fit.plot
+    payload: dict = {"path": str(target)}
+    lines = [f"written to {target}"]
     if args.figure == "compare":
         fresh = read_record(args.test, **reading) if args.test else record
-        figure = plots.compare(fresh, window=args.skip)
+        compared = compare_models(fits, fresh, skip=args.skip)
+        payload["rows"], figure = compared.rows, compared.plot()
+        lines.insert(0, repr(compared))
     elif args.figure == "residuals":
         figure = plots.residuals(record)
     else:
         figure = {"bode": plots.bode, "poles": plots.poles, "step": plots.step}[args.figure]()
     write_figure(target, figure)
-    return {"path": str(target)}, f"written to {target}"
+    return payload, "\n".join(lines)
