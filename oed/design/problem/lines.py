@@ -26,6 +26,8 @@ ROUNDED = 1e5
 
 LAST_DIGITS = (1, -1, 2, -2)
 """Units in the last place by which frequencies are moved to see what rounding does."""
+DRAWS = 4
+"""Units in the last place, to either side, at which the prices are seen."""
 LOST = 0.01
 """Rounding of the coordinates over its worst case, condition times precision: .013 was seen where it is largest."""
 REGULAR = 1e-4
@@ -93,14 +95,18 @@ class Problem:
     def __init__(
         self, information: InformationMap, criterion: Criterion, budgets: tuple[Budget, ...],
         omega: NDArray[np.float64], bands: tuple[tuple[float, float], ...] = ((0.0, np.pi),),
+        amplitude: NDArray[np.complex128] | None = None,
     ) -> None:  # fmt: skip
+        """The unit of information is that of white noise, or of the lines omega with the amplitudes (K, nu)."""
         self.map, self.budgets, self.omega, self.bands = information, budgets, omega, bands
         self.band = np.searchsorted([low for low, _ in bands], omega, side="right")
         self.original = criterion
         D = information.factor(omega)
-        self.R = white_root(information, D)
+        told = D if amplitude is None else D @ (amplitude * np.sqrt(len(omega)))[:, None, :, None]
+        self.R = white_root(information, told)
         self.condition = float(np.linalg.cond(self.R / np.linalg.norm(self.R, axis=0)))
         self.finely = self.condition > ROUNDED
+        self.lost = LOST * self.condition * float(np.finfo(np.longdouble if self.finely else float).eps)
         self.criterion, self.scale = criterion.transformed(self.R, self.finely)
         half = solved_below(self.R, information.constant, self.finely)
         self.constant = solved_below(self.R, half.T, self.finely)
@@ -153,8 +159,15 @@ class Problem:
     def rounding(self, columns: Columns, w: NDArray[np.float64]) -> float:
         """How far rounding alone moves the loss, relative: seen at the last digits, and what the coordinates may have lost."""
         again = lambda omega: self.loss(self.columns(omega, columns.direction), w)
-        lost = LOST * self.condition * float(np.finfo(np.longdouble if self.finely else float).eps)
-        return max(lost, moved_by_rounding(self.loss(columns, w), again, columns.omega))
+        return max(self.lost, moved_by_rounding(self.loss(columns, w), again, columns.omega))
+
+    def uncertain_prices(
+        self, columns: Columns, X: NDArray[np.float64], nu: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Price of every column and what rounding does to it: mean and standard deviation over the last digits of its frequency."""
+        digits = np.arange(-DRAWS, DRAWS + 1) * np.finfo(float).eps
+        draws = [self.columns(columns.omega * (1 + k), columns.direction).prices(X, nu) for k in digits]
+        return np.mean(draws, axis=0), np.std(draws, axis=0)
 
     def scaled_factor(self, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
         """D in scaled coordinates: omega (K,) -> (K, n, r, nu)."""

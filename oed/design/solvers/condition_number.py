@@ -192,6 +192,14 @@ def _polished(
 ) -> list[tuple[_Lines, NDArray, NDArray, NDArray]]:
     """The same after Newton's method on the support and the eigenvectors of both eigenvalues; nothing where it fails."""
     problem = setting.problem
+    merged = at_clusters(problem, problem.columns(lines.omega, lines.direction), w, spent=0.0)
+    lines, w, _ = _explained(
+        setting.lines(merged.omega, merged.direction), setting.told(lines, w), float(w.sum())
+    )
+    # White noise may tell a billionth of what these lines do: in its coordinates the certificate is rounding.
+    problem = Problem(
+        problem.map, problem.original, problem.budgets, lines.omega, problem.bands, lines.direction * np.sqrt(w)[:, None],
+    )  # fmt: skip
     parts = []
     for Z in (Z_low, Z_high):
         values, vectors = np.linalg.eigh(Z)
@@ -199,10 +207,6 @@ def _polished(
         parts.append(problem.R @ setting.turn.T @ (vectors[:, own] * np.sqrt(values[own])))
     signs = np.repeat([1.0, -1.0], [part.shape[1] for part in parts])
     X = np.concatenate(parts, axis=1)
-    merged = at_clusters(problem, problem.columns(lines.omega, lines.direction), w, spent=0.0)
-    lines, w, _ = _explained(
-        setting.lines(merged.omega, merged.direction), setting.told(lines, w), float(w.sum())
-    )
     columns = problem.columns(lines.omega, lines.direction)
     used = (columns.q.T @ w).max()
     # Without a prior any power will do, and costs nothing.

@@ -29,13 +29,16 @@ STEPS = 15
 STRIDE = 0.3
 """Most that a line moves in a step, in units of the distance over which the plant changes."""
 DEPENDENT = 1e-11
-"""Combinations of unknowns that move the conditions by less than this share are left alone: phases and rotations."""
+"""Combinations of unknowns that move the conditions by less than this share are left alone: phases and rotations.
+Where a step gains nothing, so are those whose share is below that of what the conditions are off by: all that they show may be it."""
 HALVINGS = 6
 AT_EDGES = 3
 """Times that lines which Newton's method drove out of the band are put at its end."""
 BESIDE = 1e-5
 """Distance from an end of a band, in the same units, at which a line is put there: what it is worth is off by the square."""
 OUTSIDE = 1e-12
+LEAST = 1e-12
+"""Of the most of all lines: a line of nothing has no unit of its own."""
 SPENT = 1e-15
 ROUNDING = 1e-9
 """Norm of the conditions below which a step that gains no digit is the last: rounding is all that is left."""
@@ -76,6 +79,8 @@ class _System:
         self.problem, self.criterion, self.signs = problem, problem.criterion, signs
         self.reduced = self.criterion.smooth
         self.unit = problem.length_scale(columns.omega)
+        # There the error of the five points, 4 h^4 beside a pole at the distance of a unit, is that of rounding over h.
+        self.stride = (max(problem.lost, np.finfo(float).eps) / 4) ** 0.2
         edges = np.array(problem.bands).ravel()
         real = (columns.omega < 1e-12) | (columns.omega > np.pi - 1e-12)
         self.active = (nu > 1e-9 * nu.sum()) & (columns.q.T @ w > 1 - 1e-6)
@@ -96,6 +101,8 @@ class _System:
             if not told_by > 0:
                 raise np.linalg.LinAlgError("the information along the certificate is rounding")
             X = np.where(own, X / np.sqrt(told_by), X)
+        self.priced = bool((signs > 0).all())
+        self.turn = np.eye(0 if self.reduced else X.size) if self.priced else self._units_of(X)
         nu = np.where(self.active, nu, 0.0)
         self.start = _Point(
             columns.omega,
@@ -103,6 +110,17 @@ class _System:
             nu * (np.sum(X * self._signs_of(X) * (told @ X)) / max(nu.sum(), 1e-300)),
             X,
         )
+
+    def _units_of(self, X: NDArray) -> NDArray[np.float64]:
+        """Of modified E: units in which what is known and the loss tell as much of each part of X, for the largest eigenvalue's has a
+        curvature that is a condition number larger; X.ravel() is what is returned (n s, n s) times the unknowns."""
+        turn = np.zeros(2 * X.shape)
+        for k, sign in enumerate(self.signs):
+            V = self.criterion.columns
+            V = V / np.linalg.norm(V.T @ X[:, self.signs == sign])
+            values, vectors = np.linalg.eigh(np.eye(len(V)) + V @ V.T)
+            turn[:, k, :, k] = vectors / np.sqrt(values)
+        return turn.reshape(X.size, X.size)
 
     def _signs_of(self, X: NDArray) -> NDArray[np.float64]:
         return np.ones(X.shape[1]) if self.reduced else self.signs
@@ -116,7 +134,7 @@ class _System:
             point.omega + lines[:, 0] * self.unit,
             point.z + lines[:, 1:] * np.sqrt(point.power)[:, None],
             point.nu + nu,
-            point.X + X.reshape(point.X.shape) if self.sizeX else point.X,
+            point.X + (self.turn @ X).reshape(point.X.shape) if self.sizeX else point.X,
         )
 
     @property
@@ -125,8 +143,10 @@ class _System:
 
     def _expansion(self, omega: NDArray) -> tuple[list[NDArray], list[NDArray]]:
         """D, dD/dw, d2D/dw2 (m, n, r, q) and the same of the forms (m, J, q, q); frequencies in units."""
-        h = 1e-3
-        points = (omega[:, None] + h * self.unit[:, None] * _STENCIL).ravel()
+        # A power of two: the points are then exactly where they are taken to be, however narrow the resonance.
+        step = 2.0 ** np.floor(np.log2(self.stride * self.unit))
+        h = (step / self.unit)[:, None, None, None]
+        points = (omega[:, None] + step[:, None] * _STENCIL).ravel()
         out = []
         for values in (self.problem.scaled_factor(points), self.problem.forms_at(points)):
             rows = values.reshape(len(omega), 5, *values.shape[1:])
@@ -137,7 +157,8 @@ class _System:
     def conditions(
         self, point: _Point, derivatives: bool = True
     ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-        """Residual and Jacobian in the scaled unknowns that are free; the rows of a line over its power."""
+        """Residual and Jacobian in the scaled unknowns that are free; the rows of a line over its power or, where power has
+        no price, over what they could be: of 1e-17 of the power a line may still be worth as much as any."""
         z, nu, m = point.z, point.nu, len(point.omega)
         root = np.sqrt(point.power)
         (D0, D1, D2), (Q0, Q1, Q2) = self._expansion(point.omega)
@@ -158,11 +179,12 @@ class _System:
         JE = E * signs[:, None]
         slope = np.einsum("mjp,j->mp", steep, nu) - 2 * np.einsum("msr,mpsr->mp", JE, F)
         used = np.einsum("mjy,my->j", Qz[0], z)
-        weigh = np.repeat(1 / point.power, T.shape[1])
+        size = point.power if self.priced else np.sum(F**2, axis=(1, 2, 3))
+        weigh = np.repeat(1 / (size if self.priced else np.maximum(size, LEAST * size.max())), T.shape[1])
         parts = [slope.ravel() * weigh, (used - 1) * nu.sum()]
         rise, bend = (None, None) if self.reduced else _rise(self.criterion, X, signs, derivatives)
         if rise is not None:
-            parts.append((rise - 2 * M @ X * signs).ravel())
+            parts.append(self.turn.T @ (rise - 2 * M @ X * signs).ravel())
         residual = np.concatenate(parts)[self.free]
         if not derivatives:
             return residual, None
@@ -188,9 +210,9 @@ class _System:
         if self.reduced:
             H[lines, lines] += self.criterion.second(M, X, turned.reshape(m * p, *X.shape))
         else:
-            cross = -2 * (turned * signs).reshape(m * p, -1)
+            cross = -2 * (turned * signs).reshape(m * p, -1) @ self.turn
             H[lines, m * p + J :], H[m * p + J :, lines] = cross, cross.T
-            H[m * p + J :, m * p + J :] = bend - 2 * np.kron(M, np.diag(signs))
+            H[m * p + J :, m * p + J :] = self.turn.T @ (bend - 2 * np.kron(M, np.diag(signs))) @ self.turn
         H[lines] *= weigh[:, None]
         return residual, H[np.ix_(self.free, self.free)]
 
@@ -277,26 +299,36 @@ def _snapped(problem: Problem, columns: Columns) -> Columns:
 
 def _newton(system: _System) -> tuple[_Point, float]:
     """The point where Newton's method ends, and the norm of the conditions there."""
-    from scipy.linalg import lstsq
-
-    point, step = system.start, np.zeros(len(system.free))
-    lines = point.omega.size * (1 + point.z.shape[1])
+    point = system.start
     residual, J = system.conditions(point)
     before, norm = np.inf, float(np.linalg.norm(residual))
     for _ in range(STEPS):
         if norm < SPENT or not np.isfinite(norm) or (norm < ROUNDING and norm > 0.1 * before):
             break
-        solved: Any = lstsq(J, residual, cond=DEPENDENT, lapack_driver="gelsy", check_finite=False)
-        step[system.free] = -solved[0]
-        length = min(1.0, STRIDE / max(float(np.abs(step[:lines]).max()), 1e-300))
-        for _ in range(HALVINGS):
-            trial = system.moved(point, length * step)
-            after = float(np.linalg.norm(system.conditions(trial, False)[0]))
-            if after < norm * (1 - 0.1 * length):
-                break
-            length /= 3
-        else:
+        found, after = _stepped(system, point, residual, J, DEPENDENT)
+        if not after < norm and not system.priced:
+            doubted = norm / float(np.linalg.norm(np.asarray(J), axis=0).max())
+            found, after = _stepped(system, point, residual, J, max(DEPENDENT, doubted))
+        if not after < norm:
             break
-        point, before, norm = trial, norm, after
+        point, before, norm = found, norm, after
         residual, J = system.conditions(point)
+    return point, norm
+
+
+def _stepped(system: _System, point: _Point, residual: NDArray, J: Any, cond: float) -> tuple[_Point, float]:
+    """A step that lowers the norm of the conditions, and that norm; the point itself where there is none."""
+    from scipy.linalg import lstsq
+
+    step, lines = np.zeros(len(system.free)), point.omega.size * (1 + point.z.shape[1])
+    solved: Any = lstsq(J, residual, cond=cond, lapack_driver="gelsy", check_finite=False)
+    step[system.free] = -solved[0]
+    norm = float(np.linalg.norm(residual))
+    length = min(1.0, STRIDE / max(float(np.abs(step[:lines]).max()), 1e-300))
+    for _ in range(HALVINGS):
+        trial = system.moved(point, length * step)
+        after = float(np.linalg.norm(system.conditions(trial, False)[0]))
+        if after < norm * (1 - 0.1 * length):
+            return trial, after
+        length /= 3
     return point, norm
