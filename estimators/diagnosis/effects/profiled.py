@@ -87,7 +87,12 @@ def profile(
 
 def firm(base: Any, left: float) -> bool:
     """Whether a sum of squares is that much below the base model's."""
-    return base.n * float(np.log(float(np.sum(base.residual**2)) / max(left, 1e-300))) > FIRM
+    return gained(base.n, float(np.sum(base.residual**2)), left) > FIRM
+
+
+def gained(n: int, before: float, left: float) -> float:
+    """Twice the log-likelihood that a smaller sum of squares gains; none where nothing is left, as of a record without noise."""
+    return n * float(np.log(max(before, 1e-300) / max(left, 1e-300)))
 
 
 def ended(channel: Any, base: Any, part: Any, starts: Iterable[Array], sizes: list[float]) -> Iterator[Any]:
@@ -225,7 +230,7 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
             D = through(base, j, u[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1))
             D -= Q @ (Q.T @ D)
             c = np.linalg.lstsq(D, r, rcond=None)[0]
-            promise = base.n * float(np.log(float(r @ r) / float(np.sum((r - D @ c) ** 2))))
+            promise = gained(base.n, float(r @ r), float(np.sum((r - D @ c) ** 2)))
             if promise > least:
                 least = max(least, 0.5 * promise)  # what promises less than half of the best is its echo
                 p = np.concatenate((base.p, [w], c))
@@ -296,7 +301,7 @@ def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         found: list[tuple[float, Any]] = []
         for at in _highest(gains / waves**COARSE, 3):
             step, size = 1.0 / float(waves[at]), float(np.hypot(first[at], second[at]))
-            promise = -base.n * float(np.log(max(1.0 - gains[at] / float(r @ r), 1e-12)))
+            promise = -base.n * float(np.log(max(1.0 - gains[at] / max(float(r @ r), 1e-300), 1e-12)))
             if promise < FIRM or not HARMONIC[0] < size * np.pi / step < HARMONIC[1]:
                 continue
             level = step / (2.0 * np.pi) * float(np.arctan2(second[at], -first[at]))

@@ -13,7 +13,16 @@ from scipy.ndimage import maximum_filter1d
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.output import in_step, read_at
-from estimators.diagnosis.effects.profiled import FIRM, ended, entering, in_common, lean, left_over, through
+from estimators.diagnosis.effects.profiled import (
+    FIRM,
+    ended,
+    entering,
+    gained,
+    in_common,
+    lean,
+    left_over,
+    through,
+)
 
 Array = NDArray[Any]
 SWINGS = (0.7, 1.3, 2.2)  # largest angles in radian that a pendulum is started with
@@ -229,7 +238,7 @@ def _revolving(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
             near = turns[at] + np.linspace(-1.0, 1.0, FINE) * np.pi / span
             gain, c = common(near)
             best = int(np.argmax(gain))
-            promise = -base.n * float(np.log(max(1.0 - gain[best] / float(r @ r), 1e-12)))
+            promise = -base.n * float(np.log(max(1.0 - gain[best] / max(float(r @ r), 1e-300), 1e-12)))
             starts += [(promise, np.array([*c[:, best], near[best]]))] if promise > FIRM else []
         for first in (0, 1) if starts else ():  # without and with a lag of the drive
             part = Part(REVOLVING, j, first=first)
@@ -314,7 +323,7 @@ def _timings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         w = 2.0 * np.pi * top / (FINER * n)
         D = rate[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1)
         c = np.linalg.lstsq(D, r, rcond=None)[0]
-        if base.n * float(np.log(float(r @ r) / float(np.sum((r - D @ c) ** 2)))) < FIRM:
+        if gained(base.n, float(r @ r), float(np.sum((r - D @ c) ** 2))) < FIRM:
             break
         shape = np.array([w, *(c * min(1.0, STEEP / (w * np.hypot(*c))))])
         starts.append(np.concatenate((base.p, shape)))

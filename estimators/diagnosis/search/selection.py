@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimators.diagnosis.effects import Effect, Nature, named
+from estimators.diagnosis.effects.profiled import gained
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Structure
@@ -362,7 +363,7 @@ def _follows_input(u: Array, e: Array, lags: int = 20) -> bool:
     X = np.stack(columns, axis=1)
     X = X / (np.sqrt(np.mean(X**2, axis=0)) + 1e-300)
     r = e - X @ np.linalg.lstsq(X, e, rcond=None)[0]
-    return bool(chi2.sf(n * np.log(float(e @ e) / max(float(r @ r), 1e-300)), 2 * lags) < 1e-8)
+    return bool(chi2.sf(gained(n, float(e @ e), float(r @ r)), 2 * lags) < 1e-8)
 
 
 def feedback_of(channel: Channel, final: Fit) -> float:

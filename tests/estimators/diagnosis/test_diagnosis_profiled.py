@@ -161,3 +161,13 @@ def test_no_passing_disturbance_explains_slow_noise_as_one_that_is_there_does(ra
     step = sums**2 / (at * (1 - at / 400))
     left = 1.0 - np.maximum(pulse.max(axis=(1, 2)), step.max(axis=1)) / np.sum(y**2, axis=1)
     assert left.min() > LEFT
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings(
+    "ignore::RuntimeWarning"
+)  # logarithms of a variance of zero are still taken elsewhere
+def test_a_record_without_any_noise_is_diagnosed():
+    """Nothing is left of it, and so nothing gained by any effect: what was gained had been a logarithm of 0 / 0."""
+    u = np.random.default_rng(0).standard_normal(300)
+    diagnose(Record(u, np.convolve(u, [0.0, 1.0, 0.5])[:300]))
