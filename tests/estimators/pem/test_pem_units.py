@@ -42,8 +42,8 @@ STRUCTURES: list[tuple[str, tuple[int, ...], dict[str, Any]]] = [
 ]  # fmt: skip
 
 
-def same(found: dict[str, float], usual: dict[str, float]) -> bool:
-    return all(np.isclose(found[name], usual[name], rtol=1e-4, atol=1e-9) for name in usual)
+def same(found: dict[str, float], usual: dict[str, float], rtol: float = 1e-4) -> bool:
+    return all(np.isclose(found[name], usual[name], rtol=rtol, atol=1e-9) for name in usual)
 
 
 @pytest.mark.parametrize("sizes", [(1, 1e-75), (1e-74, 1), (1e-40, 1e40), (1, 1, 1e-9), (1, 1, 1e9), *FAR])
@@ -55,8 +55,9 @@ def test_powers_of_ten_change_no_conclusion(sizes):
 
 @pytest.mark.parametrize("sizes", FAR)
 def test_nor_where_hardly_anything_is_left(sizes):
-    """Squares of the signals over those of a residual that is a billion times smaller are the largest that are formed."""
-    assert same(conclusions(record(*sizes, noise=1e-9)), conclusions(record(noise=1e-9)))
+    """Squares of the signals over those of a residual that is a billion times smaller are the largest that are formed. The last digits
+    of the samples are 1e-7 of that residual, and a p-value of .6 moved by 1e-4 of itself with another BLAS."""
+    assert same(conclusions(record(*sizes, noise=1e-9)), conclusions(record(noise=1e-9)), rtol=1e-3)
 
 
 @pytest.mark.parametrize("structure, orders, options", STRUCTURES, ids=str)
