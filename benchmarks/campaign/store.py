@@ -122,7 +122,6 @@ class Store:
     def tidy(self) -> None:
         """Remove what killed processes left half written; the caller holds the folder's lock."""
         tidy(self.folder)
-        tidy(self.parts)
 
     def path(self, key: str) -> Path:
         """File of a part, whether it exists or not."""

@@ -183,8 +183,8 @@ def append_line(path: Path, line: str, *, kept: str = KEPT, error: type[OedError
 
 
 def tidy(folder: Path) -> None:
-    """Remove what killed processes left half written; only who holds the folder's lock may."""
-    for file in folder.glob(".*.tmp"):
+    """Remove what killed processes left half written, in its folders too; only who holds the folder's lock may."""
+    for file in folder.rglob(".*.tmp"):
         with contextlib.suppress(OSError):
             file.unlink(missing_ok=True)
 

@@ -258,4 +258,8 @@ def test_a_folder_that_was_moved_goes_on(tmp_path):
     whole = plain(run_campaign(SMALL, 7, tmp_path / "a", jobs=1))
     run_campaign(SMALL, 5, tmp_path / "b", jobs=1)
     (tmp_path / "b").rename(tmp_path / "c")
+    (tmp_path / "c" / "figures").mkdir()
+    for place in ("parts", "figures"):  # what a kill left half written
+        (tmp_path / "c" / place / ".1-0.tmp").touch()
     assert plain(run_campaign(SMALL, 7, tmp_path / "c", jobs=1)) == whole
+    assert not list(tmp_path.rglob("*.tmp"))
