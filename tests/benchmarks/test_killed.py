@@ -291,14 +291,15 @@ def test_a_signal_that_a_finaliser_drops_ends_the_command_all_the_same(number, c
             signal.raise_signal(number)
 
     ended = False
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # behind nohup Python has none
-    with cli_module._terminated_like_interrupted():
-        try:
+    usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+    before = signal.signal(number, usual)  # behind nohup it is ignored, and stays so
+    try:
+        with cli_module._terminated_like_interrupted():
             Finalised()
             time.sleep(10)
-        except KeyboardInterrupt as error:
-            ended = getattr(error, "number", signal.SIGINT) == number
-        finally:
-            signal.signal(signal.SIGINT, before)
+    except KeyboardInterrupt as error:
+        ended = getattr(error, "number", signal.SIGINT) == number
+    finally:
+        signal.signal(number, before)
     assert ended
     assert "Traceback" not in capsys.readouterr().err
