@@ -9,9 +9,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from benchmarks.tables.answer import KINDS, tied
-from benchmarks.tables.columns import SAID, TEXTS, headings
-from benchmarks.tables.formats import from_parquet, to_markdown
+from benchmarks.page.comparison_words import advice_sentences, by_budget, by_noise, where_it_holds
+from benchmarks.tables.answer import KINDS, tied, waste_sentence
+from benchmarks.tables.columns import TEXTS, headings
+from benchmarks.tables.formats import format_value, from_parquet, to_markdown
 from benchmarks.tables.head_to_head import head_to_head_sentence
 from oed.errors import InputError
 from oed.files.writing import write_whole
@@ -118,21 +119,25 @@ def write_readme(results: Path, readme: Path) -> None:
 
 
 PUBLISHED_TABLES = ("answer", "growth", "comparison", "not_run")
-TWO_PAGES = ("case", "channels", "noise_variance", "c_efficiency", "limit", "best_structure", "rho_structure", "best_nothing",
-             "rho_nothing", "best_own", "rho_own")  # fmt: skip
+
+
+def _three_columns(row: dict) -> dict:
+    """A row of the answer whose best ways stand with their rho in one cell each."""
+    way = lambda kind: f"{tied(row, kind)}: {format_value(row[f'rho_{kind}'], row[f'rho_{kind}_se'])}"
+    return {"case": row["case"], **{k: row[k] for k in ("channels", "noise_variance", "c_efficiency", "c_efficiency_se", "limit")},
+            **{kind: way(kind) if row[f"best_{kind}"] else None for kind in KINDS}}  # fmt: skip
+
+
+THREE = {key: ANSWER[key] for key in ("case", "channels", "noise_variance", "c_efficiency", "limit")} | KINDS
 
 
 def write_results(results: Path, folder: Path, name: str, commit: str) -> None:
     """The page, its tables and an answer of two pages in a folder of the documentation, with commit, seed, machine and cost."""
     rows, metadata = from_parquet(results / "tables" / "answer.parquet")
     growth, _ = from_parquet(results / "tables" / "growth.parquet")
-    summary = (results / "summary.md").read_text(encoding="utf-8").split("\n\n")
+    head, _ = from_parquet(results / "tables" / "head_to_head.parquet")
     answer = json.loads((results / "report.json").read_text(encoding="utf-8"))
     cost = json.loads((results / "cost.json").read_text(encoding="utf-8"))
-    # near FARTHEST, in whole iterations
-    last = {(row["plant"], row["noise_variance"]): row["experiments"] for row in growth}
-    told = [row for row in growth
-            if row["experiments"] in (1, rows[0]["experiments"], last[row["plant"], row["noise_variance"]])]  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     made = {
         "campaign": name,
@@ -144,10 +149,15 @@ def write_results(results: Path, folder: Path, name: str, commit: str) -> None:
         "---", "orphan: true", "---", "",
         f"# Are the iterations optimal experiment design? The {name} campaign", "", f"**{answer['answer']}**", "",
         "Made by a program from the campaign's tables; [the page](report.html) has every figure and table, the CSV files all digits.",
-        "", to_markdown([with_ties(row) for row in rows], {key: ANSWER[key] for key in TWO_PAGES}), SAID["tables"]["answer"]["caption"], "", TEXTS["below"], "",
-        TEXTS["shared"], "", *(f"- {row['case']}, noise {row['noise_variance']:g}: {row['remark']}." for row in rows if row["remark"]),
-        "", "## In words", "", *(f"- {words.strip()}" for words in summary[1:] if words.strip()), "",
-        "## By budget", "", TEXTS["growth"], "", to_markdown(told, headings("growth")), "## What it is and what it cost", "",
+        "", "## As an input: where it holds, how nearly, where it fails", "",
+        "Share of the certified optimum for the peak gain that the inputs of the iterations carry: median (least to most) over the "
+        f"cases, each a plant or a family of random ones. The budget is {metadata['experiments']} experiments of {metadata['samples']} samples.", "",
+        to_markdown(by_noise(rows)), *(f"- {words}" for words in where_it_holds(rows)), "",
+        "## As an estimator, and what to do instead", "", *(f"- {words}" for words in [*waste_sentence(rows), *advice_sentences(rows, []), head_to_head_sentence(head)]),
+        "", "## Who knows what: the best way of each", "", to_markdown([_three_columns(row) for row in rows], THREE),
+        f"{TEXTS['three']} {TEXTS['below']} {TEXTS['shared']}", "",
+        *(f"- {row['case']}, noise {row['noise_variance']:g}: {row['remark']}." for row in rows if row["remark"]), "",
+        "## By budget", "", TEXTS["growth"], "", to_markdown(by_budget(growth, metadata["experiments"])), "## What it is and what it cost", "",
         *(f"- {key.replace('_', ' ')}: {value}" for key, value in made.items()), "",
         f"Command: `make campaign CAMPAIGN={name}`", "",
     ]  # fmt: skip

@@ -17,7 +17,7 @@ from benchmarks.campaign.processes import at_once
 from benchmarks.campaign.registry import words_of
 from benchmarks.campaign.settings import Settings
 from benchmarks.page import comparison_figures as figures
-from benchmarks.page.comparison_words import advice_sentences, details, short_answer
+from benchmarks.page.comparison_words import advice_sentences, short_answer
 from benchmarks.page.content import Figure, Page, Section, Table
 from benchmarks.page.skeleton import save_page
 from benchmarks.tables.answer import advice_rows, answer_rows, answer_sentences
@@ -54,9 +54,8 @@ def write_comparison(
     )
     answer = answer_rows(tables)
     best, sentences = headline_rows(rows), answer_sentences(answer, settings)
-    said = details(rows, information, settings)
     short = short_answer(answer, best, settings)
-    tell(list(sentences or said or [short]))
+    tell(list(sentences or [short]))
     siso = [
         p
         for p in settings.plants
@@ -73,7 +72,7 @@ def write_comparison(
     done = iter(at_once([*claims, *tasks.values(), *duels], jobs))
     mapped = [row for found in islice(done, len(claims)) for row in found]
     found = dict(zip(tasks, islice(done, len(tasks)), strict=True))
-    sections = [*_answer(tables, answer), *_inputs(best, said), *_comparison(rows, settings, replicates),
+    sections = [*_answer(tables, answer), *_inputs(best), *_comparison(rows, settings, replicates),
                 *_profiles(tables, pairs), *_information(information, known, settings, siso)]  # fmt: skip
     if answer:
         head = head_to_head_rows(list(done))
@@ -86,9 +85,9 @@ def write_comparison(
     theory = [figure for p in siso for figure in found[f"theory of {p}"]]
     sections += [Section("The theory beside it", figures=theory)] if theory else []
     sections += [_hair_dryer(found["hair dryer"])] if "hair dryer" in found else []
-    words = sentences or said or [short]
+    words = sentences or [short]
     sections.append(Section("In words", words))
-    save_summary(folder, [*words, *said], to_markdown(best, headings("headline")))
+    save_summary(folder, words, to_markdown(best, headings("headline")))
     families = [row for row in answer if row["plant"] != row["case"]]
     used = [*settings.methods, *settings.estimators]
     page = Page(
@@ -153,9 +152,9 @@ def _answer(tables: Tables, rows: list[Row]) -> list[Section]:
     ]
 
 
-def _inputs(best: list[Row], said: list[str]) -> list[Section]:
+def _inputs(best: list[Row]) -> list[Section]:
     title = "What each input carries, and the estimator that made most of it"
-    return [Section(title, said, shown("headline", best))]
+    return [Section(title, [], shown("headline", best))]
 
 
 def _comparison(rows: list[Row], settings: Settings, replicates: int) -> list[Section]:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from benchmarks.campaign.plants import family_of
 from benchmarks.campaign.registry import Told
 from benchmarks.campaign.settings import Settings
-from benchmarks.tables.answer import OPTIMAL, between
+from benchmarks.tables.answer import GOOD, OPTIMAL, between
 from benchmarks.tables.columns import is_number
 from benchmarks.tables.formats import format_value
 
@@ -80,41 +79,61 @@ def advice_sentences(answer: Sequence[Row], best: Sequence[Row]) -> list[str]:
     return lines
 
 
-def details(rows: Sequence[Row], information: Sequence[Row], settings: Settings) -> list[str]:
-    """What the numbers say about the claim that the iterations are experiment design, plant by plant."""
-    at = {
-        (r["plant"], r["noise_variance"], r["method"]): r
-        for r in information
-        if r["experiments"] == settings.experiments
-    }
-    sentences = [
-        words
-        for plant in settings.plants
-        if not family_of(plant) and (words := _carried(at, plant, settings))
+def _listed(rows: Sequence[Row]) -> str:
+    """Plants and families, each with the noise levels at which it is among the rows."""
+    levels: dict[str, list[str]] = {}
+    for row in rows:
+        levels.setdefault(row["case"], []).append(f"{row['noise_variance']:g}")
+    return "; ".join(f"{case} ({', '.join(at)})" for case, at in levels.items())
+
+
+def _spread(values: Sequence[float]) -> str:
+    """Median and range of shares."""
+    low, middle, high = (f"{np.nanquantile(values, q):.2g}" for q in (0, 0.5, 1))
+    return middle if low == high else f"{middle} ({low} to {high})"
+
+
+def by_noise(answer: Sequence[Row]) -> list[Row]:
+    """What the iterations carry as an input, over the cases of each noise level."""
+    shown = {"of the optimum": "c_efficiency", "times white noise": "over_white", "in the limit": "limit", "for D": "d_efficiency"}  # fmt: skip
+    table = []
+    for variance in dict.fromkeys(row["noise_variance"] for row in answer):
+        here = [row for row in answer if row["noise_variance"] == variance]
+        cells = {head: _spread([row[key] for row in here]) for head, key in shown.items()}
+        table.append({"noise": f"{variance:g}", "cases": len(here)} | cells)
+    return table
+
+
+def by_budget(growth: Sequence[Row], experiments: int) -> list[Row]:
+    """Per plant and noise level, the share of the optimum after one experiment, the budget, many, and without end."""
+    cases: dict[tuple[str, float], dict[int, Row]] = {}
+    for row in growth:
+        cases.setdefault((row["plant"], row["noise_variance"]), {})[row["experiments"]] = row
+    table = []
+    for (plant, variance), spent in cases.items():
+        few, many = spent[min(spent)], spent[max(spent)]
+        share = lambda row: format_value(row.get("c_efficiency"), row.get("c_efficiency_se"))
+        table.append({
+            "plant": plant, "noise": f"{variance:g}", "1 experiment": share(few),
+            f"{experiments} experiments": share(spent.get(experiments, {})), "white noise": format_value(many["white"]),
+            "many, predicted": f"{format_value(many['predicted'])} ({many['experiments']})",
+            "in the limit": format_value(many["limit"]), "experiments to 90 % of it": many["needed"],
+        })  # fmt: skip
+    return table
+
+
+def where_it_holds(answer: Sequence[Row]) -> list[str]:
+    """Where the claim holds, how nearly, and what it fails of: the noise, or the budget."""
+    within = lambda low, high: [row for row in answer if low <= row["limit"] < high]
+    parts = [
+        (within(OPTIMAL, np.inf), f"**It holds in the limit** of experiments without end (over {100 * OPTIMAL:.0f} % of the certified optimum)"),
+        (within(GOOD, OPTIMAL), f"**It nearly holds** (over {100 * GOOD:.0f} % in the limit)"),
+        (within(0, GOOD), f"**It fails, however many experiments** (under {100 * GOOD:.0f} % in the limit)"),
+        ([row for row in answer if row["c_efficiency"] < GOOD * row["limit"]],
+         f"**It fails for the budget** ({answer[0]['experiments']} experiments carry less than half of what the limit promises)"),
+    ]  # fmt: skip
+    return [
+        f"{words} in {len(rows)} of {len(answer)} cases (at noise): {_listed(rows)}."
+        for rows, words in parts
+        if rows
     ]
-    return sentences + [
-        words for plant in settings.plants if not family_of(plant) and (words := _estimated(rows, plant))
-    ]
-
-
-def _carried(at: Mapping[Any, Row], plant: str, settings: Settings) -> str:
-    share = lambda row, key: f"{format_value(100 * row[key], 100 * row[f'{key}_se'])} %"
-    listed = "; ".join(
-        f"at noise {v:g}, {share(power, 'c_efficiency')} of the optimum for the peak gain (white noise "
-        f"{share(white, 'c_efficiency')}) and {share(power, 'd_efficiency')} for D (white {share(white, 'd_efficiency')})"
-        for v in settings.noise_variances
-        if (power := at.get((plant, v, "power"))) and (white := at.get((plant, v, "white")))
-    )
-    return f"{plant}: {settings.experiments} power iterations carry, {listed}." if listed else ""
-
-
-def _estimated(rows: Sequence[Row], plant: str) -> str:
-    mine = {(r["noise_variance"], r["estimator"]): r for r in rows
-            if (r["plant"], r["method"]) == (plant, "power") and is_number(r["rho"])}  # fmt: skip
-    rho = lambda row: format_value(row["rho"], row["rho_se"])
-    listed = "; ".join(
-        f"at noise {v:g} rho is {rho(row)} with beta_2 and {rho(mine[v, 'pem'])} with PEM"
-        for (v, estimator), row in mine.items()
-        if estimator == "gain" and (v, "pem") in mine
-    )
-    return f"{plant}: on the same records of the iterations, {listed}." if listed else ""

@@ -203,31 +203,38 @@ def answer_sentences(rows: Sequence[Row], settings: Settings) -> list[str]:
         f"{settings.samples} samples, as an input for the peak gain they are: {listed}. In the limit of experiments without end "
         f"they reach {100 * OPTIMAL:.0f} % of the optimum in {sum(r['limit'] >= OPTIMAL for r in rows)} of {len(rows)}."
     ]
-    wasted = [r for r in rows if is_number(r["waste"])]
-    if wasted:
-        least, most = min(wasted, key=lambda r: r["waste"]), max(wasted, key=lambda r: r["waste"])
-        own = sorted((r for r in wasted if is_number(r["waste_own"])), key=lambda r: r["waste_own"])
-        rest = f" The best of their estimators wastes {between(own[0], own[-1], 'waste_own')}." if own else ""
-        sentences.append(
-            "Their printed estimator (7) wastes what the input gains: PEM, which is told orders and delay as (7) is not, needs "
-            f"{between(least, most, 'waste')} less data of the same records for the same error.{rest}"
-        )
+    sentences += waste_sentence(rows)
     for kind, who in KINDS.items():
         ways: dict[str, list[Row]] = {}
         for row in rows:
             if row[f"best_{kind}"]:
                 ways.setdefault(row[f"best_{kind}"], []).append(row)
         if ways:
+            most = sorted(ways.items(), key=lambda item: -len(item[1]))
             listed = "; ".join(
-                f"{way} on {_where(group, len(rows), f'rho_{kind}')}"
-                for way, group in sorted(ways.items(), key=lambda item: -len(item[1]))
+                f"{way} on {len(group) if len(rows) > MOST_LISTED else _where(group, len(rows), f'rho_{kind}')}"
+                for way, group in most
             )
             tied = sum(bool(row[f"{kind}_ties"]) for row in rows)
             sentences.append(
-                f"Best, {who}: {listed}. Chosen on one half of the problems and judged on the other; in {tied} of {len(rows)} "
+                f"Best, {who}, of {len(rows)} plants and noise levels: {listed}. Chosen on one half of the problems and judged on the other; in {tied} of {len(rows)} "
                 "cases others tie with it within the error."
             )
     return sentences
+
+
+def waste_sentence(rows: Sequence[Row]) -> list[str]:
+    """How much data the iterations' estimators waste, where it was measured."""
+    wasted = [r for r in rows if is_number(r["waste"])]
+    if not wasted:
+        return []
+    least, most = min(wasted, key=lambda r: r["waste"]), max(wasted, key=lambda r: r["waste"])
+    own = sorted((r for r in wasted if is_number(r["waste_own"])), key=lambda r: r["waste_own"])
+    rest = f" The best of their estimators wastes {between(own[0], own[-1], 'waste_own')}." if own else ""
+    return [
+        "Their printed estimator (7) wastes what the input gains: PEM, which is told orders and delay as (7) is not, needs "
+        f"{between(least, most, 'waste')} less data of the same records for the same error.{rest}"
+    ]
 
 
 def between(least: Row, most: Row, key: str) -> str:

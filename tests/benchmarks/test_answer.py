@@ -10,7 +10,13 @@ import pytest
 
 from benchmarks.campaign.plants import load_plant
 from benchmarks.campaign.settings import Limit, Settings
-from benchmarks.page.comparison_words import advice_sentences, short_answer
+from benchmarks.page.comparison_words import (
+    advice_sentences,
+    by_budget,
+    by_noise,
+    short_answer,
+    where_it_holds,
+)
 from benchmarks.readme import with_ties
 from benchmarks.tables.answer import FEW, answer_rows, carried_by
 from benchmarks.tables.columns import not_run_rows
@@ -285,3 +291,33 @@ def test_what_was_not_run_has_its_reason():
     assert "limit" in rows["reference", "white", "pem", "9"]
     assert ("reference", "power", "gain", "all") not in rows
     assert len(rows) == 6  # three on either plant: what is left out as a whole is said once
+
+
+def test_the_two_pages_say_where_the_claim_holds_and_what_it_fails_of():
+    """Every case stands under one heading of the limit, and under the budget's too where half the limit is not reached."""
+    case = lambda name, noise, now, limit: {"case": name, "noise_variance": noise, "c_efficiency": now, "limit": limit,
+                                            "over_white": 2.0, "d_efficiency": 0.5, "experiments": 20}  # fmt: skip
+    rows = [
+        case("a", 0.1, 0.8, 0.95),
+        case("a", 1.0, 0.4, 0.6),
+        case("b", 0.1, 0.3, 0.92),
+        case("b", 1.0, 0.1, 0.2),
+    ]
+    holds, nearly, fails, budget = where_it_holds(rows)
+    assert holds.endswith("in 2 of 4 cases (at noise): a (0.1); b (0.1).")
+    assert nearly.endswith("in 1 of 4 cases (at noise): a (1).")
+    assert fails.endswith("in 1 of 4 cases (at noise): b (1).")
+    assert budget.endswith("in 1 of 4 cases (at noise): b (0.1).")  # b at noise 1 carries half of its limit
+    quiet, loud = by_noise(rows)
+    assert (quiet["of the optimum"], quiet["in the limit"]) == ("0.55 (0.3 to 0.8)", "0.94 (0.92 to 0.95)")
+    assert (loud["noise"], loud["cases"]) == ("1", 2)
+
+
+def test_by_budget_has_one_row_a_case_with_what_was_measured_and_what_is_predicted():
+    row = lambda k, measured: {"plant": "a", "noise_variance": 1.0, "experiments": k, "c_efficiency": measured,
+                               "c_efficiency_se": measured / 10, "predicted": k / 1000, "limit": 0.9, "white": 0.05, "needed": "48"}  # fmt: skip
+    (found,) = by_budget([row(1, 0.1), row(20, 0.5), row(1000, float("nan"))], 20)
+    assert found["1 experiment"] == "0.100 ± 0.010"
+    assert found["20 experiments"] == "0.500 ± 0.050"
+    assert found["many, predicted"] == "1 (1000)"
+    assert found["experiments to 90 % of it"] == "48"
