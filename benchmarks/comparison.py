@@ -44,13 +44,9 @@ class Comparison:
     def to_dict(self) -> dict[str, Any]:
         """The keys of `oed compare --json`."""
         return {
-            "rows": self.rows,
-            "out": str(self.out),
-            "report": str(self.page) if self.page else None,
-            "summary": self.sentences,
-            "information": self.information,
-            "pairs": self.pairs,
-        }
+            "rows": self.rows, "out": str(self.out), "report": str(self.page) if self.page else None,
+            "summary": self.sentences, "information": self.information, "pairs": self.pairs,
+        }  # fmt: skip
 
     def __str__(self) -> str:
         where = [f"report: {self.page}"] if self.page else []
@@ -107,13 +103,9 @@ def compare(
     brought = Own(methods or (), estimators or ())
     plants = expanded(plants) if plants else None
     given = {
-        "plants": plants,
-        "noise_variances": noise_variances,
-        "methods": brought.methods,
-        "estimators": brought.estimators,
-        "limits": limits,
-        "sources": brought.sources,
-    }
+        "plants": plants, "noise_variances": noise_variances, "methods": brought.methods,
+        "estimators": brought.estimators, "limits": limits, "sources": brought.sources,
+    }  # fmt: skip
     if limits is None:
         blank = Settings()
         chosen = default_limits(

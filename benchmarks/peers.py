@@ -89,13 +89,9 @@ def signals(case: Case) -> dict[str, Any]:
     """What the runner reads."""
     clocks = [[r.dt, r.t0] for r in (case.train, case.test)]
     return {
-        "u": case.train.u,
-        "y": case.train.y,
-        "u2": case.test.u,
-        "y2": case.test.y,
-        "skip": case.skip,
+        "u": case.train.u, "y": case.train.y, "u2": case.test.u, "y2": case.test.y, "skip": case.skip,
         "clocks": clocks,
-    }
+    }  # fmt: skip
 
 
 def run(case: Case, peer: str, python: str, limit: int) -> dict[str, Any]:
@@ -151,14 +147,10 @@ def table(
                 write_whole(path, json.dumps(part) + "\n")
             found = part["row"]
             remark = found["reason"] or found["what"]
-            rows.append(
-                {
-                    "record": case.name,
-                    "tool": peer,
-                    **found,
-                    "remark": remark if len(remark) < 90 else remark[:87] + "...",
-                }
-            )
+            rows.append({
+                "record": case.name, "tool": peer, **found,
+                "remark": remark if len(remark) < 90 else remark[:87] + "...",
+            })  # fmt: skip
             sys.stderr.write(f"{case.name} {peer}: {found['rmse']} {found['reason']}\n")
     to_csv(rows, out / "peers.csv", overwrite=True)
     write_whole(out / "peers.md", to_markdown(rows, COLUMNS))

@@ -11,14 +11,9 @@ from typing import Any
 from oed.errors import InputError
 
 UNBROKEN = {
-    "importlib",
-    "_frozen_importlib",
-    "_frozen_importlib_external",
-    "numba",
-    "threading",
-    "warnings",
+    "importlib", "_frozen_importlib", "_frozen_importlib_external", "numba", "threading", "warnings",
     "logging",
-}
+}  # fmt: skip
 """Packages whose work is shared by all threads: broken off, an import stays half done and Numba's compiler locked."""
 LOOK, AGAIN, WAIT = 0.01, 1.0, 2.0
 """Seconds between two looks at whether a call may be interrupted; until it is interrupted again, as `__del__` takes no

@@ -96,14 +96,10 @@ def _errors(result: Diagnosis) -> Table:
     rows.append({"error": floor, "value": result.noise_floor, "low": None, "high": None})
     if result.detected and result.removed == result.removed:  # NaN where there is nothing to remove
         low, high = result.removed_interval
-        rows.append(
-            {
-                "error": "share of the removable error removed",
-                "value": result.removed,
-                "low": low,
-                "high": high,
-            }
-        )
+        rows.append({
+            "error": "share of the removable error removed", "value": result.removed, "low": low,
+            "high": high,
+        })  # fmt: skip
     unit = _unit(result).strip() or "units of the output"
     caption = f"Root mean square errors with intervals of a block bootstrap, in {unit}; a share has no unit."
     return Table("errors", caption, headed("error", "value", low="2.5 %", high="97.5 %"), rows)

@@ -29,13 +29,9 @@ def synthetic_store(folder: Path, runs: int) -> tuple[Any, int]:
     from benchmarks.campaign.store import Store
 
     settings = Settings(
-        plants=("reference",),
-        noise_variances=(1.0,),
-        methods=("white", "power"),
-        estimators=("frf", "pem"),
-        samples=500,
-        profile_replicates=0,
-    )
+        plants=("reference",), noise_variances=(1.0,), methods=("white", "power"), estimators=("frf", "pem"),
+        samples=500, profile_replicates=0,
+    )  # fmt: skip
     store = Store(folder, asdict(settings))
     rng = np.random.default_rng(0)
     marks = checkpoints(settings.experiments)
@@ -123,13 +119,9 @@ def two_workers(replicates: int = 2000) -> tuple[float, float]:
     from benchmarks.campaign.whole_campaign import fill_store
 
     settings = Settings(
-        plants=("reference",),
-        noise_variances=(1.0,),
-        methods=("white", "power"),
-        estimators=("gain", "fir-selected", "frf"),
-        samples=500,
-        profile_replicates=0,
-    )
+        plants=("reference",), noise_variances=(1.0,), methods=("white", "power"),
+        estimators=("gain", "fir-selected", "frf"), samples=500, profile_replicates=0,
+    )  # fmt: skip
     seconds = []
     with tempfile.TemporaryDirectory() as folder:
         for jobs in (1, 2):

@@ -177,10 +177,6 @@ def rows() -> list[dict]:
     """Every row of this file."""
     table = [against_scipy(order, samples) for order in (2, 6) for samples in (1000, 10_000, 100_000)]
     return [
-        *table,
-        against_casadi(2, 100_000),
-        against_sippy(),
-        subspace_over_its_rows(),
-        monte_carlo(),
+        *table, against_casadi(2, 100_000), against_sippy(), subspace_over_its_rows(), monte_carlo(),
         memory(),
-    ]
+    ]  # fmt: skip

@@ -49,12 +49,8 @@ def not_run_rows(settings: Settings, replicates: int) -> list[dict[str, Any]]:
             named = "all" if len(left) == len(settings.noise_variances) else ", ".join(f"{v:g}" for v in left)
             why = settings.why_not(plant, method, estimator, left[0]) or "left out by a limit of the campaign"
             row = {
-                "plant": plant,
-                "noise": named,
-                "method": method,
-                "estimator": estimator or "all",
-                "why": why,
-            }
+                "plant": plant, "noise": named, "method": method, "estimator": estimator or "all", "why": why,
+            }  # fmt: skip
             table.append(row)
     return table
 
@@ -71,13 +67,8 @@ def command_line(settings: Settings, replicates: int, out: Path) -> str:
         words += ["--limit", ",".join(f"{k}={v}" for k, v in given.items())]
     words += ["--samples", settings.samples, "--experiments", settings.experiments]
     words += [
-        "--replicates",
-        replicates,
-        "--methods",
-        *settings.methods,
-        "--estimators",
-        *settings.estimators,
-    ]
+        "--replicates", replicates, "--methods", *settings.methods, "--estimators", *settings.estimators,
+    ]  # fmt: skip
     words += ["--profile-replicates", settings.profile_replicates, "--seed", settings.seed, "--out", out]
     return shlex.join(map(str, words))
 

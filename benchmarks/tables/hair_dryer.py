@@ -60,18 +60,13 @@ def hair_dryer_story(record: Record | None = None) -> HairDryerStory:
         # The record runs through: the second half starts in the state that the first half leaves.
         simulated[name] = fit.simulate(record.u)[SPLIT:]
         one_step = noise_model.predict(record)[SPLIT:]
-        rows.append(
-            {
-                "model": f"{name}: OE(2,2), nk = {delay}",
-                "delay": delay,
-                "simulation_rmse": _rms(test.y - simulated[name]),
-                "simulation_rmse_se": _block_error(test.y - simulated[name]),
-                "one_step_rmse": _rms(test.y - one_step),
-                "one_step_rmse_se": _block_error(test.y - one_step),
-                "fit_percent": fit_percent(test.y, simulated[name]),
-                "smallest_p_value": tests[name].p_value,
-            }
-        )
+        rows.append({
+            "model": f"{name}: OE(2,2), nk = {delay}", "delay": delay,
+            "simulation_rmse": _rms(test.y - simulated[name]),
+            "simulation_rmse_se": _block_error(test.y - simulated[name]),
+            "one_step_rmse": _rms(test.y - one_step), "one_step_rmse_se": _block_error(test.y - one_step),
+            "fit_percent": fit_percent(test.y, simulated[name]), "smallest_p_value": tests[name].p_value,
+        })  # fmt: skip
     suspicious = tuple(int(lag) for lag in tests["before"].lags[tests["before"].p_values < LEVEL])
     before, after = rows
     sentences = [
@@ -86,17 +81,11 @@ def hair_dryer_story(record: Record | None = None) -> HairDryerStory:
         f"{before['one_step_rmse']:.3f} to {after['one_step_rmse']:.3f} V.",
     ]
     return HairDryerStory(
-        before_delay=1,
-        delay=found.delay,
-        suspicious_lags=suspicious,
-        rows=rows,
-        sentences=sentences,
-        test=test,
-        simulated=simulated,
-        lags=np.asarray(tests["before"].lags),
+        before_delay=1, delay=found.delay, suspicious_lags=suspicious, rows=rows, sentences=sentences,
+        test=test, simulated=simulated, lags=np.asarray(tests["before"].lags),
         correlations={name: np.asarray(t.correlation) for name, t in tests.items()},
         bound=float(2.576 * np.mean(tests["before"].deviation)),
-    )
+    )  # fmt: skip
 
 
 def _rms(e: NDArray[np.float64]) -> float:

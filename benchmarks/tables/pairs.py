@@ -129,13 +129,9 @@ def chosen_and_judged(ways: Mapping[Solver, Errors]) -> Row:
     ties += [f"{len(tied) - MOST_TIES} more"] if len(tied) > MOST_TIES else []
     rho, error = rms_with_error(np.array(list(mine.values())))
     return {
-        "input": best[0],
-        "estimator": best[1],
-        "rho": rho,
-        "rho_se": error,
-        "n": len(mine),
+        "input": best[0], "estimator": best[1], "rho": rho, "rho_se": error, "n": len(mine),
         "ties": ", ".join(ties),
-    }
+    }  # fmt: skip
 
 
 def _square(errors: Errors, odd: bool) -> float:

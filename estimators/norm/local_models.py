@@ -184,15 +184,10 @@ def _peak_of_model(
     sharp = bend > 0 and where_error < 0.25 * band.half * per_line
     trusted = inside and sharp and error < 0.1 * value
     estimate = PeakEstimate(
-        value,
-        error,
-        _folded((band.centre + band.half * x) * per_line),
-        where_error,
-        bend / (band.half * per_line) ** 2,
-        noise,
-        Status.OK if trusted else Status.INACCURATE,
+        value, error, _folded((band.centre + band.half * x) * per_line), where_error,
+        bend / (band.half * per_line) ** 2, noise, Status.OK if trusted else Status.INACCURATE,
         np.array([(band.centre + band.half * band.x) * per_line, squares[3:]]),
-    )
+    )  # fmt: skip
     return estimate, x
 
 

@@ -11,14 +11,9 @@ if TYPE_CHECKING:
     from estimators.residual.tests import ResidualTest, feedback, input_correlation, residual_tests, whiteness
 
 __all__ = [
-    "Comparison",
-    "ResidualTest",
-    "compare_models",
-    "feedback",
-    "input_correlation",
-    "residual_tests",
+    "Comparison", "ResidualTest", "compare_models", "feedback", "input_correlation", "residual_tests",
     "whiteness",
-]
+]  # fmt: skip
 
 __getattr__, __dir__ = exporting(__name__, {
     "estimators.residual.comparison": "Comparison compare_models",

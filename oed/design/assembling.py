@@ -32,16 +32,11 @@ def certified(found: Exchange, *, tolerance: float, solver: str) -> Design:
     numerator = problem.original.numerator(X)
     used = found.columns.q.T @ found.w
     certificate = Certificate(
-        X=X,
-        multipliers={b.name: float(v) for b, v in zip(problem.budgets, found.nu, strict=True)},
-        numerator=numerator,
-        value=numerator / bound,
-        bound=bound,
-        largest_price=found.price,
-        frequency=found.frequency,
-        price=lambda omega: problem.prices_at(omega, found.X, found.nu).ratio,
+        X=X, multipliers={b.name: float(v) for b, v in zip(problem.budgets, found.nu, strict=True)},
+        numerator=numerator, value=numerator / bound, bound=bound, largest_price=found.price,
+        frequency=found.frequency, price=lambda omega: problem.prices_at(omega, found.X, found.nu).ratio,
         rounding=problem.rounding(found.columns, found.w),
-    )
+    )  # fmt: skip
     power = {b.name: float(v * b.limit) for b, v in zip(problem.budgets, used, strict=True)}
     return assembled(
         problem, spectrum, certificate, loss, used=power, tolerance=tolerance, solver=solver, rounds=found.rounds,

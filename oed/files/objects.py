@@ -255,13 +255,9 @@ def to_control(record: Record) -> Any:
     from control.timeresp import TimeResponseData
 
     return TimeResponseData(
-        record.t,
-        record.y.T,
-        inputs=record.u.T,
-        issiso=record.n_inputs == record.n_outputs == 1,
-        input_labels=list(record.input_names),
-        output_labels=list(record.output_names),
-    )
+        record.t, record.y.T, inputs=record.u.T, issiso=record.n_inputs == record.n_outputs == 1,
+        input_labels=list(record.input_names), output_labels=list(record.output_names),
+    )  # fmt: skip
 
 
 def as_records(given: Any, *, missing: bool = False) -> list[Record]:

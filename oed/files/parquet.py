@@ -108,13 +108,9 @@ def _marks(own: Any, names: list[str]) -> dict[str, Any]:
         if lost:
             return {}
         as_kept = {
-            "units": dict,
-            "inputs": tuple,
-            "outputs": tuple,
-            "labels": dict,
-            "dt": float.fromhex,
+            "units": dict, "inputs": tuple, "outputs": tuple, "labels": dict, "dt": float.fromhex,
             "t0": float.fromhex,
-        }
+        }  # fmt: skip
         return {name: made(own[name]) for name, made in as_kept.items()}
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"its metadata are damaged at {error}") from None

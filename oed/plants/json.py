@@ -139,13 +139,9 @@ def plant_to_json(plant: Plant) -> dict[str, Any]:
     """
     listed = lambda rows: [[list(map(float, entry)) for entry in row] for row in rows]
     description: dict[str, Any] = {
-        "name": plant.name,
-        "num": listed(plant.num),
-        "den": listed(plant.den),
-        "dt": plant.dt,
-        "noise": {"covariance": plant.noise_covariance.tolist()},
-        "free": list(plant.free),
-    }
+        "name": plant.name, "num": listed(plant.num), "den": listed(plant.den), "dt": plant.dt,
+        "noise": {"covariance": plant.noise_covariance.tolist()}, "free": list(plant.free),
+    }  # fmt: skip
     if not plant.white_noise:
         description["noise"]["filter"] = {"num": plant.noise_num.tolist(), "den": plant.noise_den.tolist()}
     return description

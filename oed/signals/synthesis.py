@@ -316,10 +316,6 @@ def realisation(
     u = how(design.spectrum, N, rng)
     information = information_of_signal(plant, u) / N + design.map.constant
     return Realised(
-        u=u,
-        loss=design.criterion.loss(information),
-        design_loss=design.loss,
-        bound=design.bound,
-        power=float(np.sum(u**2)) / N,
-        crest_factor=crest_factor(u),
-    )
+        u=u, loss=design.criterion.loss(information), design_loss=design.loss, bound=design.bound,
+        power=float(np.sum(u**2)) / N, crest_factor=crest_factor(u),
+    )  # fmt: skip

@@ -143,16 +143,12 @@ def _parametrised(args: argparse.Namespace, plant: Any, design: Any, payload: di
     )
     strongest = replace(design, spectrum=found.spectrum.strongest(1e-3))
     payload = payload | {
-        "loss": found.loss,
-        "gap": design.gap,
+        "loss": found.loss, "gap": design.gap,
         "support": strongest.to_dict()["support"] if found.kind == "moments" else [],
-        "coefficients": found.coefficients.tolist(),
-        "parametrisation": args.parametrisation,
-        "solver": design.solver,
-        "input_power": found.spectrum.total_power,
-        "power_used": design.power_used,
+        "coefficients": found.coefficients.tolist(), "parametrisation": args.parametrisation,
+        "solver": design.solver, "input_power": found.spectrum.total_power, "power_used": design.power_used,
         "information": design.information.tolist(),
-    }
+    }  # fmt: skip
     text = f"{found!r}\nat least {design.bound:.12g} for every admissible spectrum (gap {design.gap:.1e})"
     return design, payload, text
 

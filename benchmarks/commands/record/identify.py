@@ -51,16 +51,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 AS_GIVEN = (
-    "initial",
-    "diagonal",
-    "missing",
-    "robust",
-    "search",
-    "regularisation",
-    "disturbance",
-    "method",
+    "initial", "diagonal", "missing", "robust", "search", "regularisation", "disturbance", "method",
     "horizon",
-)
+)  # fmt: skip
 """Arguments of `identify` that are the options of the same names."""
 
 

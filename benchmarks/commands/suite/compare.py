@@ -99,13 +99,9 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             told.append(early)
 
     result = compare(
-        **options,
-        jobs=args.jobs,
-        scheduler=args.scheduler,
-        dry_run=args.dry_run,
-        quiet=args.quiet or args.json,
-        tell=tell,
-    )
+        **options, jobs=args.jobs, scheduler=args.scheduler, dry_run=args.dry_run,
+        quiet=args.quiet or args.json, tell=tell,
+    )  # fmt: skip
     payload, text = result.to_dict(), str(result)
     if told:
         new = [sentence for sentence in result.sentences if sentence not in told[0].sentences]

@@ -152,13 +152,9 @@ def state_space_kalman_recursion(structure: StateSpace, levels: bool, initial: b
     log_variance = sum((2 * ca.log(root[k][k]) for k in range(ny)), ca.SX(0))
     start = ca.vertcat(x0, ca.SX.zeros(n * (n + 1) // 2, 1)) if initial else None
     made = differentiated(
-        ca.vertcat(x, lower),
-        ca.vertcat(u, y, seen, noise, pulse),
-        ca.vertcat(theta, level, x0),
-        ca.densify(after),
-        ca.densify(ca.vertcat(*white, log_variance)),
-        start,
-    )
+        ca.vertcat(x, lower), ca.vertcat(u, y, seen, noise, pulse), ca.vertcat(theta, level, x0),
+        ca.densify(after), ca.densify(ca.vertcat(*white, log_variance)), start,
+    )  # fmt: skip
     return _with_variance(made, ca.vertcat(u, y, pulse, seen, noise), ny)
 
 

@@ -186,14 +186,10 @@ def information_map(
     if isinstance(model, Plant):
         dens = [den for row in model.den for den in row] + [model.noise_num]
         return InformationMap(
-            model.free,
-            model.n_inputs,
-            lambda omega: whitened_gradient(model, omega),
-            lambda omega: model.response(omega)[0],
-            np.zeros((len(model.free),) * 2),
-            resonances_of(dens),
+            model.free, model.n_inputs, lambda omega: whitened_gradient(model, omega),
+            lambda omega: model.response(omega)[0], np.zeros((len(model.free),) * 2), resonances_of(dens),
             finer=lambda omega: whitened_gradient(model, omega.astype(np.longdouble)),
-        )
+        )  # fmt: skip
     if isinstance(model, Model):
         return _of_model(model)
     own = (getattr(type(model), "response", None), getattr(model, "__dict__", {}).get("response"))
@@ -240,14 +236,9 @@ def _of_model(model: Model) -> InformationMap:
     rows = model.structure.coefficients(model.theta)
     dens = [p for row in rows for x in "acf" for p in row[x]]
     return InformationMap(
-        model.names,
-        model.structure.n_inputs,
-        factor,
-        lambda omega: model.response(omega)[0],
-        noise_information(model, W),
-        resonances_of(dens),
-        finer=finer,
-    )
+        model.names, model.structure.n_inputs, factor, lambda omega: model.response(omega)[0],
+        noise_information(model, W), resonances_of(dens), finer=finer,
+    )  # fmt: skip
 
 
 def noise_information(model: Model, W: NDArray[np.float64]) -> NDArray[np.float64]:

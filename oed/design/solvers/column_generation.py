@@ -177,16 +177,11 @@ def better(one: Exchange, other: Exchange) -> Exchange:
     weights = one if one.loss <= other.loss else other
     proof = one if one.bound >= other.bound else other
     return replace(
-        weights,
-        X=proof.X,
-        nu=proof.nu,
-        bound=proof.bound,
-        price=proof.price,
-        frequency=proof.frequency,
+        weights, X=proof.X, nu=proof.nu, bound=proof.bound, price=proof.price, frequency=proof.frequency,
         rounds=max(one.rounds, other.rounds),
         problem=one.problem if len(one.problem.omega) >= len(other.problem.omega) else other.problem,
         pair=other.pair,
-    )
+    )  # fmt: skip
 
 
 def _level_of(values: NDArray[np.float64], count: int) -> float:

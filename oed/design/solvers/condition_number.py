@@ -361,16 +361,9 @@ def _as_design(
     values, vectors = np.linalg.eigh(Z_low)
     X = np.asarray(setting.turn.T @ vectors * np.sqrt(np.clip(values, 0, None)), dtype=np.float64)
     certificate = Certificate(
-        X,
-        {"input power": 0.0},
-        1.0,
-        1 / bound,
-        bound,
-        float(prices[top]),
-        float(omega[top]),
-        price,
+        X, {"input power": 0.0}, 1.0, 1 / bound, bound, float(prices[top]), float(omega[top]), price,
         rounding=setting.rounding(lines, w),
-    )
+    )  # fmt: skip
     return assembled(
         setting.problem, spectrum, certificate, setting.loss(lines, w),
         used={"input power": spectrum.total_power}, tolerance=tolerance, solver="clarabel", rounds=rounds,
