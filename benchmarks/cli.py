@@ -39,7 +39,6 @@ from oed.lazily import extra_named
 SCHEMA_VERSION = 1
 BAD_INPUT = (InputError, NotIdentifiable, InfeasibleDesign, CampaignError)
 
-
 NUMBERS = {
     "int": "a whole number",
     "float": "a number",

@@ -31,7 +31,6 @@ def entry_name(i: int, j: int, n_outputs: int, n_inputs: int) -> str:
 MOST_CHANNELS = 64
 """Channels that one sample alone may have: more in a single row are a signal that lies on its side."""
 
-
 WRONG = {"c": "complex values", "M": "dates", "m": "durations", "U": "text", "S": "text"}
 """Kinds of arrays that would become numbers, and are none that a signal has."""
 

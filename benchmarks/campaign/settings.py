@@ -129,7 +129,6 @@ class Settings:
 
 TWICE = "one channel: Procedure 2 is the power iterations twice over"
 
-
 DEFAULT_LIMITS = (
     Limit(10, plant="three-by-two"),
     Limit(40, plant="random-fir-1"),

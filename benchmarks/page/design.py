@@ -20,7 +20,6 @@ POINTS = 600
 TIGHT = 1e-3
 """Share of a budget that may be left where it still counts as what limits the design."""
 
-
 MOST_NAMED = 4
 """Lines whose frequencies the answer names."""
 

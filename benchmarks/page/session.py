@@ -16,7 +16,6 @@ from oed.files.writing import write_whole
 MOST, MOST_FITTED = 25, 6
 """Estimates that are computed again for the curve, evenly thinned, and how many of them where each is a fit."""
 
-
 CUT = 3.0
 """Intervals are drawn up to so many times the last estimate: those of the first experiments would hide all others."""
 

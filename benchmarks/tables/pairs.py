@@ -170,7 +170,6 @@ AGAINST = {
     "rho_there": "rho there", "difference": "difference", "p_holm": "p (Holm)", "verdict": "so it is",
 }  # fmt: skip
 
-
 APART = "has no plant, noise level, input and estimator in common with this comparison at its budget; compare with "
 APART += "--samples, --experiments and --plant as there."
 

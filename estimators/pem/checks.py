@@ -64,7 +64,6 @@ LARGEST = 1e140
 """Size of a signal and of one beside the other, and one over it the smallest: squares of signals over residuals a billion times
 smaller are formed, and a double ends at 1e308 (see the test)."""
 
-
 RATIOS = 1 / LARGEST, LARGEST
 """Sizes of outputs over those of inputs: their squares are the gains' variances."""
 

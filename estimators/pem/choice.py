@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 NEAR = 10.0
 """Difference of AIC up to which a delay is looked at closely: beyond it the best is 150 times as likely."""
 
-
 WORTH = 0.01
 """What one more order must take off the error on blocks left out: less is within what five blocks can tell apart, and
 nobody would see it in a plot."""

@@ -17,7 +17,6 @@ from oed.errors import Status
 TRIFLES = (1e-9, 1e-12, 1e-15, 0.0)
 """Shares of the power below which a line is left out, the first at which the loss does not tell."""
 
-
 UNTOLD = 1e-9
 """Relative rise of the loss that is not told."""
 

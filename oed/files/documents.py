@@ -27,7 +27,6 @@ LONGEST_NUMBER = 400
 SHOWN = 60
 """Characters of a wrong value that a message repeats."""
 
-
 TEXT = {"type": "string", "description": "a text"}
 FLAG = {"type": "boolean", "description": "true or false"}
 WHOLE = {"type": "integer", "description": "a whole number"}

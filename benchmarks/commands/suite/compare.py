@@ -12,12 +12,10 @@ from oed.errors import InputError
 HELP = "compare inputs and estimators for the H-infinity norm: tables, figures, report"
 EXAMPLE = "oed compare --plant reference --noise-variance 1 --replicates 100 --out results/mine"
 
-
 LISTS = {"plant": "plants", "noise_variance": "noise_variances", "limit": "limits"}
 PLAIN = (
     "methods", "estimators", "samples", "experiments", "replicates", "profile_replicates", "time_limit", "out",
 )  # fmt: skip
-
 
 NEEDED = ("joblib", "tqdm", "pandas", "pyarrow", "matplotlib", "altair", "vl_convert")
 """The extra `compare`."""

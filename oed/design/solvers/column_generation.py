@@ -34,7 +34,6 @@ AGAIN = 0.8
 """Share of the gap of the last trial at which the next is worth its time."""
 Master = Callable[[Problem, Columns, NDArray[np.float64] | None, float], Weights]
 
-
 Pair = tuple[Columns, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
