@@ -5,8 +5,6 @@ or SIGHUP ended it (what was finished is kept), 1 for anything else. A reader of
 neither what is written to files nor the exit status. With `--json` standard output carries one JSON object and nothing
 else, whatever a solver prints below Python."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -1,7 +1,5 @@
 """`compare`: run a campaign and turn it into tables, figures, a page and a sentence."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

@@ -4,8 +4,6 @@ One process and one thread per record and tool, with a limit in CPU seconds: wha
 bound to the digest of its signals, of the runner and of the tools' versions; a table that was cut short goes on where it was.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -4,8 +4,6 @@ It runs in the environment that `make peers` makes, where none of our packages i
 imports (our own, for the row `oed`, in ours). Signals are scaled to mean 0 and deviation 1 of the training record for every
 tool but ours. A free run starts from the samples before `skip`, and the error counts those from there on."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

@@ -1,7 +1,5 @@
 """What a command that takes long says on standard error: stage, elapsed, and what remains where the work is known."""
 
-from __future__ import annotations
-
 import sys
 import threading
 import time

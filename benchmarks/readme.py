@@ -1,7 +1,5 @@
 """Write the README's answer and docs/results from a finished comparison (`make campaign`)."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Stages of long work: who works says where it is, who waits listens; where nobody listens it costs nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar

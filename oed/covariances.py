@@ -2,8 +2,6 @@
 
 And algebra of this size on one thread: waking the BLAS's others takes longer than the algebra does."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache, wraps
 from typing import Any, ParamSpec, TypeVar

@@ -3,8 +3,6 @@
 At the border (user input, a rig, a solver that broke) the suite raises; inside loops a failure is a
 `Status` beside the number, so that a campaign of thousands of runs records it and goes on."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable, Sequence
 from enum import Enum

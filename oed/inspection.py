@@ -3,8 +3,6 @@
 Everything here is reported and nothing is changed: whether a mean is an operating point, or a sample a fault, is
 known to those who measured it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Names that a package exports, imported when they are first used: `import oed` stays quick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Parts of a campaign on a Dask cluster: a cluster that is not there, or no longer, is said in a line and ended."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

@@ -1,7 +1,5 @@
 """A time limit for a call, whatever the call does: on any thread, in any worker."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 import threading

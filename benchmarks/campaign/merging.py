@@ -1,7 +1,5 @@
 """Stores put together: machines that each ran some plants, noise levels, inputs or replicates of one campaign."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

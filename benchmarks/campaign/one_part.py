@@ -3,8 +3,6 @@
 Seeds are functions of names: the noise of (seed, plant, replicate, experiment) and the generator of (seed,
 plant, method, replicate). All methods meet the same plants and the same noise."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Plants by name or file, as the command line takes them, among them the one identified from the hair dryer."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

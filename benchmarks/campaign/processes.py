@@ -1,7 +1,5 @@
 """Work on several processes: nothing is lost when one is killed, and none is left when the first one is."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

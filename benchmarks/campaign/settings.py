@@ -1,7 +1,5 @@
 """What decides the numbers of a campaign, from Python, the command line or a TOML file."""
 
-from __future__ import annotations
-
 import fnmatch
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field

@@ -1,7 +1,5 @@
 """Methods and estimators of the user's own, by function or as `FILE.py:FUNCTION`."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterable
 from functools import partial

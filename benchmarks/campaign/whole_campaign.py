@@ -1,7 +1,5 @@
 """Monte-Carlo campaigns: plants x noise x methods x replicates, resumable, the same on any number of workers."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial

@@ -1,7 +1,5 @@
 """A declared figure as a Vega-Lite specification, by Altair; the page puts the rows of every panel into it."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The page of a comparison: the answer plant by noise, what to do, and every table and figure behind it."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial

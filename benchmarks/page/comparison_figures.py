@@ -1,7 +1,5 @@
 """The figures of a comparison as rows: where the iterations are optimal, what estimators waste, profiles, spectra, gains."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

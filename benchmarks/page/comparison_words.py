@@ -1,7 +1,5 @@
 """What the page of a comparison says: the answer in a sentence, what to do, and what the numbers say plant by plant."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The page of a design: the spectrum, the sensitivity with the certificate's line, the signal, what limits it, alternatives."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

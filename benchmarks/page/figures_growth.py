@@ -1,7 +1,5 @@
 """Figure and page of how cost grows with the work: log-log, one panel for each thing that grows, ours and the peer."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any

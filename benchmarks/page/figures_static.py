@@ -1,7 +1,5 @@
 """A declared figure with matplotlib, for papers: the same rows as on the page, as SVG and PDF."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any

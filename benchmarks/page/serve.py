@@ -1,7 +1,5 @@
 """`oed report DIR --serve`: one page on this machine only, which follows a campaign or a session that runs."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from functools import lru_cache

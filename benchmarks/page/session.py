@@ -1,7 +1,5 @@
 """The page of a session: how far it is, the estimate with its interval after every experiment, the records, the limits."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

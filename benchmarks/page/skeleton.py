@@ -4,8 +4,6 @@ The browser itself holds it to that: the page's security policy allows the scrip
 connection at all, so neither a results folder from somebody else nor a specification can run or fetch anything.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -1,7 +1,5 @@
 """Finite experiments: the theory's own residual, and what each added effect takes away from it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ whose gain agrees with the published errors); experiments of 50 samples, 200 of 
 standard deviation 0.1, input norm 1. What is published of it as numbers here are medians of a re-run (theory,
 section 7); the rows repeat that re-run with other plants and noises, and add order selection."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """[M]: the transpose by experiments, Procedure 2, and its story on the vibration-isolation system."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """[M] (5), (6) and (13), the frequency response of Fig. 4, and the map of Sec. V-B."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

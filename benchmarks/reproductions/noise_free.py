@@ -1,7 +1,5 @@
 """Without noise: every iteration against the dense matrix, how slowly the norm is neared, what Krylov saves."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

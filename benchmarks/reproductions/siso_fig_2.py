@@ -1,7 +1,5 @@
 """[S] Fig. 2: magnitude of the plant and limit spectra at noise variances 1, 4 and 9 by the matrix H_d."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

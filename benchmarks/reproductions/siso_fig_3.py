@@ -1,7 +1,5 @@
 """[S] Fig. 3: estimated gain during the iterations, N = 1000, 1000 realisations, variances 1, 4, 9."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

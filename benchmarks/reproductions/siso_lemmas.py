@@ -1,7 +1,5 @@
 """[S] Lemmas 1 and 11, Theorem 2, Remarks 3 and 5, as runs of the algorithms."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """[S] Sec. 4: mu against beta_2 as an estimator, Lemma 13 and its limit, and what the iterations are worth."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """[S] Theorem 10 and Lemma 6: the spectra converge to the limit from any start bounded away from zero."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

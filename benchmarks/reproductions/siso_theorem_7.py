@@ -1,7 +1,5 @@
 """[S] Theorem 7 (one fixed point) and Remark 4 (the matrices of Algorithm 1 and of two experiments have one norm)."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

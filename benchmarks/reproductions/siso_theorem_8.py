@@ -1,7 +1,5 @@
 """[S] Theorem 8: four properties of mu and of the limit spectrum."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

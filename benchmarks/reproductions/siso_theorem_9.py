@@ -1,7 +1,5 @@
 """[S] Theorems 9 and 12: mu^2 and E beta_2^2 at little noise, as slopes of the error against the variance."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

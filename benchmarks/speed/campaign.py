@@ -1,7 +1,5 @@
 """Speed of the comparison at scale: tabulating a million runs, and what a second worker is worth."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -3,8 +3,6 @@
 Both start from the same scaled columns, both must reach a certified relative gap of 1e-6. CVXPY builds, compiles
 and solves its problem in every call, as a user's script would; its tolerances are Clarabel's defaults (1e-8)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

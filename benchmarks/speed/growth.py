@@ -1,7 +1,5 @@
 """How cost grows with the work: exponents of time and memory of each verb, beside the peer that does the same job, in one run."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 The same data, the same start, the same optimum (checked: the baseline's loss must not be lower). Times are
 medians; the first call of each, which compiles or builds, is not counted."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

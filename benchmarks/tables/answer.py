@@ -3,8 +3,6 @@
 Inputs and estimators are judged apart. An input by the information it carries for the peak gain, in shares of the
 certified optimum at the same energy; an estimator by rho on the same records."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

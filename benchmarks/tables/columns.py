@@ -1,7 +1,5 @@
 """What the tables of a comparison show, column by column, and how a comparison was made."""
 
-from __future__ import annotations
-
 import shlex
 import tomllib
 from collections.abc import Sequence

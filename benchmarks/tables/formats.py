@@ -3,8 +3,6 @@
 A key `name_se` is the standard error of `name`: what people read shows both as 1.234 ± 0.012, what programs
 read (CSV, Parquet) keeps two columns with all digits."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Efficiency against budget, up to the limit: what the iterations carry after 1, 2, 5, .. experiments, and after all that one could do."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

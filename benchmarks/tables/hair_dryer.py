@@ -3,8 +3,6 @@
 Identify OE(2,2) without extra delay on the first half, test its residuals, find the delay they point to, refit,
 and report the errors before and after on the second half, which neither model has seen."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

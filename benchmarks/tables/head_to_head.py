@@ -1,7 +1,5 @@
 """The head-to-head of Tu, Boczar and Recht (2018) as the report shows it: medians with intervals, at stated budgets."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any

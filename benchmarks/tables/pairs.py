@@ -5,8 +5,6 @@ plant, or plants of a family), and its error is that on the problems of odd numb
 there is not larger by two standard errors of the paired difference tie with it. Against an earlier comparison nothing is
 paired: what is better or worse is said under Holm's rule."""
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from collections.abc import Mapping, Sequence

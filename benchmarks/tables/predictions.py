@@ -1,7 +1,5 @@
 """What `oed theory` reports: the theory's prediction for the iterations, and the map of [S] Sec. 4.2's claim, as rows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial

@@ -3,8 +3,6 @@
 A problem is one plant at one noise level in one replicate; a solver is an input with an estimator. A run that failed has
 solved nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

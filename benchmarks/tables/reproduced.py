@@ -1,7 +1,5 @@
 """The rows of `oed reproduce`: what was published, what comes out here, and whether that agrees."""
 
-from __future__ import annotations
-
 import pkgutil
 from importlib import import_module
 from typing import Any

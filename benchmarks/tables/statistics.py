@@ -3,8 +3,6 @@
 rho = RMSE(gamma^) sqrt(input energy / lambda_e), the yardstick of docs/theory/design.md: at least 1 for unbiased
 estimators (a local, large-sample bound), whatever the method."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any

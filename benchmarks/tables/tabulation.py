@@ -1,7 +1,5 @@
 """From a store to all tables, one combination in memory at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """The rows of `oed speed`: what a call takes beside a baseline, in turn in one run, and whether that meets its target."""
 
-from __future__ import annotations
-
 import statistics
 import time
 import tracemalloc

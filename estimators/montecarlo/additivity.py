@@ -10,8 +10,6 @@ linear map of fresh Gaussian noise. That joint law is what is tested; E s s' = s
 
 With the pytest plugin that the package registers, the fixture `information_adds_up` does the same."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any

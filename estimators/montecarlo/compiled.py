@@ -3,8 +3,6 @@
 Numba compiles a function when it first meets its arguments, and keeps the result in NUMBA_CACHE_DIR until the file changes.
 `make setup` calls this once; without it, two workers that begin together would both compile the same."""
 
-from __future__ import annotations
-
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np

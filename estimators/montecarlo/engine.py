@@ -4,8 +4,6 @@ The compiled kernels run any stable rational plant; a plant that is a Python cal
 Both meet the noise of `oed.signals.noise`, so run r is the same run on either path, in any order and on any number of
 threads; the starts are white noise of exactly unit power from the same source (`counter_start`)."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ unsigned, because a sign test in the index would keep the loops scalar. The twin
 loop `estimators.rules.trace.run` on `oed.experiments.simulated`; the noise is that of `oed.signals.noise`, bit for bit.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from llvmlite import ir
 from numba import njit, types

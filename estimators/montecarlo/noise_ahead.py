@@ -1,7 +1,5 @@
 """The noise of many replicates at once, by the compiled loops of the Monte-Carlo engine."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -7,8 +7,6 @@ y_t = sum_k g_k u_(t-k) + e_t with n taps g_k (ny x nu), from rest, over all rec
 The number of taps is given, or chosen by an information criterion, or made harmless by a kernel that expects the
 response to decay (TC: cov(g_i, g_j) = c a^max(i, j), c and a by marginal likelihood)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast

@@ -5,8 +5,6 @@
 
 Both give the largest singular value over the lines with its standard error, refined between the lines."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

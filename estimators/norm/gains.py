@@ -9,8 +9,6 @@ under any scaling of the inputs ([M] (13)). [S] (4) and (7) as printed lack the 
 Rayleigh quotients. The eigenvalues of T G come in pairs of nearly equal size and opposite sign, so `rayleigh`
 may settle anywhere between -gamma and gamma; `gain` is the one to use."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

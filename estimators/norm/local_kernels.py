@@ -7,8 +7,6 @@ The distances x are real, so with w = 1 / |A|^2 all products of powers of x over
 T_j = x^j / A the transients. Every matrix of the normal equations is one of moments less one of their coordinates.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -5,8 +5,6 @@ experiment, is fitted to all lines in the band by refined instruments (`estimato
 likelihood at its fixed point: nothing about the plant outside the band is assumed, and the standard error comes with it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from math import sqrt
 

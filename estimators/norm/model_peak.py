@@ -1,7 +1,5 @@
 """Peak gain of a fitted model, and how well its data say where the peak is."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

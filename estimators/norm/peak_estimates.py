@@ -13,8 +13,6 @@ local model and |G|^2 elsewhere from the records, and say INACCURATE where the i
 they assume, where a second peak is so nearly as high that its share has not settled (`two-peaks`), or where lambda^ is
 so large beside gamma^2 that a small-noise formula says little."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where the iterations' last input is strongest: the worst case that they have found, frequency and directions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

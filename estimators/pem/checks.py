@@ -1,7 +1,5 @@
 """What is refused before any work: records and orders that cannot give a model."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

@@ -4,8 +4,6 @@ At every point the loss is replaced by its Gauss-Newton model, which IPOPT minim
 constraints as they are, not linearised (sequential quadratic programming with exact constraints): so every point from
 the second on obeys them, and where the steps end the Karush-Kuhn-Tucker conditions of the loss itself hold."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The verb `identify`: records in, a fitted model with its uncertainty out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any

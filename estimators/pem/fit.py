@@ -1,7 +1,5 @@
 """A fitted model with its uncertainty, and what can be asked of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

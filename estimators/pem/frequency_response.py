@@ -1,7 +1,5 @@
 """Models of measured frequency responses: rational functions weighted by the variance of every line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -5,8 +5,6 @@
 The input is held between samples; continuous time is integrated by Runge-Kutta of order 4 in substeps, its error
 O((dt / substeps)^4). Sensitivities are propagated forwards, sample by sample."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

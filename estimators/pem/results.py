@@ -1,7 +1,5 @@
 """From the optimum to the result: covariance, noise, figures of merit, in the user's units."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The algebra of a residual's correlations: noise filters, least squares, delayed columns, what a fit has taken, the spread left."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How well a model fits, as one number."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ then normal with covariance (M X)' Sigma (M X): that is what is used, with Sigma
 (coloured noise included) estimated by an autoregression of the residuals. Without the projection the test of a fit's
 residuals is wrong both ways: in AR(0.9) noise it rejects 12 % at a level of 5 %, in white noise .5 %."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any

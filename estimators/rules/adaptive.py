@@ -7,8 +7,6 @@ what is known. For the peak gain `sequential` hedges: the optimum for a known pl
 tells nothing about whether the peak is elsewhere; it applies the mean of the optima of plants drawn from what is known
 so far, a multisine as wide as the peak is uncertain."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from typing import Any
 

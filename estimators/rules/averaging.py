@@ -5,8 +5,6 @@ forgets all experiments but the last, so noise of variance lambda_e enters anew 
 gamma^2 most of the input is noise. A step that shrinks averages it away, as in the iterations that [S] cites,
 Krasulina (1970) and Oja and Karhunen (1985), for the largest eigenvalue of a matrix that is seen in noise."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 
 import numpy as np

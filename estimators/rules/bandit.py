@@ -4,8 +4,6 @@ Every DFT line is an arm. The posterior of its response after some experiments i
 sum Y U* / sum |U|^2 and variance lambda_e / sum |U|^2; an experiment's power is shared among the lines in
 proportion to how often each has the largest gain when all are drawn from their posteriors."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from dataclasses import dataclass
 

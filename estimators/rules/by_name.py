@@ -1,7 +1,5 @@
 """The iterative algorithms by name, run with all the estimates that go with them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

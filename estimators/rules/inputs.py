@@ -2,8 +2,6 @@
 
 Every input has exactly the power asked for (summed over channels); each experiment draws a new one."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 
 import numpy as np

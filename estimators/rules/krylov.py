@@ -4,8 +4,6 @@ Power iterations keep the last vector only; Lanczos keeps the span of all of the
 in it, so that without noise the same experiments give a lower bound that is never worse, and far better
 where singular values lie close together."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Limits on the input, and the largest multiple of a signal that meets them ([M] Sec. III-C)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any

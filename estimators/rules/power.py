@@ -1,7 +1,5 @@
 """Power iterations on one channel: [S] Algorithm 1 and [M] Procedure 1, as a rule for `run`."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """[M] Procedure 2: power iterations for any number of inputs and outputs, 1 + pq experiments each."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from functools import partial
 

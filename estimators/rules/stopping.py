@@ -2,8 +2,6 @@
 
 The budget of experiments is an argument of `run`; this is its `stop`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

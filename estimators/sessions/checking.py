@@ -1,7 +1,5 @@
 """What protects a rig and its records: an input against the limits before anybody sees it, an output when it comes back."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

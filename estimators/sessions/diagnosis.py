@@ -1,7 +1,5 @@
 """The diagnosis that a session's records allow: of the model it was given, or of the linear models of its rig."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The estimate that a session has so far, with its uncertainty."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -11,8 +11,6 @@
 The state is `session.json` and the inputs and outputs; the journal adds their fingerprints and is mended where a kill
 came between a file and its line."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import os

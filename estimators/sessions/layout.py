@@ -9,8 +9,6 @@ is the noise floor. The ramps lie outside the periods, so they change nothing on
 
 Either way a lead at the level may come first: it gives the resting output, which is taken off."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

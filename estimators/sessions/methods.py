@@ -1,7 +1,5 @@
 """The sequential methods that a session can run, each as a rule for `estimators.rules.trace`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

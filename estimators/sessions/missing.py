@@ -12,8 +12,6 @@ correction C of the model, P_rig = P_model + C, that they support:
 and compared by Schwarz's criterion; the error before and after is that of records that were not used in the fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Diagnose, then ask: the next experiment is the one that best tells the two likeliest causes apart."""
 
-from __future__ import annotations
-
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
 from itertools import count

@@ -4,8 +4,6 @@ The input is at its level for four pieces, then for every input up by a small st
 is a ninth of an experiment, so that for no number of inputs its record has the length of one. What it finds decides nothing by itself: it warns of outputs that would leave their range,
 of responses below the noise, and of delays, drifts and tails that the session's settings do not expect."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The state is the settings and the recorded outputs, nothing else. A method is a 
 asks for the same inputs, bit for bit, so a session that was killed is opened again by playing the records back.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What a session is about: method, channels, lengths, limits. Written once, as JSON that a person can read."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

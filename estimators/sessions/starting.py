@@ -1,7 +1,5 @@
 """A session begun in a folder: its settings written once, and never over another's."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

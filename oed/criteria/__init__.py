@@ -9,8 +9,6 @@ so that one number, the largest trace(X' M X) over all admissible spectra, bound
 is a file here with a subclass of `Criterion`; with `named` it is known by that name everywhere.
 """
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 

@@ -1,7 +1,5 @@
 """Modified E: the condition number of V' M^-1 V. Its certificate is a ratio of two: `oed.design.solvers.condition_number`."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np

@@ -1,7 +1,5 @@
 """D: det(V' M^-1 V)^(1/s); V = identity: D-optimality, selected columns: D_s. Numerator s det(V'X)^(2/s)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, ClassVar
 

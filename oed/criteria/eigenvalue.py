@@ -1,7 +1,5 @@
 """E: the largest eigenvalue of V' M^-1 V; V = identity: E-optimality. Numerator |V'X|_F^2."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np

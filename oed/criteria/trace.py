@@ -1,7 +1,5 @@
 """A: trace(V' M^-1 V); V = identity: A-optimality, V V' = W: A(W), also called L; s = 1: c. Numerator trace(V'X)^2."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 Numerators sum_k trace(V_k'X_k)^2 and s sum_k det(V_k'X_k)^(2/s)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """The one function that makes a Design of what a solver found, with its certificate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The verb: solve_design."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

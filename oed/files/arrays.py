@@ -1,7 +1,5 @@
 """Arrays by name, as npz and MAT files hold them: (N,) or (N, channels), split into columns."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

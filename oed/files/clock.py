@@ -1,7 +1,5 @@
 """The sampling time that a column of times implies, and whether the times are uniform."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """CSV: a header row, then numbers; every float is read to the last bit."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -3,8 +3,6 @@
 A document is text of bounded size in UTF-8, in which no key occurs twice and every number is finite; a schema says
 which keys it has. Its entries carry a `description`: the rule in words, as the message states it."""
 
-from __future__ import annotations
-
 import difflib
 import json
 import math

@@ -2,8 +2,6 @@
 
 Each limit can be raised by an environment variable, which its message names."""
 
-from __future__ import annotations
-
 import errno
 import math
 import os

@@ -1,7 +1,5 @@
 """One process at a time in a folder: a lock that the system releases when its process dies."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

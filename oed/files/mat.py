@@ -2,8 +2,6 @@
 
 A damaged HDF5 file can make the library loop for ever or end the process, so h5py reads in a process of its own."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

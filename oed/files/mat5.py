@@ -3,8 +3,6 @@
 Malformed files end the process inside SciPy's compiled reader, which trusts them. Numbers, characters, cells and
 structs are read; sparse matrices, objects and functions are None, as nothing here can use them."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 from math import prod

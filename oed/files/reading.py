@@ -1,7 +1,5 @@
 """Reading a record from a file, by its suffix."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import os

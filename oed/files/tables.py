@@ -1,7 +1,5 @@
 """A table of named columns, whatever file or object it came from, and the record that is made of it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

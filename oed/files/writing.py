@@ -1,7 +1,5 @@
 """Writing a record to a file, by its suffix: all of it or nothing, and never over another file unasked."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import gzip

@@ -1,7 +1,5 @@
 """Poles as an engineer reads them: frequency, damping and time constant of each pair."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

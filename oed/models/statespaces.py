@@ -6,8 +6,6 @@ The state holds predictions: of output i the next n_i samples, y_i(t|t-1), ..., 
 n_1 + ... + n_ny = n. So C picks entries, A shifts within each block, and what is free is the last row of each
 block of A, all of B and K (and D): n (2 ny + nu) numbers, as many as the model has degrees of freedom."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The polynomial structures by name: which of A, B, C, D, F each has. A new one is a row here. Light: no imports."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -1,7 +1,5 @@
 """What the polynomials and the noise of a plant must be, and the sentences that say so."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

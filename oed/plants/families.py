@@ -1,7 +1,5 @@
 """Families of random plants, by seed: light damping, two competing peaks, delay, several channels."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from oed.errors import check_names

@@ -1,7 +1,5 @@
 """Plants from and to JSON: the files that `oed --plant FILE.json` reads."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A model that somebody already has, beside the ones that a diagnosis fits: its orders, and its error on a record."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """At which frequencies a plant's gain equals a level: eigenvalues on the unit circle of a symplectic pencil."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

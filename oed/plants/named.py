@@ -3,8 +3,6 @@
 Each has the feature that its name says; `avis` imitates what [M] publishes of a vibration-isolation system
 and is synthetic. `hair-dryer` is identified from a record and therefore lives with the comparison."""
 
-from __future__ import annotations
-
 from functools import reduce
 
 import numpy as np

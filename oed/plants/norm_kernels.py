@@ -5,8 +5,6 @@ t = w - c, and bound what is left: |q(t) - q| <= e^|t| - 1, so that A is majoris
 exceeds the bound on the whole cell no frequency in it has the gain gamma; else the cell is halved.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

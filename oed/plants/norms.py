@@ -5,8 +5,6 @@ certified by the level-set test of Bruinsma and Steinbuch (1990): at a level sli
 symplectic pencil of the plant must have no eigenvalue on the unit circle. One input and one output are certified
 by cells (`norm_kernels`), in a twentieth to a fifth of the time, and by the pencil where rounding leaves cells undecided."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

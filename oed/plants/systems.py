@@ -1,7 +1,5 @@
 """A plant of whatever describes a system: python-control, scipy.signal, an identified model, a name or a file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -16,8 +16,6 @@ A normal of radius r differs from the exact formula's by at most 1e-6 + 1e-7 / r
 Source: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011, Sec. 3.3 and
 Table 2: seven rounds pass every test of BigCrush. The polynomials are our own minimax fits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from hashlib import blake2b
 

@@ -1,7 +1,5 @@
 """The sinusoids of a spectrum, tabulated once for all signals that have their frequencies."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -5,8 +5,6 @@ they are, `multisine` moves them to the lines of the discrete Fourier transform 
 factor, `filtered_noise` draws a Gaussian signal, `binary` a signal of two levels. The power of the signal is the
 spectrum's exactly, except for `binary`, whose amplitude is its power."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 The theorem of `oed.theory.claim` covers white noise, one limit on the total power and a free gain; each group of cases
 leaves one of these, or stays within them (damping, order, peaks, noise level) as a check."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -23,8 +23,6 @@ It breaks where no such x exists (known gain, monic numerator), where the noise 
 single channels or amplitudes are limited, and with an unknown offset when w^ = 0. `map_of_claim` and
 `oed.theory.cases` measure by how much."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -20,8 +20,6 @@ nothing is printed.
 
 The mean of beta_2^2 is sum_i d_i^2 E p_i of the experiment before, exactly."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -17,8 +17,6 @@ factor), P the power of the first stage's output, which is random too. Linear in
 
 The mean of gamma_2^2 of an iteration is sum_i d_i^2 E p_i of its own input, exactly: its noise is new."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

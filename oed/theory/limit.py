@@ -8,8 +8,6 @@ delta = mu^2 - gamma^2, and gamma^2 |A|^2 - |B|^2, a polynomial in x = cos w wit
 divided by these roots before it is evaluated, on panels that shrink towards every peak. The second way to the
 same number is `limit_spectrum_on_grid`: the eigenproblem of the matrix H_d of [S] Sec. 5."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

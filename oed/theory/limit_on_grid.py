@@ -1,7 +1,5 @@
 """The limit spectrum the second way, by the matrix H_d of [S] Sec. 5, and the spectra on the way there."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -15,8 +15,6 @@ noise term; for Lambda = lambda_e I and H = 1 it is phi_i = lambda_e (s_i^2 + p 
 mu normalises the two-stage map and tends to gamma^2. With one channel and scaled second stages it is
 Algorithm 1's limit exactly: two of its steps."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 

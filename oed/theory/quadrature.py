@@ -1,7 +1,5 @@
 """Quadrature over [0, pi] that resolves peaks of any sharpness: panels shrink towards chosen frequencies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """`oed design`: an optimal input for a plant, with its certificate."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`oed iterate`: run the power iterations on a plant and print the gains."""
 
-from __future__ import annotations
-
 import argparse
 
 HELP = "run the power iterations on a plant; estimates per iteration"

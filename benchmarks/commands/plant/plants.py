@@ -1,7 +1,5 @@
 """`oed plants`: the plants that `--plant` knows by name."""
 
-from __future__ import annotations
-
 import argparse
 
 HELP = "the plants that --plant knows by name, each with its norm"

@@ -1,7 +1,5 @@
 """`oed theory`: what the theory predicts for the power iterations on a plant."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`oed data`: well-known benchmark records from a folder of the user's, with their splits and published errors."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import dataclass
 

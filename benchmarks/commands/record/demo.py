@@ -1,7 +1,5 @@
 """`oed demo`: a folder with something to try: a record, a plant, a campaign, and the commands to copy."""
 
-from __future__ import annotations
-
 import argparse
 
 HELP = "write a folder to try things in: a record, a plant, a campaign, and the commands to copy"

@@ -1,7 +1,5 @@
 """`oed diagnose`: what a linear model of a record lacks, and the error before and after it is added."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`oed diagnose-folder`: every case of a folder, several at a time; resumes."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """`oed effects`: the effects that a diagnosis can name."""
 
-from __future__ import annotations
-
 import argparse
 
 HELP = "the effects that oed diagnose can name, and where each acts"

@@ -1,7 +1,5 @@
 """`oed identify`: a model of measured data by prediction-error identification."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

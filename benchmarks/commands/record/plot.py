@@ -1,7 +1,5 @@
 """`oed plot`: the figures of an identified model."""
 
-from __future__ import annotations
-
 import argparse
 
 HELP = "figures of identified models: frequency response, poles, step response, residual tests, measured against simulated"

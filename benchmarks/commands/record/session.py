@@ -1,7 +1,5 @@
 """`oed session`: experiments on a rig by files, one step at a time."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -1,7 +1,5 @@
 """`oed compare`: the main job."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from importlib.util import find_spec

@@ -1,7 +1,5 @@
 """`oed report`: the HTML page of whatever result a folder holds."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`oed reproduce`: published figures and statements, recomputed."""
 
-from __future__ import annotations
-
 import argparse
 
 HELP = "recompute what was published: figures, tables and theorems"

@@ -1,7 +1,5 @@
 """`oed speed`: the speed benchmarks, ours and a baseline in turn in one run."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

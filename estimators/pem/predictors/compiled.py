@@ -1,7 +1,5 @@
 """Kernels of the structures by compiled loops, the same for all orders: nothing is compiled for a model of its own."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -10,8 +10,6 @@ An unknown initial state is one pulse more into every path, (X_j delta) / F_j, a
 unknown level is subtracted from y. Sums over two copies follow from those one sample earlier by taking off the last
 product, so that the Gauss-Newton matrix costs O(n N) and not O(n^2 N)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -11,8 +11,6 @@ state-space model is in innovations form already: F = A, h = C; of several outpu
 covariance Lambda of e stands where the 1 and K K' do, up to a factor that the likelihood is concentrated over.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ CasADi evaluates the step of the recursion, mapped over blocks of 500 samples, s
 not depend on the record's length and rounding errors do not grow with it. Nothing is compiled for a model of its own;
 the structures that are met daily have loops that are compiled once for all of them (`compiled`)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

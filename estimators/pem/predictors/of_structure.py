@@ -1,7 +1,5 @@
 """What the fit needs of a structure: its kernel, the samples that feed it, its scales, and whether it is stable."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 It is what users write first, and the slow, obvious twin of the fast path; constraints of any kind go here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A predictor in general, as one step in CasADi expressions: grey boxes and models with missing outputs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

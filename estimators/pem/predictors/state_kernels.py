@@ -4,8 +4,6 @@ With e = y - C x - D u - level and x+ = A x + B u + K e, what a change of a para
 
     dx+ = (A - K C) dx + dA x + dB u + dK e - K (dD u + dlevel),      de = -C dx - dD u - dlevel"""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

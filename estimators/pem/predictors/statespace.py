@@ -1,7 +1,5 @@
 """Where the search for the parameters of a state-space model begins."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

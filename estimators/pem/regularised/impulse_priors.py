@@ -11,8 +11,6 @@ Each is given by a factor M with K = M M' in closed form, since K itself is sing
 A disturbance d_t = phi d_(t-1) + w_t under white noise e_t, var w = q var e, has with the difference operator
 D v = (v_t - phi v_(t-1)) the tridiagonal covariance q I + D D': its inverse costs O(N)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

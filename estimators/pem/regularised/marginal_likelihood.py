@@ -9,8 +9,6 @@ under a flat prior (restricted likelihood) and the variance of e concentrated, i
 tridiagonal up to differences, all of it follows from moments of the size of the taps: O(N n^2) once per V, O(n^3) per K.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache

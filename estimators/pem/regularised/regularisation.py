@@ -4,8 +4,6 @@ The output of a record is y = level + G u + tau + d + e: tau is the answer to in
 kernel of the impulse response over time (Lataire, Chen, Automatica 72, 2016, 57), d a slow disturbance, e white.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

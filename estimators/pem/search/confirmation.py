@@ -11,8 +11,6 @@ A rival would have to fit as well with another response (1) or another pair of B
 Where nothing is left but B and F, or C and D, have a root in common as far as the data tell, the order is too high: the
 optimum lies in a valley, and rivals differ by where a mode that is not there fits the noise best."""
 
-from __future__ import annotations
-
 from enum import Enum
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What can be added to the squared loss: known and bounded parameters, priors, robust weights, filters, gaps."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

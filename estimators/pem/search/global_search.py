@@ -1,7 +1,5 @@
 """The search for the global optimum of one output: many starts, then modes moved to where they serve better."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """All outputs fitted together, weighted by the inverse of their residual covariance."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -4,8 +4,6 @@ V(z + d) is about V + 2 g'd + d'(H + S)d. H is the Gauss-Newton matrix; S, the s
 starts at zero and is learned from differences of gradients (Dennis, Gay, Welsch 1981, ACM TOMS 7, 348: NL2SOL).
 The model that foretold the last step better is used for the next."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ With some polynomials held the residual is affine in the others (Golub, Pereyra 
 in B and the levels given F, C, D; in A and B given C; in D given B, F, C. So one evaluation tells the loss at the best
 of these, and only the places of few modes are searched."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -6,8 +6,6 @@
 3. Steiglitz-McBride iterations on the data (1965): least squares of F y = B u on data filtered by 1 / F.
 4. The noise model by two-stage least squares (Hannan, Rissanen 1982)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

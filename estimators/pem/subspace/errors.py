@@ -7,8 +7,6 @@ kappa_t v(t), in which kappa_t depends on the past alone if v is white: what ins
 long-run covariance is found as that of the sandwich is, so that it holds for coloured noise and unequal variances too.
 Terms of second order in the noise and the choice of the horizon are left out."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

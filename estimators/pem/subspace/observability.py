@@ -1,7 +1,5 @@
 """The range of the extended observability matrix by its singular values, and A and C from it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

@@ -6,8 +6,6 @@ from the range (shift invariance); B, D, the levels and the initial states then 
 minimise its error (Van Overschee, De Moor 1996, Subspace Identification for Linear Systems, chapter 4; Verhaegen
 1994, Automatica 30, 61: PO-MOESP; Larimore 1990: CVA)."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from dataclasses import replace
 

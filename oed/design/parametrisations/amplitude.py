@@ -6,8 +6,6 @@ power, a square wave all of it, 8 / pi^2 of it in its fundamental: 1.62 times th
 |u_j(t) - u_j(t-1)| <= r implies a mean square of the changes of at most r^2, which is linear in the spectrum too.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

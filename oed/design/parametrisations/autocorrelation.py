@@ -11,8 +11,6 @@ Toeplitz matrix is positive semidefinite (Caratheodory), and then a few lines ha
 Source: R. Hildebrand, M. Gevers, "Identification for control: optimal input design with respect to a worst-case
 nu-gap cost function", SIAM J. Control and Optimization 41 (2003) 1586-1608."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 from typing import Any

@@ -10,8 +10,6 @@ makes the mean of y^2 at most eta (the sum over time telescopes, and s is bounde
 sharp resonance degrees 4, 6, 8 give 0.889, 0.854, 0.838 of it, above the 0.811 of the square wave: the quadratures of
 |cos| by nodes of Gauss and Radau."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 

@@ -8,8 +8,6 @@ best such spectrum degenerates into lines. Here the poles stay within a circle o
 with A_0 by reflection coefficients tanh(x_i), which reach every stable polynomial. The result is the best of several
 local searches; what it may lack is told by the certified bound over all spectra."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Limits on powers that are linear in the spectrum: input, channels, output."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

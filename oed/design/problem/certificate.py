@@ -7,8 +7,6 @@ and every nu >= 0, trace(X' M X) <= trace(X' M_0 X) + rho sum_j nu_j, where rho 
 
 by weak duality. So the pair (X, nu), wherever it came from, gives a bound; the solver's word is not needed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

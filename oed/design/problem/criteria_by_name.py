@@ -7,8 +7,6 @@ static-gain, gain:0.5       largest singular value of G at 0, or at a frequency 
 pole:1, damping:1           modulus of, and damping ratio of, the pole with the smallest damping (1), the next (2)
 I, G, I:0.1:1.0             variance of the frequency response over a band: its mean, its maximum"""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

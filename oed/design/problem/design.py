@@ -1,7 +1,5 @@
 """What a design is: the spectrum, its loss, and the certificate that bounds every other spectrum's."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

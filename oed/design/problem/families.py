@@ -1,7 +1,5 @@
 """Combinations of the parameters that vary with frequency: what G maximises over a band, between its lines too."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Frequency grids that follow the poles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

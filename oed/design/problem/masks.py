@@ -10,8 +10,6 @@ tr[T Phi] at most tr [R^* T R]_+ under the first alone, by projection; under bot
 all frequencies at once; whatever the multiplier Gamma, tr Gamma + tr [R^* T R - B^1/2 Gamma B^1/2]_+ bounds the worth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

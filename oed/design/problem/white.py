@@ -1,7 +1,5 @@
 """White noise as the yardstick: its information, to rounding, by a mean over the circle, and its root on a grid."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

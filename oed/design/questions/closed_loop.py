@@ -5,8 +5,6 @@
 Direct identification uses psi_i = H^-1 (dG_i u + dH_i e): the reference adds H^-1 dG_i T r, and what the noise brings
 through the loop, H^-1 (dH_i - dG_i T C H) e, is information that is there whatever the reference."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The least input power that reaches a demanded accuracy, and the ellipsoid form of application-oriented design."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -7,8 +7,6 @@ minimax loss; it is not convex, but minimax designs of smaller subsets bound tho
 
 The search ends with the optimum, or at its limit of designs with the least bound of the nodes that are open."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass

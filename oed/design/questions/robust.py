@@ -5,8 +5,6 @@ average  sum_j p_j loss_j    A, c: one A criterion of the stacked sqrt(p_j) V_j;
 minimax  max_j loss_j        A, c: a G criterion with one combination per plant;  D: the same of determinants (W);
                              E: the E of all together"""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

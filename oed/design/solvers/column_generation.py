@@ -3,8 +3,6 @@
 The loop that every discrete design runs through, whatever its criterion. It ends when the certificate's bound,
 which counts frequencies between the grid lines too, meets the loss."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

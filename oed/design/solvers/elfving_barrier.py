@@ -7,8 +7,6 @@
 follows the path of mu; there P_k = mu (Q_nu - S_X)^-1 is an admissible spectrum with (M_0 + M(P)) X = V, exact where the
 optimal information is singular. One rank-one line at a time would have to find these directions one by one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

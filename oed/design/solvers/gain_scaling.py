@@ -3,8 +3,6 @@
 docs/theory/design.md: where some x has sum_i x_i G'_i = G / gamma, the sinusoid at the peak is optimal and x is its
 certificate. Whether it is, here, is decided by the certificate as for every other design."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From clusters of neighbouring lines to one line each: merge, find the weights anew, polish, certify again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

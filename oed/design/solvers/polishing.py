@@ -8,8 +8,6 @@ in the frequencies w_i, the complex amplitudes a_i, the multipliers nu and the c
 nonsingular and the loss smooth (D, A of all parameters) X is solved for beforehand. Each step solves with the exact
 second derivatives in the least-squares sense (phases are free, X may be), so that it converges quadratically."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -7,8 +7,6 @@ A and c, by the dual, which is exact also where the optimal information is singu
 
 E, by the linear matrix inequality M(w) >= t V V' (t = 1 / loss), whose multiplier is Z."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

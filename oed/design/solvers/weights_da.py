@@ -7,8 +7,6 @@ With Y = M^-1 and P = X X' (X the certificate direction), df/dw_k = -tr(F_k' P F
 d2f/dw_k dw_l = 2 tr(A_k P A_l Y) - c tr(A_k P A_l P), c the criterion's curvature (1 for D, 0 for A); both are entrywise products of small Gram matrices.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ Optimization 8 (1998) 324-364): in coordinates in which S and Z are the same dia
 the same vectors, the multipliers' step is what is left of a least-squares problem for the weights' step. Solved by an
 orthogonal decomposition, never by its normal equations: those lose the multipliers' digits at a gap of 1e-7."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

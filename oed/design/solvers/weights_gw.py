@@ -7,8 +7,6 @@ with multipliers lambda_k >= 0 that sum to 1. With them it is one A design, X = 
 design, X = M^-1 [sqrt(lambda_k) V_k C_k^-1/2] with C_k = V_k' M^-1 V_k (where lambda_k > 0 the losses are equal).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The reference solver: CVXPY with Clarabel on the whole frequency grid."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ A finite sample of the band gives a loss that is too small and a bound that hold
 sample. So the sample is exchanged until the maximum over the whole band, found between its lines, meets that bound.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
