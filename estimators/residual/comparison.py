@@ -23,8 +23,7 @@ def errors_on(fit: Fit, record: Record, *, skip: int = 0) -> dict[str, float]:
     """Errors of a fit on a record without its first `skip` samples: simulated, which they start, and one step ahead."""
     if not 0 <= skip < len(record):
         raise InputError(f"--skip {skip} of {len(record)} test samples; leave some to judge by.")
-    window = 0 if fit.initial == "zero" else skip
-    y, simulated = record.y[skip:], fit.simulate_record(record, window=window)[skip:]
+    y, simulated = record.y[skip:], fit.simulate_record(record, window=fit.window_of(skip))[skip:]
     e = fit.residuals_of(record, initial="estimate")[skip:]
     return {
         "simulation_rmse": float(np.sqrt(np.nanmean((y - simulated) ** 2))),
@@ -41,7 +40,7 @@ class Comparison:
     Attributes
     ----------
     fits : mapping of str to Fit
-        The models by name.
+        The models by name, in the rows' order.
     record : Record
         What they were compared on.
     skip : int
@@ -115,4 +114,5 @@ def compare_models(fits: Mapping[str, Fit], record: Any, *, skip: int = 0) -> Co
         raise InputError("there is no model to compare; give at least one, by name.")
     record = as_record(record, missing=True)
     rows = [{"model": name, "parameters": len(fit.theta)} | errors_on(fit, record, skip=skip) for name, fit in fits.items()]  # fmt: skip
-    return Comparison(dict(fits), record, skip, tuple(sorted(rows, key=lambda row: row["simulation_rmse"])))
+    rows.sort(key=lambda row: row["simulation_rmse"])
+    return Comparison({row["model"]: fits[row["model"]] for row in rows}, record, skip, tuple(rows))

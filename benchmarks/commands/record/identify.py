@@ -113,7 +113,7 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
         stage("blocks left out in turn")
         from estimators.pem.choice import held_out_error
 
-        how = {"folds": args.folds, "window": 0 if fit.initial == "zero" else args.skip}
+        how = {"folds": args.folds, "window": fit.window_of(args.skip)}
         error, spread = held_out_error(records, args.structure, orders, delay, **how, **options)
         payload["held_out"] = {"simulation_rmse": error, "standard_error": spread}
         lines.append(f"on what was left out in turn: simulation error {error:.6g} +- {spread:.2g}")

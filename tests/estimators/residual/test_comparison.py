@@ -33,3 +33,14 @@ def test_models_are_compared_on_fresh_data(rng):
         compare_models(fits, second, skip=200)
     with pytest.raises(InputError, match="no model to compare"):
         compare_models({}, second)
+
+
+def test_the_figure_says_what_the_table_says_of_models_with_and_without_a_start(rng):
+    """A model that starts at rest does so in the figure too; samples that are missing are left out of both."""
+    u = rng.normal(size=(600, 1))
+    y = lfilter([0, 0.2, 0.2], [1, -1, 0.95], u, axis=0) + 0.05 * rng.normal(size=(600, 1))
+    first, second = Record(u, y)[:300], Record(u, np.where(np.arange(600)[:, None] % 40, y, np.nan))[300:]
+    compared = compare_models({k: identify(first, "oe", (2, 2), initial=k) for k in ("zero", "estimate")}, second, skip=20)  # fmt: skip
+    legend = [text.get_text() for text in compared.plot().axes[0].get_legend().get_texts()]
+    assert legend[1:] == [f"{row['model']}: {row['simulation_fit_percent']:.1f} %" for row in compared.rows]  # fmt: skip
+    assert len({row["simulation_fit_percent"] for row in compared.rows}) == 2
