@@ -32,7 +32,7 @@ from oed.errors import (
     check_names,
     near,
 )
-from oed.lazily import extra_named
+from oed.lazily import MissingExtra
 
 SCHEMA_VERSION = 1
 BAD_INPUT = (InputError, NotIdentifiable, InfeasibleDesign, CampaignError)
@@ -325,7 +325,7 @@ def _run(args: argparse.Namespace, out: _Lasting) -> int:
         print(f"oed {args.command}: {what}; what was finished is kept.", file=sys.stderr)
         return 128 + getattr(error, "number", signal.SIGINT)
     except Exception as error:
-        remedy = extra_named(error) if isinstance(error, ModuleNotFoundError) else ""
+        remedy = str(error) if isinstance(error, MissingExtra) else ""
         if isinstance(error, OSError):  # such as a name too long for a file, or a full disk behind `>`
             remedy = _one_line(
                 f"{error.filename}: {error.strerror}; give another name"

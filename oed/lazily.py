@@ -1,5 +1,6 @@
 """Names that a package exports, imported when they are first used: `import oed` stays quick."""
 
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
@@ -12,11 +13,37 @@ EXTRAS = {
 """What a light install does not have, and the extra that brings it."""
 
 
-def extra_named(error: ModuleNotFoundError) -> str:
-    """What to install where an import failed; empty where it is no extra of ours."""
-    package = (error.name or "").partition(".")[0]
-    remedy = f"{package} is not installed; pip install 'oed[{EXTRAS.get(package)}]' brings it"
-    return remedy if package in EXTRAS else ""
+class MissingExtra(ModuleNotFoundError):
+    """An import of ours of what is not installed; the message names the extra that brings it."""
+
+    def __init__(self, package: str) -> None:
+        super().__init__(
+            f"{package} is not installed; pip install 'oed[{EXTRAS[package]}]' brings it", name=package
+        )
+
+    def __reduce__(self) -> tuple[type, tuple[str | None]]:
+        return type(self), (self.name,)
+
+
+class _Extras:
+    """The last of Python's finders: what no other found, and one of our own modules imports, is said with its extra. What
+    others import, or ask for by `importlib.util.find_spec`, is left to them."""
+
+    @staticmethod
+    def find_spec(name: str, path: Any = None, target: Any = None) -> None:
+        frame = sys._getframe(1)
+        while frame is not None and frame.f_globals.get("__name__") in (
+            "importlib._bootstrap",
+            "_frozen_importlib",
+            "importlib",
+        ):
+            frame = frame.f_back
+        asks = frame.f_globals.get("__name__", "") if frame is not None else ""
+        if name in EXTRAS and asks.partition(".")[0] in ("oed", "estimators", "benchmarks"):
+            raise MissingExtra(name)
+
+
+sys.meta_path.append(_Extras)
 
 
 def exporting(package: str, names: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
@@ -36,7 +63,5 @@ def where_installed(notes: list[str], what: str) -> Iterator[None]:
     """What is written only where its extra is installed; else a note that names the extra."""
     try:
         yield
-    except ModuleNotFoundError as error:
-        if not extra_named(error):
-            raise
-        notes.append(f"note: {what} is not written: {extra_named(error)}.")
+    except MissingExtra as error:
+        notes.append(f"note: {what} is not written: {error}.")

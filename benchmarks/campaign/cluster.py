@@ -129,12 +129,8 @@ class _Watch:
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Any]:
     """A client of the scheduler; what the library would log of a lost cluster in many lines is said here in one."""
-    try:
-        from distributed import Client
-    except ImportError:
-        raise InputError(
-            '--scheduler needs the package distributed; install the extra: pip install "oed[dask]".'
-        ) from None
+    from distributed import Client
+
     level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:

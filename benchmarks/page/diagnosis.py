@@ -13,6 +13,7 @@ from benchmarks.page.content import Figure, Page, Section, Table, headed, line, 
 from benchmarks.page.skeleton import save_page
 from benchmarks.tables.formats import format_value
 from estimators.diagnosis.ladder.verdicts import ECHO, NAMELESS, NOTHING, UNCLAIMED
+from estimators.diagnosis.result.report import named_plainly
 from estimators.residual.measures import p_stated
 
 if TYPE_CHECKING:
@@ -288,7 +289,7 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, A
     following, what, downloads = _next(result)
     curves = [figure for i in outputs for figure in _curves(result, i)]
     parameters = [
-        {"parameter": k, "value": v, "value_se": se, "unit": result.in_units(unit)}
+        {"parameter": named_plainly(k), "value": v, "value_se": se, "unit": result.in_units(unit)}
         for k, (v, se, unit) in result.parameters.items()
     ]
     table = Table("parameters", "Parameters of the effects; u and y stand for units of inputs and outputs that are not known, or not all the same.",

@@ -383,7 +383,8 @@ class Fit:
             f"  noise variance {self.noise_variance:.6g} ({y})^2, fit of these data "
             f"{self.fit_percent:.2f} % one step ahead, {self.simulation_fit_percent:.2f} % simulated",
             f"  peak gain {gamma:.6g} +- {error:.2g} {y}/{u} at {omega / hertz:.5g} +- {self.hinf_frequency_error / hertz:.2g} Hz",
-            f"  poles {poles or 'none'}; one sample every {self.model.dt:.6g} s",
+            *(f"  {line}" for line in self.model.written(r.input_names, r.output_names)),
+            f"  poles: {poles or 'none'}; one sample every {self.model.dt:.6g} s",
             *(f"  {how!r}" for how in (self.regularisation, self.subspace) if how),
             *(f"  note: {note}" for note in self.notes),
         ]

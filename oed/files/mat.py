@@ -18,6 +18,7 @@ from oed.files.arrays import TEXTS, arrays_of, first_line, scalar, table_of_arra
 from oed.files.limits import check_limit
 from oed.files.mat5 import is_mat5, read_mat5
 from oed.files.tables import Table, numbers
+from oed.lazily import MissingExtra
 
 FIELDS = {
     "u": ("inputdata", "u"), "y": ("outputdata", "y"), "dt": ("ts", "dt"), "t0": ("tstart", "t0"),
@@ -136,7 +137,7 @@ def _read_hdf5(content: bytes, source: str) -> dict[str, Any]:
     stream = io.BytesIO(done.stdout)
     kind, found = json.loads(stream.readline())
     if kind:
-        raise {"InputError": InputError, "ModuleNotFoundError": _missing}.get(kind, ValueError)(found)
+        raise {"InputError": InputError, "MissingExtra": MissingExtra}.get(kind, ValueError)(found)
     return _unpacked(found, stream)
 
 
@@ -152,10 +153,6 @@ def answer(source: str) -> None:
     for array in arrays:
         np.save(stream, array, allow_pickle=False)
     sys.stdout.buffer.write(stream.getbuffer())
-
-
-def _missing(package: str) -> ModuleNotFoundError:
-    return ModuleNotFoundError(f"No module named {package!r}", name=package)
 
 
 def _packed(value: Any, arrays: list[Any]) -> Any:

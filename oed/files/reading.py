@@ -18,7 +18,7 @@ from oed.files.limits import check_limit, file_content
 from oed.files.mat import mat_table
 from oed.files.parquet import parquet_table
 from oed.files.tables import Table, record_of
-from oed.lazily import extra_named
+from oed.lazily import MissingExtra
 
 READERS: dict[str, Callable[[bytes, str], Table]] = dict.fromkeys((".csv", ".txt", ".tsv"), csv_table)
 READERS |= {".mat": mat_table, ".npz": npz_table, ".parquet": parquet_table}
@@ -122,8 +122,8 @@ def _understood(name: str, read: Callable[[], Any]) -> Any:
         return read()
     except OedError:
         raise
-    except ModuleNotFoundError as error:
-        raise InputError(f"{name} cannot be read here: {extra_named(error) or error}.") from None
+    except MissingExtra as error:
+        raise InputError(f"{name} cannot be read here: {error}.") from None
     except MemoryError:
         raise InputError(
             f"{name} needs more memory than there is; read fewer of its columns or rows."

@@ -5,7 +5,7 @@ What information and design ask of any model is `response(omega) -> (G, dG)`."""
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -74,16 +74,10 @@ class Model:
         if isinstance(self.structure, StateSpace):
             m = self.structure.matrices(self.theta)
             return control.StateSpace(m["A"], m["B"], m["C"], m["D"], self.dt)
-        num, den = [], []
-        for i, row in enumerate(self.structure.coefficients(self.theta)):
-            num.append([])
-            den.append([])
-            for j in range(self.structure.n_inputs):
-                b = row["b"][j] if self.structure.nb[i, j] else np.zeros(1)
-                a = np.convolve(row["a"][0], row["f"][j])
-                length = max(len(a), len(b))
-                num[i].append(np.pad(b, (0, length - len(b))))
-                den[i].append(np.pad(a, (0, length - len(a))))
+        whole = self.structure.fractions(self.theta)
+        padded = lambda p, q: np.pad(p, (0, max(len(q) - len(p), 0)))
+        num = [[padded(b, a) for b, a in row] for row in whole]
+        den = [[padded(a, b) for b, a in row] for row in whole]
         return control.TransferFunction(num, den, self.dt)
 
     def to_plant(self, name: str = "identified") -> Plant:
@@ -91,15 +85,12 @@ class Model:
         different noise filters."""
         from oed.plants.plant import Plant
 
-        structure, num, den, filters = self.structure, [], [], []
+        structure = self.structure
         if isinstance(structure, StateSpace):
             return Plant.from_control(self.to_control(), noise_covariance=self.noise_covariance, name=name)
-        for i, row in enumerate(structure.coefficients(self.theta)):
-            num.append(
-                [row["b"][j] if structure.nb[i, j] else np.zeros(1) for j in range(structure.n_inputs)]
-            )
-            den.append([np.convolve(row["a"][0], row["f"][j]) for j in range(structure.n_inputs)])
-            filters.append((row["c"][0], np.convolve(row["a"][0], row["d"][0])))
+        whole = structure.fractions(self.theta)
+        num, den = ([[entry[k] for entry in row] for row in whole] for k in (0, 1))
+        filters = structure.noise_fractions(self.theta)
         first = filters[0]
         if any(len(p) != len(q) or np.any(p != q) for f in filters for p, q in zip(f, first, strict=True)):
             raise InputError(
@@ -113,6 +104,27 @@ class Model:
     def poles(self) -> list[NDArray[np.complex128]]:
         """Poles of G, entry by entry."""
         return self.structure.poles(self.theta)
+
+    def written(self, inputs: Sequence[str] = ("u",), outputs: Sequence[str] = ("y",)) -> list[str]:
+        """G and, where it is not 1, H as they stand in a book, a line per entry; none of more than `LONGEST_WRITTEN` terms."""
+        one = len(inputs) == len(outputs) == 1
+        rows = [
+            ("G" if one else f"G from {u} to {y}", num, den)
+            for y, row in zip(outputs, self.structure.fractions(self.theta), strict=True)
+            for u, (num, den) in zip(inputs, row, strict=True)
+            if np.any(num)
+        ]
+        filters = self.structure.noise_fractions(self.theta)
+        rows += [
+            ("H" if one else f"H of {y}", *f)
+            for y, f in zip(outputs, filters, strict=False)
+            if max(map(len, f)) > 1
+        ]
+        kept = [row for row in rows if max(map(np.count_nonzero, row[1:])) <= LONGEST_WRITTEN]
+        return [
+            f"{name}(z) = {_terms(num)}" + (f" / {_terms(den)}" if len(den) > 1 else "")
+            for name, num, den in kept
+        ]
 
     @property
     def stable(self) -> bool:
@@ -136,6 +148,17 @@ class Model:
     def __repr__(self) -> str:
         values = ", ".join(f"{k} = {v:.5g}" for k, v in zip(self.names, self.theta, strict=True))
         return f"{self.structure!r}: {values}"
+
+
+LONGEST_WRITTEN = 8
+"""Terms of a polynomial that are read at a glance; more are read in the list of parameters."""
+
+
+def _terms(p: NDArray[np.float64]) -> str:
+    """A polynomial in z^-1, without the terms that are zero."""
+    terms = [(f"{c:+.5g}", f" z^-{k}" if k else "") for k, c in enumerate(p) if c]
+    text = " ".join(f"{c[0]} {c[1:]}{z}" for c, z in terms).removeprefix("+ ")
+    return f"({text})" if len(terms) > 1 else text
 
 
 LONGEST_ORDER = 20_000

@@ -20,9 +20,12 @@ class Pole:
     radius: float
 
     def __str__(self) -> str:
-        if self.frequency_hz:
-            return f"{self.frequency_hz:.4g} Hz (damping {self.damping:.2g})"
-        return f"{self.time_constant:.4g} s"
+        lasts = f"time constant {self.time_constant:.4g} s"
+        return (
+            f"{self.frequency_hz:.4g} Hz (damping {self.damping:.2g}, {lasts})"
+            if self.frequency_hz
+            else lasts
+        )
 
 
 def poles_in_hz(z: ArrayLike, dt: float) -> tuple[Pole, ...]:

@@ -157,19 +157,26 @@ class Polynomial:
         from scipy.signal import lfilter
 
         y = np.zeros((len(u), self.n_outputs))
-        for i, row in enumerate(self.coefficients(theta)):
-            for j in range(self.n_inputs):
+        for i, row in enumerate(self.fractions(theta)):
+            for j, (num, den) in enumerate(row):
                 if self.nb[i, j]:
-                    y[:, i] += lfilter(row["b"][j], np.convolve(row["a"][0], row["f"][j]), u[:, j])
+                    y[:, i] += lfilter(num, den, u[:, j])
         return y
+
+    def fractions(self, theta: ArrayLike) -> list[list[tuple[NDArray, NDArray]]]:
+        """Numerator and denominator in powers of z^-1 of each entry of G, row by row: theta (n,)."""
+        return [
+            [(row["b"][j] if self.nb[i, j] else np.zeros(1), np.convolve(row["a"][0], row["f"][j])) for j in range(self.n_inputs)]
+            for i, row in enumerate(self.coefficients(theta))
+        ]  # fmt: skip
+
+    def noise_fractions(self, theta: ArrayLike) -> list[tuple[NDArray, NDArray]]:
+        """The same of the noise model, per output."""
+        return [(row["c"][0], np.convolve(row["a"][0], row["d"][0])) for row in self.coefficients(theta)]
 
     def poles(self, theta: ArrayLike) -> list[NDArray[np.complex128]]:
         """Poles of G, entry by entry and row by row: theta (n,)."""
-        return [
-            np.roots(np.convolve(row["a"][0], row["f"][j])).astype(complex)
-            for row in self.coefficients(theta)
-            for j in range(self.n_inputs)
-        ]
+        return [np.roots(den).astype(complex) for row in self.fractions(theta) for _, den in row]
 
     def to_dict(self) -> dict:
         """The orders as plain lists."""

@@ -134,6 +134,20 @@ class StateSpace:
                 dg[:, k, i, j] = 1.0
         return g, dg
 
+    def fractions(self, theta: ArrayLike) -> list[list[tuple[NDArray, NDArray]]]:
+        """Numerator and denominator in powers of z^-1 of each entry of G, row by row: theta (n,)."""
+        from scipy.signal import ss2tf
+
+        m = self.matrices(theta)
+        columns = [ss2tf(m["A"], m["B"], m["C"], m["D"], input=j) for j in range(self.n_inputs)]
+        return [
+            [(np.asarray(num)[i], np.asarray(den)) for num, den in columns] for i in range(self.n_outputs)
+        ]
+
+    def noise_fractions(self, theta: ArrayLike) -> list[tuple[NDArray, NDArray]]:
+        """None: what drives one output by the noise of another is told by K."""
+        return []
+
     def poles(self, theta: ArrayLike) -> list[NDArray[np.complex128]]:
         """Eigenvalues of A: theta (n,)."""
         return [np.linalg.eigvals(self.matrices(theta)["A"]).astype(complex)]

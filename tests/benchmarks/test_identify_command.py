@@ -154,7 +154,10 @@ def test_text_names_what_matters(data, capfd) -> None:
     for words in (
         "b3",
         "peak gain",
-        "poles",
+        "  G(z) = (",
+        " / (1 - 1.",
+        "poles: ",
+        "time constant",
         "one sample every",
         "residual tests",
         "noise variance",

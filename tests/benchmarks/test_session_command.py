@@ -245,7 +245,10 @@ def test_undo_keeps_what_it_takes_back_and_watch_goes_on(capfd, tmp_path):
     oed(capfd, "record", folder, measured)
     second = Path(oed(capfd, "next", folder)["input"])
     content = second.read_bytes()
-    assert oed(capfd, "undo", folder)["undone"] == 1
+    assert main(["session", "undo", folder]) == 0
+    said = capfd.readouterr().out
+    assert "step 1 waits again for the output of" in said
+    assert f"do not apply {second}" in said
     assert (tmp_path / "rig" / "undone-output-0001-1.csv").read_bytes()
     assert oed(capfd, "status", folder)["status"] == "WAITING"
     (inbox / "notes.csv").write_text("a,b\n1,2\n")

@@ -146,9 +146,15 @@ def _record(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str
 
 
 def _undo(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:
+    asked = _payload(session)["input"]
     step, file = session.undo()
-    said = f"step {step} waits again for its output; the one taken back is {file}"
-    return _payload(session) | {"undone": step}, said
+    payload = _payload(session) | {"undone": step}
+    lines = [f"step {step} waits again for the output of {payload['input']}; the one taken back is {file}"]
+    if asked:
+        lines.append(
+            f"do not apply {asked}, which was made from it: it is kept aside too; step {step + 1} gets another"
+        )
+    return payload, "\n".join(lines)
 
 
 def _status(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:

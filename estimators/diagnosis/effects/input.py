@@ -292,7 +292,7 @@ INPUT = (
             parameters={"c2": "1/u", "c3": "1/u^2"}, apply=lambda x, p, c: x * (1.0 + x * (p[0] + p[1] * x)),
             starts=lambda s: ([[a / s.su, b / s.su**2] for a in (-0.1, 0.1) for b in (-0.03, 0.03)],
                               [1 / s.su, 1 / s.su**2])),
-    _static("input_exponential", "hammerstein", "the input acts through an exponential curve: a valve of equal percentage",
+    _static("input_exponential", "hammerstein", "the input acts through an exponential curve, (exp(c u) - 1)/c: a valve of equal percentage",
             parameters={"c": "1/u"}, trials=4, apply=exponential,
             starts=lambda s: ([[f / s.su] for f in (0.25, 0.6, 1.2, -0.25, -0.6, -1.2)], [1 / s.su])),
     _static("input_power", "hammerstein", "the input acts through a power of its size", parameters={"power": "1"}, trials=4,

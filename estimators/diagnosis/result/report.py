@@ -178,10 +178,12 @@ class Diagnosis:
         ]
         lines += [f"  - {sentence}" for sentence in self.evidence]
         for name, (value, se, unit) in self.parameters.items():
-            lines.append(f"  {name} = {stated(value, se)} {self.in_units(unit) or '(no unit)'}")
+            lines.append(
+                f"  {named_plainly(name)} = {stated(value, se)} {self.in_units(unit) or '(no unit)'}"
+            )
         if self.linear:
             poles = ", ".join(str(Pole(*row, radius=0.0)) for row in self.linear["poles"])
-            lines.append(f"linear model: {self.linear['structure']}; poles {poles or 'none'}")
+            lines.append(f"linear model: {self.linear['structure']}; poles: {poles or 'none'}")
         lines.append(f"simulation error on the {self.held_out}: {self.rmse_before} -> {self.rmse_after}")
         for row in self.ladder:
             adds = f" ({_plain(row['adds'])})" if row["adds"] else ""
@@ -204,6 +206,12 @@ class Diagnosis:
         if self.remaining:
             lines.append(self.remaining)
         return "\n".join(lines)
+
+
+def named_plainly(parameter: str) -> str:
+    """The parameter of an effect, `dead_zone.half_width`, as it is said."""
+    effect, _, name = parameter.replace("_", " ").rpartition(".")
+    return f"{name} of {effect}" if effect not in ("", name) else name
 
 
 def _plain(keys: Sequence[str]) -> str:
