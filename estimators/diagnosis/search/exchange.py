@@ -22,11 +22,11 @@ WORTH = 2.0  # by which an exchange must lower Schwarz's criterion
 KEEP = 6.0  # by which an effect must lower it to stay, as it had to when it came
 
 
-def without(channel: Channel, f: Fit, position: int, known: Sequence[Fit] = ()) -> Fit:
+def without(channel: Channel, f: Fit, position: int, known: Sequence[Fit] = ()) -> list[Fit]:
     """A model fitted again without one of its parts, by least squares, its noise model chosen from its residual.
 
-    Beside the part that goes the others were bent to it, and the fit may end far from what they are worth: a `known` fit with
-    the same effects is another start.
+    Beside the part that goes the others were bent to it, and the fit may end far from what they are worth: each `known` fit with
+    the same effects is another.
     """
     gone = f.structure.parts[position]
     s, at = f.structure.keeping([i != position for i in range(len(f.structure.parts))])
@@ -39,8 +39,7 @@ def without(channel: Channel, f: Fit, position: int, known: Sequence[Fit] = ()) 
     keys = sorted(part.key for part in s.effects)
     alike = [g for g in known if keys and sorted(part.key for part in g.structure.effects) == keys]
     fits = [fit(channel, s, f.p[at], f.scales[at], iterations=20)]
-    fits += [fit(channel, g.structure, g.p, g.scales, iterations=20) for g in alike]
-    return min(fits, key=lambda g: float(np.sum(g.residual**2)))
+    return fits + [fit(channel, g.structure, g.p, g.scales, iterations=20) for g in alike]
 
 
 def exchanged(channel: Channel, f: Fit, menu: Menu) -> tuple[Fit, dict[str, tuple[Fit, Fit]], dict[str, Fit]]:
@@ -58,7 +57,7 @@ def exchanged(channel: Channel, f: Fit, menu: Menu) -> tuple[Fit, dict[str, tupl
         position = next((i for i, q in enumerate(f.structure.parts) if q == part), None)
         if position is None or len(f.structure.effects) < 2 or part.effect.slot is Slot.FORM:
             continue
-        rest = without(channel, f, position)
+        (rest,) = without(channel, f, position)
         if not np.isfinite(rest.deviance):
             continue
         options = [refit(channel, rest)]

@@ -250,11 +250,7 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             form = part.effect.slot is Slot.FORM
             if form and not part.effect.block and len(f.structure.effects) > 1:
                 continue  # the others were fitted in this form: without it there is no model of them
-            rest = a.base if form else without(bench.channel, f, position, a.alternatives)
-            same = len(a.base.residual) == len(rest.residual)  # not of a record thinned less
-            linear = all(q.effect.slot is Slot.FORM for q in rest.structure.effects)
-            if same and linear:  # each was fitted from starts of its own
-                rest = min((rest, a.base), key=lambda g: bench.error(bench.unused(g)))
+            rest = a.base if form else _best_without(bench, a, f, position)
             rests.append((rest, bench.unused(rest)))
             gain = bench.gain(rests[-1][1], unused, part)
             claims.append(Claim(part, gain, _significance(rest, f, part, bench.family)))
@@ -278,6 +274,16 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
     if bench.channel.step > 0:  # the linear model as a coarse sensor reads it
         step = Step(Kind.NAMED, ("quantised",), (bench.unused(f),), bench.answer(f), len(f.p), linear=True)
     return Named(f, (), tuple(dropped), step)
+
+
+def _best_without(bench: Bench, a: Attribution, f: Fit, position: int) -> Fit:
+    """Of the models without a part, each from starts of its own, the one that simulates unused blocks best: what is closest on the
+    record itself may be far off there, and would make the part seem to explain what the others do alone."""
+    options = without(bench.channel, f, position, a.alternatives)
+    same = len(a.base.residual) == len(options[0].residual)  # not of a record thinned less
+    if same and all(q.effect.slot is Slot.FORM for q in options[0].structure.effects):
+        options.append(a.base)
+    return min(options, key=lambda g: bench.error(bench.unused(g)))
 
 
 ANSWERED = 0.3

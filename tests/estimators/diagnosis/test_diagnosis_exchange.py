@@ -54,7 +54,7 @@ def test_a_part_left_out_leaves_the_others():
     u = rng.standard_normal(300)
     channel = channel_of(u, lfilter(B, A, np.clip(u, -1, 1)) + 0.3 + 0.01 * rng.standard_normal(300))
     model = added(channel, added(channel, fit_linear(channel, Structure(2)), "saturation"), "offset")
-    rest = without(channel, model, 0)
+    (rest,) = without(channel, model, 0)
     assert [part.key for part in rest.structure.parts] == ["offset"]
     assert np.std(rest.residual) > 3 * np.std(model.residual)
 
@@ -134,7 +134,7 @@ def test_the_lag_before_a_curve_stays_when_the_curve_is_taken_out():
     base = fit_linear(channel, Structure(1))
     s = base.structure.adding(Part(named("input_cubic"), first=1))
     model = fit(channel, s, np.append(base.p, [-0.7, 0.0]), np.append(base.scales, [1.0, 1.0]))
-    rest = without(channel, model, 0)
+    (rest,) = without(channel, model, 0)
     assert np.std(base.residual) > 2 * np.std(model.residual)
     assert np.std(rest.residual) == pytest.approx(np.std(model.residual), rel=0.02)
     assert [part.key for part in rest.structure.parts] == ["lag_before"]

@@ -130,6 +130,21 @@ def test_what_a_pole_explains_as_well_is_linear_dynamics(rng) -> None:
         assert (found[0] and found[0].cause, found[1]) == (cause, told)
 
 
+def test_an_effect_is_worth_what_the_best_of_the_models_without_it_lacks(monkeypatch) -> None:
+    """On unused blocks: one fit without it is closer on the record itself and far off there, the linear model is farther still."""
+    fits = [
+        SimpleNamespace(residual=np.full(4, own), unused=unused, structure=SimpleNamespace(effects=effects))
+        for own, unused, effects in ((0.9, 5.0, [Part(OFFSET)]), (1.0, 2.0, [Part(OFFSET)]), (3.0, 1.0, []))
+    ]
+    bench: Any = SimpleNamespace(channel=None, unused=lambda f: f.unused, error=lambda run: run)
+    found = lambda: searched._best_without(bench, Attribution(*fits[::-1], [], [], 1.0), fits[0], 0)  # type: ignore[arg-type]
+    monkeypatch.setattr(searched, "without", lambda *about: fits[:2])
+    assert found() is fits[1]
+    bare = SimpleNamespace(residual=np.full(4, 0.9), unused=4.0, structure=SimpleNamespace(effects=[]))
+    monkeypatch.setattr(searched, "without", lambda *about: [bare])
+    assert found() is fits[2]
+
+
 def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(monkeypatch) -> None:
     effects = [SimpleNamespace(effect=named("input_cubic"))]
     fits = [
