@@ -3,8 +3,6 @@
 The names below are imported when they are first used, so that `import estimators` is quick.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from oed.lazily import exporting
@@ -18,10 +16,4 @@ if TYPE_CHECKING:
 
 __all__ = ["Trace", "additivity_by_monte_carlo", "diagnose", "identify", "power_iterations", "run"]
 
-__getattr__, __dir__ = exporting(__name__, {
-    "estimators.rules.trace": "Trace run",
-    "estimators.montecarlo.additivity": "additivity_by_monte_carlo",
-    "estimators.diagnosis.loop": "diagnose",
-    "estimators.pem": "identify",
-    "estimators.rules.power": "power_iterations",
-})  # fmt: skip
+__getattr__, __dir__ = exporting(__name__)

@@ -3,8 +3,6 @@
 The names below are imported when they are first used, so that `import oed` is quick.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from oed.lazily import exporting
@@ -32,17 +30,4 @@ __all__ = [
     "simulated", "solve_design", "write_record",
 ]  # fmt: skip
 
-__getattr__, __dir__ = exporting(__name__, {
-    "oed.experiments": "Experiment replayed simulated",
-    "oed.errors": "ExperimentError InputError OedError Status",
-    "oed.plants.plant": "Plant",
-    "oed.data": "Record Spectrum",
-    "oed.plants.systems": "as_plant",
-    "oed.information": "information_of_records information_of_signal information_of_spectrum",
-    "oed.theory": "limit_spectrum",
-    "oed.plants.named": "named_plant",
-    "oed.plants.norms": "peak",
-    "oed.plants.json": "plant_from_json plant_to_json",
-    "oed.files": "read_record write_record",
-    "oed.design": "solve_design",
-})  # fmt: skip
+__getattr__, __dir__ = exporting(__name__)

@@ -1,9 +1,11 @@
 """Names that a package exports, imported when they are first used: `import oed` stays quick."""
 
+import ast
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
+from pkgutil import get_data
 from typing import Any
 
 EXTRAS = {
@@ -46,9 +48,13 @@ class _Extras:
 sys.meta_path.append(_Extras)
 
 
-def exporting(package: str, names: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package that exports names, given by their home modules: "Record Spectrum"."""
-    homes = {name: home for home, those in names.items() for name in those.split()}
+def exporting(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package that exports what its block `if TYPE_CHECKING:` imports."""
+    lines = ast.parse(get_data(package, "__init__.py") or b"").body
+    block = next(line for line in lines if isinstance(line, ast.If)).body
+    homes = {
+        one.name: f"{line.module}" for line in block if isinstance(line, ast.ImportFrom) for one in line.names
+    }
 
     def attribute(name: str) -> Any:
         if name in homes:

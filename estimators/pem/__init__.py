@@ -14,8 +14,6 @@ weighted by their variance. Beside them: `pem.uncertainty` (sandwich, profile_in
 pole_covariances), `pem.greybox` (physically parametrised models), `pem.plots`, `pem.choice`, `estimators.residual.tests`.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from oed.lazily import exporting
@@ -27,8 +25,4 @@ if TYPE_CHECKING:
 
 __all__ = ["Fit", "ResponseFit", "identify", "identify_response"]
 
-__getattr__, __dir__ = exporting(__name__, {
-    "estimators.pem.fit": "Fit",
-    "estimators.pem.frequency_response": "ResponseFit identify_response",
-    "estimators.pem.estimation": "identify",
-})  # fmt: skip
+__getattr__, __dir__ = exporting(__name__)

@@ -1,7 +1,5 @@
 """Residual tests: what a model has left in its residuals, and their algebra; models compared on fresh data."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from oed.lazily import exporting
@@ -15,7 +13,4 @@ __all__ = [
     "whiteness",
 ]  # fmt: skip
 
-__getattr__, __dir__ = exporting(__name__, {
-    "estimators.residual.comparison": "Comparison compare_models",
-    "estimators.residual.tests": "ResidualTest feedback input_correlation residual_tests whiteness",
-})  # fmt: skip
+__getattr__, __dir__ = exporting(__name__)

@@ -9,8 +9,6 @@
 `start_session(folder, settings)` and `open_session(folder)` give the same, with every input and output a file.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from oed.lazily import exporting
@@ -27,10 +25,4 @@ __all__ = [
     "what_is_missing",
 ]  # fmt: skip
 
-__getattr__, __dir__ = exporting(__name__, {
-    "estimators.sessions.session": "FlaggedMeasurement Session",
-    "estimators.sessions.settings": "Settings",
-    "estimators.sessions.stored": "StoredSession open_session",
-    "estimators.sessions.starting": "start_session",
-    "estimators.sessions.missing": "what_is_missing",
-})  # fmt: skip
+__getattr__, __dir__ = exporting(__name__)

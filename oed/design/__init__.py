@@ -21,8 +21,6 @@ Signals from spectra are in `oed.signals.synthesis`: multisine, realise, filtere
 CVXPY and Clarabel are imported only in this package, and only when a design needs them.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from oed.lazily import exporting
@@ -48,17 +46,4 @@ __all__ = [
     "moment_design", "quantile_design", "robust_design", "solve_design",
 ]  # fmt: skip
 
-__getattr__, __dir__ = exporting(__name__, {
-    "oed.design.parametrisations.amplitude": "amplitude_design",
-    "oed.design.questions.least_power": "application_criterion least_power_design",
-    "oed.design.parametrisations.autocorrelation": "autocorrelation_design moment_design",
-    "oed.design.parametrisations.shaped": "autoregressive_design band_basis basis_design",
-    "oed.design.problem.certificate": "Certificate",
-    "oed.design.questions.closed_loop": "closed_loop_map",
-    "oed.design.problem.design": "Design",
-    "oed.design.problem.information_maps": "InformationMap information_map",
-    "oed.design.parametrisations.masked": "masked_design",
-    "oed.design.questions.quantile": "QuantileDesign quantile_design",
-    "oed.design.questions.robust": "robust_design",
-    "oed.design.solve": "solve_design",
-})  # fmt: skip
+__getattr__, __dir__ = exporting(__name__)
