@@ -1,5 +1,6 @@
 """Finite experiments: the theory's own residual, and what each added effect takes away from it."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -63,41 +64,32 @@ def _ending(holds: bool) -> str:
     )
 
 
-def _mimo_rows() -> list[dict[str, Any]]:
-    found = []
+def _mimo_rows() -> Iterator[dict[str, Any]]:
     for name, samples, variance, scaling, runs in SEVERAL:
         measured, error, off, holds = mimo_prediction_errors(name, samples, variance, scaling, runs)
         before, edge, both = (abs(off[effect]) for effect in EFFECTS)
-        found.append(
-            row(f"error of the prediction for Procedure 2 as effects are added, {name}, N = {samples}, variance "
-            f"{variance:g}, second stage scaled: {scaling}",
-                "theory, sections 3 and 6, joined here", "falls with each",
-                ", ".join(f"{effect} {value:+.4f}" for effect, value in off.items()), None,
-                f"mean of gamma_2^2 over iterations 21-30, measured {measured:.4f} +- {error:.4f} ({runs} runs); each "
-                f"must be the smaller. {_ending(holds)}",
-                bool(before > edge > both if holds else before > edge and both <= edge + 4 * error))
-        )  # fmt: skip
-    return found
+        yield row(f"error of the prediction for Procedure 2 as effects are added, {name}, N = {samples}, variance "
+              f"{variance:g}, second stage scaled: {scaling}",
+                  "theory, sections 3 and 6, joined here", "falls with each",
+                  ", ".join(f"{effect} {value:+.4f}" for effect, value in off.items()), None,
+                  f"mean of gamma_2^2 over iterations 21-30, measured {measured:.4f} +- {error:.4f} ({runs} runs); each "
+                  f"must be the smaller. {_ending(holds)}",
+                  bool(before > edge > both if holds else before > edge and both <= edge + 4 * error))  # fmt: skip
 
 
-def rows() -> list[dict[str, Any]]:
+def rows() -> Iterator[dict[str, Any]]:
     """The measurements of the theory's table, and the error before and after each effect."""
-    found = []
     for samples, variance, published, spread in CASES:
         measured, error, off, holds = prediction_errors(samples, variance)
         where = f"N = {samples}, variance {variance:g}"
-        found.append(
-            row(f"root mean beta_2^2 over iterations 30-60, {where}", "theory, section 6", published, measured,
-                float(4 * np.hypot(spread, error)),
-                f"4 standard errors of the difference of two campaigns ({RUNS} runs here, +- {error:.5f}).")
-        )  # fmt: skip
+        yield row(f"root mean beta_2^2 over iterations 30-60, {where}", "theory, section 6", published, measured,
+                  float(4 * np.hypot(spread, error)),
+                  f"4 standard errors of the difference of two campaigns ({RUNS} runs here, +- {error:.5f}).")  # fmt: skip
         before, edge, both = (abs(off[effect]) for effect in EFFECTS)
-        found.append(
-            row(f"error of the prediction as effects are added, {where}",
-                "theory, section 6, and the second effect it asks for", "falls with each",
-                ", ".join(f"{effect} {value:+.5f}" for effect, value in off.items()), None,
-                "prediction less measurement: N to infinity, then the edges, then the fluctuation of mu to second "
-                f"order; each must be the smaller. {_ending(holds)} Standard error {error:.5f}.",
-                bool(before > edge > both if holds else before > edge and both <= edge + 4 * error))
-        )  # fmt: skip
-    return found + _mimo_rows()
+        yield row(f"error of the prediction as effects are added, {where}",
+                  "theory, section 6, and the second effect it asks for", "falls with each",
+                  ", ".join(f"{effect} {value:+.5f}" for effect, value in off.items()), None,
+                  "prediction less measurement: N to infinity, then the edges, then the fluctuation of mu to second "
+                  f"order; each must be the smaller. {_ending(holds)} Standard error {error:.5f}.",
+                  bool(before > edge > both if holds else before > edge and both <= edge + 4 * error))  # fmt: skip
+    yield from _mimo_rows()

@@ -5,7 +5,7 @@ whose gain agrees with the published errors); experiments of 50 samples, 200 of 
 standard deviation 0.1, input norm 1. What is published of it as numbers here are medians of a re-run (theory,
 section 7); the rows repeat that re-run with other plants and noises, and add order selection."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -97,7 +97,7 @@ CASES = (
 )
 
 
-def rows() -> list[dict[str, Any]]:
+def rows() -> Iterator[dict[str, Any]]:
     """Median relative errors at 200 experiments of 50 samples and input norm 1."""
     errors: dict[str, list[float]] = {case.name: [] for case in CASES}
     energies: dict[str, float] = {}
@@ -106,7 +106,6 @@ def rows() -> list[dict[str, Any]]:
         for case in CASES:
             errors[case.name].append(abs(case.estimate(found_traces[case.method]) / gamma - 1))
             energies[case.name] = found_traces[case.method].usage.energy
-    found = []
     for name, published in [(case.name, case.published) for case in CASES]:
         values = np.array(errors[name])
         values = values[np.isfinite(values)]
@@ -121,13 +120,10 @@ def rows() -> list[dict[str, Any]]:
         spread = (high - low) / 2 * float(np.hypot(1, np.sqrt(len(values) / OTHERS)))
         if published is None:
             why = f"{note}; a row of our own: no value is published at this budget."
-            found.append(row(name, "head-to-head, extended", None, median, None, why))
+            yield row(name, "head-to-head, extended", None, median, None, why)
         else:
             sure = 3 * spread < published / 3
             why = f"{note}; the other median is of {OTHERS} other plants: 3 standard errors of the difference, from order statistics."
             if not sure:
                 why = f"{note}; the other way {published:g}, of {OTHERS} other plants, too uncertain to judge: +- {spread:.2g}."
-            found.append(
-                row(name, SOURCE, published if sure else None, median, 3 * spread if sure else None, why)
-            )
-    return found
+            yield row(name, SOURCE, published if sure else None, median, 3 * spread if sure else None, why)

@@ -1,5 +1,6 @@
 """[M]: the transpose by experiments, Procedure 2, and its story on the vibration-isolation system."""
 
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -20,32 +21,26 @@ def rows() -> list[dict[str, Any]]:
     return [*_identities(), *_story()]
 
 
-def _identities() -> list[dict[str, Any]]:
-    found = []
+def _identities() -> Iterator[dict[str, Any]]:
     for name in ("avis", "three-by-two"):
         plant, N = named_plant(name, 0.0), 40
         each = 1 + plant.n_inputs * plant.n_outputs
         trace, G = traced(procedure_2, plant, N, each), dense(plant, N)
         w = transposed_output(trace, trace.iterations[0]).ravel()
         u = trace.records[0].u.ravel()
-        found.append(
-            row(f"G' G u by 1 + pq experiments, {name}", "[M] (8)-(11), Procedure 2", 0.0,
-                float(np.abs(w - G.T @ (G @ u)).max()), 1e-11, "against the dense matrix, 40 samples; rounding only.",
-                kind="statement")
-        )  # fmt: skip
+        yield row(f"G' G u by 1 + pq experiments, {name}", "[M] (8)-(11), Procedure 2", 0.0,
+                  float(np.abs(w - G.T @ (G @ u)).max()), 1e-11, "against the dense matrix, 40 samples; rounding only.",
+                  kind="statement")  # fmt: skip
     plant, N = named_plant("three-by-two", 0.0), 12
     trace, gains = iterate(
         simulated(plant), algorithm="mimo", samples=N, iterations=600, rng=np.random.default_rng(0)
     )
     values = gains["gain"].values
     norm = finite_norm(plant, N)
-    found.append(
-        row("gamma_2 tends to ||Delta||_i2 without noise", "[M] (12), Sec. III-C", norm, float(values[-1]),
-            1e-6 * norm, "12 samples, 600 iterations, rising at every step and never above the norm.",
-            bool(abs(values[-1] / norm - 1) < 1e-6 and (np.diff(values) > -1e-12).all() and values.max() <= norm * (1 + 1e-12)),
-            "statement")
-    )  # fmt: skip
-    return found
+    yield row("gamma_2 tends to ||Delta||_i2 without noise", "[M] (12), Sec. III-C", norm, float(values[-1]),
+              1e-6 * norm, "12 samples, 600 iterations, rising at every step and never above the norm.",
+              bool(abs(values[-1] / norm - 1) < 1e-6 and (np.diff(values) > -1e-12).all() and values.max() <= norm * (1 + 1e-12)),
+              "statement")  # fmt: skip
 
 
 def _story() -> list[dict[str, Any]]:

@@ -1,5 +1,6 @@
 """[S] Sec. 4: mu against beta_2 as an estimator, Lemma 13 and its limit, and what the iterations are worth."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -45,43 +46,33 @@ def _bias(variance: float) -> dict[str, Any]:
         bool(abs(mu.mean()) + 4 * (error(mu) + error(beta)) < abs(beta.mean())), "statement")  # fmt: skip
 
 
-def _lemma_13() -> list[dict[str, Any]]:
+def _lemma_13() -> Iterator[dict[str, Any]]:
     plant = named_plant("reference", 4.0)
     check = additivity_by_monte_carlo(plant, power_iterations, samples=100, experiments=5, replicates=400)
-    found = [
-        row("the information of adaptive experiments adds up", "[S] Lemma 13, (19)", "scores follow their joint law",
-            f"smallest p-value {check.discrepancy:.2g}", None, f"variance 4; {check.message}.", check.holds,
-            "statement")
-    ]  # fmt: skip
+    yield row("the information of adaptive experiments adds up", "[S] Lemma 13, (19)", "scores follow their joint law",
+              f"smallest p-value {check.discrepancy:.2g}", None, f"variance 4; {check.message}.", check.holds,
+              "statement")  # fmt: skip
     nodes, Phi, _ = spectra_of_iterations(plant, COUNTS[-1])
     of = lambda density: information_of_spectrum(plant, Spectrum(nodes.omega, nodes.weight * density))
     limit = of(limit_spectrum(plant).density(nodes.omega))
     off = [float(np.linalg.norm(of(Phi[:n].mean(axis=0)) - limit) / np.linalg.norm(limit)) for n in COUNTS]
-    found.append(
-        row("order in n of I_theta / n less its limit", "[S] after Lemma 13", -1.0,
-            float(np.polyfit(np.log(COUNTS), np.log(off), 1)[0]), 0.01,
-            f"a Cesaro sum whose terms converge exponentially; variance 4, n = {COUNTS[0]} to {COUNTS[-1]}, where "
-            f"{off[-1]:.2%} is left.",
-            kind="statement")
-    )  # fmt: skip
-    return found
+    yield row("order in n of I_theta / n less its limit", "[S] after Lemma 13", -1.0,
+              float(np.polyfit(np.log(COUNTS), np.log(off), 1)[0]), 0.01,
+              f"a Cesaro sum whose terms converge exponentially; variance 4, n = {COUNTS[0]} to {COUNTS[-1]}, where "
+              f"{off[-1]:.2%} is left.",
+              kind="statement")  # fmt: skip
 
 
-def _claim() -> list[dict[str, Any]]:
+def _claim() -> Iterator[dict[str, Any]]:
     loss = lambda variance: _efficiency(named_plant("reference", variance))
-    found = [
-        row("loss of the limit spectrum for the peak gain, over the noise variance, as both vanish",
-            "[S] Sec. 4.2: optimal as lambda_e -> 0", 1.0, (1 - loss(1e-3)) / (1 - loss(1e-4)) / 10, 0.02,
-            f"the efficiency tends to 1 in proportion to the noise: {loss(1e-4):.6f} at variance 1e-4.",
-            kind="statement")
-    ]  # fmt: skip
+    yield row("loss of the limit spectrum for the peak gain, over the noise variance, as both vanish",
+              "[S] Sec. 4.2: optimal as lambda_e -> 0", 1.0, (1 - loss(1e-3)) / (1 - loss(1e-4)) / 10, 0.02,
+              f"the efficiency tends to 1 in proportion to the noise: {loss(1e-4):.6f} at variance 1e-4.",
+              kind="statement")  # fmt: skip
     for variance, other in EFFICIENCIES:
-        found.append(
-            row(f"efficiency of the limit spectrum for the peak gain, variance {variance:g}",
-                "theory, section 4: the claim of [S] Sec. 4.2 away from its limit", other, loss(variance), 1e-5,
-                "lambda_e / (c' I^-1 c) against one sinusoid at the peak; to the digits of the table.")
-        )  # fmt: skip
-    return found
+        yield row(f"efficiency of the limit spectrum for the peak gain, variance {variance:g}",
+                  "theory, section 4: the claim of [S] Sec. 4.2 away from its limit", other, loss(variance), 1e-5,
+                  "lambda_e / (c' I^-1 c) against one sinusoid at the peak; to the digits of the table.")  # fmt: skip
 
 
 def _efficiency(plant: Plant) -> float:

@@ -34,18 +34,10 @@ def rows() -> list[dict[str, Any]]:
     properties = (
         ("(1) mu >= ||G||", above, f"{runs}; mu^2 is the power of the last output."),
         ("(2) largest where |G| is", tops, f"{runs}; same gain to 1e-6 of the peak."),
-        (
-            "(3) smallest, and not zero, where |G| is smallest",
-            bottoms,
-            f"{runs}; same gain to 1e-6 of the peak.",
-        ),
+        ("(3) smallest, and not zero, where |G| is smallest", bottoms, f"{runs}; same gain to 1e-6 of the peak."),
         ("(4) mu rises strictly with the noise", rising, f"{text}; 21 variances in a row."),
-        (
-            "(4) mu tends to ||G|| and to infinity",
-            ends,
-            f"{text}; at 1e-6 within 1e-5, at 1e4 above 20 ||G||.",
-        ),
-    )
+        ("(4) mu tends to ||G|| and to infinity", ends, f"{text}; at 1e-6 within 1e-5, at 1e4 above 20 ||G||."),
+    )  # fmt: skip
     return [
         row(name, "[S] Theorem 8", "everywhere", count(flags), None, why, bool(np.all(flags)), "statement")
         for name, flags, why in properties

@@ -1,5 +1,6 @@
 """[S] Theorems 9 and 12: mu^2 and E beta_2^2 at little noise, as slopes of the error against the variance."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,8 @@ def _slope(x: np.ndarray, y: np.ndarray) -> float:
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
-def rows() -> list[dict[str, Any]]:
+def rows() -> Iterator[dict[str, Any]]:
     """Orders and constants, with the factor for a peak at 0 or pi that the paper does not treat."""
-    found = []
     for name, factor, source in (
         ("reference", 2.0, "[S] Theorem 9"),
         ("peak-at-zero", 0.5, "[S] Theorem 9, corrected for a peak at 0"),
@@ -32,40 +32,30 @@ def rows() -> list[dict[str, Any]]:
         H = peak(plant).curvature
         limits = [limit_spectrum(plant.replace(noise_variance=v)) for v in VARIANCES]
         delta = np.array([limit.mu2_excess for limit in limits])
-        found.append(
-            row(f"order of mu^2 - gamma^2 in the noise variance, {name}", source, 2.0, _slope(VARIANCES, delta), 0.02,
-                "slope of a line through variances 1e-5 to 1e-2; the next term is 3 % at the upper end.",
-                kind="statement")
-        )  # fmt: skip
+        yield row(f"order of mu^2 - gamma^2 in the noise variance, {name}", source, 2.0, _slope(VARIANCES, delta), 0.02,
+                  "slope of a line through variances 1e-5 to 1e-2; the next term is 3 % at the upper end.",
+                  kind="statement")  # fmt: skip
         ratio = delta[0] * H / VARIANCES[0] ** 2
-        found.append(
-            row(f"its constant times H, {name}", source, factor, float(ratio), 1e-3 * factor,
-                "at variance 1e-5; the relative error falls in proportion to the variance.",
-                kind="in print" if name == "reference" else "two ways")
-        )  # fmt: skip
+        yield row(f"its constant times H, {name}", source, factor, float(ratio), 1e-3 * factor,
+                  "at variance 1e-5; the relative error falls in proportion to the variance.",
+                  kind="in print" if name == "reference" else "two ways")  # fmt: skip
     plant = named_plant("reference")
     gamma = peak(plant).value
     bias = np.array(
         [gamma**2 - _mean_square(limit_spectrum(plant.replace(noise_variance=v))) for v in NOISES]
     )
-    found.append(
-        row("bias of beta_2^2 in units of -lambda_e", "[S] Theorem 12", 1.0, float(bias[0] / NOISES[0]), 1e-4,
-            f"|G|^2 integrated over the limit spectrum, (15), at variance {NOISES[0]:g}, where the next term is 2e-5 of it.",
-            kind="in print")
-    )  # fmt: skip
+    yield row("bias of beta_2^2 in units of -lambda_e", "[S] Theorem 12", 1.0, float(bias[0] / NOISES[0]), 1e-4,
+              f"|G|^2 integrated over the limit spectrum, (15), at variance {NOISES[0]:g}, where the next term is 2e-5 of it.",
+              kind="in print")  # fmt: skip
     left = np.array(NOISES) - bias
-    found.append(
-        row("constant of lambda_e^2 in what is left, times H", "[S] Theorem 12", 2.0,
-            float(left[1] * peak(plant).curvature / NOISES[1] ** 2), 0.1,
-            f"the same integral at variance {NOISES[1]:g}; the true excess there is 3.5 % above the first term (theory, section 1).",
-            kind="in print")
-    )  # fmt: skip
-    found.append(
-        row("bias of beta_2 in units of -lambda_e / (2 gamma)", "[S] after Theorem 12", 1.0,
-            float((gamma - np.sqrt(gamma**2 - bias[0])) * 2 * gamma / NOISES[0]), 1e-3,
-            "at the same variance; second order in the variance over gamma^2.", kind="in print")
-    )  # fmt: skip
-    return [*found, _damping()]
+    yield row("constant of lambda_e^2 in what is left, times H", "[S] Theorem 12", 2.0,
+              float(left[1] * peak(plant).curvature / NOISES[1] ** 2), 0.1,
+              f"the same integral at variance {NOISES[1]:g}; the true excess there is 3.5 % above the first term (theory, section 1).",
+              kind="in print")  # fmt: skip
+    yield row("bias of beta_2 in units of -lambda_e / (2 gamma)", "[S] after Theorem 12", 1.0,
+              float((gamma - np.sqrt(gamma**2 - bias[0])) * 2 * gamma / NOISES[0]), 1e-3,
+              "at the same variance; second order in the variance over gamma^2.", kind="in print")  # fmt: skip
+    yield _damping()
 
 
 def _mean_square(limit: LimitSpectrum) -> float:
