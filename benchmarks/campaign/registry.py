@@ -106,12 +106,13 @@ class Estimator:
         return self.estimate(trace, *tell(plant, self.told))
 
 
-def _run_rule(rule: Rule, experiment: Experiment, *, samples: int, iterations: int, rng: Any) -> Trace:
+def run_rule(rule: Rule, experiment: Experiment, *, samples: int, iterations: int, rng: Any) -> Trace:
+    """A rule as a method of the comparison."""
     return run(rule, experiment, samples=samples, experiments=iterations, rng=rng)
 
 
 def _running(rule: Rule) -> Callable[[], Method]:
-    return lambda: partial(_run_rule, rule)
+    return lambda: partial(run_rule, rule)
 
 
 def _oracle(criterion: str, plant: Plant) -> Method:
@@ -126,7 +127,7 @@ def _oracle(criterion: str, plant: Plant) -> Method:
         while True:
             yield realise(spectrum, samples, rng=rng)
 
-    return partial(_run_rule, rule)
+    return partial(run_rule, rule)
 
 
 def _adaptive(name: str, structure: Structure | None = None) -> Method:
@@ -137,7 +138,7 @@ def _adaptive(name: str, structure: Structure | None = None) -> Method:
 
         orders, delay = (structure.orders, structure.delay) if structure else (None, None)
         rule = getattr(adaptive, name)(orders, delay, experiments=iterations)
-        return _run_rule(rule, experiment, samples=samples, iterations=iterations, rng=rng)
+        return run_rule(rule, experiment, samples=samples, iterations=iterations, rng=rng)
 
     return method
 

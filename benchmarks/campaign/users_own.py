@@ -7,7 +7,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from estimators.rules.trace import run
+from benchmarks.campaign.registry import run_rule
 from oed.errors import InputError
 from oed.files.limits import file_content
 
@@ -37,16 +37,12 @@ class Own:
 
 def _as_method(function: Callable[..., Any]) -> Callable[[Any], Any]:
     inner = function.func if isinstance(function, partial) else function
-    method = partial(_run_rule, function) if inspect.isgeneratorfunction(inner) else function
+    method = partial(run_rule, function) if inspect.isgeneratorfunction(inner) else function
     return partial(_for_any_plant, method)
 
 
 def _for_any_plant(method: Callable[..., Any], plant: Any) -> Callable[..., Any]:
     return method
-
-
-def _run_rule(rule: Any, experiment: Any, *, samples: int, iterations: int, rng: Any) -> Any:
-    return run(rule, experiment, samples=samples, experiments=iterations, rng=rng)
 
 
 def _load(spec: str) -> Callable[..., Any]:

@@ -12,6 +12,7 @@ from estimators.pem.search.starts import reflected
 from estimators.residual.measures import p_stated
 from oed.data import frozen
 from oed.errors import InputError, Status
+from oed.files.objects import kinds_of
 from oed.models.model import Model, Polynomial, polynomial
 from oed.plants.plant import Plant
 
@@ -179,7 +180,7 @@ def _lines(
     response: Any, omega: ArrayLike | None, variance: ArrayLike | None, dt: float | None
 ) -> tuple[NDArray, NDArray, NDArray | None, float]:
     """Frequencies in rad/sample, response, variances and sampling time, checked."""
-    kinds = {(c.__module__.partition(".")[0], c.__name__) for c in type(response).__mro__}
+    kinds = kinds_of(response)
     if ("control", "FrequencyResponseData") in kinds:
         if response.ninputs != 1 or response.noutputs != 1:
             raise InputError(

@@ -284,10 +284,11 @@ def _is_signal(item: Any) -> bool:
     """Whether an object is one signal: an array, a column of a DataFrame, a list of numbers."""
     if isinstance(item, list | tuple):
         return bool(item) and isinstance(item[0], int | float | np.number | str)
-    return isinstance(item, np.ndarray) or ("pandas", "Series") in _kinds(item)
+    return isinstance(item, np.ndarray) or ("pandas", "Series") in kinds_of(item)
 
 
-def _kinds(item: Any) -> set[tuple[str, str]]:
+def kinds_of(item: Any) -> set[tuple[str, str]]:
+    """Packages and names of an object's classes: what it is, without an import of what it may be."""
     return {(c.__module__.partition(".")[0], c.__name__) for c in type(item).__mro__}
 
 
@@ -311,7 +312,7 @@ def _record_of_object(item: Any, missing: bool) -> Record | None:
         return item
     if isinstance(item, tuple) and len(item) in (2, 3) and all(map(_is_signal, item[:2])):
         return Record(np.asarray(item[0]), np.asarray(item[1]), dt=item[2] if len(item) == 3 else 1.0)
-    kinds = _kinds(item)
+    kinds = kinds_of(item)
     if ("control", "FrequencyResponseData") in kinds:
         raise InputError(
             "a FrequencyResponseData is given where a record is needed; a model of it is made by estimators.pem.identify_response."

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from oed.errors import InputError
+from oed.files.objects import kinds_of
 from oed.models.model import Model
 from oed.plants.plant import Plant
 
@@ -47,7 +48,7 @@ def as_plant(system: Any) -> Plant:
 
         bare = not Path(system).suffix and not Path(system).exists()
         return named_plant(str(system)) if bare or str(system) in NAMES else plant_from_json(system)
-    kinds = {(c.__module__.partition(".")[0], c.__name__) for c in type(system).__mro__}
+    kinds = kinds_of(system)
     if kinds & {("control", "TransferFunction"), ("control", "StateSpace")}:
         return Plant.from_control(system)
     if ("control", "FrequencyResponseData") in kinds:
