@@ -233,8 +233,9 @@ def _outcome(
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     started = as_started(steps, train, i, setting.skip)
     predictor = cache(lambda: Predictor.of(records, base.y_model, i, counted))
-    news = lambda s: predictor().news(s.unused) > NEWS or (s.kind is Kind.NAMED and bench.tells(named.fit))
-    vague = not share.explainable and named.anything(setting.effects)
+    told = cache(lambda: bench.tells(named.fit))
+    news = lambda s: predictor().news(s.unused) > NEWS or (s.kind is Kind.NAMED and told())
+    vague = not share.explainable and named.anything(setting.effects) and not told()
     holds = lambda s: not (vague and s.kind is Kind.NAMED) and news(s)
     steps = [replace(s, admitted=s.admitted and (s.linear or holds(s))) for s in started]
     if named.alike is not None and named.step is not None and not news(named.step):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.blocks import Blocks
-from estimators.diagnosis.baseline.choice import Candidate, Trial
+from estimators.diagnosis.baseline.choice import NOTHING, Candidate, Trial
 from estimators.diagnosis.baseline.choice import tried as judged
 from estimators.diagnosis.baseline.disturbances import noise_model
 from estimators.diagnosis.baseline.individual import Individual
@@ -38,6 +38,8 @@ REALISED = 30
 """Lags of the impulse response that a reduction to few poles keeps: three times the largest order."""
 BLIND = 0.5
 """Error of refined models, of that of ARX, below which ARX has seen next to nothing, and its delays are those of noise."""
+MOVES = (4, 2, 1)
+"""Samples by which a delay moves: what light modes still ring with hides the onset of an impulse response by more than one."""
 STEPS = (4, 8, 4)
 """Gauss-Newton steps from each start, on from the best of them, and without one block from the optimum on all data."""
 EARLY = 2
@@ -164,9 +166,13 @@ class Search:
         delays = list(dict.fromkeys(t.candidate.form.delay for t in best[:10]))[:2]
         found = self._orders(best, delays)
         short = tuple(d if d > max(DELAYS) else min(d, 1) for d in delays[0])
-        if min((t.rmse for t in found), default=np.inf) < BLIND * best[0].rmse and short not in delays:
+        if min((t.rmse for t in found), default=np.inf) < BLIND * best[0].rmse:
+            if short not in delays:
+                found += self._orders(sorted((*best, *found), key=lambda t: t.rmse), [short])
+            moved = self._moved(min(found, key=lambda t: t.rmse))
+            if moved is not None:
+                found += [moved, *self._orders([moved, *best], [moved.candidate.form.delay])]
             best = sorted((*best, *found), key=lambda t: t.rmse)
-            found += self._orders(best, [short])
         if self.inputs > 1:
             found += self._of_each(sorted((*best, *found), key=lambda t: t.rmse))
         return found
@@ -185,6 +191,21 @@ class Search:
                 _, problem, model = min(fits, key=lambda f: f[0])
                 found.append(self.tried(self._oe(problem, model, "OE")))
         return [t for t in found if t is not None]
+
+    def _moved(self, first: Trial) -> Trial | None:
+        """The model with its delays moved on by ever smaller steps for as long as unused blocks get better; None where none is better."""
+        top = first
+        for step in (way * size for size in MOVES for way in (-1, 1)):
+            while True:
+                form = replace(
+                    top.candidate.form, delay=tuple(max(1, d + step) for d in top.candidate.form.delay)
+                )
+                fit = self._fitted(form, [top]) if form != top.candidate.form else None
+                trial = fit and self.tried(self._oe(*fit[1:], "OE"))
+                if not (trial and trial.rmse < (1.0 - NOTHING) * top.rmse):
+                    break
+                top = trial
+        return None if top is first else top
 
     def _prefiltered(self, form: Arx) -> LinearModel | None:
         """The iteration of Steiglitz and McBride, which finds light modes in noise where ARX and descents from it do not.

@@ -99,14 +99,14 @@ def lacking(
         return Arx(n, nb, (delay,), search.offset)
 
     def left(*forms: Arx) -> float:
-        """Share of the error on unused blocks by which the best linear model is better; 0 where that is no more than chance."""
+        """Share of the error on unused blocks by which the best linear model is better; 0 where that is no more than its search finds."""
         trials = [search.tried(search.of_form(form, base.outputs[i].model)) for form in forms]
         known = [t for t in trials if t is not None and np.isfinite(t.rmse)]
         if not known:
             return 1.0
         best = min(known, key=lambda t: t.rmse).unused
         gain = paired_gain(y, best, o.ladder.linear.unused, o.ladder.counted, policy)
-        return gain.share if gain.meets(policy.claimed) else 0.0
+        return gain.share if gain.meets(policy.searched) else 0.0
 
     share = left(form(order, order, 1), form(order, order + 1, 0))
     if share <= 0.0:

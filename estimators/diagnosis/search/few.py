@@ -50,10 +50,12 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
                 least = min(least, n.step_error(bench))
         return sorted(found, key=lambda n: n.step_error(bench))
 
-    # what is only added has a search of its own, and fits any one record; but a step leaves little of one that it is in only
+    # what is only added has a search of its own, and fits any one record; but a trend has no time or frequency to choose, and a
+    # step leaves little of a record that it is in only
     lasting = lambda e: e.nature is not Nature.ADDED
+    steady = lambda e: lasting(e) or not e.per_sample
     stepped = lambda f: f.structure.effects[-1].effect.timed and _spread(f) ** 2 < LEFT * _spread(a.base) ** 2
-    alone = [f for f in a.alternatives if lasting(f.structure.effects[-1].effect) or stepped(f)][:TRIED]
+    alone = [f for f in a.alternatives if steady(f.structure.effects[-1].effect) or stepped(f)][:TRIED]
     singles = judged(alone, HALF, kept)
     few = max(1, round(PAIRED * min(1.0, FULL / len(bench.channel))))  # longer records tell more apart
     menu = replace(menu, effects=tuple(filter(lasting, menu.effects)))

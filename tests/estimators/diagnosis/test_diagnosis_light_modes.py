@@ -30,6 +30,20 @@ def test_light_modes_of_two_inputs_that_arx_does_not_see_have_their_own_delay():
     assert base.rmse_unused[0] < 1.2 * noise
 
 
+def test_a_dead_time_before_light_modes_is_found_though_they_ring_on():
+    """ARX sees so little of them that its delay is one of noise, after the onset of the answer: twice the error of the noise."""
+    rng, n, dead = np.random.default_rng(4), 1500, 11
+    u, y = rng.standard_normal(n), np.zeros(n)
+    for w, radius, gain in ((0.262, 0.9945, 1.0), (0.557, 0.9911, -0.6), (0.905, 0.9875, 0.43)):
+        num, den = np.zeros(dead + 1), [1.0, -2.0 * radius * np.cos(w), radius**2]
+        num[dead] = gain * w
+        y += lfilter(num, den, u)
+    noise = 0.05 * float(np.std(y))
+    base = best_linear([Record(u[:, None], y + noise * rng.standard_normal(n))])
+    assert abs(base.outputs[0].delays[0] - dead) <= 2
+    assert base.rmse_unused[0] < 1.1 * noise
+
+
 @pytest.mark.parametrize("window", [0, 15])
 def test_light_poles_of_each_input_are_not_set_ringing_by_the_noise_of_a_rest(window):
     """Near-double poles make a growing swing of any error of the level, or of samples that only noise moves."""
