@@ -127,12 +127,12 @@ def _height(figure: Figure) -> int:
     if figure.sideways:
         panels = {str(row.get("panel") or "") for row in figure.rows}
         most = max(len({row["y"] for row in figure.rows if str(row.get("panel") or "") == p}) for p in panels)
-        broken = any(len(str(row["y"])) > LABEL[1] for row in figure.rows)
-        return max(60, (30 if broken else 24) * most + 10)
+        lines = max(len(wrap(str(row["y"]), LABEL[1])) for row in figure.rows)
+        return max(60, max(24, 2 + 14 * lines) * most + 10)
     return 240
 
 
-LABEL = 170, 28
+LABEL = 185, 28
 """Of a name beside a sideways figure: pixels, and the letters that fit into a line of so many."""
 
 
