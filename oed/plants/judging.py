@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.plants.plant import Plant
-from oed.plants.realisations import state_space
+from oed.plants.realisations import n_states, state_space
 
 LEAST, PER_STATE = 20, 3
 """Samples at least, and for every state and the level, to which what a run begins with is fitted; they are not judged."""
@@ -30,11 +30,11 @@ def errors_of(plant: Plant, record: Record) -> NDArray[np.float64]:
             f"the model has {plant.n_inputs} inputs and {plant.n_outputs} outputs, the record {record.n_inputs} and "
             f"{record.n_outputs}; give the model of this system."
         )
-    A, _, C, _ = state_space(plant)
-    n = len(A)
+    n = n_states(plant)
     window = max(LEAST, PER_STATE * (n + 1))
     if len(record) <= 2 * window:
         raise InputError(f"{len(record)} samples are too few to judge a model of {n} states by; give more than {2 * window}.")  # fmt: skip
+    A, _, C, _ = state_space(plant)
     free, state = np.empty((len(record), plant.n_outputs, n)), np.eye(n)
     for row in free:
         row[:], state = C @ state, A @ state

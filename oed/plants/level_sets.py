@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from oed.errors import InputError, SolverFailure
 from oed.plants.plant import Plant
-from oed.plants.realisations import state_space
+from oed.plants.realisations import n_states, state_space
 
 LARGEST = 400
 """States of a plant whose level-set test is made: its pencil is twice that size, a minute of one core."""
@@ -13,13 +13,13 @@ LARGEST = 400
 
 def crossings(plant: Plant, level: float) -> NDArray[np.float64]:
     """Frequencies in [0, pi] where some singular value of G may equal the level (empty certifies a bound)."""
-    A, B, C, D = state_space(plant, delays=False)
-    n, nu = len(A), plant.n_inputs
+    n, nu = n_states(plant, delays=False), plant.n_inputs
     if n > LARGEST:
         raise InputError(
             f"the plant has {n} states, and the certificate of its largest gain is computed for at most {LARGEST}: lower "
             "its order, or cut its impulse response."
         )
+    A, B, C, D = state_space(plant, delays=False)
     M = np.block(
         [
             [A, np.zeros((n, n)), B],

@@ -21,14 +21,7 @@ def state_space(plant: Plant, *, delays: bool = True) -> StateSpace:
     whole row or column has are left out: no singular value of the response changes. x_(t+1) = A x_t + B u_t,
     y_t = C x_t + D u_t. Entries with a common denominator are realised apart, so the realisation of a plant
     with several entries is in general not minimal (the response is exact)."""
-    blocks = []
-    padded = lambda p, order: np.pad(p, (0, order + 1 - len(p)))
-    left_out = np.zeros((plant.n_outputs, plant.n_inputs), int) if delays else _common_delays(plant)
-    for i, row in enumerate(plant.num):
-        for j, entry in enumerate(row):
-            num = entry[left_out[i, j] :] if np.any(entry) else entry[:1]
-            order = max(len(num), len(plant.den[i][j])) - 1
-            blocks.append((i, j, order, padded(num, order), padded(plant.den[i][j], order)))
+    blocks = _blocks(plant, delays)
     n = sum(block[2] for block in blocks)
     A, B = np.zeros((n, n)), np.zeros((n, plant.n_inputs))
     C, D = np.zeros((plant.n_outputs, n)), np.zeros((plant.n_outputs, plant.n_inputs))
@@ -43,6 +36,24 @@ def state_space(plant: Plant, *, delays: bool = True) -> StateSpace:
             C[i, rows] = b[1:] - b[0] * a[1:]
             at += order
     return A, B, C, D
+
+
+def n_states(plant: Plant, *, delays: bool = True) -> int:
+    """The states of `state_space`, whose matrices may be too large to be made."""
+    return sum(block[2] for block in _blocks(plant, delays))
+
+
+def _blocks(plant: Plant, delays: bool) -> list[tuple[int, int, int, NDArray, NDArray]]:
+    """Row, column, order, numerator and denominator of each entry."""
+    blocks = []
+    padded = lambda p, order: np.pad(p, (0, order + 1 - len(p)))
+    left_out = np.zeros((plant.n_outputs, plant.n_inputs), int) if delays else _common_delays(plant)
+    for i, row in enumerate(plant.num):
+        for j, entry in enumerate(row):
+            num = entry[left_out[i, j] :] if np.any(entry) else entry[:1]
+            order = max(len(num), len(plant.den[i][j])) - 1
+            blocks.append((i, j, order, padded(num, order), padded(plant.den[i][j], order)))
+    return blocks
 
 
 def _common_delays(plant: Plant) -> NDArray[np.int64]:

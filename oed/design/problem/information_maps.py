@@ -24,6 +24,8 @@ from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 from oed.theory.quadrature import graded_edges, integral
 
+MOST = 1000
+"""Parameters of a map: a matrix of some 10,000 fills the memory, and its eigenvalues take hours."""
 Responses = Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 
 
@@ -184,6 +186,7 @@ def information_map(
     if isinstance(model, InformationMap):
         return model
     if isinstance(model, Plant):
+        _check_number(len(model.free))
         dens = [den for row in model.den for den in row] + [model.noise_num]
         return InformationMap(
             model.free, model.n_inputs, lambda omega: whitened_gradient(model, omega),
@@ -204,8 +207,17 @@ def information_map(
         return D if noise_response is None else D / noise_response(omega)[:, None, None, None]
 
     n = np.shape(dG)[1]
+    _check_number(n)
     names = tuple(f"theta{i + 1}" for i in range(n))
     return InformationMap(names, nu, factor, lambda omega: model.response(omega)[0], np.zeros((n, n)))
+
+
+def _check_number(parameters: int) -> None:
+    if parameters > MOST:
+        raise InputError(
+            f"the model has {parameters} unknown parameters, and their information is computed for at most {MOST}; name the ones that "
+            "matter in `free`, or lower the order."
+        )
 
 
 def _whitening(covariance: NDArray, ny: int) -> NDArray[np.float64]:
@@ -221,6 +233,7 @@ def _whitening(covariance: NDArray, ny: int) -> NDArray[np.float64]:
 
 def _of_model(model: Model) -> InformationMap:
     """A polynomial model: H may have parameters of its own or share those of A."""
+    _check_number(model.structure.n)
     W = _whitening(model.noise_covariance, model.structure.n_outputs)
 
     def factor(omega: NDArray) -> NDArray:
