@@ -24,6 +24,9 @@ from oed.experiments import Experiment, noise_factor
 from oed.plants.plant import Plant
 from oed.signals.noise import START, noise_key, standard_noise
 
+BATCH = 64
+"""Runs of a batch, over which means are taken together: another number would move their last digits."""
+
 
 @dataclass(frozen=True, eq=False)
 class Batch:
@@ -114,10 +117,8 @@ def batches(
             f"power iterations need one input and one output, and {system.name} has {system.n_inputs} and "
             f"{system.n_outputs}; use the algorithm mimo."
         )
-    from estimators.montecarlo.engine_kernels import B
-
     work = _compiled_work(system, algorithm, samples, iterations, seed, SCALINGS.index(scaling))
-    parts = [(r, min(B, first + replicates - r)) for r in range(first, first + replicates, B)]
+    parts = [(r, min(BATCH, first + replicates - r)) for r in range(first, first + replicates, BATCH)]
     if threads == 1:
         for part in parts:
             yield work(*part)
@@ -136,33 +137,33 @@ def _compiled_work(
     plant: Plant, algorithm: str, samples: int, iterations: int, seed: int, scaling: int
 ) -> Callable[[int, int], Batch]:
     """What runs the batch of a first replicate and a number of them; all that batches share is made once."""
-    from estimators.montecarlo.engine_kernels import B, power_block, procedure_block
+    from estimators.montecarlo.engine_kernels import power_block, procedure_block
+    from estimators.montecarlo.noise_kernels import B, aligned
 
     k0, k1 = (np.uint64(word) for word in noise_key(seed, plant.name))
-    length = max(len(c) for side in (plant.num, plant.den) for row in side for c in row)
+    length = max(3, *(len(c) for side in (plant.num, plant.den) for row in side for c in row))
     single = algorithm in ("siso", "procedure-1")
-    length = max(length, 3) if single else length
     num, den = (_padded(side, length) for side in (plant.num, plant.den))
     h = max(len(plant.noise_num), len(plant.noise_den)) if not plant.white_noise else 1
     noise = [np.pad(np.array(c)[:h], (0, h - len(c[:h]))) for c in (plant.noise_num, plant.noise_den)]
     factor = np.ascontiguousarray(noise_factor(plant))
+    rows = 4 if single else 2 * plant.n_inputs + plant.n_outputs + 1
+    block: Callable[..., None] = power_block if single else procedure_block
+    channels: list[Any] = [num[0, 0], den[0, 0], *noise, factor[0]] if single else [num, den, *noise, factor]
     size: list[Any] = [samples, iterations]
     local = threading.local()  # fresh pages of memory for every batch would cost more than they hold
 
     def work(first: int, replicates: int) -> Batch:
-        gain, mu, third = (np.full((B, iterations), np.nan) for _ in range(3))
-        coordinates: list[Any] = [k0, k1, START, first]
-        if single:
-            if getattr(local, "signals", None) is None:
-                local.signals = np.empty((2, samples * B))
-            arguments = [*size, num[0, 0], den[0, 0], *noise, factor[0], *coordinates, gain, mu, third]
-            arguments.append(local.signals)
-            power_block(*arguments)
-            energy = np.full((B, iterations), float(samples))
-        else:
-            energy = np.empty((B, iterations))
-            arguments = [*size, num, den, *noise, factor, *coordinates, scaling, gain, mu, energy]
-            procedure_block(*arguments)
+        gain, mu, third = (np.full((BATCH, iterations), np.nan) for _ in range(3))
+        energy = np.full((BATCH, iterations), float(samples))
+        if getattr(local, "signals", None) is None:
+            local.signals = aligned(rows, samples * B)
+        for r in range(0, replicates, B):
+            side = slice(r, r + B)
+            coordinates: list[Any] = [k0, k1, START, first + r, local.signals]
+            found = [gain[side], mu[side], *([third[side]] if single else [energy[side], scaling])]
+            arguments = [*size, *channels, *coordinates, *found]
+            block(*arguments)
         keep = slice(replicates)
         return Batch(first, gain[keep], mu[keep], third[keep], energy[keep])
 
@@ -198,7 +199,10 @@ def monte_carlo(
     algorithm: str = "siso", scaling: str = "none", threads: int = 1,
 ) -> Campaign:  # fmt: skip
     """Mean and spread of the iterations' estimates over many runs."""
-    sums: dict[str, list[NDArray]] = {}
+    from estimators.montecarlo.engine_kernels import accumulate
+
+    names: list[str] = ["gain", "mu", "rayleigh", "gain_square", "mu_square"]
+    sums = [np.zeros((len(names), iterations)) for _ in range(3)]
     negative, energy = np.zeros(iterations), np.zeros(iterations)
     gain_first = np.full(iterations, np.nan)
     parts = batches(
@@ -207,37 +211,23 @@ def monte_carlo(
     )  # fmt: skip
     for batch in parts:
         square = batch.gain_squares
-        rows = {
-            "gain": np.sqrt(np.where(square >= 0, square, np.nan)), "mu": np.sqrt(batch.mu_squares),
-            "rayleigh": batch.rayleigh, "gain_square": square, "mu_square": batch.mu_squares,
-        }  # fmt: skip
+        gain = np.sqrt(np.where(square >= 0, square, np.nan))
         if batch.first == 0:
-            gain_first = rows["gain"][0]
+            gain_first = gain[0]
         negative += np.sum(square < 0, axis=0)
         energy += batch.energy.sum(axis=0)
-        for name, values in rows.items():
-            _accumulate(sums.setdefault(name, [np.zeros(iterations) for _ in range(3)]), values)
-    mean, deviation = {}, {}
+        for k, values in enumerate(
+            (gain, np.sqrt(batch.mu_squares), batch.rayleigh, square, batch.mu_squares)
+        ):
+            accumulate(values, sums[0][k], sums[1][k], sums[2][k])
+    count, average, squares = sums
     with np.errstate(divide="ignore", invalid="ignore"):
-        for name, (count, average, squares) in sums.items():
-            mean[name] = frozen(np.where(count > 0, average, np.nan))
-            deviation[name] = frozen(np.where(count > 1, np.sqrt(squares / (count - 1)), np.nan))
+        tables = (
+            np.where(count > 0, average, np.nan),
+            np.where(count > 1, np.sqrt(squares / (count - 1)), np.nan),
+        )
+    mean, deviation = (dict(zip(names, map(frozen, table), strict=True)) for table in tables)
     return Campaign(
         replicates, mean, deviation, frozen(negative), frozen(energy / replicates), frozen(gain_first), samples,
         system if isinstance(system, Plant) else None,
     )  # fmt: skip
-
-
-def _accumulate(sums: list[NDArray], values: NDArray[np.float64]) -> None:
-    """Counts, means and sums of squared deviations, batch by batch (Chan, Golub and LeVeque)."""
-    count, average, squares = sums
-    finite = np.isfinite(values)
-    n = finite.sum(axis=0)
-    own = np.divide(np.where(finite, values, 0).sum(axis=0), n, out=np.zeros(len(n)), where=n > 0)
-    spread = np.where(finite, values - own, 0)
-    total = count + n
-    share = np.divide(n, total, out=np.zeros(len(n)), where=total > 0)
-    shift = own - average
-    squares += (spread**2).sum(axis=0) + shift**2 * count * share
-    average += shift * share
-    count += n

@@ -3,143 +3,61 @@
 Runs are the innermost axis, so the recursions of the filters, which no processor can vectorise along time, are
 vectorised across runs. A signal of one channel is a flat array: sample t of run b at t B + b. Indices are
 unsigned, because a sign test in the index would keep the loops scalar. The twin of everything here is the plain
-loop `estimators.rules.trace.run` on `oed.experiments.simulated`; the noise is that of `oed.signals.noise`, bit for bit.
+loop `estimators.rules.trace.run` on `oed.experiments.simulated`.
 """
 
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
 
-from oed.signals.noise import COS, LOG, ROOT_HALF, ROUNDS, SIN
-
-B = 64
-"""Runs side by side; two signals of 1000 samples of them fill half of a 2 MB cache."""
-
-UB, UB2, UB3, UB4, UB5 = (np.uint64(k * B) for k in range(1, 6))
-_f, _i = np.float32, np.int32
-M0, M1, LOW, SHIFT = (np.uint64(v) for v in (0xD2511F53, 0xCD9E8D57, 0xFFFFFFFF, 32))
-W0, W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
-L0, L1, L2, L3, L4, L5, L6 = (_f(c) for c in LOG)
-S0, S1, S2, S3, S4 = (_f(c) for c in SIN)
-C0, C1, C2, C3, C4 = (_f(c) for c in COS)
-SCALE, OFFSET, TURN, LN2 = _f(2.0**-31), _f(2.0**-32), _f(np.pi / 2 * 2.0**-31), _f(np.log(2))
-HALF, ONE, MINUS_TWO = _f(0.5), _f(1), _f(-2)
-ROOT, RAISE, MANTISSA = _i(ROOT_HALF), _i(0x3F800000 - ROOT_HALF), _i(0x007FFFFF)
-POSITIVE, SIGN, BIAS, N23 = _i(0x7FFFFFFF), _i(-(2**31)), _i(127), _i(23)
+from estimators.montecarlo.noise_kernels import (
+    BLOCKS,
+    UB,
+    UB2,
+    UB3,
+    UB4,
+    UB5,
+    B,
+    aligned,
+    apart,
+    chunk,
+    normal_block,
+    room,
+    scaled_add,
+)
 
 
-@intrinsic
-def _bits(typingctx, x):
-    """The bits of a single-precision number."""
-    return types.int32(types.float32), lambda context, builder, sig, args: builder.bitcast(
-        args[0], ir.IntType(32)
-    )
-
-
-@intrinsic
-def _float(typingctx, x):
-    """The single-precision number of some bits."""
-    return types.float32(types.int32), lambda context, builder, sig, args: builder.bitcast(
-        args[0], ir.FloatType()
-    )
-
-
-@intrinsic
-def _wide(typingctx):
-    """Ask the compiler for the widest vectors the machine has; where it has no wider ones, nothing changes."""
-
-    def generate(context, builder, sig, args):
-        if isinstance(builder.function.attributes, set):
-            set.add(builder.function.attributes, '"prefer-vector-width"="512"')
-        return context.get_dummy_value()
-
-    return types.void(), generate
-
-
-@njit(error_model="numpy", cache=True)
-def _words(k0, k1, block, output, experiment, replicate, w):
-    """Philox4x32-7 for B successive replicates. High words are left dirty: the products ignore them."""
-    _wide()  # pyright: ignore[reportCallIssue]
-    for b in range(B):
-        c0, c1 = np.uint64(block), np.uint64(output)
-        c2, c3 = np.uint64(experiment), np.uint64(replicate) + np.uint64(b)
-        a0, a1 = k0, k1
-        for _ in range(ROUNDS):
-            p0, p1 = (c0 & LOW) * M0, (c2 & LOW) * M1
-            c0, c1, c2, c3 = (p1 >> SHIFT) ^ c1 ^ a0, p1, (p0 >> SHIFT) ^ c3 ^ a1, p0
-            a0, a1 = (a0 + W0) & LOW, (a1 + W1) & LOW
-        w[0, b], w[1, b] = _i(np.uint32(c0)), _i(np.uint32(c1))
-        w[2, b], w[3, b] = _i(np.uint32(c2)), _i(np.uint32(c3))
-
-
-@njit(error_model="numpy", cache=True)
-def _normals(w, e):
-    """Box-Muller as in `oed.signals.noise`, every operation in single precision and rounded once."""
-    _wide()  # pyright: ignore[reportCallIssue]
-    for pair in range(2):
-        for b in range(B):
-            x, v = w[2 * pair, b], w[2 * pair + 1, b]
-            u = _f(_i(x & POSITIVE)) * SCALE + OFFSET
-            i = _i(_bits(u) + RAISE)
-            exponent = _f(_i(_i(i >> N23) - BIAS))
-            m = _float(_i(_i(i & MANTISSA) + ROOT)) - ONE
-            p = (((((L6 * m + L5) * m + L4) * m + L3) * m + L2) * m + L1) * m + L0
-            z = m * m
-            radius = np.sqrt(MINUS_TWO * (exponent * LN2 + (m + (z * m * p - HALF * z))))
-            radius = _float(_i(_bits(radius) ^ _i(x & SIGN)))
-            a = _f(v) * TURN
-            z = a * a
-            e[2 * pair, b] = radius * ((((C4 * z + C3) * z + C2) * z + C1) * z + C0)
-            e[2 * pair + 1, b] = radius * (a * ((((S4 * z + S3) * z + S2) * z + S1) * z + S0))
-
-
-@njit(error_model="numpy", cache=True)
-def normal_block(k0, k1, samples, output, experiment, replicate, x):
-    """Standard normals of one output of one experiment into x, for B replicates: x (samples * B,)."""
-    w, e = np.empty((4, B), np.int32), np.empty((4, B), np.float32)
-    for block in range((samples + 3) // 4):
-        _words(k0, k1, block, output, experiment, replicate, w)
-        _normals(w, e)
-        for s in range(min(4, samples - 4 * block)):
-            base = np.uint64((4 * block + s) * B)
-            for b in range(UB):
-                x[base + b] = e[s, b]
+@njit(error_model="numpy", inline="always")
+def _step(x, z0, z1, b0, b1, b2, a1, a2):
+    """One sample of a second-order filter, transposed direct form II: its output, and its states after it."""
+    v = z0 + b0 * x
+    return v, z1 + b1 * x - a1 * v, b2 * x - a2 * v
 
 
 @njit(error_model="numpy", fastmath={"contract"}, cache=True)
-def _four_samples(u, y, t, samples, e, state, c):
+def _four_samples(u, y, t, samples, even, odd, row, state, c):
     """Four samples of a second-order SISO plant with white noise, and what the estimators need of them.
     `state`: two filter states, the scale of u, and the sums ||y||^2, u_before' y~, u' y~. y holds u_before
     and receives y~ = T y in the same places."""
-    _wide()  # pyright: ignore[reportCallIssue]
+    apart()  # pyright: ignore[reportCallIssue]
     b0, b1, b2, a1, a2, sigma = c[0], c[1], c[2], c[3], c[4], c[5]
-    now, back = np.uint64(t * B), np.uint64((samples - 1 - t) * B)
+    now, back, row = np.uint64(t * B), np.uint64((samples - 1 - t) * B), np.uint64(row)
     for b in range(UB):
         z0, z1, scale = state[b], state[UB + b], state[UB2 + b]
         s0, s1, s2 = state[UB3 + b], state[UB4 + b], state[UB5 + b]
-        x = u[now + b] * scale
-        v = z0 + b0 * x
-        z0, z1 = z1 + b1 * x - a1 * v, b2 * x - a2 * v
-        v += sigma * e[0, b]
+        v, z0, z1 = _step(u[now + b] * scale, z0, z1, b0, b1, b2, a1, a2)
+        v += sigma * even[row + b]
         s0, s1, s2 = s0 + v * v, s1 + v * y[back + b], s2 + v * u[back + b]
         y[back + b] = v
-        x = u[now + UB + b] * scale
-        v = z0 + b0 * x
-        z0, z1 = z1 + b1 * x - a1 * v, b2 * x - a2 * v
-        v += sigma * e[1, b]
+        v, z0, z1 = _step(u[now + UB + b] * scale, z0, z1, b0, b1, b2, a1, a2)
+        v += sigma * odd[row + b]
         s0, s1, s2 = s0 + v * v, s1 + v * y[back - UB + b], s2 + v * u[back - UB + b]
         y[back - UB + b] = v
-        x = u[now + UB2 + b] * scale
-        v = z0 + b0 * x
-        z0, z1 = z1 + b1 * x - a1 * v, b2 * x - a2 * v
-        v += sigma * e[2, b]
+        v, z0, z1 = _step(u[now + UB2 + b] * scale, z0, z1, b0, b1, b2, a1, a2)
+        v += sigma * even[row + UB + b]
         s0, s1, s2 = s0 + v * v, s1 + v * y[back - UB2 + b], s2 + v * u[back - UB2 + b]
         y[back - UB2 + b] = v
-        x = u[now + UB3 + b] * scale
-        v = z0 + b0 * x
-        z0, z1 = z1 + b1 * x - a1 * v, b2 * x - a2 * v
-        v += sigma * e[3, b]
+        v, z0, z1 = _step(u[now + UB3 + b] * scale, z0, z1, b0, b1, b2, a1, a2)
+        v += sigma * odd[row + UB + b]
         s0, s1, s2 = s0 + v * v, s1 + v * y[back - UB3 + b], s2 + v * u[back - UB3 + b]
         y[back - UB3 + b] = v
         state[b], state[UB + b] = z0, z1
@@ -147,15 +65,13 @@ def _four_samples(u, y, t, samples, e, state, c):
 
 
 @njit(error_model="numpy", cache=True)
-def _one_sample(u, y, t, samples, e, s, state, c):
+def _one_sample(u, y, t, samples, e, row, state, c):
     """As `_four_samples`, for the samples left over at the end."""
     for b in range(B):
         back = (samples - 1 - t) * B + b
         x = u[t * B + b] * state[2 * B + b]
-        v = state[b] + c[0] * x
-        state[b] = state[B + b] + c[1] * x - c[3] * v
-        state[B + b] = c[2] * x - c[4] * v
-        v += c[5] * e[s, b]
+        v, state[b], state[B + b] = _step(x, state[b], state[B + b], c[0], c[1], c[2], c[3], c[4])
+        v += c[5] * e[row + b]
         state[3 * B + b] += v * v
         state[4 * B + b] += v * y[back]
         state[5 * B + b] += v * u[back]
@@ -163,13 +79,53 @@ def _one_sample(u, y, t, samples, e, s, state, c):
 
 
 @njit(error_model="numpy", cache=True)
-def _filter_add(u, y, samples, num, den, scale, reverse):
-    """y += G (scale u) from rest, reversed in time if asked; transposed direct form II of any order."""
+def _fused(u, y, samples, k0, k1, experiment, replicate, noise, state, c):
+    """One experiment of a second-order SISO plant with white noise, as `_four_samples` has it."""
+    even, odd = noise[2], noise[3]
+    for t in range(0, samples, 4 * BLOCKS):
+        left = chunk(k0, k1, t, samples, 0, experiment, replicate, noise)
+        for s in range(0, left - left % 4, 4):
+            _four_samples(u, y, t + s, samples, even, odd, s // 2 * B, state, c)
+        for s in range(left - left % 4, left):
+            _one_sample(u, y, t + s, samples, odd if s % 2 else even, s // 2 * B, state, c)
+
+
+@njit(error_model="numpy", cache=True)
+def _second_order_add(u, y, samples, num, den, scale, z):
+    """As `_filter_add` for a second order, four samples at a time."""
+    apart()  # pyright: ignore[reportCallIssue]
+    b0, b1, b2, a1, a2 = num[0], num[1], num[2], den[1], den[2]
+    z[:] = 0.0
+    for t in range(0, samples - samples % 4, 4):
+        now, to = np.uint64(t * B), np.uint64((samples - 1 - t) * B)
+        for b in range(UB):
+            z0, z1, c = z[b], z[UB + b], scale[b]
+            v, z0, z1 = _step(u[now + b] * c, z0, z1, b0, b1, b2, a1, a2)
+            y[to + b] += v
+            v, z0, z1 = _step(u[now + UB + b] * c, z0, z1, b0, b1, b2, a1, a2)
+            y[to - UB + b] += v
+            v, z0, z1 = _step(u[now + UB2 + b] * c, z0, z1, b0, b1, b2, a1, a2)
+            y[to - UB2 + b] += v
+            v, z0, z1 = _step(u[now + UB3 + b] * c, z0, z1, b0, b1, b2, a1, a2)
+            y[to - UB3 + b] += v
+            z[b], z[UB + b] = z0, z1
+    for t in range(samples - samples % 4, samples):
+        now, to = np.uint64(t * B), np.uint64((samples - 1 - t) * B)
+        for b in range(UB):
+            v, z[b], z[UB + b] = _step(u[now + b] * scale[b], z[b], z[UB + b], b0, b1, b2, a1, a2)
+            y[to + b] += v
+
+
+@njit(error_model="numpy", cache=True)
+def _filter_add(u, y, samples, num, den, scale):
+    """y += T G (scale u) from rest, T for reversal in time; transposed direct form II of any order."""
     n = len(num) - 1
     z, x, v = np.zeros((n + 1) * B), np.empty(B), np.empty(B)
+    if n == 2:
+        _second_order_add(u, y, samples, num, den, scale, z)
+        return
     for t in range(samples):
-        now = np.uint64(t * B)
-        to = np.uint64((samples - 1 - t) * B) if reverse else now
+        now, to = np.uint64(t * B), np.uint64((samples - 1 - t) * B)
         b0 = num[0]
         for b in range(UB):
             value = u[now + b] * scale[b]
@@ -184,67 +140,71 @@ def _filter_add(u, y, samples, num, den, scale, reverse):
 
 
 @njit(error_model="numpy", cache=True)
-def _noise_add(y, samples, weights, num, den, k0, k1, experiment, replicate, divisor, reverse, e, x):
-    """y += H (weights' e) / divisor: the noise of one output, white or filtered."""
+def _noise_add(y, samples, weights, num, den, k0, k1, experiment, replicate, divisor, scale, x, noise):
+    """y += T H (weights' e) / divisor: the noise of one output, white or filtered. `x`: room for one signal."""
     for output in range(len(weights)):
         if weights[output] == 0.0:
             continue
-        normal_block(k0, k1, samples, output, experiment, replicate, x)
         for b in range(B):
-            e[b] = weights[output] / divisor[b]
-        _filter_add(x, y, samples, num, den, e, reverse)
+            scale[b] = weights[output] / divisor[b]
+        if len(num) > 1:
+            normal_block(k0, k1, samples, output, experiment, replicate, x)
+            _filter_add(x, y, samples, num, den, scale)
+            continue
+        for t in range(0, samples, 4 * BLOCKS):
+            count = chunk(k0, k1, t, samples, output, experiment, replicate, noise)
+            scaled_add(noise[2], noise[3], y, samples - 1 - t, count, scale)
 
 
 @njit(error_model="numpy", cache=True)
-def _dot_add(a, b, samples, reverse, out):
-    """out += a' b for every run, b reversed in time if asked."""
-    for t in range(samples):
+def _dot_add(a, b, samples, out):
+    """out += a' b for every run."""
+    apart()  # pyright: ignore[reportCallIssue]
+    whole = samples - samples % 4
+    for t in range(0, whole, 4):
         now = np.uint64(t * B)
-        to = np.uint64((samples - 1 - t) * B) if reverse else now
         for k in range(UB):
-            out[k] += a[now + k] * b[to + k]
+            total = out[k] + a[now + k] * b[now + k]
+            total += a[now + UB + k] * b[now + UB + k]
+            total += a[now + UB2 + k] * b[now + UB2 + k]
+            out[k] = total + a[now + UB3 + k] * b[now + UB3 + k]
+    for t in range(whole, samples):
+        now = np.uint64(t * B)
+        for k in range(UB):
+            out[k] += a[now + k] * b[now + k]
 
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def power_block(
-    samples, iterations, num, den, noise_num, noise_den, weights, k0, k1, start, replicate, gain, mu, rayleigh,
-    signals,
+    samples, iterations, num, den, noise_num, noise_den, weights, k0, k1, start, replicate, signals, gain, mu, rayleigh,
 ):  # fmt: skip
-    """Algorithm 1 for B replicates: weights (1,), gain, mu, rayleigh (B, iterations), signals (2, samples *
-    B)."""
-    U, V, X = signals[0], signals[1], np.empty(samples * B)
-    V[:] = 0.0
-    w, e = np.empty((4, B), np.int32), np.empty((4, B), np.float32)
-    state, scale, before = np.zeros(6 * B), np.empty(B), np.ones(B)
-    one, small = np.ones(B), np.empty(B)
+    """Algorithm 1 for B replicates: weights (1,), signals (4, samples * B) room, gain, mu, rayleigh (B, iterations)."""
     fused = len(num) == 3 and len(noise_num) == 1
+    U, V, W, X = signals[0], signals[1], signals[2], signals[3]
+    V[:] = 0.0
+    noise, state = room(), aligned(1, 6 * B)[0]
+    scale, before, one, small = np.empty(B), np.ones(B), np.ones(B), np.empty(B)
     c = np.zeros(6)
     if fused:
         c[:3], c[3:5], c[5] = num, den[1:], weights[0]
     normal_block(k0, k1, samples, 0, start, replicate, U)
-    _dot_add(U, U, samples, False, state[3 * B : 4 * B])
+    state[:] = 0.0
+    _dot_add(U, U, samples, state[3 * B : 4 * B])
     for b in range(B):
         scale[b] = np.sqrt(samples / state[3 * B + b])
     for m in range(iterations):
         state[:] = 0.0
         state[2 * B : 3 * B] = scale
         if fused:
-            for block in range((samples + 3) // 4):
-                _words(k0, k1, block, 0, m, replicate, w)
-                _normals(w, e)
-                if 4 * block + 4 <= samples:
-                    _four_samples(U, V, 4 * block, samples, e, state, c)
-                else:
-                    for s in range(samples - 4 * block):
-                        _one_sample(U, V, 4 * block + s, samples, e, s, state, c)
+            _fused(U, V, samples, k0, k1, m, replicate, noise, state, c)
         else:
-            W = np.zeros(samples * B)
-            _filter_add(U, W, samples, num, den, scale, True)
-            _noise_add(W, samples, weights, noise_num, noise_den, k0, k1, m, replicate, one, True, small, X)
-            _dot_add(W, W, samples, False, state[3 * B : 4 * B])
-            _dot_add(W, V, samples, False, state[4 * B : 5 * B])
-            _dot_add(W, U, samples, False, state[5 * B : 6 * B])
-            V = W
+            W[:] = 0.0
+            _filter_add(U, W, samples, num, den, scale)
+            _noise_add(W, samples, weights, noise_num, noise_den, k0, k1, m, replicate, one, small, X, noise)
+            _dot_add(W, W, samples, state[3 * B : 4 * B])
+            _dot_add(W, V, samples, state[4 * B : 5 * B])
+            _dot_add(W, U, samples, state[5 * B : 6 * B])
+            V, W = W, V
         for b in range(B):
             square = state[3 * B + b] / samples
             mu[b, m] = square
@@ -256,33 +216,45 @@ def power_block(
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def procedure_block(
-    samples, iterations, num, den, noise_num, noise_den, weights, k0, k1, start, replicate, scaling, gain, mu,
-    energy,
+    samples, iterations, num, den, noise_num, noise_den, weights, k0, k1, start, replicate, signals, gain,
+    mu, energy, scaling,
 ):  # fmt: skip
     """Procedure 2 for B replicates; the two-experiment scheme where there is one channel; num, den (p, q, n +
-    1), weights (p, p), gain, mu, energy (B, iterations)."""
+    1), weights (p, p), signals (2 q + p + 1, samples * B) room, gain, mu, energy (B, iterations)."""
     p, q = num.shape[:2]
-    size = samples * B
-    U, X = np.empty((q, size)), np.empty(size)
+    U, Z, Y, X = signals[:q], signals[q : 2 * q], signals[2 * q : 2 * q + p], signals[-1]
+    noise = room()
     scale, divisor, small = np.empty(B), np.ones(B), np.empty(B)
     total, power = np.zeros(B), np.zeros((p, B))
     for j in range(q):
         normal_block(k0, k1, samples, j, start, replicate, U[j])
-        _dot_add(U[j], U[j], samples, False, total)
+        _dot_add(U[j], U[j], samples, total)
     for b in range(B):
         scale[b] = np.sqrt(samples / total[b])
     one = np.ones(B)
     for m in range(iterations):
         first = m * (1 + p * q)
-        Y, Z = np.zeros((p, size)), np.zeros((q, size))
+        Y[:], Z[:] = 0.0, 0.0
         power[:] = 0.0
         for i in range(p):
             for j in range(q):
-                _filter_add(U[j], Y[i], samples, num[i, j], den[i, j], scale, True)
+                _filter_add(U[j], Y[i], samples, num[i, j], den[i, j], scale)
             _noise_add(
-                Y[i], samples, weights[i], noise_num, noise_den, k0, k1, first, replicate, one, True, small, X
+                Y[i],
+                samples,
+                weights[i],
+                noise_num,
+                noise_den,
+                k0,
+                k1,
+                first,
+                replicate,
+                one,
+                small,
+                X,
+                noise,
             )
-            _dot_add(Y[i], Y[i], samples, False, power[i])
+            _dot_add(Y[i], Y[i], samples, power[i])
         for b in range(B):
             total[b] = power[:, b].sum()
             energy[b, m] = samples
@@ -294,19 +266,43 @@ def procedure_block(
                     elif scaling == 2:
                         divisor[b] = np.sqrt(samples / total[b])
                     energy[b, m] += divisor[b] ** 2 * power[i, b]
-                _filter_add(Y[i], Z[j], samples, num[i, j], den[i, j], one, True)
+                _filter_add(Y[i], Z[j], samples, num[i, j], den[i, j], one)
                 experiment = first + 1 + j * p + i
                 _noise_add(
-                    Z[j], samples, weights[i], noise_num, noise_den, k0, k1, experiment, replicate, divisor, True,
-                    small, X,
+                    Z[j], samples, weights[i], noise_num, noise_den, k0, k1, experiment, replicate, divisor, small,
+                    X, noise,
                 )  # fmt: skip
         total[:] = 0.0
         small[:] = 0.0
         for j in range(q):
-            _dot_add(U[j], Z[j], samples, False, small)
-            _dot_add(Z[j], Z[j], samples, False, total)
+            _dot_add(U[j], Z[j], samples, small)
+            _dot_add(Z[j], Z[j], samples, total)
         for b in range(B):
             gain[b, m] = small[b] * scale[b] / samples
             mu[b, m] = np.sqrt(total[b] / samples)
             scale[b] = np.sqrt(samples / total[b])
-        U = Z
+        U, Z = Z, U
+
+
+@njit(error_model="numpy", cache=True)
+def accumulate(values, count, average, squares):
+    """Counts, means and sums of squared deviations (M,) of the finite ones of values (R, M), batch by batch (Chan, Golub and
+    LeVeque)."""
+    runs, size = values.shape
+    n, own, spread = np.zeros(size), np.zeros(size), np.zeros(size)
+    for r in range(runs):
+        for m in range(size):
+            if np.isfinite(values[r, m]):
+                n[m] += 1
+                own[m] += values[r, m]
+    for m in range(size):
+        own[m] = own[m] / n[m] if n[m] else 0.0
+    for r in range(runs):
+        for m in range(size):
+            if np.isfinite(values[r, m]):
+                spread[m] += (values[r, m] - own[m]) ** 2
+    for m in range(size):
+        shift, share = own[m] - average[m], n[m] / (count[m] + n[m]) if n[m] else 0.0
+        squares[m] += spread[m] + shift**2 * count[m] * share
+        average[m] += shift * share
+        count[m] += n[m]

@@ -9,7 +9,7 @@ def noise_of_replicates(
 ) -> NDArray[np.float64]:
     """Standard normal noise of B successive replicates, bit by bit that of `oed.signals.noise.noise_series`,
     compiled: returns (B, experiments, samples, n_outputs)."""
-    from estimators.montecarlo.engine_kernels import B, normal_block
+    from estimators.montecarlo.noise_kernels import B, normal_block
 
     k0, k1 = (np.uint64(k) for k in key)
     found, x = np.empty((B, experiments, samples, n_outputs)), np.empty(samples * B)

@@ -79,7 +79,7 @@ def test_another_noise_would_show():
 
 
 def test_compiled_normals_are_the_same_bits():
-    from estimators.montecarlo.engine_kernels import B, normal_block
+    from estimators.montecarlo.noise_kernels import B, normal_block
 
     key = noise_key(5, "plant")
     x = np.empty(1001 * B)
