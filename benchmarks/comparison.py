@@ -14,7 +14,7 @@ from benchmarks.campaign.one_part import check_contents
 from benchmarks.campaign.plants import expanded
 from benchmarks.campaign.settings import Limit, Settings, default_limits
 from benchmarks.campaign.users_own import Own
-from benchmarks.campaign.whole_campaign import TIME_LIMIT, check_amounts, fill_store, stored_runs
+from benchmarks.campaign.whole_campaign import TIME_LIMIT, check_amounts, fill_store, parts_to_do, stored_runs
 from benchmarks.tables.columns import headings, is_number
 from benchmarks.tables.formats import to_text
 from benchmarks.tables.tabulation import tabulate
@@ -175,7 +175,7 @@ def _dry_run(settings: Settings, replicates: int, out: Path, options: dict[str, 
     """Every plant, input and estimator once at the first noise level, a few short experiments each, nothing kept."""
     from dataclasses import replace
 
-    from benchmarks.campaign.one_part import parts, run_part
+    from benchmarks.campaign.one_part import run_part
     from benchmarks.campaign.plants import load_plant
     from benchmarks.campaign.run_columns import UNUSABLE
 
@@ -189,7 +189,7 @@ def _dry_run(settings: Settings, replicates: int, out: Path, options: dict[str, 
         profile_replicates=0,
     )
     start = time.monotonic()
-    todo = parts(tiny, 1)
+    todo = parts_to_do(tiny, 1)
     rows = [row for part in todo for row in run_part(tiny, part, **options) if row["estimator"]]
     seconds = time.monotonic() - start
     failed = [row for row in rows if row["status"] in UNUSABLE or not is_number(row["estimate"])]
@@ -197,7 +197,7 @@ def _dry_run(settings: Settings, replicates: int, out: Path, options: dict[str, 
     sentences = [
         f"Dry run: {len(todo)} combinations of plant and input, {len(rows)} with an estimator, ran at noise "
         f"{tiny.noise_variances[0]:g} and {tiny.experiments} experiments of {tiny.samples} samples in {seconds:.1f} s; the "
-        f"full campaign has {len(parts(settings, 1))} combinations with noise, {size:,} samples in each of them unless limited, "
+        f"full campaign has {len(parts_to_do(settings, 1))} combinations with noise, {size:,} samples in each of them unless limited, "
         f"and is kept in {out}.",
         f"{len(failed)} of the {len(rows)} gave no number at this size"
         + "".join(f"; {words}" for words in dict.fromkeys(map(_failure_in_words, failed)))

@@ -40,13 +40,8 @@ def check_amounts(replicates: int, time_limit: float | None) -> None:
         raise InputError(f"the time limit is {time_limit:g} s; it must be positive.")
 
 
-def fill_store(
-    settings: Settings, replicates: int, folder: Path, *, jobs: int | None = None, scheduler: str | None = None,
-    progress: Callable[[int, int], None] | None = None, time_limit: float | None = TIME_LIMIT,
-    own: Own | None = None,
-) -> Store:  # fmt: skip
-    """Run or resume a campaign; the results stay on disk."""
-    check_amounts(replicates, time_limit)
+def parts_to_do(settings: Settings, replicates: int) -> list[Part]:
+    """The parts of a campaign; InputError where there are none, or nothing would estimate from them."""
     todo = parts(settings, replicates)
     if not todo:
         raise InputError(
@@ -63,6 +58,17 @@ def fill_store(
             f"no estimator asked for can be applied to the records of {', '.join(settings.methods)}: they are made for other "
             f"inputs ({made_for}); add one of these inputs, or another estimator such as pem."
         )
+    return todo
+
+
+def fill_store(
+    settings: Settings, replicates: int, folder: Path, *, jobs: int | None = None, scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None, time_limit: float | None = TIME_LIMIT,
+    own: Own | None = None,
+) -> Store:  # fmt: skip
+    """Run or resume a campaign; the results stay on disk."""
+    check_amounts(replicates, time_limit)
+    todo = parts_to_do(settings, replicates)
     store = Store(folder, settings.deciding())
     with locked(folder / "lock", f"the campaign {folder}"):
         store.tidy()

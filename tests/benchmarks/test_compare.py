@@ -178,6 +178,10 @@ def test_dry_run_writes_nothing(tmp_path):
         plants=["reference"], methods=["white"], noise_variances=[1.0], out=tmp_path / "x", dry_run=True
     )
     assert "Dry run: 1 combination" in result.sentences[0]
+    with pytest.raises(InputError, match="no estimator asked for can be applied to the records of white"):
+        compare(
+            plants=["reference"], methods=["white"], estimators=["gain"], out=tmp_path / "x", dry_run=True
+        )
     assert not list(tmp_path.iterdir())
 
 
