@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.campaign.registry import run_rule
+from estimators.rules.trace import Trace
 from oed.errors import InputError
 from oed.files.limits import file_content
 
@@ -42,7 +43,16 @@ def _as_method(function: Callable[..., Any]) -> Callable[[Any], Any]:
 
 
 def _for_any_plant(method: Callable[..., Any], plant: Any) -> Callable[..., Any]:
-    return method
+    return partial(_traced, method)
+
+
+def _traced(method: Callable[..., Any], *given: Any, **options: Any) -> Trace:
+    made = method(*given, **options)
+    if not isinstance(made, Trace):
+        raise TypeError(
+            f"the method returned {type(made).__name__}; it must return a Trace, or yield what to apply"
+        )
+    return made
 
 
 def _load(spec: str) -> Callable[..., Any]:

@@ -259,3 +259,19 @@ def test_python_without_docstrings_is_refused_before_any_work(monkeypatch, capsy
     monkeypatch.setattr(sys, "flags", SimpleNamespace(optimize=2))
     assert main(["compare", "--dry-run"]) == 2
     assert "without -OO" in capsys.readouterr().err
+
+
+def test_no_warning_of_numpy_reaches_who_gives_a_command(tmp_path):
+    """-W still shows it, and whoever calls from Python has it."""
+    (tmp_path / "own.py").write_text(
+        "import numpy as np\ndef method(experiment, *, samples, iterations, rng):\n    return np.log(np.array([-1.0]))\n"
+    )
+    words = "-m benchmarks.cli compare --plant reference --methods own.py:method --estimators frf --dry-run --quiet"
+    warned = []
+    for more in ([], ["-W", "default"]):
+        call = [sys.executable, *more, *words.split()]
+        environment = {k: v for k, v in os.environ.items() if k != "PYTHONWARNINGS"}
+        done = subprocess.run(call, cwd=tmp_path, capture_output=True, text=True, env=environment, check=True)
+        warned.append("invalid value encountered in log" in done.stderr)
+        assert "TypeError: the method returned ndarray; it must return a Trace" in done.stdout
+    assert warned == [False, True]
