@@ -63,6 +63,10 @@ def whitened_gradient(model: Responding, omega: ArrayLike) -> NDArray[np.complex
     return np.einsum("pr,knrq->knpq", W, dG) / H[:, None, None, None]
 
 
+ENTRIES = 2_000_000
+"""Entries of dG, lines times parameters times channels, that are in memory at a time: 32 MB, of which there are a few copies."""
+
+
 def information_of_spectrum(model: Responding, spectrum: Spectrum) -> NDArray[np.float64]:
     """Fisher information per sample of an input with a given spectrum, [S] Lemma 13.
 
@@ -85,8 +89,14 @@ def information_of_spectrum(model: Responding, spectrum: Spectrum) -> NDArray[np
     """
     from oed.models.model import Model
 
-    rows = information_rows(model if isinstance(model, Model) else _as_plant(model), spectrum)
-    return rows.T @ rows
+    model = model if isinstance(model, Model) else _as_plant(model)
+    at_once = max(ENTRIES // model.response(spectrum.omega[:1])[1].size, 1)
+    lines = range(0, max(len(spectrum.omega), 1), at_once)
+    parts = (
+        information_rows(model, Spectrum(spectrum.omega[k : k + at_once], spectrum.power[k : k + at_once]))
+        for k in lines
+    )
+    return np.sum([rows.T @ rows for rows in parts], axis=0)
 
 
 def information_rows(model: Responding, spectrum: Spectrum) -> NDArray[np.float64]:

@@ -214,7 +214,7 @@ def limit_spectrum_figures(plant: Plant, name: str, noise_variances: Sequence[fl
     """[S] Fig. 2: magnitude of G, and the limit spectra at several noise levels."""
     limits = [limit_spectrum(plant.replace(noise_variance=v)) for v in noise_variances]
     omega = _fine(limits[0].peak.frequencies)
-    gain = line(omega, np.abs(plant.response(omega)[0][:, 0, 0]), "|G|")
+    gain = line(omega, np.abs(plant.transfer(omega)[:, 0, 0]), "|G|")
     density = [row for v, limit in zip(noise_variances, limits, strict=True)
                for row in line(omega, limit.density(omega), f"noise variance {v:.3g}")]  # fmt: skip
     top = limits[0].peak

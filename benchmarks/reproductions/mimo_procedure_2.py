@@ -47,7 +47,7 @@ def _story() -> list[dict[str, Any]]:
     source = "[M] Fig. 5-7 and Sec. IV-B, on a synthetic plant built to its numbers"
     plant, N = named_plant("avis", 0.01), 4000
     hertz = np.arange(0, 500, 18.5)
-    coarse = np.linalg.norm(plant.response(2 * np.pi * hertz * plant.dt)[0], 2, axis=(1, 2))
+    coarse = np.linalg.norm(plant.transfer(2 * np.pi * hertz * plant.dt), 2, axis=(1, 2))
     trace = traced(partial(procedure_2, scaling="each"), plant, N, 40 * 5)
     last, worst = float(gain(trace).last), worst_case(trace)
     first_u, last_u = trace.records[0].u, trace.records[-5].u

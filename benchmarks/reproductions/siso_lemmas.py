@@ -55,7 +55,7 @@ def rows() -> Iterator[dict[str, Any]]:
               f"4000 starts in the eigenvectors of T G, known to 0.01; 40 runs of the iterations give {spread:.2f}.")  # fmt: skip
     noisy = named_plant("reference", 1.0)
     nodes, Phi, _ = spectra_of_iterations(noisy, 9)
-    gain2 = np.abs(noisy.response(nodes.omega)[0][:, 0, 0]) ** 2
+    gain2 = np.abs(noisy.transfer(nodes.omega)[:, 0, 0]) ** 2
     means = [monte_carlo(noisy, N, 10, 960, seed=3) for N in (2000, 4000)]
     short, long = (m.mean["gain_square"][-1] for m in means)
     error = np.hypot(2 * means[1].error("gain_square")[-1], means[0].error("gain_square")[-1])

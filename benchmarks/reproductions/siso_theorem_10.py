@@ -18,7 +18,7 @@ def rows() -> Iterator[dict[str, Any]]:
         limit = limit_spectrum(plant)
         nodes = graded_nodes([limit.peak.frequency])
         omega, weight = nodes.omega, nodes.weight
-        gain2 = np.abs(plant.response(omega)[0][:, 0, 0]) ** 2
+        gain2 = np.abs(plant.transfer(omega)[:, 0, 0]) ** 2
         target = limit.density(omega)
         starts = {
             "white": np.ones_like(omega),

@@ -45,7 +45,7 @@ def rows() -> Iterator[dict[str, Any]]:
 def _fixed_points(plant: Plant) -> int:
     """Real eigenvectors of H_d, [S] Sec. 5, of one sign: Phi and the 1 below it are positive."""
     omega = (np.arange(LINES) + 0.5) * np.pi / LINES
-    gain2, noise = np.abs(plant.response(omega)[0][:, 0, 0]) ** 2, float(plant.noise_covariance[0, 0])
+    gain2, noise = np.abs(plant.transfer(omega)[:, 0, 0]) ** 2, float(plant.noise_covariance[0, 0])
     H = np.zeros((LINES + 1, LINES + 1))
     H[:LINES, :LINES] = np.diag(gain2)
     H[:LINES, -1] = H[-1, -1] = noise

@@ -49,7 +49,7 @@ def _iterated(plant: Plant, variance: float) -> tuple[np.ndarray, np.ndarray, fl
     omega = np.linspace(0, np.pi, 8001)
     weight = np.full(8001, 1 / 8000)
     weight[[0, -1]] /= 2
-    gain = np.abs(plant.response(omega)[0][:, 0, 0])
+    gain = np.abs(plant.transfer(omega)[:, 0, 0])
     Phi, mu2 = 0.01 + 1 / (1.0001 - np.cos(omega)), 0.0
     for _ in range(400):
         Phi = gain**2 * (Phi / (weight @ Phi)) + variance

@@ -61,7 +61,7 @@ def rows() -> Iterator[dict[str, Any]]:
 def _mean_square(limit: LimitSpectrum) -> float:
     """E beta_2^2 by Lemma 11: an integral over the spectrum that (12), from which mu^2 comes, does not enter."""
     nodes = graded_nodes([limit.peak.frequency])
-    gain2 = np.abs(limit.plant.response(nodes.omega)[0][:, 0, 0]) ** 2
+    gain2 = np.abs(limit.plant.transfer(nodes.omega)[:, 0, 0]) ** 2
     return float(nodes.weight @ (gain2 * limit.density(nodes.omega)))
 
 

@@ -189,6 +189,36 @@ class Plant:
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return Plant(**(fields | changes))
 
+    def _rational(self, z: NDArray[np.complex128]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """G and 1/A (K, ny, nu) at the values z of the delay."""
+        G = np.zeros((len(z), self.n_outputs, self.n_inputs), dtype=z.dtype)
+        inverse_A = np.zeros_like(G)
+        for i, row in enumerate(self.num):
+            for j, B in enumerate(row):
+                inverse_A[:, i, j] = 1 / np.polyval(self.den[i][j][::-1], z)
+                G[:, i, j] = np.polyval(B[::-1], z) * inverse_A[:, i, j]
+        return G, inverse_A
+
+    def transfer(self, omega: ArrayLike) -> NDArray[np.complex128]:
+        """Frequency response without its derivatives, which of many parameters at many frequencies fill the memory.
+
+        Parameters
+        ----------
+        omega : array_like
+            (K,) angular frequencies in rad/sample.
+
+        Returns
+        -------
+        ndarray
+            (K, ny, nu), complex.
+
+        Examples
+        --------
+        >>> float(abs(Plant([0.0, 0.2], [1.0, -0.8]).transfer([0.0])[0, 0, 0]).round(9))
+        1.0
+        """
+        return self._rational(np.exp(-1j * as_frequencies(omega)))[0]
+
     def response(self, omega: ArrayLike) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """Frequency response and its derivative with respect to the unknown parameters.
 
@@ -205,12 +235,7 @@ class Plant:
             (K, n, ny, nu), dG[:, i] = dG/dtheta_i.
         """
         z = np.exp(-1j * as_frequencies(omega))
-        G = np.zeros((len(z), self.n_outputs, self.n_inputs), dtype=z.dtype)
-        inverse_A = np.zeros_like(G)
-        for i, row in enumerate(self.num):
-            for j, B in enumerate(row):
-                inverse_A[:, i, j] = 1 / np.polyval(self.den[i][j][::-1], z)
-                G[:, i, j] = np.polyval(B[::-1], z) * inverse_A[:, i, j]
+        G, inverse_A = self._rational(z)
         unknown = [row for row in self._parameters() if row[0] in self.free]
         dG = np.zeros((len(z), len(unknown), self.n_outputs, self.n_inputs), dtype=z.dtype)
         for n, (_, letter, power, i, j, _) in enumerate(unknown):

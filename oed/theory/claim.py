@@ -240,7 +240,7 @@ def _passed_share(plant: Plant, closed: bool) -> float:
 def budget_form(plant: Plant, name: str, omega: NDArray[np.float64]) -> NDArray[np.complex128]:
     """The Hermitian form that a named limit puts on a line's power: omega (K,) -> (K, nu, nu)."""
     if name == "output power":
-        G = plant.response(omega)[0]
+        G = plant.transfer(omega)
         return G.conj().swapaxes(1, 2) @ G
     form = np.eye(plant.n_inputs, dtype=complex)
     if name.startswith(("power of input", "rate of input")):

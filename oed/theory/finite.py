@@ -126,7 +126,7 @@ def _starts(plant: Plant, N: int) -> NDArray[np.float64]:
     t = np.arange(N) + 0.5
     columns, windows, least = [], 4 if N < 20000 else 2, max(0.8, 1 - 1e4 / N**1.5)
     for frequency in [w for w, s in top.local_maxima if s >= least * top.value]:
-        v = np.conj(np.linalg.svd(plant.response([frequency])[0][0])[2][0])
+        v = np.conj(np.linalg.svd(plant.transfer([frequency])[0])[2][0])
         wave = np.exp(1j * frequency * t)[:, None] * v
         for k in range(1, windows + 1):
             window = np.sin(k * np.pi * t / N)[:, None]
@@ -171,7 +171,7 @@ def finite_moments(
         from oed.theory.limit_on_grid import spectra_of_iterations
 
         nodes, Phi, mu2 = spectra_of_iterations(plant, iterations)
-        gain2 = np.abs(plant.response(nodes.omega)[0][:, 0, 0]) ** 2
+        gain2 = np.abs(plant.transfer(nodes.omega)[:, 0, 0]) ** 2
         beta2 = np.concatenate([[np.nan], (Phi @ (nodes.weight * gain2))[:-1]])
         limit = limit_spectrum(plant) if variance > 0 else None
         mu2_limit = limit.mu2 if limit else peak(plant).value ** 2

@@ -40,7 +40,7 @@ def limit_spectrum_on_grid(plant: Plant, points: int = 1000) -> LimitSpectrum:
     if not plant.white_noise:
         raise InputError("H_d of [S] is for white noise; use limit_spectrum for coloured noise.")
     omega = (np.arange(points) + 0.5) * np.pi / points
-    gain2 = np.abs(plant.response(omega)[0][:, 0, 0]) ** 2
+    gain2 = np.abs(plant.transfer(omega)[:, 0, 0]) ** 2
     variance = float(plant.noise_covariance[0, 0])
     top = float(gain2.max())
     excess = solve_excess(lambda d: float(np.mean(variance / (d + (top - gain2)))), variance)
@@ -73,7 +73,7 @@ def spectra_of_iterations(
     plant = as_plant(plant)
     top = peak(plant)
     nodes = graded_nodes(centres(plant, top), resolution(plant, top))
-    gain2 = np.abs(plant.response(nodes.omega)[0][:, 0, 0]) ** 2
+    gain2 = np.abs(plant.transfer(nodes.omega)[:, 0, 0]) ** 2
     noise = plant.noise_covariance[0, 0] * noise_shape(plant, nodes.omega)
     Phi = np.ones((experiments, len(gain2)))
     mu2 = np.zeros(experiments)

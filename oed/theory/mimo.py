@@ -114,7 +114,7 @@ def _terms(plant: Plant, top: Peak) -> _Terms:
     nodes = graded_nodes(
         exact + [w for w in others if min(abs(w - e) for e in exact) > 1e-9], resolution(plant, top)
     )
-    G = plant.response(nodes.omega)[0]
+    G = plant.transfer(nodes.omega)
     M = np.conj(np.swapaxes(G, 1, 2)) @ G
     s2, V = np.linalg.eigh(M)
     gap2 = top.value**2 - s2
@@ -141,7 +141,7 @@ def _close_gap(plant: Plant, top: Peak, nodes: Nodes, direct: NDArray) -> NDArra
         reach = 0.05 * width
         x = reach * np.concatenate([-np.linspace(1, 0.2, 25), np.linspace(0.2, 1, 25)])
         omega = centre + x
-        values = np.linalg.norm(plant.response(omega)[0], 2, axis=(1, 2)) ** 2
+        values = np.linalg.norm(plant.transfer(omega), 2, axis=(1, 2)) ** 2
         target = (scale - values) / x**2 - curvature / 2
         c = np.linalg.lstsq(np.vander(x / reach, 6, increasing=True)[:, 1:], target, rcond=None)[0]
         near = (nodes.centre == centre) & (np.abs(nodes.offset) < 0.3 * reach)

@@ -1,10 +1,13 @@
 """Fisher information: two ways, additivity, singular cases, invariances."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from oed import information
 from oed.covariances import covariance_of_factor, real_gram
 from oed.data import Spectrum
 from oed.errors import InputError, NotIdentifiable
@@ -137,3 +140,21 @@ def test_a_direction_that_is_known_a_little_counts(little):
     nothing = covariance_of_factor(np.array([[1.0, 0.0], [1.0, 0.0]]), np.ones((2, 1)))
     assert nothing is not None
     assert nothing[0, 0] == pytest.approx(1)  # what is not known at all is not asked for
+
+
+def test_many_lines_take_the_memory_of_a_few(monkeypatch, rng):
+    """150,000 lines in the memory of a few copies of what is at once in it; the parts of a spectrum are its information."""
+    plant, lines = named_plant("three-by-two"), 150_000
+    power = np.full((lines, 1, 1), 1 / lines) * np.eye(2)
+    spectrum = Spectrum(np.sort(rng.uniform(0.01, 3.1, lines)), power)
+    tracemalloc.start()
+    whole = information_of_spectrum(plant, spectrum)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert (
+        peak < 8 * 16 * information.ENTRIES
+    )  # dG whole is 173 MB, and its copies
+    monkeypatch.setattr(information, "ENTRIES", 10**9)
+    assert information_of_spectrum(plant, spectrum) == pytest.approx(
+        whole, rel=1e-10, abs=1e-12 * np.abs(whole).max()
+    )
