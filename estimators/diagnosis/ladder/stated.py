@@ -1,4 +1,4 @@
-"""What was stated of records, a start at rest or the order of their linear part, and what the data say instead."""
+"""What was stated of records, a start at rest or an order, and the data deny; and a pole that no input drives."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from estimators.diagnosis.baseline.baseline import Baseline, Options
 from estimators.diagnosis.baseline.best import own_inputs, prior_of
+from estimators.diagnosis.baseline.choice import WORSE
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.baseline.search import DELAYS, EARLY, Search
 from estimators.diagnosis.ladder.outcome import Outcome
@@ -84,11 +86,14 @@ def starts_moving(
 def lacking(
     records: Sequence[Record], o: Outcome, base: Baseline, order: int | None, options: Options, policy: Policy
 ) -> Contradiction | None:
-    """What a linear model of a stated order lacks, whose input acts in its own sample or the next.
+    """What a linear model of a stated order lacks, whose input acts in its own sample or the next; or that a pole of it is no dynamics.
 
     Where the answer is the linear model and nothing bends what it leaves: a delay, if the stated order does as well as the best
     model with one; else an order more, else two: what needs still more is no such thing. With several inputs an order is each one's own affair.
     """
+    settled = settling(records[0], o, base, policy)
+    if settled is not None:
+        return settled
     i, search = o.index, _search(records, o.index, base, options)
     linear = o.ladder.chosen.kind is Kind.LINEAR and not o.bent and not o.share.feedback
     if order is None or not linear or search.inputs != 1:
@@ -98,17 +103,17 @@ def lacking(
     def form(n: int, nb: int, delay: int) -> Arx:
         return Arx(n, nb, (delay,), search.offset)
 
-    def left(*forms: Arx) -> float:
-        """Share of the error on unused blocks by which the best linear model is better; 0 where that is no more than its search finds."""
+    def left(limit: tuple[float, float], *forms: Arx) -> float:
+        """Share of the error on unused blocks by which the best linear model is better; 0 where that is within a limit."""
         trials = [search.tried(search.of_form(form, base.outputs[i].model)) for form in forms]
         known = [t for t in trials if t is not None and np.isfinite(t.rmse)]
         if not known:
             return 1.0
         best = min(known, key=lambda t: t.rmse).unused
         gain = paired_gain(y, best, o.ladder.linear.unused, o.ladder.counted, policy)
-        return gain.share if gain.meets(policy.searched) else 0.0
+        return gain.share if gain.meets(limit) else 0.0
 
-    share = left(form(order, order, 1), form(order, order + 1, 0))
+    share = left(policy.searched, form(order, order, 1), form(order, order + 1, 0))
     if share <= 0.0:
         return None
     late = {d for at in base.outputs[i].delays for d in range(at - EARLY, at + EARLY + 1)}.union(DELAYS)
@@ -119,5 +124,41 @@ def lacking(
     }  # fmt: skip
     less = f"the error on unused blocks is {share:.0%} less than with the order {order} that was stated"
     # what none of them explains was no linear part of so few poles, and is not named
-    key = next((key for key, (_, forms) in told.items() if left(*forms) <= 0.0), None)
+    key = next((key for key, (_, forms) in told.items() if left(policy.claimed, *forms) <= 0.0), None)
     return None if key is None else Contradiction(key, f"{told[key][0]}: {less}", share)
+
+
+SLOWER = 20
+"""Samples that a level which settles takes at least: a quicker one is a start, which the first samples set."""
+LEVEL = 80
+"""Independent samples of the error beside a level that settles, as slow noise leaves few (as INDEPENDENT of the named stage)."""
+
+
+def settling(train: Record, o: Outcome, base: Baseline, policy: Policy) -> Contradiction | None:
+    """A slow real pole of the linear model that no input drives: without it the inputs explain as much beside exp(-t/T), and not alone."""
+    m, i, n = base.outputs[o.index], o.index, len(train)
+    real = m.model.poles[(np.abs(m.model.poles.imag) < 1e-9) & (m.model.poles.real > 0.0)].real
+    z = float(np.max(real, initial=0.0))
+    if o.share.feedback or m.together is not None or not np.exp(-1.0 / SLOWER) < z < np.exp(-1.0 / n):
+        return None
+    y, use = train.y[:, i], base.blocks.counting([train])[0][:, i]
+    quick = np.real(np.poly(np.delete(m.model.poles, np.argmin(np.abs(m.model.poles - z)))))
+    u = train.u[:, list(m.inputs)]
+    driven = [lfilter([1.0], quick, x - x[0]) for x in u.T]
+    columns = [np.concatenate((np.zeros(k), x[: n - k])) for x in driven for k in range(m.model.num.shape[1])]
+
+    def left(*more: Array) -> Array:
+        X = np.column_stack((*columns, np.ones(n), *more))[use]
+        return y[use] - X @ np.linalg.lstsq(X, y[use], rcond=None)[0]
+
+    beside, alone = left(z ** np.arange(n)), left()
+    own = (y - base.y_model[0][:, i])[use]
+    kept = float(np.sum(beside**2) / np.sum(alone**2))
+    share, samples = 1.0 - float(np.sqrt(kept)), effective_samples(beside)
+    p = float(chi2.sf(-samples * np.log(kept), 1))
+    as_good = float(np.sum(beside**2)) <= (1.0 + WORSE) ** 2 * float(np.sum(own**2))
+    if not (as_good and samples > LEVEL and share > policy.searched[1] and p < MOVING):
+        return None
+    lasts = -train.dt / np.log(z)
+    words = f"no input drives a level that settles in {lasts:.3g} s (its time constant): with it the error is {share:.0%} less"
+    return Contradiction("drift", words, share, p)

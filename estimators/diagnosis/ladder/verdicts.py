@@ -66,8 +66,9 @@ def verdict(
     for o, rest in zip(outcomes, rests, strict=True):
         if not any(f.cause == UNKNOWN for f in system):
             system += _unexplained(o, rest, setting.alpha / len(outcomes), _tag(o, several))
-    if not (system or withdrawn):
+    if not system:
         system = [_seen(effects, c.key, c.share, c.p_value, c.sentence + _tag(o, several)) for o, c in stated]
+        withdrawn = withdrawn and not system
     first = sorted(system, key=lambda f: -f.weight)
     data = sorted(
         (f for o in outcomes for f in _data(o, setting, effects, _tag(o, several))), key=lambda f: -f.weight

@@ -80,19 +80,33 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
         if held.sum() < 2 * np.sum(moved < 1.5 * smallest):
             held[:] = False
     fresh, again = np.unique(y[~held & ~returned]), np.unique(y[returned])
-    # Values recur anyway: a coarse scale, not a lost sample. One to which the signal comes back is one, however often it does.
-    if len(fresh) < 0.97 * np.sum(~held & ~returned) or len(again) > 0.03 * (len(fresh) + len(again)):
-        held[:] = False
+    # Values recur anyway: a coarse scale. One to which the signal comes back is one, however often it does.
+    coarse = len(fresh) < 0.97 * np.sum(~held & ~returned) or len(again) > 0.03 * (len(fresh) + len(again))
+    if coarse:
+        held = _too_long(repeats)
     last = np.flatnonzero(held[:-1] & ~held[1:])
-    # What was lost comes at once with the next sample, so that this moves no less than others; a signal that creeps does not.
-    if len(last) and mannwhitneyu(steps[last], moved, alternative="less").pvalue < CREEPS:
+    # What was lost comes at once with the next sample, so that this moves no less than others; a signal that creeps does not, and
+    # one that rests on a coarse scale moves by its least step.
+    told = lambda way: len(last) > 0 and mannwhitneyu(steps[last], moved, alternative=way).pvalue
+    if told("greater") > CHANCE if coarse else told("less") < CREEPS:
         held[:] = False
     return held
 
 
+def _too_long(repeats: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(N,) repeats in rows that are too long for a scale whose values recur by chance as often as single ones show."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], repeats.astype(int), [0]))))
+    first, length = edges[::2], np.diff(edges)[::2]
+    chance = (1 + np.sum(length == 1)) / max(1, np.sum(~repeats))
+    out = np.zeros(len(repeats), dtype=bool)
+    for at, size in zip(first, length, strict=True):
+        out[at : at + size] = len(repeats) * chance**size < CREEPS
+    return out
+
+
 CREEPS = 0.05
 """Significance from which on moves after repeated samples are smaller than others: after losses they are larger, which one set
-of three in three hundred hides."""
+of three in three hundred hides; and the number of rows by chance below which a row of repeats is none."""
 
 
 def _returned_to(y: Array) -> NDArray[np.bool_]:
@@ -111,14 +125,18 @@ RESTING = 8
 def resting_samples(u: Array, y: Array) -> NDArray[np.bool_]:
     """(N,) samples at which neither the inputs (N, nu) nor the output move: from the start, or for `RESTING` samples and more.
 
-    A system at rest repeats its output; nothing is lost there.
+    A system at rest repeats its output; nothing is lost there. It does not leave its rest by a large move before an input moves.
     """
-    still = np.zeros(len(y) + 1, dtype=bool)
-    still[1:-1] = (y[1:] == y[:-1]) & np.all(u[1:] == u[:-1], axis=1)
+    still, unmoved = np.zeros((2, len(y) + 1), dtype=bool)
+    unmoved[1:-1] = np.all(u[1:] == u[:-1], axis=1)
+    steps = np.abs(np.diff(y, append=y[-1:]))
+    still[1:-1] = unmoved[1:-1] & (steps[:-1] == 0)
+    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
     edges = np.flatnonzero(np.diff(still.astype(int)))
     out = np.zeros(len(y), dtype=bool)
     for first, stop in zip(edges[::2] + 1, edges[1::2] + 1, strict=True):
-        out[first:stop] = stop - first >= RESTING or first == 1
+        comes = unmoved[stop] and steps[stop - 1] > usual
+        out[first:stop] = (stop - first >= RESTING and not comes) or first == 1
     return out
 
 

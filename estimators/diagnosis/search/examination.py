@@ -236,14 +236,11 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
     clock = Clock(np.arange(n, dtype=float), n)
     signatures: list[Signature] = []
     step = rounding_step(y)
-    if step == 0.0:
-        rest = resting_samples(record.u, y)
-        held = held_samples(y) & keep & ~rest
-        if held.sum() >= max(3, 0.004 * n):
-            keep &= ~held
-            share = float(held.mean())
-            signatures.append(Signature("held", i, int(held.sum()), share,
-                f"{record.output_names[i]}: {int(held.sum())} of {n} samples repeat the one before exactly"))  # fmt: skip
+    held = held_samples(y) & keep & ~resting_samples(record.u, y)
+    if held.sum() >= max(3, 0.004 * n):
+        keep &= ~held
+        signatures.append(Signature("held", i, int(held.sum()), float(held.mean()),
+            f"{record.output_names[i]}: {int(held.sum())} of {n} samples repeat the one before exactly"))  # fmt: skip
     channel = Channel(record.u, y, clock, keep)
     order = setting.orders[i] if setting.orders else _order(channel, record, setting, i, known)
     s, others = _structure(setting, record, i, order)

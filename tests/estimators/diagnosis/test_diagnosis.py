@@ -147,6 +147,18 @@ def test_rounded_and_held_samples_are_recognised():
     assert held_samples(held).sum() == 4  # a limit that is reached again
     assert held_samples(y).sum() == 0
     assert held_samples(np.round(y)).sum() == 0  # values recur: coarse, not lost
+    coarse = np.round(lfilter([1.0], [1.0, -0.9], rng.standard_normal(900)) / 0.5) * 0.5
+    lost, resting, first = coarse.copy(), coarse.copy(), np.arange(20, 880, 30)
+    for at in first:
+        lost[at : at + 8] = lost[at - 1]  # too long a row for this scale, and the next sample is far
+        resting[at + 8 :] += resting[at - 1] - resting[at + 8]
+        resting[at : at + 8] = resting[
+            at - 1
+        ]  # as long a row, after which the signal goes on from where it was
+    assert held_samples(coarse).sum() == held_samples(resting).sum() == 0
+    flags = held_samples(lost)
+    assert np.mean([flags[at : at + 8].all() for at in first]) > 0.9
+    assert flags.sum() < 8.5 * len(first)
     nights = np.where(np.arange(400) % 100 < 40, -0.3, y)
     nights[150:153] = nights[149]
     assert set(np.flatnonzero(held_samples(nights))) == {

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import Options, best_linear
-from estimators.diagnosis.ladder.stated import lacking, starts_moving
+from estimators.diagnosis.ladder.stated import lacking, settling, starts_moving
 from estimators.diagnosis.ladder.steps import climb
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.policy import Effort, Policy, Setting
@@ -70,3 +70,15 @@ def test_a_record_that_starts_in_a_state_is_fitted_and_told():
     assert "does not start at rest" in found.system
     # the test record does start at rest, and the model is as good as without the state
     assert found.rmse_after.value < 0.05 * test.y.std()
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["an added level", "the plant's own slow pole"])
+def test_a_slow_pole_that_no_input_drives_is_a_level_that_settles(own):
+    """The same decay, of a sensor that warms up or of the plant's state at the start: only the first is a disturbance."""
+    slow = (1.0, -np.exp(-1.0 / 150))
+    r = record(np.convolve(POLES, slow) if own else POLES, n=1200)
+    decay = np.exp(-np.arange(1200) / 150)
+    r = r.replace(y=r.y + 2.0 * r.y.std() * decay[:, None])
+    base, told = best_linear([r], Options()), SimpleNamespace(index=0, share=SimpleNamespace(feedback=False))
+    found = settling(r, told, base, Policy())  # type: ignore[arg-type]
+    assert (found and found.key) == (None if own else "drift")
