@@ -325,7 +325,9 @@ def _ages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     shapes: list[tuple[float, float]] = []
     for _ in range(LINES):
         top = int(np.argmax(power))
-        if power[top] < np.log(2 * n / FALSE) * np.mean(power[power > 0.0]):
+        if not top or power[top] < np.log(2 * n / FALSE) * np.mean(
+            power[power > 0.0]
+        ):  # or nothing is left at all
             break
         f = top / (4.0 * n)
         periods = [1.0 / f, 1.0 / (1.0 - f)]

@@ -17,6 +17,8 @@ from oed.data import Record
 
 Array = NDArray[np.float64]
 
+RESOLUTION = 2.0**-24
+"""Of the output: what is smaller is rounding, which no converter resolves and in which nothing is explainable."""
 NORMAL = 1.96
 """Two-sided 95 % of a normal deviate."""
 BATCHES = 20
@@ -95,6 +97,8 @@ def _means(squares: Array, owner: NDArray[np.int64]) -> Array:
 def _interval(target: Array, left: Array, owner: NDArray[np.int64]) -> tuple[float, float, float]:
     """1 - left^2 / target^2 with a 95 % interval; the batches' differences are taken for independent."""
     base = float(np.mean(target**2))
+    if not base:
+        return 0.0, 0.0, 0.0
     share = 1.0 - float(np.mean(left**2)) / base
     parts = _means(target**2 - left**2 - share * target**2, owner) / base
     error = NORMAL * float(parts.std(ddof=1) / np.sqrt(len(parts)))
@@ -132,6 +136,9 @@ def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0
     fits = [regression.unused(everything), *alone.values()]
     best = min(fits, key=lambda f: float(np.mean((regression.target - f) ** 2)))
     share, low, high = _interval(regression.target, regression.target - best, owner)
+    spread = np.std(np.concatenate([r.y[c, output] for r, c in zip(records, counts, strict=True)]))
+    if np.std(regression.target) <= RESOLUTION * spread:
+        share = low = high = 0.0
     left = _means((regression.target - best) ** 2, owner)
     floor, error = float(left.mean()), NORMAL * float(left.std(ddof=1) / np.sqrt(len(left)))
     by = {
