@@ -152,19 +152,24 @@ def _determined(
     ladder: Ladder, order: Sequence[int], runs: Sequence[Array], simulate: Callable[[Answer], Array], use: NDArray[np.bool_],
     known: Sequence[bool],
 ) -> int:  # fmt: skip
-    """The first of some rungs whose run, and those of all that it stands on, the training data determine on a record."""
-    for j in order:
-        step = ladder.rungs[j].step
-        if j == 0 or not known[j]:
-            continue
+    """The first of some rungs whose run, and those of all that it stands on, the training data determine on a record.
+
+    Where one is not determined, another that bends stands in for it only if it makes of the record what that one does: it explains
+    less, and two that differ do not both know what is missing.
+    """
+    refused, linear = [], runs[0][use]
+    for j in (j for j in order if j and known[j]):
+        step, own = ladder.rungs[j].step, runs[j][use]
         gained = ladder.rungs[0].value ** 2 - ladder.rungs[j].value ** 2
         parts = [(runs[j] if q is step else simulate(q.answer), q) for q in step.chain if q.folds or q.rivals]
-        if not any(
-            _undetermined(run[use], runs[0][use], [simulate(a)[use] for a in q.folds], gained)
-            or _undecided(run[use], runs[0][use], [simulate(a)[use] for a in q.rivals], APART[q.kind])
+        apart = step.kind is not Kind.LINEAR and _undecided(own, linear, refused, APART[Kind.DISCOVERED])
+        if not apart and not any(
+            _undetermined(run[use], linear, [simulate(a)[use] for a in q.folds], gained)
+            or _undecided(run[use], linear, [simulate(a)[use] for a in q.rivals], APART[q.kind])
             for run, q in parts
         ):
             return j
+        refused.append(own)
     return 0
 
 
@@ -285,19 +290,13 @@ def _rungs(
     for kind in sorted(kinds, key=list(Kind).index):
         at = [_last(ladder, kind) for ladder in ladders]
         run = np.stack([r[j] for r, j in zip(runs, at, strict=True)], axis=1)
+        used = [ladder.rungs[j] for ladder, j in zip(ladders, at, strict=True)]
         value, low, high = (
-            float(
-                np.sqrt(
-                    np.mean(
-                        [getattr(ladder.rungs[j], name) ** 2 for ladder, j in zip(ladders, at, strict=True)]
-                    )
-                )
-            )
+            float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in used])))
             for name in ("value", "low", "high")
         )
         figure = bootstrap(squares(run), rng)
-        adds = [key for ladder, j in zip(ladders, at, strict=True) if ladder.rungs[j].step.kind is kind
-                for key in ladder.rungs[j].step.adds]  # fmt: skip
+        adds = [key for r in used if r.step.kind is kind for key in r.step.adds]
         rows.append({
             "step": kind.value, "adds": adds, "rmse_unused": value, "low": low, "high": high,
             "rmse_test": figure.value, "low_test": figure.low, "high_test": figure.high,

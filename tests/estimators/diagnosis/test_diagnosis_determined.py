@@ -20,9 +20,11 @@ from estimators.diagnosis.ladder.held_out import (
     HeldOut,
     _as_read,
     _curve_unknown,
+    _determined,
     _undetermined,
     _worse_than_constant,
 )
+from estimators.diagnosis.ladder.steps import Kind
 from estimators.diagnosis.model.fitting import levenberg_marquardt
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Setting
@@ -65,6 +67,22 @@ def test_a_change_that_hangs_on_single_blocks_is_undetermined(
     folds = [run + (off if i == 0 else 0.0) for i in range(k)]
     assert _undetermined(run, np.zeros(100), folds, gained) is undetermined
     assert not _undetermined(run, np.zeros(100), folds[:1], gained)
+
+
+@pytest.mark.parametrize(("also", "answer"), [(0.9, 1), (-0.9, 0)])
+def test_what_stands_in_for_a_model_that_gave_way_says_the_same(also: float, answer: int) -> None:
+    """The best model hangs on single blocks; another that gains less moves the run as it does, or the other way."""
+    runs = [np.zeros(200), also * X, X]
+    kinds = (Kind.LINEAR, Kind.NAMED, Kind.DISCOVERED)
+    steps = [SimpleNamespace(kind=k, folds=(), rivals=(), answer=None) for k in kinds]
+    steps[2].folds = tuple(range(5))
+    for step in steps:
+        step.chain = (step,)
+    rungs = [SimpleNamespace(step=step, value=v) for step, v in zip(steps, (1.0, 0.6, 0.5), strict=True)]
+    unsure = lambda fold: X * (1.0 + (-1.0) ** fold)
+    use = np.ones(200, dtype=bool)
+    found = _determined(SimpleNamespace(rungs=rungs), (2, 1), runs, unsure, use, [True] * 3)  # type: ignore[arg-type]
+    assert found == answer
 
 
 def test_a_run_is_read_as_a_sensor_holds_it() -> None:
