@@ -151,9 +151,7 @@ def test_many_lines_take_the_memory_of_a_few(monkeypatch, rng):
     whole = information_of_spectrum(plant, spectrum)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert (
-        peak < 8 * 16 * information.ENTRIES
-    )  # dG whole is 173 MB, and its copies
+    assert peak < 8 * 16 * information.ENTRIES  # dG whole is 173 MB, and its copies
     monkeypatch.setattr(information, "ENTRIES", 10**9)
     assert information_of_spectrum(plant, spectrum) == pytest.approx(
         whole, rel=1e-10, abs=1e-12 * np.abs(whole).max()
