@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from estimators.pem.fit import Fit
 from estimators.pem.predictors.of_structure import Structure
+from estimators.pem.search.confirmation import Standing, standing
 from estimators.pem.search.extras import robust_factor, unweighted
 from estimators.pem.search.levenberg_marquardt import SINGULAR, Optimum, Point
 from estimators.pem.search.problem import Problem
@@ -12,7 +13,7 @@ from estimators.residual.measures import fit_percent
 from oed.data import Record
 from oed.errors import NotIdentifiable, Status
 from oed.inspection import excitation_order
-from oed.models.model import Model, StateSpace
+from oed.models.model import Model, Polynomial, StateSpace
 from oed.models.structures import ORDERS
 
 
@@ -64,6 +65,7 @@ def result(
         )
         if 1.96 * error > abs(value) > 0
     ]
+    notes = _too_high(problem, optimum) + notes
     if normals is not None and len(normals):
         notes.append(f"active constraints: {len(normals)}; the standard errors are those along them.")
     predicted = [r.y - e for r, e in zip(records, residuals, strict=True)]
@@ -76,6 +78,19 @@ def result(
         model, covariance, loss, total, estimated, fit, status, optimum.iterations, optimum.decrement,
         residuals, problem.input_level, level, level_error, initial, tuple(notes),
     )  # fmt: skip
+
+
+def _too_high(problem: Problem, optimum: Optimum) -> list[str]:
+    """Why a search came to no end, where its orders are the reason."""
+    one = isinstance(problem.structure, Polynomial) and problem.structure.n_outputs == 1
+    if not one or optimum.status is not Status.MAX_ITERATIONS:
+        return []
+    if standing(problem, optimum) is not Standing.OVER_ORDERED:
+        return []
+    return [
+        "the orders are too high: roots of B and F, or of C and D, cancel as far as the data tell, so that the loss falls on and on by "
+        "what fits noise. Nothing is left in the residual: lower orders serve."
+    ]
 
 
 def _level(problem: Problem, point: Point, robust: str | None, freedom: float) -> float:

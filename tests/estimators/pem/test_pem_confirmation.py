@@ -69,6 +69,14 @@ def test_a_search_at_its_limit_of_steps_does_not_hide_orders_that_are_too_high()
         assert standing(problem, replace(optimum, status=Status.MAX_ITERATIONS)) is expected
 
 
+@pytest.mark.parametrize("order, told", [(2, False), (4, True)])
+def test_a_search_without_an_end_says_that_the_orders_are_too_high(order, told) -> None:
+    """Not where it was only stopped early: a second order is the plant's own."""
+    fit = identify(record(3), "oe", (order, order), offset=False, search="quick", max_iterations=2)
+    assert fit.status is Status.MAX_ITERATIONS
+    assert any("orders are too high" in note for note in fit.notes) is told
+
+
 def test_no_modes_are_drawn_where_nothing_is_left_and_none_moved(monkeypatch) -> None:
     """Order 8: two roots of B and F are 12 standard errors apart, the residual is white. Forty-eight random starts took
     three quarters of the search and found nothing."""
