@@ -66,8 +66,10 @@ def exporting(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str
 
 @contextmanager
 def where_installed(notes: list[str], what: str) -> Iterator[None]:
-    """What is written only where its extra is installed; else a note that names the extra."""
+    """What is written only where the extra of reports is installed; else a note that names it."""
     try:
         yield
     except MissingExtra as error:
-        notes.append(f"note: {what} is not written: {error}.")
+        notes.append(
+            f"note: {what} is not written: {error.name} is not installed; pip install 'oed[report]' brings what it needs."
+        )

@@ -31,12 +31,14 @@ def test_the_chain_needs_no_extra(tmp_path):
     chain = [
         ("demo", str(demo)),
         ("identify", f"{demo}/record.csv[0:300]", "--delay", "3", "--search", "quick", "--out", str(model)),
-        ("design", "--plant", f"{model}/model.json"),
+        ("design", "--plant", f"{model}/model.json", "--out", str(tmp_path / "design")),
         ("session", "start", str(tmp_path / "rig"), "--method", "power", "--samples", "100", "--dt", "0.1"),
     ]
     for words in chain:
         ended = light(*words)
         assert ended.returncode == 0, (words, ended.stderr)
+        assert ("pip install 'oed[report]'" in ended.stdout) == ("--out" in words)
+    assert (tmp_path / "design" / "design.json").exists()
 
 
 @pytest.mark.parametrize(

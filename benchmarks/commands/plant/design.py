@@ -93,8 +93,8 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         if not args.json:  # the answer first: figures take their time
             print(text, flush=True)
         stage("figures and page")
-        text = f"written to {args.out}"
-        writer(payload, u, design, plant)
+        notes = writer(payload, u, design, plant)
+        text = "\n".join([*notes, f"written to {args.out}"])
         payload["out"] = args.out
     return payload, text
 
@@ -180,10 +180,11 @@ def _writer(args: argparse.Namespace):
     if path.suffix == ".csv" and samples is None:
         raise InputError("--out with .csv writes the signal; say its length with --realise N.")
 
-    def write(payload: dict[str, Any], u: Any, design: Any, plant: Any) -> None:
+    def write(payload: dict[str, Any], u: Any, design: Any, plant: Any) -> list[str]:
         write_whole(
             path, (json.dumps(payload, indent=1) if path.suffix == ".json" else _csv(u, plant.dt)) + "\n"
         )
+        return []
 
     return write
 
@@ -196,15 +197,20 @@ def _csv(u: Any, dt: float) -> str:
 
 def _write_page(
     folder: Any, options: dict[str, Any], payload: dict[str, Any], u: Any, design: Any, plant: Any
-) -> None:
-    """Writes the design, its signal and its page into a new folder."""
+) -> list[str]:
+    """Writes the design, its signal and its page into a new folder; what is to be said of it."""
     import json
 
-    from benchmarks.page.design import write_design
     from oed.files.writing import write_whole
+    from oed.lazily import where_installed
 
     write_whole(folder / "design.json", json.dumps(payload, indent=1) + "\n")
     if u is not None:
         write_whole(folder / "input.csv", _csv(u, plant.dt) + "\n")
     made = {"criterion": payload["criterion"], "plant": plant.name, "solver": design.solver} | options
-    write_design(folder, design, plant, payload, u, made)
+    notes: list[str] = []
+    with where_installed(notes, "the page"):
+        from benchmarks.page.design import write_design
+
+        write_design(folder, design, plant, payload, u, made)
+    return notes
