@@ -13,7 +13,7 @@ from estimators.diagnosis.baseline.baseline import Baseline, Options, OutputMode
 from estimators.diagnosis.baseline.blocks import Block, Blocks, blocks_of
 from estimators.diagnosis.baseline.choice import SLOW, Trial, batch_squares, simplest, tried
 from estimators.diagnosis.baseline.disturbances import foretold, noise_model, tones, waves
-from estimators.diagnosis.baseline.linear_model import Prior, rest_level
+from estimators.diagnosis.baseline.linear_model import Prior, rest_level, unmoved
 from estimators.diagnosis.baseline.search import LONG as TAPS
 from estimators.diagnosis.baseline.search import ORDERS, Search
 from estimators.residual.algebra import delayed
@@ -224,4 +224,6 @@ def prior_of(records: Sequence[Record], i: int, options: Options) -> Prior:
     d = np.nan_to_num(y - mean)
     covariance = np.array([d[: max(len(d) - k, 0)] @ d[k:] for k in range(LAGS)]) / len(d)
     level, held = rest_level(records[0].u, records[0].y[:, i], covariance[0]), records[0].u[0]
-    return Prior(mean, covariance, QUIET * covariance[0], bool(options.deviations), level, held)
+    first = unmoved(records[0].u, records[0].y[:, i])
+    start = float(first.mean()) if len(first) else np.nan
+    return Prior(mean, covariance, QUIET * covariance[0], bool(options.deviations), level, held, start)

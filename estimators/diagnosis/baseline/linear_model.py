@@ -29,12 +29,18 @@ ALIKE = 2.0
 """Variance of resting samples, and square of what they are off a model at rest, of its noise's variance, up to which it is noise."""
 
 
-def rest_level(u: Array, y: Array, variance: float) -> float:
-    """Mean output before the inputs (N, nu) first move, if it rests there; NaN otherwise."""
+def unmoved(u: Array, y: Array) -> Array:
+    """The outputs measured before the inputs (N, nu) first move; none where they are too few to tell anything."""
     moved = np.flatnonzero((u != u[:1]).any(axis=1))
     y = y[: moved[0] if len(moved) else len(y)]
     y = y[np.isfinite(y)]
-    return float(y.mean()) if len(y) >= FEWEST and y.var() <= STILL**2 * variance else np.nan
+    return y if len(y) >= FEWEST else y[:0]
+
+
+def rest_level(u: Array, y: Array, variance: float) -> float:
+    """Mean output before the inputs (N, nu) first move, if it rests there; NaN otherwise."""
+    y = unmoved(u, y)
+    return float(y.mean()) if len(y) and y.var() <= STILL**2 * variance else np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +51,7 @@ class Prior:
     of every model; `noise` variance of measured minus simulated output, sample by sample; `rest` whether
     signals are deviations from a rest in which every record starts; `level` output at which the training
     records rested under the inputs `held` before they were excited; NaN if they did not; `held` (nu,) those
-    inputs.
+    inputs; `first` mean output there, rest or noise: all that is known of where a model without a rest of its own starts.
     """
 
     mean: float
@@ -54,6 +60,12 @@ class Prior:
     rest: bool = False
     level: float = np.nan
     held: Array = field(default_factory=lambda: np.empty(0))
+    first: float = np.nan
+
+    def started(self, u: Array) -> float:
+        """Output at the start of a record whose first inputs are u (nu,), as the training records have shown it; NaN if they have not."""
+        known = self.level if np.isfinite(self.level) else self.first
+        return known if np.array_equal(u, self.held) else np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +154,8 @@ class LinearModel:
             return own  # off its own rest a model of so many poles would ring
         if np.isfinite(level):
             return level
-        return own if self.radius < FAR else prior.mean
+        start = prior.started(u)
+        return own if self.radius < FAR else start if np.isfinite(start) else prior.mean
 
     def free_run(self, prior: Prior, u: Array, y: Array, window: int) -> Array:
         """(N,) simulated output; the first `window` samples of y (N,) set the state, and are smoothed by it.

@@ -139,10 +139,8 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
         return run + _corrected(den, y - run, window, start)
     prior, integrates = start.prior, largest_pole(den) >= FAR
     first = u[0] if len(prior.held) == u.shape[1] else u[0, list(f.structure.inputs)]
-    if integrates and np.isfinite(prior.level) and np.array_equal(first, prior.held):
-        run = run + (
-            prior.level - run[0]
-        )  # its level and its state are one: only where records rested is known
+    if integrates and np.isfinite(level := prior.started(first)):
+        run = run + (level - run[0])  # its level and its state are one: only where records started is known
     return run
 
 

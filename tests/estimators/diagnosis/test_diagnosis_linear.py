@@ -82,6 +82,19 @@ def test_a_run_that_integrates_starts_where_the_records_rested(pole, first):
     assert moved[0] == pytest.approx(182.0)
 
 
+def test_an_integrator_starts_where_records_started_though_their_noise_is_no_rest():
+    """Before its input moves the output scatters by a tenth of its size: a run from the record's mean would be off by all of it."""
+    rng = np.random.default_rng(4)
+    u = np.concatenate((np.zeros(15), np.repeat(rng.uniform(-1.0, 1.5, 40), 20)))
+    y = 100.0 + lfilter([0.0, 0.02], [1.0, -1.0], u) + 0.2 * rng.standard_normal(len(u))
+    base = best_linear([Record(u, y)], Options())
+    prior = base.outputs[0].prior
+    assert np.isnan(prior.level)
+    assert prior.first == pytest.approx(100.0, abs=0.2)
+    assert np.std(y) > 1.0
+    assert abs(base.simulate(Record(u, y), 0)[0, 0] - 100.0) < 0.3
+
+
 @pytest.mark.slow
 def test_an_effect_that_only_brings_poles_is_missing_dynamics_and_a_bent_input_is_named():
     """The same rig without and with its cubic; the control claims nothing nonlinear, 1 % false alarms stated."""
