@@ -13,6 +13,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 OUTSIDE = 1e-6
+ROUNDED_OFF = 1e-14
+"""Eigenvalue of a matrix of unit diagonal over the largest below which it is rounding."""
 HARDLY = 1e-12
 """Singular value of a factor over the largest below which a part of V' theta of rounding's size says nothing."""
 
@@ -21,6 +23,17 @@ def square_root(matrix: NDArray) -> NDArray:
     """R with R R^* = a positive semidefinite matrix, or each of a stack; what rounding leaves below 0 is cut off."""
     values, vectors = np.linalg.eigh(matrix)
     return vectors * np.sqrt(np.clip(values, 0, None))[..., None, :]
+
+
+def root_in_own_units(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """R (n, s) with R R' = a symmetric matrix, and its least eigenvalue over the largest; in units of its own diagonal, so that
+    small entries keep their digits beside large ones."""
+    scale = np.sqrt(np.abs(np.diag(matrix)))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    keep = values > ROUNDED_OFF * values[-1]
+    root = scale[:, None] * vectors[:, keep] * np.sqrt(values[keep])
+    return root, float(values[0] / values[-1]) if values[-1] > 0 else -np.inf
 
 
 def solved_below(R: NDArray[np.float64], B: NDArray, finely: bool = False) -> NDArray[np.float64]:

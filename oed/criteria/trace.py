@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from oed.covariances import root_in_own_units
 from oed.criteria.criterion import Array, Criterion, Derivatives
 from oed.errors import InputError
 
@@ -50,16 +51,13 @@ def a_criterion(n: int, weight: ArrayLike | None = None, *, name: str = "") -> T
     W = np.asarray(weight, dtype=float)
     if W.shape != (n, n) or not np.allclose(W, W.T, rtol=1e-10, atol=1e-12 * np.abs(W).max()):
         raise InputError(f"the weight W has the shape {W.shape}; it must be a symmetric {n} x {n} matrix.")
-    # In units of its own diagonal, so that small entries keep their digits beside large ones.
-    scale = np.sqrt(np.abs(np.diag(W)))
-    scale = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(W / np.outer(scale, scale))
-    if values[0] < -1e-10 * abs(values[-1]):
+    V, least = root_in_own_units(W)
+    if least < -1e-10:
         raise InputError(
-            f"the weight W has the eigenvalue {np.linalg.eigvalsh(W)[0]:g}; it must be positive semidefinite."
+            f"the weight W has the eigenvalue {np.linalg.eigvalsh(W)[0]:g}; it must be positive semidefinite and not "
+            "zero."
         )
-    keep = values > 1e-14 * values[-1]
-    return Trace(scale[:, None] * vectors[:, keep] * np.sqrt(values[keep]), name or "L")
+    return Trace(V, name or "L")
 
 
 def c_criterion(c: ArrayLike, *, name: str = "") -> Trace:

@@ -106,7 +106,10 @@ class Problem:
         self.R = white_root(information, told)
         self.condition = float(np.linalg.cond(self.R / np.linalg.norm(self.R, axis=0)))
         self.finely = self.condition > ROUNDED
-        self.lost = LOST * self.condition * float(np.finfo(np.longdouble if self.finely else float).eps)
+        # What is asked of all parameters, where it is rounded itself, has double precision however fine the coordinates are.
+        exact = not criterion.whole or not np.any(criterion.V % 1)
+        digits = np.finfo(np.longdouble if self.finely and exact else float)
+        self.lost = LOST * self.condition * float(digits.eps)
         self.criterion, self.scale = criterion.transformed(self.R, self.finely)
         half = solved_below(self.R, information.constant, self.finely)
         self.constant = solved_below(self.R, half.T, self.finely)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from oed.covariances import on_one_thread
+from oed.covariances import on_one_thread, root_in_own_units
 from oed.criteria import Criterion, e_criterion
 from oed.design.problem.design import Design
 from oed.design.problem.information_maps import information_map
@@ -36,14 +36,14 @@ def application_criterion(required: ArrayLike, *, name: str = "application") -> 
     R = np.asarray(required, dtype=float)
     if R.ndim != 2 or R.shape[0] != R.shape[1] or not np.allclose(R, R.T):
         raise InputError(f"the required information is {R.shape}; it must be symmetric and square.")
-    values, vectors = np.linalg.eigh(R)
-    if values[0] < -1e-10 * abs(values[-1]) or values[-1] <= 0:
+    V, least = root_in_own_units(R)
+    if least < -1e-10:
+        values = np.linalg.eigvalsh(R)
         raise InputError(
             f"the required information has the eigenvalues {values[0]:g} to {values[-1]:g}; it must be positive "
             "semidefinite and not zero."
         )
-    keep = values > 1e-12 * values[-1]
-    return e_criterion(len(R), vectors[:, keep] * np.sqrt(values[keep]), name=name)
+    return e_criterion(len(R), V, name=name)
 
 
 @on_one_thread

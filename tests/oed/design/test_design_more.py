@@ -139,6 +139,15 @@ def test_minimax_d_against_a_general_optimiser(plant):
         robust_design([plant, plant.replace(free=("b1", "b2"))], "D", how="minimax")
 
 
+def test_a_small_unit_is_asked_for_like_a_large_one():
+    """A parameter in a unit a million times larger was not asked for at all: its 1e-13 was taken for rounding of the other's 1."""
+    required = np.diag([1.0, 1e-13])
+    for known, loss in ((1e-16, 1e3), (1e-13, 1.0)):
+        assert application_criterion(required).loss(np.diag([1.0, known])) == pytest.approx(loss)
+    with pytest.raises(InputError, match="not zero"):
+        application_criterion(np.zeros((2, 2)))
+
+
 def test_least_power(plant):
     design = least_power_design(plant, "A", 0.1)
     assert design.loss == pytest.approx(0.1, rel=1e-8)
