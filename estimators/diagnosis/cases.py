@@ -1,7 +1,5 @@
 """Diagnosis of files: records, and what a meta.json says of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -5,8 +5,6 @@ the ladder on unused blocks -> the remainder, and the ladder again -> the verdic
 the linear model without samples that are faults, and the discovery beside a model that was found after it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache

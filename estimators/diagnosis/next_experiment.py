@@ -1,7 +1,5 @@
 """What to measure next: the input that best tells two fitted models apart, and how surely it will."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

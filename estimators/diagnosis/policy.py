@@ -1,7 +1,5 @@
 """What the user knows and wants of a diagnosis, and the thresholds of claims and of the ladder, each with its reason."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from enum import Enum
 

@@ -1,7 +1,5 @@
 """The best linear model of measured records: what every later stage starts from and is compared with."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

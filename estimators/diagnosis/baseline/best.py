@@ -1,7 +1,5 @@
 """From records to the Baseline: tones first, then the choice, then what is said of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

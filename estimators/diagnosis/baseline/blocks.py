@@ -1,7 +1,5 @@
 """Blocks of the training records, and the samples that count: the one definition that every later stage uses."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Candidates compared by the error of their free run on blocks that they did not see."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """What a linear model leaves: lines that no input drives, and the one-step model of the rest."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

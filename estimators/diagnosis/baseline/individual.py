@@ -4,8 +4,6 @@ With poles in common the order is the sum of all, and numerators must cancel wha
 hundred samples such a fit ends far from the noise, and whatever mends it looks like an effect.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce

@@ -1,7 +1,5 @@
 """Compiled recursions of a linear model: its run on from past outputs, and whether its poles are inside the circle."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimators.diagnosis.effects.recursion_kernels import compiled

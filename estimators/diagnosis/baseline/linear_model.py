@@ -1,7 +1,5 @@
 """A linear model of one output, y = (B u + c) / A, and its free run from a state that a window of samples sets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any

@@ -1,7 +1,5 @@
 """Output-error fits: a model's free run brought close to the outputs by Gauss-Newton, from a model that is near."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol

@@ -4,8 +4,6 @@ All regressors that any candidate may want stand in one matrix; QR of each block
 of them. A fit without a block takes the factors of the others: no candidate touches the samples again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Which linear models are tried for one output, and in which order."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

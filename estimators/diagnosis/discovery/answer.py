@@ -1,7 +1,5 @@
 """Discovery: terms that the linear model lacks, without a catalogue, vouched for by blocks that were not used."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

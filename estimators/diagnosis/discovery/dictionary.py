@@ -1,7 +1,5 @@
 """The dictionary: terms of the model's own signals, in every slot, with the constants that their fit starts from."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any

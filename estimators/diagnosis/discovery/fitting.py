@@ -1,7 +1,5 @@
 """Fits of a form by simulation error: Levenberg-Marquardt with exact sensitivities, states of every record with it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

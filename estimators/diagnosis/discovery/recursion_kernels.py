@@ -7,8 +7,6 @@ Everything that discovery fits is of this form: forces are columns of E, maps of
 and filters rows of A. The plain twin is in the tests.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimators.diagnosis.effects.recursion_kernels import compiled

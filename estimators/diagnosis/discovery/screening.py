@@ -1,7 +1,5 @@
 """Screening: what each candidate would explain of the residual, by one linear regression on exact sensitivities."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Linear starts of a form: scaled signals, and chains by iterated filtering (Steiglitz-McBride) in the delta operator."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

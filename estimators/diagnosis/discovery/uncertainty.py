@@ -1,7 +1,5 @@
 """Covariance of a fitted form's parameters where its errors are correlated: the sandwich with Bartlett weights."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What a discovered model is worth on data that it did not see: starts from a window, blocks left out, stability."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

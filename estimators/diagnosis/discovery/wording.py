@@ -1,7 +1,5 @@
 """Terms in the user's words and units: equation, nature, the catalogue's name where it says the same."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

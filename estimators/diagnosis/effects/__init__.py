@@ -3,8 +3,6 @@
 These files import the rooms of the model and the search inside functions only, as those import the effects.
 """
 
-from __future__ import annotations
-
 from estimators.diagnosis.effects.added import ADDED, NOISE
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Sizes, Slot
 from estimators.diagnosis.effects.folding import FOLDING

@@ -1,7 +1,5 @@
 """What is no part of the plant: signals added to the output, and noise and faults of a measurement, which are not simulated."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any

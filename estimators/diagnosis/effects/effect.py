@@ -5,8 +5,6 @@ Maps and forces are written in NumPy functions that act element by element, so t
 the recursions, drawn as a curve, and evaluated with CasADi symbols for the export of a model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum

@@ -4,8 +4,6 @@ A linear model has no gain through an even curve, and its residual shows nothing
 unfolded (signs of segments, turns counted), or dynamics are drawn at random and the signs follow from them in turn.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Effects at the input: what happens to it before it reaches the linear part of a plant."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace

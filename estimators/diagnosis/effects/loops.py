@@ -4,8 +4,6 @@ The former replace the slowest dynamics, so that the linear model is no guide to
 short filter behind them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations, product

@@ -1,7 +1,5 @@
 """Effects at the output: what a sensor makes of it, and clocks that disagree."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any

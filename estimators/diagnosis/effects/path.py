@@ -1,7 +1,5 @@
 """Linear dynamics that the model lacks: paths beside the plant, more poles, longer delays, a state at the start, a store."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations

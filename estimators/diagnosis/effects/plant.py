@@ -3,8 +3,6 @@
 Forces are of the plant's position, velocity and input; coefficients follow time or a slow hidden state.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

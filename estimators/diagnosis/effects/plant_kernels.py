@@ -3,8 +3,6 @@
 CasADi defines the same step in `terms`; a test holds the two to 1e-9.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple

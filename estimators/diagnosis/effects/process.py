@@ -4,8 +4,6 @@ x' = rate (u - x - force(x, u)), integrated like a plant. The linear part after 
 process of any order may follow or, as a lag of the actuator, come before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import product

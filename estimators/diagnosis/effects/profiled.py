@@ -4,8 +4,6 @@ Their likelihood has many minima over the shape, and poles that bent to imitate 
 of a grid has the linear part made anew before the shapes are compared.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any

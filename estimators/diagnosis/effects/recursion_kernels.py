@@ -3,8 +3,6 @@
 CasADi defines the same steps in `terms`; a test holds the two to 1e-9.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

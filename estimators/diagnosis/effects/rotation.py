@@ -1,7 +1,5 @@
 """Effects of turning parts: gravity on a pendulum, forces and gains that repeat with the angle."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """What was stated of records, a start at rest or an order, and the data deny; and a pole that no input drives."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -4,8 +4,6 @@ Two headlines that never compete: a finding about the record (rounding, held sam
 what the linear model lacks, and takes the first place only where nothing of the system is claimed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Exact derivatives of a structure's output by the parameters that it is rational or linear in."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Standard errors of fitted parameters: for the weights of the fit, noise with memory, and states that few samples tell."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Fitting a structure to a record: Levenberg-Marquardt on simulation errors, whitened by an AR noise model."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Force balance of a motion: mass, viscous and dry friction by least squares, and the simulation that starts from it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The output of a sampled linear model between its samples, the input held: what a play at the output follows."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

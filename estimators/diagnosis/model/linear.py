@@ -1,7 +1,5 @@
 """The linear model: output-error fits from several starts, and its translation into physical layouts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

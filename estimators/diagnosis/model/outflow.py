@@ -1,7 +1,5 @@
 """Two tanks in series with square-root outflow and overflow: the model of levels that are no deviations."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

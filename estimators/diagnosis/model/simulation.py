@@ -6,8 +6,6 @@ The linear part is B/F in the shift operator with a common F per output, or, whe
 plant, a continuous-time layout with physical states that is integrated exactly between samples.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Any

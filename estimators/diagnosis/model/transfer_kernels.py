@@ -1,7 +1,5 @@
 """Compiled transfer function of a model: its output, and the output's derivatives by its coefficients and its start."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimators.diagnosis.effects.recursion_kernels import compiled

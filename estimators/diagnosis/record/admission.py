@@ -1,7 +1,5 @@
 """Records of one system that can be diagnosed together, and a test record that proves something."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

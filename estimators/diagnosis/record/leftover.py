@@ -1,7 +1,5 @@
 """What the final residual still shows: generic tests by nature, for causes that are in no catalogue."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

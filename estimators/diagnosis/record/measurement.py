@@ -1,7 +1,5 @@
 """What shows in the samples themselves: faults of the measurement (held, rounded, wild), and what is none (gaps, rest)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Rows of one record that are also in another: by copying, or by chance where signals are coarse or periodic."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

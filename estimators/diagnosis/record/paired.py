@@ -1,7 +1,5 @@
 """Two models of one record, compared sample by sample: what the record can tell between them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimators.diagnosis.model.fitting import Fit, innovations

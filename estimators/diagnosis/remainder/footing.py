@@ -1,7 +1,5 @@
 """What a remainder stands on: any earlier model's free runs, with all parameters and without each block."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

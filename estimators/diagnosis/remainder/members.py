@@ -1,7 +1,5 @@
 """Recurrent networks as members of a remainder: their scales, their starts, their training stretches."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

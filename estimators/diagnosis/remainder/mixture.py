@@ -1,7 +1,5 @@
 """A fitted remainder: what its members add to an earlier run, bounded, and gone far outside the training range."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

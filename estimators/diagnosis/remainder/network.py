@@ -1,7 +1,5 @@
 """A small recurrent network with a stable linear part: bounded for any input, fitted by its free run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 x(k+1) = A x + B w + E tanh(F [x, w] + g),  y = C x + D w + K tanh(F [x, w] + g) + d
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimators.diagnosis.effects.recursion_kernels import compiled

@@ -1,7 +1,5 @@
 """Ridge regressions on stable filters and static maps of inputs and of the earlier model's run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum

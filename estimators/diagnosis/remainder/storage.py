@@ -1,7 +1,5 @@
 """A remainder as plain numbers and back: JSON, never a pickle."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict

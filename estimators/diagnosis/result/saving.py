@@ -1,7 +1,5 @@
 """A diagnosis written to a folder: the result as JSON, the simulated outputs as CSV, the model."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Wiener-Hammerstein models: a static nonlinearity between two linear blocks, found by splitting the linear model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 from typing import Any

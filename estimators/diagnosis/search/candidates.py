@@ -1,7 +1,5 @@
 """Every effect of a catalogue fitted on top of a model: the candidates of one round of attribution."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """One cause seen at several outputs: linear dynamics behind what another output's model simulates."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

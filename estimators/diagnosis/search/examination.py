@@ -1,7 +1,5 @@
 """One output examined: measurement faults first, then the attribution of what is left."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

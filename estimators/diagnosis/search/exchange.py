@@ -1,7 +1,5 @@
 """The backward step of a selection: each effect of the model taken out or exchanged once, the others kept."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

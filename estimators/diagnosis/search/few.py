@@ -1,7 +1,5 @@
 """A few effects in place of the search's: models that unused blocks choose between, where its criterion may have been misled."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

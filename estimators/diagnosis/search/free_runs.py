@@ -1,7 +1,5 @@
 """Free runs of a fitted structure: how it starts on a record, and on blocks that its parameters did not see."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 

@@ -1,7 +1,5 @@
 """Attribution: which effects, one or several, explain what the linear model leaves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Any
 

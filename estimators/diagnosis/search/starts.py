@@ -1,7 +1,5 @@
 """Where to start the fit of each effect: shapes scanned by their score against the fitted model."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """How much of what the linear model leaves could be explained at all, from which variables, and of what nature."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Whether the input knows the noise: feedback, under which a regression on inputs would explain noise by its own echo."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Every column is a stable filter's or a static map's output, so that whatever is 
 run. A column carries the variable that it speaks of and the natures of cause that it would betray.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whole models of an output as a step in CasADi's symbols: linear, with named effects, discovered."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Effects as parts of a step: what each keeps from sample to sample, in the terms that the recursions are held to."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

@@ -3,8 +3,6 @@
 Static maps and forces are evaluated with symbols as they stand (`Effect.apply`, `Effect.force`); these advance a state.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

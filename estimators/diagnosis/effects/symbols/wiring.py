@@ -1,7 +1,5 @@
 """A model as one step in CasADi's symbols: the states of its parts, where they start and how they move on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
