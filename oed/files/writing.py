@@ -6,6 +6,9 @@ import gzip
 import io
 import itertools
 import os
+import platform
+from functools import lru_cache
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +25,8 @@ WRITERS = {".csv": csv_bytes, ".mat": mat_bytes, ".npz": npz_bytes, ".parquet": 
 MESSAGES = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
 KEPT = "What was there before is kept: make room or choose another place."
 _COUNT = itertools.count()
+_HERE = blake2b(platform.node().encode(), digest_size=3).hexdigest()
+"""Names this machine in temporary names: of another's processes, on a shared disk, nobody here knows whether they live."""
 
 
 def new_folder(path: str | os.PathLike[str], what: str = "the folder") -> Path:
@@ -130,8 +135,10 @@ def write_whole(
 ) -> Path:
     """The one atomic writer: a reader sees the old file or the whole new one, also after a power cut. What
     cannot be written is raised as `error`, whose message ends with `kept`: what is safe, and the remedy. The
-    temporary name is short, whatever the file's own, and ends in .tmp: `tidy` removes what a kill left of it."""
-    temporary = path.with_name(f".{os.getpid()}-{next(_COUNT)}.tmp")
+    temporary name is short, whatever the file's own, and ends in .tmp: what a kill left of it is removed by the
+    next who writes in the folder, and by `tidy`."""
+    temporary = path.with_name(f".{_HERE}-{os.getpid()}-{next(_COUNT)}.tmp")
+    _sweep(path.parent)
     try:
         temporary.unlink(missing_ok=True)
         with temporary.open("xb") as file:  # never through a link that somebody laid there
@@ -185,6 +192,19 @@ def tidy(folder: Path) -> None:
     for file in folder.rglob(".*.tmp"):
         with contextlib.suppress(OSError):
             file.unlink(missing_ok=True)
+
+
+@lru_cache(maxsize=64)
+def _sweep(folder: Path) -> None:
+    """Remove, once a process, what killed processes of this machine left half written in a folder."""
+    for file in folder.glob(f".{_HERE}-*-*.tmp") if os.name == "posix" else ():
+        with contextlib.suppress(
+            OSError, ValueError, OverflowError
+        ):  # gone already, not ours, or no name of ours
+            try:
+                os.kill(int(file.name.split("-")[1]), 0)
+            except ProcessLookupError:
+                file.unlink(missing_ok=True)
 
 
 def _sync_folder(folder: Path) -> None:

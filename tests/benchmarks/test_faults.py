@@ -12,6 +12,8 @@ import io
 import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +27,7 @@ from estimators.sessions import Settings as SessionSettings
 from estimators.sessions import open_session, start_session
 from oed.errors import OedError
 from oed.experiments import simulated
+from oed.files import writing
 from oed.files.writing import append_line, tidy, write_whole
 from oed.plants.named import named_plant
 
@@ -263,3 +266,19 @@ def test_a_folder_that_was_moved_goes_on(tmp_path):
         (tmp_path / "c" / place / ".1-0.tmp").touch()
     assert plain(run_campaign(SMALL, 7, tmp_path / "c", jobs=1)) == whole
     assert not list(tmp_path.rglob("*.tmp"))
+
+
+def test_what_a_killed_process_left_beside_a_file_goes_with_the_next_writing(tmp_path):
+    """Of a process of this machine that is no more; what one that lives, or one of another machine, is writing stays."""
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    names = [
+        f".{writing._HERE}-{gone.pid}-0.tmp",
+        f".{writing._HERE}-{os.getppid()}-0.tmp",
+        f".ffffff-{gone.pid}-0.tmp",
+        f".{writing._HERE}-x-0.tmp",
+    ]
+    for name in names:
+        (tmp_path / name).touch()
+    write_whole(tmp_path / "o.csv", "1\n")
+    assert {file.name for file in tmp_path.iterdir()} == {"o.csv", *names[1:]}

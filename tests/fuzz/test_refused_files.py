@@ -19,7 +19,7 @@ from estimators.diagnosis.result.model import DiagnosedModel
 from estimators.sessions import open_session
 from oed.data import Record
 from oed.errors import CampaignError, InputError
-from oed.files import read_record
+from oed.files import read_record, writing
 from oed.files.lock import locked
 from oed.files.writing import append_line, write_whole
 from oed.models.model import saved_model
@@ -178,6 +178,6 @@ def test_nothing_is_written_through_a_link(tmp_path):
         append_line(tmp_path / "link", "x")
     assert not list(tmp_path.glob(".*"))
     for number in range(1000):  # the next temporary names
-        (tmp_path / f".{os.getpid()}-{number}.tmp").symlink_to(precious)
+        (tmp_path / f".{writing._HERE}-{os.getpid()}-{number}.tmp").symlink_to(precious)
     write_whole(tmp_path / "link", "new")
     assert (precious.read_text(), (tmp_path / "link").read_text()) == ("kept", "new")
