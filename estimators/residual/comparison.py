@@ -113,6 +113,7 @@ def compare_models(fits: Mapping[str, Fit], record: Any, *, skip: int = 0) -> Co
     if not fits:
         raise InputError("there is no model to compare; give at least one, by name.")
     record = as_record(record, missing=True)
-    rows = [{"model": name, "parameters": len(fit.theta)} | errors_on(fit, record, skip=skip) for name, fit in fits.items()]  # fmt: skip
-    rows.sort(key=lambda row: row["simulation_rmse"])
-    return Comparison({row["model"]: fits[row["model"]] for row in rows}, record, skip, tuple(rows))
+    errors = {name: errors_on(fit, record, skip=skip) for name, fit in fits.items()}
+    ordered = {name: fits[name] for name in sorted(fits, key=lambda name: errors[name]["simulation_rmse"])}
+    rows = ({"model": name, "parameters": len(fit.theta)} | errors[name] for name, fit in ordered.items())
+    return Comparison(ordered, record, skip, tuple(rows))
