@@ -126,6 +126,8 @@ def lacking(
     return None if key is None else Contradiction(key, f"{told[key][0]}: {less}", share)
 
 
+SETTLES = "drift"
+"""The effect that a level which settles goes by."""
 SLOWER = 20
 """Samples that a level which settles takes at least: a quicker one is a start, which the first samples set."""
 LEVEL = 80
@@ -159,4 +161,4 @@ def settling(train: Record, o: Outcome, base: Baseline, policy: Policy) -> Contr
         return None
     lasts = -train.dt / np.log(z)
     words = f"no input drives a level that settles in {lasts:.3g} s (its time constant): with it the error is {share:.0%} less"
-    return Contradiction("drift", words, share, p)
+    return Contradiction(SETTLES, words, share, p)

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot, named
 from estimators.diagnosis.ladder.held_out import HeldOut
 from estimators.diagnosis.ladder.outcome import Outcome
-from estimators.diagnosis.ladder.stated import Contradiction
+from estimators.diagnosis.ladder.stated import SETTLES, Contradiction
 from estimators.diagnosis.ladder.steps import Kind
 from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
@@ -65,7 +65,9 @@ def verdict(
         if not any(f.cause == UNKNOWN for f in system):
             system += _unexplained(o, rest, setting.alpha / len(outcomes), _tag(o, several))
     if not system:
-        system = [_seen(effects, c.key, c.share, c.p_value, c.sentence + _tag(o, several)) for o, c in stated]
+        # beside a cause that the record does not bear, only a pole of the linear model itself is told
+        told = [(o, c) for o, c in stated if not withdrawn or c.key == SETTLES]
+        system = [_seen(effects, c.key, c.share, c.p_value, c.sentence + _tag(o, several)) for o, c in told]
         withdrawn = withdrawn and not system
     first = sorted(system, key=lambda f: -f.weight)
     data = sorted(
