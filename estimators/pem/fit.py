@@ -199,10 +199,6 @@ class Fit:
             raise InputError(f"the input has {u.shape[1]} channels; the model has {structure.n_inputs}.")
         return self.output_level + self.model.simulate(u - self.input_level)
 
-    def window_of(self, skip: int) -> int:
-        """Samples that set the state of a simulation where `skip` are not judged: none of a model that starts at rest."""
-        return 0 if self.initial == "zero" else skip
-
     def simulate_record(self, record: Record, *, window: int) -> NDArray[np.float64]:
         """Simulated output of a record whose first samples set the initial state.
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from estimators.pem.uncertainty import bode_band, pole_covariances, step_band
-from estimators.residual.measures import fit_percent, p_stated
+from estimators.residual.measures import fit_percent, p_stated, window_of
 from estimators.residual.tests import ResidualTest, residual_tests
 from oed.data import Record
 from oed.errors import InputError
@@ -69,7 +69,8 @@ def plot_compare(fits: Fit | Mapping[str, Fit], record: Record, *, window: int =
     figure = Figure(figsize=(8, 2.6 * record.n_outputs), layout="constrained")
     axes = figure.subplots(record.n_outputs, 1, squeeze=False, sharex=True)[:, 0]
     simulated = {
-        name: fit.simulate_record(record, window=fit.window_of(window)) for name, fit in named.items()
+        name: fit.simulate_record(record, window=window_of(fit.initial, window))
+        for name, fit in named.items()
     }
     for i, ax in enumerate(axes):
         ax.plot(record.t, record.y[:, i], color="black", lw=1, alpha=0.6, label="measured")

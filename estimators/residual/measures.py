@@ -6,6 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+def window_of(initial: str, skip: int) -> int:
+    """Samples that set the state of a simulation where `skip` are not judged: none of a model fitted from rest."""
+    return 0 if initial == "zero" else skip
+
+
 def fit_percent(y: NDArray, y_hat: NDArray) -> float:
     """100 (1 - |y - y_hat| / |y - mean y|), the mean over outputs: y, y_hat (N, ny), measured and modelled;
     rows with NaN in y are left out. 100 is perfect, 0 no better than the mean."""

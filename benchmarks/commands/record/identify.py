@@ -112,8 +112,9 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
     if args.folds is not None:
         stage("blocks left out in turn")
         from estimators.pem.choice import held_out_error
+        from estimators.residual.measures import window_of
 
-        how = {"folds": args.folds, "window": fit.window_of(args.skip)}
+        how = {"folds": args.folds, "window": window_of(fit.initial, args.skip)}
         error, spread = held_out_error(records, args.structure, orders, delay, **how, **options)
         payload["held_out"] = {"simulation_rmse": error, "standard_error": spread}
         lines.append(f"on what was left out in turn: simulation error {error:.6g} +- {spread:.2g}")
