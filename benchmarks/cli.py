@@ -193,9 +193,8 @@ def main(argv: list[str] | None = None) -> int:
     # Matrices of this size gain nothing from threads, and with one the last bits are the same whatever the cores.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    if (
-        argv is None and not sys.warnoptions
-    ):  # what NumPy warns of is for programmers: tests make it an error, -W shows it
+    # What NumPy warns of is for programmers: tests make it an error, -W shows it.
+    if argv is None and not sys.warnoptions:
         warnings.simplefilter("ignore", RuntimeWarning)
         os.environ["PYTHONWARNINGS"] = "ignore::RuntimeWarning"  # of workers too
     with _lasting() as out:

@@ -20,7 +20,7 @@ from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, Discovery, 
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, begun, outside
 from estimators.diagnosis.ladder.outcome import Outcome
-from estimators.diagnosis.ladder.stated import Contradiction, lacking, starts_at_rest, starts_moving
+from estimators.diagnosis.ladder.stated import Contradiction, lacking, settling, starts_at_rest, starts_moving
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, as_started, climb, paired_gain, refused
 from estimators.diagnosis.ladder.verdicts import verdict
 from estimators.diagnosis.policy import Setting
@@ -128,7 +128,8 @@ def diagnose(
     held = _held_out(first, test, outcomes, setting)
     outcomes = [o.standing(step) for o, step in zip(outcomes, held.answered, strict=True)]
     lacks = [
-        lacking(records, o, base, n, asked, setting.policy) for o, n in zip(outcomes, orders, strict=True)
+        settling(first, o, base, setting.policy) or lacking(records, o, base, n, asked, setting.policy)
+        for o, n in zip(outcomes, orders, strict=True)
     ]
     stated = [
         (o, c) for found in (moving, lacks) for o, c in zip(outcomes, found, strict=True) if c is not None

@@ -62,10 +62,8 @@ BLUE, ORANGE, GREY = "#1f77b4", "#d95f02", "#777777"
 
 def plot_compare(fits: Fit | Mapping[str, Fit], record: Record, *, window: int = 0) -> Figure:
     """Measured output against that of models simulated from the state that the first `window` samples set, which are not judged."""
-    named, record = (
-        dict(fits) if isinstance(fits, Mapping) else {"model": fits},
-        as_record(record, missing=True),
-    )
+    named = dict(fits) if isinstance(fits, Mapping) else {"model": fits}
+    record = as_record(record, missing=True)
     figure = Figure(figsize=(8, 2.6 * record.n_outputs), layout="constrained")
     axes = figure.subplots(record.n_outputs, 1, squeeze=False, sharex=True)[:, 0]
     simulated = {

@@ -323,9 +323,8 @@ def _ages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     shapes: list[tuple[float, float]] = []
     for _ in range(LINES):
         top = int(np.argmax(power))
-        if not top or power[top] < np.log(2 * n / FALSE) * np.mean(
-            power[power > 0.0]
-        ):  # or nothing is left at all
+        # the first of them all: nothing is left
+        if not top or power[top] < np.log(2 * n / FALSE) * np.mean(power[power > 0.0]):
             break
         f = top / (4.0 * n)
         periods = [1.0 / f, 1.0 / (1.0 - f)]

@@ -18,6 +18,7 @@ from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.steps import Kind, paired_gain
 from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.policy import Policy
+from estimators.diagnosis.search.named import INDEPENDENT
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -84,14 +85,11 @@ def starts_moving(
 def lacking(
     records: Sequence[Record], o: Outcome, base: Baseline, order: int | None, options: Options, policy: Policy
 ) -> Contradiction | None:
-    """What a linear model of a stated order lacks, whose input acts in its own sample or the next; or that a pole of it is no dynamics.
+    """What a linear model of a stated order lacks, whose input acts in its own sample or the next.
 
     Where the answer is the linear model and nothing bends what it leaves: a delay, if the stated order does as well as the best
     model with one; else an order more, else two: what needs still more is no such thing. With several inputs an order is each one's own affair.
     """
-    settled = settling(records[0], o, base, policy)
-    if settled is not None:
-        return settled
     i, search = o.index, _search(records, o.index, base, options)
     linear = o.ladder.chosen.kind is Kind.LINEAR and not o.bent and not o.share.feedback
     if order is None or not linear or search.inputs != 1:
@@ -130,8 +128,6 @@ SETTLES = "drift"
 """The effect that a level which settles goes by."""
 SLOWER = 20
 """Samples that a level which settles takes at least: a quicker one is a start, which the first samples set."""
-LEVEL = 80
-"""Independent samples of the error beside a level that settles, as slow noise leaves few (as INDEPENDENT of the named stage)."""
 
 
 def settling(train: Record, o: Outcome, base: Baseline, policy: Policy) -> Contradiction | None:
@@ -157,7 +153,7 @@ def settling(train: Record, o: Outcome, base: Baseline, policy: Policy) -> Contr
     share, samples = 1.0 - float(np.sqrt(kept)), effective_samples(beside)
     p = float(chi2.sf(-samples * np.log(kept), 1))
     as_good = float(np.sum(beside**2)) <= (1.0 + WORSE) ** 2 * float(np.sum(own**2))
-    if not (as_good and samples > LEVEL and share > policy.searched[1] and p < MOVING):
+    if not (as_good and samples > INDEPENDENT and share > policy.searched[1] and p < MOVING):
         return None
     lasts = -train.dt / np.log(z)
     words = f"no input drives a level that settles in {lasts:.3g} s (its time constant): with it the error is {share:.0%} less"
