@@ -98,7 +98,7 @@ function table(root, content) {
     const line = make('tr');
     keys.forEach((key, k) => {
       const text = textOf(texts, row, key);
-      const cell = make(k ? 'td' : 'th', {class: number.has(key) ? null : text.length > (k ? 40 : 20) ? 'word long' : 'word', scope: k ? null : 'row'});
+      const cell = make(k ? 'td' : 'th', {class: number.has(key) ? null : text.length > (k ? 40 : 20) ? (text.length > 80 ? 'word long longer' : 'word long') : 'word', scope: k ? null : 'row'});
       if (range[key] && typeof row[key] === 'number') {
         cell.setAttribute('style', `--share:${(100 * Math.max(0, row[key]) / range[key]).toFixed(1)}%`);
       }
