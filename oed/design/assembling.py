@@ -46,6 +46,11 @@ def assembled(
 ) -> Design:  # fmt: skip
     """A Design of a spectrum and its certificate, both in the model's own units."""
     bound = certificate.bound
+    if (
+        loss < bound
+    ):  # no spectrum is better than a bound: where rounding says so, the truth is taken to lie between the two
+        certificate = replace(certificate, bound=loss, value=certificate.numerator / loss)
+        bound, loss = loss, bound
     closed = abs(loss - bound) <= tolerance * bound and certificate.rounding <= tolerance
     return Design(
         spectrum=spectrum, criterion=problem.original, loss=loss, bound=bound, certificate=certificate,

@@ -170,9 +170,9 @@ def exchange(
 
 
 def better(one: Exchange, other: Exchange) -> Exchange:
-    """The smaller loss and the larger bound of two outcomes."""
-    weights = one if one.loss <= other.loss else other
+    """The larger bound of two outcomes and the loss that is nearest to it: one below it is rounding."""
     proof = one if one.bound >= other.bound else other
+    weights = min(one, other, key=lambda found: abs(found.loss - proof.bound))
     return replace(
         weights, X=proof.X, nu=proof.nu, bound=proof.bound, price=proof.price, frequency=proof.frequency,
         rounds=max(one.rounds, other.rounds),

@@ -1,4 +1,4 @@
-"""A and c designs of several inputs by a barrier method on Elfving's dual: all directions of a frequency at once.
+"""c designs, and A designs of few combinations, by a barrier method on Elfving's dual: all directions of a frequency at once.
 
     maximise 2 tr(V'X) - tr(X' M_0 X) - sum_j nu_j   over X (n, s) and nu >= 0
     subject to Q_nu(w) - S_X(w) positive semidefinite at every frequency,  S_X = D^* X X' D.
@@ -20,12 +20,14 @@ from oed.errors import SolverFailure, Status
 
 LARGEST = 150
 PATIENCE = 4
+LEFT = 0.3
+"""Least share of the slack that a step leaves in every direction: nearer the boundary a way back doubles it once a step."""
 
 
 def applies(problem: Problem) -> bool:
     """Whether this method is the one for a problem."""
     criterion = problem.criterion
-    if problem.map.n_inputs == 1 or not isinstance(criterion, Trace):
+    if not isinstance(criterion, Trace):
         return False
     n, s = criterion.columns.shape
     if s == n or n * s > LARGEST:
@@ -50,20 +52,29 @@ class _Dual:
         flat = E.reshape(len(E), -1, E.shape[-1])
         return np.einsum("j,kjqp->kqp", nu, self.Q) - flat.conj().swapaxes(1, 2) @ flat, E
 
-    def barrier(self, X: NDArray, nu: NDArray, mu: float) -> float:
-        """The barrier function; infinite outside."""
+    def barrier(self, X: NDArray, nu: NDArray, mu: float, root: NDArray | None = None) -> float:
+        """The barrier function; infinite outside, and where little is left of the slack whose inverse is root^* root."""
         if nu.min() <= 0:
             return np.inf
+        H = self.slack(X, nu)[0]
         try:
-            L = np.linalg.cholesky(self.slack(X, nu)[0])
+            L = np.linalg.cholesky(H)
+            if root is not None:
+                np.linalg.cholesky(root @ H @ root.conj().swapaxes(1, 2) - LEFT * np.eye(H.shape[-1]))
         except np.linalg.LinAlgError:
             return np.inf
         logdet = 2 * float(np.log(np.einsum("kqq->kq", L).real).sum()) + float(np.log(nu).sum())
         gain = 2 * np.sum(self.V * X) - np.sum(X * (self.constant @ X)) - nu.sum()
         return -float(gain) / mu - logdet
 
-    def newton(self, X: NDArray, nu: NDArray, mu: float) -> tuple[NDArray, NDArray, float]:
-        """Newton's step in X and nu, and the square of its length."""
+    def along_the_ray(self, X: NDArray, nu: NDArray, mu: float) -> tuple[NDArray, NDArray]:
+        """The best of t X, t^2 nu, all of them as far from the boundary: Newton's steps, which are straight, need hundreds for it."""
+        worth, cost = float(np.sum(self.V * X)), float(nu.sum() + np.sum(X * (self.constant @ X)))
+        t = (worth + np.sqrt(worth**2 + 4 * cost * mu * self.size)) / (2 * cost)
+        return t * X, t**2 * nu
+
+    def newton(self, X: NDArray, nu: NDArray, mu: float) -> tuple[NDArray, NDArray, float, NDArray]:
+        """Newton's step in X and nu, the square of its length, and the root of the slack's inverse."""
         H, E = self.slack(X, nu)
         root = np.linalg.inv(np.linalg.cholesky(H))  # T = root^* root
         half = self.D @ root.conj().swapaxes(1, 2)[:, None]  # D_i T^1/2, (K, n, r, q)
@@ -88,7 +99,7 @@ class _Dual:
         except np.linalg.LinAlgError:
             # a direction that no frequency tells anything of: the shortest step leaves it
             step = -scale * np.linalg.lstsq(hessian * np.outer(scale, scale), scale * gradient, rcond=None)[0]
-        return step[:m].reshape(self.n, self.s), step[m:], float(-gradient @ step)
+        return step[:m].reshape(self.n, self.s), step[m:], float(-gradient @ step), root
 
     def follow(self, X: NDArray, nu: NDArray, mu: float, final: float) -> tuple[NDArray, NDArray, float, int]:
         """From a strictly feasible point along the path to the last mu."""
@@ -96,13 +107,15 @@ class _Dual:
         while True:
             for _ in range(40):
                 steps += 1
-                dX, dnu, length = self.newton(X, nu, mu)
+                X, nu = self.along_the_ray(X, nu, mu)
+                dX, dnu, length, root = self.newton(X, nu, mu)
                 if not np.isfinite(length) or length < 1e-12:
                     break
                 now, factor = self.barrier(X, nu, mu), 1.0
                 if length > 0.05:
                     while factor > 1e-10 and not (
-                        self.barrier(X + factor * dX, nu + factor * dnu, mu) <= now - 0.1 * factor * length
+                        self.barrier(X + factor * dX, nu + factor * dnu, mu, root)
+                        <= now - 0.1 * factor * length
                     ):
                         factor *= 0.6
                 elif not np.isfinite(self.barrier(X + dX, nu + dnu, mu)):
@@ -128,8 +141,8 @@ def direction_exchange(problem: Problem, *, refine: bool, tolerance: float, max_
     count = 2 * n + 10
     at = np.searchsorted(white, (np.arange(count) + 0.5) / count * white[-1])
     chosen = np.unique(np.concatenate([at, np.linspace(0, len(grid) - 1, 40).astype(int)]))
-    omega = grid[np.clip(chosen, 0, len(grid) - 1)]
-    dual = _Dual(problem, omega)
+    spread = grid[np.clip(chosen, 0, len(grid) - 1)]
+    dual = _Dual(problem, spread)
     X, nu, mu = np.zeros((n, dual.s)), np.full(dual.J, 1.0 / dual.J), 1.0
     best: Exchange | None = None
     accuracy, stalled, status = 1e-2, 0, Status.MAX_ITERATIONS
@@ -163,7 +176,8 @@ def direction_exchange(problem: Problem, *, refine: bool, tolerance: float, max_
         own = problem.prices_at(dual.omega, X, nu).ratio
         if refine and len(new):
             problem = problem.extended(new)
-        dual = _Dual(problem, np.union1d(dual.omega[own > 0.5], new))
+        # The first ones stay: on the few of a singular optimum X is unbounded where none of them looks, and the search begins anew.
+        dual = _Dual(problem, np.unique(np.concatenate([spread, dual.omega[own > 0.5], new])))
         # Strictly feasible for the new frequencies too.
         X = X * np.sqrt(0.9 / max(price, 1.0))
         mu = 10 * mu

@@ -65,7 +65,7 @@ def test_who_is_solved_this_way(three):
     )
     assert applies(problem(three, "gain:0.5"))
     assert not applies(problem(three, "D"))
-    assert not applies(problem(named_plant("reference"), "gain:0.5"))
+    assert applies(problem(named_plant("reference"), "gain:0.5"))
 
 
 def test_one_input_is_the_case_of_the_cone_programme():
