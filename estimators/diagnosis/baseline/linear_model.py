@@ -1,6 +1,6 @@
 """A linear model of one output, y = (B u + c) / A, and its free run from a state that a window of samples sets."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,6 +23,9 @@ FEWEST = 5
 """Samples from which on an output is known to rest, or a state is set by measurement."""
 STILL = 0.05
 """Standard deviation of a resting output, of that of all its samples."""
+UNDRIVEN = 3.0
+"""Standard deviations of a model's run from rest, beyond which a record's start is not what its inputs left, as in a record cut out
+of a longer one, but how its experiment starts: the next one that begins with the same inputs starts alike."""
 ALIKE = 2.0
 """Variance of resting samples, and square of what they are off a model at rest, of its noise's variance, up to which it is noise."""
 
@@ -49,7 +52,8 @@ class Prior:
     of every model; `noise` variance of measured minus simulated output, sample by sample; `rest` whether
     signals are deviations from a rest in which every record starts; `level` output at which the training
     records rested under the inputs `held` before they were excited; NaN if they did not; `held` (nu,) those
-    inputs; `first` mean output there, rest or noise: all that is known of where a model without a rest of its own starts.
+    inputs; `first` mean output there, rest or noise: all that is known of where a model without a rest of its own starts;
+    `opening` (k,) the outputs there where the experiment starts far from the model's rest.
     """
 
     mean: float
@@ -59,6 +63,24 @@ class Prior:
     level: float = np.nan
     held: Array = field(default_factory=lambda: np.empty(0))
     first: float = np.nan
+    opening: Array = field(default_factory=lambda: np.empty(0))
+
+    def of(self, model: "LinearModel", record_u: Array, record_y: Array) -> "Prior":
+        """The prior with the opening of the training record (N, nu), (N,) where a model at rest would miss it."""
+        opening = unmoved(record_u, record_y)
+        if self.rest or not len(opening) or model.radius >= FAR:
+            return self
+        run = model.run(model.driven(record_u), np.full(model.order, model.level(record_u[0])))
+        far = abs(float(opening.mean()) - run[0]) > UNDRIVEN * float(np.std(run))
+        return replace(self, opening=opening) if far else self
+
+    def opened(self, u: Array, y: Array, window: int) -> tuple[Array, int]:
+        """The outputs (N,) that set a run's state and how many: where none is measured, those with which the training records opened
+        under the same inputs (N, nu)."""
+        if self.rest or not len(self.opening) or np.isfinite(y[:window]).any():
+            return y, window
+        known = self.opening[: int(np.argmin((u == self.held).all(axis=1))) if (u != self.held).any() else len(u)]
+        return np.concatenate((known, y[len(known) :])), len(known)
 
     def started(self, u: Array) -> float:
         """Output at the start of a record whose first inputs are u (nu,), as the training records have shown it; NaN if they have not."""
@@ -161,6 +183,7 @@ class LinearModel:
         The state is the conditional mean of a Gaussian: outputs before the first sample with the prior's covariance, noise
         of variance `noise` on the samples.
         """
+        y, window = prior.opened(u, y, window)
         n, w = self.order, min(window, len(y))
         driven = self.driven(u, np.zeros((1, u.shape[1])) if prior.rest else None)
         if len(self.moved) and not prior.rest and np.isfinite(y[:w]).any():

@@ -51,8 +51,7 @@ def early(record: Record) -> Record:
 
 
 def _prior_of(data: dict[str, Any]) -> Prior:
-    fields: dict[str, Any] = data | {"covariance": np.array(data["covariance"])}
-    return Prior(**fields)
+    return Prior(**{k: np.array(v) if isinstance(v, list) else v for k, v in data.items()})
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

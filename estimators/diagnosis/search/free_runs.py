@@ -168,13 +168,16 @@ def on_record(
     f: Shaped, record: Record, output: int, clock: Clock, window: int, start: Start, thin: int
 ) -> Array:
     """(N,) simulated output of a record; a thinned model's is interpolated between its samples."""
-    y = record.y[:, output]
+    prior = start.prior
+    own = record.u if len(prior.held) == record.n_inputs else record.u[:, list(f.structure.inputs)]
+    y, window = prior.opened(own, record.y[:, output], window)
     if thin == 1:
         return free_run(f, record.u, clock, y, window, start)
+    record = record.replace(y=y, output_names=(), output_units=())
     short = thinned(record, thin)
     slow = Clock(clock.k[0] / thin + np.arange(len(short), dtype=float), clock.length // thin)
     few = max(window // thin, 2 * f.structure.order) if window else 0
-    run = free_run(f, short.u, slow, short.y[:, output], few, start)
+    run = free_run(f, short.u, slow, short.y[:, 0], few, start)
     return lengthened(run, thin, len(record))
 
 

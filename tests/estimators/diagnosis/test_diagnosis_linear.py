@@ -95,6 +95,27 @@ def test_an_integrator_starts_where_records_started_though_their_noise_is_no_res
     assert abs(base.simulate(Record(u, y), 0)[0, 0] - 100.0) < 0.3
 
 
+@pytest.mark.parametrize("first, opens", [(96.0, True), (56.0, False), (60.0, False)])
+def test_a_record_that_begins_as_the_training_record_did_starts_where_that_one_was(first, opens):
+    """A furnace still hot from the day before under its resting input: no input had brought it there, so the next day is alike."""
+
+    def day(seed: int, start: float) -> Record:
+        rng = np.random.default_rng(seed)
+        u = np.concatenate((np.full(15, 30.0), np.repeat(30.0 + 9.0 * rng.standard_normal(50), 20)))
+        y = lfilter([0.0, 0.022], [1.0, -0.98], u - 30.0)
+        return Record(
+            u, 56.0 + y + (start - 56.0) * 0.98 ** np.arange(len(u)) + 0.1 * rng.standard_normal(len(u))
+        )
+
+    base = best_linear([day(1, first)], Options())
+    assert bool(len(base.outputs[0].prior.opening)) == opens
+    again = day(2, first)
+    error = base.simulate(again, 0) - again.y
+    assert np.sqrt(np.mean(error**2)) < (0.3 if first != 60.0 else 1.0)
+    other = Record(again.u - 1.0, again.y)  # under an input that the training record did not begin with
+    assert abs(base.simulate(other, 0)[0, 0] - 55.0) < 1.0
+
+
 @pytest.mark.slow
 def test_an_effect_that_only_brings_poles_is_missing_dynamics_and_a_bent_input_is_named():
     """The same rig without and with its cubic; the control claims nothing nonlinear, 1 % false alarms stated."""
