@@ -40,9 +40,10 @@ def best_linear(records: Sequence[Record], options: Options | None = None) -> Ba
         raise InputError("there is no training record; give at least one.")
     blocks = blocks_of(records, options.blocks, 0 if options.deviations else options.window, options.guard)
     found = [_output(records, i, blocks, options) for i in range(records[0].n_outputs)]
-    outputs = tuple(m for m, _ in found)
-    unused = tuple(np.stack([t.unused[r] for _, t in found], axis=1) for r in range(len(records)))
-    squares = [batch_squares(t.unused, records, i, blocks) for i, (_, t) in enumerate(found)]
+    outputs = tuple(m for m, *_ in found)
+    blocks = replace(blocks, once=max(once for *_, once in found))
+    unused = tuple(np.stack([t.unused[r] for _, t, _ in found], axis=1) for r in range(len(records)))
+    squares = [batch_squares(t.unused, records, i, blocks) for i, (_, t, _) in enumerate(found)]
     rmse = np.array([np.sqrt(s.mean()) for s in squares])
     se = np.array(
         [s.std(ddof=1) / np.sqrt(len(s)) / (2.0 * max(r, 1e-300)) for s, r in zip(squares, rmse, strict=True)]
@@ -86,7 +87,10 @@ def own_inputs(records: Sequence[Record], i: int, options: Options) -> tuple[lis
     return [r.replace(u=r.u[:, list(inputs)], input_names=(), input_units=()) for r in records], inputs
 
 
-def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options) -> tuple[OutputModel, Trial]:
+def _output(
+    records: Sequence[Record], i: int, blocks: Blocks, options: Options
+) -> tuple[OutputModel, Trial, int]:
+    """The model of an output, its trial, and the first samples that do not count."""
     own, inputs = own_inputs(records, i, options)
     prior = prior_of(own, i, options)
     asked = tuple(u[:, list(inputs)] for u in options.asked)
@@ -100,6 +104,8 @@ def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options)
         raise InputError(
             f"no stable linear model follows {records[0].output_names[i]}; give a record whose inputs move it."
         )
+    if parts is own:
+        screen, known = _after_start(screen, known)
     trials = known + screen.refined(known)
     chosen = simplest(trials)
     if places is not blocks:
@@ -119,7 +125,24 @@ def _output(records: Sequence[Record], i: int, blocks: Blocks, options: Options)
     model = OutputModel(inputs, c.kind, c.orders, c.form.delay, c.models[-1], prior, np.ones(1),
                         chosen.rmse, tuple(why), tuple(c.models[:-1]), tuple(w / (2 * np.pi * records[0].dt) for w in lines),
                         together=None if shared is None else (shared.form.na, shared.form.delay))  # fmt: skip
-    return model, chosen
+    return model, chosen, screen.blocks.once
+
+
+def _after_start(search: Search, known: list[Trial]) -> tuple[Search, list[Trial]]:
+    """The search, and the models known, judged without what answers a start to which no input brings the system.
+
+    Only the first block has it: its error there, by poles fitted to the others, is no measure of a model fitted to all.
+    """
+    first, record = simplest(known), search.records[0]
+    model = first.candidate.models[-1]
+    if not (off := model.astray(record.u, record.y[:, search.output])) > first.rmse:
+        return search, known
+    once = min(int(np.log(first.rmse / off) / np.log(model.radius)), len(record) // 2)
+    search = replace(search, blocks=replace(search.blocks, once=once))
+    return search, [
+        replace(t, squares=batch_squares(t.unused, search.records, search.output, search.blocks))
+        for t in known
+    ]
 
 
 def _screened(search: Search) -> tuple[Search, list[Trial], list[float]]:

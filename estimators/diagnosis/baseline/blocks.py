@@ -37,13 +37,15 @@ class Blocks:
 
     `lengths` samples of each record; `window` first samples of a record: they set the state of its free run
     and do not count; `guard` samples on both sides of a held-out block that no fit may use, as they are
-    correlated with it; `blocks` in the order of the records and of time; together they are all samples.
+    correlated with it; `blocks` in the order of the records and of time; together they are all samples; `once` first samples of
+    the first record that do not count either: they answer a start of which no other block shows anything.
     """
 
     lengths: tuple[int, ...]
     window: int
     guard: int
     blocks: tuple[Block, ...]
+    once: int = 0
 
     @property
     def shortest(self) -> int:
@@ -69,6 +71,7 @@ class Blocks:
         out = [np.isfinite(record.y) for record in records]
         for counts in out:
             counts[: self.window] = False
+        out[0][: self.once] = False
         return out
 
     def scattered(self, each: int) -> list[tuple[list[Block], list[NDArray[np.bool_]]]]:
@@ -96,7 +99,8 @@ class Blocks:
         """The units of standard errors."""
         out = []
         for b in self.blocks:
-            edges = np.linspace(max(b.start, self.window), b.stop, each + 1).astype(int)
+            first = max(b.start, self.window, 0 if b.record else self.once)
+            edges = np.linspace(first, b.stop, each + 1).astype(int)
             out += [Block(b.record, i, j) for i, j in itertools.pairwise(edges) if j > i]
         return out
 

@@ -65,21 +65,16 @@ class Prior:
     first: float = np.nan
     opening: Array = field(default_factory=lambda: np.empty(0))
 
-    def of(self, model: "LinearModel", record_u: Array, record_y: Array) -> "Prior":
+    def of(self, model: "LinearModel", u: Array, y: Array) -> "Prior":
         """The prior with the opening of the training record (N, nu), (N,) where a model at rest would miss it."""
-        opening = unmoved(record_u, record_y)
-        if self.rest or not len(opening) or model.radius >= FAR:
-            return self
-        run = model.run(model.driven(record_u), np.full(model.order, model.level(record_u[0])))
-        far = abs(float(opening.mean()) - run[0]) > UNDRIVEN * float(np.std(run))
-        return replace(self, opening=opening) if far else self
+        return self if self.rest or not model.astray(u, y) else replace(self, opening=unmoved(u, y))
 
     def opened(self, u: Array, y: Array, window: int) -> tuple[Array, int]:
         """The outputs (N,) that set a run's state and how many: where none is measured, those with which the training records opened
         under the same inputs (N, nu)."""
         if self.rest or not len(self.opening) or np.isfinite(y[:window]).any():
             return y, window
-        known = self.opening[: int(np.argmin((u == self.held).all(axis=1))) if (u != self.held).any() else len(u)]
+        known = self.opening[: int(np.cumprod((u == self.held).all(axis=1)).sum())]
         return np.concatenate((known, y[len(known) :])), len(known)
 
     def started(self, u: Array) -> float:
@@ -134,6 +129,15 @@ class LinearModel:
                 lead = np.concatenate((np.full(last, past[0]), past[1:]))[-last:] if last else past[:0]
                 out += np.convolve(np.concatenate((lead, x)), b)[last : last + len(x)]
         return out
+
+    def astray(self, u: Array, y: Array) -> float:
+        """How far a record (N, nu), (N,) starts from this model's rest, where no input can have left it there; else 0."""
+        opening = unmoved(u, y)
+        if not len(opening) or not 0.0 < self.radius < FAR:
+            return 0.0
+        run = self.run(self.driven(u), np.full(self.order, self.level(u[0])))
+        off = abs(float(opening.mean()) - float(run[0]))
+        return off if off > UNDRIVEN * float(np.std(run)) else 0.0
 
     def level(self, u: Array) -> float:
         """Output at rest under constant inputs (nu,); not finite without a rest."""

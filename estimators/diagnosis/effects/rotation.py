@@ -226,7 +226,7 @@ def _revolving(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
     for j, u in entering(channel, base):
         angle, (r, Q) = _turned_by(u, channel.clock), left_over(channel, base)
         span, fastest = float(np.ptp(angle)), float(np.max(np.abs(u)))
-        if not span > 0.0:
+        if not span > 2 * LEAST_TURNS * fastest:
             continue
         common = partial(_common, base, j, u, angle, r, Q)
         turns = np.pi / span * np.arange(2 * LEAST_TURNS, min(2 * TURNS, span / fastest))

@@ -51,7 +51,8 @@ def early(record: Record) -> Record:
 
 
 def _prior_of(data: dict[str, Any]) -> Prior:
-    return Prior(**{k: np.array(v) if isinstance(v, list) else v for k, v in data.items()})
+    fields: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v for k, v in data.items()}
+    return Prior(**fields)
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
