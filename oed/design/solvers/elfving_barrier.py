@@ -1,21 +1,24 @@
-"""c designs, and A designs of few combinations, by a barrier method on Elfving's dual: all directions of a frequency at once.
+"""c and D_s designs, and A designs of few combinations, by a barrier method on Elfving's dual: all directions of a frequency at once.
 
-    maximise 2 tr(V'X) - tr(X' M_0 X) - sum_j nu_j   over X (n, s) and nu >= 0
-    subject to Q_nu(w) - S_X(w) positive semidefinite at every frequency,  S_X = D^* X X' D.
+    maximise log numerator(X) - tr(X' M_0 X) - sum_j nu_j   over X (n, s) and nu >= 0
+    subject to Q_nu(w) - S_X(w) positive semidefinite at every frequency,  S_X = D^* X X' D,
 
--log det(Q_nu - S_X) is self-concordant in (X, nu) (a Schur complement of what is linear in them), so Newton's method
-follows the path of mu; there P_k = mu (Q_nu - S_X)^-1 is an admissible spectrum with (M_0 + M(P)) X = V, exact where the
-optimal information is singular. One rank-one line at a time would have to find these directions one by one."""
+and for a determinant to V'X symmetric and positive, as X X' does not see a turn. -log det(Q_nu - S_X) is self-concordant in (X, nu)
+(a Schur complement of what is linear in them), so Newton's method follows the path of mu; there P_k = mu (Q_nu - S_X)^-1 is an
+admissible spectrum with (M_0 + M(P)) X = half the numerator's slope, exact where the optimal information is singular. One rank-one
+line at a time would have to find these directions one by one."""
 
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from oed.covariances import real_gram
+from oed.criteria.determinant import Determinant
 from oed.criteria.trace import Trace
 from oed.design.problem.lines import Columns, Problem
-from oed.design.solvers.column_generation import Exchange, evaluated_bound, lower_bound
+from oed.design.solvers.column_generation import Exchange, better, evaluated_bound, lower_bound
 from oed.errors import SolverFailure, Status
 
 LARGEST = 150
@@ -27,7 +30,7 @@ LEFT = 0.3
 def applies(problem: Problem) -> bool:
     """Whether this method is the one for a problem."""
     criterion = problem.criterion
-    if not isinstance(criterion, Trace):
+    if not isinstance(criterion, Trace | Determinant):
         return False
     n, s = criterion.columns.shape
     if s == n or n * s > LARGEST:
@@ -39,12 +42,14 @@ class _Dual:
     """The dual on some frequencies."""
 
     def __init__(self, problem: Problem, omega: NDArray[np.float64]) -> None:
-        self.V, self.constant = problem.criterion.columns, problem.constant
+        self.criterion, self.constant = problem.criterion, problem.constant
+        self.V = problem.criterion.columns
         self.omega = omega
         self.D, self.Q = problem.scaled_factor(omega), problem.forms_at(omega)
         # (K, n, r, q) -> rows of one frequency: D_i as r x q.
         self.n, self.s, self.J = *self.V.shape, self.Q.shape[1]
         self.size = self.Q.shape[-1] * len(omega) + self.J
+        self.basis = _symmetric(self.V) if isinstance(self.criterion, Determinant) else np.eye(self.V.size)
 
     def slack(self, X: NDArray, nu: NDArray) -> tuple[NDArray, NDArray]:
         """Q_nu - S_X (K, q, q) and E = X'D (K, s, r, q)."""
@@ -63,15 +68,20 @@ class _Dual:
                 np.linalg.cholesky(root @ H @ root.conj().swapaxes(1, 2) - LEFT * np.eye(H.shape[-1]))
         except np.linalg.LinAlgError:
             return np.inf
+        W = self.V.T @ X
+        sizes = np.linalg.eigvalsh(W) if isinstance(self.criterion, Determinant) else np.array([np.trace(W)])
+        if sizes.min() <= 0:
+            return np.inf
         logdet = 2 * float(np.log(np.einsum("kqq->kq", L).real).sum()) + float(np.log(nu).sum())
-        gain = 2 * np.sum(self.V * X) - np.sum(X * (self.constant @ X)) - nu.sum()
-        return -float(gain) / mu - logdet
+        return float(self._cost(X, nu) - 2 * np.log(sizes).mean()) / mu - logdet
+
+    def _cost(self, X: NDArray, nu: NDArray) -> float:
+        return float(nu.sum() + np.sum(X * (self.constant @ X)))
 
     def along_the_ray(self, X: NDArray, nu: NDArray, mu: float) -> tuple[NDArray, NDArray]:
         """The best of t X, t^2 nu, all of them as far from the boundary: Newton's steps, which are straight, need hundreds for it."""
-        worth, cost = float(np.sum(self.V * X)), float(nu.sum() + np.sum(X * (self.constant @ X)))
-        t = (worth + np.sqrt(worth**2 + 4 * cost * mu * self.size)) / (2 * cost)
-        return t * X, t**2 * nu
+        t2 = (1 + mu * self.size) / self._cost(X, nu)
+        return np.sqrt(t2) * X, t2 * nu
 
     def newton(self, X: NDArray, nu: NDArray, mu: float) -> tuple[NDArray, NDArray, float, NDArray]:
         """Newton's step in X and nu, the square of its length, and the root of the slack's inverse."""
@@ -91,15 +101,20 @@ class _Dual:
         hessian[:m, :m] += np.kron(own, np.eye(self.s))
         hessian[m:, m:] += np.diag(1 / nu**2)
         gradient = np.einsum("kiqq->i", A).real
-        gradient[:m] -= 2 * (self.V - self.constant @ X).ravel() / mu
+        rise, bend = self.criterion.log_numerator(X)
+        hessian[:m, :m] -= np.asarray(bend) / mu
+        gradient[:m] -= (rise - 2 * self.constant @ X).ravel() / mu
         gradient[m:] += 1 / mu - 1 / nu
+        whole = block_diag(self.basis, np.eye(self.J))
+        hessian, gradient = whole @ hessian @ whole.T, whole @ gradient
         scale = 1 / np.sqrt(np.diag(hessian))
         try:
             step = -scale * np.linalg.solve(hessian * np.outer(scale, scale), scale * gradient)
         except np.linalg.LinAlgError:
             # a direction that no frequency tells anything of: the shortest step leaves it
             step = -scale * np.linalg.lstsq(hessian * np.outer(scale, scale), scale * gradient, rcond=None)[0]
-        return step[:m].reshape(self.n, self.s), step[m:], float(-gradient @ step), root
+        length, step = float(-gradient @ step), step @ whole
+        return step[:m].reshape(self.n, self.s), step[m:], length, root
 
     def follow(self, X: NDArray, nu: NDArray, mu: float, final: float) -> tuple[NDArray, NDArray, float, int]:
         """From a strictly feasible point along the path to the last mu."""
@@ -134,6 +149,17 @@ class _Dual:
         return np.asarray(mu * np.linalg.inv(self.slack(X, nu)[0]), dtype=np.complex128)
 
 
+def _symmetric(V: NDArray) -> NDArray[np.float64]:
+    """Basis (m, n s) of the X with V'X symmetric, for orthonormal V (n, s)."""
+    s = V.shape[1]
+    beside = np.linalg.qr(V, mode="complete")[0][:, s:]
+    unit = np.eye(s)
+    turns = [
+        V @ (np.outer(unit[a], unit[b]) + np.outer(unit[b], unit[a])) for a in range(s) for b in range(a + 1)
+    ]
+    return np.stack([X.ravel() for X in [*turns, *(np.outer(z, e) for z in beside.T for e in unit)]])
+
+
 def direction_exchange(problem: Problem, *, refine: bool, tolerance: float, max_rounds: int = 25) -> Exchange:
     """Frequencies are added where the price is high; their directions come by themselves."""
     grid, n = problem.omega, problem.map.n
@@ -143,11 +169,12 @@ def direction_exchange(problem: Problem, *, refine: bool, tolerance: float, max_
     chosen = np.unique(np.concatenate([at, np.linspace(0, len(grid) - 1, 40).astype(int)]))
     spread = grid[np.clip(chosen, 0, len(grid) - 1)]
     dual = _Dual(problem, spread)
-    X, nu, mu = np.zeros((n, dual.s)), np.full(dual.J, 1.0 / dual.J), 1.0
+    nu, mu = np.full(dual.J, 1.0 / dual.J), 1.0
+    X = dual.V / np.sqrt(2 * problem.prices_at(spread, dual.V, nu).ratio.max())
     best: Exchange | None = None
     accuracy, stalled, status = 1e-2, 0, Status.MAX_ITERATIONS
     for rounds in range(1, max_rounds + 1):
-        X, nu, mu, _ = dual.follow(X, nu, mu, accuracy * float(nu.sum()) / dual.size)
+        X, nu, mu, _ = dual.follow(X, nu, mu, accuracy / dual.size)
         columns, w = _lines(problem, dual, X, nu, mu)
         loss = problem.loss(columns, w)
         prices = problem.prices(X, nu)
@@ -160,11 +187,7 @@ def direction_exchange(problem: Problem, *, refine: bool, tolerance: float, max_
         bound = lower_bound(problem, X, nu, price)
         here = Exchange(columns, w, loss, X, nu * price, bound, price, float("nan"), rounds, status, problem)
         before = np.inf if best is None else best.gap
-        if best is None or loss <= best.loss:
-            proof = here if best is None or bound >= best.bound else best
-            best = replace(here, X=proof.X, nu=proof.nu, bound=proof.bound, price=proof.price)
-        elif bound > best.bound:
-            best = replace(best, X=X, nu=nu * price, bound=bound, price=price)
+        best = here if best is None else better(best, here)
         gap = best.gap
         stalled = 0 if gap < 0.8 * before else stalled + 1
         if gap <= tolerance or stalled >= PATIENCE:

@@ -78,7 +78,8 @@ def _polished(found: Exchange, gathered: Callable, tolerance: float) -> Exchange
         told = polished.columns
         best = replace(best, hints=told if found.hints is None else found.hints + told)
     best = replace(best, pair=found.pair)
-    if best.loss <= max(found.loss, best.bound * (1 + tolerance)):
+    # A loss below the bound is of lines that do not tell all of what is asked.
+    if best.bound * (1 - tolerance) <= best.loss <= max(found.loss, best.bound * (1 + tolerance)):
         return best
     return replace(best, columns=found.columns, w=found.w, loss=found.loss)
 
