@@ -196,11 +196,11 @@ def _pole_gradient(plant: Plant, which: int, name: str) -> NDArray[np.float64]:
 
 
 def _damping(p: complex) -> float:
-    s = np.log(p)
+    s = np.log(complex(p))  # a plant of real poles only has them as real numbers
     return float(-s.real / abs(s))
 
 
 def _damping_slope(p: complex, dp: complex) -> float:
-    s, ds = np.log(p), dp / p
+    s, ds = np.log(complex(p)), dp / p
     modulus = abs(s)
     return float(-ds.real / modulus + s.real * (s.conjugate() * ds).real / modulus**3)

@@ -71,6 +71,27 @@ def test_gradients_of_named_scalars_by_differences(plant):
         np.testing.assert_allclose(exact, by_differences, rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.parametrize(
+    "name, value", [("pole:1", 0.9), ("damping:1", -np.log(0.9) / np.hypot(np.log(0.9), np.pi))]
+)
+def test_of_real_poles_the_least_damped_is_first_a_negative_one_too(name, value):
+    """Its logarithm was no number, and which pole came first was chance."""
+    plant = Plant([0, 1.0], np.poly([0.5, -0.9]))
+    gradient = criterion_of(name, plant, information_map(plant)).V[:, 0]
+    least = lambda p: min(np.roots(p.den[0][0]))
+    function = (
+        (lambda p: abs(least(p)))
+        if name == "pole:1"
+        else lambda p: -np.log(abs(x := least(p))) / abs(np.log(complex(x)))
+    )
+    assert function(plant) == pytest.approx(value)
+    by_differences = [
+        (function(plant.with_theta(plant.theta + h)) - function(plant.with_theta(plant.theta - h))) / 2e-6
+        for h in 1e-6 * np.eye(len(plant.theta))
+    ]
+    np.testing.assert_allclose(gradient, by_differences, rtol=1e-6, atol=1e-7)
+
+
 @pytest.mark.parametrize("name", ["Ds:b1,b2", "static-gain", "gain:0.5", "pole:1", "damping:1", "I"])
 def test_named_criteria_close_their_gap(plant, name):
     design = solve_design(plant, name)
