@@ -25,6 +25,7 @@ from estimators.diagnosis.discovery.wording import (
     nature,
     same_as,
     signal_axes,
+    summed,
     term_text,
 )
 from estimators.diagnosis.effects.plant import SWINGS
@@ -277,9 +278,9 @@ class DiscoveredModel:
             maps = [f.text for f in found if f.slot == "output" and f.output == i]
             if forces:
                 u, per = self.names[f"u{self._driver(i)}"]
-                lines.append(f"force on {label} (in {per or 'units'} of {u}) = " + " + ".join(forces))
+                lines.append(f"force on {label} (in {per or 'units'} of {u}) = " + summed(forces))
             if maps:
-                lines.append(f"{label} read (in {unit or 'its units'}) = {label} + " + " + ".join(maps))
+                lines.append(f"{label} read (in {unit or 'its units'}) = {label} + " + summed(maps))
         return "; ".join(lines)
 
     def to_json(self) -> str:

@@ -73,6 +73,11 @@ def factor_text(f: Factor, axis: Axis) -> str:
     return TEXT[f.kind].format(d=bracketed, b=bracketed, s=shifted, q=_number(q), k=_number(f.q / axis.scale))
 
 
+def summed(terms: Sequence[str]) -> str:
+    """Terms one after another, each with its own sign."""
+    return " + ".join(terms).replace(" + -", " - ")
+
+
 def term_text(term: Term, axes: Mapping[str, Axis]) -> str:
     """A product of factors."""
     return " * ".join(factor_text(f, axes[f.signal]) for f in term.factors)

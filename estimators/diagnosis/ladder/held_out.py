@@ -325,7 +325,7 @@ def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
         share = np.mean((asked < low) | (asked > high), axis=0)
         for j in np.flatnonzero(share > policy.outside):
             number = f" {j + 1}" if known.shape[1] > 1 else ""
-            out.append(f"{100 * share[j]:.2g} % of the test record's samples leave the range of the {words}{number} "
+            out.append(f"{100 * share[j]:.3g} % of the test record's samples leave the range of the {words}{number} "
                        f"that the training data cover ({f'{low[j]:.4g} to {high[j]:.4g} {units[j]}'.rstrip()})")  # fmt: skip
     return out + _between(train, test, policy) + _new_frequencies(train, test, policy)
 
@@ -378,7 +378,7 @@ def _between(train: Sequence[Record], test: Record, policy: Policy) -> list[str]
         share = float(np.mean(off))
         if share > policy.outside:
             number = f" {j + 1}" if test.n_inputs > 1 else ""
-            out.append(f"{100 * share:.2g} % of the test record's samples lie between levels of the input{number} that the "
+            out.append(f"{100 * share:.3g} % of the test record's samples lie between levels of the input{number} that the "
                        f"training data cover, more than {far:.4g} from the nearest: no curve is known there")  # fmt: skip
     return out
 
@@ -394,6 +394,6 @@ def _new_frequencies(train: Sequence[Record], test: Record, policy: Policy) -> l
         asked = welch(test.u[:, j], nperseg=size)[1]
         share = float(np.sum(asked[power < policy.dark * asked]) / max(np.sum(asked), 1e-300))
         if share > policy.outside:
-            out.append(f"{100 * share:.2g} % of the power of test input {j + 1} is at frequencies where the training input "
+            out.append(f"{100 * share:.3g} % of the power of test input {j + 1} is at frequencies where the training input "
                        "has next to none")  # fmt: skip
     return out

@@ -4,6 +4,7 @@ Two headlines that never compete: a finding about the record (rounding, held sam
 what the linear model lacks, and takes the first place only where nothing of the system is claimed.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,7 +23,7 @@ from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.leftover import Leftover, leftovers
 from estimators.diagnosis.search.named import Claim
 from estimators.diagnosis.search.selection import FAMILY
-from estimators.residual.measures import p_stated, stated
+from estimators.residual.measures import in_words, p_stated, stated
 
 UNKNOWN, NONE = "unknown", "none"
 NAMELESS = "an effect without a name"
@@ -73,15 +74,8 @@ def verdict(
     data = sorted(
         (f for o in outcomes for f in _data(o, setting, effects, _tag(o, several))), key=lambda f: -f.weight
     )
-    found = [
-        *first,
-        *data,
-        *(
-            f
-            for o, rest in zip(outcomes, rests, strict=True)
-            for f in _noise(o, rest, effects, _tag(o, several))
-        ),
-    ]
+    noise = [_noise(o, rest, effects, _tag(o, several)) for o, rest in zip(outcomes, rests, strict=True)]
+    found = [*first, *data, *(f for each in noise for f in each)]
     chosen = list(dict.fromkeys(f.cause for f in found))
     said = _equations(outcomes)
     return {
@@ -95,7 +89,7 @@ def verdict(
         "confusable": _confusable(outcomes, chosen),
         "remaining": "; ".join(x.sentence + _tag(o, several) for o, rest in zip(outcomes, rests, strict=True) for x in rest[:3]),
         "refinements": tuple(dict.fromkeys(effects[key].cause for o in outcomes for key, _ in o.named.dropped)),
-        "system": _headline(first, withdrawn, outcomes, held), "equation": "; ".join(said),
+        "system": _headline(first, withdrawn, outcomes, held, effects), "equation": "; ".join(said),
         "floor_is_bound": any(map(bool, rests)) or any(_absorbing(o) for o in outcomes),
         "data": tuple(f.sentence for f in data), "explainable": _explainable(outcomes),
     }  # fmt: skip
@@ -103,22 +97,32 @@ def verdict(
 
 MOST = 4
 """Parameters in the headline: a curve of many corners is given below it."""
+COEFFICIENT = re.compile(r"[bfx]\d+")
+"""Coefficients and states of a linear block say nothing in a headline."""
 
 
-def _headline(first: list[Finding], withdrawn: bool, outcomes: Sequence[Outcome], held: HeldOut) -> str:
+def _headline(
+    first: list[Finding],
+    withdrawn: bool,
+    outcomes: Sequence[Outcome],
+    held: HeldOut,
+    effects: dict[str, Effect],
+) -> str:
     """The first line: what is missing from the system, and what that is worth on fresh data."""
     errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g}"
     if not first:
         words = UNCLAIMED if withdrawn else ECHO if any(o.inverse for o in outcomes) else NOTHING
         return f"{words}; {errors}"
-    top = first[0]
-    said = "; ".join(_equations(outcomes))
+    top, said = first[0], "; ".join(_equations(outcomes))
     if top.cause == UNKNOWN:
         return f"{NAMELESS} ({top.nature}){': ' + said if said else ''}; {errors}"
-    given = [f"{name.rpartition('.')[2]} {stated(v, se)} {unit}".rstrip() for o in outcomes
-             for name, (v, se, unit) in _parameters(o, False).items() if name.startswith(top.key + ".")]  # fmt: skip
+    own = {name.removeprefix(top.key + "."): row for o in outcomes for name, row in _parameters(o, False).items()
+           if name.startswith(top.key + ".")}  # fmt: skip
+    given = [f"{in_words(name)} {stated(v, se)} {unit if unit != '1' else ''}".rstrip()
+             for name, (v, se, unit) in own.items() if not COEFFICIENT.fullmatch(name)]  # fmt: skip
     words = (", ".join(given[:MOST]) or top.sentence) if top.key else said
-    return f"{top.cause.replace('_', ' ')}{': ' + words if words else ''}; {errors}"
+    what = f" ({effects[top.key].sentence})" if given and top.key in effects else ""
+    return f"{top.cause.replace('_', ' ')}{what}{': ' + words if words else ''}; {errors}"
 
 
 def _equations(outcomes: Sequence[Outcome]) -> list[str]:

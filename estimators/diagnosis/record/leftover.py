@@ -208,7 +208,7 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
         if count and p < alpha:
             share = 1.0 - float(np.exp(-ratio / n))
             out.append(Leftover(Nature.DYNAMIC, f"the residual still depends on products of past inputs and outputs "
-                                f"({100 * share:.2g} % of its variance, {p_stated(p)})", p, ratio - price))  # fmt: skip
+                                f"({100 * share:.3g} % of its variance, {p_stated(p)})", p, ratio - price))  # fmt: skip
     for nature, words, columns in groups:
         linear = nature == Nature.LINEAR
         X = np.concatenate((plain if linear else J, _sized(columns, keep)), axis=1)
@@ -216,7 +216,7 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
         p = min(1.0, tests * float(chi2.sf(max(ratio, 0.0), len(columns))))
         if p < alpha:
             share = 1.0 - float(np.exp(-ratio / n))
-            out.append(Leftover(nature, f"the residual still depends on {words} ({100 * share:.2g} % of its "
+            out.append(Leftover(nature, f"the residual still depends on {words} ({100 * share:.3g} % of its "
                                 f"variance, {p_stated(p)})", p, ratio - len(columns) * float(np.log(n))))  # fmt: skip
     e = innovations(r, f.noise)
     Q = (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.residual.measures import stated
+from estimators.residual.measures import in_words, stated
 from oed.models.poles import Pole
 
 if TYPE_CHECKING:
@@ -210,7 +210,8 @@ class Diagnosis:
 
 def named_plainly(parameter: str) -> str:
     """The parameter of an effect, `dead_zone.half_width`, as it is said."""
-    effect, _, name = parameter.replace("_", " ").rpartition(".")
+    effect, _, name = parameter.rpartition(".")
+    effect, name = effect.replace("_", " "), in_words(name)
     return f"{name} of {effect}" if effect not in ("", name) else name
 
 

@@ -346,7 +346,7 @@ def _why(c: Claim, bench: Bench) -> str:
     if not c.gain.beyond(bench.policy.claimed[0]):
         return "blocks not used do not get better by more than their standard error"
     if c.gain.share <= bench.policy.claimed[1]:
-        return f"it explains {100 * max(c.gain.share, 0.0):.2g} % of the error on unused blocks"
+        return f"it explains {100 * max(c.gain.share, 0.0):.3g} % of the error on unused blocks"
     if not _gains(c, bench):
         return "unused blocks get better with it, but not by what a search of times asks"
     if c.part.effect.nature is Nature.LINEAR and c.p_value < bench.alpha:
