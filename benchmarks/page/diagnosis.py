@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,7 @@ from benchmarks.page.content import Figure, Page, Section, Table, headed, line, 
 from benchmarks.page.skeleton import save_page
 from benchmarks.tables.formats import format_value
 from estimators.diagnosis.ladder.verdicts import ECHO, NAMELESS, NOTHING, UNCLAIMED
-from estimators.diagnosis.result.report import named_plainly
+from estimators.diagnosis.result.words import in_seconds, named_plainly
 from estimators.residual.measures import p_stated
 
 if TYPE_CHECKING:
@@ -230,10 +229,9 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
     before, after = result.rmse_before, result.rmse_after
     nothing = not result.detected or result.system.startswith(NOTHING)
     if result.detected:
-        what = result.headline.split("; error on fresh data")[0].replace("+-", "±") or result.effect.replace(
+        what = result.system.split("; error on fresh data")[0].replace("+-", "±") or result.effect.replace(
             "_", " "
         )
-        what = re.sub(r"(?<=± )(\S+) 1(?=[,;]|$)", r"\1", what)  # a number of no unit
         same = f"{before.value:.3g}" == f"{after.value:.3g}"
         error = (
             f"stays at {after.value:.3g}"
@@ -288,9 +286,10 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, A
     answer, sure, todo = _words(result)
     following, what, downloads = _next(result)
     curves = [figure for i in outputs for figure in _curves(result, i)]
+    said = {k: in_seconds(*row, result.extra["train"]) for k, row in result.parameters.items()}
     parameters = [
-        {"parameter": named_plainly(k), "value": v, "value_se": se, "unit": result.in_units(unit)}
-        for k, (v, se, unit) in result.parameters.items()
+        {"parameter": named_plainly(k), "value": v, "value_se": se, "unit": unit}
+        for k, (v, se, unit) in said.items()
     ]
     table = Table("parameters", "Parameters of the effects; u and y stand for units of inputs and outputs that are not known, or not all the same.",
                   {"parameter": "parameter", "value": "value ± standard error", "unit": "unit"}, parameters)  # fmt: skip

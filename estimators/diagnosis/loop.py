@@ -386,7 +386,7 @@ def _diagnosis(
     if test is not None:
         notes += outside(records, test, setting.policy) + begun(test, held.after, setting.skip)
     floor = float(np.sqrt(np.mean([_floor(o, train) ** 2 for o in outcomes])))
-    found: dict[str, Any] = verdict(outcomes, held, setting, stated)
+    found: dict[str, Any] = verdict(outcomes, held, setting, train, stated)
     found["data"] += observations(records)
     return Diagnosis(
         rmse_before=held.rmse_before, rmse_after=held.rmse_after, pred_rmse_before=held.pred_before,

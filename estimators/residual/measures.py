@@ -1,7 +1,6 @@
 """How well a model fits, as one number."""
 
 import math
-import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,15 +50,3 @@ def stated(value: float, error: float) -> str:
 def p_stated(p: float, digits: int = 2) -> str:
     """A p-value as it is printed: "p = 0.03"; what has left the range of doubles is not called 0."""
     return f"p = {p:.{digits}g}" if p else "p < 1e-300"
-
-
-WORDS = {
-    "log_speed": "logarithm of the change of speed", "log_damping": "logarithm of the change of damping",
-    "way": "way to the bend", "use": "use per unit of input", "behind": "samples behind", "left": "left of the band after a jump",
-}  # fmt: skip
-"""Names of an effect's parameters that are no words by themselves, and that its sentence does not define."""
-
-
-def in_words(parameter: str) -> str:
-    """A parameter's name as it is said: `half_width`, `weight1` as half width, weight 1."""
-    return WORDS.get(parameter, re.sub(r"(?<=[a-z]{3})(?=\d+$)", " ", parameter.replace("_", " ")))

@@ -10,8 +10,9 @@ from scipy.signal import lfilter
 from benchmarks.commands.record import diagnose as command
 from benchmarks.page.diagnosis import _words
 from benchmarks.page.skeleton import write_report
+from estimators.diagnosis.effects import CATALOGUE
 from estimators.diagnosis.ladder.verdicts import ECHO, NAMELESS, NOTHING, UNCLAIMED
-from estimators.diagnosis.result.report import Diagnosis
+from estimators.diagnosis.result.words import in_seconds, in_units, named_plainly
 from oed import Record
 
 
@@ -37,7 +38,7 @@ from oed import Record
 def test_the_answer_is_a_sentence(system, after, answer):
     figure = lambda value: SimpleNamespace(value=value, low=0.0, high=1.0)
     result = SimpleNamespace(
-        detected=True, system=f"{system}; error on fresh data", headline=f"{system}; error on fresh data", effect="x", nature="static", rmse_before=figure(0.2),
+        detected=True, system=f"{system}; error on fresh data", effect="x", nature="static", rmse_before=figure(0.2),
         rmse_after=figure(after), difference=figure(0.0), held_out="test record", p_value=1e-9, confusable=(), warnings=(),
         evidence=["the noise is correlated in time"],
         remaining="", model=None, extra={"test": SimpleNamespace(output_units=("V",))},
@@ -66,8 +67,21 @@ def test_the_answer_is_a_sentence(system, after, answer):
 def test_units_are_those_of_the_record(unit, stated):
     record = Record(np.zeros((2, 2)), np.zeros(2), input_units=("V", "V"), output_units=("m/s",))
     unknown = Record(np.zeros((2, 2)), np.zeros(2), input_units=("V", "A"))
-    assert Diagnosis.in_units(SimpleNamespace(extra={"train": record}), unit) == stated  # type: ignore[arg-type]
-    assert Diagnosis.in_units(SimpleNamespace(extra={"train": unknown}), unit) == unit  # type: ignore[arg-type]
+    assert in_units(unit, record) == stated
+    assert in_units(unit, unknown) == unit
+
+
+def test_no_parameter_of_the_catalogue_is_said_by_its_letter():
+    """Every name has a word, every number a unit; samples are seconds where the sampling time is known."""
+    record = Record(np.zeros(2), np.zeros(2), dt=0.5)
+    for effect in CATALOGUE:
+        rows = [*effect.parameters.items(), *(effect.shape(2, 2) if effect.shape else ())]
+        for name, unit in rows:
+            assert len(named_plainly(f"{effect.key}.{name}", alone=True)) > 2, (effect.key, name)
+            assert "sample" not in in_seconds(1.0, 0.1, unit, record)[2], (effect.key, name, unit)
+            assert in_seconds(1.0, 0.1, unit, record)[2], (effect.key, name)
+    assert in_seconds(np.pi, 0.0, "rad/sample", record) == (1.0, 0.0, "Hz")
+    assert named_plainly("y1.plays.weight2") == "weight of play 2 of plays of y1"
 
 
 @pytest.mark.slow

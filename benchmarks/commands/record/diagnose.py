@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if given is not None:
         payload["model_given"] = given
         errors = ", ".join(f"{value:.4g}" for value in given["rmse"])
-        beside = f"the model {args.model} misses {given['record']} by {errors}; its orders are kept for the linear model."
+        beside = f"the model {args.model} misses {given['record']} by {errors} (rms, output units); its orders are kept for the linear model."
         words.insert(-1, beside)
     text = "\n".join(words)
     if args.out:

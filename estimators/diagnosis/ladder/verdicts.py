@@ -21,9 +21,11 @@ from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.leftover import Leftover, leftovers
+from estimators.diagnosis.result.words import in_units, named_plainly, spoken
 from estimators.diagnosis.search.named import Claim
 from estimators.diagnosis.search.selection import FAMILY
-from estimators.residual.measures import in_words, p_stated, stated
+from estimators.residual.measures import p_stated
+from oed.data import Record
 
 UNKNOWN, NONE = "unknown", "none"
 NAMELESS = "an effect without a name"
@@ -48,6 +50,7 @@ def verdict(
     outcomes: Sequence[Outcome],
     held: HeldOut,
     setting: Setting,
+    record: Record,
     stated: Sequence[tuple[Outcome, Contradiction]] = (),
 ) -> dict[str, Any]:
     """The fields of a `Diagnosis` that name causes; what was `stated` and does not hold is one where no other is."""
@@ -77,7 +80,8 @@ def verdict(
     noise = [_noise(o, rest, effects, _tag(o, several)) for o, rest in zip(outcomes, rests, strict=True)]
     found = [*first, *data, *(f for each in noise for f in each)]
     chosen = list(dict.fromkeys(f.cause for f in found))
-    said = _equations(outcomes)
+    errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g} {in_units('y', record)}"
+    bare = UNCLAIMED if withdrawn else ECHO if any(o.inverse for o in outcomes) else NOTHING
     return {
         "detected": bool(found), "effect": chosen[0] if chosen else NONE,
         "variant": ", ".join(dict.fromkeys((*(_meanings(outcomes) if first else []), *(f.key for f in found if f.key)))),
@@ -89,7 +93,7 @@ def verdict(
         "confusable": _confusable(outcomes, chosen),
         "remaining": "; ".join(x.sentence + _tag(o, several) for o, rest in zip(outcomes, rests, strict=True) for x in rest[:3]),
         "refinements": tuple(dict.fromkeys(effects[key].cause for o in outcomes for key, _ in o.named.dropped)),
-        "system": _headline(first, withdrawn, outcomes, held, effects), "equation": "; ".join(said),
+        "system": f"{_headline(first, bare, outcomes, effects, record)}; {errors}", "equation": "; ".join(_equations(outcomes)),
         "floor_is_bound": any(map(bool, rests)) or any(_absorbing(o) for o in outcomes),
         "data": tuple(f.sentence for f in data), "explainable": _explainable(outcomes),
     }  # fmt: skip
@@ -102,27 +106,20 @@ COEFFICIENT = re.compile(r"[bfx]\d+")
 
 
 def _headline(
-    first: list[Finding],
-    withdrawn: bool,
-    outcomes: Sequence[Outcome],
-    held: HeldOut,
-    effects: dict[str, Effect],
+    first: list[Finding], bare: str, outcomes: Sequence[Outcome], effects: dict[str, Effect], record: Record
 ) -> str:
-    """The first line: what is missing from the system, and what that is worth on fresh data."""
-    errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g}"
+    """The first line: what is missing from the system."""
     if not first:
-        words = UNCLAIMED if withdrawn else ECHO if any(o.inverse for o in outcomes) else NOTHING
-        return f"{words}; {errors}"
+        return bare
     top, said = first[0], "; ".join(_equations(outcomes))
     if top.cause == UNKNOWN:
-        return f"{NAMELESS} ({top.nature}){': ' + said if said else ''}; {errors}"
-    own = {name.removeprefix(top.key + "."): row for o in outcomes for name, row in _parameters(o, False).items()
-           if name.startswith(top.key + ".")}  # fmt: skip
-    given = [f"{in_words(name)} {stated(v, se)} {unit if unit != '1' else ''}".rstrip()
-             for name, (v, se, unit) in own.items() if not COEFFICIENT.fullmatch(name)]  # fmt: skip
+        return f"{NAMELESS} ({top.nature}){': ' + said if said else ''}"
+    given = [f"{named_plainly(name, alone=True)} {spoken(*row, record)}" for o in outcomes
+             for name, row in _parameters(o, False).items()
+             if name.startswith(top.key + ".") and not COEFFICIENT.fullmatch(name.rpartition(".")[2])]  # fmt: skip
     words = (", ".join(given[:MOST]) or top.sentence) if top.key else said
     what = f" ({effects[top.key].sentence})" if given and top.key in effects else ""
-    return f"{top.cause.replace('_', ' ')}{what}{': ' + words if words else ''}; {errors}"
+    return f"{top.cause.replace('_', ' ')}{what}{': ' + words if words else ''}"
 
 
 def _equations(outcomes: Sequence[Outcome]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.residual.measures import in_words, stated
+from estimators.diagnosis.result.words import in_units, named_plainly, spoken
 from oed.models.poles import Pole
 
 if TYPE_CHECKING:
@@ -149,48 +148,31 @@ class Diagnosis:
             "yhat_after": signal(self.yhat_after),
         }
 
-    def in_units(self, unit: str) -> str:
-        """A unit of a parameter, its u and y replaced by those of the record where its channels have one of each."""
-        record = self.extra.get("train")
-        if record is None:
-            return unit
-        known = {"u": {*record.input_units}, "y": {*record.output_units}}
-
-        def named(found: re.Match) -> str:
-            name = next(iter(known[found[0]])) if len(known[found[0]]) == 1 else ""
-            return found[0] if not name else name if found[0] == unit or name.isalnum() else f"({name})"
-
-        return re.sub(r"\b[uy]\b", named, unit)
-
-    @property
-    def headline(self) -> str:
-        """`system`, its parameters in the units of the record."""
-        return re.sub(r"(?<=\+- )(\S+ )([uy1][^ ,;]*)", lambda m: m[1] + self.in_units(m[2]), self.system)
-
     def __str__(self) -> str:
         # what the residual still shows, or a noise model has taken, counts as noise in the floor
         bound = "at most " if self.floor_is_bound else ""
-        floor = f"noise floor {bound}{self.noise_floor:.4g}" + f" {self.in_units('y')}".removesuffix(" y")
+        record = self.extra.get("train")
+        unit = in_units("y", record)
+        floor = f"noise floor {bound}{self.noise_floor:.4g} {unit}"
         lines = [
-            f"{self.headline}; {floor}",
+            f"{self.system}; {floor}",
             *(f"the data: {words}" for words in self.data),
             *(f"WARNING: {w}" for w in self.warnings),
         ]
         lines += [f"  - {sentence}" for sentence in self.evidence]
-        for name, (value, se, unit) in self.parameters.items():
-            lines.append(
-                f"  {named_plainly(name)} = {stated(value, se)} {self.in_units(unit) or '(no unit)'}"
-            )
+        lines += [f"  {named_plainly(k)} = {spoken(*row, record)}" for k, row in self.parameters.items()]
         if self.linear:
             poles = ", ".join(str(Pole(*row, radius=0.0)) for row in self.linear["poles"])
             lines.append(f"linear model: {self.linear['structure']}; poles: {poles or 'none'}")
-        lines.append(f"simulation error on the {self.held_out}: {self.rmse_before} -> {self.rmse_after}")
+        lines.append(
+            f"simulation error on the {self.held_out}: {self.rmse_before} -> {self.rmse_after} {unit}"
+        )
         for row in self.ladder:
             adds = f" ({_plain(row['adds'])})" if row["adds"] else ""
             mark = " <- the answer" if row["answer"] else ""
             lines.append(f"  {row['step']}{adds}: {row['rmse_unused']:.4g} [{row['low']:.4g}, {row['high']:.4g}] on unused "
                          f"blocks, {row['rmse_test']:.4g} on the {self.held_out}{mark}")  # fmt: skip
-        lines.append(f"one-step error: {self.pred_rmse_before} -> {self.pred_rmse_after}; {floor}")
+        lines.append(f"one-step error: {self.pred_rmse_before} -> {self.pred_rmse_after} {unit}; {floor}")
         if np.isfinite(self.removed):
             low, high = self.removed_interval
             if self.floor_is_bound:
@@ -206,13 +188,6 @@ class Diagnosis:
         if self.remaining:
             lines.append(self.remaining)
         return "\n".join(lines)
-
-
-def named_plainly(parameter: str) -> str:
-    """The parameter of an effect, `dead_zone.half_width`, as it is said."""
-    effect, _, name = parameter.rpartition(".")
-    effect, name = effect.replace("_", " "), in_words(name)
-    return f"{name} of {effect}" if effect not in ("", name) else name
 
 
 def _plain(keys: Sequence[str]) -> str:

@@ -32,7 +32,9 @@ def bands_of(band: Sequence[float] | Sequence[Sequence[float]] | None) -> tuple[
         raise InputError(f"the band is {band!r}; give (low, high) in rad/sample, or several such pairs.")
     rows = rows[np.argsort(rows[:, 0])]
     if (rows[:, 0] > rows[:, 1]).any() or rows.min() < 0 or rows.max() > np.pi + 1e-12:
-        raise InputError(f"the band {rows.tolist()} must have 0 <= low <= high <= pi (rad/sample).")
+        raise InputError(
+            f"the band {rows.tolist()} must have 0 <= low <= high <= pi (rad/sample; f Hz are 2 pi f dt)."
+        )
     if (rows[1:, 0] <= rows[:-1, 1]).any():
         raise InputError(f"the bands {rows.tolist()} overlap; give disjoint ones.")
     return tuple((float(low), float(high)) for low, high in rows)

@@ -1,0 +1,74 @@
+"""Parameters of effects as they are said to a reader: plain names, the record's units, seconds and Hz."""
+
+import math
+import re
+
+from estimators.residual.measures import stated
+from oed.data import Record
+
+PLAIN = {
+    "c": "curvature c", "c2": "quadratic coefficient c2", "c3": "cubic coefficient c3", "k": "coefficient k",
+    "k2": "quadratic coefficient k2", "k3": "cubic coefficient k3", "k5": "fifth-power coefficient k5", "d": "coefficient d",
+    "beta": "coefficient beta", "weight": "weight of play", "low": "lower limit",
+    "high": "upper limit", "up": "rate upwards", "down": "rate downwards", "cosine": "cosine part", "sine": "sine part",
+    "slope_": "slope of piece", "log_speed": "logarithm of the factor of speed", "left": "share of the half width left after a jump",
+    "log_damping": "logarithm of the factor of damping", "per_angle": "radians per integral of the speed",
+    "way": "travel that turns it over", "b": "numerator coefficient", "f": "denominator coefficient", "x": "starting state",
+    "use": "use by the input", "change": "relative change", "start": "time of the start",
+    "end": "time of the end", "behind": "lag behind the actuator", "plant": "pole of its plant", "input_kink.c": "steepness c at zero",
+    "output_absolute.c": "half the difference of the gains, c", "outflow_root.k": "outflow coefficient k", "vessel.k": "outflow coefficient k",
+    "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start",
+    "relay_feedback.low": "lower level", "relay_feedback.high": "upper level", "gain_heat.time": "time constant",
+    "stiffness_heat.time": "time constant", "time": "time of the change",
+}  # fmt: skip
+"""What a parameter is called where its key is a letter or too short to be understood; elsewhere the key has its words."""
+
+TIME = {
+    "sample": 1, "1/sample": -1, "u/sample": -1, "rad/sample": -1, "rad/sample^2": -2, "u sample": 1, "1/(u sample)": -1,
+    "u/(u/sample)^2": 2, "sample/u^2": 1, "sample/record": 1,
+}  # fmt: skip
+"""Power of the sampling time by which a number in this unit is brought to seconds."""
+
+
+def named_plainly(parameter: str, alone: bool = False) -> str:
+    """The parameter of an effect, `dead_zone.half_width`, as it is said; `alone` without the effect's name."""
+    path, _, name = parameter.rpartition(".")
+    effect = path.rpartition(".")[2]
+    letters = name.rstrip("0123456789")
+    digits = name[len(letters) :]
+    known = (f"{effect}.{name}", name, *((letters + "_", letters) if digits else ()))
+    word = next((key for key in known if key in PLAIN), None)
+    said = PLAIN[word] if word else letters.replace("_", " ")
+    if digits and word not in known[:2]:
+        said = f"{said} {digits}"
+    owners = [] if alone else [owner.replace("_", " ") for owner in reversed(path.split("."))]
+    return " of ".join([said, *(owner for owner in owners if owner not in ("", said))])
+
+
+def in_units(unit: str, record: Record | None) -> str:
+    """A unit of a parameter, its u and y replaced by those of the record where its channels have one of each."""
+    if record is None:
+        return unit
+    known = {"u": {*record.input_units}, "y": {*record.output_units}}
+
+    def named(found: re.Match) -> str:
+        name = next(iter(known[found[0]])) if len(known[found[0]]) == 1 else ""
+        return found[0] if not name else name if found[0] == unit or name.isalnum() else f"({name})"
+
+    return re.sub(r"\b[uy]\b", named, unit)
+
+
+def in_seconds(value: float, error: float, unit: str, record: Record | None) -> tuple[float, float, str]:
+    """A parameter in its record's units, in seconds and Hz where the sampling time is known (1 is taken for not known)."""
+    power = TIME.get(unit, 0)
+    if record is not None and record.dt != 1.0 and power:
+        factor = record.dt**power / (2 * math.pi if unit.startswith("rad") else 1.0)
+        unit = unit.replace("rad/sample", "Hz").replace("Hz^2", "Hz/s").replace("sample", "s")
+        value, error = value * factor, error * factor
+    return value, error, "(no unit)" if unit in ("", "1") else in_units(unit, record)
+
+
+def spoken(value: float, error: float, unit: str, record: Record | None) -> str:
+    """A parameter's value, standard error and unit."""
+    value, error, unit = in_seconds(value, error, unit, record)
+    return f"{stated(value, error)} {unit}"
