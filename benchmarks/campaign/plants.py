@@ -38,6 +38,11 @@ def is_file(spec: str) -> bool:
 
 def check_plants(specs: Sequence[str]) -> None:
     """Raise InputError if a plant is neither a file nor known by name."""
+    for spec in specs:
+        if Path(spec).is_dir() and spec not in plant_names():
+            raise InputError(
+                f"{spec} is a folder; a model's file in it is the plant: {Path(spec) / 'model.json'}."
+            )
     named = [spec for spec in specs if not is_file(spec) and not RANDOM.fullmatch(spec)]
     check_names(named, (*plant_names(), "random-fir-1", *(f"random-{name}-1" for name in FAMILIES)), "plant")
 
@@ -63,6 +68,7 @@ def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
 
 def load_plant(spec: str, noise_variance: float | None = None) -> Plant:
     """Plant by name or from a JSON file."""
+    check_plants([spec])
     if is_file(spec):
         if Path(spec).suffix in RECORDS:
             raise InputError(
@@ -80,7 +86,6 @@ def load_plant(spec: str, noise_variance: float | None = None) -> Plant:
                 f"{spec} is the model of a diagnosis, whose effects no plant holds; take a linear model of the same record: "
                 "oed identify RECORD --out DIR, then --plant DIR/model.json."
             ) from None
-    check_plants([spec])
     numbered = RANDOM.fullmatch(spec)
     if numbered:
         return _random(spec, numbered[1], int(numbered[2]), noise_variance)

@@ -31,7 +31,9 @@ def csv_table(content: bytes, source: str) -> Table:
             f"{source} is not text in UTF-8 ({error}); save the table as CSV in UTF-8."
         ) from None
     if "\0" in text:
-        raise InputError(f"{source} is not a text file (it has null characters); its suffix says CSV.")
+        raise InputError(
+            f"{source} is not a text file (it has null characters, as a logger leaves that lost its power); export it again, or keep its whole rows."
+        )
     text = text.replace("\r\n", "\n").replace("\r", "\n")  # whoever wrote it ended lines in one of three ways
     stream = io.StringIO(text, newline="")
     header, comment = "", ""
@@ -163,6 +165,10 @@ def _number(entry: str, row: int, column: str, source: str) -> float:
         hint = "write them without marks between the thousands"
     elif re.match(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}", entry):
         hint = "write dates like 2024-01-31 12:00:00.05, or the time in seconds"
+    elif entry.lower() in ("true", "false"):
+        hint = "write 1 and 0"
+    elif re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)? ?[^\d\s]+", entry, re.IGNORECASE):
+        hint = "write its unit into the header, as u [V], not into the cells"
     raise InputError(
         f"row {row} (counting from 0), column {column} of {source} is {entry[:40]!r}; entries must be numbers: {hint}."
     )

@@ -262,7 +262,7 @@ def numbers(values: ArrayLike, name: str, source: str) -> NDArray[np.float64]:
             if not (value is None or isinstance(value, int | float | np.integer | np.floating)):
                 raise InputError(
                     f"column {name} of {source} holds {value!r:.80} in row {row} (counting from 0); "
-                    "samples must be real numbers: correct the entry (numbers as text: pandas.to_numeric) or leave the column out."
+                    "samples must be real numbers: correct the entry (numbers as text: pandas.to_numeric; a cell with an experiment in each: one file each) or leave the column out."
                 )
         return np.array([np.nan if value is None else float(value) for value in array.ravel()])
     raise InputError(

@@ -102,6 +102,7 @@ def test_design_of_the_reference_plant(capfd, criterion, loss):
             ("design", "--plant", "my/record.csv"),
             "is a record by its suffix, not a plant; identify a model of it first",
         ),
+        (("design", "--plant", "."), ". is a folder; a model's file in it is the plant: model.json"),
         (("design", "--plant", "none.json"), "check the name and the folder"),
         (("theory", "--plant", "reference", "--noise-variance", "-1"), "noise variance is -1"),
         (("theory", "--plant", "reference", "--noise-variance", "x"), "it is 'x'; it must be a number"),

@@ -178,6 +178,9 @@ CSV_ERRORS = {
         b"t;u;y\n0;1,000.5;2\n",
         "is '1,000.5'; entries must be numbers: write them without marks between the",
     ),
+    "percent": (b"t,u,y\n0,50%,2\n", "write its unit into the header, as u [V], not into the cells"),
+    "units in cells": (b"t,u,y\n0,-1.5e-3 mV,2\n", "write its unit into the header"),
+    "truth": (b"t,u,y\n0,True,2\n", "write 1 and 0"),
     "dates of another order": (
         b"time,u,y\n03/04/2024 10:00,1,2\n",
         "write dates like 2024-01-31 12:00:00.05, or the time",
