@@ -45,12 +45,12 @@ def write_comparison(
 ) -> tuple[list[str], Path]:  # fmt: skip
     """Write tables, figures and the page of a comparison; `tell` hears what the runs say before anything is drawn."""
     known = tables.known
-    # Of a family's plants the page shows what they give together; tables/ has every one of them.
+    answer = answer_rows(tables)
+    # Of a family's plants the page shows what they give together, where iterations give it; tables/ has every one of them.
     information, rows, pairs = (
-        [r for r in table if not family_of(r["plant"])]
+        [r for r in table if not answer or not family_of(r["plant"])]
         for table in (tables.information, tables.rows, tables.pairs)
     )
-    answer = answer_rows(tables)
     best, sentences = headline_rows(rows), answer_sentences(answer, settings)
     short = short_answer(answer, best, settings)
     tell(list(sentences or [short]))

@@ -199,6 +199,17 @@ def test_a_comparison_in_which_every_run_fails_still_reports(tmp_path):
     assert result.page.exists()
 
 
+@pytest.mark.slow
+def test_a_random_plant_alone_is_on_the_page(tmp_path):
+    """The page hides the plants of a family; where no iterations put them together it had said that no run gave a number."""
+    result = compare(
+        plants=["random-fir-1"], noise_variances=[1.0], methods=["white"], estimators=["fir-selected"], samples=100,
+        experiments=2, replicates=2, profile_replicates=0, jobs=1, quiet=True, out=tmp_path,
+    )  # fmt: skip
+    assert result.sentences[0].startswith("Of the inputs compared, white carries most for the peak gain: ")
+    assert "| random-fir-1 |" in (tmp_path / "summary.md").read_text()
+
+
 def test_hair_dryer_story():
     """Issue: input-correlated residuals at lags 1 to 3 with nk = 1, then nk = 3; simulation about 0.145 to 0.116 V."""
     story = hair_dryer_story()
