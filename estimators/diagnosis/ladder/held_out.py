@@ -41,13 +41,14 @@ class HeldOut:
     rungs: tuple[dict[str, Any], ...]
     answered: tuple[Step, ...]  # per output, the step whose free run is given
     warnings: tuple[str, ...]
+    borne: ErrorFigure  # the difference by the models of what is claimed, also where their runs are too loose to be the answer
     untried: bool = False  # whether the record asks for a curve where nothing is known of it, so that it says nothing of a claim
-    lost: bool = False  # whether the record's own mean is nearer to it than the answer's free run
+    lost: bool = False  # whether the record's own mean is nearer to it than the free run of what is claimed
 
     @property
     def bears(self) -> bool:
         """Whether the record bears what is claimed of the system: its errors are less with it, and less than a constant's."""
-        return self.untried or (self.difference.low > 0.0 and not self.lost)
+        return self.untried or (self.borne.low > 0.0 and not self.lost)
 
 
 def _resampled(squares: list[Array], rng: np.random.Generator) -> list[Array]:
@@ -204,11 +205,8 @@ def assess(
     record = train if test is None else test
     y = np.nan_to_num(record.y)
     runs = [
-        [
-            r.step.unused[0] if test is None
-            else _as_read(r.step.simulate(record, skip), held[:, i] & (r.step is not ladder.linear))
-            for r in ladder.rungs
-        ]
+        [r.step.unused[0] if test is None else _as_read(r.step.simulate(record, skip), held[:, i] & (r.step is not ladder.linear))
+         for r in ladder.rungs]
         for i, ladder in enumerate(ladders)
     ]  # fmt: skip
     answers, warnings, untried = [], [], False
@@ -226,8 +224,10 @@ def assess(
                 kinds = (ladder.rungs[k].step.kind.value for k in (answers[-1], j))
                 warnings.append(UNDETERMINED.format(next(kinds), name, next(kinds)))
                 answers[-1] = j
-    before = np.stack([r[0] for r in runs], axis=1)
-    after = np.stack([r[a] for r, a in zip(runs, answers, strict=True)], axis=1)
+    linear = [k.rungs[a].step.kind is Kind.LINEAR for k, a in zip(ladders, answers, strict=True)]
+    at = [k.answer if no else a for no, k, a in zip(linear, ladders, answers, strict=True)]
+    before, after, claimed = (np.stack([r[j] for r, j in zip(runs, which, strict=True)], axis=1)
+                              for which in ([0] * len(runs), answers, at))  # fmt: skip
     weight = counts & np.isfinite(before)
     rows = weight.any(axis=1)
     rng = np.random.default_rng(SEED)
@@ -239,14 +239,15 @@ def assess(
     steps = [ladder.rungs[a].step for ladder, a in zip(ladders, answers, strict=True)]
     ahead = [np.stack([_innovations(y[:, i] - run[:, i], noise) for i, noise in enumerate(noises)], axis=1)
              for run, noises in ((before, [np.zeros(0)] * len(steps)), (after, [s.noise for s in steps]))]  # fmt: skip
-    first, second = squares(before), squares(after)
+    first, second, third = squares(before), squares(after), squares(claimed)
     figures = bootstrap(first, rng), bootstrap(second, rng)
     worse = _worse_than_constant(y, weight, figures, policy)
     return HeldOut(
         before, after, figures[0], figures[1], bootstrap(squares(y - ahead[0]), rng), bootstrap(squares(y - ahead[1]), rng),
-        bootstrap(first, rng, second), removed(first, second, (floor, len(train)), rng, policy),
-        tuple(_rungs(ladders, runs, squares, rng)), tuple(steps),
-        (*warnings, *worse.values()), untried, ANSWER in worse,
+        difference := bootstrap(first, rng, second), removed(first, second, (floor, len(train)), rng, policy),
+        tuple(_rungs(ladders, runs, squares, rng)), tuple(steps), (*warnings, *worse.values()),
+        difference if at == answers else bootstrap(first, rng, third), untried,
+        ANSWER in _worse_than_constant(y, weight, (figures[0], bootstrap(third, rng)), policy),
     )  # fmt: skip
 
 

@@ -186,10 +186,10 @@ def test_a_claim_is_borne_by_no_run_that_is_worse_than_a_constant() -> None:
     def bears(**told: object) -> bool:
         return HeldOut(**{f.name: told.get(f.name) for f in fields(HeldOut)}).bears  # type: ignore[arg-type]
 
-    assert bears(difference=better, lost=False)
-    assert not bears(difference=better, lost=True)
-    assert not bears(difference=worse, lost=False)
-    assert bears(difference=worse, lost=True, untried=True)
+    assert bears(borne=better, lost=False)
+    assert not bears(borne=better, lost=True)
+    assert not bears(borne=worse, lost=False, difference=better)
+    assert bears(borne=worse, lost=True, untried=True)
     y, every = np.array([[1.0], [-1.0]] * 50), np.ones((100, 1), dtype=bool)
     figures = ErrorFigure(1.06, 0.8, 1.3), ErrorFigure(0.88, 0.8, 1.0)
     assert list(_worse_than_constant(y, every, figures, Setting().policy)) == ["linear model"]
