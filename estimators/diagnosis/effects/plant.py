@@ -3,7 +3,8 @@
 Forces are of the plant's position, velocity and input; coefficients follow time or a slow hidden state.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,10 @@ DRIVEN = frozenset({"cascade", "driven"})  # the last state follows the input an
 SWINGS = 0.9
 """Damping ratio below which a plant swings: two lags in a row are fitted as a pair just short of 1."""
 SPRINGS = ("stiffness_cubic", "stiffness")
+
+
+DRIVE, LAG = 2, 0.4
+"""Poles of a drive before a play, at most, and where each starts: two are a servo, a third is hardly seen."""
 
 
 def _grid(*shapes: list[float], sizes: list[float]) -> Grid:
@@ -35,6 +40,37 @@ def _square(p, v, u, q, s, c):
 
 def _gaps(s: Sizes) -> Grid:
     return [[f * s.su] for f in (0.1, 0.25, 0.5, 0.9)], [s.su]
+
+
+def _slack(p, v, u, q, s, c):
+    stiff = 1.0 + np.abs(c[1])
+    return np.minimum(np.maximum(stiff * u - p, -np.abs(c[0])), np.abs(c[0])) / stiff
+
+
+def _loose(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """The load as an oscillator, then one pole of the drive after the other before the play for as long as Schwarz's criterion
+    falls: the linear model's poles belong to neither, as the play lets both swing by themselves."""
+    from estimators.diagnosis.effects.profiled import firm
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import fit_linear, layout_starts
+    from estimators.diagnosis.model.structure import Part
+
+    s = base.structure
+    if s.layout != "tf" or s.effects or s.order < 2:
+        return
+    plain = fit_linear(channel, replace(s, order=2, taps=2))
+    new, p, scales = next(start for start in layout_starts(channel, plain) if start[0].layout == "oscillator")
+    size, own, best = float(np.std(channel.u[:, new.inputs[0]])), len(p), np.inf
+    p, scales = np.append(p, [0.5 * size, 0.2]), np.append(scales, [size, 1.0])
+    for first in range(DRIVE + 1):
+        begun = new.adding(Part(SLACK, new.inputs[0], first=first))
+        f = fit(channel, begun, p, scales, noise=base.noise, iterations=30)
+        if not firm(plain, float(np.sum(f.residual**2))) or not f.criterion < best:
+            return
+        yield f
+        poles = np.polymul(np.append(1.0, f.p[own : own + first]), (1.0, -LAG))[1:]
+        best, p = f.criterion, np.concatenate((f.p[:own], poles, f.p[-2:]))
+        scales = np.insert(scales, own, 1.0)
 
 
 def _corner(side: float, *levels: float, slopes: tuple[float, ...] = (0.3, 2.0, -0.3)) -> Any:
@@ -77,7 +113,13 @@ def _bilinear_starts(s: Sizes) -> Grid:
     return _grid([0.05], [0.2], [-0.05], [-0.2], sizes=[1 / s.sx])
 
 
+SLACK = _inside(
+    "clearance_sprung", "backlash", "play between a drive and what it moves against a spring of its own", trials=10,
+    parameters={"gap": "u", "spring": "1"}, against="position", layouts=frozenset({"oscillator"}), force=_slack, search=_loose,
+)  # fmt: skip
+
 PLANT = (
+    SLACK,
     _spring("stiffness_cubic", "a restoring force k3 x^3", parameters={"k3": "1/u^2"}, trials=2, family="springs",
             force=lambda p, v, u, q, s, c: c[0] * p**3, starts=lambda s: _grid([0.01], [0.05], [-0.02], sizes=[_stiff(s, 3)])),
     _spring("stiffness", "a restoring force k2 x^2 + k3 x^3", parameters={"k2": "1/u", "k3": "1/u^2"}, trials=2,

@@ -207,32 +207,39 @@ def _highest(gains: Array, count: int) -> Array:
     return at[np.argsort(-gains[at])[:count]]
 
 
+def rotating(channel: Any, base: Any, j: int, x: Array) -> list[Array]:
+    """What the residual has in common with the linear response at input j to a signal (N,) times a rotation, at all frequencies at
+    once: a transform of the signal times the residual run backwards through the model. Of the best, frequency and coefficients."""
+    n, k, (r, Q) = len(channel), channel.clock.k, left_over(channel, base)
+    pad = 8 * n
+    back = through(base, j, r[::-1])[::-1]
+    g = through(base, j, np.eye(1, n)[0])
+    auto = lambda x: np.fft.irfft(np.abs(np.fft.rfft(x, 2 * n)) ** 2)[:n]
+    power = 2.0 * np.fft.rfft(auto(g) * auto(x), pad).real - auto(g)[0] * auto(x)[0]
+    common = 2.0 * np.abs(np.fft.rfft(x * back, pad)) ** 2 / np.maximum(power, 1e-9 * power.max())
+    common[: int(np.ceil(LEAST_TURNS * pad / n))] = 0.0
+    found, least = [], FIRM
+    for w in 2.0 * np.pi * _highest(common, 3) / pad:
+        D = through(base, j, x[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1))
+        D -= Q @ (Q.T @ D)
+        c = np.linalg.lstsq(D, r, rcond=None)[0]
+        promise = gained(base.n, float(r @ r), float(np.sum((r - D @ c) ** 2)))
+        if promise > least:
+            least = max(least, 0.5 * promise)  # what promises less than half of the best is its echo
+            found.append(np.array([w, *c]))
+    return found
+
+
 def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """What the residual has in common with the linear response to the input times a rotation, at all frequencies at once: the
-    response's correlation with the residual is a transform of the input times the residual run backwards through the model."""
+    """The gain of each input, at the frequencies that the residual shows."""
     from estimators.diagnosis.model.structure import Part
     from estimators.diagnosis.search.starts import renewed
 
-    s, n, k = base.structure, len(channel), channel.clock.k
+    s, n = base.structure, len(channel)
     for j, u in entering(channel, base) if n >= 100 else ():
-        part, (r, Q) = Part(SWAY, j), left_over(channel, base)
-        pad = 8 * n
-        back = through(base, j, r[::-1])[::-1]
-        g = through(base, j, np.eye(1, n)[0])
-        auto = lambda x: np.fft.irfft(np.abs(np.fft.rfft(x, 2 * n)) ** 2)[:n]
-        power = 2.0 * np.fft.rfft(auto(g) * auto(u), pad).real - auto(g)[0] * auto(u)[0]
-        common = 2.0 * np.abs(np.fft.rfft(u * back, pad)) ** 2 / np.maximum(power, 1e-9 * power.max())
-        common[: int(np.ceil(LEAST_TURNS * pad / n))] = 0.0
-        starts, least = [], FIRM
-        for w in 2.0 * np.pi * _highest(common, 3) / pad:
-            D = through(base, j, u[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1))
-            D -= Q @ (Q.T @ D)
-            c = np.linalg.lstsq(D, r, rcond=None)[0]
-            promise = gained(base.n, float(r @ r), float(np.sum((r - D @ c) ** 2)))
-            if promise > least:
-                least = max(least, 0.5 * promise)  # what promises less than half of the best is its echo
-                p = np.concatenate((base.p, [w], c))
-                starts += [p, *renewed(channel, s.adding(part), p)]
+        part = Part(SWAY, j)
+        begun = [np.concatenate((base.p, shape)) for shape in rotating(channel, base, j, u)]
+        starts = [q for p in begun for q in (p, *renewed(channel, s.adding(part), p))]
         yield from lean(channel, ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0]))
 
 

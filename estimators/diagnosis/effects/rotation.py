@@ -11,6 +11,7 @@ from scipy.ndimage import maximum_filter1d
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.output import in_step, read_at
+from estimators.diagnosis.effects.plant import MOVING
 from estimators.diagnosis.effects.profiled import (
     FIRM,
     ended,
@@ -19,6 +20,7 @@ from estimators.diagnosis.effects.profiled import (
     in_common,
     lean,
     left_over,
+    rotating,
     through,
 )
 
@@ -341,4 +343,37 @@ SWUNG = Effect(
     parameters={"frequency": "rad/sample", "cosine": "sample", "sine": "sample"}, apply=_mistimed, search=_timings,
 )  # fmt: skip
 
-ROTATION = (PENDULUM, PIVOT, POSITION, REVOLVING, SWUNG)
+
+def _breath(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+    return p[1] * np.cos(p[0] * clock.k) + p[2] * np.sin(p[0] * clock.k)
+
+
+def _breathing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """A stiffness that varies is a force on the position, which the output shows: at the frequencies that the residual shows in the
+    response to the output as an input."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import layout_starts
+    from estimators.diagnosis.model.structure import Part
+
+    s, n = base.structure, len(channel)
+    if s.layout != "tf" or s.effects or s.order < 2:
+        return
+    quiet = replace(base, noise=np.zeros(0))
+    position = np.sum([through(quiet, j, u) for j, u in entering(channel, base)], axis=0)
+    gain = float(np.sum(base.p[s.order : s.order + s.taps]) / (1.0 + np.sum(base.p[: s.order])))
+    shapes = rotating(channel, base, s.inputs[0], position)
+    for new, p, scales in layout_starts(channel, base) if shapes else ():
+        if BREATH.fits(new.layout):
+            f = fit(channel, new, p, scales, noise=base.noise, iterations=8, colour=False)
+            starts = [np.concatenate((f.p, shape * (1.0, -gain, -gain))) for shape in shapes]
+            yield from ended(channel, f, Part(BREATH, new.inputs[0]), starts, [1.0 / n, 1.0, 1.0])
+
+
+BREATH = Effect(
+    key="stiffness_periodic", cause="periodic_stiffness", nature=Nature.TIME, slot=Slot.PLANT, per_sample=True, family="drifts",
+    sentence="the stiffness changes periodically: (1 + a cos(w t) + b sin(w t))", layouts=MOVING - {"integrator"},
+    force=lambda p, v, u, q, s, c: s * p, signal=_breath, search=_breathing,
+    parameters={"frequency": "rad/sample", "cosine": "1", "sine": "1"},
+)  # fmt: skip
+
+ROTATION = (PENDULUM, PIVOT, POSITION, REVOLVING, SWUNG, BREATH)

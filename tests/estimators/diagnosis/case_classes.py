@@ -108,6 +108,12 @@ def loose(u, a):
     )
 
 
+def sprung(u, a):
+    """A mass on a spring of its own, which a servo moves by another spring across a gap."""
+    gap = lambda d: d - min(max(d, -0.5 * a), 0.5 * a)
+    return _swing(lambda x, v, f, t: 0.3 * gap(f - x) - 0.05 * x - 0.2 * v, _lag(_lag(u, 0.5), 0.6))
+
+
 def dragged(u, a):
     z, out = 0.0, np.empty(len(u))
     for k, value in enumerate(u):
@@ -275,6 +281,10 @@ def swaying(u, a):
     return _linear(u * (1.0 + 0.5 * a * np.cos(0.05 * np.arange(len(u)) + 1.0)))
 
 
+def breathing(u, a):
+    return _swing(lambda x, v, f, t: 0.06 * (f - (1.0 + 0.4 * a * np.cos(0.05 * t + 1.0)) * x) - 0.05 * v, u)
+
+
 def modulated_flow(u, a):
     """The second input is a valve in the way of the first."""
     flow = u[:, 0] * u[:, 1]
@@ -332,7 +342,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     # key of the effect: (record, order of the linear model, its input)
     "input_exponential": (exponential, 3, {"mean": 0.6, "size": 0.2}), "input_power": (power, 2, _LEVEL),
     "input_tanh": (saturating, 2, {}), "input_kink": (kink, 2, {}), "relay": (relay, 2, {}),
-    "stiction": (stuck, 2, {}), "clearance": (loose, 2, {}),
+    "stiction": (stuck, 2, {}), "clearance": (loose, 2, {}), "clearance_sprung": (sprung, 4, {}),
     "hysteresis_rate": (dragged, 2, {}), "output_sigmoid": (sigmoid, 2, {}), "output_exponential": (logarithm, 2, {}),
     "magnitude": (magnitude, 2, {}), "squared": (squared, 2, {}), "rectified": (rectified, 2, {}),
     "wrapped": (wrapped, 3, {}), "rise_and_fall": (rise_and_fall, 3, _LEVEL), "orifice": (orifice, 3, _LEVEL),
@@ -343,7 +353,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
     "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
-    "gain_periodic": (swaying, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),
+    "gain_periodic": (swaying, 2, {}), "stiffness_periodic": (breathing, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),
     "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "bilinear": (carried_off, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "stiffness_cubic": (pushed_twice, 2, {"inputs": 2}), "pendulum of two": (pendulum_of_two, 2, {"size": 0.35, "inputs": 2}),
@@ -356,8 +366,9 @@ LOOKALIKES = {
     "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifice": "vessel",
     "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
     "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",
-    "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction",
+    "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction", "clearance_sprung": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
-    "rate_limit_servo": "rise_and_fall", "input_staircase": "input_kink", "gain_periodic": "gain_heat",
+    "rate_limit_servo": "rise_and_fall", "input_staircase": "input_kink", "gain_periodic": "stiffness_periodic",
+    "stiffness_periodic": "gain_periodic",
     "relay_feedback": "relay", "wind_up": "rate_limit_servo", "rate_limit": "wind_up",
 }  # fmt: skip

@@ -149,5 +149,6 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("gain_decay", "product_of_inputs"), ("conveyed", "product_of_inputs"), ("conveyed", "capacity_filled"), ("output_ratio", "loss_cubic"),
     ("output_ratio", "magnitude"), ("delay_periodic", "gain_periodic"), ("gain_periodic", "delay_periodic"),
     ("plays", "hysteresis_rate"), ("plays", "clearance"), ("plays_output", "plays"), ("plays_output", "input_kink"), ("plays_output", "clearance"),
-    ("delay_periodic", "refreshed"), ("delay_periodic", "clock_drift"),
+    ("delay_periodic", "refreshed"), ("delay_periodic", "clock_drift"), ("stiffness_periodic", "delay_periodic"),
+    ("gain_periodic", "gain_heat"), ("clearance_sprung", "stiffness_cubic"), ("clearance_sprung", "hysteresis_rate"),
 ]  # fmt: skip

@@ -72,6 +72,7 @@ NAMED = {
     "hysteretic spring": ("oscillator", [("hysteretic_spring", [0.24, 0.4])], {}),
     "bilinear": ("cascade", [("bilinear_driven", [0.2])], {}),
     "pendulum behind a lag": ("oscillator", [("pendulum", [-0.5, 0.8], {"first": 1})], {}),
+    "play behind a servo": ("oscillator", [("clearance_sprung", [-0.9, 0.3, 0.3, 0.2], {"first": 2})], {}),
     "dry axis": ("integrator", [("coulomb_asymmetric", [0.2, 0.1])], {}),
     "tank": ("first", [("input_quadratic", [0.1]), ("bilinear", [0.1])], {}),
 }  # fmt: skip
