@@ -193,6 +193,10 @@ PLANT = (
 )  # fmt: skip
 
 
+SOON, SOONEST, SLOWEST = 0.4, 0.02, 0.999
+"""Part of the record in which a lag does most of its change: the start, and the least; slowest pole that it is compared with."""
+LAGS = ((0.03, 0.3), (0.1, 1.0), (0.7, -0.6))
+"""Lags at the start of a record and by how much they grow, over the slowest time constant, that are tried."""
 CHANGES = (-0.25, 0.3, 0.8)  # relative changes of a coefficient over the record that are tried
 USES = (0.3, 1.0, 3.0)  # share of a gain that the mean input uses up, of what is left of it, that are tried
 MEMORIES = (0.05, 0.2)  # of the record: time constants of a slow state that are tried
@@ -263,9 +267,40 @@ def _with_use(s: Sizes) -> Grid:
     ]
 
 
+def _slowing(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.recursion_kernels import lagged
+
+    times = np.abs(p[0]) - p[1] * np.expm1(-np.maximum(clock.turn, 0.0) / max(abs(float(p[2])), SOONEST))
+    return lagged(np.ascontiguousarray(x), times) if times.min() >= 0.0 else np.full(len(x), np.inf)
+
+
+def _slowings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """The lag takes the place of one of the linear model's poles, or of all but one: they bent to stand for what it is on average."""
+    from estimators.diagnosis.effects.profiled import ended, firm
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.structure import Part
+
+    s = base.structure
+    if s.layout != "tf" or s.effects or s.order < 1:
+        return
+    for order in sorted({1, max(s.order - 1, 1)}):
+        few = fit_linear(channel, replace(s, order=order, taps=min(s.taps, order)))
+        poles = np.abs(np.roots(np.concatenate(([1.0], few.p[:order]))))
+        slow = -1.0 / np.log(min(max(float(poles.max()), 0.05), SLOWEST))
+        begun = [np.concatenate((few.p, [a * slow, b * slow, SOON])) for a, b in LAGS]
+        fits = ended(channel, few, Part(SLOWING, s.inputs[0]), begun, [slow, slow, SOON])
+        yield from (f for f in fits if firm(base, float(np.sum(f.residual**2))))
+
+
 def _inertias(s: Sizes) -> Grid:
     return [[f, s.damping] for f in CHANGES], [1.0, s.damping]
 
+
+SLOWING = Effect(
+    key="lag_drift", cause="parameter_drift", family="drifts", nature=Nature.TIME, slot=Slot.OUTPUT, memory=True, trials=10,
+    sentence="one lag grows with time, or shrinks, and nears an end: a sensor that is fouled", apply=_slowing, search=_slowings,
+    parameters={"lag": "sample", "growth": "sample", "pace": "record"},
+)  # fmt: skip
 
 MODULATED = (
     _coefficient("inertia_drift", "parameter_drift", Nature.TIME, "the inertia changes steadily with time", _inertia_by, _time,
@@ -284,4 +319,5 @@ MODULATED = (
            apply=lambda x, p, clock: x * (1.0 + p[0] * leaky(x**2, p[1])),
            sentence="the gain follows a slow state that the squared input feeds: heat", starts=_with_heat,
            parameters={"share": "1/u^2", "time": "sample"}),
+    SLOWING,
 )  # fmt: skip

@@ -236,6 +236,17 @@ def filled(signal, flow, p, lead):  # pragma: no cover - compiled
 
 
 @compiled
+def lagged(signal, times):  # pragma: no cover - compiled
+    """First-order lag of a signal that is held over each sample, with a time constant of its own in each; it starts settled."""
+    out = np.empty_like(signal)
+    z = signal[0]
+    for k in range(signal.shape[0]):
+        z = signal[k] + (z - signal[k]) * np.exp(-1.0 / max(times[k], 1e-3))
+        out[k] = z
+    return out
+
+
+@compiled
 def used_up(signal, use, recovery, start):  # pragma: no cover - compiled
     """Mean over each sample of a held signal times its gain, g' = recovery (1 - g) - use |signal| g; settled at `start`."""
     out = np.empty_like(signal)

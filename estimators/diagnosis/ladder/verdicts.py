@@ -215,7 +215,10 @@ def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     if o.bent and o.share.low > policy.searched[1]:
         words = f"no model of it holds on unused blocks{tag}, but there is more than noise: {o.share.natures[0].sentence}"
         return [Finding("", UNKNOWN, o.share.nature, o.share.share, 0.0, words)]
-    if o.inverse or not o.surely(policy.lasting):
+    looped = (
+        o.examined.attribution.feedback < FIRM
+    )  # there a model may gain by hearing what the input knows of the noise
+    if o.inverse or looped or not o.surely(policy.lasting):
         return []
     words = f"a model lowers the error on unused blocks{tag} by {_percent(o):.3g} %, but does not hold on the test record"
     return [Finding("", UNKNOWN, o.ladder.chosen.nature, 1.0, 0.0, words)]

@@ -233,6 +233,15 @@ def softening(u, a):
     return _swing(lambda x, v, f, t: 0.06 * (f - (1.0 - 0.5 * a * t / 700.0) * x) - 0.03 * v, u)
 
 
+def fouled(u, a):
+    """A process behind which a probe lags ever more."""
+    x, z, out = _lag(u, 0.8), u[0], np.empty(len(u))
+    for k, value in enumerate(x):
+        out[k] = z
+        z += (value - z) * (1.0 - np.exp(-1.0 / (3.0 + 12.0 * a * (1.0 - np.exp(-k / 300.0)))))
+    return out
+
+
 def heated_gain(u, a):
     warm = np.asarray(lfilter([1 / 60.0], [1, -1 + 1 / 60.0], u**2))
     return _linear(u * (1.0 + 0.4 * a * warm))
@@ -353,7 +362,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
     "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
-    "gain_periodic": (swaying, 2, {}), "stiffness_periodic": (breathing, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),
+    "gain_periodic": (swaying, 2, {}), "stiffness_periodic": (breathing, 2, {}), "lag_drift": (fouled, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),
     "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "bilinear": (carried_off, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "stiffness_cubic": (pushed_twice, 2, {"inputs": 2}), "pendulum of two": (pendulum_of_two, 2, {"size": 0.35, "inputs": 2}),
@@ -369,6 +378,6 @@ LOOKALIKES = {
     "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction", "clearance_sprung": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
     "rate_limit_servo": "rise_and_fall", "input_staircase": "input_kink", "gain_periodic": "stiffness_periodic",
-    "stiffness_periodic": "gain_periodic",
+    "stiffness_periodic": "gain_periodic", "lag_drift": "inertia_drift",
     "relay_feedback": "relay", "wind_up": "rate_limit_servo", "rate_limit": "wind_up",
 }  # fmt: skip
