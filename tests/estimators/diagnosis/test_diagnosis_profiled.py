@@ -20,7 +20,9 @@ from estimators.diagnosis.search.selection import significance
 from oed.data import Record
 from tests.estimators.diagnosis.case_classes import CLASSES, PLANT, excitation
 
-PROFILED = ("rate_limit_servo", "input_staircase", "gain_periodic", "stiffness_periodic", "pulse_input")
+PROFILED = (
+    "rate_limit_servo", "input_staircase", "gain_periodic", "stiffness_periodic", "pulse_input", "clearance_sprung", "lag_drift",
+)  # fmt: skip
 N = 800
 
 
