@@ -77,8 +77,9 @@ def verdict(
     data = sorted(
         (f for o in outcomes for f in _data(o, setting, effects, _tag(o, several))), key=lambda f: -f.weight
     )
-    noise = [_noise(o, rest, effects, _tag(o, several)) for o, rest in zip(outcomes, rests, strict=True)]
-    found = [*first, *data, *(f for each in noise for f in each)]
+    # beside a claim that the record refuses, what unused blocks have shown is in that noise
+    told = zip(outcomes, rests, strict=True) if first or not withdrawn else ()
+    found = [*first, *data, *(f for o, rest in told for f in _noise(o, rest, effects, _tag(o, several)))]
     chosen = list(dict.fromkeys(f.cause for f in found))
     errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g} {in_units('y', record)}"
     bare = UNCLAIMED if withdrawn else ECHO if any(o.inverse for o in outcomes) else NOTHING
