@@ -127,6 +127,7 @@ OUTPUT = (
 
 
 SHIFTS = (0.5, 1.0, 1.8, 2.8, 4.0, 5.5)  # samples by which the clocks are apart in the end
+PACES, LEAST_PACE = (0.1, 0.25, 0.6), 0.02  # of the record: memories of a clock that settles
 JUMPS = (1.0, 2.0, 3.0, 5.0)  # samples lost at once
 TIMES = 12  # of a jump, over the record
 AGES = (0.1, 0.4, 1.0, 2.0)  # logarithms of the gain lost over the record
@@ -185,6 +186,14 @@ def _unconveyed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Arr
     """The output before its belt or pipe; what had not left it at the end stays at its last value."""
     when, k = _entered(channel.u[:, int(shape[1]) - 1], shape[0]), np.arange(len(channel))
     return np.interp(k, when, channel.y), np.ones(len(k))
+
+
+def _warming(y: Array, p: Array, clock: Clock) -> Array:
+    pace = max(abs(float(p[1])), LEAST_PACE)
+    left = np.exp(-np.maximum(clock.turn, 0.0) / pace) + pace * np.expm1(
+        -1.0 / pace
+    )  # of no mean over the training record
+    return read_at(y, np.arange(len(y)) + p[0] * left)
 
 
 def _ways(channel: Any) -> list[list[float]]:
@@ -262,6 +271,13 @@ DRIFT = Effect(
     apply=lambda y, p, clock: read_at(y, np.arange(len(y)) + p[0] * clock.k),
     search=mended(lambda: DRIFT, lambda c: [[sign * d / len(c)] for d in SHIFTS for sign in (1.0, -1.0)],
                    lambda c, best: [[best[0] * f] for f in (0.8, 0.9, 1.1, 1.25)], lambda c: [1.0 / len(c)]),
+)  # fmt: skip
+WARMING = Effect(
+    key="clock_settles", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=30,
+    sentence="the clock of the output runs off from that of the input, ever less: as its logger warms up",
+    parameters={"samples": "sample", "pace": "record"}, apply=_warming,
+    search=mended(lambda: WARMING, lambda c: [[sign * d, t] for d in SHIFTS for t in PACES for sign in (1.0, -1.0)],
+                   lambda c, best: [[best[0] * f, best[1] * g] for f in (0.7, 1.0, 1.4) for g in (0.8, 1.0, 1.25) if f * g != 1.0]),
 )  # fmt: skip
 DECAY = Effect(
     key="gain_decay", cause="gain_drift", family="drifts", nature=Nature.TIME, slot=Slot.OUTPUT, trials=6,
@@ -367,4 +383,4 @@ REFRESHED = Effect(
     parameters={"period": "sample", "phase": "sample"}, apply=_refreshed, search=_ages,
 )  # fmt: skip
 
-TIMING = (DRIFT, LOST, REFRESHED, DECAY, CONVEYED)
+TIMING = (DRIFT, WARMING, LOST, REFRESHED, DECAY, CONVEYED)

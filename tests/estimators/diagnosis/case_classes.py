@@ -330,6 +330,11 @@ def clock_drift(u, a):
     return _read(u, np.arange(len(u)) * (1.0 - 0.005 * a))
 
 
+def warming_clock(u, a):
+    k = np.arange(len(u))
+    return _read(u, k - 3.0 * a * (1.0 - np.exp(-(k + 30.0) / 150.0)))
+
+
 def lost_samples(u, a):
     k = np.arange(len(u))
     return _read(u, k - 2.0 * a * (k > 300))
@@ -361,7 +366,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "gain_heat": (heated_gain, 2, {}),
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
-    "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
+    "clock_settles": (warming_clock, 4, {}), "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
     "gain_periodic": (swaying, 2, {}), "stiffness_periodic": (breathing, 2, {}), "lag_drift": (fouled, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),
     "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "bilinear": (carried_off, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
@@ -378,6 +383,6 @@ LOOKALIKES = {
     "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction", "clearance_sprung": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
     "rate_limit_servo": "rise_and_fall", "input_staircase": "input_kink", "gain_periodic": "stiffness_periodic",
-    "stiffness_periodic": "gain_periodic", "lag_drift": "inertia_drift",
+    "stiffness_periodic": "gain_periodic", "lag_drift": "inertia_drift", "clock_settles": "lost_samples",
     "relay_feedback": "relay", "wind_up": "rate_limit_servo", "rate_limit": "wind_up",
 }  # fmt: skip

@@ -151,5 +151,6 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("plays", "hysteresis_rate"), ("plays", "clearance"), ("plays_output", "plays"), ("plays_output", "input_kink"), ("plays_output", "clearance"),
     ("delay_periodic", "refreshed"), ("delay_periodic", "clock_drift"), ("stiffness_periodic", "delay_periodic"),
     ("gain_periodic", "gain_heat"), ("clearance_sprung", "stiffness_cubic"), ("clearance_sprung", "hysteresis_rate"),
-    ("lag_drift", "gain_heat"), ("inertia_drift", "lag_drift"), ("lag_drift", "lost_samples"),
+    ("lag_drift", "gain_heat"), ("inertia_drift", "lag_drift"), ("lag_drift", "lost_samples"), ("clock_settles", "lag_drift"),
+    ("clock_drift", "clock_settles"), ("lost_samples", "clock_settles"),
 ]  # fmt: skip
