@@ -20,11 +20,6 @@ from estimators.diagnosis.effects.effect import (
 )
 
 Array = NDArray[Any]
-WIDTHS, LEFT = np.linspace(0.1, 1.4, 40), np.linspace(0.0, 0.9, 7)
-"""Of a stem that sticks, half widths in standard deviations of its command, and shares of them that a jump leaves, that are tried."""
-CLOSER, HALVED, NEAREST = (-1.0, -0.5, 0.0, 0.5, 1.0), 6, 2
-"""Steps about the best of them, how often they are halved, and how many are kept."""
-STOOD = (-1.0, -0.5, 0.5, 1.0)  # where in its gap the stem stood before the record
 _recent: deque[tuple[tuple[Any, ...], Array]] = deque(maxlen=8)  # of `kept`
 
 
@@ -121,15 +116,6 @@ def _relay(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.recursion_kernels import relay
 
     return float(np.std(x)) * relay(np.ascontiguousarray(x - p[1]), abs(p[0]))
-
-
-def _sticky(x: Array, p: Array, clock: Clock) -> Array:
-    """A stem that stays until its command is half a width off, then jumps to within a share of that."""
-    from estimators.diagnosis.effects.recursion_kernels import sticky
-
-    half = abs(p[0])
-    left = half * float(np.clip(p[1], 0.0, 1.0))
-    return sticky(np.ascontiguousarray(x), half, left, stood(x, half, p[2]))
 
 
 def _rate_driven(x: Array, p: Array, clock: Clock) -> Array:
@@ -238,53 +224,9 @@ def _static(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
     )
 
 
-def _sticking(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Widths and shares on a grid, then ever closer to the best, each with poles of its own: the error jumps with every sample in
-    which the stem does, so that no derivative leads there, and the linear model's poles stand for the stem too."""
-    from estimators.diagnosis.effects.profiled import ended, firm
-    from estimators.diagnosis.model.linear import fresh_poles, relinearised
-    from estimators.diagnosis.model.simulation import acted, simulate
-    from estimators.diagnosis.model.structure import Part, stable_polynomial
-
-    s, order = base.structure, base.structure.order
-    for j in s.inputs if s.layout == "tf" and order else ():
-        su, part = float(np.std(channel.u[:, j])), Part(STICTION, j)
-        new = s.adding(part)
-
-        def tried(shape: tuple[float, float, float], new: Any = new, su: float = su) -> tuple[float, Array]:
-            width, left, start = shape
-            p = np.concatenate((base.p, [abs(width) * su, min(max(left, 0.0), 1.0), start]))
-            if (U := acted(new, p, channel.u, channel.clock)) is not None:
-                p[:order] = fresh_poles(channel.y, U, replace(new, parts=()), channel.keep)
-                if stable_polynomial(p[:order]) and (q := relinearised(channel, new, p)) is not None:
-                    error = channel.y - simulate(new, q, channel.u, channel.clock)
-                    return float(np.sum(error[channel.keep] ** 2)), q
-            return np.inf, p
-
-        def best(
-            shapes: Any, so_far: list[tuple[float, Array]], tried: Any = tried
-        ) -> list[tuple[float, Array]]:
-            return sorted([*so_far, *map(tried, shapes)], key=lambda entry: entry[0])[:NEAREST]
-
-        found = best(((w, left, 0.0) for w in WIDTHS for left in LEFT), [])
-        step = np.array([WIDTHS[1] - WIDTHS[0], LEFT[1] - LEFT[0]])
-        around = [(a, b) for a in CLOSER for b in CLOSER if a or b]
-        for size in 0.5 ** np.arange(HALVED) if firm(base, found[0][0]) else ():
-            near = [(p[-3] / su, p[-2]) + size * step * d for _, p in found for d in around]
-            found = best(((w, left, 0.0) for w, left in near), found)
-        if firm(base, found[0][0]):
-            found = best(((found[0][1][-3] / su, found[0][1][-2], at) for at in STOOD), found)
-            yield from ended(channel, base, part, [p for _, p in found], [su, 1.0, 1.0])
-
-
 def _moving(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
     return Effect(key=key, cause=cause, nature=Nature.DYNAMIC, slot=Slot.INPUT, sentence=sentence, **fields)
 
-
-STICTION = _moving(
-    "stiction", "stiction", "the actuator sticks until its command is far enough off, then jumps", trials=12, search=_sticking,
-    parameters={"half_width": "u", "left": "1", "start": "1"}, reversing=True, apply=_sticky,
-)  # fmt: skip
 
 DELAY = Effect(
     key="delay", cause="transport_delay", nature=Nature.LINEAR, slot=Slot.INPUT,
@@ -355,7 +297,6 @@ INPUT = (
             starts=_rates),
     _moving("backlash_input", "backlash", "play in the actuator", parameters={"half_width": "u", "start": "1"}, trials=6, reversing=True,
             lagged=True, apply=_play, starts=_widths),
-    STICTION,
     _moving("hysteresis", "hysteresis",
             "the input acts with hysteresis (Bouc-Wen): a share of it bends off and returns on another way",
             parameters={"share": "1", "width": "u"}, trials=10, reversing=True, apply=_hysteretic,

@@ -1,4 +1,4 @@
-"""Hidden loops between the input and the linear part: an actuator of limited stroke or speed, a relay; and loops of hysteresis.
+"""Hidden loops between the input and the linear part: an actuator of limited stroke or speed, a relay; loops of hysteresis, and a stem that sticks.
 
 The former replace the slowest dynamics, so that the linear model is no guide to them: their shapes are profiled with a gain and a
 short filter behind them.
@@ -13,11 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
-from estimators.diagnosis.effects.input import kept
+from estimators.diagnosis.effects.input import kept, stood
 from estimators.diagnosis.effects.output import mended
 from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, entering, firm, profile, quick_behind
 
 Array = NDArray[Any]
+STUCK, LEFT = np.linspace(0.1, 1.4, 40), np.linspace(0.0, 0.9, 7)
+"""Of a stem that sticks, half widths in standard deviations of its command, and shares of them that a jump leaves, that are tried."""
+CLOSER, HALVED, NEAREST = (-1.0, -0.5, 0.0, 0.5, 1.0), 6, 2
+"""Steps about the best of them, how often they are halved, and how many are kept."""
+STOOD = (-1.0, -0.5, 0.5, 1.0)  # where in its gap the stem stood before the record
 PACES = (0.5, 1.0, 2.0, 4.0)
 """Of the linear model's slowest pole, how fast a loop is taken to be: one that is limited looks slower than it is."""
 DRIFTING = 3.0
@@ -262,6 +267,59 @@ def _unplayed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array
     return x, 1.0 + weights @ np.array(moves)
 
 
+def _sticky(x: Array, p: Array, clock: Clock) -> Array:
+    """A stem that stays until its command is half a width off, then jumps to within a share of that."""
+    from estimators.diagnosis.effects.recursion_kernels import sticky
+
+    half = abs(p[0])
+    left = half * float(np.clip(p[1], 0.0, 1.0))
+    return sticky(np.ascontiguousarray(x), half, left, stood(x, half, p[2]))
+
+
+def _sticking(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Widths and shares on a grid, then ever closer to the best, each with poles of its own: the error jumps with every sample in
+    which the stem does, so that no derivative leads there, and the linear model's poles stand for the stem too."""
+    from estimators.diagnosis.model.linear import fresh_poles, relinearised
+    from estimators.diagnosis.model.simulation import acted, simulate
+    from estimators.diagnosis.model.structure import Part, stable_polynomial
+
+    s, order = base.structure, base.structure.order
+    for j in s.inputs if s.layout == "tf" and order else ():
+        su, part = float(np.std(channel.u[:, j])), Part(STICTION, j)
+        new = s.adding(part)
+
+        def tried(shape: tuple[float, float, float], new: Any = new, su: float = su) -> tuple[float, Array]:
+            width, left, start = shape
+            p = np.concatenate((base.p, [abs(width) * su, min(max(left, 0.0), 1.0), start]))
+            if (U := acted(new, p, channel.u, channel.clock)) is not None:
+                p[:order] = fresh_poles(channel.y, U, replace(new, parts=()), channel.keep)
+                if stable_polynomial(p[:order]) and (q := relinearised(channel, new, p)) is not None:
+                    error = channel.y - simulate(new, q, channel.u, channel.clock)
+                    return float(np.sum(error[channel.keep] ** 2)), q
+            return np.inf, p
+
+        def best(
+            shapes: Any, so_far: list[tuple[float, Array]], tried: Any = tried
+        ) -> list[tuple[float, Array]]:
+            return sorted([*so_far, *map(tried, shapes)], key=lambda entry: entry[0])[:NEAREST]
+
+        found = best(((w, left, 0.0) for w in STUCK for left in LEFT), [])
+        step = np.array([STUCK[1] - STUCK[0], LEFT[1] - LEFT[0]])
+        around = [(a, b) for a in CLOSER for b in CLOSER if a or b]
+        for size in 0.5 ** np.arange(HALVED) if firm(base, found[0][0]) else ():
+            near = [(p[-3] / su, p[-2]) + size * step * d for _, p in found for d in around]
+            found = best(((w, left, 0.0) for w, left in near), found)
+        if firm(base, found[0][0]):
+            found = best(((found[0][1][-3] / su, found[0][1][-2], at) for at in STOOD), found)
+            yield from ended(channel, base, part, [p for _, p in found], [su, 1.0, 1.0])
+
+
+STICTION = Effect(
+    key="stiction", cause="stiction", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=12, reversing=True, search=_sticking,
+    sentence="the actuator sticks until its command is far enough off, then jumps",
+    parameters={"half_width": "u", "left": "1", "start": "1"}, apply=_sticky,
+)  # fmt: skip
+
 SIDE_BY_SIDE = Effect(
     key="plays", cause="hysteresis", nature=Nature.DYNAMIC, slot=Slot.INPUT, reversing=True, trials=40, apply=plays, search=_hysteretic,
     sentence="the input acts with hysteresis: directly, and through plays of four widths side by side",
@@ -276,4 +334,4 @@ PLAYED = Effect(
                   lambda c: [float(np.std(c.y)), *(PLAYS * [1.0])], _unplayed),
 )  # fmt: skip
 
-LOOPS = (WINDUP, STEERED, STEERING, RELAY, SIDE_BY_SIDE, PLAYED)
+LOOPS = (STICTION, WINDUP, STEERED, STEERING, RELAY, SIDE_BY_SIDE, PLAYED)
