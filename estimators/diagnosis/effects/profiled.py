@@ -90,7 +90,7 @@ def firm(base: Any, left: float) -> bool:
 
 def gained(n: int, before: float, left: float) -> float:
     """Twice the log-likelihood that a smaller sum of squares gains; none where nothing is left, as of a record without noise."""
-    return n * float(np.log(max(before, 1e-300) / max(left, 1e-300)))
+    return n * float(np.log(max(max(before, 1e-300) / max(left, 1e-300), 1e-300)))
 
 
 def ended(channel: Any, base: Any, part: Any, starts: Iterable[Array], sizes: list[float]) -> Iterator[Any]:
