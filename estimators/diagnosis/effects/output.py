@@ -275,7 +275,7 @@ DRIFT = Effect(
 WARMING = Effect(
     key="clock_settles", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=30,
     sentence="the clock of the output runs off from that of the input, ever less: as its logger warms up",
-    parameters={"samples": "sample", "pace": "record"}, apply=_warming,
+    parameters={"samples": "sample", "memory": "record"}, apply=_warming,
     search=mended(lambda: WARMING, lambda c: [[sign * d, t] for d in SHIFTS for t in PACES for sign in (1.0, -1.0)],
                    lambda c, best: [[best[0] * f, best[1] * g] for f in (0.7, 1.0, 1.4) for g in (0.8, 1.0, 1.25) if f * g != 1.0]),
 )  # fmt: skip

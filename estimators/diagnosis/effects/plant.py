@@ -299,7 +299,7 @@ def _inertias(s: Sizes) -> Grid:
 SLOWING = Effect(
     key="lag_drift", cause="parameter_drift", family="drifts", nature=Nature.TIME, slot=Slot.OUTPUT, memory=True, trials=10,
     sentence="one lag grows with time, or shrinks, and nears an end: a sensor that is fouled", apply=_slowing, search=_slowings,
-    parameters={"lag": "sample", "growth": "sample", "pace": "record"},
+    parameters={"lag": "sample", "growth": "sample", "memory": "record"},
 )  # fmt: skip
 
 MODULATED = (

@@ -78,8 +78,8 @@ def verdict(
         (f for o in outcomes for f in _data(o, setting, effects, _tag(o, several))), key=lambda f: -f.weight
     )
     # beside a claim that the record refuses, what unused blocks have shown is in that noise
-    told = zip(outcomes, rests, strict=True) if first or not withdrawn else ()
-    found = [*first, *data, *(f for o, rest in told for f in _noise(o, rest, effects, _tag(o, several)))]
+    heard = zip(outcomes, rests, strict=True) if first or not withdrawn else ()
+    found = [*first, *data, *(f for o, rest in heard for f in _noise(o, rest, effects, _tag(o, several)))]
     chosen = list(dict.fromkeys(f.cause for f in found))
     errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g} {in_units('y', record)}"
     bare = UNCLAIMED if withdrawn else ECHO if any(o.inverse for o in outcomes) else NOTHING
@@ -216,9 +216,8 @@ def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     if o.bent and o.share.low > policy.searched[1]:
         words = f"no model of it holds on unused blocks{tag}, but there is more than noise: {o.share.natures[0].sentence}"
         return [Finding("", UNKNOWN, o.share.nature, o.share.share, 0.0, words)]
-    looped = (
-        o.examined.attribution.feedback < FIRM
-    )  # there a model may gain by hearing what the input knows of the noise
+    # in a loop a model may gain by hearing what the input knows of the noise
+    looped = o.examined.attribution.feedback < FIRM
     if o.inverse or looped or not o.surely(policy.lasting):
         return []
     words = f"a model lowers the error on unused blocks{tag} by {_percent(o):.3g} %, but does not hold on the test record"

@@ -19,7 +19,7 @@ PLAIN = {
     "output_absolute.c": "half the difference of the gains, c", "outflow_root.k": "outflow coefficient k", "vessel.k": "outflow coefficient k",
     "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start",
     "relay_feedback.low": "lower level", "relay_feedback.high": "upper level", "gain_heat.time": "time constant",
-    "stiffness_heat.time": "time constant", "time": "time of the change",
+    "clearance_sprung.spring": "stiffness of the load's own spring, over the drive's", "stiffness_heat.time": "time constant", "time": "time of the change",
 }  # fmt: skip
 """What a parameter is called where its key is a letter or too short to be understood; elsewhere the key has its words."""
 
