@@ -266,9 +266,8 @@ def _data(o: Outcome, setting: Setting, effects: dict[str, Effect], tag: str) ->
     p = o.examined.attribution.feedback
     order = {"held": 4.0, "quantised": 3.0, "outliers": 1.0}
     found = [_seen(effects, s.key, order.get(s.key, 0.0), 0.0, s.sentence) for s in o.examined.signatures]
-    if p < setting.alpha / 100 and (
-        o.share.feedback or o.of_the_best
-    ):  # else a model's error may foretell an input
+    limit = 1e-2 if o.share.feedback else 1e-4 * o.of_the_best  # alone, a model's error may foretell an input
+    if p < setting.alpha * limit:
         words = f"past innovations help to predict the input{tag} ({p_stated(p)}): the data are from a closed loop"
         found.append(_seen(effects, "feedback", 2.0, p, words))
     return found

@@ -19,6 +19,7 @@ from estimators.residual.measures import p_stated
 Array = NDArray[Any]
 LAGS = 40  # of the inputs: with 20, what rings longer than the linear model does left what looks bent
 OWN = 20  # lags of the simulated output, which slow poles and feedback leave in a residual: a direction goes with them
+TAKEN = 0.5  # share of a sample's variance that must be its own for its size to say anything of the noise's
 TERMS = 6  # most products taken together
 
 
@@ -224,6 +225,9 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
         if J.size
         else np.zeros((len(e), 0))
     )
+    own = 1.0 - np.sum(
+        Q**2, axis=1
+    )  # of a sample's variance: lags begin with nothing, and take the first samples whole
     e0 = e - Q @ (Q.T @ e)
     power = np.abs(np.fft.rfft(e0 - e0.mean()))[1:-1] ** 2
     line = float(power.max() / power.mean())
@@ -232,7 +236,7 @@ def leftovers(channel: Channel, f: Fit, *, alpha: float = 0.01) -> list[Leftover
         at = (1 + int(np.argmax(power))) / len(e0)
         words = f"the residual has a line at {at:.4g} cycles per sample ({p_stated(p)})"
         out.append(Leftover(Nature.ADDED, words, p, 2.0 * line - 3.0 * float(np.log(n))))
-    kept = e0[keep]
+    kept = (e0 / np.sqrt(np.maximum(own, TAKEN)))[keep & (own > TAKEN)]
     p = min(1.0, tests * float(f_oneway(*np.array_split(np.abs(kept), 8)).pvalue))
     if p < alpha:
         out.append(Leftover(Nature.NOISE, f"the noise changes its size in time ({p_stated(p)})", p, 0.0))

@@ -82,6 +82,8 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
     coarse = len(fresh) < 0.97 * np.sum(~held & ~returned) or len(again) > 0.03 * (len(fresh) + len(again))
     if coarse:
         held = _too_long(repeats)
+    elif held.mean() < FEW:
+        held &= _too_long(repeats)
     last = np.flatnonzero(held[:-1] & ~held[1:])
     # What was lost comes at once with the next sample, so that this moves no less than others; a signal that creeps does not, and
     # one that rests on a coarse scale moves by its least step.
@@ -102,6 +104,8 @@ def _too_long(repeats: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return out
 
 
+FEW = 0.01
+"""Share of repeated samples below which single ones are no losses: interpolation and editing leave some, and nothing hangs on them."""
 CREEPS = 0.05
 """Significance from which on moves after repeated samples are smaller than others: after losses they are larger, which one set
 of three in three hundred hides; and the number of rows by chance below which a row of repeats is none."""

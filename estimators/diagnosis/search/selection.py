@@ -15,7 +15,7 @@ from estimators.diagnosis.model.structure import Structure
 from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
-from estimators.diagnosis.share.feedback import wald
+from estimators.diagnosis.share.feedback import MATTERS, between_jumps, wald
 from estimators.residual.algebra import unit
 
 Array = NDArray[Any]
@@ -81,6 +81,11 @@ def significance(null: Fit, f: Fit, family: int = FAMILY) -> float:
     return float(min(1.0, family * tries * chi2.sf(max(ratio, 0.0), k)))
 
 
+SHIFTS = 40
+"""Innovations come at any other time as well: what they explain of an input then, where its own past leaves a smooth rest of it, as of
+a sweep, is what chance explains."""
+
+
 def feedback_test(u: Array, e: Array, lags: int = 5, memory: int = 12) -> float:
     """Likelihood-ratio p-value of 'the input u (N,) does not follow the noise': past innovations e (N,) help to predict it.
 
@@ -92,26 +97,27 @@ def feedback_test(u: Array, e: Array, lags: int = 5, memory: int = 12) -> float:
     past = [np.concatenate((np.zeros(i), e[: n - i])) for i in range(lags + 1)]
     X0, X1 = np.stack(own, axis=1)[memory:], np.stack(own + past, axis=1)[memory:]
     target = u[memory:]
-    rows = np.ones(len(target), dtype=bool)
-    for _ in range(8):  # the reference's jumps are no noise: samples far off the prediction are left out
-        r0 = target - X0 @ np.linalg.lstsq(X0[rows], target[rows], rcond=None)[0]
-        spread = 1.4826 * float(np.median(np.abs(r0)))
-        inside = np.abs(r0) <= 4.0 * spread
-        if (
-            spread <= 1e-7 * float(np.std(u))
-            or inside.sum() < 0.5 * len(rows)
-            or np.array_equal(inside, rows)
-        ):
-            break
-        rows = inside
-    scale = np.sqrt(np.mean(X1**2, axis=0)) + 1e-300
-    r0 = target[rows] - X0[rows] @ np.linalg.lstsq(X0[rows], target[rows], rcond=None)[0]
-    r1 = target[rows] - X1[rows] / scale @ np.linalg.lstsq(X1[rows] / scale, target[rows], rcond=None)[0]
-    rss0, rss1 = float(r0 @ r0), float(r1 @ r1)
-    if rss0 <= 1e-12 * float(u @ u) or rss1 <= 0 or (n > 4000 and rss1 > 0.98 * rss0):
+    rows = between_jumps(X0, target, 1e-7 * float(np.std(u)))
+    Q, E, count = _basis(X0[rows]), X1[:, X0.shape[1] :], lags + 1
+    r0 = target[rows] - Q @ (Q.T @ target[rows])
+    rss0, chance = float(r0 @ r0), count / len(r0)
+
+    def ratio(by: int) -> float:
+        Z = np.roll(E, by, axis=0)[rows]
+        Z = _basis(Z - Q @ (Q.T @ Z))
+        return -len(r0) * float(np.log1p(-min(float(np.sum((Z.T @ r0) ** 2)) / rss0, 1.0 - 1e-12)))
+
+    if rss0 <= 1e-12 * float(u @ u) or (found := ratio(0)) < -len(r0) * np.log1p(-min(MATTERS + chance, 0.5)):
         return 1.0  # nothing left to predict, or a share too small for a loop
-    equal = float(chi2.sf(rows.sum() * np.log(rss0 / rss1), lags + 1))
-    return max(equal, wald(X0[rows], X1[rows, X0.shape[1] :] / scale[X0.shape[1] :], target[rows]))
+    shifts = np.linspace(0, len(target), SHIFTS + 2)[1:-1].astype(int)
+    wider = max(1.0, float(np.mean([ratio(by) for by in shifts])) / count)
+    return max(float(chi2.sf(found / wider, count)), wald(X0[rows], E[rows], target[rows]))
+
+
+def _basis(X: Array) -> Array:
+    """Orthonormal columns of all that those of a matrix tell apart."""
+    U, size, _ = np.linalg.svd(X, full_matrices=False)
+    return U[:, size > 1e-13 * size[0]]
 
 
 def _white(f: Fit) -> Fit:

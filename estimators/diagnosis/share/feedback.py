@@ -19,6 +19,9 @@ PAST = 30
 """Samples of its own past from which an input is predicted."""
 MATTERS = 0.02
 """Share of an input's innovations that the noise must explain: a weaker loop echoes less noise than a block can tell."""
+ANSWERS, SOON, BEFORE = 0.1, 5, 12
+"""Share of what an input's own past, of so many samples, leaves between the jumps of its reference that the noise of its own sample and
+of so many before it must explain: of thirty rigs with a loop or without one, .46 or more and .013 at most."""
 ALPHA = 1e-4
 """False-alarm rate: with feedback only what improves the one-step prediction counts, a hard demand elsewhere."""
 MOST_LEVER = 0.99
@@ -52,10 +55,32 @@ def has_feedback(
     records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
 ) -> bool:
     """Whether an input answers the noise, surely and by a share of it that matters."""
-    designs = _designs(records, residual, uses)
-    if not max(_gain(*d) for d in designs) > MATTERS:
-        return False
-    return min(wald(*d) for d in designs) * len(designs) < ALPHA
+    designs, count = _designs(records, residual, uses), records[0].n_inputs
+    if max(_gain(*d) for d in designs) > MATTERS and min(wald(*d) for d in designs) * count < ALPHA:
+        return True
+    clean = _clean(residual, uses)
+    return any(_at_once([r.u[:, j] for r in records], clean, ALPHA / count) for j in range(count))
+
+
+def _at_once(inputs: Sequence[Array], noises: Sequence[Array], alpha: float) -> bool:
+    """Whether an input answers the noise of its own sample where its reference stands still: there it does nothing else."""
+    own, lead, target = _design(inputs, noises, BEFORE, range(SOON + 1))
+    rows = between_jumps(own, target, 1e-7 * float(np.std(target)))
+    design = own[rows], lead[rows], target[rows]
+    return float(np.std(target[rows])) > 0.0 and _gain(*design) > ANSWERS and wald(*design) < alpha
+
+
+def between_jumps(own: Array, target: Array, rounding: float) -> NDArray[np.bool_]:
+    """The samples of an input that are not far off what its own past (N, p) foretells: a reference's jumps are no noise."""
+    rows = np.ones(len(target), dtype=bool)
+    for _ in range(8):
+        left = target - own @ np.linalg.lstsq(own[rows], target[rows], rcond=None)[0]
+        spread = 1.4826 * float(np.median(np.abs(left)))
+        inside = np.abs(left) <= 4.0 * spread
+        if spread <= rounding or inside.sum() < 0.5 * len(rows) or np.array_equal(inside, rows):
+            break
+        rows = inside
+    return rows
 
 
 def answered(
@@ -74,19 +99,26 @@ def _designs(
     records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
 ) -> list[tuple[Array, Array, Array]]:
     """Of every input what its test is made of, the noise whitened."""
+    clean, leads = _clean(residual, uses), range(1, LEADS + 1)
+    return [_design([r.u[:, j] for r in records], clean, PAST, leads) for j in range(records[0].n_inputs)]
+
+
+def _clean(residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]) -> list[Array]:
+    """The noise of each record, whitened."""
     noise = autoregression(residual, uses)
-    clean = [whitened(noise, np.where(c, e, 0.0)) * c for e, c in zip(residual, uses, strict=True)]
-    return [_design([r.u[:, j] for r in records], clean) for j in range(records[0].n_inputs)]
+    return [whitened(noise, np.where(c, e, 0.0)) * c for e, c in zip(residual, uses, strict=True)]
 
 
-def _design(inputs: Sequence[Array], noises: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """An input's own past (n, PAST), the noise before (n, LEADS) and the input (n,), of all records."""
+def _design(
+    inputs: Sequence[Array], noises: Sequence[Array], past: int, leads: range
+) -> tuple[Array, Array, Array]:
+    """An input's own past (n, past), the noise so many samples before (n, leads) and the input (n,), of all records."""
     own, lead, target = [], [], []
     for u, e in zip(inputs, noises, strict=True):
         x = u - u.mean()
-        own.append(np.stack([_late(x, i) for i in range(1, PAST + 1)], axis=1)[PAST:])
-        lead.append(np.stack([_late(e, i) for i in range(1, LEADS + 1)], axis=1)[PAST:])
-        target.append(x[PAST:])
+        own.append(np.stack([_late(x, i) for i in range(1, past + 1)], axis=1)[past:])
+        lead.append(np.stack([_late(e, i) for i in leads], axis=1)[past:])
+        target.append(x[past:])
     return np.concatenate(own), np.concatenate(lead), np.concatenate(target)
 
 
@@ -112,7 +144,7 @@ def wald(own: Array, lead: Array, target: Array) -> float:
 
 
 def _late(x: Array, by: int) -> Array:
-    return np.concatenate((np.zeros(by), x[:-by]))
+    return np.concatenate((np.zeros(by), x[: len(x) - by]))
 
 
 def _left(A: Array, b: Array) -> float:

@@ -140,6 +140,9 @@ def test_rounded_and_held_samples_are_recognised():
     held = y.copy()
     held[100:104] = held[99]
     assert held_samples(held).sum() == 4
+    single = y.copy()
+    single[[50, 150, 300]] = single[[49, 149, 299]]
+    assert held_samples(single).sum() == 0  # by interpolation, say
     top = int(np.argmax(held))
     held[top + 1 : top + 3] = held[top]
     assert held_samples(held).sum() == 6  # lost at the largest value

@@ -161,18 +161,13 @@ def test_false_claims_on_linear_records_of_many_kinds_stay_within_the_stated_rat
 
 
 @pytest.mark.slow
-def test_slow_noise_in_a_loop_is_no_trend_that_a_headline_names():
-    """One record of the kinds below, which a trend without a cause was claimed of: process noise, feedback without delay."""
-    train, test, _ = linear_case(506)
-    assert (
-        diagnose(train, test, Setting(effort=Effort.QUICK, separate=True, deviations=False)).effect in LINEAR
-    )
-
-
-@pytest.mark.slow
-def test_a_direction_of_motion_that_goes_with_the_output_itself_is_no_headline() -> None:
-    """A loop with process noise: what the linear model leaves goes with its own output, and so with the sign of its rate."""
-    train, test, _ = linear_case(1006)
-    assert (
-        diagnose(train, test, Setting(effort=Effort.QUICK, separate=True, deviations=False)).effect in LINEAR
-    )
+@pytest.mark.parametrize("seed", [506, 7063, 7068, 7076, 7079])
+def test_records_of_the_kinds_below_of_which_something_was_claimed(seed):
+    """506, slow noise in a loop: a trend. 7063, an answer in the same sample to a reference of two values: a bent input, which knew
+    the noise. 7068: no rate to turn with. 7076: a loop where a multisine's own past leaves nothing. 7079, a multisine whose
+    lags are not independent: noise that changes its size."""
+    train, test, kind = linear_case(seed)
+    stated = not kind.logged if kind.rest or kind.logged else None
+    found = diagnose(train, test, Setting(effort=Effort.QUICK, separate=True, deviations=stated))
+    assert found.effect in LINEAR or (found.effect == "closed_loop" and kind.loop != "open")
+    assert found.difference.high >= 0.0
