@@ -307,3 +307,27 @@ def test_settings_that_were_changed_are_named(tmp_path):
         open_session(folder)
     (folder / "journal.txt").unlink()  # of a session that was begun before settings had a fingerprint
     assert open_session(folder).settings.dt == 0.05
+
+
+def test_one_bit_of_the_journal_changes_no_step_and_no_file(tmp_path):
+    """The files are the state: a bit of a fingerprint is a line that names the file, a bit of anything else nothing."""
+    folder, experiment = tmp_path / "rig", simulated(AVIS, seed=9)
+    start_session(folder, ISOLATION)
+    for _ in range(2):
+        file = open_session(folder).next_input()
+        open_session(folder).record(rig(file, tmp_path / "measured.csv", experiment))
+    session = open_session(folder)
+    session.undo()
+    journal, kept = folder / "journal.txt", state(folder)
+    whole, refused = journal.read_bytes(), 0
+    for place in range(len(whole)):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << place % 8
+        journal.write_bytes(damaged)
+        try:
+            assert open_session(folder).step == 2
+        except CampaignError as error:
+            refused += 1
+            assert "was changed after the session wrote it" in str(error)
+        assert state(folder) == kept
+    assert refused > 10
