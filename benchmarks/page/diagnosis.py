@@ -271,7 +271,7 @@ def _words(result: Diagnosis) -> tuple[str, list[str], list[str]]:
         [f"Keep the linear model: {use}.", FURTHER]
         if nothing
         else [f"Use the answer in place of the linear model: {use}."]
-        if after.value <= before.value
+        if after.value < before.value
         else [f"Keep the linear model: the answer's error on the {result.held_out} is not lower."]
     )
     if result.remaining and not nothing:
