@@ -174,7 +174,7 @@ def _headline(fit, record, payload: dict) -> str:
     u, y = (units[0] or names[0] for units, names in (
         (record.input_units, record.input_names), (record.output_units, record.output_names)))  # fmt: skip
     gain, error, omega = fit.hinf_norm
-    said = f"largest gain {gain:.4g} +- {error:.2g} {y}/{u} at {omega / (2 * np.pi * record.dt):.4g} Hz"
+    said = f"largest gain {gain:.4g} +- {error:.2g} {f'({y})' if '/' in y else y}/{u} at {omega / (2 * np.pi * record.dt):.4g} Hz"
     if not fit.model.stable:
         said = "WARNING: the model is unstable, so that it has no largest gain"
     elif not gain > TOLD * error:
