@@ -230,7 +230,9 @@ def difference(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     """What two settings differ in, in words."""
     names = sorted(set(found) | set(wanted))
     return ", ".join(
-        f"the content of {_changed(found.get(name), wanted.get(name))}"
+        f"an older version wrote it, without {name}"
+        if name in CONTENTS and name not in found
+        else f"the content of {_changed(found.get(name), wanted.get(name))}"
         if name in CONTENTS
         else f"{name}: there {found.get(name)}, asked {wanted.get(name)}"
         for name in names

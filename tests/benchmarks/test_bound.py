@@ -327,3 +327,9 @@ def test_a_cut_line_is_done_again_and_a_second_process_refused(cases, capsys):
     with locked(cases / ".r.jsonl.lock", "x"):
         assert diagnosed(cases)[0] == 2
     assert "another process" in capsys.readouterr().err
+
+
+def test_a_folder_from_before_contents_were_kept_says_so():
+    """It had said "other settings (the content of )"."""
+    said = store_module.difference({"seed": 0}, {"seed": 0, "contents": []})
+    assert said == "an older version wrote it, without contents"
