@@ -18,9 +18,10 @@ from estimators.diagnosis.baseline.disturbances import set_aside
 from estimators.diagnosis.baseline.search import LONG
 from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
-from estimators.diagnosis.ladder.held_out import HeldOut, assess, begun, outside
+from estimators.diagnosis.ladder.asked import begun, outside
+from estimators.diagnosis.ladder.held_out import HeldOut, assess
 from estimators.diagnosis.ladder.outcome import Outcome
-from estimators.diagnosis.ladder.stated import Contradiction, lacking, settling, starts_at_rest, starts_moving
+from estimators.diagnosis.ladder.stated import Contradiction, denied_starts, lacking, settling, starts_at_rest
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, as_started, climb, paired_gain, refused
 from estimators.diagnosis.ladder.verdicts import verdict
 from estimators.diagnosis.policy import Setting
@@ -86,7 +87,8 @@ def diagnose(
 
     Notes
     -----
-    What a test record's outputs are is never used to choose or to fit anything. Its inputs and its clock decide whether the
+    What a test record's outputs are is never used to fit anything, and chooses one thing, which is then said: an answer that is worse
+    there than the linear model gives way to it, as its claims do. Its inputs and its clock decide whether the
     training data determine a model's run there; where they do not, the answer is the model below, and that is said.
     """
     test = None if test is None else as_records(test, missing=True)[0]
@@ -101,12 +103,10 @@ def diagnose(
     asked = replace(_options(first, setting), asked=() if test is None else (test.u,))
     base = best_linear(records, asked)
     orders = setting.orders or (None,) * first.n_outputs
-    rest = bool(setting.deviations)
-    moving = [starts_moving(records, i, base, n, asked) if rest else None for i, n in enumerate(orders)]
-    # the data then tell the training records' starts, and what was stated holds of the test record alone
-    if any(moving):
-        setting, asked = replace(setting, deviations=None), replace(asked, deviations=None, moving=True)
-        base = best_linear(records, asked)
+    rest, moving = bool(setting.deviations), [None] * len(orders)
+    if rest:
+        moving, base, asked = denied_starts(records, base, orders, asked)
+    setting = replace(setting, deviations=asked.deviations)
     setting = replace(setting, effects=told_from_clock(setting.effects, records))
     say("effects of the catalogue")
     own = base if len(records) == 1 else best_linear([first], asked)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.choice import jackknife
-from estimators.diagnosis.effects import Nature
+from estimators.diagnosis.ladder.asked import curve_unknown
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
@@ -118,6 +118,12 @@ UNDETERMINED = (
 )
 
 
+REFUSED = (
+    "the {} model is worse on the test record than the linear model ({:.4g} against {:.4g}): the answer is the linear model, and this "
+    "one thing the test record chose"
+)
+
+
 MORE = 0.4
 """Share of its change from which on the variance of a run must not exceed all that its model has gained: of two such runs, .31
 of the change was far above the error, .42 below it."""
@@ -200,7 +206,8 @@ def assess(
     `counts` (N, ny) says which samples of that record count, `held` (N, ny) in which of them the sensor shows its last value:
     what is simulated is then compared as it would show it, but for the linear model, which knows of no such sensor. The
     answer of each output is its ladder's; where its free run explodes, or is not determined by the training data, that is
-    said, and the best of the others that is sane and determined stands in its place.
+    said, and the best of the others that is sane and determined stands in its place; and where the test record is further from the
+    answer than from the linear model, that is said, and the linear model is the answer.
     """
     record = train if test is None else test
     y = np.nan_to_num(record.y)
@@ -217,17 +224,18 @@ def assess(
         if answers[-1] != ladder.answer or not sane:
             warnings.append(_exploded(ladder, answers[-1] if sane else None, name))
         if test is not None:
-            known = [not _curve_unknown(r.step, train, record) for r in ladder.rungs]
+            known = [not curve_unknown(r.step, train, record) for r in ladder.rungs]
             untried |= not known[answers[-1]]
             j = _determined(ladder, sane, runs[i], lambda a: a.simulate(record, skip), use, known)
             if j != answers[-1]:
                 kinds = (ladder.rungs[k].step.kind.value for k in (answers[-1], j))
                 warnings.append(UNDETERMINED.format(next(kinds), name, next(kinds)))
                 answers[-1] = j
-    linear = [k.rungs[a].step.kind is Kind.LINEAR for k, a in zip(ladders, answers, strict=True)]
-    at = [k.answer if no else a for no, k, a in zip(linear, ladders, answers, strict=True)]
-    before, after, claimed = (np.stack([r[j] for r, j in zip(runs, which, strict=True)], axis=1)
-                              for which in ([0] * len(runs), answers, at))  # fmt: skip
+
+    def stacked(which: Sequence[int]) -> Array:
+        return np.stack([r[j] for r, j in zip(runs, which, strict=True)], axis=1)
+
+    before = stacked([0] * len(runs))
     weight = counts & np.isfinite(before)
     rows = weight.any(axis=1)
     rng = np.random.default_rng(SEED)
@@ -236,7 +244,14 @@ def assess(
         e = np.where(weight, np.nan_to_num(y - run, posinf=1e150, neginf=-1e150), 0.0)
         return (e**2).sum(axis=1)[rows] / weight.sum(axis=1)[rows]
 
+    figures = [_root(squares(stacked(which))) for which in ([0] * len(runs), answers)]
+    if test is not None and figures[1] > figures[0]:
+        kinds = {k.rungs[a].step.kind.value for k, a in zip(ladders, answers, strict=True) if a}
+        warnings.append(REFUSED.format(" and ".join(sorted(kinds)), figures[1], figures[0]))
+        answers = [0] * len(runs)
     steps = [ladder.rungs[a].step for ladder, a in zip(ladders, answers, strict=True)]
+    at = [k.answer if s.kind is Kind.LINEAR else a for s, k, a in zip(steps, ladders, answers, strict=True)]
+    after, claimed = stacked(answers), stacked(at)
     ahead = [np.stack([_innovations(y[:, i] - run[:, i], noise) for i, noise in enumerate(noises)], axis=1)
              for run, noises in ((before, [np.zeros(0)] * len(steps)), (after, [s.noise for s in steps]))]  # fmt: skip
     first, second, third = squares(before), squares(after), squares(claimed)
@@ -245,7 +260,7 @@ def assess(
     return HeldOut(
         before, after, figures[0], figures[1], bootstrap(squares(y - ahead[0]), rng), bootstrap(squares(y - ahead[1]), rng),
         difference := bootstrap(first, rng, second), removed(first, second, (floor, len(train)), rng, policy),
-        tuple(_rungs(ladders, runs, squares, rng)), tuple(steps), (*warnings, *worse.values()),
+        tuple(_rungs(ladders, runs, squares, rng, answers)), tuple(steps), (*warnings, *worse.values()),
         difference if at == answers else bootstrap(first, rng, third), untried,
         ANSWER in _worse_than_constant(y, weight, (figures[0], bootstrap(third, rng)), policy),
     )  # fmt: skip
@@ -283,7 +298,11 @@ def _worse_than_constant(
 
 
 def _rungs(
-    ladders: Sequence[Ladder], runs: list[list[Array]], squares: Any, rng: np.random.Generator
+    ladders: Sequence[Ladder],
+    runs: list[list[Array]],
+    squares: Any,
+    rng: np.random.Generator,
+    answers: Sequence[int],
 ) -> list[dict]:
     """One row per kind of step over all outputs: each output stands on its last rung of that kind or below."""
     kinds = list(dict.fromkeys(r.step.kind for kind in ladders for r in kind.rungs))
@@ -301,7 +320,7 @@ def _rungs(
         rows.append({
             "step": kind.value, "adds": adds, "rmse_unused": value, "low": low, "high": high,
             "rmse_test": figure.value, "low_test": figure.low, "high_test": figure.high,
-            "answer": any(ladder.rungs[ladder.answer].step.kind is kind for ladder in ladders),
+            "answer": any(k.rungs[a].step.kind is kind for k, a in zip(ladders, answers, strict=True)),
         })  # fmt: skip
     return rows
 
@@ -311,90 +330,3 @@ def _last(ladder: Ladder, kind: Kind) -> int:
     able = [j for j, r in enumerate(ladder.rungs) if order.index(r.step.kind) <= order.index(kind)]
     same = [j for j in able if ladder.rungs[j].step.kind is kind]
     return min(same or able[-1:], key=lambda j: ladder.rungs[j].value)
-
-
-def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
-    """What the test record asks that no training record covered: ranges of inputs, outputs and their rates."""
-    out = []
-    for words, of, units in (
-        ("input", lambda r: r.u, test.input_units), ("output", lambda r: r.y, test.output_units),
-        ("rate of the input", lambda r: np.diff(r.u, axis=0), [f"{u}/sample" if u else "" for u in test.input_units]),
-        ("rate of the output", lambda r: np.diff(r.y, axis=0), [f"{u}/sample" if u else "" for u in test.output_units]),
-    ):  # fmt: skip
-        known = np.concatenate([of(r) for r in train])
-        low, high, asked = np.nanmin(known, axis=0), np.nanmax(known, axis=0), of(test)
-        share = np.mean((asked < low) | (asked > high), axis=0)
-        for j in np.flatnonzero(share > policy.outside):
-            number = f" {j + 1}" if known.shape[1] > 1 else ""
-            out.append(f"{100 * share[j]:.3g} % of the test record's samples leave the range of the {words}{number} "
-                       f"that the training data cover ({f'{low[j]:.4g} to {high[j]:.4g} {units[j]}'.rstrip()})")  # fmt: skip
-    return out + _between(train, test, policy) + _new_frequencies(train, test, policy)
-
-
-OPENING, MOST = 0.1, 0.5
-"""A test record began in a state of its own where so much of it, at its start, makes so much of the answer's squared error."""
-
-
-def begun(test: Record, run: Array, skip: int) -> list[str]:
-    """That a run from rest meets a test record which does not begin at rest: then the errors are those of its first samples."""
-    n = int(OPENING * len(test))
-    squares = np.nansum((test.y - run) ** 2, axis=1)
-    share = squares[:n].sum() / (squares.sum() or 1.0)
-    if skip or not n or not share > MOST:
-        return []
-    return [f"{100 * share:.0f} % of the squared error on the test record is made in its first {n} samples, as where it does not begin "
-            f"at rest; --skip {n} (in Python skip={n}) lets these set the state and leaves them out"]  # fmt: skip
-
-
-MOSTLY = 0.5
-"""Share of a record's samples off all levels of an input from which on a curve of that input is a guess there."""
-GAP = 0.05
-"""Of the range of an input, from which on nothing says what a curve does between two of its levels."""
-
-
-def _off_levels(train: Sequence[Record], test: Record, j: int) -> tuple[NDArray[np.bool_], float]:
-    """(N,) samples whose input lies between the levels that the training data cover, and how far from the nearest is far."""
-    levels, asked = np.unique(np.concatenate([r.u[:, j] for r in train])), test.u[:, j]
-    if len(levels) < 2:
-        return np.zeros(len(asked), dtype=bool), 0.0
-    at, far = np.clip(np.searchsorted(levels, asked), 1, len(levels) - 1), GAP * float(np.ptp(levels))
-    return np.minimum(asked - levels[at - 1], levels[at] - asked) > far, far
-
-
-def _curve_unknown(step: Step, train: Record, test: Record) -> bool:
-    """Whether a step has a curve of an input that is mostly where no training sample says anything of it."""
-    structure = getattr(step.answer, "structure", None)
-    parts = () if structure is None else structure.effects
-    curved = {
-        q.channel for q in parts if q.effect.nature is Nature.INPUT_STATIC and q.effect.apply is not None
-    }
-    return any(np.mean(_off_levels([train], test, j)[0]) > MOSTLY for j in curved)
-
-
-def _between(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
-    """Inputs of the test record inside the training range and off all levels that it was sampled at."""
-    out = []
-    for j in range(test.n_inputs):
-        off, far = _off_levels(train, test, j)
-        share = float(np.mean(off))
-        if share > policy.outside:
-            number = f" {j + 1}" if test.n_inputs > 1 else ""
-            out.append(f"{100 * share:.3g} % of the test record's samples lie between levels of the input{number} that the "
-                       f"training data cover, more than {far:.4g} from the nearest: no curve is known there")  # fmt: skip
-    return out
-
-
-def _new_frequencies(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
-    """Share of the test input's power at frequencies where the training input has next to none."""
-    from scipy.signal import welch
-
-    out = []
-    size = min(256, len(test), *(len(r) for r in train))
-    for j in range(test.n_inputs):
-        power = np.mean([welch(r.u[:, j], nperseg=size)[1] for r in train], axis=0)
-        asked = welch(test.u[:, j], nperseg=size)[1]
-        share = float(np.sum(asked[power < policy.dark * asked]) / max(np.sum(asked), 1e-300))
-        if share > policy.outside:
-            out.append(f"{100 * share:.3g} % of the power of test input {j + 1} is at frequencies where the training input "
-                       "has next to none")  # fmt: skip
-    return out

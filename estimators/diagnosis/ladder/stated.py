@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from estimators.diagnosis.baseline.baseline import Baseline, Options
-from estimators.diagnosis.baseline.best import own_inputs, prior_of
+from estimators.diagnosis.baseline.best import best_linear, own_inputs, prior_of
 from estimators.diagnosis.baseline.choice import WORSE
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.baseline.search import DELAYS, EARLY, Search
@@ -27,6 +27,9 @@ MOVING = 1e-6
 """Significance of a state at the start from which on a record does not begin at rest: that was stated, and takes much to be denied."""
 SET = 200
 """Samples that set the state whose worth is judged: light poles have shown theirs by then."""
+DENIED = (
+    "the record does not start at rest, as was stated: with a state at its start the error is {:.0%} less"
+)
 PLAIN = 4
 """Order of the model whose start is looked at where none is stated: what has more poles follows a start as dynamics."""
 
@@ -78,8 +81,36 @@ def starts_moving(
     kept = max(then.noise, 1e-300) / max(first.noise, 1e-300)
     p = float(chi2.sf(max(-samples * np.log(kept), 0.0), max(n, 1) * len(records)))
     share = 1.0 - float(np.sqrt(kept))
-    words = f"the record does not start at rest, as was stated: with a state at its start the error is {share:.0%} less"
-    return Contradiction("initial", words, share, p) if p < MOVING else None
+    return Contradiction("initial", DENIED.format(share), share, p) if p < MOVING else None
+
+
+HALF = 0.5
+"""Share of the error with a stated start, up to which the error without it must fall for a start at rest to be denied by that alone."""
+
+
+def denied_starts(
+    records: Sequence[Record], base: Baseline, orders: Sequence[int | None], options: Options
+) -> tuple[list[Contradiction | None], Baseline, Options]:
+    """Which outputs do not start at rest, as was stated, and the linear models and options that go on from there.
+
+    One whose start shows by itself; and where no linear model from rest follows an output on unused blocks better than its mean, one that
+    a model with a state at its start follows with half the error.
+    """
+    moving = [starts_moving(records, i, base, n, options) for i, n in enumerate(orders)]
+    counts = base.blocks.counting(records)
+    sizes = [
+        np.std(np.concatenate([r.y[c[:, i], i] for r, c in zip(records, counts, strict=True)]))
+        for i in range(len(orders))
+    ]
+    if not any(moving) and np.all(base.rmse_unused < sizes):
+        return moving, base, options
+    # the data then tell the training records' starts, and what was stated holds of the test record alone
+    told = replace(options, deviations=None, moving=True)
+    free = best_linear(records, told)
+    for i, kept in enumerate(free.rmse_unused / base.rmse_unused):
+        if moving[i] is None and kept < HALF and base.rmse_unused[i] >= sizes[i]:
+            moving[i] = Contradiction("initial", DENIED.format(1.0 - kept), 1.0 - kept)
+    return (moving, free, told) if any(moving) else (moving, base, options)
 
 
 def lacking(

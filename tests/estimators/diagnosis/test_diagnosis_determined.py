@@ -15,11 +15,11 @@ from estimators.diagnosis.baseline.choice import Candidate, run_spread, tried
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.effects import named
+from estimators.diagnosis.ladder.asked import curve_unknown
 from estimators.diagnosis.ladder.held_out import (
     ANSWER,
     HeldOut,
     _as_read,
-    _curve_unknown,
     _determined,
     _undetermined,
     _worse_than_constant,
@@ -122,10 +122,24 @@ def test_a_curve_between_the_levels_of_its_input_is_a_guess() -> None:
     friction = SimpleNamespace(
         answer=SimpleNamespace(structure=Structure(1).adding(Part(named("coulomb"), 0)))
     )
-    assert _curve_unknown(curve, train, test)
-    assert not _curve_unknown(curve, train, train)
-    assert not _curve_unknown(friction, train, test)
-    assert not _curve_unknown(SimpleNamespace(answer=object()), train, test)
+    assert curve_unknown(curve, train, test)
+    assert not curve_unknown(curve, train, train)
+    assert not curve_unknown(friction, train, test)
+    assert not curve_unknown(SimpleNamespace(answer=object()), train, test)
+
+
+def test_an_answer_that_the_test_record_refuses_gives_way_to_the_linear_model_and_says_so() -> None:
+    """The actuator saturates in training and was mended before the test: no claim, and no error above the linear model's."""
+    rng = np.random.default_rng(5)
+    u, v = np.repeat(rng.uniform(-2, 2, (2, 150)), 4, axis=1)
+    plant = lambda x: lfilter([0.0, 0.2], [1.0, -0.8], x) + 0.01 * rng.standard_normal(len(x))
+    found = diagnose(Record(u, plant(np.clip(u, -0.8, 0.8))), Record(v, plant(v)))
+    assert found.rmse_after.value == found.rmse_before.value
+    assert found.effect == "unknown"
+    assert any("this one thing the test record chose" in words for words in found.warnings)
+    named_row = next(row for row in found.ladder if row["step"] == "named")
+    assert named_row["rmse_test"] > found.rmse_before.value
+    assert [row["step"] for row in found.ladder if row["answer"]] == ["linear"]
 
 
 def _consumed(seed: int, start: int) -> Record:

@@ -10,7 +10,7 @@ import numpy as np
 from estimators.diagnosis.baseline.blocks import Block, Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.ladder import Kind, Step, climb, paired_gain
-from estimators.diagnosis.ladder.held_out import begun, outside
+from estimators.diagnosis.ladder.asked import begun, outside
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.steps import refused
 from estimators.diagnosis.policy import Policy

@@ -72,6 +72,29 @@ def test_a_record_that_starts_in_a_state_is_fitted_and_told():
     assert found.rmse_after.value < 0.05 * test.y.std()
 
 
+def cell(start: float, seed: int, n: int = 1200) -> Record:
+    """A battery: three lags side by side, the slowest relaxing when the record starts; levels of the first samples are subtracted."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-4, 4, n // 15), 15)
+    u[:15] = 0.0
+    y = start * 0.9956 ** np.arange(n) + 0.6 * lfilter([1.0], [1.0, -0.8], rng.standard_normal(n))
+    for pole, gain in ((0.9956, 30.0), (0.96, 10.0), (0.5, 4.0)):
+        y += lfilter([0.0, gain * (1 - pole)], [1.0, -pole], u)
+    return Record(u, y - y[:15].mean(), 2.0)
+
+
+def test_a_start_beside_which_nothing_follows_the_record_is_denied():
+    """No model of the stated order shows the state, and from rest none follows the record at all."""
+    train, test = cell(100.0, 0), cell(100.0, 5)
+    assert (
+        starts_moving([train], 0, best_linear([train], Options(deviations=True)), 2, Options(deviations=True))
+        is None
+    )
+    found = diagnose(train, test, Setting(orders=(2,), deviations=True, separate=True, effort=Effort.QUICK))
+    assert found.effect == "initial_condition"
+    assert found.rmse_after.value < 0.2 * test.y.std()
+
+
 @pytest.mark.parametrize("own", [False, True], ids=["an added level", "the plant's own slow pole"])
 def test_a_slow_pole_that_no_input_drives_is_a_level_that_settles(own):
     """The same decay, of a sensor that warms up or of the plant's state at the start: only the first is a disturbance."""
