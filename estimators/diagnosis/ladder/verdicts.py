@@ -31,7 +31,8 @@ UNKNOWN, NONE = "unknown", "none"
 NAMELESS = "an effect without a name"
 UNCLAIMED = "no cause found that holds on unused data"
 NOTHING = "nothing is missing from the linear model that data not used could show"
-ECHO = "the input answers the noise of its own sample: no cause can be told from the controller's answer"
+ANSWERS = "the input answers the noise of its own sample"
+ECHO = f"{ANSWERS}: no cause can be told from the controller's answer"
 
 
 @dataclass(frozen=True)
@@ -267,9 +268,9 @@ def _data(o: Outcome, setting: Setting, effects: dict[str, Effect], tag: str) ->
     order = {"held": 4.0, "quantised": 3.0, "outliers": 1.0}
     found = [_seen(effects, s.key, order.get(s.key, 0.0), 0.0, s.sentence) for s in o.examined.signatures]
     limit = 1e-2 if o.share.feedback else 1e-4 * o.of_the_best  # alone, a model's error may foretell an input
-    if p < setting.alpha * limit:
-        words = f"past innovations help to predict the input{tag} ({p_stated(p)}): the data are from a closed loop"
-        found.append(_seen(effects, "feedback", 2.0, p, words))
+    if (told := p < setting.alpha * limit) or o.inverse:
+        what = f"past innovations help to predict the input ({p_stated(p)})" if told else ANSWERS
+        found.append(_seen(effects, "feedback", 2.0, p, f"{what}{tag}: the data are from a closed loop"))
     return found
 
 
