@@ -46,9 +46,8 @@ def assembled(
 ) -> Design:  # fmt: skip
     """A Design of a spectrum and its certificate, both in the model's own units."""
     bound = certificate.bound
-    if (
-        loss < bound
-    ):  # no spectrum is better than a bound: where rounding says so, the truth is taken to lie between the two
+    # No spectrum is better than a bound: where rounding says so, the truth is taken to lie between the two.
+    if loss < bound:
         certificate = replace(certificate, bound=loss, value=certificate.numerator / loss)
         bound, loss = loss, bound
     closed = abs(loss - bound) <= tolerance * bound and certificate.rounding <= tolerance

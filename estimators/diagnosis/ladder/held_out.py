@@ -244,17 +244,17 @@ def assess(
         e = np.where(weight, np.nan_to_num(y - run, posinf=1e150, neginf=-1e150), 0.0)
         return (e**2).sum(axis=1)[rows] / weight.sum(axis=1)[rows]
 
-    figures = [_root(squares(stacked(which))) for which in ([0] * len(runs), answers)]
-    if test is not None and figures[1] > figures[0]:
+    first, second = squares(before), squares(stacked(answers))
+    if test is not None and _root(second) > _root(first):
         kinds = {k.rungs[a].step.kind.value for k, a in zip(ladders, answers, strict=True) if a}
-        warnings.append(REFUSED.format(" and ".join(sorted(kinds)), figures[1], figures[0]))
-        answers = [0] * len(runs)
+        warnings.append(REFUSED.format(" and ".join(sorted(kinds)), _root(second), _root(first)))
+        answers, second = [0] * len(runs), first
     steps = [ladder.rungs[a].step for ladder, a in zip(ladders, answers, strict=True)]
     at = [k.answer if s.kind is Kind.LINEAR else a for s, k, a in zip(steps, ladders, answers, strict=True)]
     after, claimed = stacked(answers), stacked(at)
     ahead = [np.stack([_innovations(y[:, i] - run[:, i], noise) for i, noise in enumerate(noises)], axis=1)
              for run, noises in ((before, [np.zeros(0)] * len(steps)), (after, [s.noise for s in steps]))]  # fmt: skip
-    first, second, third = squares(before), squares(after), squares(claimed)
+    third = squares(claimed)
     figures = bootstrap(first, rng), bootstrap(second, rng)
     worse = _worse_than_constant(y, weight, figures, policy)
     return HeldOut(

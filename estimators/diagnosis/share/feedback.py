@@ -55,10 +55,10 @@ def has_feedback(
     records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
 ) -> bool:
     """Whether an input answers the noise, surely and by a share of it that matters."""
-    designs, count = _designs(records, residual, uses), records[0].n_inputs
+    clean, count = _clean(residual, uses), records[0].n_inputs
+    designs = _designs(records, clean)
     if max(_gain(*d) for d in designs) > MATTERS and min(wald(*d) for d in designs) * count < ALPHA:
         return True
-    clean = _clean(residual, uses)
     return any(_at_once([r.u[:, j] for r in records], clean, ALPHA / count) for j in range(count))
 
 
@@ -91,15 +91,13 @@ def answered(
     Granger's test: past whitened residuals help to predict an input beyond the input's own past. An input may be
     predictable, as narrow-band ones are: only what its own past does not tell counts.
     """
-    designs = _designs(records, residual, uses)
+    designs = _designs(records, _clean(residual, uses))
     return max(_gain(*d) for d in designs) - LEADS / len(designs[0][-1])
 
 
-def _designs(
-    records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
-) -> list[tuple[Array, Array, Array]]:
-    """Of every input what its test is made of, the noise whitened."""
-    clean, leads = _clean(residual, uses), range(1, LEADS + 1)
+def _designs(records: Sequence[Record], clean: Sequence[Array]) -> list[tuple[Array, Array, Array]]:
+    """Of every input what its test is made of, beside the whitened noise of each record."""
+    leads = range(1, LEADS + 1)
     return [_design([r.u[:, j] for r in records], clean, PAST, leads) for j in range(records[0].n_inputs)]
 
 
