@@ -10,6 +10,7 @@ from benchmarks.page.content import Figure, Page, Row, Section, Table, headed, l
 from benchmarks.page.skeleton import save_page
 from oed.data import Spectrum
 from oed.design import Design
+from oed.design.problem.words import headline
 from oed.errors import OedError
 from oed.plants.plant import Plant
 
@@ -17,9 +18,6 @@ POINTS = 600
 """Frequencies of the sensitivity's line, beside the support."""
 TIGHT = 1e-3
 """Share of a budget that may be left where it still counts as what limits the design."""
-
-MOST_NAMED = 4
-"""Lines whose frequencies the answer names."""
 
 
 def _alternatives(design: Design, plant: Plant) -> list[Row]:
@@ -87,10 +85,9 @@ def write_design(
         rows = thinned(np.arange(len(u)) * plant.dt, dict(zip(names, u.T, strict=True)))
         runs = [Figure("signal", "The signal to apply; input.csv has every sample.", "The input over time.", rows,
                        "time (s)" if plant.dt != 1 else "sample", "input", zoom=True)]  # fmt: skip
+    sentence = headline(design)
     binding = [r["limit"] for r in limits if r["binds"] == "yes"]
-    near = ", ".join(f"{w / turn:.3g}" for w in at[:MOST_NAMED]) + (", .." if len(at) > MOST_NAMED else "")
-    answer = (f"The {design.criterion.name}-optimal input puts its power on {len(at)} line{'s' * (len(at) > 1)} ({near} {unit}); white noise of the same "
-              f"power reaches {100 * design.efficiency_white:.3g} % of it.")  # fmt: skip
+    answer = f"{sentence[0].upper()}{sentence[1:]}."
     sure = [f"Loss {design.loss:.6g}, and no admissible spectrum has less than {design.bound:.6g}: a certified gap of {design.gap:.1e}.",
             f"{design.status.name}: {design.status.value}"]  # fmt: skip
     todo = (

@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from estimators.stages import stage
     from oed.design import solve_design
     from oed.design.parametrisations.amplitude import amplitude_design, within
-    from oed.design.problem.design import in_words
+    from oed.design.problem.words import in_words
     from oed.signals import synthesis as signals
 
     plant = load_plant(args.plant, args.noise_variance)
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         )
     else:
         design = solve_design(plant, args.criterion, channel_power=args.channel_power, **limits)
-    payload, text = design.to_dict(), in_words(design, plant.dt)
+    payload, text = design.to_dict(), in_words(design)
     if args.parametrisation in ("moments", "autocorrelation", "ar", "bands"):
         design, payload, text = _parametrised(args, plant, design, payload)
     for line in payload["support"]:
@@ -112,6 +112,7 @@ def _parametrised(args: argparse.Namespace, plant: Any, design: Any, payload: di
         basis_design,
         moment_design,
     )
+    from oed.design.problem.words import headline
 
     if args.amplitude or any(
         limit is not None for limit in (args.output_power, args.channel_power, args.band)
@@ -147,7 +148,7 @@ def _parametrised(args: argparse.Namespace, plant: Any, design: Any, payload: di
         "solver": design.solver, "input_power": found.spectrum.total_power, "power_used": design.power_used,
         "information": design.information.tolist(),
     }  # fmt: skip
-    text = f"{found!r}\nat least {design.bound:.12g} for every admissible spectrum (gap {design.gap:.1e})"
+    text = f"{headline(design)}\n{found!r}\nat least {design.bound:.12g} for every admissible spectrum (gap {design.gap:.1e})"
     return design, payload, text
 
 

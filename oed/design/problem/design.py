@@ -10,6 +10,7 @@ from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.information_maps import InformationMap
+from oed.design.problem.words import in_words
 from oed.errors import Status
 
 
@@ -146,32 +147,3 @@ class Design:
             f"Design({self.criterion.name}: loss {self.loss:.9g}, gap {self.gap:.1e}, {len(self.spectrum)} lines, "
             f"{self.status.name})"
         )
-
-
-def in_words(design: Design, dt: float | None = None) -> str:
-    """A design as a reader sees it, its lines in Hz too where the sampling time is given."""
-    closed = "" if design.status.ok else ", not closed"
-    lines = [
-        f"{design.criterion.name}-optimal input: loss per sample {design.loss:.12g}, at least {design.bound:.12g} "
-        f"for every admissible spectrum (gap {design.gap:.1e}{closed})",
-        f"white noise of the same power reaches {100 * design.efficiency_white:.4g} % of the optimum",
-    ]
-    share = np.einsum("kii->k", design.spectrum.power).real
-    for w, P in zip(design.spectrum.omega, share, strict=True):
-        hertz = "" if dt is None else f" = {w / (2 * np.pi * dt):.6g} Hz"
-        lines.append(f"  {w:.9f} rad/sample{hertz}   power {P:.9g}")
-    if design.certificate.elsewhere > 1 + 1e-6:
-        lines.append(
-            f"the grid misses something: a line at {design.certificate.elsewhere_frequency:.6g} rad/sample is worth "
-            f"{design.certificate.elsewhere:.4g} times its cost, so the bound holds on the grid only: "
-            "give points there, or leave refine on"
-        )
-    if design.certificate.rounding > (
-        design.gap if design.status is Status.INACCURATE else max(1e-7, design.gap)
-    ):
-        lines.append(
-            f"rounding alone moves the loss by {design.certificate.rounding:.1e} of it: double precision hardly tells "
-            "some parameters apart"
-        )
-    lines.append(f"{design.status.name}: {design.status.value}")
-    return "\n".join(lines)

@@ -52,6 +52,8 @@ class InformationMap:
         default the identity.
     finer : callable, optional
         `factor` in extended precision, for parameters that double precision hardly tells apart.
+    dt : float, optional
+        Sampling time in seconds: frequencies are said in Hz where it is known.
     """
 
     names: tuple[str, ...]
@@ -62,6 +64,7 @@ class InformationMap:
     resonances: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     input_gain: Responses | None = None
     finer: Responses | None = None
+    dt: float | None = None
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -191,7 +194,7 @@ def information_map(
         return InformationMap(
             model.free, model.n_inputs, lambda omega: whitened_gradient(model, omega),
             lambda omega: model.response(omega)[0], np.zeros((len(model.free),) * 2), resonances_of(dens),
-            finer=lambda omega: whitened_gradient(model, omega.astype(np.longdouble)),
+            finer=lambda omega: whitened_gradient(model, omega.astype(np.longdouble)), dt=model.dt,
         )  # fmt: skip
     if isinstance(model, Model):
         return _of_model(model)
@@ -250,7 +253,7 @@ def _of_model(model: Model) -> InformationMap:
     dens = [p for row in rows for x in "acf" for p in row[x]]
     return InformationMap(
         model.names, model.structure.n_inputs, factor, lambda omega: model.response(omega)[0],
-        noise_information(model, W), resonances_of(dens), finer=finer,
+        noise_information(model, W), resonances_of(dens), finer=finer, dt=model.dt,
     )  # fmt: skip
 
 

@@ -91,4 +91,5 @@ def closed_loop_map(
         constant=integral(squares, edges, 1e-11) / np.pi,
         resonances=open_loop.resonances,
         input_gain=lambda omega: loop(omega)[2],
+        dt=open_loop.dt,
     )

@@ -48,6 +48,7 @@ def stacked_map(models: Sequence[Any]) -> InformationMap:
         gain=lambda omega: np.concatenate([m.gain(omega) for m in maps], axis=1),
         constant=np.asarray(block_diag(*[m.constant for m in maps]), dtype=np.float64),
         resonances=np.concatenate([m.resonances for m in maps]),
+        dt=maps[0].dt,
     )
 
 
