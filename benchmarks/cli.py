@@ -1,7 +1,7 @@
 """The command `oed`: one subcommand per file of the folders of `benchmarks.commands`.
 
 Exit status: 0 when the command did its job, 2 for bad input (one clear line), 130, 143 and 129 when Ctrl-C, SIGTERM
-or SIGHUP ended it (what was finished is kept), 1 for anything else. A reader of the output that goes away, such as `head`, changes
+or SIGHUP ended it (what is kept is said), 1 for anything else. A reader of the output that goes away, such as `head`, changes
 neither what is written to files nor the exit status. With `--json` standard output carries one JSON object and nothing
 else, whatever a solver prints below Python."""
 
@@ -18,7 +18,7 @@ import sys
 import threading
 import traceback
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
@@ -31,6 +31,7 @@ from oed.errors import (
     NotIdentifiable,
     OedError,
     check_names,
+    interruption,
     near,
 )
 from oed.lazily import MissingExtra
@@ -49,14 +50,32 @@ NUMBERS = {
 class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are one line."""
 
+    given: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As argparse; what was given is kept for its complaints."""
+        self.given = tuple(args or ())
+        return super().parse_known_args(args, namespace)
+
     def error(self, message: str) -> NoReturn:
         rule = lambda found: f"it is {found[2]}; it must be {NUMBERS.get(found[1], 'another value')}"
         message = re.sub(r"invalid (\w+) value: (.*)", rule, message)
+        message += _as_file(self.given, self.options())
         self.exit(2, _one_line(f"{self.prog}: {message}; see {self.prog} --help.") + "\n")
 
     def options(self) -> list[str]:
         """What may stand behind the command, to guess what was meant."""
         return [word for action in self._actions for word in action.option_strings]
+
+
+def _as_file(words: Sequence[str], options: Sequence[str] = ()) -> str:
+    """How to write the name of a file that reads as an option, if one of the words is such."""
+    file = next((w for w in words if w.startswith("-") and w not in options and os.path.isfile(w)), "")
+    return f" ({file} is a file here: write ./{file})" if file else ""
+
+
+TYPESET = "\u201c\u201d\u201e\u2018\u00ab\u00bb\u2012\u2013\u2014\u2212"
+"""Quotation marks and dashes that a word processor or a web page puts in the place of the keyboard's."""
 
 
 def _modules() -> dict[str, str]:
@@ -212,6 +231,10 @@ def _main(argv: list[str], out: _Lasting) -> int:
     if not argv:
         parser.print_help()
         return 0
+    if typeset := next((word for word in argv if word and {word[0], word[-1]} & set(TYPESET)), ""):
+        said = f"oed: {typeset} has typographic quotation marks or dashes; type \", ' and - anew."
+        print(_one_line(said), file=sys.stderr)
+        return 2
     if not argv[0].startswith("-"):
         try:
             check_names(argv[:1], tuple(_modules()), "command")
@@ -226,7 +249,7 @@ def _main(argv: list[str], out: _Lasting) -> int:
         )
         return 2
     if unknown:
-        hint = near(unknown[0], args.options)
+        hint = _as_file(unknown[:1]) or near(unknown[0], args.options)
         if "inputs" in args and not unknown[0].startswith("-"):
             hint = " (several names are one word with commas: --inputs u1,u2)"
         said = f"oed {args.command}: {unknown[0]} is not understood{hint}; see oed {args.command} --help."
@@ -308,6 +331,24 @@ def _terminated_like_interrupted() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+RESUMES = ("compare", "diagnose-folder", "session")
+"""Commands that store each part of their work as it is finished; the others write once they have a result."""
+
+
+def _ended(args: argparse.Namespace, error: KeyboardInterrupt) -> int:
+    """Say that the command was ended and what there is of it; the exit status."""
+    what = "ended from outside" if isinstance(error, _Terminated) else "interrupted"
+    out = getattr(args, "out", None)
+    if args.command in RESUMES:
+        left = "what was finished is kept"
+    elif out and os.path.isdir(out) and os.listdir(out):
+        left = f"what {out} holds is not whole: remove it before the command is run again"
+    else:
+        left = "nothing of it is kept"
+    print(_one_line(f"oed {args.command}: {what}; {left}."), file=sys.stderr)
+    return 128 + getattr(error, "number", signal.SIGINT)
+
+
 def _run(args: argparse.Namespace, out: _Lasting) -> int:
     try:
         if not args.json:
@@ -326,10 +367,10 @@ def _run(args: argparse.Namespace, out: _Lasting) -> int:
         print(f"oed {args.command}: {_one_line(str(error))}", file=sys.stderr)
         return 2 if isinstance(error, BAD_INPUT) else 1
     except KeyboardInterrupt as error:
-        what = "ended from outside" if isinstance(error, _Terminated) else "interrupted"
-        print(f"oed {args.command}: {what}; what was finished is kept.", file=sys.stderr)
-        return 128 + getattr(error, "number", signal.SIGINT)
+        return _ended(args, error)
     except Exception as error:
+        if stop := interruption(error):
+            return _ended(args, stop)
         remedy = str(error) if isinstance(error, MissingExtra) else ""
         if isinstance(error, OSError):  # such as a name too long for a file, or a full disk behind `>`
             remedy = _one_line(

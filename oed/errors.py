@@ -73,6 +73,13 @@ def check_names(names: Iterable[str], known: Sequence[str], what: str) -> None:
             )
 
 
+def interruption(error: BaseException | None) -> KeyboardInterrupt | None:
+    """The interruption behind an error: one that reaches compiled code comes out of it as a SystemError of the interpreter's."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error
+
+
 def near(name: str, known: Iterable[str]) -> str:
     """ " (did you mean this?)", where one of the names is much like the one that is not among them."""
     lower = {one.lower(): one for one in known}

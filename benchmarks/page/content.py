@@ -6,15 +6,18 @@ file, so a folder from somebody else can fill a page with wrong numbers and with
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import oed
 from benchmarks.tables.formats import format_value
 from oed.errors import CampaignError, InputError
 from oed.files.documents import FLAG, NUMBER, TEXT, keyed, listed, read_document
+from oed.files.limits import file_content
 
 Row = dict[str, Any]
 MARKS = ("line", "points", "both", "ticks", "stems", "bars", "step")
@@ -139,7 +142,10 @@ def read_page(folder: Path) -> Page:
             f"{folder} has no report.json; it is not a finished result of oed compare, diagnose, identify or design with "
             "--out, nor a session: make one first."
         )
-    content = read_document(file, PAGE, "the report", error=CampaignError)
+    try:
+        content = read_document(file, PAGE, "the report", error=CampaignError)
+    except CampaignError as error:
+        raise CampaignError(f"{error}{_written_by(file)}") from None
     sections = [
         Section(**{k: v for k, v in s.items() if k in ("title", "text")},
                 tables=[Table(**t) for t in s.get("tables", ())], figures=[Figure(**f) for f in s.get("figures", ())])
@@ -147,6 +153,19 @@ def read_page(folder: Path) -> Page:
     ]  # fmt: skip
     plain = {f.name: content[f.name] for f in fields(Page) if f.name in content}
     return Page(**(plain | {"sections": sections, "hero": [Figure(**f) for f in content.get("hero", ())]}))
+
+
+def _written_by(file: Path) -> str:
+    """Which version wrote a report that this one does not read, and what to do; nothing where it is no report."""
+    try:
+        made = json.loads(file_content(file))["made"]
+        version = f"oed {dict(made).get('version of oed', 'before 0.2.0')}"
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+    return (
+        f" It was written by {version}, and this is oed {oed.__version__}: its report.html can be opened as it is; for a new "
+        "page run its command again, into a new folder."
+    )
 
 
 def series_of(figure: Figure) -> list[str]:

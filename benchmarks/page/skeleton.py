@@ -9,12 +9,14 @@ import json
 import os
 import re
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from hashlib import blake2b, sha256
 from html import escape
 from pathlib import Path
 from typing import Any
 
+import oed
 from benchmarks.page.charts import CONFIG, chart, extent, style
 from benchmarks.page.content import Figure, Page, Table, cell, read_page, series_of
 from benchmarks.tables.formats import ABSENT, to_csv, to_latex, to_markdown, to_parquet
@@ -41,6 +43,7 @@ def save_page(folder: Path, page: Page, *, static: bool = False) -> Path:
     """Write report.json, its tables as files, with `static` every figure as SVG and PDF too, and the page."""
     from benchmarks.cli import plain
 
+    page = replace(page, made={**page.made, "version of oed": oed.__version__})
     for table in page.tables:
         if not table.rows:
             continue

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from estimators.stages import stage
 from oed.data import Record, as_signal
-from oed.errors import ExperimentError, InputError, OedError, Status
+from oed.errors import ExperimentError, InputError, OedError, Status, interruption
 from oed.experiments import Experiment, Usage
 
 Rule = Callable[[int, int, int, np.random.Generator], Generator[Any, NDArray[np.float64], None]]
@@ -199,6 +199,8 @@ def run(
             y = experiment(u)
             _check_varies(u, y, step.kind, len(records) + 1)
         except Exception as error:
+            if stop := interruption(error):
+                raise stop from None
             reason = str(error) if isinstance(error, OedError) else f"{type(error).__name__}: {error}"
             if not records:
                 if isinstance(error, OedError):

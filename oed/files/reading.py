@@ -69,9 +69,15 @@ def _split_spec(spec: str | os.PathLike[str]) -> tuple[Path, tuple[int | None, i
     if not isinstance(spec, str | os.PathLike):
         raise InputError(f"a file is given as {type(spec).__name__}; give its name as text or as a Path.")
     text = str(spec)
-    if os.path.exists(text) or not text.endswith("]"):
+    if os.path.exists(text):
         return Path(text), (None, None)
-    parts = re.fullmatch(r"(.*)\[\s*(-?\d*)\s*:\s*(-?\d*)\s*\]", text)
+    if re.fullmatch(r"\[?\s*-?\d*\s*:\s*-?\d*\s*\]?", text):
+        raise InputError(
+            f'{text} names rows of no file; write them behind its name, together in quotes: "record.csv[0:500]".'
+        )
+    if not text.rstrip().endswith("]") and "[" not in text.rpartition("]")[2]:
+        return Path(text), (None, None)
+    parts = re.fullmatch(r"(.*?)\s*\[\s*(-?\d*)\s*:\s*(-?\d*)\s*\]\s*", text)
     if not parts:
         raise InputError(f"the rows of {text!r} are not understood; write FILE[a:b], FILE[a:] or FILE[:b].")
     start, stop = (int(part) if part not in ("", "-") else None for part in parts.groups()[1:])

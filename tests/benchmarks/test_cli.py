@@ -117,10 +117,16 @@ def test_design_of_the_reference_plant(capfd, criterion, loss):
         (("design", "--plant", "Reference"), "did you mean reference?"),
         (("report", "nowhere"), "there is no folder nowhere"),
         (("nonsense",), "no command named"),
+        (("design", "--plant", "\u201creference\u201d"), "has typographic quotation marks or dashes"),
+        (("design", "\u2013-plant", "reference"), "has typographic quotation marks or dashes"),
+        (("identify", "-r.csv"), "-r.csv is a file here: write ./-r.csv"),
+        (("identify", "x.csv", "-r.csv"), "-r.csv is a file here: write ./-r.csv"),
+        (("identify", "x.csv", "--test", "-r.csv"), "-r.csv is a file here: write ./-r.csv"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_status_2(words, sentence, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "-r.csv").write_text("t,u,y\n")
     try:
         status = main(list(words))
     except SystemExit as stopped:
@@ -130,7 +136,7 @@ def test_bad_input_is_one_line_and_exit_status_2(words, sentence, tmp_path, caps
     assert captured.out == ""
     assert sentence in captured.err
     assert captured.err.count("\n") == 1
-    assert not list(tmp_path.iterdir())  # nothing was written
+    assert [path.name for path in tmp_path.iterdir()] == ["-r.csv"]  # nothing was written
 
 
 @pytest.mark.parametrize(
@@ -253,6 +259,31 @@ def test_a_defect_is_exit_status_1_with_its_traceback(monkeypatch, capsys):
     err = capsys.readouterr().err
     assert "ZeroDivisionError" in err
     assert "defect" in err
+
+
+@pytest.mark.parametrize(
+    "held, left", [((), "nothing of it is kept"), (("model.json",), "holds is not whole: remove it")]
+)
+@pytest.mark.parametrize("compiled", [False, True])
+def test_an_interrupt_says_what_is_left_also_where_compiled_code_ran(
+    held, left, compiled, tmp_path, monkeypatch, capsys
+):
+    """What reaches compiled code comes out of it as a SystemError: two of three interrupts of `identify` ended as a defect."""
+    import benchmarks.commands.record.identify as command
+
+    def interrupted(args):
+        for name in held:
+            (tmp_path / name).write_text("")
+        if compiled:
+            raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "run", interrupted)
+    assert main(["identify", "x.csv", "--out", str(tmp_path)]) == 130
+    err = capsys.readouterr().err
+    assert "oed identify: interrupted; " in err
+    assert left in err
+    assert "Traceback" not in err
 
 
 def test_python_without_docstrings_is_refused_before_any_work(monkeypatch, capsys):

@@ -86,6 +86,15 @@ def test_no_parameter_of_the_catalogue_is_said_by_its_letter():
             assert "sample" not in in_seconds(1.0, 0.1, unit, record)[2], (effect.key, name, unit)
             assert in_seconds(1.0, 0.1, unit, record)[2], (effect.key, name)
     assert in_seconds(np.pi, 0.0, "rad/sample", record) == (1.0, 0.0, "Hz")
+    assert in_seconds(np.log(2.0), 0.1, "log", record) == (
+        pytest.approx(2.0),
+        pytest.approx(0.2),
+        "(no unit)",
+    )
+    per_record = ("1/record", "y/record", "sample/record", "record")
+    assert [in_seconds(1.0, 0.0, unit, record)[2] for unit in per_record] == [
+        "per record", "y per record", "s per record", "of the record",
+    ]  # fmt: skip
     assert named_plainly("y1.plays.weight2") == "weight of play 2 of plays of y1"
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import benchmarks.page.skeleton as skeleton
+import oed
 from benchmarks.page.charts import COLOURS, chart, extent, style
 from benchmarks.page.content import MOST_POINTS, Figure, Page, Section, Table, read_page, thinned
 from benchmarks.page.figures_static import drawn, save_figure
@@ -99,8 +100,22 @@ def test_a_report_that_is_not_what_it_should_be(tmp_path, change, words):
     save_page(tmp_path, page())
     file = tmp_path / "report.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | change))
-    with pytest.raises(CampaignError, match=words):
+    with pytest.raises(CampaignError, match=words) as refused:
         write_report(tmp_path)
+    assert f"written by oed {oed.__version__}, and this is" in str(refused.value)
+
+
+def test_a_report_of_an_older_version_says_so(tmp_path):
+    save_page(tmp_path, page())
+    file = tmp_path / "report.json"
+    content = json.loads(file.read_text())
+    del content["made"]["version of oed"]
+    file.write_text(json.dumps(content | {"conclusion": "x"}))
+    with pytest.raises(
+        CampaignError,
+        match=r"'conclusion' is unknown.* written by oed before 0.2.0, .* run its command again",
+    ):
+        read_page(tmp_path)
 
 
 def test_a_folder_without_a_result_is_refused(tmp_path):

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import oed
 from benchmarks.page.charts import LABEL, chart
 from benchmarks.page.content import Figure, line
 from benchmarks.page.design import write_design
@@ -63,7 +64,8 @@ def test_the_limit_is_named_as_it_was_given(amplitude, said, tmp_path):
     write_design(tmp_path, solve_design(plant, "D"), plant, {}, None, {"amplitude": amplitude})
     content = json.loads((tmp_path / "report.json").read_text())
     assert content["todo"][-1] == said
-    assert content["made"] == ({} if amplitude is None else {"amplitude": "2.0"})
+    given = {} if amplitude is None else {"amplitude": "2.0"}
+    assert content["made"] == given | {"version of oed": oed.__version__}
 
 
 def test_a_sensor_is_drawn_where_the_output_before_it_goes():

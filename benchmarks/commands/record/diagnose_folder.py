@@ -9,7 +9,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from oed.errors import InputError
+from oed.errors import InputError, interruption
 from oed.files.limits import file_content
 from oed.files.lock import locked
 from oed.files.writing import append_line, write_whole
@@ -47,6 +47,8 @@ def _one(folder: str) -> tuple[dict[str, Any] | None, str]:
         if content != _content(path):
             return None, "its files were changed while it was diagnosed"
     except Exception as error:  # one damaged case must not end the folder: it is counted and named
+        if stop := interruption(error):
+            raise stop from None
         return None, f"{type(error).__name__}: {error}"
     return {"case": path.name} | result.to_dict() | {
         "notes": notes,

@@ -104,7 +104,7 @@ def _spring(key: str, sentence: str, **fields: Any) -> Effect:
 def _changed(key: str, sentence: str, name: str, change: dict[str, tuple[float, ...]]) -> Effect:
     return Effect(
         key=key, cause="parameter_change", nature=Nature.TIME, slot=Slot.PLANT, sentence=sentence, change=change,
-        parameters={name: "1", "time": "sample"}, trials=0.03, per_sample=True, amplitude=0, family="changes",
+        parameters={name: "log", "time": "sample"}, trials=0.03, per_sample=True, amplitude=0, family="changes",
         starts=lambda s: ([[0.1, t] for t in s.times(20)], [1.0, 1.0]),
     )  # fmt: skip
 

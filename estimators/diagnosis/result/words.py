@@ -11,14 +11,26 @@ PLAIN = {
     "k2": "quadratic coefficient k2", "k3": "cubic coefficient k3", "k5": "fifth-power coefficient k5", "d": "coefficient d",
     "beta": "coefficient beta", "weight": "weight of play", "low": "lower limit",
     "high": "upper limit", "up": "rate upwards", "down": "rate downwards", "cosine": "cosine part", "sine": "sine part",
-    "slope_": "slope of piece", "log_speed": "logarithm of the factor of speed", "left": "share of the half width left after a jump",
-    "log_damping": "logarithm of the factor of damping", "per_angle": "radians per integral of the speed",
+    "slope_": "slope of piece", "log_speed": "factor of speed", "left": "share of the half width left after a jump",
+    "log_damping": "factor of damping", "per_angle": "radians per integral of the speed",
     "way": "travel that turns it over", "b": "numerator coefficient", "f": "denominator coefficient", "x": "starting state",
     "use": "use by the input", "change": "relative change", "start": "time of the start",
     "end": "time of the end", "behind": "lag behind the actuator", "plant": "pole of its plant", "input_kink.c": "steepness c at zero",
     "output_absolute.c": "half the difference of the gains, c", "outflow_root.k": "outflow coefficient k", "vessel.k": "outflow coefficient k",
     "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start",
     "relay_feedback.low": "lower level", "relay_feedback.high": "upper level", "gain_heat.time": "time constant",
+    "rise_and_fall.asymmetry": "relative excess of the rate when it rises", "orifice.asymmetry": "relative excess of the rate when it rises",
+    "smooth": "difference below which the flow is laminar", "widening": "widening per level", "angle": "radians per unit of position",
+    "excess": "excess of the friction at rest", "speed": "Stribeck speed", "push": "what it adds while on", "pace": "rate of the slow state",
+    "relay_feedback.share": "share of the level it adds while on", "relay_feedback.rate": "rate of the level", "spring": "stiffness",
+    "fill": "filling per flow", "bring": "level that the flow brings", "carry": "share of the level that the flow takes along",
+    "flow": "number of the input that is the flow", "loss_heat.share": "relative change of the loss when hot", "heat": "warming per squared level",
+    "gain_heat.share": "relative change of the gain per squared input", "stiffness_heat.share": "relative change of the stiffness per squared input",
+    "hysteresis.share": "share that bends off", "first": "bend at the empty end", "last": "bend at the full end", "range": "integral of the input over the record",
+    "first_rate": "steepness at the empty end", "last_rate": "steepness at the full end", "memory": "time constant",
+    "clock_settles.samples": "shift at the end", "lag.pole": "pole in the z-plane", "wrapped.pole": "pole in the z-plane",
+    "lost_samples.samples": "number of samples", "stiffness_gap.slope": "stiffness beyond it, over the first", "stiffness_upper.slope": "change of stiffness, over the first",
+    "stiffness_lower.slope": "change of stiffness, over the first",
     "clearance_sprung.spring": "stiffness of the load's own spring, over the drive's", "stiffness_heat.time": "time constant", "time": "time of the change",
 }  # fmt: skip
 """What a parameter is called where its key is a letter or too short to be understood; elsewhere the key has its words."""
@@ -60,12 +72,17 @@ def in_units(unit: str, record: Record | None) -> str:
 
 def in_seconds(value: float, error: float, unit: str, record: Record | None) -> tuple[float, float, str]:
     """A parameter in its record's units, in seconds and Hz where the sampling time is known (1 is taken for not known)."""
+    if unit == "log":  # what is fitted as a logarithm is said as the factor that it is
+        return math.exp(value), math.exp(value) * error, "(no unit)"
     power = TIME.get(unit, 0)
     if record is not None and record.dt != 1.0 and power:
         factor = record.dt**power / (2 * math.pi if unit.startswith("rad") else 1.0)
         unit = unit.replace("rad/sample", "Hz").replace("Hz^2", "Hz/s").replace("sample", "s")
         value, error = value * factor, error * factor
-    return value, error, "(no unit)" if unit in ("", "1") else in_units(unit, record)
+    said = in_units(unit.removesuffix("/record"), record)
+    if unit.endswith("/record"):
+        return value, error, "per record" if said == "1" else f"{said} per record"
+    return value, error, {"": "(no unit)", "1": "(no unit)", "record": "of the record"}.get(unit, said)
 
 
 def spoken(value: float, error: float, unit: str, record: Record | None) -> str:
