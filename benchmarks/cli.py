@@ -24,6 +24,7 @@ from typing import Any, NoReturn
 
 import benchmarks.commands
 import oed
+from benchmarks.commands import natural
 from oed.errors import (
     CampaignError,
     InfeasibleDesign,
@@ -41,6 +42,7 @@ BAD_INPUT = (InputError, NotIdentifiable, InfeasibleDesign, CampaignError)
 
 NUMBERS = {
     "int": "a whole number",
+    "natural": "a whole number of at least 0",
     "float": "a number",
     "order": "a whole number or auto, several written apart (2 2)",
 }
@@ -108,7 +110,7 @@ def _parser() -> _Parser:
         )
         module.configure(sub)
         sub.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-        sub.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
+        sub.add_argument("--seed", type=natural, default=0, help="seed of everything random (default 0)")
         sub.add_argument("--quiet", action="store_true", help="no progress on standard error")
         sub.set_defaults(run=module.run, options=sub.options())
     return parser
@@ -217,7 +219,11 @@ def main(argv: list[str] | None = None) -> int:
         warnings.simplefilter("ignore", RuntimeWarning)
         os.environ["PYTHONWARNINGS"] = "ignore::RuntimeWarning"  # of workers too
     with _lasting() as out:
-        return _main(sys.argv[1:] if argv is None else argv, out)
+        try:
+            return _main(sys.argv[1:] if argv is None else argv, out)
+        except KeyboardInterrupt:  # before there is a command that would say what is kept
+            print("oed: interrupted.", file=sys.stderr)
+            return 128 + signal.SIGINT
 
 
 def _main(argv: list[str], out: _Lasting) -> int:
@@ -243,10 +249,8 @@ def _main(argv: list[str], out: _Lasting) -> int:
             return 2
     args, unknown = parser.parse_known_args(argv)
     if args.command is None:
-        print(
-            _one_line(f"oed: {argv[0]} is not understood; give a command first, see oed --help."),
-            file=sys.stderr,
-        )
+        said = f"oed: {argv[0]} is not understood; give a command first, see oed --help."
+        print(_one_line(said), file=sys.stderr)
         return 2
     if unknown:
         hint = _as_file(unknown[:1]) or near(unknown[0], args.options)

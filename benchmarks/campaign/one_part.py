@@ -18,7 +18,7 @@ from benchmarks.campaign.plants import content_of, load_plant
 from benchmarks.campaign.registry import ESTIMATORS, Estimate, compatible, fits, method_for
 from benchmarks.campaign.settings import Settings
 from oed.covariances import on_one_thread
-from oed.errors import CampaignError, Status
+from oed.errors import CampaignError, Status, interruption
 from oed.experiments import simulated
 from oed.information import information_of_each
 from oed.signals.noise import noise_key
@@ -228,6 +228,8 @@ def _run(
 
 
 def _failure(error: BaseException) -> Row:
+    if stop := interruption(error):
+        raise stop from None
     if isinstance(error, TimeLimit):
         return {"status": Status.TIME_LIMIT.name, "message": str(error)}
     return {"message": f"{type(error).__name__}: {error}"}

@@ -130,7 +130,7 @@ def session_page(folder: Path) -> Page:
               else f"There is no estimate yet: {done} of {budget} experiments are recorded.")  # fmt: skip
     said = str(found).replace("+-", "±").removesuffix(".")
     sure = [f"{said[:1].upper()}{said[1:]}."]
-    sure += [f"Flagged and not used: {Path(name).name}." for name in status["flagged"]]
+    sure += [f"Flagged and not used: {Path(name).name}." for name in status["flagged"]] + status["damage"]
     curve = Figure("estimate", f"The estimate over the experiments; intervals are cut at {CUT:g} times the last estimate.", "Estimated peak gain against the number of experiments.",
                    _curve(session) if done else [], "experiments", f"peak gain ({per.strip()})" if per else "peak gain",
                    {"estimate, with its 95 % interval": "both", "the method's own gain": "points"})  # fmt: skip

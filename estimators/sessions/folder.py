@@ -23,10 +23,13 @@ from pathlib import Path
 from oed.errors import CampaignError
 from oed.files.limits import file_content
 from oed.files.lock import locked
-from oed.files.writing import append_line, renamed, tidy
+from oed.files.writing import append_line, renamed, tidy, write_whole
 
 NAME = re.compile(r"(input|output|flagged|rest-input|rest-output)-(\d{4,})(?:-(\d+))?\.csv")
-SETTINGS = "session.json"
+SETTINGS, JOURNAL = "session.json", "journal.txt"
+LINE = re.compile(r"\d{4}(?:-\d\d){2}T\d\d(?::\d\d){2}Z \d{4,} ([a-z-]+) (\S+) ([0-9a-f]{16})(?: (.*))?")
+"""Of the journal: event, file, fingerprint, words."""
+KINDS = ("input", "output", "flagged", "rest-input", "rest-output")
 KEPT = "The session is unharmed; make room and repeat."
 README = """A session of experiments on a rig. To go on, in this folder's parent:
 
@@ -71,21 +74,22 @@ class Folder:
         """No other process works here meanwhile; what a killed one left half written, or not yet in the journal, is mended."""
         with locked(self.path / "lock", f"the session {self.path}"):
             tidy(self.path)
+            self._end_journal()
             known = self.fingerprints()
             if SETTINGS not in known:
                 self.note(0, "settings", self.path / SETTINGS)
-            for kind in ("input", "output", "flagged", "rest-input", "rest-output"):
+            for kind in KINDS:
                 for (step, _), file in self.find(kind).items():
                     if file.name not in known:
                         self.note(step, kind, file)
             yield
 
-    def note(self, step: int, event: str, file: Path | None, words: str = "") -> None:
+    def note(self, step: int, event: str, file: Path, words: str = "") -> None:
         """Add a line to the journal."""
         stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        about = f"{file.name} {fingerprint(file_content(file))}" if file is not None else "- -"
+        about = f"{file.name} {fingerprint(file_content(file))}"
         append_line(
-            self.path / "journal.txt",
+            self.path / JOURNAL,
             " ".join([stamp, f"{step:04d}", event, about, *words.split()]),
             kept=KEPT,
         )
@@ -100,18 +104,34 @@ class Folder:
 
     def fingerprints(self) -> dict[str, str]:
         """What the journal says of each file."""
-        journal = self.path / "journal.txt"
-        if not journal.is_file():
-            return {}
-        found = {}
-        for line in file_content(journal).decode(errors="replace").splitlines():
-            words = line.split()
-            ours = len(words) >= 5 and (words[3] == SETTINGS or NAME.fullmatch(words[3]))
-            if ours and re.fullmatch(r"[0-9a-f]{16}", words[4]):
-                found[words[3]] = words[4]
-            elif words[2:3] == ["undone"]:
-                found.pop(words[-1], None)
+        found: dict[str, str] = {}
+        for entry in filter(None, map(_entry, self._journal())):
+            event, name, mark, words = entry.groups()
+            if event == "undone":
+                found.pop(words, None)
+            else:
+                found[name] = mark
         return found
+
+    def _journal(self) -> list[str]:
+        """Its lines, the last one what stands behind the last end of a line: nothing, or what a kill left of a line."""
+        journal = self.path / JOURNAL
+        return file_content(journal).decode(errors="replace").split("\n") if journal.is_file() else [""]
+
+    def _end_journal(self) -> None:
+        """Cut off what a kill left of the last line: the file that it was about is noted again."""
+        *lines, last = self._journal()
+        if last and not _entry(last):
+            write_whole(self.path / JOURNAL, "".join(f"{line}\n" for line in lines), kept=KEPT)
+
+    def damage(self) -> list[str]:
+        """What is lost by lines of the journal that cannot be read, a sentence each."""
+        return [
+            f"Line {number} of {self.path / JOURNAL} is damaged: the fingerprint in it is lost, so that a change made to its "
+            f"file before now would not be noticed. It reads {line[:80]!r}."
+            for number, line in enumerate(self._journal()[:-1], 1)
+            if not _entry(line)
+        ]
 
     def check_unchanged(self, file: Path, content: bytes) -> None:
         """Raise if a file is not what the journal says it was."""
@@ -121,6 +141,16 @@ class Folder:
                 f"{file} was changed after the session wrote it; restore it (its fingerprint in journal.txt is {known}), "
                 "or start another session."
             )
+
+
+def _entry(line: str) -> re.Match[str] | None:
+    """A line of the journal in its parts; None where it is not one that was written here."""
+    entry = LINE.fullmatch(line)
+    if entry is None or entry.group(1, 2) == ("settings", SETTINGS):
+        return entry
+    undone = entry[1] == "undone"
+    named = NAME.fullmatch((entry[4] or "") if undone else entry[2])
+    return entry if named and (undone or named[1] == entry[1]) else None
 
 
 def fingerprint(content: bytes) -> str:

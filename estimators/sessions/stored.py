@@ -316,7 +316,7 @@ class StoredSession(Sequential):
         -------
         dict
             Method, step, the file of the input that waits, the last output stored, experiments, energy, flagged
-            files, and the status: READY (ask for the next input), WAITING (for an output), or how it ended.
+            files, damage to the journal in words, and the status: READY (ask for the next input), WAITING (for an output), or how it ended.
         """
         step, done, usage = self.step, len(self.rig_records), self.trace.usage
         waiting = None if step is None else self._current_input(step)
@@ -327,7 +327,7 @@ class StoredSession(Sequential):
             "experiments": done, "budget": self.settings.experiments, "samples": usage.samples,
             "energy": usage.energy, "peak": usage.peak,
             "flagged": [str(file) for file in self.folder.find("flagged").values()],
-            "status": state, "message": self.message,
+            "status": state, "message": self.message, "damage": self.folder.damage(),
         }  # fmt: skip
 
     def __repr__(self) -> str:

@@ -34,6 +34,10 @@ def leaving(samples, n_inputs, n_outputs, rng):
     raise SystemExit(3)
     yield
 
+def stopped(samples, n_inputs, n_outputs, rng):
+    raise SystemError("a compiled function returned a result with an exception set") from KeyboardInterrupt()
+    yield
+
 def slow(samples, n_inputs, n_outputs, rng):
     import time
     time.sleep(0.3)
@@ -70,6 +74,27 @@ def test_what_ends_python_is_a_row(tmp_path, own):
     settings = Settings(**SMALL | {"methods": brought.methods, "sources": tuple(brought.sources)})
     (found,) = run_campaign(settings, 2, tmp_path / "out", jobs=1, own=brought.functions)
     assert found.final["frf"].statuses == {"FAILED": 2}
+
+
+def test_an_interruption_inside_compiled_code_leaves_nothing_that_is_believed(tmp_path, own, monkeypatch):
+    """It was a failed run, and done when the command was given again."""
+    import estimators.diagnosis.cases as module
+
+    words = (
+        f"compare --estimators frf --replicates 5 --jobs 1 --quiet --out {tmp_path / 'out'} --methods".split()
+    )
+    assert cli_module.main([*words, own("stopped")]) == 130
+    assert list((tmp_path / "out" / "parts").iterdir()) == []
+
+    def stopped(*files, **options):
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr(module, "diagnose_files", stopped)
+    (tmp_path / "P" / "a").mkdir(parents=True)
+    (tmp_path / "P" / "a" / "train.csv").write_text("u,y\n1,2\n")
+    words = ["diagnose-folder", str(tmp_path / "P"), "--out", str(tmp_path / "r.jsonl"), "--jobs", "1"]
+    assert cli_module.main(words) == 130
+    assert not (tmp_path / "r.jsonl").exists()
 
 
 def family(pid: int) -> list[int]:

@@ -160,6 +160,8 @@ def test_changed_arguments_are_done_or_refused_in_a_line(place, base, how):
         ("compare --limit replicates=1,noise_variance=nan", "positive, finite"),
         (f"report {'x' * 300}", "File name too long"),
         (f"identify {'x' * 300}.csv", "File name too long"),
+        ("iterate --plant p.json --seed -1", "it must be a whole number of at least 0"),
+        ("iterate --plant p.json --replicate -1", "it must be a whole number of at least 0"),
         ("plants a\x0bb", "a b is not understood"),
         (f"plants {'x' * 5000}", " ... xxx"),
     ],

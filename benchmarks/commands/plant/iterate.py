@@ -2,6 +2,8 @@
 
 import argparse
 
+from benchmarks.commands import natural
+
 HELP = "run the power iterations on a plant; estimates per iteration"
 EXAMPLE = "oed iterate --plant reference --algorithm siso --samples 1000 --iterations 50 --noise-variance 1"
 
@@ -17,7 +19,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--noise-variance", type=float)
     add("--scaling", choices=("none", "each", "common"), default="none",
         help="scaling of the second-stage inputs of mimo and two-experiment")
-    add("--replicate", type=int, default=0, help="which noise (of the same seed) is met")
+    add("--replicate", type=natural, default=0, help="which noise (of the same seed) is met")
     add("--until-settled", action="store_true", help="stop before --iterations when the gain changes by less than its standard error")
     add("--out", help="write inputs and outputs to this .npz or .csv file")
     # fmt: on

@@ -8,6 +8,7 @@ from math import isfinite, pi
 from pathlib import Path
 from typing import Any
 
+from benchmarks.commands import natural
 from estimators.sessions.settings import METHOD_NAMES
 
 HELP = "experiments on a rig by files: start, rest, next, record, undo, watch, status, estimate"
@@ -48,7 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
             add("--diagnose", action="store_true", help="say what is missing (in the model, if given)")
         add("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON object and nothing else")
         add("--quiet", action="store_true", default=argparse.SUPPRESS, help="no progress")
-        add("--seed", type=int, default=argparse.SUPPRESS, help="seed of everything random (default 0)")
+        add("--seed", type=natural, default=argparse.SUPPRESS, help="seed of everything random (default 0)")
         # fmt: on
 
 
@@ -96,7 +97,10 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
     if args.action == "start":
         return _start(args)
-    return STEPS[args.action][2](args, open_session(args.folder))
+    session = open_session(args.folder)
+    for words in session.folder.damage():
+        print(f"oed session: {words}", file=sys.stderr)
+    return STEPS[args.action][2](args, session)
 
 
 def _rest(args: argparse.Namespace, session: Any) -> tuple[dict[str, Any], str]:

@@ -331,3 +331,20 @@ def test_one_bit_of_the_journal_changes_no_step_and_no_file(tmp_path):
         assert state(folder) == kept
     assert len(refused) > 10
     assert all("was changed after the session wrote it" in line for line in refused)
+
+
+def test_a_broken_line_of_the_journal_is_said_and_a_half_written_last_one_mended(tmp_path):
+    folder, journal = tmp_path / "rig", tmp_path / "rig" / "journal.txt"
+    start_session(folder, ISOLATION)
+    file = open_session(folder).next_input()
+    whole = journal.read_text()
+    journal.write_text(whole[:-30])  # as a kill leaves it
+    assert open_session(folder).status()["damage"] == []
+    assert open_session(folder).next_input() == file
+    marks = lambda text: [line.split()[1:] for line in text.splitlines()]
+    assert [words[:4] for words in marks(journal.read_text())] == [words[:4] for words in marks(whole)]
+    assert open_session(folder).status()["damage"] == []
+    first, *others = whole.splitlines(keepends=True)
+    journal.write_text("".join([first.replace("settings", "sett?ngs"), *others]))
+    (said,) = open_session(folder).status()["damage"]
+    assert said.startswith(f"Line 1 of {journal} is damaged: the fingerprint in it is lost")
