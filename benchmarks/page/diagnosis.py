@@ -23,6 +23,8 @@ NEXT = 200
 """Samples of the experiment that is proposed."""
 TRIED = 20
 """Effects listed as tried, the best first."""
+MUCH = 0.1
+"""Share of the test record outside the training record's range from which on it is another experiment."""
 FURTHER = "A longer record, or an input that goes further or faster, may show what this one cannot."
 """What to measure where no experiment is proposed."""
 SUFFICES = "Nothing is missing from the linear model that these data could show"
@@ -206,6 +208,24 @@ def _linear(result: Diagnosis) -> list[Section]:
     return [Section("The linear model", said, [poles] if rows else [])]
 
 
+def _uncovered(result: Diagnosis) -> list[str]:
+    """What training data to record where much of the test record lies outside what they cover."""
+    records, test = result.extra["records"], result.extra["test"]
+    far, channels = np.zeros(len(test), dtype=bool), []
+    for of, names, units in (
+        (lambda r: r.u, test.input_names, test.input_units), (lambda r: r.y, test.output_names, test.output_units),
+    ):  # fmt: skip
+        known, asked = np.concatenate([of(r) for r in records]), of(test)
+        beyond = (asked < np.nanmin(known, axis=0)) | (asked > np.nanmax(known, axis=0))
+        far |= beyond.any(axis=1)
+        channels += [f"{names[j]} from {np.nanmin(asked[:, j]):.4g} to {np.nanmax(asked[:, j]):.4g} {units[j]}".rstrip()
+                     for j in np.flatnonzero(beyond.any(axis=0))]  # fmt: skip
+    if far.mean() <= MUCH:
+        return []
+    return [f"Train on a record that has {' and '.join(channels)}: {100 * far.mean():.0f} % of the {result.held_out} lies where the "
+            "training data have not been, and what any model says there is a guess."]  # fmt: skip
+
+
 def _next(result: Diagnosis) -> tuple[list[Section], list[str], dict[str, str]]:
     """What to measure next, with its input."""
     from estimators.diagnosis.next_experiment import deciding_experiment
@@ -310,6 +330,6 @@ def write_diagnosis_report(result: Diagnosis, folder: Path, made: Mapping[str, A
         *_linear(result),
         Section("The data", [_capital(w) for w in result.data] or ["The checks of the record found nothing to report."]),
     ]  # fmt: skip
-    page = Page("diagnosis", "What the linear model lacks", answer, sure, [*what, *todo], [ladder] if ladder else [], sections,
+    page = Page("diagnosis", "What the linear model lacks", answer, sure, [*_uncovered(result), *what, *todo], [ladder] if ladder else [], sections,
                 {k: str(v) for k, v in (made or {}).items()}, downloads=downloads)  # fmt: skip
     return save_page(folder, page, static=True)

@@ -393,7 +393,7 @@ def _diagnosis(
         pred_rmse_after=held.pred_after, difference=held.difference, noise_floor=floor, room=held.room,
         yhat_before=held.before, yhat_after=held.after, held_out=words,
         warnings=tuple(notes), model=diagnosed_model(records, held.answered, [o.ladder for o in outcomes]), linear=base.described, ladder=held.rungs,
-        extra={"outputs": [o.examined for o in outcomes], "finals": [o.named.fit for o in outcomes], "train": train,
+        extra={"outputs": [o.examined for o in outcomes], "finals": [o.named.fit for o in outcomes], "train": train, "records": records,
                "test": train if test is None else test},
         **found,
     )  # fmt: skip

@@ -199,8 +199,8 @@ def run(
             y = experiment(u)
             _check_varies(u, y, step.kind, len(records) + 1)
         except Exception as error:
-            if stop := interruption(error):
-                raise stop from None
+            if ended := interruption(error):
+                raise ended from None
             reason = str(error) if isinstance(error, OedError) else f"{type(error).__name__}: {error}"
             if not records:
                 if isinstance(error, OedError):

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks.commands.record import diagnose as command
-from benchmarks.page.diagnosis import _words
+from benchmarks.page.diagnosis import _uncovered, _words
 from benchmarks.page.skeleton import write_report
 from estimators.diagnosis.effects import CATALOGUE
 from estimators.diagnosis.ladder.verdicts import ECHO, NAMELESS, NOTHING, UNCLAIMED
@@ -63,6 +63,20 @@ def test_the_answer_is_a_sentence(system, after, answer):
     assert _words(result)[0].startswith("Nothing is missing")  # type: ignore[arg-type]
     result.remaining = "the residual still depends on past values of the input"
     assert _words(result)[0].startswith("More is left than noise")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("outside", [5, 40])
+def test_a_test_record_beyond_the_training_data_asks_for_others(outside):
+    """Two of five samples beyond the range of input and output are another experiment; one in twenty is not."""
+    u = np.linspace(-1.0, 1.0, 100)
+    far = u.copy()
+    far[:outside] = 3.0
+    train = Record(u, 2 * u, input_units=("V",))
+    test = Record(far, 2 * far, input_units=("V",))
+    result = SimpleNamespace(extra={"records": [train], "test": test}, held_out="test record")
+    asked = "Train on a record that has u from -0.1919 to 3 V and y from -0.3838 to 6: 40 % of the test record lies where "
+    said = _uncovered(result)  # type: ignore[arg-type]
+    assert [words.startswith(asked) for words in said] == ([True] if outside == 40 else [])
 
 
 @pytest.mark.parametrize(

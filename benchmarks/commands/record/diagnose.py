@@ -51,13 +51,13 @@ def run(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     payload = result.to_dict() | {"notes": notes}
     if args.meta:
         payload["case"] = Path(args.meta).parent.name
-    words = [*notes, str(result)]
+    words = [str(result)]
     if given is not None:
         payload["model_given"] = given
         errors = ", ".join(f"{value:.4g}" for value in given["rmse"])
         beside = f"the model {args.model} misses {given['record']} by {errors} (rms, output units); its orders are kept for the linear model."
-        words.insert(-1, beside)
-    text = "\n".join(words)
+        words.append(beside)
+    text = "\n".join([*words, *(f"note: {note}" for note in notes)])
     if args.out:
         if not args.json:  # the answer first: figures take their time
             print(text, flush=True)

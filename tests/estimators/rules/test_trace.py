@@ -165,3 +165,13 @@ def test_arguments_are_checked(rng):
     with pytest.raises(InputError, match="one input and one output"):
         run(power_iterations, simulated(named_plant("three-by-two")), samples=10, experiments=1, rng=rng)
     assert Step(np.ones((2, 1))).kind == ""
+
+
+def test_an_interrupt_of_compiled_code_is_no_failed_experiment():
+    """It comes out as a SystemError, and a run that took it for a fault of the plant would not end."""
+
+    def interrupted(u):
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    with pytest.raises(KeyboardInterrupt):
+        run(white, Experiment(interrupted, 1, 1), samples=20, experiments=3, rng=np.random.default_rng(0))
