@@ -5,16 +5,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
-import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.cli import _parser, main
-from tests.fuzz.test_fuzz_documents import quick
+from tests.fuzz.test_fuzz_documents import in_time, quick
 
 BASES = tuple(map(str.split, (
     "compare --plant p.json --noise-variance 1 --methods white --estimators frf --samples 40 --experiments 2 --replicates 2"
@@ -50,8 +49,6 @@ NEVER = {"--serve", "--scheduler"}
 """What waits for others."""
 ALWAYS = {"compare": ["--dry-run"], "speed": ["nothing"], "reproduce": ["nothing"]}
 """What keeps a command from the minutes that it would take."""
-SECONDS = {signal.SIGPROF: (signal.ITIMER_PROF, 20), signal.SIGALRM: (signal.ITIMER_REAL, 120)}
-"""Of work, and by the clock, which other processes hold up."""
 changes = st.lists(
     st.tuples(
         st.integers(0, 999), st.sampled_from(["set", "set", "add", "drop", "twice"]), st.sampled_from(NUMBERS),
@@ -95,27 +92,15 @@ def place(tmp_path_factory):
 def said(words: list[str]) -> tuple[int, str, str]:
     """Exit status, standard output and standard error of the command."""
     out, err = io.StringIO(), io.StringIO()
-
-    def late(number, frame):
-        raise AssertionError(f"more than {SECONDS[number][1]} s")
-
-    before = {number: signal.signal(number, late) for number in SECONDS}
-    for timer in SECONDS.values():
-        signal.setitimer(*timer)
-    try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            try:
-                status = main(words)
-            except SystemExit as end:
-                status = end.code
-    finally:
-        for number, (timer, _) in SECONDS.items():
-            signal.setitimer(timer, 0)
-            signal.signal(number, before[number])
+    with in_time(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            status = main(words)
+        except SystemExit as end:
+            status = end.code
     return status, out.getvalue(), err.getvalue()
 
 
-@settings(quick, deadline=None)
+@quick
 @given(st.sampled_from(BASES), changes)
 def test_changed_arguments_are_done_or_refused_in_a_line(place, base, how):
     verb, *words = base

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
 import os
+import signal
 import tempfile
+import time
 import tomllib
-from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +26,10 @@ from oed.models.model import Model, arx, bj, model_from_json
 from oed.models.statespaces import StateSpace
 from oed.plants.json import plant_from_json, plant_to_json
 
-TESTS = 11  # with those of the readers beside this file
+TESTS = 11  # with those of the readers and of the arguments beside this file
 MANY = int(os.environ.get("OED_FUZZ", "0"))
 quick = settings(
-    max_examples=MANY // TESTS or 100, derandomize=not MANY, database=None, deadline=timedelta(seconds=20),
+    max_examples=MANY // TESTS or 100, derandomize=not MANY, database=None, deadline=None,
     suppress_health_check=list(HealthCheck),
 )  # fmt: skip
 PLANTS = (
@@ -50,6 +52,41 @@ META = {"sampling_time": 1.0, "suggested_order": 2, "structure": "SISO", "signal
         "outputs": ["y"], "time_unit": "s", "rig": [1]}  # fmt: skip
 ODD = (None, True, 0, -1, 1e-320, 1e308, -1e308, 1e-300, [], {}, "x", "", [[]], [[[]]], [1], [1, 2, 3], 1e150, 5,
        [[1, 2], [3]], {"a": 1}, 0.999999999, -0.0, float("nan"), float("inf"), 10**400)  # fmt: skip
+SECONDS = {signal.SIGPROF: (signal.ITIMER_PROF, 20), signal.SIGALRM: (signal.ITIMER_REAL, 120)}
+"""What an input may take at most: of work, and by the clock, but for what other processes hold up."""
+
+
+def held_up() -> float:
+    """Seconds for which this process could have run and others did: 1.5 s of work have taken 43 on a busy machine."""
+    try:
+        return int(Path("/proc/self/schedstat").read_text().split()[1]) / 1e9
+    except (OSError, IndexError):  # not on Linux
+        return 0.0
+
+
+@contextlib.contextmanager
+def in_time():
+    """The block does not work, wait or hang for longer than it may."""
+    begun = time.monotonic() - held_up()
+
+    def late(number, frame):
+        timer, most = SECONDS[number]
+        left = most - (time.monotonic() - held_up() - begun)
+        if number == signal.SIGPROF or left < 0.1:
+            raise AssertionError(f"more than {most} s")
+        signal.setitimer(timer, left)
+
+    before = {number: signal.signal(number, late) for number in SECONDS}
+    for timer in SECONDS.values():
+        signal.setitimer(*timer)
+    try:
+        yield
+    finally:
+        for number, (timer, _) in SECONDS.items():
+            signal.setitimer(timer, 0)
+            signal.signal(number, before[number])
+
+
 changes = st.lists(
     st.tuples(st.integers(0, 999), st.sampled_from(["set", "set", "drop", "add"]), st.sampled_from(ODD)),
     min_size=1, max_size=2,
@@ -87,7 +124,8 @@ def changed(content, how):
 def read(reader):
     """What is read; None where it was refused in a line."""
     try:
-        return reader()
+        with in_time():
+            return reader()
     except OedError as error:
         said = str(error)
     assert 10 < len(said) < 2000

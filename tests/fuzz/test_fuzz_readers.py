@@ -9,31 +9,21 @@ import csv
 import gzip
 import io
 import math
-import os
 import struct
 import tempfile
-from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from oed.data import Record
 from oed.errors import OedError
 from oed.files import read_record, write_record
 from oed.files.mat5 import read_mat5
+from tests.fuzz.test_fuzz_documents import in_time, quick
 
-TESTS = 11
-MANY = int(os.environ.get("OED_FUZZ", "0"))
-quick = settings(
-    max_examples=MANY // TESTS or 90,
-    derandomize=not MANY,
-    database=None,
-    deadline=timedelta(seconds=20),  # what a file may take at most
-    suppress_health_check=list(HealthCheck),
-)
 RECORD = Record(np.arange(12.0).reshape(6, 2) / 7, np.arange(6.0)[:, None] ** 2 - 3, dt=0.5, t0=1.0)
 
 
@@ -43,7 +33,8 @@ def read(content: bytes, suffix: str) -> Record | str:
         path = Path(folder) / f"x{suffix}"
         path.write_bytes(content)
         try:
-            return read_record(path)
+            with in_time():
+                return read_record(path)
         except OedError as error:
             said = str(error)
     assert 10 < len(said) < 2000
