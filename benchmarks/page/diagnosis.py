@@ -25,6 +25,8 @@ TRIED = 20
 """Effects listed as tried, the best first."""
 MUCH = 0.1
 """Share of the test record outside the training record's range from which on it is another experiment."""
+NEAR = 0.05
+"""Of the training record's range, by which it may be left as by the noise."""
 FURTHER = "A longer record, or an input that goes further or faster, may show what this one cannot."
 """What to measure where no experiment is proposed."""
 SUFFICES = "Nothing is missing from the linear model that these data could show"
@@ -216,7 +218,8 @@ def _uncovered(result: Diagnosis) -> list[str]:
         (lambda r: r.u, test.input_names, test.input_units), (lambda r: r.y, test.output_names, test.output_units),
     ):  # fmt: skip
         known, asked = np.concatenate([of(r) for r in records]), of(test)
-        beyond = (asked < np.nanmin(known, axis=0)) | (asked > np.nanmax(known, axis=0))
+        low, high = np.nanmin(known, axis=0), np.nanmax(known, axis=0)
+        beyond = (asked < low - NEAR * (high - low)) | (asked > high + NEAR * (high - low))
         far |= beyond.any(axis=1)
         channels += [f"{names[j]} from {np.nanmin(asked[:, j]):.4g} to {np.nanmax(asked[:, j]):.4g} {units[j]}".rstrip()
                      for j in np.flatnonzero(beyond.any(axis=0))]  # fmt: skip

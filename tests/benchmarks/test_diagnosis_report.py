@@ -109,7 +109,7 @@ def test_no_parameter_of_the_catalogue_is_said_by_its_letter():
     assert [in_seconds(1.0, 0.0, unit, record)[2] for unit in per_record] == [
         "per record", "y per record", "s per record", "of the record",
     ]  # fmt: skip
-    assert named_plainly("y1.plays.weight2") == "weight of play 2 of plays of y1"
+    assert named_plainly("y1.plays.weight2") == "2nd weight of play of plays of y1"
 
 
 @pytest.mark.slow

@@ -116,7 +116,7 @@ def _headline(
     top, said = first[0], "; ".join(_equations(outcomes))
     if top.cause == UNKNOWN:
         return f"{NAMELESS} ({top.nature}){': ' + said if said else ''}"
-    given = [f"{named_plainly(name, alone=True)} {spoken(*row, record)}" for o in outcomes
+    given = [f"{named_plainly(name, alone=True)} {spoken(*row, record)}{_tag(o, len(outcomes) > 1)}" for o in outcomes
              for name, row in _parameters(o, False).items()
              if name.startswith(top.key + ".") and not COEFFICIENT.fullmatch(name.rpartition(".")[2])]  # fmt: skip
     words = (", ".join(given[:MOST]) or top.sentence) if top.key else said

@@ -11,7 +11,7 @@ PLAIN = {
     "k2": "quadratic coefficient k2", "k3": "cubic coefficient k3", "k5": "fifth-power coefficient k5", "d": "coefficient d",
     "beta": "coefficient beta", "weight": "weight of play", "low": "lower limit",
     "high": "upper limit", "up": "rate upwards", "down": "rate downwards", "cosine": "cosine part", "sine": "sine part",
-    "slope_": "slope of piece", "log_speed": "factor of speed", "left": "share of the half width left after a jump",
+    "slope_": "slope of the curve", "log_speed": "factor of speed", "left": "share of the half width left after a jump",
     "log_damping": "factor of damping", "per_angle": "radians per integral of the speed",
     "way": "travel that turns it over", "b": "numerator coefficient", "f": "denominator coefficient", "x": "starting state",
     "use": "use by the input", "change": "relative change", "start": "time of the start",
@@ -35,6 +35,8 @@ PLAIN = {
 }  # fmt: skip
 """What a parameter is called where its key is a letter or too short to be understood; elsewhere the key has its words."""
 
+ORDINAL = {1: "st", 2: "nd", 3: "rd"}
+"""Endings of the first ordinals; more than twenty parameters of a kind there are not."""
 TIME = {
     "sample": 1, "1/sample": -1, "u/sample": -1, "rad/sample": -1, "rad/sample^2": -2, "u sample": 1, "1/(u sample)": -1,
     "u/(u/sample)^2": 2, "sample/u^2": 1, "sample/record": 1,
@@ -51,8 +53,8 @@ def named_plainly(parameter: str, alone: bool = False) -> str:
     known = (f"{effect}.{name}", name, *((letters + "_", letters) if digits else ()))
     word = next((key for key in known if key in PLAIN), None)
     said = PLAIN[word] if word else letters.replace("_", " ")
-    if digits and word not in known[:2]:
-        said = f"{said} {digits}"
+    if digits and word not in known[:2]:  # in front: behind the name it would run into the value
+        said = f"{digits}{ORDINAL.get(int(digits), 'th')} {said}"
     owners = [] if alone else [owner.replace("_", " ") for owner in reversed(path.split("."))]
     return " of ".join([said, *(owner for owner in owners if owner not in ("", said))])
 
