@@ -41,7 +41,9 @@ class HeldOut:
     rungs: tuple[dict[str, Any], ...]
     answered: tuple[Step, ...]  # per output, the step whose free run is given
     warnings: tuple[str, ...]
-    borne: ErrorFigure  # the difference by the models of what is claimed, also where their runs are too loose to be the answer
+    # the difference by the models of what is claimed, also where their runs are too loose to be the answer, from the linear model or
+    # from themselves without it
+    borne: ErrorFigure
     untried: bool = False  # whether the record asks for a curve where nothing is known of it, so that it says nothing of a claim
     lost: bool = False  # whether the record's own mean is nearer to it than the free run of what is claimed
 
@@ -252,16 +254,21 @@ def assess(
     steps = [ladder.rungs[a].step for ladder, a in zip(ladders, answers, strict=True)]
     at = [k.answer if s.kind is Kind.LINEAR else a for s, k, a in zip(steps, ladders, answers, strict=True)]
     after, claimed = stacked(answers), stacked(at)
+    bare = [ladder.rungs[a].step.without for ladder, a in zip(ladders, at, strict=True)]
+    plain = [
+        r[0] if test is None or a is None else a.simulate(record, skip)
+        for r, a in zip(runs, bare, strict=True)
+    ]
     ahead = [np.stack([_innovations(y[:, i] - run[:, i], noise) for i, noise in enumerate(noises)], axis=1)
              for run, noises in ((before, [np.zeros(0)] * len(steps)), (after, [s.noise for s in steps]))]  # fmt: skip
-    third = squares(claimed)
+    third, least = squares(claimed), min(first, squares(np.stack(plain, axis=1)), key=np.sum)
     figures = bootstrap(first, rng), bootstrap(second, rng)
     worse = _worse_than_constant(y, weight, figures, policy)
     return HeldOut(
         before, after, figures[0], figures[1], bootstrap(squares(y - ahead[0]), rng), bootstrap(squares(y - ahead[1]), rng),
         difference := bootstrap(first, rng, second), removed(first, second, (floor, len(train)), rng, policy),
         tuple(_rungs(ladders, runs, squares, rng, answers)), tuple(steps), (*warnings, *worse.values()),
-        difference if at == answers else bootstrap(first, rng, third), untried,
+        difference if at == answers and least is first else bootstrap(least, rng, third), untried,
         ANSWER in _worse_than_constant(y, weight, (figures[0], bootstrap(third, rng)), policy),
     )  # fmt: skip
 

@@ -21,6 +21,8 @@ WORSE = 1.1
 """One-step error, of the best linear model's on unused blocks, up to which a fit, which has seen them, is as good."""
 TWICE = 2.0
 """Squared error of the named model on unused blocks, up to which a regression explains as much: it has many more columns."""
+RESTORING = {"duffing", "pendulum", "position_periodic_force"}
+"""Names of one place, a force of the position: a record that turns by a part of a circle tells no sine from another spring."""
 SOME = 0.1
 """Of the weight of the terms discovered, from which on those of a nature are no accident of a dictionary's other curves."""
 
@@ -83,15 +85,19 @@ class Outcome:
         bends = last.step.nature not in ("", Nature.LINEAR)
         return bends and last.value < (1.0 - share) * first.value and (last.high < first.low or self.bent)
 
+    def behind(self, nature: str) -> bool:
+        """Whether causes of another nature surely explain more than those of this one do, without any model of them."""
+        if self.share.feedback or not self.bent:
+            return False
+        best, own = self.share.natures[0], [e for e in self.share.natures if e.nature == nature]
+        return any(e.high < best.low for e in own)
+
     def gainsaid(self, nature: str) -> bool:
         """Whether causes of another nature, without any model of them, explain as much as the named model does, and surely more
         than those of this one do: a cousin of the truth bends until it fits, a regression of its place alone does not.
         """
-        if self.share.feedback or not self.bent:
-            return False
-        best, own = self.share.natures[0], [e for e in self.share.natures if e.nature == nature]
         named = (self.value(Kind.NAMED) / self.value(Kind.LINEAR)) ** 2
-        return any(e.high < best.low for e in own) and 1.0 - best.share <= TWICE * named
+        return self.behind(nature) and 1.0 - self.share.natures[0].share <= TWICE * named
 
     @property
     def discovered(self) -> str:
@@ -103,9 +109,10 @@ class Outcome:
         """Whether a named cause is what the discovered terms are: of a nature with some of their weight, and of a term's name where
         many causes have it.
         """
-        mine = [t for t in self.discovery.terms if t.output == self.index]
-        names = {t.same_as for t in mine} if nature == Nature.DYNAMIC else {cause}
-        return cause in names and (nature == self.discovered or self.weighs(nature))
+        found = {t.same_as for t in self.discovery.terms if t.output == self.index}
+        alike = RESTORING if cause in RESTORING else {cause}
+        told = nature != Nature.DYNAMIC or bool(alike & found)
+        return told and (nature == self.discovered or self.weighs(nature))
 
     def weighs(self, nature: str) -> bool:
         """Whether the discovered terms of a nature have some of their weight."""

@@ -167,12 +167,12 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     if agree and o.named_carries(policy):
         return claimed
     weight = 1.0 - (o.ladder.rungs[o.ladder.answer].value / o.ladder.rungs[0].value) ** 2
-    d = o.discovery
-    mine = [t for t in d.terms if t.output == o.index]
+    mine = [t for t in o.discovery.terms if t.output == o.index]
     if Kind.DISCOVERED in kinds and mine:
-        words = f"blocks not used are simulated with {_percent(o):.3g} % less error with the terms{tag}: {d.equation}"
+        words = f"blocks not used are simulated with {_percent(o):.3g} % less error with the terms{tag}: {o.discovery.equation}"
         agreed = [f for f in claimed if o.agrees(f.nature, f.cause)]
-        if agreed and o.named_carries(policy, agreed=True):
+        doubted = o.weighs(o.share.nature) and o.behind(agreed[0].nature) if agreed else True
+        if not doubted and o.named_carries(policy, agreed=True):
             return [*agreed, Finding("", agreed[0].cause, agreed[0].nature, 0.0, 0.0, words)]
         kind = o.share.nature if o.share.explainable and o.weighs(o.share.nature) else o.discovered
         cause = next((t.same_as for t in mine[:1] if t.nature == kind and t.same_as), UNKNOWN)

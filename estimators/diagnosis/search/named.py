@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-from scipy.stats import chi2
 
 from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.effects import Effect, Nature, Slot
@@ -32,6 +31,7 @@ from estimators.diagnosis.search.exchange import without
 from estimators.diagnosis.search.free_runs import blocked, denominator, lengthened, start_of
 from estimators.diagnosis.search.naming import BENT, as_shown, bending, scaled_runs
 from estimators.diagnosis.search.selection import Attribution
+from estimators.diagnosis.search.significance import significance
 from estimators.diagnosis.share.feedback import answered, autoregression, whitened
 from estimators.diagnosis.share.news import FREE, Predictor
 from estimators.residual.measures import p_stated
@@ -257,18 +257,25 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             rest = a.base if form else _best_without(bench, a, f, position)
             rests.append((rest, bench.unused(rest)))
             gain = bench.gain(rests[-1][1], unused, part)
-            claims.append(Claim(part, gain, _significance(rest, f, part, bench.family)))
+            claims.append(Claim(part, gain, significance(rest, f, part, bench.family, bench.channel.u)))
         weak = [i for i, c in enumerate(claims) if not _gains(c, bench)]
         if not weak:
-            held = sorted((c for c in claims if _holds(c, bench)), key=lambda c: -c.gain.value)
+            held = _surest(
+                sorted((c for c in claims if _holds(c, bench)), key=lambda c: -c.gain.value), bench
+            )
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             shown = [replace(c, part=as_shown(c.part, f, bench.channel)) for c in held]
             held = bending(bench, f, shown, unused)
+            bare = [
+                g
+                for (g, _), c in zip(rests, claims, strict=True)
+                if c.part.effect.nature is not Nature.LINEAR
+            ]
             alike, told = _as_linear(bench, a, f) if len(held) == 1 and bent(held[0]) else (None, False)
             claims = tuple(_with_rivals(held, a, f))
             left = float(np.sum(f.residual**2) / max(np.sum(a.base.residual**2), 1e-300))
             linear = alike is not None or all(_foretold(c, bench, left) for c in claims)
-            step = replace(_step(bench, f, held, unused), linear=linear) if held else None
+            step = replace(_step(bench, f, held, unused, bare), linear=linear) if held else None
             n = Named(f, claims, tuple(dropped), step, unused, alike)
             return n if told else n.as_linear()
         worst = min(weak, key=lambda i: claims[i].gain.value)
@@ -300,23 +307,6 @@ INDEPENDENT = 80
 what a claim asks, and were news, left so many in 4 % of random walks of 400 to 1000 samples, in .3 % of noises with memories of 30 to 500."""
 
 
-def _significance(rest: Fit, f: Fit, part: Part, family: int) -> float:
-    """Corrected p-value of a part in the joint fit: the better of two likelihood ratios, at twice its value.
-
-    One takes each side under the noise model that it asks for. Such a model predicts a smooth error from its own past,
-    whatever causes it, so that the other takes the simulation errors for as many samples as are independent among them.
-    """
-    costs = [g.deviance + len(g.noise) * float(np.log(g.n)) for g in (rest, f)]
-    ratio = max(costs[0] - costs[1], 0.0)
-    if np.isfinite(costs).all():
-        left = [max(float(np.mean(g.residual**2)), 1e-300) for g in (rest, f)]
-        ratio = max(
-            ratio, min(effective_samples(g.residual) for g in (rest, f)) * float(np.log(left[0] / left[1]))
-        )
-    degrees = max(1, len(f.p) - len(rest.p))
-    return float(min(1.0, 2 * family * part.effect.tries(f.n) * chi2.sf(ratio, degrees)))
-
-
 def _gains(c: Claim, bench: Bench) -> bool:
     """Whether unused blocks ask for it: of a start they say nothing, and times were searched on them, which asks for more."""
     limit = bench.policy.searched if c.part.effect.nature in CLOCKED else bench.policy.claimed
@@ -328,6 +318,11 @@ def _holds(c: Claim, bench: Bench) -> bool:
     if c.part.effect.nature is Nature.LINEAR and not c.gain.meets(bench.policy.searched):
         return False
     return c.p_value < bench.alpha or c.gain.meets(bench.policy.overwhelming)
+
+
+def _surest(held: list[Claim], bench: Bench) -> list[Claim]:
+    """Those that are significant, where any is: beside one, what the record itself does not ask for only bends to it."""
+    return [c for c in held if c.p_value < bench.alpha] or held
 
 
 LEFT = 0.05
@@ -379,10 +374,10 @@ def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
     return out
 
 
-def _step(bench: Bench, f: Fit, claims: list[Claim], unused: Array) -> Step:
+def _step(bench: Bench, f: Fit, claims: list[Claim], unused: Array, bare: list[Fit]) -> Step:
     answer = bench.answer(f)
     return Step(
         Kind.NAMED, tuple(c.key for c in claims), (unused,), answer, len(f.p), parameters_of(f, bench.channel),
         tuple(c.part.effect.sentence for c in claims), noise=f.noise, nature=claims[0].part.effect.nature.value,
-        folds=tuple(replace(answer, p=p) for p in bench.known[f][1]),
+        folds=tuple(replace(answer, p=p) for p in bench.known[f][1]), without=bench.answer(bare[0]) if len(bare) == 1 else None,
     )  # fmt: skip

@@ -27,8 +27,8 @@ ALONE: Mapping[str, tuple[str, ...]] = {
     "static input nonlinearity": ("linear", "input"),
     "static output nonlinearity": ("linear", "output"),
     "sampling": ("linear", "sampling"),
-    "disturbance": ("linear", "disturbance"),
-    "time variation": ("linear", "time"),
+    "disturbance": ("linear", "trend", "disturbance"),
+    "time variation": ("linear", "trend", "time"),
     "dynamic nonlinearity": ("linear", "dynamic", "output"),
 }
 """Which columns a cause of each nature needs, the simplest nature first. The linear ones are in all: any cause bends the

@@ -132,7 +132,8 @@ def columns_of(bank: Bank, record: Record, run: Array, output: int, start: float
             table.add(record.output_names[i], "dynamic", x, rate(x), x * y, x * v, x * x)
     table.add("time", "time", time * y, time * leaky(y, bank.taus[len(bank.taus) // 2]))
     table.add("time", "sampling", v * time, v * time**2, rate(v) * time)
-    table.add("time", "disturbance", time, time**2, time**3)
+    table.add("time", "trend", time)  # added, or what a changing gain makes of an operating level
+    table.add("time", "disturbance", time**2, time**3)
     return Columns(np.stack(table.columns, axis=1), tuple(table.names), tuple(table.kinds))
 
 

@@ -26,10 +26,12 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.search.examination import Known, as_motion
 from estimators.diagnosis.search.free_runs import free_run, start_of
-from estimators.diagnosis.search.named import Claim, _gains, _holds, _significance
+from estimators.diagnosis.search.named import Claim, _gains, _holds, _surest
+from estimators.diagnosis.search.significance import significance
 from oed.data import Record
 
 N = 600
+INPUT = np.arange(N)[:, None] > 0  # that moves at once
 
 
 def channel_of(u: np.ndarray, y: np.ndarray) -> Channel:
@@ -97,11 +99,39 @@ def test_an_effect_is_significant_though_a_noise_model_predicts_the_error_withou
             replace(g, residual=share * smooth, deviance=0.0),
         )
         rest, whole = (replace(h, noise=np.array([-0.97])) for h in (rest, whole))
-        assert (_significance(rest, whole, part, 90) < 1e-3) is told
-    assert _significance(replace(f, deviance=np.inf, residual=np.full(N, np.inf)), g, part, 90) == 0.0
+        assert (significance(rest, whole, part, 90, INPUT) < 1e-3) is told
+    off = replace(f, deviance=np.inf, residual=np.full(N, np.inf))
+    assert significance(off, g, part, 90, INPUT) == 0.0
     # negative control: 60 linear plants in slow noise at 1 %, before the correction for the family
-    alarms = sum(_significance(*bent(rng, 0.0, 0.95), 1) < 0.01 for _ in range(60))
+    alarms = sum(significance(*bent(rng, 0.0, 0.95), 1, INPUT) < 0.01 for _ in range(60))
     assert alarms <= 3
+
+
+def test_a_constant_no_larger_than_the_error_of_the_resting_values_is_no_effect(rng) -> None:
+    """Deviations from the mean of 12 samples in noise of memory 10: 20 records, each with that constant and no other."""
+    u = np.concatenate((np.zeros(12), np.repeat(rng.standard_normal(N // 10), 10)))[:N]
+    plain = Structure(1, (0,))
+    told = {0.0: 0, 3.0: 0}
+    for constant in told:
+        for _ in range(20):
+            e = np.asarray(lfilter([1.0], [1.0, -0.9], rng.standard_normal(N + 100)))[100:]
+            y = lfilter([0.0, 0.5], [1.0, -0.9], u) + 0.2 * e
+            channel = channel_of(u, y - y[:12].mean() + constant)
+            rest, f = (fit_linear(channel, s) for s in (plain, plain.adding(Part(OFFSET))))
+            told[constant] += significance(rest, f, f.structure.parts[0], 1, channel.u) < 0.01
+    assert told[0.0] <= 1
+    assert told[3.0] == 20
+
+
+def test_what_the_record_does_not_ask_for_is_not_named_beside_what_it_asks_for() -> None:
+    """A lamp: a play of -1 +- 28 units bent to its saturation, which halved the error of unused blocks with it and p = 1."""
+    bench, gain = SimpleNamespace(alpha=0.01), Gain(8.0, 1.0, 0.7)
+    play, curve = (
+        Claim(Part(named("clearance_sprung")), gain, 1.0),
+        Claim(Part(named("input_tanh")), gain, 1e-9),
+    )
+    assert _surest([play, curve], bench) == [curve]  # pyright: ignore[reportArgumentType]
+    assert _surest([play], bench) == [play]  # pyright: ignore[reportArgumentType]
 
 
 def looped(rng: np.random.Generator, n: int) -> Record:

@@ -97,7 +97,11 @@ def test_named_effects_lend_their_names_only_to_an_answer_that_they_nearly_are()
     """Nine tenths of a large error go with a curve that is nearly right: what it leaves must be near the answer's too."""
     same, other = (
         SimpleNamespace(
-            nature=x, weight=1.0, output=0, part=SimpleNamespace(effect=SimpleNamespace(nature=x, cause=x))
+            nature=x,
+            weight=1.0,
+            output=0,
+            same_as="",
+            part=SimpleNamespace(effect=SimpleNamespace(nature=x, cause=x)),
         )
         for x in "ab"
     )
@@ -123,6 +127,8 @@ def test_named_effects_lend_their_names_only_to_an_answer_that_they_nearly_are()
     assert not o.agrees(
         "dynamic nonlinearity", "slow_hidden_state"
     )  # most causes are dynamic: that says little
+    drag.same_as = "pendulum"  # a cosine over a part of a turn
+    assert o.agrees("dynamic nonlinearity", "duffing")
 
 
 def test_what_runs_by_the_clock_gives_way_to_terms_that_do_as_well_without_it() -> None:

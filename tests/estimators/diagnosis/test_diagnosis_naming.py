@@ -179,6 +179,7 @@ def test_a_name_is_not_given_where_causes_of_another_place_explain_as_much(
     none: Any = None
     o = Outcome(0, none, none, SimpleNamespace(rungs=rungs), share, none, none)  # type: ignore[arg-type]
     assert o.gainsaid("b") is told
+    assert o.behind("b") is (own < 0.9 and not feedback)  # whatever the named model explains
     assert not o.gainsaid("a")
     assert not o.gainsaid("c")  # of a nature that no regression looks for it says nothing
 

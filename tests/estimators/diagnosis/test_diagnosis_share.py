@@ -101,6 +101,16 @@ def test_a_cause_is_seen_and_its_nature_told(name: str) -> None:
     assert share.noise_low <= share.noise_floor <= share.noise_high
 
 
+def test_a_gain_that_drifts_on_an_operating_level_is_told_from_an_added_trend() -> None:
+    """It drives the level off as well, which a trend explains most of; and a trend alone stays what it is."""
+    rng = np.random.default_rng(7)
+    u = _input(rng, 1500)
+    time = np.arange(len(u)) / len(u)
+    drifts, trend = 1.0 - 0.3 * time, 15.0 * time
+    for y, nature in ((drifts * _plant(u + 4.0), "time variation"), (_plant(u + 4.0) - trend, "disturbance")):
+        assert _share(u + 4.0, y + 0.5 * rng.standard_normal(len(u))).nature == nature
+
+
 def test_the_variable_that_matters_is_the_one_that_is_missed_most() -> None:
     rng = np.random.default_rng(3)
     u = np.stack([_input(rng), _input(rng)], axis=1)
