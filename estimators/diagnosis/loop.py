@@ -26,7 +26,7 @@ from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, as_started, cl
 from estimators.diagnosis.ladder.verdicts import verdict
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.admission import LEAST, together, told_from_clock
-from estimators.diagnosis.record.measurement import held_samples, observations, resting_samples
+from estimators.diagnosis.record.measurement import lost_samples, observations
 from estimators.diagnosis.remainder import Limits, fit_remainder, linear_footing, spliced
 from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, RemainderAnswer, early
 from estimators.diagnosis.result.model import diagnosed_model
@@ -350,7 +350,7 @@ def _held_out(train: Record, test: Record | None, outcomes: list[Outcome], setti
     for o in outcomes:
         if any(sig.key == "held" for sig in o.examined.signatures):
             y = np.nan_to_num(record.y[:, o.index])
-            held[:, o.index] = held_samples(y) & ~resting_samples(record.u, y)
+            held[:, o.index] = lost_samples(record.u, y)
         if test is None:
             counts[:, o.index] &= o.ladder.counted[0] & ~held[:, o.index]
     if test is not None:

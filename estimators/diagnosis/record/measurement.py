@@ -124,8 +124,8 @@ RESTING = 8
 """Samples of unmoved input and output from which on a system rests; losses in a row are seldom so many."""
 
 
-def resting_samples(u: Array, y: Array) -> NDArray[np.bool_]:
-    """(N,) samples at which neither the inputs (N, nu) nor the output move: from the start, or for `RESTING` samples and more.
+def resting_samples(u: Array, y: Array, least: int = RESTING) -> NDArray[np.bool_]:
+    """(N,) samples at which neither the inputs (N, nu) nor the output move: from the start, or for `least` samples and more.
 
     A system at rest repeats its output; nothing is lost there. It does not leave its rest by a large move before an input moves.
     """
@@ -138,8 +138,29 @@ def resting_samples(u: Array, y: Array) -> NDArray[np.bool_]:
     out = np.zeros(len(y), dtype=bool)
     for first, stop in zip(edges[::2] + 1, edges[1::2] + 1, strict=True):
         comes = unmoved[stop] and steps[stop - 1] > usual
-        out[first:stop] = (stop - first >= RESTING and not comes) or first == 1
+        out[first:stop] = (stop - first >= least and not comes) or first == 1
     return out
+
+
+REFRESHES = 20
+"""Changes of a signal that all lie on one lattice of samples from which on it is read anew only there: by chance, on every other
+sample, once in half a million records."""
+
+
+def refreshed_every(u: Array, y: Array) -> int:
+    """Samples between the times at which an output (N,) is read anew; 1 where it changes at others too, too seldom to tell, or only
+    as the inputs (N, nu) do: one that follows at once on a coarse scale moves no oftener."""
+    lattice = lambda *x: int(np.gcd.reduce(np.diff(np.concatenate([np.flatnonzero(np.diff(v)) for v in x]))))
+    if np.count_nonzero(np.diff(y)) < REFRESHES or (every := lattice(y)) == 1:
+        return 1
+    return 1 if lattice(*u.T) % every == 0 else every
+
+
+def lost_samples(u: Array, y: Array) -> NDArray[np.bool_]:
+    """(N,) samples of an output (N,) that are no readings: they show the last one, and the system does not rest at inputs (N, nu)."""
+    every = refreshed_every(u, y)
+    held = held_samples(y) if every == 1 else np.concatenate(([False], y[1:] == y[:-1]))
+    return held & ~resting_samples(u, y, max(RESTING, 2 * every - 1))
 
 
 def at_reversals(wild: NDArray[np.bool_], simulated: Array) -> bool:

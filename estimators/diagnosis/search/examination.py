@@ -21,8 +21,8 @@ from estimators.diagnosis.record.measurement import (
     Signature,
     at_extremes,
     at_reversals,
-    held_samples,
-    resting_samples,
+    lost_samples,
+    refreshed_every,
     rounding_step,
     wild_samples,
 )
@@ -196,7 +196,7 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
     missing = ~np.isfinite(y)
     y[missing] = 0.0
     faults = {sig.key for sig in short.signatures}
-    keep = ~missing & (~held_samples(y) | resting_samples(record.u, y)) if "held" in faults else ~missing
+    keep = ~missing & ~lost_samples(record.u, y) if "held" in faults else ~missing
     channel = Channel(record.u, y, Clock(np.arange(n, dtype=float), n), keep, short.channel.step)
     ratio = n / len(short.channel)
 
@@ -234,11 +234,12 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
     clock = Clock(np.arange(n, dtype=float), n)
     signatures: list[Signature] = []
     step = rounding_step(y)
-    held = held_samples(y) & keep & ~resting_samples(record.u, y)
+    held, every = lost_samples(record.u, y) & keep, refreshed_every(record.u, y)
     if held.sum() >= max(3, 0.004 * n):
         keep &= ~held
         signatures.append(Signature("held", i, int(held.sum()), float(held.mean()),
-            f"{record.output_names[i]}: {int(held.sum())} of {n} samples repeat the one before exactly"))  # fmt: skip
+            f"{record.output_names[i]}: {int(held.sum())} of {n} samples repeat the one before exactly"
+            + (f": it is read anew every {every} samples only" if every > 1 else "")))  # fmt: skip
     channel = Channel(record.u, y, clock, keep)
     order = setting.orders[i] if setting.orders else _order(channel, record, setting, i, known)
     s, others = _structure(setting, record, i, order)

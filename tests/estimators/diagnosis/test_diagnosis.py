@@ -13,7 +13,14 @@ from estimators.diagnosis.cases import diagnose_files
 from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import ar_model
-from estimators.diagnosis.record.measurement import held_samples, resting_samples, rounding_step, wild_samples
+from estimators.diagnosis.record.measurement import (
+    held_samples,
+    lost_samples,
+    refreshed_every,
+    resting_samples,
+    rounding_step,
+    wild_samples,
+)
 from estimators.diagnosis.search.selection import feedback_test
 from oed.data import Record
 from oed.errors import InputError
@@ -183,6 +190,21 @@ def test_rest_is_no_loss_and_a_loss_is_no_rest():
     assert rest[201:210].all()
     assert rest.sum() == 38
     assert set(np.flatnonzero(held_samples(y) & ~rest)) == {300, 301, 302}
+
+
+def test_an_output_that_is_read_anew_now_and_then_is_held_between(rng):
+    """Whole tenths, every eleventh sample, under an input of its own times; but not a quick plant behind an input of that lattice."""
+    k = np.arange(1500)
+    u = np.repeat(rng.standard_normal(1500 // 7 + 1), 7)[:1500, None]
+    y = np.round(np.asarray(lfilter([0.0, 1.0], [1.0, -0.95], u[:, 0])) + 0.2 * rng.standard_normal(1500), 1)
+    late = y[k // 11 * 11]
+    assert refreshed_every(u, y) == 1
+    assert refreshed_every(u, late) == 11
+    changed = np.append(False, late[1:] != late[:-1])
+    assert np.mean(lost_samples(u, late)[k % 11 != 0]) > 0.95  # a few refreshes bring the same tenth
+    assert not lost_samples(u, late)[changed].any()
+    quick = np.round(0.3 * np.repeat(rng.standard_normal(1500 // 11 + 1), 11)[:1500], 1)
+    assert refreshed_every(quick[:, None], np.append(0.0, quick[:-1])) == 1
 
 
 def test_wild_samples_are_recognised_and_gaussian_ones_are_not():
