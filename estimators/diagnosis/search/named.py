@@ -30,8 +30,8 @@ from estimators.diagnosis.result.answers import LinearAnswer, NamedAnswer
 from estimators.diagnosis.search.exchange import without
 from estimators.diagnosis.search.free_runs import blocked, denominator, lengthened, start_of
 from estimators.diagnosis.search.naming import BENT, as_shown, bending, scaled_runs
+from estimators.diagnosis.search.ratios import part_significance
 from estimators.diagnosis.search.selection import Attribution
-from estimators.diagnosis.search.significance import significance
 from estimators.diagnosis.share.feedback import answered, autoregression, whitened
 from estimators.diagnosis.share.news import FREE, Predictor
 from estimators.residual.measures import p_stated
@@ -257,7 +257,7 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             rest = a.base if form else _best_without(bench, a, f, position)
             rests.append((rest, bench.unused(rest)))
             gain = bench.gain(rests[-1][1], unused, part)
-            claims.append(Claim(part, gain, significance(rest, f, part, bench.family, bench.channel.u)))
+            claims.append(Claim(part, gain, part_significance(rest, f, part, bench.family, bench.channel.u)))
         weak = [i for i, c in enumerate(claims) if not _gains(c, bench)]
         if not weak:
             held = _surest(

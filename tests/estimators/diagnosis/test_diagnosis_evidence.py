@@ -27,7 +27,7 @@ from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.search.examination import Known, as_motion
 from estimators.diagnosis.search.free_runs import free_run, start_of
 from estimators.diagnosis.search.named import Claim, _gains, _holds, _surest
-from estimators.diagnosis.search.significance import significance
+from estimators.diagnosis.search.ratios import part_significance
 from oed.data import Record
 
 N = 600
@@ -99,11 +99,11 @@ def test_an_effect_is_significant_though_a_noise_model_predicts_the_error_withou
             replace(g, residual=share * smooth, deviance=0.0),
         )
         rest, whole = (replace(h, noise=np.array([-0.97])) for h in (rest, whole))
-        assert (significance(rest, whole, part, 90, INPUT) < 1e-3) is told
+        assert (part_significance(rest, whole, part, 90, INPUT) < 1e-3) is told
     off = replace(f, deviance=np.inf, residual=np.full(N, np.inf))
-    assert significance(off, g, part, 90, INPUT) == 0.0
+    assert part_significance(off, g, part, 90, INPUT) == 0.0
     # negative control: 60 linear plants in slow noise at 1 %, before the correction for the family
-    alarms = sum(significance(*bent(rng, 0.0, 0.95), 1, INPUT) < 0.01 for _ in range(60))
+    alarms = sum(part_significance(*bent(rng, 0.0, 0.95), 1, INPUT) < 0.01 for _ in range(60))
     assert alarms <= 3
 
 
@@ -118,7 +118,7 @@ def test_a_constant_no_larger_than_the_error_of_the_resting_values_is_no_effect(
             y = lfilter([0.0, 0.5], [1.0, -0.9], u) + 0.2 * e
             channel = channel_of(u, y - y[:12].mean() + constant)
             rest, f = (fit_linear(channel, s) for s in (plain, plain.adding(Part(OFFSET))))
-            told[constant] += significance(rest, f, f.structure.parts[0], 1, channel.u) < 0.01
+            told[constant] += part_significance(rest, f, f.structure.parts[0], 1, channel.u) < 0.01
     assert told[0.0] <= 1
     assert told[3.0] == 20
 

@@ -14,7 +14,7 @@ from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.model.structure import Part
 
 
-def significance(rest: Fit, f: Fit, part: Part, family: int, u: NDArray[Any]) -> float:
+def part_significance(rest: Fit, f: Fit, part: Part, family: int, u: NDArray[Any]) -> float:
     """Corrected p-value of a part in the joint fit to inputs (N, nu): the better of two likelihood ratios, at twice its value.
 
     One takes each side under the noise model that it asks for. Such a model predicts a smooth error from its own past,
