@@ -29,14 +29,14 @@ extensions = [
 exclude_patterns = [
     "_build",
     "README.md",
-    "sg_execution_times.rst",
     "gallery/*.ipynb",
     "gallery/*.py",
     "gallery/*.json",
 ]
 html_theme = "furo"  # maintained, light, dark mode
 html_extra_path = ["results/report.html"]  # beside the site's pages, and opened as it is
-html_static_path, html_css_files = ["assets"], ["oed.css"]
+html_static_path, html_css_files, html_js_files = ["assets"], ["oed.css"], ["oed.js"]
+html_show_sourcelink = False  # the theme puts it outside all landmarks
 html_title = "oed"
 html_math_renderer = "mathml"
 html_show_sphinx = False
@@ -61,7 +61,7 @@ sphinx_gallery_conf = {
     "ignore_pattern": r"__init__",
     "download_all_examples": False,
     "show_signature": False,
-    "min_reported_time": 3600,
+    "write_computation_times": False,  # a page that asks a server of others for its scripts
 }
 
 PACKAGES = (
