@@ -7,14 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.blocks import Blocks
-from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from estimators.diagnosis.baseline.linear_model import REACH, LinearModel, Prior
 from oed.data import Record
 from oed.models.poles import Pole, poles_in_hz
 
 Array = NDArray[Any]
-
-REACH = 400
-"""Most samples that set a training record's state: their covariance is solved as one matrix."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,8 @@ FAR = 0.999
 """Radius from which on a pole forgets too slowly (over 1000 samples) for a steady state to say where a record starts."""
 FORGOTTEN, LONGEST = 1e-2, 500
 """Share of a response after which an input before a record no longer counts, and most samples of it."""
+REACH = 400
+"""Most samples that set a training record's state: their covariance is solved as one matrix."""
 FEWEST = 5
 """Samples from which on an output is known to rest, or a state is set by measurement."""
 STILL = 0.05
@@ -26,6 +28,8 @@ STILL = 0.05
 UNDRIVEN = 3.0
 """Standard deviations of a model's run from rest, beyond which a record's start is not what its inputs left, as in a record cut out
 of a longer one, but how its experiment starts: the next one that begins with the same inputs starts alike."""
+AGAIN = 0.1
+"""Share of the later samples under inputs held as long as at a record's start, up to which two records that begin so begin alike."""
 ALIKE = 2.0
 """Variance of resting samples, and square of what they are off a model at rest, of its noise's variance, up to which it is noise."""
 
@@ -36,6 +40,14 @@ def unmoved(u: Array, y: Array) -> Array:
     y = y[: moved[0] if len(moved) else len(y)]
     y = y[np.isfinite(y)]
     return y if len(y) >= FEWEST else y[:0]
+
+
+def begins_apart(u: Array) -> bool:
+    """Whether inputs (N, nu) are hardly ever again held as they are at first: two records that begin so are two experiments begun alike."""
+    held = (u == u[:1]).all(axis=1)
+    k = int(np.cumprod(held).sum())
+    again = np.convolve(held[k:], np.ones(k), "valid") > k - 0.5 if len(u) > 2 * k else np.ones(1)
+    return k >= FEWEST and bool(again.mean() <= AGAIN)
 
 
 def rest_level(u: Array, y: Array, variance: float) -> float:
@@ -67,7 +79,20 @@ class Prior:
 
     def of(self, model: "LinearModel", u: Array, y: Array) -> "Prior":
         """The prior with the opening of the training record (N, nu), (N,) where a model at rest would miss it."""
-        return self if self.rest or not model.astray(u, y) else replace(self, opening=unmoved(u, y))
+        if self.rest or not len(opening := unmoved(u, y)) or not 0.0 < model.radius < FAR:
+            return self
+        off = abs(float(opening.mean()) - model.level(u[0]))
+        moving = np.isnan(self.level) and begins_apart(u) and off > UNDRIVEN * np.sqrt(self.noise)
+        return replace(self, opening=opening) if moving or model.astray(u, y) else self
+
+    def alike(self, u: Array, y: Array, window: int) -> bool:
+        """Whether a record (N, nu), (N,) begins as the training records opened, for all that its window measures."""
+        return bool(
+            not self.rest
+            and len(self.opening)
+            and (u[:FEWEST] == self.held).all()
+            and not np.isfinite(y[:window]).any()
+        )
 
     def opened(self, u: Array, y: Array, window: int) -> tuple[Array, int]:
         """The outputs (N,) that set a run's state and how many: where none is measured, those with which the training records opened
@@ -89,13 +114,15 @@ class LinearModel:
 
     `den` (n + 1,) denominator, its first coefficient 1; `num` (nu, m) numerators by lag from 0; delays are
     leading zeros; `constant` c, the drive of a constant level; `moved` (nu,) standard deviations of the inputs before a
-    record, where its state is what they left: of many poles, a state in past outputs is beyond what samples can set.
+    record, where its state is what they left: of many poles, a state in past outputs is beyond what samples can set;
+    `begun` (n,) outputs before a record that begins as the training record did, where that is known.
     """
 
     den: Array
     num: Array
     constant: float = 0.0
     moved: Array = field(default_factory=lambda: np.empty(0))
+    begun: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def order(self) -> int:
@@ -181,27 +208,48 @@ class LinearModel:
         start = prior.started(u)
         return own if self.radius < FAR else start if np.isfinite(start) else prior.mean
 
+    def before(self, prior: Prior, u: Array, count: int) -> Array:
+        """(count,) outputs before an unmeasured record whose inputs stay at u (nu,) at first, the last first."""
+        if len(self.begun) and prior.alike(np.tile(u, (FEWEST, 1)), u[:0], 0):
+            return np.concatenate((self.begun, np.zeros(count)))[:count]
+        return np.full(count, 0.0 if prior.rest else self.expected(prior, u))
+
     def free_run(self, prior: Prior, u: Array, y: Array, window: int) -> Array:
         """(N,) simulated output; the first `window` samples of y (N,) set the state, and are smoothed by it.
 
         The state is the conditional mean of a Gaussian: outputs before the first sample with the prior's covariance, noise
         of variance `noise` on the samples.
         """
+        if len(self.begun) and prior.alike(u, y, window):
+            return self.run(self.driven(u), self.begun)
         y, window = prior.opened(u, y, window)
         n, w = self.order, min(window, len(y))
         driven = self.driven(u, np.zeros((1, u.shape[1])) if prior.rest else None)
         if len(self.moved) and not prior.rest and np.isfinite(y[:w]).any():
             return self._after_inputs(prior, u, y[:w])
-        mean, cov = self._before(prior, u, y[:w])
+        ahead = self._told(prior, driven, u, y[:w])
+        return np.concatenate((ahead[n:], self.run(driven[w:], ahead[w:][::-1])))
+
+    def beginning(self, prior: Prior, u: Array, y: Array) -> "LinearModel":
+        """The model with what the training record (N, nu), (N,) tells of its beginning, where others begin alike."""
+        if not len(prior.opening) or len(self.moved):
+            return self
+        ahead = self._told(prior, self.driven(u), u, y[:REACH])
+        return replace(self, begun=ahead[: self.order][::-1])
+
+    def _told(self, prior: Prior, driven: Array, u: Array, y: Array) -> Array:
+        """(n + w,) outputs before a record and in a window of it, as far as the window's samples (w,) tell of them."""
+        n, w = self.order, len(y)
+        mean, cov = self._before(prior, u, y)
         past = np.full(n, mean)
         ahead = np.concatenate((past, self.run(driven[:w], past)))
-        seen = np.flatnonzero(np.isfinite(y[:w])) + n
+        seen = np.flatnonzero(np.isfinite(y)) + n
         if n and len(seen):
             lead = np.concatenate((np.eye(n)[::-1], self.free(w)))
             spread = lead @ cov @ lead.T
             inner = spread[np.ix_(seen, seen)] + prior.noise * np.eye(len(seen))  # pyright: ignore[reportCallIssue]
             ahead += spread[:, seen] @ definite(inner, y[seen - n] - ahead[seen], 1e-13)
-        return np.concatenate((ahead[n:], self.run(driven[w:], ahead[w:][::-1])))
+        return ahead
 
     def unset(self, prior: Prior, noise: float, length: int, window: int) -> float:
         """Mean variance of a free run of `length` samples, as far as a window of samples with noise of a variance leaves its state

@@ -91,7 +91,7 @@ class LinearAnswer:
     def to_dict(self) -> dict[str, Any]:
         """Coefficients and how the state is set."""
         m = {"den": self.model.den.tolist(), "num": self.model.num.tolist(), "constant": self.model.constant,
-             "moved": self.model.moved.tolist()}  # fmt: skip
+             "moved": self.model.moved.tolist(), "begun": self.model.begun.tolist()}  # fmt: skip
         return {"kind": "linear", "output": self.output, "inputs": list(self.inputs), "model": m,
                 "prior": _plain(asdict(self.prior)), "rest": self.rest}  # fmt: skip
 
@@ -249,7 +249,8 @@ def _named(data: dict[str, Any], effects: tuple[Effect, ...]) -> NamedAnswer:
 def _linear_of(data: dict[str, Any]) -> LinearAnswer:
     """The linear answer that `to_dict` wrote."""
     m = data["model"]
-    model = LinearModel(np.array(m["den"]), np.array(m["num"]), m["constant"], np.array(m.get("moved", ())))
+    late = (np.array(m.get(name, ())) for name in ("moved", "begun"))
+    model = LinearModel(np.array(m["den"]), np.array(m["num"]), m["constant"], *late)
     return LinearAnswer(
         data["output"], tuple(data["inputs"]), model, _prior_of(data["prior"]), data.get("rest", False)
     )

@@ -95,9 +95,9 @@ def test_an_integrator_starts_where_records_started_though_their_noise_is_no_res
     assert abs(base.simulate(Record(u, y), 0)[0, 0] - 100.0) < 0.3
 
 
-@pytest.mark.parametrize("first, opens", [(96.0, True), (56.0, False), (60.0, False)])
+@pytest.mark.parametrize("first, opens", [(96.0, True), (56.0, False), (60.0, True)])
 def test_a_record_that_begins_as_the_training_record_did_starts_where_that_one_was(first, opens):
-    """A furnace still hot from the day before under its resting input: no input had brought it there, so the next day is alike."""
+    """A furnace still hot from the day before under its resting input, by much or a little: no later input is held so, the next day is alike."""
 
     def day(seed: int, start: float) -> Record:
         rng = np.random.default_rng(seed)
@@ -111,7 +111,7 @@ def test_a_record_that_begins_as_the_training_record_did_starts_where_that_one_w
     assert bool(len(base.outputs[0].prior.opening)) == opens
     again = day(2, first)
     error = base.simulate(again, 0) - again.y
-    assert np.sqrt(np.mean(error**2)) < (0.3 if first != 60.0 else 1.0)
+    assert np.sqrt(np.mean(error**2)) < 0.3
     other = Record(again.u - 1.0, again.y)  # under an input that the training record did not begin with
     assert abs(base.simulate(other, 0)[0, 0] - 55.0) < 1.0
 

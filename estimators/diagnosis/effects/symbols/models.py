@@ -17,15 +17,15 @@ Array = NDArray[Any]
 def linear(w: Wiring, inputs: tuple[int, ...], model: Any, prior: Any) -> Any:
     """Output of a linear model, started as `LinearModel.free_run` starts without a window."""
     level = w.level[list(inputs)]
-    before, past = (0.0 * level, 0.0) if prior.rest else (level, model.expected(prior, level))
+    before = 0.0 * level if prior.rest else level
     m = max(len(model.den), model.num.shape[1]) - 1
     b, a = (
         np.concatenate((c, np.zeros((len(c), m + 1 - c.shape[1]))), axis=1)
         for c in (model.num, model.den[None])
     )
-    flow = before @ b[:, 1:] - past * a[0, 1:]
-    start = np.cumsum(flow[::-1])[::-1]
-    return w.rational(model.num, model.den, [w.u[j] for j in inputs], model.constant, start)
+    past = model.before(prior, level, m)
+    start = [before @ b[:, i:].sum(axis=1) - a[0, i:] @ past[: m + 1 - i] for i in range(1, m + 1)]
+    return w.rational(model.num, model.den, [w.u[j] for j in inputs], model.constant, np.array(start))
 
 
 def through(w: Wiring, signal: Any, behind: Any) -> Any:
