@@ -58,9 +58,9 @@ def _plain(kind: str, orders: tuple[int, ...], delay: int, ny: int, nu: int, dia
     return polynomial(kind, orders, delay, n_outputs=ny, n_inputs=nu, diagonal=diagonal)
 
 
-LARGEST = 1e140
-"""Size of a signal and of one beside the other, and one over it the smallest: squares of signals over residuals a billion times
-smaller are formed, and a double ends at 1e308 (see the test)."""
+LARGEST = 1e150
+"""Size of a signal and of one beside the other, and one over it the smallest: sums of squares are doubles, of which the noise's variance and
+the parameters' covariance are made, in the user's units."""
 
 RATIOS = 1 / LARGEST, LARGEST
 """Sizes of outputs over those of inputs: their squares are the gains' variances."""

@@ -68,10 +68,15 @@ def least_squares(X: NDArray, y: NDArray, rcond: float | None = None) -> NDArray
     return np.linalg.lstsq(X, y, rcond=rcond)[0]
 
 
+def powers_of_two(x: NDArray, axis: tuple[int, ...] | None = None) -> NDArray:
+    """The power of two next to the largest value along axes; 1 where there is none."""
+    top = np.max(np.abs(x), axis=axis, initial=0.0)
+    return np.ldexp(1.0, np.floor(np.log2(np.where((top > 0) & (top < np.inf), top, 1.0))).astype(int))
+
+
 def unit(x: NDArray) -> NDArray:
     """A signal over the power of two next to its largest value: beside a constant, or squared, any unit is as good."""
-    top = float(np.max(np.abs(x), initial=0.0))
-    return x / 2.0 ** np.floor(np.log2(top)) if 0 < top < np.inf else x
+    return x / powers_of_two(x)
 
 
 def of_size_one(parts: Parts) -> list[NDArray]:

@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from estimators.residual.algebra import Parts, delayed, inverse, of_size_one, spread_of, taken_up
+from estimators.residual.algebra import (
+    Parts,
+    delayed,
+    inverse,
+    of_size_one,
+    powers_of_two,
+    spread_of,
+    taken_up,
+)
 from estimators.residual.measures import in_ranges, p_stated
 from oed.data import Record, entry_name, frozen
 from oed.errors import InputError
@@ -287,14 +295,18 @@ def _linear(fit: Any, records: Record | Sequence[Record], fresh: bool) -> _Linea
         states = np.zeros((*j.shape[:2], own * len(given)))
         states[:, :, r * own : (r + 1) * own] = j[:, :, common:]
         wide.append(np.concatenate([j[:, :, :common], states], axis=2))
-    residuals = [e for e, _ in linear]
-    weight = np.linalg.inv(fit.noise_covariance)
+    # In units, of outputs and of parameters, in which squares are doubles whatever the user's are.
+    high = powers_of_two(np.concatenate([e for e, _ in linear]), (0,))
+    broad = powers_of_two(np.concatenate(wide) / high[:, None], (0, 1))
+    residuals = [e / high for e, _ in linear]
+    wide = [j / high[:, None] / broad for j in wide]
+    weight = np.linalg.inv(fit.noise_covariance / high / high[:, None])
     stacked = np.concatenate(wide)
     spread = inverse(np.einsum("tam,ab,tbn->mn", stacked, weight, stacked))
     posterior = not fresh and getattr(fit, "regularisation", None) is not None
     influence = None
     if not fresh and getattr(fit, "subspace", None) is not None:
-        influence = fit.subspace.influence
+        influence = [x * high[:, None] * broad[: x.shape[2]] for x in fit.subspace.influence]
         if [len(x) for x in influence] != [len(e) for e in residuals]:
             raise InputError(
                 f"records of {[len(e) for e in residuals]} samples, and {[len(x) for x in influence]} were fitted; give "
@@ -302,9 +314,9 @@ def _linear(fit: Any, records: Record | Sequence[Record], fresh: bool) -> _Linea
             )
     if fresh or posterior:
         spread = np.zeros_like(spread)
-        spread[:shared, :shared] = fit.covariance
+        spread[:shared, :shared] = fit.covariance * broad[:shared] * broad[:shared, None]
     if posterior and levels:
-        spread[shared:common, shared:common] = np.diag(fit.output_level_errors**2)
+        spread[shared:common, shared:common] = np.diag((fit.output_level_errors * broad[shared:common]) ** 2)
     return _Linear(given, residuals, wide, weight, spread, int(fresh) - int(posterior), influence)
 
 
