@@ -102,6 +102,10 @@ def record_of(
         )
     clocks = [name for name in named if seconds_per(name) and name not in (*u_columns, *y_columns)]
     clocks.sort(key=lambda name: name not in TIME)
+    scale = {name: seconds_per(name) for name in clocks}
+    if not clocks and dt is None and table.dt is None:
+        scale = _rising(table, [name for name in named if name not in (*u_columns, *y_columns)])
+        clocks = list(scale)
     wanted = [*u_columns, *y_columns, *clocks[:1]]
     loaded = dict(zip(wanted, table.load(wanted)))
     lengths = {name: len(values) for name, values in loaded.items()}
@@ -114,7 +118,7 @@ def record_of(
     start, stop = _rows(rows, length, table.source)
     cut = {name: values[start:stop] for name, values in loaded.items()}
     _check_finite({name: cut[name] for name in (*u_columns, *y_columns)}, missing, table.source, start)
-    times = cut[clocks[0]] * seconds_per(clocks[0]) if clocks else None
+    times = cut[clocks[0]] * scale[clocks[0]] if clocks else None
     dt, t0 = _clock(table, times, clocks, dt, start, notes)
     unused = [name for name in named if name not in loaded and not seconds_per(name)]
     if unused:
@@ -130,6 +134,22 @@ def record_of(
         input_units=tuple(names[name][1] for name in u_columns),
         output_units=tuple(names[name][1] for name in y_columns),
     )
+
+
+EVEN = 0.01
+"""Spread of a column's steps, of their mean, up to which it rises as a clock does: logged times shake less, measured ones more."""
+
+
+def _rising(table: Table, names: Sequence[str]) -> dict[str, float]:
+    """Seconds in the unit of each of some columns that are times under a name of their own, as `Zeit [s]`: in a unit of time, rising evenly."""
+    units = {}
+    for name in names:
+        bracket = re.search(r"[\[(](\w+)[\])]$", name)
+        unit = table.units.get(name) or (bracket[1] if bracket else split_unit(name)[1])
+        units |= {name: SECONDS[unit]} if unit in SECONDS else {}
+    steps = dict(zip(units, map(np.diff, table.load(list(units))))) if units else {}
+    even = lambda d: len(d) > 1 and d.mean() > 0 and np.abs(d - d.mean()).max() <= EVEN * d.mean()
+    return {name: units[name] for name, d in steps.items() if even(d)}
 
 
 def _chosen(
