@@ -73,8 +73,8 @@ class LinearAnswer:
 
     @property
     def untold(self) -> Prior:
-        """The prior of a record without samples that set its state."""
-        return replace(self.prior, rest=self.prior.rest or self.rest)
+        """The prior of a record without samples that set its state; rest is denied where the training record began away from it."""
+        return replace(self.prior, rest=self.prior.rest or (self.rest and not len(self.prior.opening)))
 
     def simulate(self, record: Record, window: int) -> Array:
         """(N,) free run."""
