@@ -81,9 +81,16 @@ class Prior:
         """The prior with the opening of the training record (N, nu), (N,) where a model at rest would miss it."""
         if self.rest or not len(opening := unmoved(u, y)) or not 0.0 < model.radius < FAR:
             return self
-        off = abs(float(opening.mean()) - model.level(u[0]))
+        opened, off = replace(self, opening=opening), abs(float(opening.mean()) - model.level(u[0]))
         moving = np.isnan(self.level) and begins_apart(u) and off > UNDRIVEN * np.sqrt(self.noise)
-        return replace(self, opening=opening) if moving or model.astray(u, y) else self
+        if moving:  # and not begun by its first inputs, as an experiment that starts at rest with a step
+            runs = (
+                model.beginning(opened, u, y).free_run(opened, u, y, 0),
+                model.free_run(replace(self, rest=True), u, y, 0),
+            )
+            begun, rest = (float(np.nansum((y - run)[:REACH] ** 2)) for run in runs)
+            moving = rest > ALIKE * begun
+        return opened if moving or model.astray(u, y) else self
 
     def alike(self, u: Array, y: Array, window: int) -> bool:
         """Whether a record (N, nu), (N,) begins as the training records opened, for all that its window measures."""
