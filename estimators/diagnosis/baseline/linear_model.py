@@ -217,7 +217,7 @@ class LinearModel:
 
     def before(self, prior: Prior, u: Array, count: int) -> Array:
         """(count,) outputs before an unmeasured record whose inputs stay at u (nu,) at first, the last first."""
-        if len(self.begun) and prior.alike(np.tile(u, (FEWEST, 1)), u[:0], 0):
+        if len(self.begun) and prior.alike(u[None], u[:0], 0):
             return np.concatenate((self.begun, np.zeros(count)))[:count]
         return np.full(count, 0.0 if prior.rest else self.expected(prior, u))
 

@@ -58,9 +58,8 @@ class Step:
     rivals: tuple[Answer, ...] = ()  # models with other causes that unused blocks cannot tell from it
     folds: tuple[Answer, ...] = ()  # the same model fitted without one block or another
     linear: bool = False  # what it adds are poles, a delay or a level, which a linear predictor has: they cannot be news to it
-    without: Answer | None = (
-        None  # the model without its one cause that is no linear dynamics, which may owe some of its gain to these
-    )
+    # the model without its one cause that is no linear dynamics, which may owe some of its gain to these
+    without: Answer | None = None
     slow: bool = False  # a pole remembers longer than a block, and none of the linear model's does
 
     def simulate(self, record: Record, window: int) -> Array:

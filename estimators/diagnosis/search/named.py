@@ -266,11 +266,8 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             shown = [replace(c, part=as_shown(c.part, f, bench.channel)) for c in held]
             held = bending(bench, f, shown, unused)
-            bare = [
-                g
-                for (g, _), c in zip(rests, claims, strict=True)
-                if c.part.effect.nature is not Nature.LINEAR
-            ]
+            dynamics = [c.part.effect.nature is Nature.LINEAR for c in claims]
+            bare = [rest for (rest, _), plain in zip(rests, dynamics, strict=True) if not plain]
             alike, told = _as_linear(bench, a, f) if len(held) == 1 and bent(held[0]) else (None, False)
             claims = tuple(_with_rivals(held, a, f))
             left = float(np.sum(f.residual**2) / max(np.sum(a.base.residual**2), 1e-300))

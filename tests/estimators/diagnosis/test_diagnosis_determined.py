@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,8 +24,9 @@ from estimators.diagnosis.ladder.held_out import (
     _determined,
     _undetermined,
     _worse_than_constant,
+    assess,
 )
-from estimators.diagnosis.ladder.steps import Kind
+from estimators.diagnosis.ladder.steps import Kind, Ladder, Rung, Step
 from estimators.diagnosis.model.fitting import levenberg_marquardt
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Setting
@@ -208,3 +210,28 @@ def test_a_claim_is_borne_by_no_run_that_is_worse_than_a_constant() -> None:
     figures = ErrorFigure(1.06, 0.8, 1.3), ErrorFigure(0.88, 0.8, 1.0)
     assert list(_worse_than_constant(y, every, figures, Setting().policy)) == ["linear model"]
     assert list(_worse_than_constant(0.64 * y, every, figures, Setting().policy)) == ["linear model", ANSWER]
+
+
+def test_a_claim_is_borne_by_no_gain_that_its_model_has_without_it(rng) -> None:
+    """Poles that came with a cause may have all of its gain on the test record."""
+    y = rng.standard_normal(400)
+    record, every = Record(np.ones(400), y), np.ones((400, 1), dtype=bool)
+
+    def run(error: float) -> Any:
+        return SimpleNamespace(simulate=lambda r, w: (1.0 - error) * r.y[:, 0])
+
+    def bears(without: float | None) -> bool:
+        steps = [
+            Step(Kind.LINEAR, (), (), run(1.0), linear=True),
+            Step(Kind.NAMED, ("offset",), (), run(0.5)),
+        ]
+        steps[1] = replace(steps[1], without=None if without is None else run(without))
+        rungs = tuple(Rung(s, value, value, value) for s, value in zip(steps, (1.0, 0.5), strict=True))
+        ladder = Ladder(rungs, 1, (every[:, 0],))
+        return assess(
+            record, record, [ladder], skip=0, floor=0.1, counts=every, held=~every, policy=Setting().policy
+        ).bears
+
+    assert bears(None)
+    assert bears(0.9)
+    assert not bears(0.4)
