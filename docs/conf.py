@@ -36,6 +36,7 @@ exclude_patterns = [
 html_theme = "furo"  # maintained, light, dark mode
 html_extra_path = ["results/report.html"]  # beside the site's pages, and opened as it is
 html_static_path, html_css_files, html_js_files = ["assets"], ["oed.css"], ["oed.js"]
+templates_path = ["templates"]
 html_show_sourcelink = False  # the theme puts it outside all landmarks
 html_title = "oed"
 html_math_renderer = "mathml"
@@ -57,10 +58,12 @@ suppress_warnings = ["mystnb.unknown_mime_type", "config.cache"]
 sphinx_gallery_conf = {
     "examples_dirs": str(HERE.parent / "examples"),
     "gallery_dirs": "gallery",
-    "filename_pattern": r"/plot_",  # the other examples are stories for a rig or a terminal: shown, not run
+    "filename_pattern": r"\.py",  # all are run: together they take under a minute
+    "abort_on_example_error": True,
     "ignore_pattern": r"__init__",
     "download_all_examples": False,
     "show_signature": False,
+    "min_reported_time": 3600,  # a page that is made again is the same page
     "write_computation_times": False,  # a page that asks a server of others for its scripts
 }
 

@@ -2,9 +2,7 @@
 The Temperature Control Lab
 ===========================
 
-A rig that nobody here wrote: the Temperature Control Lab, two heaters and two sensors (pip install "oed[rig]").
-
-    python examples/temperature_lab.py [FIGURE.png]
+A rig that nobody here wrote: the Temperature Control Lab, two heaters and two sensors (`pip install "oed[rig]"`).
 
 The package `tclab` drives the real board and simulates it: quantised sensors, coupled heaters. The textbook model of it
 is one first-order lag from each heater to its own sensor. Four questions, each answered by measuring:
@@ -15,14 +13,13 @@ is one first-order lag from each heater to its own sensor. Four questions, each 
 4. Is it better now?                               the same errors on a record that was not used, and 1. once more
 """
 
-from __future__ import annotations
-
 import io
 import random
-import sys
 from contextlib import redirect_stdout
+from dataclasses import replace
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from estimators import diagnose, identify
@@ -36,18 +33,20 @@ from oed.information import information_of_records
 from oed.plants.json import plant_to_json
 from oed.signals.synthesis import realise
 
-LEVEL, RANGE, DT, N = (
-    40.0,
-    35.0,
-    8.0,
-    240,
-)  # heaters at 40 +- 35 %, a sample every 8 s, 32 minutes an experiment
+# heaters at 40 +- 35 %, a sample every 8 s, 32 minutes an experiment
+LEVEL, RANGE, DT, N = 40.0, 35.0, 8.0, 240
+STEP = 0.3223  # degC between two readings of the sensor
 SETTINGS = Settings(
     "procedure-2", samples=N, dt=DT, experiments=20, lead=100, level=(LEVEL, LEVEL), amplitude=(RANGE, RANGE),
     inputs=("Q1", "Q2"), outputs=("T1", "T2"), input_units=("%", "%"), output_units=("degC", "degC"),
 )  # fmt: skip
 TEXTBOOK = ([[1, 0], [0, 1]], [[1, 0], [0, 1]])
 COUPLED = ([[2, 2], [2, 2]], [[2, 2], [2, 2]])
+
+# %%
+# The rig
+# -------
+# Simulated here, and stepped by hand; `clocked` is what runs on the real board.
 
 
 def stepped(u: np.ndarray, seed: int) -> np.ndarray:
@@ -86,17 +85,17 @@ def clocked(u: np.ndarray, speedup: int) -> np.ndarray:
     return y
 
 
+# %%
+# Experiments on it
+# -----------------
+
+
 def experiment(u: np.ndarray, seed: int) -> Record:
     """One experiment within the limits: deviations from the level in, deviations from the resting output back."""
     whole = placed(u, SETTINGS)
     check_input(whole, SETTINGS)
-    return Record(
-        u,
-        measured(stepped(whole, seed), SETTINGS).y,
-        dt=DT,
-        input_names=("Q1", "Q2"),
-        output_names=("T1", "T2"),
-    )
+    y = measured(stepped(whole, seed), SETTINGS).y
+    return Record(u, y, dt=DT, input_names=SETTINGS.inputs, output_names=SETTINGS.outputs)
 
 
 def levels(rng: np.random.Generator, size: float) -> np.ndarray:
@@ -115,14 +114,23 @@ def error(fit: Any, record: Record) -> float:
 
 def worst_error(fit: Any, seed: int) -> Any:
     """Norm of model minus rig by the iterations: a session, with the lab as its rig."""
-    from dataclasses import replace
-
     session = Session(replace(SETTINGS, model=plant_to_json(fit.to_plant())))
     seeds = iter(range(seed, seed + 100))
     return session.run(lambda u: stepped(u, next(seeds)))
 
 
-def main(figure: str | None = None) -> dict[str, Any]:
+def _uncertainty(plant: Any, inputs: list[np.ndarray]) -> float:
+    """det(covariance)^(1/2n) with every parameter relative to its own size."""
+    scaled = information_of_records(plant, inputs) * np.outer(plant.theta, plant.theta)
+    return float(np.exp(-np.linalg.slogdet(scaled)[1] / (2 * len(plant.theta))))
+
+
+# %%
+# The four questions
+# ------------------
+
+
+def main() -> dict[str, Any]:
     rng = np.random.default_rng(1)
     first = experiment(levels(rng, 20.0), seed=1)
     unseen = experiment(levels(rng, RANGE), seed=2)
@@ -145,80 +153,64 @@ def main(figure: str | None = None) -> dict[str, Any]:
     planned = planned * min(1.0, RANGE / float(np.abs(planned).max()))
     again = levels(rng, 20.0)
     again = again * np.sqrt(np.sum(planned**2) / np.sum(again**2))  # the same energy, without a design
-    rows = [("first order, each heater alone", error(textbook, unseen), float("nan"))]
-    rows.append(("cause found and added", found.rmse_after.value, float("nan")))
-    rows.append(
-        ("second order, coupled, same record", error(coupled, unseen), _uncertainty(plant, [first.u]))
-    )
-    fits = {}
+    rows = [
+        ("first order, each heater alone", error(textbook, unseen), float("nan")),
+        ("cause found and added", found.rmse_after.value, float("nan")),
+        ("second order, coupled, same record", error(coupled, unseen), _uncertainty(plant, [first.u])),
+    ]
     for name, u, seed in (
         ("  and the same kind of input again", again, 3),
         ("  and the designed input", planned, 4),
     ):
-        fits[name] = identify([first, experiment(u, seed)], "oe", COUPLED, delay=1, offset=False)
-        rows.append((name, error(fits[name], unseen), _uncertainty(plant, [first.u, u])))
+        best = identify([first, experiment(u, seed)], "oe", COUPLED, delay=1, offset=False)
+        rows.append((name, error(best, unseen), _uncertainty(plant, [first.u, u])))
     print(f"{'4. model':40s} error on unseen data   uncertainty (geometric mean, relative)")
     for name, value, spread in rows:
         print(f"{name:40s} {value:12.4f} degC       {spread:14.5f}")
-    best = fits["  and the designed input"]
     after = worst_error(best, 200)
     print(
         f"\nthe norm of model minus rig: {before.value:.3f} -> {after.value:.3f} degC/% "
         f"(95 % interval {after.interval[0]:.3f} to {after.interval[1]:.3f}); "
-        f"the sensor's step alone makes an error of {0.3223 / np.sqrt(12):.3f} degC"
+        f"the sensor's step alone makes an error of {STEP / np.sqrt(12):.3f} degC"
     )
-    if figure:
-        _draw(figure, unseen, planned, design, textbook, best, rows)
     return {
         "rows": rows, "effect": found.effect, "variant": found.variant, "floor": found.noise_floor, "gap": design.gap,
         "norm_before": before, "norm_after": after, "planned": planned,
-        "before": found.rmse_before.value, "after": found.rmse_after.value,
+        "before": found.rmse_before.value, "after": found.rmse_after.value, "unseen": unseen, "textbook": textbook, "best": best,
     }  # fmt: skip
 
 
-def _uncertainty(plant: Any, inputs: list[np.ndarray]) -> float:
-    """det(covariance)^(1/2n) with every parameter relative to its own size."""
-    scaled = information_of_records(plant, inputs) * np.outer(plant.theta, plant.theta)
-    return float(np.exp(-np.linalg.slogdet(scaled)[1] / (2 * len(plant.theta))))
+if __name__ == "__main__":
+    told = main()
+
+# %%
+# Before and after
+# ----------------
 
 
-def _draw(
-    path: str, unseen: Record, planned: np.ndarray, design: Any, textbook: Any, best: Any, rows: list
-) -> None:
-    import matplotlib.pyplot as plt
-
-    minutes = np.arange(N) * DT / 60
-    fig, axes = plt.subplots(2, 2, figsize=(11, 7), layout="constrained")
-    for column, name in enumerate(("T1", "T2")):
-        ax = axes[0, column]
+def draw(told: dict[str, Any]) -> None:
+    unseen, minutes = told["unseen"], np.arange(N) * DT / 60
+    axes = [plt.subplots(figsize=(3.6, 3.2), layout="constrained")[1] for _ in range(4)]
+    for column, ax in enumerate(axes[:2]):
         ax.plot(minutes, unseen.y[:, column], ".", color="0.6", ms=3, label="measured, not used for fitting")
-        ax.plot(minutes, textbook.simulate(unseen.u)[:, column], color="C1", label="textbook model")
-        ax.plot(
-            minutes, best.simulate(unseen.u)[:, column], color="C0", label="coupled, designed input added"
-        )
-        ax.set(title=f"{name}, deviation from rest", xlabel="minutes", ylabel="degC")
-    axes[0, 0].legend(loc="upper left", fontsize=8)
-    axes[1, 0].step(minutes, LEVEL + planned, label=["Q1", "Q2"])
-    axes[1, 0].axhline(LEVEL + RANGE, color="0.5", ls=":")
-    axes[1, 0].axhline(LEVEL - RANGE, color="0.5", ls=":")
-    axes[1, 0].set(title="the input designed next, within its limits", xlabel="minutes", ylabel="heater, %")
-    axes[1, 0].legend(loc="lower left", fontsize=8)
-    names = [
-        "first order",
-        "cause added",
-        "second order,\ncoupled",
-        "and the same\nagain",
-        "and the\ndesigned input",
-    ]
-    bars = axes[1, 1].bar(names, [value for _, value, _ in rows], color=["C1", "C2", "C0", "C0", "C0"])
-    axes[1, 1].bar_label(bars, fmt="%.3f", fontsize=8)
-    axes[1, 1].set(title="error on unseen data", ylabel="degC", yscale="log", ylim=(0.07, 1.4))
-    axes[1, 1].tick_params(axis="x", labelsize=8)
-    axes[1, 1].axhline(0.3223 / np.sqrt(12), color="0.5", ls=":", label="the sensor's step alone")
-    axes[1, 1].legend(fontsize=8)
-    fig.savefig(path, dpi=110)
-    plt.close(fig)
+        for name, color in (("textbook", "C1"), ("best", "C0")):
+            ax.plot(minutes, told[name].simulate(unseen.u)[:, column], color, lw=1, label=f"{name} model")
+        ax.set(title=f"T{column + 1}, deviation from rest", xlabel="time [min]", ylabel="degC")
+    axes[0].legend(fontsize="x-small")
+    axes[2].step(minutes, LEVEL + told["planned"], lw=1, label=["Q1", "Q2"])
+    for limit in (LEVEL + RANGE, LEVEL - RANGE):
+        axes[2].axhline(limit, color="C3", ls=":")
+    axes[2].set(title="the designed input", xlabel="time [min]", ylabel="heater [%]")
+    axes[2].legend(loc="lower left", fontsize="x-small")
+    names = ["textbook", "cause added", "second order,\ncoupled", "the same\nagain", "designed\ninput"][::-1]
+    values = [value for _, value, _ in told["rows"]][::-1]
+    bars = axes[3].barh(names, values, color=["C0", "C0", "C0", "C2", "C1"])
+    axes[3].bar_label(bars, fmt=" %.3f", fontsize="x-small")
+    axes[3].set(title="error on unseen data", xlabel="degC", xscale="log", xlim=(0.07, 3))
+    axes[3].axvline(STEP / np.sqrt(12), color="0.5", ls=":", label="the sensor's step alone")
+    axes[3].legend(fontsize="x-small")
+    plt.show()
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    draw(told)

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-import importlib.util
+import contextlib
+import io
+import runpy
 from pathlib import Path
+from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
-def example(name: str):
-    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def example(name: str, run_name: str = "__main__") -> dict[str, Any]:
+    """What an example leaves, with what it said as `said` and its figures counted as `figures`; none stays open."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plt, "show", lambda: None)
+        patch.setattr("sys.argv", [name])
+        left = runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name=run_name)
+    left |= {"said": said.getvalue(), "figures": len(plt.get_fignums())}
+    plt.close("all")
+    return left
 
 
 def test_every_example_is_run_here():
@@ -24,49 +33,55 @@ def test_every_example_is_run_here():
         assert f'example("{file.stem}")' in text, f"{file.name} is not run by this file"
 
 
-def test_the_norm_of_an_unknown_system(capsys):
-    found = example("norm_of_an_unknown_system").main()
-    assert abs(found["value"] - found["true"]) < 3 * found["standard_error"] < 0.02
-    assert found["peak"] <= 3 * (1 + 1e-9)
-    assert capsys.readouterr().out.count("\n") >= 13
+def test_the_norm_of_an_unknown_system():
+    left = example("norm_of_an_unknown_system")
+    found = left["now"]
+    assert abs(found.value - left["true"].value) < 3 * found.standard_error < 0.02
+    assert left["session"].trace.usage.peak <= 3 * (1 + 1e-9)
+    assert left["said"].count("\n") >= 13
+    assert left["figures"] == 2
 
 
-def test_a_better_input_for_tomorrow(capsys):
-    found = example("better_input_for_tomorrow").main()
-    assert found["gap"] < 1e-9
-    for kind in (
-        "again",
-        "one",
-    ):  # the information promises what the fit then has, to the noise variance's error
-        assert found[f"reached_{kind}"] == pytest.approx(found[f"promised_{kind}"], rel=0.15)
-    assert found["reached_one"] < 0.7 * found["reached_again"]
-    assert "tomorrow" in capsys.readouterr().out
+def test_a_better_input_for_tomorrow():
+    left = example("better_input_for_tomorrow")
+    assert left["design"].gap < 1e-9
+    reached = {name: fit.hinf_norm[1] for name, fit in left["fits"].items()}
+    # the information promises what the fit then has, to the noise variance's error
+    for kind in ("the same again", "the designed one"):
+        assert reached[kind] == pytest.approx(left["promised"][kind], rel=0.15)
+    assert reached["the designed one"] < 0.7 * reached["the same again"]
+    assert "apply a constant alone; " in left["said"]
+    assert left["figures"] == 2
 
 
-def test_what_is_my_model_missing(capsys):
+def test_what_is_my_model_missing():
     """The rig's second mode: gain 1.997 at 121 Hz, by construction."""
-    found = example("what_is_my_model_missing").main()
-    assert found["low"] < 1.997 < found["high"]
-    assert found["high"] - found["low"] < 0.02
-    assert found["hertz"] == pytest.approx(121, abs=0.1)
-    assert found["cause"] == "mode"
-    assert found["after"] < 0.02 * found["before"]
-    assert "missing from the model" in capsys.readouterr().out
+    left = example("what_is_my_model_missing")
+    assert left["low"] < 1.997 < left["high"]
+    assert left["high"] - left["low"] < 0.02
+    assert left["found"].frequency / left["turn"] == pytest.approx(121, abs=0.1)
+    assert left["cause"].name == "mode"
+    assert left["cause"].after < 0.02 * left["cause"].before
+    assert "missing from the model" in left["said"]
+    assert left["figures"] == 2
 
 
-def test_a_rig_by_files(tmp_path, capsys):
-    found = example("rig_by_files").main(str(tmp_path))
-    assert found["refused"] == 1
-    assert abs(found["value"] - found["true"]) < 3 * found["standard_error"] < 0.05
+def test_a_rig_by_files(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.mkdtemp", lambda: str(tmp_path))
+    left = example("rig_by_files")
+    assert left["refused"] == 1
+    found, true = left["estimates"][-1], left["peak"](left["PLANT"]).value
+    assert abs(found.value - true) < 3 * found.standard_error < 0.05
     assert "times" in (tmp_path / "rig" / "journal.txt").read_text()  # the rate limit scaled an input
-    assert "half written" in capsys.readouterr().err
+    assert "half written" in left["said"]
+    assert left["figures"] == 2
 
 
 @pytest.mark.slow
-def test_the_temperature_lab(tmp_path, capsys):
+def test_the_temperature_lab():
     pytest.importorskip("tclab", reason="the rig extra is not installed: pip install tclab")
     lab = example("temperature_lab")
-    found = lab.main(str(tmp_path / "lab.png"))
+    found = lab["told"]
     # What the simulator is: a heater and its sensor in series (two lags), heaters coupled, readings 0.3223 apart.
     assert found["effect"] in ("quantisation", "sensor_lag", "mimo_cross")
     variant = found["variant"]
@@ -89,9 +104,9 @@ def test_the_temperature_lab(tmp_path, capsys):
     step = 0.3223 / np.sqrt(12)
     assert found["norm_after"].interval[0] < step < found["norm_before"].interval[0]
     assert found["gap"] < 1e-6
-    assert np.abs(found["planned"]).max() <= lab.RANGE
-    assert (tmp_path / "lab.png").stat().st_size > 10000
-    assert "0.3223 apart" in capsys.readouterr().out
+    assert np.abs(found["planned"]).max() <= lab["RANGE"]
+    assert lab["figures"] == 4
+    assert "0.3223 apart" in lab["said"]
 
 
 def test_the_temperature_lab_against_its_own_clock():
@@ -100,11 +115,11 @@ def test_the_temperature_lab_against_its_own_clock():
     The wall clock is uneven by some milliseconds, seconds of the lab's; the temperature moves by up to 0.2 degC a second.
     """
     pytest.importorskip("tclab", reason="the rig extra is not installed: pip install tclab")
-    lab = example("temperature_lab")
-    stepped = lab.stepped(np.full((5, 2), 50.0), 1)
-    np.testing.assert_array_equal(stepped, lab.stepped(np.full((5, 2), 50.0), 1))
+    lab = example("temperature_lab", run_name="lab")
+    stepped = lab["stepped"](np.full((5, 2), 50.0), 1)
+    np.testing.assert_array_equal(stepped, lab["stepped"](np.full((5, 2), 50.0), 1))
     u = np.column_stack([np.repeat([80.0, 0.0, 60.0], 15), np.repeat([0.0, 90.0, 20.0], 15)])
-    y = lab.clocked(u, 400)
+    y = lab["clocked"](u, 400)
     assert np.ptp(y, axis=0).min() > 8
     # step by step by the published equations, at rest at 21 degC
     H, T, expected = np.full(2, 21.0), np.full(2, 21.0), []

@@ -32,6 +32,8 @@ SLIGHT = 1e-3
 """Share of the power below which a line is not worth naming."""
 UNSEEN = 1e-5
 """A gap that no experiment could tell from none."""
+SLOW = 1e-6
+"""rad/sample below which a line is a constant to whoever applies it: it turns once in six million samples."""
 
 
 def in_words(design: "Design") -> str:
@@ -70,7 +72,7 @@ def where(design: "Design") -> str:
     share = np.bincount(line, np.einsum("kii->k", strong.power).real)
     share, at = share / share.sum(), omega / turn
     if len(at) <= MOST_NAMED:
-        named = [f"{f:.4g} {unit}" if f else "a constant" for f in at]
+        named = [f"{f:.4g} {unit}" if f * turn > SLOW else "a constant" for f in at]
         if len(named) == 1:
             return f"apply {named[0]} alone"
         parts = [f"{name} with {100 * p:.3g} %" for name, p in zip(named, share, strict=True)]
