@@ -34,39 +34,40 @@ def _step(x, z0, z1, b0, b1, b2, a1, a2):
 
 
 @njit(error_model="numpy", fastmath={"contract"}, cache=True)
-def _four_samples(u, y, t, samples, even, odd, row, state, c):
-    """Four samples of a second-order SISO plant with white noise, and what the estimators need of them.
-    `state`: two filter states, the scale of u, and the sums ||y||^2, u_before' y~, u' y~. y holds u_before
-    and receives y~ = T y in the same places."""
+def _samples(u, y, t, count, samples, even, odd, state, c):
+    """`count` samples of a second-order SISO plant with white noise, four at a time, and what the estimators need of them. `state`: two
+    filter states, the scale of u, and the sums ||y||^2, u_before' y~, u' y~. y holds u_before and receives y~ = T y in the same places."""
     apart()  # pyright: ignore[reportCallIssue]
     b0, b1, b2, a1, a2, sigma = c[0], c[1], c[2], c[3], c[4], c[5]
-    now, back, row = np.uint64(t * B), np.uint64((samples - 1 - t) * B), np.uint64(row)
-    for b in range(UB):
-        z0, z1, scale = state[b], state[UB + b], state[UB2 + b]
-        s0, s1, s2 = state[UB3 + b], state[UB4 + b], state[UB5 + b]
-        v, z0, z1 = _step(u[now + b] * scale, z0, z1, b0, b1, b2, a1, a2)
-        v += sigma * even[row + b]
-        s0, s1, s2 = s0 + v * v, s1 + v * y[back + b], s2 + v * u[back + b]
-        y[back + b] = v
-        v, z0, z1 = _step(u[now + UB + b] * scale, z0, z1, b0, b1, b2, a1, a2)
-        v += sigma * odd[row + b]
-        s0, s1, s2 = s0 + v * v, s1 + v * y[back - UB + b], s2 + v * u[back - UB + b]
-        y[back - UB + b] = v
-        v, z0, z1 = _step(u[now + UB2 + b] * scale, z0, z1, b0, b1, b2, a1, a2)
-        v += sigma * even[row + UB + b]
-        s0, s1, s2 = s0 + v * v, s1 + v * y[back - UB2 + b], s2 + v * u[back - UB2 + b]
-        y[back - UB2 + b] = v
-        v, z0, z1 = _step(u[now + UB3 + b] * scale, z0, z1, b0, b1, b2, a1, a2)
-        v += sigma * odd[row + UB + b]
-        s0, s1, s2 = s0 + v * v, s1 + v * y[back - UB3 + b], s2 + v * u[back - UB3 + b]
-        y[back - UB3 + b] = v
-        state[b], state[UB + b] = z0, z1
-        state[UB3 + b], state[UB4 + b], state[UB5 + b] = s0, s1, s2
+    lanes = np.uint64(len(state) // 6)  # B, but not known when this is compiled, as in `_copy`
+    for s in range(0, count, 4):
+        now, back, row = np.uint64((t + s) * B), np.uint64((samples - 1 - t - s) * B), np.uint64(s // 2 * B)
+        for b in range(lanes):
+            z0, z1, scale = state[b], state[UB + b], state[UB2 + b]
+            s0, s1, s2 = state[UB3 + b], state[UB4 + b], state[UB5 + b]
+            v, z0, z1 = _step(u[now + b] * scale, z0, z1, b0, b1, b2, a1, a2)
+            v += sigma * even[row + b]
+            s0, s1, s2 = s0 + v * v, s1 + v * y[back + b], s2 + v * u[back + b]
+            y[back + b] = v
+            v, z0, z1 = _step(u[now + UB + b] * scale, z0, z1, b0, b1, b2, a1, a2)
+            v += sigma * odd[row + b]
+            s0, s1, s2 = s0 + v * v, s1 + v * y[back - UB + b], s2 + v * u[back - UB + b]
+            y[back - UB + b] = v
+            v, z0, z1 = _step(u[now + UB2 + b] * scale, z0, z1, b0, b1, b2, a1, a2)
+            v += sigma * even[row + UB + b]
+            s0, s1, s2 = s0 + v * v, s1 + v * y[back - UB2 + b], s2 + v * u[back - UB2 + b]
+            y[back - UB2 + b] = v
+            v, z0, z1 = _step(u[now + UB3 + b] * scale, z0, z1, b0, b1, b2, a1, a2)
+            v += sigma * odd[row + UB + b]
+            s0, s1, s2 = s0 + v * v, s1 + v * y[back - UB3 + b], s2 + v * u[back - UB3 + b]
+            y[back - UB3 + b] = v
+            state[b], state[UB + b] = z0, z1
+            state[UB3 + b], state[UB4 + b], state[UB5 + b] = s0, s1, s2
 
 
 @njit(error_model="numpy", cache=True)
 def _one_sample(u, y, t, samples, e, row, state, c):
-    """As `_four_samples`, for the samples left over at the end."""
+    """As `_samples`, for one that is left over at the end."""
     for b in range(B):
         back = (samples - 1 - t) * B + b
         x = u[t * B + b] * state[2 * B + b]
@@ -80,12 +81,11 @@ def _one_sample(u, y, t, samples, e, row, state, c):
 
 @njit(error_model="numpy", cache=True)
 def _fused(u, y, samples, k0, k1, experiment, replicate, noise, state, c):
-    """One experiment of a second-order SISO plant with white noise, as `_four_samples` has it."""
+    """One experiment of a second-order SISO plant with white noise, as `_samples` has it."""
     even, odd = noise[2], noise[3]
     for t in range(0, samples, 4 * BLOCKS):
         left = chunk(k0, k1, t, samples, 0, experiment, replicate, noise)
-        for s in range(0, left - left % 4, 4):
-            _four_samples(u, y, t + s, samples, even, odd, s // 2 * B, state, c)
+        _samples(u, y, t, left - left % 4, samples, even, odd, state, c)
         for s in range(left - left % 4, left):
             _one_sample(u, y, t + s, samples, odd if s % 2 else even, s // 2 * B, state, c)
 

@@ -93,19 +93,21 @@ def _words(k0, k1, block, blocks, output, experiment, replicate, radii, angles):
 @njit(error_model="numpy", cache=True)
 def _normals(radii, angles, even, odd, blocks):
     """Box-Muller as in `oed.signals.noise`, the same bits: every operation in single precision and rounded once, but for factors of
-    two, which round nothing wherever they stand. In two loops, whose chains of operations are short enough to overlap."""
+    two, which round nothing wherever they stand. In three loops, whose chains of operations are short enough to overlap."""
     apart()  # pyright: ignore[reportCallIssue]
     for b in range(blocks * np.uint64(2 * B)):
         u = _f(_i(radii[b] & POSITIVE)) * SCALE + OFFSET
         i = _i(_bits(u) + RAISE)
-        exponent = _f(_i(_i(i >> N23) - BIAS))
-        m = _float(_i(_i(i & MANTISSA) + ROOT)) - ONE
+        odd[b] = _f(_i(_i(i >> N23) - BIAS)) * MINUS_TWO_LN2
+        even[b] = _float(_i(_i(i & MANTISSA) + ROOT)) - ONE
+    for b in range(blocks * np.uint64(2 * B)):
+        m = even[b]
         p = (((((L6 * m + L5) * m + L4) * m + L3) * m + L2) * m + L1) * m + L0
         z = m * m
         p = z * m * p
-        even[b] = exponent * MINUS_TWO_LN2 + (z - (p + p) - (m + m))
+        even[b] = np.sqrt(odd[b] + (z - (p + p) - (m + m)))
     for b in range(blocks * np.uint64(2 * B)):
-        radius = np.sqrt(even[b])
+        radius = even[b]
         radius = _float(_i(_bits(radius) ^ _i(radii[b] & SIGN)))
         a = _f(angles[b]) * TURN
         z = a * a
