@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from oed.design.problem.families import Family
 
 Array = NDArray[np.float64]
+DIFFERENCE = 1e-6
+"""Step of a central difference, relative to the largest entry: rounding and curvature are then about equally small."""
 Derivatives = tuple[Array, Array | None]
 """Gradient (n, s) of a numerator's logarithm, and its second derivatives (n s, n s) where they were asked for."""
 
@@ -69,16 +71,28 @@ class Criterion(ABC):
 
     @abstractmethod
     def log_numerator(self, X: Array, second: bool = True) -> Derivatives:
-        """Gradient (n, s) and second derivatives (n s, n s) of log numerator(X)."""
+        """Gradient (n, s) and second derivatives (n s, n s), or None, of log numerator(X)."""
 
-    @abstractmethod
+    def log_derivatives(self, X: Array) -> tuple[Array, Array]:
+        """Both derivatives; the second by central differences of the first where the criterion does not give them."""
+        rise, bend = self.log_numerator(X)
+        if bend is None:
+            steps = DIFFERENCE * np.abs(X).max() * np.eye(X.size).reshape(-1, *X.shape)
+            apart = [self.log_numerator(X + h, False)[0] - self.log_numerator(X - h, False)[0] for h in steps]
+            bend = np.reshape(apart, (X.size, X.size)) / (2 * steps.max())
+            bend = (bend + bend.T) / 2
+        return rise, bend
+
     def scaled(self, columns: Array) -> tuple[Criterion, float]:
-        """The criterion of other columns, of unit size, and the factor between the losses."""
+        """The criterion of other columns, of unit size, and the factor between the losses: that of a loss which grows
+        with the square of its columns."""
+        scale = np.linalg.norm(columns)
+        return replace(self, V=columns / scale), float(scale**2)
 
-    @abstractmethod
     def conic(self, cp: Any, M: Any, V: Any, square: Any) -> tuple[Any, Any] | None:
         """Objective, and constraint whose dual is X X', over an expression M in CVXPY (`cp`); None where it
-        has none. `V` and `square` = V V' are arrays or parameters."""
+        has none: the interior-point method solves it. `V` and `square` = V V' are arrays or parameters."""
+        return None
 
     @property
     def n(self) -> int:
@@ -142,11 +156,6 @@ class Criterion(ABC):
         """The same criterion for parameters R theta, and the factor between the losses: R (n, n), an upper triangle;
         finely: in extended precision."""
         return self.scaled(solved_below(R, self.columns, finely))
-
-    def of_unit_norm(self, columns: Array) -> tuple[Criterion, float]:
-        """`scaled` of a loss that grows with the square of its columns."""
-        scale = np.linalg.norm(columns)
-        return replace(self, V=columns / scale), float(scale**2)
 
     def __repr__(self) -> str:
         return (

@@ -101,8 +101,8 @@ class _Dual:
         hessian[:m, :m] += np.kron(own, np.eye(self.s))
         hessian[m:, m:] += np.diag(1 / nu**2)
         gradient = np.einsum("kiqq->i", A).real
-        rise, bend = self.criterion.log_numerator(X)
-        hessian[:m, :m] -= np.asarray(bend) / mu
+        rise, bend = self.criterion.log_derivatives(X)
+        hessian[:m, :m] -= bend / mu
         gradient[:m] -= (rise - 2 * self.constant @ X).ravel() / mu
         gradient[m:] += 1 / mu - 1 / nu
         whole = block_diag(self.basis, np.eye(self.J))

@@ -219,12 +219,13 @@ def _rise(
     criterion: Criterion, X: NDArray, signs: NDArray, second: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
     """Derivatives of log numerator(X); of the difference of two, where the loss is a ratio of two traces."""
+    derivatives = criterion.log_derivatives if second else lambda at: criterion.log_numerator(at, False)
     if (signs > 0).all():
-        return criterion.log_numerator(X, second)
+        return derivatives(X)
     rise, bend = np.zeros(X.shape), np.zeros(X.shape * 2)
     for sign in np.unique(signs):
         own = np.flatnonzero(signs == sign)
-        first, curved = criterion.log_numerator(X[:, own], second)
+        first, curved = derivatives(X[:, own])
         rise[:, own] = sign * first
         if curved is not None:
             bend[:, own[:, None], :, own] = sign * curved.reshape(len(X), len(own), len(X), -1).transpose(
