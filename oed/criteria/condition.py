@@ -1,6 +1,6 @@
 """Modified E: the condition number of V' M^-1 V. Its certificate is a ratio of two: `oed.design.solvers.condition_number`."""
 
-from typing import ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,7 +38,11 @@ class ConditionNumber(Criterion):
 
     def scaled(self, columns: Array) -> tuple[Criterion, float]:
         """Of unit norm, which it does not see."""
-        return super().scaled(columns)[0], 1.0
+        return self.of_unit_norm(columns)[0], 1.0
+
+    def conic(self, cp: Any, M: Any, V: Any, square: Any) -> tuple[Any, Any] | None:
+        """None: it is a fraction."""
+        return None
 
 
 def condition_criterion(n: int, lengths: ArrayLike | None = None, *, name: str = "") -> ConditionNumber:

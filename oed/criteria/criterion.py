@@ -83,16 +83,14 @@ class Criterion(ABC):
             bend = (bend + bend.T) / 2
         return rise, bend
 
+    @abstractmethod
     def scaled(self, columns: Array) -> tuple[Criterion, float]:
-        """The criterion of other columns, of unit size, and the factor between the losses: that of a loss which grows
-        with the square of its columns."""
-        scale = np.linalg.norm(columns)
-        return replace(self, V=columns / scale), float(scale**2)
+        """The criterion of other columns, of unit size, and the factor between the losses."""
 
+    @abstractmethod
     def conic(self, cp: Any, M: Any, V: Any, square: Any) -> tuple[Any, Any] | None:
         """Objective, and constraint whose dual is X X', over an expression M in CVXPY (`cp`); None where it
         has none: the interior-point method solves it. `V` and `square` = V V' are arrays or parameters."""
-        return None
 
     @property
     def n(self) -> int:
@@ -156,6 +154,11 @@ class Criterion(ABC):
         """The same criterion for parameters R theta, and the factor between the losses: R (n, n), an upper triangle;
         finely: in extended precision."""
         return self.scaled(solved_below(R, self.columns, finely))
+
+    def of_unit_norm(self, columns: Array) -> tuple[Criterion, float]:
+        """`scaled` of a loss that grows with the square of its columns."""
+        scale = np.linalg.norm(columns)
+        return replace(self, V=columns / scale), float(scale**2)
 
     def __repr__(self) -> str:
         return (

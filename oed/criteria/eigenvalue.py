@@ -40,6 +40,10 @@ class LargestEigenvalue(Criterion):
         bend = np.kron((2 / total) * square, np.eye(X.shape[1])) - np.outer(rise, rise) if second else None
         return rise, bend
 
+    def scaled(self, columns: Array) -> tuple[Criterion, float]:
+        """Of unit norm."""
+        return self.of_unit_norm(columns)
+
     def conic(self, cp: Any, M: Any, V: Any, square: Any) -> tuple[Any, Any] | None:
         """M - t V V' positive semidefinite; its dual is the certificate."""
         t = cp.Variable()

@@ -35,6 +35,10 @@ class Trace(Criterion):
         rise = 2 * self.V / (trace if trace else 1.0)
         return rise, -np.outer(rise, rise) / 2 if second else None
 
+    def scaled(self, columns: Array) -> tuple[Criterion, float]:
+        """Of unit norm."""
+        return self.of_unit_norm(columns)
+
     def conic(self, cp: Any, M: Any, V: Any, square: Any) -> tuple[Any, Any] | None:
         """A matrix fraction."""
         return cp.Minimize(cp.matrix_frac(V, M)), None

@@ -3,7 +3,7 @@
 Numerators sum_k trace(V_k'X_k)^2 and s sum_k det(V_k'X_k)^(2/s)."""
 
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +41,10 @@ class WorstTrace(Criterion):
     def scaled(self, columns: Array) -> tuple[Criterion, float]:
         """The largest part of unit norm."""
         return _scaled(self, columns)
+
+    def conic(self, cp: Any, M: Any, V: Any, square: Any) -> tuple[Any, Any] | None:
+        """None here: the interior-point method solves it."""
+        return None
 
 
 class WorstDeterminant(Criterion):
@@ -80,6 +84,10 @@ class WorstDeterminant(Criterion):
     def scaled(self, columns: Array) -> tuple[Criterion, float]:
         """The largest part of unit norm."""
         return _scaled(self, columns)
+
+    def conic(self, cp: Any, M: Any, V: Any, square: Any) -> tuple[Any, Any] | None:
+        """None here: the interior-point method solves it."""
+        return None
 
 
 def g_criterion(combinations: ArrayLike, *, name: str = "") -> WorstTrace:

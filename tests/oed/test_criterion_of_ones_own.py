@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -46,6 +46,14 @@ class PMean(Criterion):
         """The gradient alone: the second derivatives are differences of it."""
         U, s, W = np.linalg.svd(self.V.T @ X, full_matrices=False)
         return 2 * self.V @ (U * (s ** (DUAL - 1) / np.sum(s**DUAL))) @ W, None
+
+    def scaled(self, columns: NDArray[np.float64]) -> tuple[Criterion, float]:
+        """Of unit norm."""
+        return self.of_unit_norm(columns)
+
+    def conic(self, cp: Any, M: Any, V: Any, square: Any) -> tuple[Any, Any] | None:
+        """None here."""
+        return None
 
 
 def test_the_bound_is_one(rng):
