@@ -7,13 +7,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
-from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.errors import InputError
+from oed.errors import InputError, check_sampling_time
 
 
 def frozen(values: ArrayLike, dtype: type = float) -> NDArray:
@@ -121,8 +120,7 @@ class Record:
                 f"the input has {len(u)} samples and the output {len(y)}; they must be equal: "
                 "cut both to the time in which both were recorded."
             )
-        if not (isinstance(self.dt, Real) and isfinite(self.dt) and self.dt > 0):
-            raise InputError(f"the sampling time is {self.dt}; it must be a positive number of seconds.")
+        check_sampling_time(self.dt)
         object.__setattr__(self, "u", u)
         object.__setattr__(self, "y", y)
         if not isfinite(self.t0):

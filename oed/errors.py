@@ -6,6 +6,8 @@ At the border (user input, a rig, a solver that broke) the suite raises; inside 
 import difflib
 from collections.abc import Iterable, Sequence
 from enum import Enum
+from math import inf
+from numbers import Real
 
 
 class OedError(Exception):
@@ -71,6 +73,17 @@ def check_names(names: Iterable[str], known: Sequence[str], what: str) -> None:
             raise InputError(
                 f"there is no {what} named {name!r}{near(name, known)}; choose from {', '.join(known)}."
             )
+
+
+def check_sampling_time(dt: object, most: float = 1.0) -> None:
+    """Raise an InputError unless it is a positive number of seconds, of which `most` are a finite time."""
+    if not (isinstance(dt, Real) and 0 < float(dt) * most < inf):
+        said = (
+            f"the text {dt!r}; it must be a number of seconds, without quotes"
+            if isinstance(dt, str)
+            else f"{dt}; it must be a positive number of seconds"
+        )
+        raise InputError(f"the sampling time is {said}.")
 
 
 def interruption(error: BaseException | None) -> KeyboardInterrupt | None:

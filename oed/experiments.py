@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from oed.covariances import square_root
 from oed.data import Record, as_signal
-from oed.errors import ExperimentError, InputError
+from oed.errors import ExperimentError, InputError, check_sampling_time
 from oed.plants.plant import Plant
 from oed.plants.systems import as_plant
 from oed.signals.noise import noise_key, noise_series
@@ -72,6 +72,7 @@ class Experiment:
             raise InputError(
                 f"apply is {apply!r}; it must be a function from an input (N, nu) to an output (N, ny)."
             )
+        check_sampling_time(dt)
         self._apply = apply
         self.n_inputs, self.n_outputs, self.dt, self.amplitude = n_inputs, n_outputs, dt, amplitude
         self.used = Usage()

@@ -11,7 +11,8 @@ import numpy as np
 from benchmarks.page.content import Figure, Page, Section, Table, headed, line, thinned
 from benchmarks.page.skeleton import save_page
 from benchmarks.tables.formats import format_value
-from estimators.diagnosis.ladder.verdicts import ECHO, NAMELESS, NOTHING, UNCLAIMED
+from estimators.diagnosis.ladder.first_line import NAMELESS
+from estimators.diagnosis.ladder.verdicts import ECHO, NOTHING, UNCLAIMED
 from estimators.diagnosis.result.words import in_seconds, named_plainly
 from estimators.residual.measures import p_stated
 

@@ -16,6 +16,10 @@ SIGNALS = {"deviations": True, "as logged": False}
 
 
 ORDER = {"type": "integer", "minimum": 1, "maximum": 20}
+UNIT = {
+    "anyOf": [TEXT, {"type": "array", "items": TEXT, "minItems": 1}],
+    "description": "a unit, or a list with one per column",
+}
 META = keyed(
     {
         "sampling_time": {
@@ -35,6 +39,7 @@ META = keyed(
             }
             for name in ("inputs", "outputs")
         },
+        **dict.fromkeys(("input_unit", "output_unit"), UNIT),
     },
     others={},
 )
@@ -64,6 +69,20 @@ def setting_of_meta(meta: dict[str, Any], n_outputs: int) -> Setting:
     return Setting(
         orders=orders, structure=structure, deviations=None if signals is None else SIGNALS[signals]
     )
+
+
+def _in_units(record: Record, meta: dict[str, Any]) -> Record:
+    """The record with the units that a meta.json gives, where its own file has none."""
+    given: dict[str, Any] = {}
+    for side in ("input", "output"):
+        own, said = getattr(record, f"{side}_units"), meta.get(f"{side}_unit", "")
+        units = said if isinstance(said, list) else [said] * len(own)
+        if len(units) != len(own):
+            raise InputError(
+                f"{side}_unit in meta.json is {said!r} for {len(own)} {side}s; give one unit each."
+            )
+        given[f"{side}_units"] = tuple(mine or theirs for mine, theirs in zip(own, units, strict=True))
+    return record.replace(**given)
 
 
 @dataclass(frozen=True)
@@ -108,7 +127,7 @@ def diagnose_files(
     _check(wanted, skip)
 
     def read(path: Path | str) -> Record:
-        return read_record(path, **names, dt=columns.dt, missing=True, notes=notes)
+        return _in_units(read_record(path, **names, dt=columns.dt, missing=True, notes=notes), known)
 
     records = [read(path) for path in ([train] if isinstance(train, str | Path) else train)]
     first = max(records, key=len)

@@ -11,7 +11,7 @@ from estimators.pem.search.levenberg_marquardt import Point, minimise
 from estimators.pem.search.starts import reflected
 from estimators.residual.measures import p_stated
 from oed.data import frozen
-from oed.errors import InputError, Status
+from oed.errors import InputError, Status, check_sampling_time
 from oed.files.objects import kinds_of
 from oed.models.model import Model, Polynomial, polynomial
 from oed.plants.plant import Plant
@@ -189,8 +189,9 @@ def _lines(
         own = response.dt if isinstance(response.dt, float | int) and response.dt is not True else None
         omega = response.omega if omega is None else omega
         dt, response = dt or own, np.ravel(response.eval(response.omega))
-    if not dt or not dt > 0:
-        raise InputError(f"the sampling time is {dt}; give dt in seconds: the model is in discrete time.")
+    if not dt:
+        raise InputError("the sampling time is missing; give dt in seconds: the model is in discrete time.")
+    check_sampling_time(dt)
     if omega is None:
         raise InputError("the frequencies of the response are missing; give omega in rad/s.")
     G, w = (

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.errors import CampaignError, InputError, check_names
+from oed.errors import CampaignError, InputError, check_names, check_sampling_time
 from oed.files.documents import FLAG, NUMBER, TEXT, WHOLE, checked, keyed, parsed_json
 
 SCHEMA = 1
@@ -122,8 +122,7 @@ class Settings:
             ):
                 raise InputError(f"{name} is {value!r}; it must be a whole number from {least} to {most:,}.")
             object.__setattr__(self, name, int(value))
-        if not 0 < self.dt * MOST**2 < np.inf:  # the longest session's length is a number
-            raise InputError(f"the sampling time is {self.dt}; it must be a positive number of seconds.")
+        check_sampling_time(self.dt, MOST**2)  # the longest session's length is a number
         numbers = (
             self.samples * (self.periods + self.warm_up) + 2 * self.ramp + self.lead + self.rest
         ) * max(self.n_inputs, self.n_outputs)

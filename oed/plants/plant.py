@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from oed.data import as_frequencies, entry_name, frozen
-from oed.errors import InputError
+from oed.errors import InputError, check_sampling_time
 from oed.plants.checking import (
     check_covariance,
     check_sizes,
@@ -63,8 +63,7 @@ class Plant:
             raise InputError(
                 f"num has {ny} x {nu} entries and den {len(den)} x {len(den[0])}; they must agree."
             )
-        if not (isinstance(self.dt, float | int | np.number) and np.isfinite(self.dt) and self.dt > 0):
-            raise InputError(f"the sampling time is {self.dt}; it must be a positive number of seconds.")
+        check_sampling_time(self.dt)
         for i in range(ny):
             for j in range(nu):
                 lead = den[i][j][0]

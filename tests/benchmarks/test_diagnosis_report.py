@@ -11,7 +11,8 @@ from benchmarks.commands.record import diagnose as command
 from benchmarks.page.diagnosis import _uncovered, _words
 from benchmarks.page.skeleton import write_report
 from estimators.diagnosis.effects import CATALOGUE
-from estimators.diagnosis.ladder.verdicts import ECHO, NAMELESS, NOTHING, UNCLAIMED
+from estimators.diagnosis.ladder.first_line import NAMELESS
+from estimators.diagnosis.ladder.verdicts import ECHO, NOTHING, UNCLAIMED
 from estimators.diagnosis.result.words import in_seconds, in_units, named_plainly
 from oed import Record
 

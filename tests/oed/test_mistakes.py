@@ -13,6 +13,7 @@ import pytest
 import oed
 from estimators import diagnose, identify, power_iterations, run
 from estimators.rules.inputs import white
+from estimators.sessions import Settings
 from oed.errors import InputError
 
 U = np.sign(np.sin(np.arange(60)))
@@ -27,7 +28,8 @@ MISTAKES = {
     "an empty plant": (lambda: oed.Plant([], []), "num is ..; give a list of coefficients"),
     "a number for a list": (lambda: oed.Plant(1, 1), "num is 1; give a list"),
     "text for a list": (lambda: oed.Plant("1", "2"), "num is '1'; give a list"),
-    "text for a sampling time": (lambda: oed.Plant([0, 1], [1, -0.5], dt="1"), "the sampling time is 1; it must be a positive"),
+    "text for a sampling time": (lambda: oed.Plant([0, 1], [1, -0.5], dt="1"), "the sampling time is the text '1'; it must be a number"),
+    "text for a session's sampling time": (lambda: Settings("power", samples=100, dt="0.1"), "the sampling time is the text '0.1'"),
     "a duration for a sampling time": (lambda: identify((U, U, timedelta(seconds=1)), "oe", (1, 1)), "the sampling time is 0:00:01; it must be a positive"),
     "lists of text": (lambda: identify((["1,5", "2"], ["1", "2"], 1.0), "oe", (1, 1)), "text.; give numbers"),
     "continuous time": (lambda: oed.peak(control.tf([1], [1, 1])), "sample it first, for example oed.Plant.from_control"),

@@ -24,8 +24,9 @@ def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
         share = np.mean((asked < low) | (asked > high), axis=0)
         for j in np.flatnonzero(share > policy.outside):
             number = f" {j + 1}" if known.shape[1] > 1 else ""
-            out.append(f"{100 * share[j]:.3g} % of the test record's samples leave the range of the {words}{number} "
-                       f"that the training data cover ({f'{low[j]:.4g} to {high[j]:.4g} {units[j]}'.rstrip()})")  # fmt: skip
+            far = max(low[j] - np.nanmin(asked[:, j]), np.nanmax(asked[:, j]) - high[j])
+            out.append(f"{100 * share[j]:.3g} % of the test record's samples leave the range of the {words}{number} that the training "
+                       f"data cover ({f'{low[j]:.4g} to {high[j]:.4g} {units[j]}'.rstrip()}), by up to {f'{far:.3g} {units[j]}'.rstrip()}")  # fmt: skip
     return out + _between(train, test, policy) + _new_frequencies(train, test, policy)
 
 

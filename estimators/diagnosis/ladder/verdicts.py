@@ -4,7 +4,6 @@ Two headlines that never compete: a finding about the record (rounding, held sam
 what the linear model lacks, and takes the first place only where nothing of the system is claimed.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot, named
+from estimators.diagnosis.ladder.first_line import UNKNOWN, equations, headline, on_output
 from estimators.diagnosis.ladder.held_out import HeldOut
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.stated import SETTLES, Contradiction
@@ -21,14 +21,13 @@ from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.leftover import Leftover, leftovers
-from estimators.diagnosis.result.words import in_units, named_plainly, spoken
+from estimators.diagnosis.result.words import in_units
 from estimators.diagnosis.search.named import Claim
 from estimators.diagnosis.search.selection import FAMILY
 from estimators.residual.measures import p_stated
 from oed.data import Record
 
-UNKNOWN, NONE = "unknown", "none"
-NAMELESS = "an effect without a name"
+NONE = "none"
 UNCLAIMED = "no cause found that holds on unused data"
 NOTHING = "nothing is missing from the linear model that data not used could show"
 ANSWERS = "the input answers the noise of its own sample"
@@ -59,28 +58,35 @@ def verdict(
     rests = [
         leftovers(o.examined.last, o.named.fit, alpha=setting.alpha / len(outcomes) / 10) for o in outcomes
     ]
-    system = [f for o in outcomes for f in _system(o, _tag(o, several), setting.policy)]
+    system = [f for o in outcomes for f in _system(o, on_output(o, several), setting.policy)]
     withdrawn = bool(system) and not held.bears
     doubted = [f.cause for f in system if withdrawn]
     if withdrawn or not system:
         # What one output feeds back, all outputs see at the inputs.
         told = [] if any(o.share.feedback for o in outcomes) else outcomes
-        system = [f for o in told for f in _predictable(o, _tag(o, several), setting.policy)]
+        system = [f for o in told for f in _predictable(o, on_output(o, several), setting.policy)]
     for o, rest in zip(outcomes, rests, strict=True):
         if not any(f.cause == UNKNOWN for f in system):
-            system += _unexplained(o, rest, setting.alpha / len(outcomes), _tag(o, several))
+            system += _unexplained(o, rest, setting.alpha / len(outcomes), on_output(o, several))
     if not system:
         # beside a cause that the record does not bear, only a pole of the linear model itself is told
         told = [(o, c) for o, c in stated if not withdrawn or c.key == SETTLES]
-        system = [_seen(effects, c.key, c.share, c.p_value, c.sentence + _tag(o, several)) for o, c in told]
+        system = [
+            _seen(effects, c.key, c.share, c.p_value, c.sentence + on_output(o, several)) for o, c in told
+        ]
         withdrawn = withdrawn and not system
     first = sorted(system, key=lambda f: -f.weight)
     data = sorted(
-        (f for o in outcomes for f in _data(o, setting, effects, _tag(o, several))), key=lambda f: -f.weight
+        (f for o in outcomes for f in _data(o, setting, effects, on_output(o, several))),
+        key=lambda f: -f.weight,
     )
     # beside a claim that the record refuses, what unused blocks have shown is in that noise
     heard = zip(outcomes, rests, strict=True) if first or not withdrawn else ()
-    found = [*first, *data, *(f for o, rest in heard for f in _noise(o, rest, effects, _tag(o, several)))]
+    found = [
+        *first,
+        *data,
+        *(f for o, rest in heard for f in _noise(o, rest, effects, on_output(o, several))),
+    ]
     chosen = list(dict.fromkeys(f.cause for f in found))
     errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g} {in_units('y', record)}"
     bare = UNCLAIMED if withdrawn else ECHO if any(o.inverse for o in outcomes) else NOTHING
@@ -93,39 +99,13 @@ def verdict(
         "evidence": (*([UNCLAIMED] if withdrawn else []), *(f.sentence for f in found), *_dropped(outcomes, several, effects)),
         "parameters": {k: v for o in outcomes for k, v in _parameters(o, several).items()},
         "confusable": _confusable(outcomes, chosen),
-        "remaining": "; ".join(x.sentence + _tag(o, several) for o, rest in zip(outcomes, rests, strict=True) for x in rest[:3]),
+        "remaining": "; ".join(x.sentence + on_output(o, several) for o, rest in zip(outcomes, rests, strict=True) for x in rest[:3]),
         "refinements": tuple(dict.fromkeys(effects[key].cause for o in outcomes for key, _ in o.named.dropped)),
-        "system": f"{_headline(first, bare, outcomes, effects, record)}; {errors}", "equation": "; ".join(_equations(outcomes)),
+        "system": f"{headline(first[0], outcomes, effects, record, held.bears) if first else bare}; {errors}",
+        "equation": "; ".join(equations(outcomes)),
         "floor_is_bound": any(map(bool, rests)) or any(_absorbing(o) for o in outcomes),
         "data": tuple(f.sentence for f in data), "explainable": _explainable(outcomes),
     }  # fmt: skip
-
-
-MOST = 4
-"""Parameters in the headline: a curve of many corners is given below it."""
-COEFFICIENT = re.compile(r"[bfx]\d+")
-"""Coefficients and states of a linear block say nothing in a headline."""
-
-
-def _headline(
-    first: list[Finding], bare: str, outcomes: Sequence[Outcome], effects: dict[str, Effect], record: Record
-) -> str:
-    """The first line: what is missing from the system."""
-    if not first:
-        return bare
-    top, said = first[0], "; ".join(_equations(outcomes))
-    if top.cause == UNKNOWN:
-        return f"{NAMELESS} ({top.nature}){': ' + said if said else ''}"
-    given = [f"{named_plainly(name, alone=True)} {spoken(*row, record)}{_tag(o, len(outcomes) > 1)}" for o in outcomes
-             for name, row in _parameters(o, False).items()
-             if name.startswith(top.key + ".") and not COEFFICIENT.fullmatch(name.rpartition(".")[2])]  # fmt: skip
-    words = (", ".join(given[:MOST]) or top.sentence) if top.key else said
-    what = f" ({effects[top.key].sentence})" if given and top.key in effects else ""
-    return f"{top.cause.replace('_', ' ')}{what}{': ' + words if words else ''}"
-
-
-def _equations(outcomes: Sequence[Outcome]) -> list[str]:
-    return [s.equation for o in outcomes for s in o.ladder.chosen.chain if s.equation]
 
 
 def _meanings(outcomes: Sequence[Outcome]) -> list[str]:
@@ -138,10 +118,6 @@ def _explainable(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """The share of the first output's residual, as there is one share for one residual; the least sure where several."""
     s = min((o.share for o in outcomes), key=lambda s: -s.share)
     return {name: getattr(s, name) for name in ("share", "low", "high", "by", "nature", "noise_floor")}
-
-
-def _tag(o: Outcome, several: bool) -> str:
-    return f" on output {o.index + 1}" if several else ""
 
 
 def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
@@ -296,7 +272,7 @@ LEVEL = 0.01
 
 def _dropped(outcomes: Sequence[Outcome], several: bool, effects: dict[str, Effect]) -> list[str]:
     return [
-        f"not claimed{_tag(o, several)}: {effects[key].cause} ({why})"
+        f"not claimed{on_output(o, several)}: {effects[key].cause} ({why})"
         for o in outcomes
         for key, why in o.named.dropped
     ]

@@ -66,6 +66,10 @@ def _weighted(f: Fit) -> Array:
     return np.asarray(lfilter(np.r_[1.0, f.weight], np.r_[1.0, f.whitened], f.jacobian, axis=0))
 
 
+SIZES = ("width", "half_width")
+"""Parameters whose sign means nothing: the kernels take their size."""
+
+
 def parameters_of(f: Fit, channel: Channel, prefix: str = "") -> dict[str, tuple[float, float, str]]:
     """Parameters of a fit's parts, with standard errors that know of the noise's correlation."""
     if not f.jacobian.size:
@@ -82,7 +86,8 @@ def parameters_of(f: Fit, channel: Channel, prefix: str = "") -> dict[str, tuple
             error = _followed(f, channel, known, at, float(errors[at]))
             if part.effect.timed and unit == "sample":
                 error = max(error, _other_times(f, channel, at))
-            out[label] = (float(f.p[at]), error, unit)
+            value = float(f.p[at])
+            out[label] = (abs(value) if name in SIZES else value, error, unit)
     return out
 
 

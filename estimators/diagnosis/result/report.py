@@ -160,6 +160,8 @@ class Diagnosis:
             *(f"WARNING: {w}" for w in self.warnings),
         ]
         lines += [f"  - {sentence}" for sentence in self.evidence]
+        if self.equation and not any(self.equation in sentence for sentence in self.evidence):
+            lines.append(f"  in the units of the record: {self.equation}")
         lines += [f"  {named_plainly(k)} = {spoken(*row, record)}" for k, row in self.parameters.items()]
         if self.linear:
             poles = ", ".join(str(Pole(*row, radius=0.0)) for row in self.linear["poles"])

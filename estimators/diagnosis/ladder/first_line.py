@@ -1,0 +1,78 @@
+"""The first line of a diagnosis: the effect in words with its parameters and their units, as an engineer would say it."""
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from estimators.diagnosis.effects import Effect
+from estimators.diagnosis.ladder.outcome import Outcome
+from estimators.diagnosis.ladder.steps import Kind, Step
+from estimators.diagnosis.result.words import named_plainly, spoken
+from oed.data import Record
+
+if TYPE_CHECKING:
+    from estimators.diagnosis.ladder.verdicts import Finding
+
+UNKNOWN = "unknown"
+NAMELESS = "an effect without a name"
+MOST = 4
+"""Parameters in the headline: a curve of many corners is given below it."""
+COEFFICIENT = re.compile(r"[bfx]\d+")
+"""Coefficients and states of a linear block say nothing in a headline."""
+
+
+def headline(
+    top: "Finding", outcomes: Sequence[Outcome], effects: dict[str, Effect], record: Record, bears: bool
+) -> str:
+    """What is missing from the system; `bears` whether the record bears the answer, so that its terms may be told."""
+    several = len(outcomes) > 1
+    terms = _terms(outcomes) if bears else ""
+    if top.cause == UNKNOWN:
+        return f"{NAMELESS} ({top.nature}){': ' + terms if terms else ''}"
+    name = top.cause.replace("_", " ")
+    if not top.key:
+        return f"{name}{': ' + terms if terms else ''}"
+    claimed = [o for o in outcomes if any(c.key == top.key for c in o.named.claims)]
+    given = [f"{named_plainly(key, alone=True)} {spoken(*row, record)}{on_output(o, several)}"
+             for o in outcomes for key, row in _known(o, top.key).items()]  # fmt: skip
+    if given and top.key in effects:
+        return f"{name} ({effects[top.key].sentence}): {', '.join(given[:MOST])}"
+    if (
+        claimed
+    ):  # its numbers are coefficients, which say nothing; what it gains is evidence, and stands below
+        return f"{name} ({effects[top.key].sentence}){' and'.join(on_output(o, several) for o in claimed)}"
+    return f"{name}: {top.sentence}"
+
+
+def on_output(o: Outcome, several: bool) -> str:
+    """Which output it is of, where there are several."""
+    return f" on output {o.index + 1}" if several else ""
+
+
+def equations(outcomes: Sequence[Outcome]) -> list[str]:
+    """What was discovered of all outputs; those of one model have it in common."""
+    return list(dict.fromkeys(s.equation for o in outcomes for s in o.ladder.chosen.chain if s.equation))
+
+
+def _terms(outcomes: Sequence[Outcome]) -> str:
+    """The heaviest term that was discovered, with what it means, and how many more there are."""
+    steps = [s for o in outcomes for s in o.ladder.chosen.chain if s.equation and s.adds]
+    if not steps:
+        return ""
+    more = sum(len(s.adds) for s in steps) - 1
+    return f"{steps[0].sentences[0]}, {steps[0].adds[0]}" + (
+        f", and {more} more term{'s' * (more > 1)}" if more else ""
+    )
+
+
+def _known(o: Outcome, effect: str) -> dict[str, tuple[float, float, str]]:
+    """An effect's parameters in the answer, or in the named model where the answer has it as terms."""
+    named = [r.step for r in o.ladder.rungs if r.step.kind is Kind.NAMED] if o.named.claims else []
+    return next(filter(None, (_of(s, effect) for s in (*o.ladder.chosen.chain, *named))), {})
+
+
+def _of(step: Step, effect: str) -> dict[str, tuple[float, float, str]]:
+    own = step.parameters.items()
+    return {
+        k: v for k, v in own if k.startswith(effect + ".") and not COEFFICIENT.fullmatch(k.rpartition(".")[2])
+    }
