@@ -38,7 +38,7 @@ from estimators.diagnosis.search.few import best_named
 from estimators.diagnosis.search.free_runs import denominator, largest_pole
 from estimators.diagnosis.search.named import ANYTHING, Bench, Named, linear_step, named_steps
 from estimators.diagnosis.share import Share, explainable_share
-from estimators.diagnosis.share.feedback import has_feedback
+from estimators.diagnosis.share.feedback import has_feedback, is_answer
 from estimators.diagnosis.share.news import NEWS, Predictor
 from oed.covariances import on_one_thread
 from oed.data import Record
@@ -261,9 +261,10 @@ def _outcome(
     if rest is not None and not bench.echoes(rest.unused[0]):
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     # What the answer explains was no noise that an input answers.
-    errors = (r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records)
-    inverse = bench.inverse and has_feedback(records, list(errors), counted)
-    return Outcome(i, found, named, ladder, share, left, discovery, inverse)
+    errors = [r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records]
+    inverse = bench.inverse and has_feedback(records, errors, counted)
+    loop = inverse and is_answer(records, errors, counted)
+    return Outcome(i, found, named, ladder, share, left, discovery, inverse, loop)
 
 
 def _remainder_step(

@@ -11,7 +11,10 @@ from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, num
 from estimators.diagnosis.effects.input import after, kept
 
 Array = NDArray[Any]
-SWEEPS = 121  # rates of change of a frequency that are tried, up to half the sampling rate over the record
+TURNED = 16.0
+"""Over the record's length squared, how far apart the rates of change are that a frequency is tried with: half of it off, a line
+keeps nine tenths of its power."""
+CLOSER = 8  # rates between two of them, beside the best
 TONE = {"frequency": "rad/sample", "cosine": "y", "sine": "y"}
 
 
@@ -150,13 +153,16 @@ def _sweeping(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
         return
     r = np.where(channel.keep, base.residual, 0.0)
     r = np.convolve(r - r.mean(), np.concatenate(([1.0], base.noise)))[:n]
-    best = (0.0, 0.0, 0.0)
-    for rate in np.pi * np.linspace(-1.0, 1.0, SWEEPS) / n:
-        power = np.abs(np.fft.fft(r * np.exp(-0.5j * rate * k**2), 4 * n)) ** 2
+    fast = 2 << n.bit_length()  # at least twice the record, a power of two
+
+    def line(rate: float) -> tuple[float, float, float]:
+        power = np.abs(np.fft.fft(r * np.exp(-0.5j * rate * k**2), fast)) ** 2
         at = int(np.argmax(power))
-        if power[at] > best[0] and abs(rate) > 1.0 / n**2:
-            best = (float(power[at]), 2 * np.pi * at / (4 * n), float(rate))
-    _, w, rate = best
+        return float(power[at]), 2 * np.pi * at / fast, float(rate)
+
+    step = TURNED / n**2  # of a real signal, a rate and its negative are one
+    rate = max(map(line, np.arange(step, np.pi / n, step)))[2]
+    _, w, rate = max(map(line, rate + step * np.linspace(-1.0, 1.0, 2 * CLOSER + 1)))
     size = float(np.std(base.residual)) + 1e-300
     start = w - rate * channel.clock.k[0]
     turn = start * channel.clock.k + 0.5 * rate * channel.clock.k**2

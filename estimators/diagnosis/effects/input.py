@@ -45,8 +45,19 @@ def after(clock: Clock, time: float) -> Array:
 
 
 def dead_zone(x: Any, low: float, high: float) -> Any:
-    """Zero between low <= 0 and high >= 0, the excess outside."""
+    """Zero between low and high, the excess outside."""
     return np.maximum(x - high, 0.0) + np.minimum(x - low, 0.0)
+
+
+AWAY = 0.3
+"""Of its standard deviation, from which on the mean of a signal is a level that it was moved about."""
+
+
+def zones(x: Array, shares: tuple[float, ...]) -> list[list[float]]:
+    """Zones about where a valve or a gear may rest, at nothing and at the mean of a signal that has a level, in its standard deviations."""
+    mean, size = float(np.mean(x)), float(np.std(x))
+    rests = [0.0, mean] if abs(mean) > AWAY * size else [0.0]
+    return [[m - a * size, m + b * size] for m in rests for a in shares for b in shares]
 
 
 def broken_line(x: Array, p: Array) -> Array:
@@ -271,8 +282,8 @@ INPUT = (
             starts=lambda s: ([[f * s.su] for f in (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)], [s.su])),
     _static("dead_zone_asymmetric", "input_deadzone", "inputs between low and high do nothing",
             parameters={"low": "u", "high": "u"}, trials=15,
-            apply=lambda x, p, c: dead_zone(x, -abs(p[0]), abs(p[1])),
-            starts=lambda s: ([[a * s.su, b * s.su] for a in (0.1, 0.3, 0.6) for b in (0.1, 0.3, 0.6)], [s.su, s.su])),
+            apply=lambda x, p, c: dead_zone(x, min(p), max(p)),
+            starts=lambda s: (zones(s.u, (0.1, 0.3, 0.6)), [s.su, s.su])),
     _static("input_quadratic", "hammerstein", "the input acts through u + c2 u^2", parameters={"c2": "1/u"}, amplitude=0,
             apply=lambda x, p, c: x * (1.0 + p[0] * x), starts=lambda s: ([[0.03 / s.su]], [1 / s.su])),
     _static("input_cubic", "hammerstein", "the input acts through u + c3 u^3", parameters={"c3": "1/u^2"}, amplitude=0,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, numbered
-from estimators.diagnosis.effects.input import broken_line, dead_zone, exponential, quantiles, sigmoid
+from estimators.diagnosis.effects.input import broken_line, dead_zone, exponential, quantiles, sigmoid, zones
 
 Array = NDArray[Any]
 
@@ -115,9 +115,8 @@ OUTPUT = (
     _sensor("output_clip_lower", "the sensor saturates below", {"low": "y"}, 6,
             apply=lambda x, p, c: np.maximum(x, p[0]),
             starts=lambda s: (quantiles(s.y, 0.02, 0.07, 0.15, 0.25, 0.4), [s.sy])),
-    _sensor("output_dead_zone", "the sensor does not see small outputs", {"half_width": "y"}, 6,
-            apply=lambda x, p, c: dead_zone(x, -abs(p[0]), abs(p[0])),
-            starts=lambda s: ([[f * s.sy] for f in (0.1, 0.25, 0.5, 0.8)], [s.sy])),
+    _sensor("output_dead_zone", "the sensor does not see outputs between low and high", {"low": "y", "high": "y"}, 10,
+            apply=lambda x, p, c: dead_zone(x, min(p), max(p)), starts=lambda s: (zones(s.y, (0.2, 0.6)), [s.sy, s.sy])),
     _sensor("output_absolute", "the sensor has another gain for each sign, y + c |y|", {"c": "1"}, 1, amplitude=0,
             apply=lambda x, p, c: x + p[0] * np.abs(x), starts=lambda s: ([[0.05]], [1.0])),
     _backlash("backlash_output", "play at the output",

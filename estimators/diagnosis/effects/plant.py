@@ -190,6 +190,9 @@ PLANT = (
              {"oscillator": (0, 1), "driven": (0, 1, 0), "sensed": (0, 1, 0), "modes": (0, 1, 0, 0)}),
     _changed("pole_change", "one time constant changes abruptly", "log_speed",
              {"cascade": (1, 0), "driven": (0, 0, 1), "sensed": (0, 0, 1)}),
+    _changed("loss_change", "a loss or a stiffness changes abruptly, and the gain with it", "log_loss",
+             {"first": (1, -1), "oscillator": (1, 0, -1), "cascade": (1, 0, -1), "chain": (1, 0, -1), "driven": (1, 0, 0, -1),
+              "sensed": (1, 0, 0, -1)}),
 )  # fmt: skip
 
 

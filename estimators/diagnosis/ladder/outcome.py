@@ -40,6 +40,7 @@ class Outcome:
     discovery: Discovery
     # the present input answers the present noise: a model may predict better by being the controller's inverse as well
     inverse: bool = False
+    loop: bool = False  # by so much of an input that a closed loop is told
 
     def value(self, kind: Kind) -> float:
         """Least error on unused blocks of the steps of a kind; infinite where there is none."""

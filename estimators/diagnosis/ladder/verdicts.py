@@ -32,6 +32,9 @@ UNCLAIMED = "no cause found that holds on unused data"
 NOTHING = "nothing is missing from the linear model that data not used could show"
 ANSWERS = "the input answers the noise of its own sample"
 ECHO = f"{ANSWERS}: no cause can be told from the controller's answer"
+MINGLED = (
+    "input and noise go together, as in a loop or in signals filtered by later samples: no cause can be told"
+)
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ def verdict(
     ]
     chosen = list(dict.fromkeys(f.cause for f in found))
     errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g} {in_units('y', record)}"
-    bare = UNCLAIMED if withdrawn else ECHO if any(o.inverse for o in outcomes) else NOTHING
+    echo = ECHO if any(o.loop for o in outcomes) else MINGLED if any(o.inverse for o in outcomes) else NOTHING
     return {
         "detected": bool(found), "effect": chosen[0] if chosen else NONE,
         "variant": ", ".join(dict.fromkeys((*(_meanings(outcomes) if first else []), *(f.key for f in found if f.key)))),
@@ -101,7 +104,7 @@ def verdict(
         "confusable": _confusable(outcomes, chosen),
         "remaining": "; ".join(x.sentence + on_output(o, several) for o, rest in zip(outcomes, rests, strict=True) for x in rest[:3]),
         "refinements": tuple(dict.fromkeys(effects[key].cause for o in outcomes for key, _ in o.named.dropped)),
-        "system": f"{headline(first[0], outcomes, effects, record, held.bears) if first else bare}; {errors}",
+        "system": f"{headline(first[0], outcomes, effects, record, held.bears) if first else UNCLAIMED if withdrawn else echo}; {errors}",
         "equation": "; ".join(equations(outcomes)),
         "floor_is_bound": any(map(bool, rests)) or any(_absorbing(o) for o in outcomes),
         "data": tuple(f.sentence for f in data), "explainable": _explainable(outcomes),
@@ -168,20 +171,19 @@ def _supported(o: Outcome, claimed: list[Finding], policy: Policy) -> list[Findi
     """The claims, first of those that may have come first one of the nature that the regression of the residual saw.
 
     What a joint model loses without one of its effects says little of which that was: each bends towards the other. One may
-    have that gains half as much as the first, or that explains alone nearly all that the joint model does. Else linear dynamics,
-    which any misled order asks for, come behind such a one of another nature.
+    have that gains half as much as the first, without which the others explain less than half, or that explains alone nearly all
+    that the joint model does. Else linear dynamics, which any misled order asks for, come behind such a one of another nature.
     """
     squares = lambda f: float(np.sum(f.residual**2))
-    a, least = o.examined.attribution, policy.carried[0]
-    limit = squares(a.base) - least * (squares(a.base) - squares(o.named.fit))
+    a = o.examined.attribution
+    limit = squares(a.base) - policy.carried[0] * (squares(a.base) - squares(o.named.fit))
     alone = {g.structure.effects[0].key for g in a.alternatives if squares(g) <= limit}
-    near = [f for f in claimed if f.weight >= policy.agreed * claimed[0].weight or f.key in alone]
+    gone = 1.0 - (o.value(Kind.NAMED) / o.value(Kind.LINEAR)) ** 2
+    near = [f for f in claimed if f.weight >= policy.agreed * min(claimed[0].weight, gone) or f.key in alone]
     seen = [f for f in near if o.share.explainable and f.nature == o.share.nature]
     other = [f for f in near if f.nature != Nature.LINEAR]
-    if not (seen or other):
-        return claimed
-    first = (seen or other)[0]
-    return [replace(first, weight=claimed[0].weight), *(f for f in claimed if f is not first)]
+    first = (seen or other or claimed)[:1]
+    return [replace(f, weight=claimed[0].weight) for f in first] + [f for f in claimed if f not in first]
 
 
 def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
@@ -244,7 +246,7 @@ def _data(o: Outcome, setting: Setting, effects: dict[str, Effect], tag: str) ->
     order = {"held": 4.0, "quantised": 3.0, "outliers": 1.0}
     found = [_seen(effects, s.key, order.get(s.key, 0.0), 0.0, s.sentence) for s in o.examined.signatures]
     limit = 1e-2 if o.share.feedback else 1e-4 * o.of_the_best  # alone, a model's error may foretell an input
-    if (told := p < setting.alpha * limit) or o.inverse:
+    if (told := p < setting.alpha * limit) or o.loop:
         what = f"past innovations help to predict the input ({p_stated(p)})" if told else ANSWERS
         found.append(_seen(effects, "feedback", 2.0, p, f"{what}{tag}: the data are from a closed loop"))
     return found
@@ -281,14 +283,11 @@ def _dropped(outcomes: Sequence[Outcome], several: bool, effects: dict[str, Effe
 def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> list[Finding]:
     """What the tests of the residual still show, where it weighs more than all that was found."""
     a, f = o.examined.attribution, o.named.fit
+    if o.examined.signatures or o.ladder.chosen.kind in (Kind.DISCOVERED, Kind.REMAINDER):
+        return []
     if (
-        o.examined.signatures
-        or o.inverse
-        or o.share.feedback
-        or o.ladder.chosen.kind in (Kind.DISCOVERED, Kind.REMAINDER)
-    ):
-        return []  # an input that knows the noise makes any residual depend on it
-    if not o.of_the_best:
+        o.inverse or o.share.feedback or not o.of_the_best
+    ):  # an input that knows the noise makes any residual depend on it
         return []
     explained = 0.0
     if (

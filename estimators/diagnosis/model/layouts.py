@@ -147,24 +147,32 @@ def held_plant(layout: str, rates: tuple[float, ...], steps: int) -> Any:
     return Held(phi, gamma[:, :-1].copy(), gamma[:, -1].copy(), position, velocity)
 
 
+DRIVING = {"cascade": 1, "driven": 2}
+"""The state by which the input drives the plant, where it is not the input itself."""
+
+
 def changed_states(
     layout: str, rates: Array, u: Array, inside: Inside, change: tuple[float, ...], q: Array, clock: Clock, x0: Array
 ) -> Array:  # fmt: skip
     """States of a layout whose rates change at one time; the time is no integer, so two switches are blended.
 
-    `change`: how the logarithms of the rates move per unit of q[0]; q[1] is the time in samples.
+    `change`: how the logarithms of the rates move per unit of q[0], and that of what drives the plant where it is one more than the
+    rates; q[1] is the time in samples.
     """
-    shifted = rates + np.array(change) * np.clip(q[0], -3.0, 3.0)
+    size = float(np.clip(q[0], -3.0, 3.0))
+    shifted = rates + np.array(change[: len(rates)]) * size
+    scale = float(np.exp(sum(change[len(rates) :]) * size))
+    driving = np.where(np.arange(len(x0)) == DRIVING.get(layout, -1), scale, 1.0)
     at = q[1] - clock.k[0]
     if at <= 0:
-        return states(layout, shifted, u, inside, x0)
+        return states(layout, shifted, scale * u, inside, x0)
     if at >= len(u) - 1:
         return states(layout, rates, u, inside, x0)
     whole = int(np.floor(at))
     early = states(layout, rates, u[: whole + 2], inside.between(0, whole + 2), x0)
     runs = []
     for t in (whole, whole + 1):
-        later = states(layout, shifted, u[t:], inside.between(t, None), early[t].copy())
+        later = states(layout, shifted, scale * u[t:], inside.between(t, None), driving * early[t])
         runs.append(np.concatenate((early[:t], later)))
     with np.errstate(invalid="ignore"):  # states that diverge are infinite, and 0 times that is no number
         return (1.0 - (at - whole)) * runs[0] + (at - whole) * runs[1]

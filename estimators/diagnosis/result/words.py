@@ -12,7 +12,7 @@ PLAIN = {
     "beta": "coefficient beta", "weight": "weight of play", "low": "lower limit",
     "high": "upper limit", "up": "rate upwards", "down": "rate downwards", "cosine": "cosine part", "sine": "sine part",
     "slope_": "slope of the curve", "log_speed": "factor of speed", "left": "share of the half width left after a jump",
-    "log_damping": "factor of damping", "per_angle": "radians per integral of the speed",
+    "log_damping": "factor of damping", "log_loss": "factor of loss", "per_angle": "radians per integral of the speed",
     "way": "travel that turns it over", "b": "numerator coefficient", "f": "denominator coefficient", "x": "starting state",
     "use": "use by the input", "change": "relative change", "start": "time of the start",
     "end": "time of the end", "behind": "lag behind the actuator", "plant": "pole of its plant", "input_kink.c": "steepness c at zero",

@@ -8,7 +8,7 @@ import numpy as np
 from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.model.fitting import Fit, fit
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.named import LEFT, Bench, Named, bent, named_steps
+from estimators.diagnosis.search.named import HALF, LEFT, Bench, Named, bent, named_steps, spread
 from estimators.diagnosis.search.selection import FULL, Attribution, second
 
 TRIED = 8
@@ -18,8 +18,6 @@ PAIRED = 4
 """Of them, those that a second effect is looked for beside: where two are needed, the right one need not be the best alone."""
 SECOND = 6
 """Effects beside one of them that are put before unused blocks."""
-HALF = 1.5
-"""Error on the record itself, of the least on unused blocks, from which on a single effect is neither an answer nor half of one."""
 
 
 def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
@@ -40,7 +38,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
         found, least = [], min((n.step_error(bench) for n in known if n.step is not None), default=np.inf)
         for f in fits:
             f = fit(bench.channel, f.structure, f.p, f.scales, iterations=40)
-            if not _spread(f) <= share * least:
+            if not spread(f) <= share * least:
                 continue
             n = named_steps(bench, replace(a, final=f, rivals={}))
             if len(n.unused) and n.whole and bench.over(n.unused, linear).meets(bench.policy.claimed):
@@ -52,7 +50,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     # step leaves little of a record that it is in only
     lasting = lambda e: e.nature is not Nature.ADDED
     steady = lambda e: lasting(e) or not e.per_sample
-    stepped = lambda f: f.structure.effects[-1].effect.timed and _spread(f) ** 2 < LEFT * _spread(a.base) ** 2
+    stepped = lambda f: f.structure.effects[-1].effect.timed and spread(f) ** 2 < LEFT * spread(a.base) ** 2
     alone = [f for f in a.alternatives if steady(f.structure.effects[-1].effect) or stepped(f)][:TRIED]
     singles = judged(alone, HALF, kept)
     few = max(1, round(PAIRED * min(1.0, FULL / len(bench.channel))))  # longer records tell more apart
@@ -63,7 +61,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
         least = min(x.step_error(bench) for x in (*kept, *singles) if x.step is not None or x is n)
         if n.step_error(bench) > HALF * least:
             break
-        needed = 2.0 * n.fit.n * float(np.log(max(_spread(n.fit) / (told * least), 1.0)))
+        needed = 2.0 * n.fit.n * float(np.log(max(spread(n.fit) / (told * least), 1.0)))
         more = second(bench.channel, n.fit, menu, coloured=False, needed=needed)
         pairs += judged(more[:SECOND], told, (*kept, *singles, *pairs))
     options = sorted(
@@ -73,7 +71,10 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     if not options:
         return first
     near = [n for n in options if not _told_apart(bench, n, options[0])]
-    best = min(near, key=lambda n: (bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench)))
+    near = [n for n in near if not any(_dominates(bench, m, n) for m in near)]
+    best = min(
+        near, key=lambda n: (_loose(n), bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench))
+    )
     head = best.claims[0]
     equal = [n.claims[0].cause for n in near if len(n.claims) <= len(best.claims)]
     rivals = tuple(name for name in dict.fromkeys((*head.rivals, *equal)) if name != head.cause)
@@ -83,9 +84,26 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     return replace(best, claims=(replace(head, rivals=rivals), *best.claims[1:]), step=step)
 
 
-def _spread(f: Fit) -> float:
-    """Root mean square simulation error on the record that a fit saw."""
-    return float(np.sqrt(np.sum(f.residual**2) / f.n)) if np.isfinite(f.deviance) else float("inf")
+def _loose(n: Named) -> bool:
+    """Whether the record says nothing of a parameter of what bends: it has run to a limit in which the effect is another one."""
+    keys = tuple(f"{c.key}." for c in n.claims if bent(c))
+    rows = () if n.step is None else n.step.parameters.items()
+    return not all(np.isfinite(error) for name, (_, error, _) in rows if name.startswith(keys))
+
+
+ODDS = 6.0
+"""Of Schwarz's criterion, by which a model must be the better one: odds of twenty to one."""
+
+
+def _dominates(bench: Bench, m: Named, n: Named) -> bool:
+    """Whether one of no more effects is the better one on the record, surely in one-step errors and in simulation by what a search
+    must gain: what neither a noise model nor blocks of few transients can have turned about."""
+    surely = m.fit.criterion < n.fit.criterion - ODDS
+    return (
+        surely
+        and len(m.claims) <= len(n.claims)
+        and spread(m.fit) < (1.0 - bench.policy.searched[1]) * spread(n.fit)
+    )
 
 
 def _worse(bench: Bench, n: Named, best: Named) -> bool:

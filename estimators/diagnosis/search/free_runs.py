@@ -203,7 +203,8 @@ def blocked(
     """(N,) free run of every block of the one training record, by parameters fitted to the others; and those of each fold.
 
     The run starts as on a test record, not from the state that was fitted to this one, and goes through to the block. A
-    model that hangs on its fitted state is shown for what it is. Infinite in a block whose fit failed.
+    model that hangs on its fitted state is shown for what it is. When something changes within a block no other block can tell:
+    that time stays what the whole record says. Infinite in a block whose fit failed.
     """
     n, out, found = len(channel), np.full(len(channel), np.inf), []
     scales = f.scales.copy()
@@ -221,8 +222,14 @@ def blocked(
         folds = blocks.scattered(STRETCHES)
     for fold, mask in folds:
         keep = channel.keep & mask[0][::thin][:n]
+        free = scales.copy()
+        for sl in (
+            sl for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True) if part.effect.timed
+        ):
+            at = int(np.clip(f.p[sl][-1], 0, n - 1))
+            free[sl.stop - 1] *= mask[0][::thin][at]
         g = fit(
-            replace(channel, keep=keep), f.structure, f.p, scales, noise=None if white else f.noise,
+            replace(channel, keep=keep), f.structure, f.p, free, noise=None if white else f.noise,
             iterations=STEPS, colour=False,
         )  # fmt: skip
         if np.isfinite(g.deviance):

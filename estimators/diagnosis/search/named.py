@@ -29,7 +29,7 @@ from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.result.answers import LinearAnswer, NamedAnswer
 from estimators.diagnosis.search.exchange import without
 from estimators.diagnosis.search.free_runs import blocked, denominator, lengthened, start_of
-from estimators.diagnosis.search.naming import BENT, as_shown, bending, scaled_runs
+from estimators.diagnosis.search.naming import BENT, as_shown, bending, dated, scaled_runs
 from estimators.diagnosis.search.ratios import part_significance
 from estimators.diagnosis.search.selection import Attribution
 from estimators.diagnosis.share.feedback import answered, autoregression, whitened
@@ -261,7 +261,11 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
         weak = [i for i, c in enumerate(claims) if not _gains(c, bench)]
         if not weak:
             held = _surest(
-                sorted((c for c in claims if _holds(c, bench)), key=lambda c: -c.gain.value), bench
+                sorted(
+                    (c for c in claims if _holds(c, bench) and dated(c, f, bench.channel)),
+                    key=lambda c: -c.gain.value,
+                ),
+                bench,
             )
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             shown = [replace(c, part=as_shown(c.part, f, bench.channel)) for c in held]
@@ -322,6 +326,9 @@ def _surest(held: list[Claim], bench: Bench) -> list[Claim]:
     return [c for c in held if c.p_value < bench.alpha] or held
 
 
+HALF = 1.5
+"""Simulation error on the record itself, of another model's, from which on a model is neither as good as it nor half of an answer:
+in one-step errors, under a noise model of its own each, the two may still be alike."""
 LEFT = 0.05
 """Of a linear model's squared error, what a joint model may leave for an added signal to be no slow noise: a step or a passing
 disturbance takes up to nine tenths of a random walk."""
@@ -339,6 +346,8 @@ def _why(c: Claim, bench: Bench) -> str:
         return "blocks not used do not get better by more than their standard error"
     if c.gain.share <= bench.policy.claimed[1]:
         return f"it explains {100 * max(c.gain.share, 0.0):.3g} % of the error on unused blocks"
+    if c.part.effect.timed and _gains(c, bench) and c.p_value < bench.alpha:
+        return "unused blocks get better with it, but the record does not tell when it happens"
     if not _gains(c, bench):
         return "unused blocks get better with it, but not by what a search of times asks"
     if c.part.effect.nature is Nature.LINEAR and c.p_value < bench.alpha:
@@ -354,10 +363,20 @@ def bent(c: Claim) -> bool:
 def _as_linear(bench: Bench, a: Attribution, f: Fit) -> tuple[Effect | None, bool]:
     """Linear dynamics that fit the record as well as a model of one bent effect, and whether unused blocks tell the two apart: by
     what the best of a search must gain, or by more than is linear in the inputs."""
-    alike = [o for o in a.claims if o.effect.nature is Nature.LINEAR and as_good(f, o.fit)]
+    alike = [o for o in a.claims if o.effect.nature is Nature.LINEAR and _near(f, o.fit)]
     told = [bench.over(bench.unused(f), bench.unused(o.fit)).meets(bench.policy.searched) for o in alike]
     first = next((o for o, apart in zip(alike, told, strict=True) if not apart), alike[0] if alike else None)
     return (first.effect, all(told) or bench.tells(f)) if first else (None, True)
+
+
+def spread(f: Fit) -> float:
+    """Root mean square simulation error on the record that a fit saw."""
+    return float(np.sqrt(np.sum(f.residual**2) / f.n)) if np.isfinite(f.deviance) else float("inf")
+
+
+def _near(f: Fit, g: Fit) -> bool:
+    """Whether the record cannot tell that a model is worse than another, neither in one-step errors nor in simulation."""
+    return as_good(f, g) and spread(g) < HALF * spread(f)
 
 
 def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
@@ -366,7 +385,7 @@ def _with_rivals(claims: list[Claim], a: Attribution, f: Fit) -> list[Claim]:
     for c in claims:
         names = list(a.rivals.get(c.key, []))
         if len(claims) == 1:
-            names += [o.cause for o in a.claims if o.cause != c.cause and as_good(f, o.fit)]
+            names += [o.cause for o in a.claims if o.cause != c.cause and _near(f, o.fit)]
         out.append(Claim(c.part, c.gain, c.p_value, tuple(n for n in dict.fromkeys(names) if n != c.cause)))
     return out
 

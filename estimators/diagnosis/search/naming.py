@@ -12,6 +12,7 @@ from estimators.diagnosis.effects import Nature, named
 from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.effects.plant import MOVING, SWINGS
 from estimators.diagnosis.effects.process import FILLED, THROUGH, at_once
+from estimators.diagnosis.model.errors import parameters_of
 from estimators.diagnosis.model.fitting import Channel, Fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
@@ -94,6 +95,24 @@ def scaled_runs(f: Fit, c: Channel) -> list[Array]:
         simulate(f.structure, f.p, middle + size * (c.u - middle), c.clock)
         for size in (0.0, SMALL, -1.0, 1.0)
     ]
+
+
+DATED = 0.05
+"""Of the record, the standard error of a time from which on nothing has changed at it: what changes shows when, within a few of its
+own time constants; a model that is only bent has its best time anywhere."""
+
+
+def dated(claim: Claim, f: Fit, channel: Channel) -> bool:
+    """Whether the record tells when what changes for good has changed."""
+    part = claim.part
+    if not part.effect.timed:
+        return True
+    errors = (
+        error
+        for name, (_, error, _) in parameters_of(f, channel).items()
+        if name.startswith(f"{part.key}.time")
+    )
+    return all(error < DATED * len(channel) for error in errors)
 
 
 def bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Claim]:

@@ -22,6 +22,8 @@ MATTERS = 0.02
 ANSWERS, SOON, BEFORE = 0.1, 5, 12
 """Share of what an input's own past, of so many samples, leaves between the jumps of its reference that the noise of its own sample and
 of so many before it must explain: of thirty rigs with a loop or without one, .46 or more and .013 at most."""
+OF_INPUT = 1e-3
+"""Share of an input itself that answers the noise where a loop is told by it alone: loops have .016 and more, filtered records 1e-4."""
 ALPHA = 1e-4
 """False-alarm rate: with feedback only what improves the one-step prediction counts, a hard demand elsewhere."""
 MOST_LEVER = 0.99
@@ -60,6 +62,25 @@ def has_feedback(
     if max(_gain(*d) for d in designs) > MATTERS and min(wald(*d) for d in designs) * count < ALPHA:
         return True
     return any(_at_once([r.u[:, j] for r in records], clean, ALPHA / count) for j in range(count))
+
+
+def is_answer(
+    records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
+) -> bool:
+    """Whether so much of an input is an answer to the noise that a closed loop is told by it.
+
+    Of an input whose past leaves next to nothing of it, noise may foretell even that for another reason: who filtered both
+    signals, with samples of later times, gave each some of the other's future.
+    """
+    clean = _clean(residual, uses)
+    at_once = [
+        _design([r.u[:, j] for r in records], clean, BEFORE, range(SOON + 1))
+        for j in range(records[0].n_inputs)
+    ]
+    return any(
+        _gain(*d) * _left(d[0], d[2]) > OF_INPUT * float(d[2] @ d[2])
+        for d in (*at_once, *_designs(records, clean))
+    )
 
 
 def _at_once(inputs: Sequence[Array], noises: Sequence[Array], alpha: float) -> bool:

@@ -345,6 +345,16 @@ def refreshed(u, a):
     return _read(u, np.maximum(np.floor((k - 0.7) / 3.37) * 3.37 + 0.7, 0.0) if a else k)
 
 
+def vented(u, a):
+    """A vent is opened after 310 samples: the losses rise by 40 %, gain and time constant fall; a sensor lags."""
+    x = np.empty(len(u))
+    x[0] = u[0]
+    for k in range(1, len(u)):
+        loss = 0.08 * (1.0 + 0.4 * a * (k > 310))
+        x[k] = x[k - 1] * np.exp(-loss) + (1.0 - np.exp(-loss)) * 0.08 / loss * u[k - 1]
+    return _lag(x, 0.6)
+
+
 def sweep(u, a):
     k = np.arange(len(u))
     return _linear(u) + 0.3 * a * np.cos(0.3 * k + 0.5 * 0.002 * k**2 + 0.4)
@@ -367,7 +377,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
     "clock_settles": (warming_clock, 4, {}), "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
-    "gain_periodic": (swaying, 2, {}), "stiffness_periodic": (breathing, 2, {}), "lag_drift": (fouled, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),
+    "gain_periodic": (swaying, 2, {}), "stiffness_periodic": (breathing, 2, {}), "lag_drift": (fouled, 2, {}), "loss_change": (vented, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),
     "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "bilinear": (carried_off, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "stiffness_cubic": (pushed_twice, 2, {"inputs": 2}), "pendulum of two": (pendulum_of_two, 2, {"size": 0.35, "inputs": 2}),
@@ -383,6 +393,6 @@ LOOKALIKES = {
     "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction", "clearance_sprung": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
     "rate_limit_servo": "rise_and_fall", "input_staircase": "input_kink", "gain_periodic": "stiffness_periodic",
-    "stiffness_periodic": "gain_periodic", "lag_drift": "inertia_drift", "clock_settles": "lost_samples",
+    "stiffness_periodic": "gain_periodic", "lag_drift": "inertia_drift", "loss_change": "inertia_drift", "clock_settles": "lost_samples",
     "relay_feedback": "relay", "wind_up": "rate_limit_servo", "rate_limit": "wind_up",
 }  # fmt: skip

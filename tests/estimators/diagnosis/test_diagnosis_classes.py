@@ -230,3 +230,17 @@ def test_a_pole_that_follows_a_drift_is_not_taken_for_a_loops_pace():
         ([0.5, 0.9], -np.log(0.9)),
     ):
         assert slowest_rate(np.real(np.poly(den)), 1000) == pytest.approx(expected)
+
+
+def test_a_sweep_of_many_turns_is_found_between_the_rates_of_a_coarse_grid():
+    """Of 200 turns, whatever its rate: a hundredth of the largest rate off, the line is no line."""
+    rng, k = np.random.default_rng(3), np.arange(2400.0)
+    for rate in (1.07e-4, 2.61e-4, 4.93e-4):
+        u = excitation(rng, len(k))
+        y = lfilter([0.0, 0.3], [1.0, -0.7], u)
+        y = y + 0.3 * np.cos(0.05 * k + 0.5 * rate * k**2) + 0.05 * rng.standard_normal(len(k))
+        channel = Channel(u.reshape(-1, 1), y, Clock(k, len(k)), np.ones(len(k), dtype=bool))
+        base = fit_linear(channel, replace(Structure(1, (0,)).adding(Part(OFFSET)), base=1))
+        found = min(augmented(channel, base, Menu((named("sweep"),))), key=error)
+        assert error(found) < 0.06
+        assert np.isclose(abs(found.p[-3]), rate, rtol=1e-3)

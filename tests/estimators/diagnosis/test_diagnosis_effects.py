@@ -31,7 +31,7 @@ CURVES = {
     "saturation": lambda x, a, b: min(max(x, -a), a), "saturation_asymmetric": lambda x, a, b: max(min(x, a), b),
     "saturation_upper": lambda x, a, b: min(x, a), "saturation_lower": lambda x, a, b: max(x, a),
     "dead_zone": lambda x, a, b: x - a if x > a else x + a if x < -a else 0.0,
-    "dead_zone_asymmetric": lambda x, a, b: x - abs(b) if x > abs(b) else x + a if x < -a else 0.0,
+    "dead_zone_asymmetric": lambda x, a, b: x - max(a, b) if x > max(a, b) else x - min(a, b) if x < min(a, b) else 0.0,
     "input_quadratic": lambda x, a, b: x + a * x**2, "input_cubic": lambda x, a, b: x + a * x**3,
     "input_polynomial": lambda x, a, b: x + a * x**2 + b * x**3,
     "output_quadratic": lambda x, a, b: x + a * x**2, "output_cubic": lambda x, a, b: x + a * x**3,
@@ -40,7 +40,7 @@ CURVES = {
     "output_ratio": lambda x, a, b: x / (1.0 + abs(a * x)),
     "output_clip": lambda x, a, b: min(max(x, -a), a), "output_clip_upper": lambda x, a, b: min(x, a),
     "output_clip_lower": lambda x, a, b: max(x, a), "output_absolute": lambda x, a, b: x + a * abs(x),
-    "output_dead_zone": lambda x, a, b: x - a if x > a else x + a if x < -a else 0.0,
+    "output_dead_zone": lambda x, a, b: x - max(a, b) if x > max(a, b) else x - min(a, b) if x < min(a, b) else 0.0,
     "offset": lambda x, a, b: x + a, "input_staircase": lambda x, a, b: b + a * round((x - b) / a),
 }  # fmt: skip
 TIMED = {

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter
 from scipy.stats import chi2
 
 from estimators.diagnosis.baseline import best_linear
 from estimators.diagnosis.search.selection import feedback_test
 from estimators.diagnosis.share import explainable_share
+from estimators.diagnosis.share.feedback import has_feedback, is_answer
 from estimators.diagnosis.share.news import FREE, NEWS, Predictor
 from oed.data import Record
 
@@ -215,3 +216,17 @@ def test_an_input_whose_strength_goes_with_that_of_the_noise_does_not_follow_it(
     assert np.mean(np.array(equal) < 1e-2) > 0.5
     assert np.mean(np.array(robust) < 1e-2) < 0.05
     assert np.mean(np.array(seen) < 1e-3) > 0.8
+
+
+def test_an_input_logged_behind_its_filter_is_no_closed_loop():
+    """The output hears the unfiltered input first: its noise foretells what the filter still holds back, a thousandth of the input."""
+    rng, uses = np.random.default_rng(1), [np.ones(2000, dtype=bool)]
+    played, noise = rng.standard_normal(2000), 0.1 * rng.standard_normal(2000)
+    heard = noise + 0.3 * played
+    filtered = Record(u=lfilter(*butter(6, 0.2), played), y=heard, dt=1.0)
+    assert has_feedback([filtered], [heard], uses)
+    assert not is_answer([filtered], [heard], uses)
+    steps = np.repeat(rng.choice([-1.0, 1.0], 200), 10)
+    loop = Record(u=steps - 0.5 * np.concatenate(([0.0], noise[:-1])), y=noise, dt=1.0)
+    assert has_feedback([loop], [noise], uses)
+    assert is_answer([loop], [noise], uses)
