@@ -177,8 +177,10 @@ def _measured(fit: Fit, record: Record) -> list[Figure]:
 
 def _per(record: Record) -> str:
     """Unit of a gain: that of the first output over that of the first input, or their names."""
-    return (
-        f"{record.output_units[0] or record.output_names[0]}/{record.input_units[0] or record.input_names[0]}"
+    from estimators.residual.measures import per
+
+    return per(
+        record.output_units[0] or record.output_names[0], record.input_units[0] or record.input_names[0]
     )
 
 

@@ -11,7 +11,7 @@ from estimators.pem.predictors.of_structure import Structure, samples
 from estimators.pem.regularised.regularisation import Regularisation
 from estimators.pem.search.problem import Problem, prepare
 from estimators.pem.subspace.observability import Subspace
-from estimators.residual.measures import fit_percent
+from estimators.residual.measures import fit_percent, per
 from oed.data import Record, as_signal
 from oed.errors import InputError, Status
 from oed.files.objects import as_record
@@ -378,7 +378,7 @@ class Fit:
         rows += [
             f"  noise variance {self.noise_variance:.6g} ({y})^2, fit of these data "
             f"{self.fit_percent:.2f} % one step ahead, {self.simulation_fit_percent:.2f} % simulated",
-            f"  peak gain {gamma:.6g} +- {error:.2g} {y}/{u} at {omega / hertz:.5g} +- {self.hinf_frequency_error / hertz:.2g} Hz",
+            f"  peak gain {gamma:.6g} +- {error:.2g} {per(y, u)} at {omega / hertz:.5g} +- {self.hinf_frequency_error / hertz:.2g} Hz",
             *(f"  {line}" for line in self.model.written(r.input_names, r.output_names)),
             f"  poles: {poles or 'none'}; one sample every {self.model.dt:.6g} s",
             *(f"  {how!r}" for how in (self.regularisation, self.subspace) if how),

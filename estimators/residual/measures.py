@@ -36,6 +36,11 @@ PLAIN = 1e-4, 1e6
 """Sizes of numbers that are printed without an exponent."""
 
 
+def per(over: str, under: str) -> str:
+    """A unit over another: (l/min)/V."""
+    return "/".join(f"({unit})" if "/" in unit else unit for unit in (over, under))
+
+
 def stated(value: float, error: float) -> str:
     """A value and its standard error to two digits of the error, which is not known of a threshold between samples: no
     derivative tells it."""

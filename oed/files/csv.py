@@ -21,7 +21,7 @@ BLANK = ("", "na", "n/a", "nan", "null", "none", "-nan")
 
 
 def csv_table(content: bytes, source: str) -> Table:
-    """Table of a CSV file: comma, semicolon or tab between the columns, lines before the header that begin
+    """Table of a CSV file: comma, semicolon, tab or bar between the columns, lines before the header that begin
     with #. Decimal commas are read where semicolons or tabs part the columns and no number has a decimal
     point."""
     try:  # spreadsheets write "Unicode text" in UTF-16, with a mark
@@ -41,7 +41,7 @@ def csv_table(content: bytes, source: str) -> Table:
         if header.strip() and not header.startswith("#"):
             break
         comment, header = header.strip() or comment, ""
-    delimiter = next((mark for mark in (",", ";", "\t") if mark in header), ",")
+    delimiter = next((mark for mark in (",", ";", "\t", "|") if mark in header), ",")
     check_limit("columns", header.count(delimiter), source)
     names = _fields(header, delimiter)
     body = stream.tell()
@@ -54,6 +54,10 @@ def csv_table(content: bytes, source: str) -> Table:
         names = _fields(comment.lstrip("# "), delimiter)  # NumPy's savetxt marks its header as a comment
         body -= len(header)
     first = _fields(text[body : body + 1000].lstrip("\r\n").partition("\n")[0], delimiter)
+    if len(names) == len(first) == 1 and len(names[0].split()) == len(first[0].split()) > 1:
+        raise InputError(
+            f"the columns of {source} have blanks between them; write commas, semicolons, tabs or bars there."
+        )
     if not any(map(seconds_per, names)):  # a column of dates is the clock, whatever it is called
         dates = [k for k, entry in enumerate(first[: len(names)]) if _is_date(entry)]
         names = ["t" if [k] == dates[:1] else name for k, name in enumerate(names)]

@@ -47,6 +47,7 @@ MISTAKES = {
     "a plant for a rig": (lambda: attempt(power_iterations, REFERENCE), "given as Plant; give oed.simulated.plant. of a plant"),
     "a name for a method": (lambda: attempt("power", oed.simulated(REFERENCE)), "the method is 'power'; give a generator function"),
     "a name for an effect": (lambda: diagnose(RECORD, effects="play"), "an effect is given as 'p'; give objects"),
+    "a function for a criterion": (lambda: oed.solve_design(REFERENCE, print), "the criterion is given as builtin_function_or_method; give its name or"),
     "a misspelt plant": (lambda: oed.peak("refrence"), "there is no plant named 'refrence' .did you mean reference.."),
 }  # fmt: skip
 

@@ -170,11 +170,12 @@ def _headline(fit, record, payload: dict) -> str:
     import numpy as np
 
     from benchmarks.page.identification import TOLD
+    from estimators.residual.measures import per
 
     u, y = (units[0] or names[0] for units, names in (
         (record.input_units, record.input_names), (record.output_units, record.output_names)))  # fmt: skip
     gain, error, omega = fit.hinf_norm
-    said = f"largest gain {gain:.4g} +- {error:.2g} {f'({y})' if '/' in y else y}/{u} at {omega / (2 * np.pi * record.dt):.4g} Hz"
+    said = f"largest gain {gain:.4g} +- {error:.2g} {per(y, u)} at {omega / (2 * np.pi * record.dt):.4g} Hz"
     if not fit.model.stable:
         said = "WARNING: the model is unstable, so that it has no largest gain"
     elif not gain > TOLD * error:
@@ -200,10 +201,12 @@ LETTERS = {
 
 
 def _letters(fit, record) -> str:
+    from estimators.residual.measures import per
+
     units = lambda units, names: " or ".join(dict.fromkeys(u or n for u, n in zip(units, names, strict=True)))
-    per = f"{units(record.output_units, record.output_names)}/{units(record.input_units, record.input_names)}"
+    gain = per(units(record.output_units, record.output_names), units(record.input_units, record.input_names))
     used = dict.fromkeys(name[0] for name in fit.names if name[0] in LETTERS)
-    return "  Where " + "; ".join(f"{letter}: {LETTERS[letter].format(per=per)}" for letter in used)
+    return "  Where " + "; ".join(f"{letter}: {LETTERS[letter].format(per=gain)}" for letter in used)
 
 
 def order(text: str) -> int | str:

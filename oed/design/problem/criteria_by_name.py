@@ -45,7 +45,12 @@ def criterion_of(
                 f"the criterion has {criterion.n} parameters and the model {information.n}; they must agree."
             )
         return criterion
-    name, *arguments = str(criterion).split(":")
+    if not isinstance(criterion, str):
+        raise InputError(
+            f"the criterion is given as {type(criterion).__name__}; give its name or an object of oed.criteria, such as "
+            "a_criterion(n)."
+        )
+    name, *arguments = criterion.split(":")
     check_names([name], NAMES, "criterion")
     n = information.n
     if name in NAMED:

@@ -158,6 +158,13 @@ def test_units_of_the_clock(tmp_path, name, step) -> None:
     assert record.y[:, 0].tolist() == [2.5, 4.0, 0.125]
 
 
+@pytest.mark.parametrize("mark", [",", ";", "\t", "|"])
+def test_what_stands_between_columns(tmp_path, mark) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text("t,u,y\n0,1.5,2\n1,2.5,3\n".replace(",", mark), encoding="utf-8")
+    assert read_record(path).u[:, 0].tolist() == [1.5, 2.5]
+
+
 def test_a_channel_in_seconds_is_no_clock(tmp_path) -> None:
     """A name that nobody knows is a clock only where the column rises evenly, in a unit of time, and nothing else tells the time."""
     path = tmp_path / "data.csv"
@@ -175,6 +182,7 @@ CSV_ERRORS = {
     "empty (0 bytes)": (b"", "empty"),
     "only blanks": (b"\n\n", "is empty; a CSV file has a header row"),
     "no rows": (b"u,y\n", "has no rows of data"),
+    "blanks": (b"t u y\n0 1 2\n1 2 3\n", "have blanks between them; write commas"),
     "no header": (b"1,2\n3,4\n", "has no header: its first row is '1,2'"),
     "text": (
         b"t,u,y\n0,1,2\n1,abc,3\n",
