@@ -30,24 +30,39 @@ UNDRIVEN = 3.0
 of a longer one, but how its experiment starts: the next one that begins with the same inputs starts alike."""
 AGAIN = 0.1
 """Share of the later samples under inputs held as long as at a record's start, up to which two records that begin so begin alike."""
+RARE = 0.05
+"""Of the later samples under the inputs of a record's start, those at which the output is as far off its rest, up to which a start as far
+is how the experiment starts, and not what was caught of a longer one."""
 ALIKE = 2.0
 """Variance of resting samples, and square of what they are off a model at rest, of its noise's variance, up to which it is noise."""
 
 
+def held_first(u: Array) -> int:
+    """Samples before inputs (N, nu) first move."""
+    moved = np.flatnonzero((u != u[:1]).any(axis=1))
+    return int(moved[0]) if len(moved) else len(u)
+
+
 def unmoved(u: Array, y: Array) -> Array:
     """The outputs measured before the inputs (N, nu) first move; none where they are too few to tell anything."""
-    moved = np.flatnonzero((u != u[:1]).any(axis=1))
-    y = y[: moved[0] if len(moved) else len(y)]
+    y = y[: held_first(u)]
     y = y[np.isfinite(y)]
     return y if len(y) >= FEWEST else y[:0]
 
 
-def begins_apart(u: Array) -> bool:
-    """Whether inputs (N, nu) are hardly ever again held as they are at first: two records that begin so are two experiments begun alike."""
-    held = (u == u[:1]).all(axis=1)
-    k = int(np.cumprod(held).sum())
-    again = np.convolve(held[k:], np.ones(k), "valid") > k - 0.5 if len(u) > 2 * k else np.ones(1)
-    return k >= FEWEST and bool(again.mean() <= AGAIN)
+def outset(opening: Array) -> float:
+    """Where a record begins, of its outputs before the inputs move: what settles there long enough ends at the model's rest."""
+    return float(opening[:FEWEST].mean())
+
+
+def begins_apart(u: Array, far: NDArray[np.bool_]) -> bool:
+    """Whether inputs (N, nu) are hardly ever again held as they are at first, or the output hardly ever as `far` (N,) off its rest where they
+    are: two records that begin so are two experiments begun alike, and no two pieces of one."""
+    held, k = (u == u[:1]).all(axis=1), held_first(u)
+    if k < FEWEST or len(u) <= 2 * k:
+        return False
+    long, short = (np.convolve(held[k:], np.ones(m), "valid") > m - 0.5 for m in (k, FEWEST))
+    return bool(long.mean() <= AGAIN or far[k:][: len(short)][short].mean() <= RARE)
 
 
 def rest_level(u: Array, y: Array, variance: float) -> float:
@@ -81,8 +96,10 @@ class Prior:
         """The prior with the opening of the training record (N, nu), (N,) where a model at rest would miss it."""
         if self.rest or not len(opening := unmoved(u, y)) or not 0.0 < model.radius < FAR:
             return self
-        opened, off = replace(self, opening=opening), abs(float(opening.mean()) - model.level(u[0]))
-        moving = np.isnan(self.level) and begins_apart(u) and off > UNDRIVEN * np.sqrt(self.noise)
+        opened, rest = replace(self, opening=opening), model.level(u[0])
+        off = abs(outset(opening) - rest)
+        apart = off > UNDRIVEN * np.sqrt(self.noise) and begins_apart(u, np.abs(y - rest) >= off)
+        moving = apart and np.isnan(self.level)
         if moving:  # and not begun by its first inputs, as an experiment that starts at rest with a step
             runs = (
                 model.beginning(opened, u, y).free_run(opened, u, y, 0),
@@ -170,7 +187,7 @@ class LinearModel:
         if not len(opening) or not 0.0 < self.radius < FAR:
             return 0.0
         run = self.run(self.driven(u), np.full(self.order, self.level(u[0])))
-        off = abs(float(opening.mean()) - float(run[0]))
+        off = abs(outset(opening) - float(run[0]))
         return off if off > UNDRIVEN * float(np.std(run)) else 0.0
 
     def level(self, u: Array) -> float:

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from estimators.diagnosis.baseline.baseline import Baseline, Options
 from estimators.diagnosis.baseline.best import best_linear, own_inputs, prior_of
 from estimators.diagnosis.baseline.choice import WORSE
+from estimators.diagnosis.baseline.linear_model import held_first
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.baseline.search import DELAYS, EARLY, Search
 from estimators.diagnosis.ladder.outcome import Outcome
@@ -67,16 +68,20 @@ def starts_moving(
     """Whether records stated to start at rest do not: a model with states at their starts beside the same one without."""
     n = min(base.outputs[i].shared[0], PLAIN) if order is None else order
     search = _search(records, i, base, options)
-    still, free = (replace(search, prior=replace(search.prior, rest=rest)) for rest in (True, False))
-    form = Arx(n, n + 1, (1,) * search.inputs, search.offset)
-    first = search.inputs and still.of_form(form)
-    then = first and free.of_form(form, first.models[-1])
-    if not (first and then):
+    free = replace(search, prior=replace(search.prior, rest=False), offset=True)
+    then = search.inputs and free.of_form(Arx(n, n + 1, (1,) * search.inputs, True))
+    if not then:
+        return None
+    model = then.models[-1]
+    level = model.level(np.zeros(search.inputs))  # what was subtracted need not be where the system rests
+    about = [r.replace(y=r.y - level) for r in search.records]
+    first = replace(search, records=about, prior=replace(search.prior, rest=True)).of_form(
+        Arx(n, n + 1, (1,) * search.inputs, False), replace(model, constant=0.0)
+    )
+    if not first:
         return None
     prior = replace(free.prior, noise=then.noise)
-    left = [
-        r.y[:, i] - then.models[-1].free_run(prior, r.u, r.y[:, i], min(SET, len(r))) for r in search.records
-    ]
+    left = [r.y[:, i] - model.free_run(prior, r.u, r.y[:, i], min(SET, len(r))) for r in search.records]
     samples = effective_samples(np.concatenate([e[np.isfinite(e)] for e in left]))
     kept = max(then.noise, 1e-300) / max(first.noise, 1e-300)
     p = float(chi2.sf(max(-samples * np.log(kept), 0.0), max(n, 1) * len(records)))
@@ -84,8 +89,24 @@ def starts_moving(
     return Contradiction("initial", DENIED.format(share), share, p) if p < MOVING else None
 
 
-HALF = 0.5
-"""Share of the error with a stated start, up to which the error without it must fall for a start at rest to be denied by that alone."""
+OFF, SUBTRACTED = 2.6, 2.0
+"""Standard errors of a linear model's mean error from which on the level that was subtracted is off, by a hundredth of chance; and of
+the mean of as many samples as it was taken of, up to which it was the noise of these, and no constant that acts."""
+
+
+def _level_off(record: Record, i: int, base: Baseline) -> bool:
+    """Whether the mean error of an output's linear model says that the level which was subtracted is off."""
+    e = (record.y - base.y_model[0])[:, i]
+    e = e[np.isfinite(e)]
+    return bool(abs(e.mean()) > OFF * np.std(e) / np.sqrt(effective_samples(e)))
+
+
+def _subtracted(record: Record, i: int, free: Baseline) -> bool:
+    """Whether the level of a linear model that has one is within the noise of the mean of the samples before the inputs move."""
+    m, n = free.outputs[i], held_first(record.u)
+    e = np.nan_to_num(record.y - free.y_model[0])[:, i]
+    scatter = float(np.std(np.convolve(e - e.mean(), np.full(n, 1.0 / n), "valid")))
+    return abs(m.model.level(np.zeros(len(m.inputs)))) < SUBTRACTED * scatter
 
 
 def denied_starts(
@@ -93,24 +114,19 @@ def denied_starts(
 ) -> tuple[list[Contradiction | None], Baseline, Options]:
     """Which outputs do not start at rest, as was stated, and the linear models and options that go on from there.
 
-    One whose start shows by itself; and where no linear model from rest follows an output on unused blocks better than its mean, one that
-    a model with a state at its start follows with half the error.
+    Where nothing but a level is off, by the noise of the samples that it was taken of, and unused blocks say so too, the start at rest
+    stands, and models have a level.
     """
     moving = [starts_moving(records, i, base, n, options) for i, n in enumerate(orders)]
-    counts = base.blocks.counting(records)
-    sizes = [
-        np.std(np.concatenate([r.y[c[:, i], i] for r, c in zip(records, counts, strict=True)]))
-        for i in range(len(orders))
-    ]
-    if not any(moving) and np.all(base.rmse_unused < sizes):
+    off = [i for i in range(len(orders)) if _level_off(records[0], i, base)]
+    if not any(moving) and not off:
         return moving, base, options
     # the data then tell the training records' starts, and what was stated holds of the test record alone
-    told = replace(options, deviations=None, moving=True)
+    told = replace(options, deviations=None, moving=any(moving))
     free = best_linear(records, told)
-    for i, kept in enumerate(free.rmse_unused / base.rmse_unused):
-        if moving[i] is None and kept < HALF and base.rmse_unused[i] >= sizes[i]:
-            moving[i] = Contradiction("initial", DENIED.format(1.0 - kept), 1.0 - kept)
-    return (moving, free, told) if any(moving) else (moving, base, options)
+    less = free.rmse_unused < base.rmse_unused
+    levelled = any(less[i] and _subtracted(records[0], i, free) for i in off)
+    return (moving, free, told) if any(moving) or levelled else (moving, base, options)
 
 
 def lacking(

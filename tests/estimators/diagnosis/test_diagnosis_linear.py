@@ -116,6 +116,21 @@ def test_a_record_that_begins_as_the_training_record_did_starts_where_that_one_w
     assert abs(base.simulate(other, 0)[0, 0] - 55.0) < 1.0
 
 
+@pytest.mark.parametrize("held", [15, 300])
+def test_a_start_farther_off_its_rest_than_later_ones_under_the_same_input_is_how_an_experiment_begins(held):
+    """An operator keeps the resting input for long, and returns to it; a furnace that warms up through all of that ends at its rest."""
+
+    def day(seed: int, first: int) -> Record:
+        rng = np.random.default_rng(seed)
+        steps = np.repeat(rng.choice([25.0, 30.0, 35.0], 20), 60)
+        u = np.concatenate((np.full(first, 30.0), steps, np.full(700, 30.0)))
+        y = lfilter([0.0, 0.022], [1.0, -0.98], u - 30.0) - 12.0 * 0.98 ** np.arange(len(u))
+        return Record(u, 56.0 + y + 0.1 * rng.standard_normal(len(u)))
+
+    base, again = best_linear([day(1, held)], Options()), day(2, 15)
+    assert np.sqrt(np.mean((base.simulate(again, 0) - again.y) ** 2)) < 0.3
+
+
 @pytest.mark.slow
 def test_an_effect_that_only_brings_poles_is_missing_dynamics_and_a_bent_input_is_named():
     """The same rig without and with its cubic; the control claims nothing nonlinear, 1 % false alarms stated."""

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import Options, best_linear
-from estimators.diagnosis.ladder.stated import lacking, settling, starts_moving
+from estimators.diagnosis.ladder.stated import denied_starts, lacking, settling, starts_moving
 from estimators.diagnosis.ladder.steps import climb
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.policy import Effort, Policy, Setting
@@ -83,16 +83,28 @@ def cell(start: float, seed: int, n: int = 1200) -> Record:
     return Record(u, y - y[:15].mean(), 2.0)
 
 
-def test_a_start_beside_which_nothing_follows_the_record_is_denied():
-    """No model of the stated order shows the state, and from rest none follows the record at all."""
+def test_a_start_that_ends_at_another_level_is_denied():
+    """What was subtracted is where the record starts, not where it rests: a state alone, settling to 0, would not fit it."""
     train, test = cell(100.0, 0), cell(100.0, 5)
-    assert (
-        starts_moving([train], 0, best_linear([train], Options(deviations=True)), 2, Options(deviations=True))
-        is None
-    )
+    options = Options(deviations=True)
+    assert starts_moving([train], 0, best_linear([train], options), 2, options)
     found = diagnose(train, test, Setting(orders=(2,), deviations=True, separate=True, effort=Effort.QUICK))
     assert found.effect == "initial_condition"
     assert found.rmse_after.value < 0.2 * test.y.std()
+
+
+@pytest.mark.parametrize("level, known", [(0.0, True), (0.5, False), (3.0, True)])
+def test_a_level_within_the_noise_of_the_resting_samples_is_fitted_and_not_told(level, known):
+    """Fifteen samples of slow noise tell the resting value to a part of that noise; all of the record tells it better."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.choice([-1.0, 1.0], 100), 20)
+    u[:15] = 0.0
+    noise = lfilter([0.3], [1.0, -0.9], rng.standard_normal(2000))
+    r = Record(u, lfilter([0.0, 0.2], [1.0, -0.9], u) + noise + level)
+    options = Options(deviations=True)
+    found, _, then = denied_starts([r], best_linear([r], options), (None,), options)
+    assert found == [None]
+    assert (then is options) == known
 
 
 @pytest.mark.parametrize("own", [False, True], ids=["an added level", "the plant's own slow pole"])
