@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from estimators.diagnosis.baseline.baseline import Baseline, Options
 from estimators.diagnosis.baseline.best import best_linear, own_inputs, prior_of
 from estimators.diagnosis.baseline.choice import WORSE
-from estimators.diagnosis.baseline.linear_model import held_first
+from estimators.diagnosis.baseline.linear_model import held_first, unmoved
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.baseline.search import DELAYS, EARLY, Search
 from estimators.diagnosis.ladder.outcome import Outcome
@@ -33,6 +33,13 @@ DENIED = (
 )
 PLAIN = 4
 """Order of the model whose start is looked at where none is stated: what has more poles follows a start as dynamics."""
+
+
+OFF, SUBTRACTED = 2.6, 2.0
+"""Standard errors of a linear model's mean error from which on the level that was subtracted is off, by a hundredth of chance; and of
+the mean of as many samples as it was taken of, up to which it was the noise of these, and no constant that acts."""
+HALF = 0.5
+"""Share of the error that a state beside a level farther off must take for a start at rest to be denied: a curve leaves a level too."""
 
 
 @dataclass(frozen=True)
@@ -62,36 +69,49 @@ def starts_at_rest(train: Record, i: int, base: Baseline) -> bool:
     return bool(np.sum((y - runs[0])[seen] ** 2) < np.sum((y - runs[1])[seen] ** 2))
 
 
+def _subtracted(level: float, e: Array, record: Record, i: int) -> bool:
+    """Whether a level is within the noise of the mean of the samples before the inputs move: of so many errors (N,), and theirs alone."""
+    resting = unmoved(record.u, record.y[:, i])
+    if not len(resting):
+        return False
+    means = np.convolve(e - e.mean(), np.full(n := min(held_first(record.u), len(e)), 1.0 / n), "valid")
+    return abs(level) < SUBTRACTED * min(float(np.std(means)), float(np.std(resting)))
+
+
 def starts_moving(
     records: Sequence[Record], i: int, base: Baseline, order: int | None, options: Options
 ) -> Contradiction | None:
-    """Whether records stated to start at rest do not: a model with states at their starts beside the same one without."""
+    """Whether records stated to start at rest do not: a state shows by itself, or beside the level where it ends, which was not subtracted."""
     n = min(base.outputs[i].shared[0], PLAIN) if order is None else order
     search = _search(records, i, base, options)
-    free = replace(search, prior=replace(search.prior, rest=False), offset=True)
-    then = search.inputs and free.of_form(Arx(n, n + 1, (1,) * search.inputs, True))
-    if not then:
+    if not search.inputs:
         return None
-    model = then.models[-1]
-    level = model.level(np.zeros(search.inputs))  # what was subtracted need not be where the system rests
-    about = [r.replace(y=r.y - level) for r in search.records]
-    first = replace(search, records=about, prior=replace(search.prior, rest=True)).of_form(
-        Arx(n, n + 1, (1,) * search.inputs, False), replace(model, constant=0.0)
-    )
-    if not first:
+    alone = _moving(search, n, level=False)
+    beside = None if alone else _moving(search, n, level=True)
+    return beside if beside and beside.share > HALF else alone
+
+
+def _moving(search: Search, n: int, *, level: bool) -> Contradiction | None:
+    """A model of an order with states at the records' starts beside the same one without; with a level, at rest there or at 0."""
+    i, form = search.output, Arx(n, n + 1, (1,) * search.inputs, level)
+    still, free = (replace(search, prior=replace(search.prior, rest=rest)) for rest in (True, False))
+    first = still.of_form(replace(form, offset=False))
+    then = first and free.of_form(form, first.models[-1])
+    if not (first and then):
         return None
+    model, noise = then.models[-1], first.noise
+    if level:
+        off = model.level(np.zeros(search.inputs))
+        there = replace(still, records=[r.replace(y=r.y - off) for r in search.records])
+        rest = there.of_form(replace(form, offset=False), replace(model, constant=0.0))
+        noise = min(noise, np.inf if rest is None else rest.noise)
     prior = replace(free.prior, noise=then.noise)
     left = [r.y[:, i] - model.free_run(prior, r.u, r.y[:, i], min(SET, len(r))) for r in search.records]
     samples = effective_samples(np.concatenate([e[np.isfinite(e)] for e in left]))
-    kept = max(then.noise, 1e-300) / max(first.noise, 1e-300)
-    p = float(chi2.sf(max(-samples * np.log(kept), 0.0), max(n, 1) * len(records)))
+    kept = max(then.noise, 1e-300) / max(noise, 1e-300)
+    p = float(chi2.sf(max(-samples * np.log(kept), 0.0), max(n, 1) * len(search.records)))
     share = 1.0 - float(np.sqrt(kept))
     return Contradiction("initial", DENIED.format(share), share, p) if p < MOVING else None
-
-
-OFF, SUBTRACTED = 2.6, 2.0
-"""Standard errors of a linear model's mean error from which on the level that was subtracted is off, by a hundredth of chance; and of
-the mean of as many samples as it was taken of, up to which it was the noise of these, and no constant that acts."""
 
 
 def _level_off(record: Record, i: int, base: Baseline) -> bool:
@@ -99,14 +119,6 @@ def _level_off(record: Record, i: int, base: Baseline) -> bool:
     e = (record.y - base.y_model[0])[:, i]
     e = e[np.isfinite(e)]
     return bool(abs(e.mean()) > OFF * np.std(e) / np.sqrt(effective_samples(e)))
-
-
-def _subtracted(record: Record, i: int, free: Baseline) -> bool:
-    """Whether the level of a linear model that has one is within the noise of the mean of the samples before the inputs move."""
-    m, n = free.outputs[i], held_first(record.u)
-    e = np.nan_to_num(record.y - free.y_model[0])[:, i]
-    scatter = float(np.std(np.convolve(e - e.mean(), np.full(n, 1.0 / n), "valid")))
-    return abs(m.model.level(np.zeros(len(m.inputs)))) < SUBTRACTED * scatter
 
 
 def denied_starts(
@@ -124,8 +136,9 @@ def denied_starts(
     # the data then tell the training records' starts, and what was stated holds of the test record alone
     told = replace(options, deviations=None, moving=any(moving))
     free = best_linear(records, told)
-    less = free.rmse_unused < base.rmse_unused
-    levelled = any(less[i] and _subtracted(records[0], i, free) for i in off)
+    e, less = np.nan_to_num(records[0].y - free.y_model[0]), free.rmse_unused < base.rmse_unused
+    levels = [m.model.level(np.zeros(len(m.inputs))) for m in free.outputs]
+    levelled = any(less[i] and _subtracted(levels[i], e[:, i], records[0], i) for i in off)
     return (moving, free, told) if any(moving) or levelled else (moving, base, options)
 
 

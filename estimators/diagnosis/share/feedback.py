@@ -86,21 +86,28 @@ def is_answer(
 def _at_once(inputs: Sequence[Array], noises: Sequence[Array], alpha: float) -> bool:
     """Whether an input answers the noise of its own sample where its reference stands still: there it does nothing else."""
     own, lead, target = _design(inputs, noises, BEFORE, range(SOON + 1))
-    rows = between_jumps(own, target, 1e-7 * float(np.std(target)))
+    rounding = 1e-7 * float(np.std(target))
+    rows = between_jumps(own, target, rounding)
     design = own[rows], lead[rows], target[rows]
-    return float(np.std(target[rows])) > 0.0 and _gain(*design) > ANSWERS and wald(*design) < alpha
+    moves = _left(own[rows], target[rows]) > rounding**2 * rows.sum()
+    return moves and _gain(*design) > ANSWERS and wald(*design) < alpha
 
 
 def between_jumps(own: Array, target: Array, rounding: float) -> NDArray[np.bool_]:
-    """The samples of an input that are not far off what its own past (N, p) foretells: a reference's jumps are no noise."""
-    rows = np.ones(len(target), dtype=bool)
-    for _ in range(8):
-        left = target - own @ np.linalg.lstsq(own[rows], target[rows], rcond=None)[0]
+    """The samples of an input that are not far off what its own past (N, p) foretells: a reference's jumps are no noise.
+
+    The first are those near the sample before: where jumps are many, a fit to all foretells none of them, nor what is between.
+    """
+    left, rows = target - own[:, 0], np.ones(len(target), dtype=bool)
+    for _ in range(9):
         spread = 1.4826 * float(np.median(np.abs(left)))
-        inside = np.abs(left) <= 4.0 * spread
-        if spread <= rounding or inside.sum() < 0.5 * len(rows) or np.array_equal(inside, rows):
+        inside = np.abs(left) <= 4.0 * max(spread, rounding)
+        if inside.sum() < 0.5 * len(rows) or np.array_equal(inside, rows):
             break
         rows = inside
+        if spread <= rounding:
+            break
+        left = target - own @ np.linalg.lstsq(own[rows], target[rows], rcond=None)[0]
     return rows
 
 

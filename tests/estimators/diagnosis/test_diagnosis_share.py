@@ -230,3 +230,15 @@ def test_an_input_logged_behind_its_filter_is_no_closed_loop():
     loop = Record(u=steps - 0.5 * np.concatenate(([0.0], noise[:-1])), y=noise, dt=1.0)
     assert has_feedback([loop], [noise], uses)
     assert is_answer([loop], [noise], uses)
+
+
+@pytest.mark.parametrize("hold", [2, 3, 20])
+@pytest.mark.parametrize("gain", [0.2, 0.0])
+def test_an_input_that_answers_its_own_sample_is_told_between_jumps_of_a_reference_however_many(
+    hold, gain
+) -> None:
+    """Every second sample may be a jump: what its own past foretells of the input is then little, and no measure of what is between."""
+    rng = np.random.default_rng(hold)
+    r, e = np.repeat(rng.choice([-1.0, 1.0], 400), hold)[:800], rng.standard_normal(800)
+    record = Record(r - gain * e, np.zeros(800))
+    assert has_feedback([record], [e], [np.ones(800, dtype=bool)]) == (gain > 0.0)
