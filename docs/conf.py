@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import shutil
 import sys
@@ -18,6 +19,16 @@ project = "oed"
 author = "The OED authors"
 copyright = "the OED authors"
 release = version = oed.__version__
+
+# What is executed belongs to the packages that executed it: with other sources it is run again.
+SOURCES = hashlib.sha256(
+    b"".join(
+        path.read_bytes()
+        for name in ("oed", "estimators", "benchmarks")
+        for path in sorted((HERE.parent / name).rglob("*.py"))
+    )
+)
+EXECUTED = HERE.parent / "build" / "docs-cache" / SOURCES.hexdigest()[:12]
 
 extensions = [
     "sphinx.ext.autodoc",
@@ -45,7 +56,7 @@ html_show_sphinx = False
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 nb_execution_mode = "cache"
-nb_execution_cache_path = str(HERE.parent / "build" / "docs-cache")
+nb_execution_cache_path = str(EXECUTED)
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True
@@ -60,6 +71,7 @@ sphinx_gallery_conf = {
     "gallery_dirs": "gallery",
     "filename_pattern": r"\.py",  # all are run: together they take under a minute
     "abort_on_example_error": True,
+    "run_stale_examples": not EXECUTED.exists(),
     "ignore_pattern": r"__init__",
     "download_all_examples": False,
     "show_signature": False,

@@ -33,7 +33,7 @@ class ErrorFigure:
         return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis:
     """What a linear model of a record lacks, and what adding it does to the error on data not used.
 
@@ -147,6 +147,10 @@ class Diagnosis:
             "yhat_before": signal(self.yhat_before),
             "yhat_after": signal(self.yhat_after),
         }
+
+    def __repr__(self) -> str:
+        """What a console and a notebook show: the sentences, not the signals."""
+        return str(self)
 
     def __str__(self) -> str:
         # what the residual still shows, or a noise model has taken, counts as noise in the floor

@@ -74,7 +74,7 @@ def test_the_removed_fraction_has_an_interval_and_never_rests_on_a_bound():
     assert not found.floor_is_bound
     assert low <= found.removed <= high <= 1.0
     assert low > 0.9
-    assert f"removed {100 * found.removed:.3g} % [" in str(found)
+    assert f"removed {100 * found.removed:.3g} % [" in str(found) == repr(found)
     bound = replace(found, floor_is_bound=True)
     assert bound.removed_interval[0] == pytest.approx(1 - found.rmse_after.value / found.rmse_before.value)
     assert "noise floor at most" in str(bound)
