@@ -89,7 +89,8 @@ def diagnose(
     -----
     What a test record's outputs are is never used to fit anything, and chooses one thing, which is then said: an answer that is worse
     there than the linear model gives way to it, as its claims do. Its inputs and its clock decide whether the
-    training data determine a model's run there; where they do not, the answer is the model below, and that is said.
+    training data determine a model's run there; where not, the answer is the model below, and that is said. One that goes on, by its
+    clock, where the training record ends starts from the state there.
     """
     test = None if test is None else as_records(test, missing=True)[0]
     setting = Setting() if setting is None else setting
@@ -101,8 +102,7 @@ def diagnose(
     say = progress if progress is not None else lambda stage: None
     say("the best linear model")
     asked = replace(_options(first, setting), asked=() if test is None else (test.u,))
-    base = best_linear(records, asked)
-    orders = setting.orders or (None,) * first.n_outputs
+    base, orders = best_linear(records, asked), setting.orders or (None,) * first.n_outputs
     rest, moving = bool(setting.deviations), [None] * len(orders)
     if rest:
         moving, base, asked = denied_starts(records, base, orders, asked)
@@ -263,8 +263,8 @@ def _outcome(
     # What the answer explains was no noise that an input answers.
     errors = [r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records]
     inverse = bench.inverse and has_feedback(records, errors, counted)
-    loop = inverse and is_answer(records, errors, counted)
-    return Outcome(i, found, named, ladder, share, left, discovery, inverse, loop)
+    told = inverse and is_answer(records, errors, counted)
+    return Outcome(i, found, named, ladder, share, left, discovery, inverse, told)
 
 
 def _remainder_step(

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oed.design.problem.words import turn_and_unit
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -19,15 +17,13 @@ def plot_sensitivity(design: Design, axes: Axes | None = None, *, points: int = 
     axes = axes_or_new(axes)
     support = design.spectrum.omega
     omega = np.unique(np.concatenate([np.linspace(0, np.pi, points), support]))
-    turn, unit = turn_and_unit(design.map.dt)
     axes.axhline(1.0, color="0.6", linewidth=1)
-    axes.plot(omega / turn, design.certificate.sensitivity(omega), color="C0", linewidth=1.5)
-    at = support / turn
-    axes.plot(at, design.certificate.sensitivity(support), "o", color="C3", markersize=5, clip_on=False)
+    axes.plot(omega, design.certificate.sensitivity(omega), color="C0", linewidth=1.5)
+    axes.plot(support, design.certificate.sensitivity(support), "o", color="C3", markersize=5, clip_on=False)
     axes.set(
-        xlim=(0, np.pi / turn),
+        xlim=(0, np.pi),
         ylim=(0, 1.08),
-        xlabel=f"frequency ({unit})",
+        xlabel="frequency (rad/sample)",
         ylabel="sensitivity",
         title=f"{design.criterion.name}: gap {design.gap:.1e}",
     )
@@ -40,15 +36,12 @@ def plot_design(design: Design, axes: Axes | None = None) -> Any:
     power = np.einsum("kii->k", design.spectrum.power).real
     omega = np.linspace(0, np.pi, 2000)
     gain = np.linalg.svd(design.map.gain(omega), compute_uv=False)[:, 0]
-    turn, unit = turn_and_unit(design.map.dt)
-    scaled = power.max() * gain / gain.max()
-    axes.fill_between(omega / turn, scaled, color="0.9", label="gain of the plant, scaled")
-    at = design.spectrum.omega / turn
-    axes.vlines(at, 0, power, color="C3", linewidth=2, label="power of the lines")
+    axes.fill_between(omega, power.max() * gain / gain.max(), color="0.9", label="gain of the plant, scaled")
+    axes.vlines(design.spectrum.omega, 0, power, color="C3", linewidth=2, label="power of the lines")
     axes.set(
-        xlim=(0, np.pi / turn),
+        xlim=(0, np.pi),
         ylim=(0, 1.08 * power.max()),
-        xlabel=f"frequency ({unit})",
+        xlabel="frequency (rad/sample)",
         ylabel="power",
         title=f"{design.criterion.name}-optimal input, white noise reaches {100 * design.efficiency_white:.3g} %",
     )

@@ -194,6 +194,26 @@ def _undecided(run: Array, linear: Array, rivals: Sequence[Array], most: float) 
     return bool(far) and float(np.median(far)) > most * float(np.sum((run - linear) ** 2))
 
 
+LEAD = 200
+"""Last samples of the training record that set the state of a test record that goes on from them: light and slow poles have shown theirs."""
+
+
+def continues(train: Record, test: Record) -> bool:
+    """Whether a test record goes on where the training record ends, by their clock: two parts of one record."""
+    return abs(test.t0 - train.t0 - len(train) * train.dt) < 1e-3 * train.dt
+
+
+def onward(train: Record, test: Record | None, skip: int) -> Callable[[Answer | Step], Array]:
+    """How models run over the record that is judged: the test record, whose state is set by its first `skip` samples and, where it goes on
+    from the training record, by the end of that; without one, the training record."""
+    record = train if test is None else test
+    if test is None or not continues(train, test):
+        return lambda model: model.simulate(record, skip)
+    last = train[-min(LEAD, len(train)) :]
+    whole = last.replace(u=np.concatenate((last.u, test.u)), y=np.concatenate((last.y, test.y)))
+    return lambda model: model.simulate(whole, len(last) + skip)[len(last) :]
+
+
 def _as_read(run: Array, held: NDArray[np.bool_]) -> Array:
     """(N,) a run as a sensor shows it that keeps its last value in some samples."""
     return run[np.maximum.accumulate(np.where(held, 0, np.arange(len(run))))]
@@ -211,10 +231,10 @@ def assess(
     said, and the best of the others that is sane and determined stands in its place; and where the test record is further from the
     answer than from the linear model, that is said, and the linear model is the answer.
     """
-    record = train if test is None else test
+    record, run = train if test is None else test, onward(train, test, skip)
     y = np.nan_to_num(record.y)
     runs = [
-        [r.step.unused[0] if test is None else _as_read(r.step.simulate(record, skip), held[:, i] & (r.step is not ladder.linear))
+        [r.step.unused[0] if test is None else _as_read(run(r.step), held[:, i] & (r.step is not ladder.linear))
          for r in ladder.rungs]
         for i, ladder in enumerate(ladders)
     ]  # fmt: skip
@@ -228,7 +248,7 @@ def assess(
         if test is not None:
             known = [not curve_unknown(r.step, train, record) for r in ladder.rungs]
             untried |= not known[answers[-1]]
-            j = _determined(ladder, sane, runs[i], lambda a: a.simulate(record, skip), use, known)
+            j = _determined(ladder, sane, runs[i], run, use, known)
             if j != answers[-1]:
                 kinds = (ladder.rungs[k].step.kind.value for k in (answers[-1], j))
                 warnings.append(UNDETERMINED.format(next(kinds), name, next(kinds)))
@@ -255,10 +275,7 @@ def assess(
     at = [k.answer if s.kind is Kind.LINEAR else a for s, k, a in zip(steps, ladders, answers, strict=True)]
     after, claimed = stacked(answers), stacked(at)
     bare = [ladder.rungs[a].step.without for ladder, a in zip(ladders, at, strict=True)]
-    plain = [
-        r[0] if test is None or a is None else a.simulate(record, skip)
-        for r, a in zip(runs, bare, strict=True)
-    ]
+    plain = [r[0] if test is None or a is None else run(a) for r, a in zip(runs, bare, strict=True)]
     ahead = [np.stack([_innovations(y[:, i] - run[:, i], noise) for i, noise in enumerate(noises)], axis=1)
              for run, noises in ((before, [np.zeros(0)] * len(steps)), (after, [s.noise for s in steps]))]  # fmt: skip
     third, least = squares(claimed), min(first, squares(np.stack(plain, axis=1)), key=np.sum)

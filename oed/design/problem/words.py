@@ -65,7 +65,8 @@ def question(criterion: str) -> str:
 
 def where(design: "Design") -> str:
     """The frequencies to apply with their shares of the power, or the band that holds half of it."""
-    turn, unit = turn_and_unit(design.map.dt)
+    dt = design.map.dt
+    turn, unit = (1.0, "rad/sample") if dt in (None, 1.0) else (2 * np.pi * dt, "Hz")
     strong = design.spectrum.strongest(SLIGHT)
     omega, line = np.unique(strong.omega, return_inverse=True)
     share = np.bincount(line, np.einsum("kii->k", strong.power).real)
@@ -78,11 +79,6 @@ def where(design: "Design") -> str:
         return f"apply {', '.join(parts[:-1])} and {parts[-1]} of the power"
     low, high = at[np.searchsorted(np.cumsum(share), (0.25, 0.75))]
     return f"apply half of the power between {low:.4g} and {high:.4g} {unit}, most at {at[np.argmax(share)]:.4g} {unit}"
-
-
-def turn_and_unit(dt: float | None) -> tuple[float, str]:
-    """By what an angular frequency is divided to be said, and in what: Hz where the sampling time is known (1 is taken for not known)."""
-    return (1.0, "rad/sample") if dt in (None, 1.0) else (2 * np.pi * dt, "Hz")
 
 
 def against_white(design: "Design") -> str:

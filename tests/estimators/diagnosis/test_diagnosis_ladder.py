@@ -6,11 +6,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.blocks import Block, Blocks
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.ladder import Kind, Step, climb, paired_gain
 from estimators.diagnosis.ladder.asked import begun, outside
+from estimators.diagnosis.ladder.held_out import continues, onward
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.steps import refused
 from estimators.diagnosis.policy import Policy
@@ -197,3 +199,23 @@ def test_a_test_record_that_does_not_begin_at_rest_is_said() -> None:
     assert "skip=50" in said[0]
     assert quiet == []
     assert begun(Record(y, swing, 1.0), np.zeros((500, 1)), 20) == []
+
+
+def test_a_record_that_goes_on_starts_from_where_the_other_ended():
+    """A room that keeps its heat for 300 samples: by its inputs alone the second part begins as far off as they have moved it."""
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.uniform(0.0, 1.0, 20), 60)
+    e = lfilter([1.0], [1.0, -0.5], 0.05 * rng.standard_normal(1200))
+    whole = Record(u, lfilter([0.0, 1.0], [1.0, -np.exp(-1.0 / 300)], u) + e, dt=10.0, t0=70.0)
+    train, test = whole[:800], whole[800:]
+    den, num = np.array([1.0, -np.exp(-1.0 / 300)]), np.array([[0.0, 1.0]])
+    power = 50.0**2 * np.exp(-np.arange(64) / 300)
+    answer = LinearAnswer(0, (0,), LinearModel(den, num), Prior(float(np.mean(train.y)), power, 0.05**2))
+    off = lambda r, skip: np.abs(r.y[:, 0] - onward(train, r, skip)(answer))
+    assert continues(train, test)
+    for skip in (0, 20):
+        assert np.max(off(test, skip)) < 1.0
+    later = test.replace(t0=test.t0 + 10 * test.dt)  # another day
+    assert not continues(train, later)
+    assert np.max(off(later, 0)) > 10.0
+    assert not continues(train, test.replace(t0=0.0))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -22,14 +20,6 @@ def test_the_support_lies_on_the_curve_at_one():
     assert np.max(curve) == pytest.approx(1.0, abs=1e-9)
     bars = plot_design(design).collections[-1].get_segments()
     assert [bar[1][1] for bar in bars] == pytest.approx([0.5, 0.5])
-
-
-def test_frequencies_are_in_hz_where_the_sampling_time_is_known():
-    design = solve_design(dataclasses.replace(named_plant("reference"), dt=0.01), "D")
-    axes = plot_sensitivity(design)
-    assert axes.get_xlabel() == plot_design(design).get_xlabel() == "frequency (Hz)"
-    np.testing.assert_allclose(axes.lines[-1].get_xdata(), design.spectrum.omega / (0.02 * np.pi))
-    assert axes.get_xlim() == pytest.approx((0, 50))
 
 
 def test_a_design_draws_itself():
