@@ -263,8 +263,8 @@ def _outcome(
     # What the answer explains was no noise that an input answers.
     errors = [r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records]
     inverse = bench.inverse and has_feedback(records, errors, counted)
-    told = inverse and is_answer(records, errors, counted)
-    return Outcome(i, found, named, ladder, share, left, discovery, inverse, told)
+    loop = inverse and is_answer(records, errors, counted)
+    return Outcome(i, found, named, ladder, share, left, discovery, inverse, loop)
 
 
 def _remainder_step(
