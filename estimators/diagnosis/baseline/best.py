@@ -121,7 +121,7 @@ def _output(
     joint = [t for t in trials if not len(t.candidate.models[-1].moved)] if len(c.models[-1].moved) else []
     shared = simplest(joint).candidate if joint else None
     noise = QUIET * prior.covariance[0] if chosen.slow else chosen.rmse**2
-    prior = replace(prior, noise=chosen.rmse**2).of(c.models[-1], own[0].u, own[0].y[:, i])
+    prior = replace(prior, noise=chosen.rmse**2).of(c.models[-1], own[0].u, own[0].y[:, i], search.moving)
     last = c.models[-1].beginning(prior, own[0].u, own[0].y[:, i])
     prior = replace(prior, noise=noise)
     model = OutputModel(inputs, c.kind, c.orders, c.form.delay, last, prior, np.ones(1),

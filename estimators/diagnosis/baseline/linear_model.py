@@ -92,15 +92,17 @@ class Prior:
     first: float = np.nan
     opening: Array = field(default_factory=lambda: np.empty(0))
 
-    def of(self, model: "LinearModel", u: Array, y: Array) -> "Prior":
-        """The prior with the opening of the training record (N, nu), (N,) where a model at rest would miss it."""
+    def of(self, model: "LinearModel", u: Array, y: Array, known: bool = False) -> "Prior":
+        """The prior with the opening of the training record (N, nu), (N,) where a model at rest would miss it, or is `known` to."""
         if self.rest or not len(opening := unmoved(u, y)) or not 0.0 < model.radius < FAR:
             return self
         opened, rest = replace(self, opening=opening), model.level(u[0])
         off = abs(outset(opening) - rest)
         apart = off > UNDRIVEN * np.sqrt(self.noise) and begins_apart(u, np.abs(y - rest) >= off)
         moving = apart and np.isnan(self.level)
-        if moving:  # and not begun by its first inputs, as an experiment that starts at rest with a step
+        if (
+            moving and not known
+        ):  # and not begun by its first inputs, as an experiment that starts at rest with a step
             runs = (
                 model.beginning(opened, u, y).free_run(opened, u, y, 0),
                 model.free_run(replace(self, rest=True), u, y, 0),

@@ -1,5 +1,6 @@
 """What was stated of a record, its order or a start at rest, and does not hold, is said; what holds is left alone."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import Options, best_linear
+from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.ladder.stated import denied_starts, lacking, settling, starts_moving
 from estimators.diagnosis.ladder.steps import climb
 from estimators.diagnosis.loop import diagnose
@@ -91,6 +93,17 @@ def test_a_start_that_ends_at_another_level_is_denied():
     found = diagnose(train, test, Setting(orders=(2,), deviations=True, separate=True, effort=Effort.QUICK))
     assert found.effect == "initial_condition"
     assert found.rmse_after.value < 0.2 * test.y.std()
+
+
+def test_a_start_that_is_known_to_be_no_rest_is_kept_though_a_step_from_rest_is_near_it():
+    """A relaxing cell starts at 0, as deviations do, and settles elsewhere: a load that comes with the record would do nearly that."""
+    rng = np.random.default_rng(0)
+    u = np.concatenate((np.zeros(15), np.repeat(rng.uniform(-300, 300, 60), 10)))[:, None]
+    model = LinearModel(np.array([1.0, -0.98]), np.array([[0.0, 0.02]]), -1.0)
+    prior = Prior(0.0, np.full(20, 900.0), 1.0, held=np.zeros(1))
+    y = model.free_run(replace(prior, rest=True), u, np.empty(0), 0) + rng.standard_normal(len(u))
+    assert not len(prior.of(model, u, y).opening)
+    assert len(prior.of(model, u, y, known=True).opening) == 15
 
 
 @pytest.mark.parametrize("level, known", [(0.0, True), (0.5, False)])
