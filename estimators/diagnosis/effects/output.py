@@ -271,6 +271,14 @@ DRIFT = Effect(
     search=mended(lambda: DRIFT, lambda c: [[sign * d / len(c)] for d in SHIFTS for sign in (1.0, -1.0)],
                    lambda c, best: [[best[0] * f] for f in (0.8, 0.9, 1.1, 1.25)], lambda c: [1.0 / len(c)]),
 )  # fmt: skip
+SKEWS = (0.05, 0.15, 0.3, 0.45)  # samples by which every other one is early, the rest late
+INTERLEAVED = Effect(
+    key="interleaved", cause="interleaved_samples", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=4,
+    sentence="every other sample is read early and the rest late, as two converters in turn do", parameters={"skew": "sample"},
+    apply=lambda y, p, clock: read_at(y, np.arange(len(y)) + p[0] * (1.0 - 2.0 * (np.round(clock.k) % 2))),
+    search=mended(lambda: INTERLEAVED, lambda c: [[sign * d] for d in SKEWS for sign in (1.0, -1.0)],
+                   lambda c, best: [[best[0] * f] for f in (0.8, 1.2)], lambda c: [0.1]),
+)  # fmt: skip
 WARMING = Effect(
     key="clock_settles", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=30,
     sentence="the clock of the output runs off from that of the input, ever less: as its logger warms up",
@@ -382,4 +390,4 @@ REFRESHED = Effect(
     parameters={"period": "sample", "phase": "sample"}, apply=_refreshed, search=_ages,
 )  # fmt: skip
 
-TIMING = (DRIFT, WARMING, LOST, REFRESHED, DECAY, CONVEYED)
+TIMING = (DRIFT, INTERLEAVED, WARMING, LOST, REFRESHED, DECAY, CONVEYED)

@@ -335,6 +335,11 @@ def warming_clock(u, a):
     return _read(u, k - 3.0 * a * (1.0 - np.exp(-(k + 30.0) / 150.0)))
 
 
+def interleaved(u, a):
+    k = np.arange(len(u))
+    return _read(u, k + 0.2 * a * (1 - 2 * (k % 2)))
+
+
 def lost_samples(u, a):
     k = np.arange(len(u))
     return _read(u, k - 2.0 * a * (k > 300))
@@ -374,7 +379,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "through_flow": (through_flow, 2, {"mean": 4.0, "size": 1.2}), "pendulum": (pendulum, 2, {"size": 0.4}),
     "pendulum_pivot": (pivot, 3, {"size": 0.8}), "position_periodic": (eccentric, 2, {"mean": 3.0, "size": 0.6}),
     "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "gain_heat": (heated_gain, 2, {}),
-    "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
+    "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}), "interleaved": (interleaved, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
     "clock_settles": (warming_clock, 4, {}), "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
     "gain_periodic": (swaying, 2, {}), "stiffness_periodic": (breathing, 2, {}), "lag_drift": (fouled, 2, {}), "loss_change": (vented, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),
@@ -389,7 +394,7 @@ LOOKALIKES = {
     "input_exponential": "rise_and_fall", "input_tanh": "input_kink", "relay": "hysteresis_rate", "magnitude": "squared",
     "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifice": "vessel",
     "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
-    "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",
+    "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "interleaved": "clock_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",
     "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction", "clearance_sprung": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
     "rate_limit_servo": "rise_and_fall", "input_staircase": "input_kink", "gain_periodic": "stiffness_periodic",
