@@ -34,6 +34,14 @@ def noise_filter(residuals: Parts, most: int | None = None) -> NDArray[np.float6
     return best
 
 
+def stable(f: NDArray, limit: float = 1.0) -> bool:
+    """Whether 1 + f1 z^-1 + ..., f (n,) without its leading 1, has all its roots inside the circle: all reflection coefficients below
+    a limit."""
+    from estimators.residual.root_kernels import inside
+
+    return inside(f, limit)
+
+
 SETTLED = 1e-6
 """Correction of a solution by its own residual, of the solution, up to which a root of the matrix bears it: the next correction
 would be the square of it."""

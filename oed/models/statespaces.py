@@ -7,6 +7,7 @@ n_1 + ... + n_ny = n. So C picks entries, A shifts within each block, and what i
 block of A, all of B and K (and D): n (2 ny + nu) numbers, as many as the model has degrees of freedom."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -64,6 +65,10 @@ class StateSpace:
 
     def entries(self) -> list[tuple[str, int, int]]:
         """Matrix, row and column of every parameter."""
+        return self._entries
+
+    @cached_property
+    def _entries(self) -> list[tuple[str, int, int]]:
         n, nu, ny = self.order, self.n_inputs, self.n_outputs
         free = [("A", i, j) for i in self.last_rows for j in range(n)]
         free += [("B", i, j) for i in range(n) for j in range(nu)]

@@ -1,4 +1,4 @@
-"""Compiled recursions of a linear model: its run on from past outputs, and whether its poles are inside the circle."""
+"""Compiled recursion of a linear model: its run on from past outputs."""
 
 import numpy as np
 
@@ -19,17 +19,3 @@ def continued(driven, a, past):  # pragma: no cover - compiled
                 total -= a[i] * (y[k - 1 - i, j] if i < k else past[i - k, j])
             y[k, j] = total
     return y
-
-
-@compiled
-def stable(den):  # pragma: no cover - compiled
-    """Whether all roots of a polynomial with leading 1 are inside the circle, by Schur and Cohn."""
-    a = den.copy()
-    for m in range(a.shape[0] - 1, 0, -1):
-        k = a[m]
-        if not abs(k) < 1.0:
-            return False
-        b = a[: m + 1][::-1].copy()
-        for i in range(m):
-            a[i] = (a[i] - k * b[i]) / (1.0 - k * k)
-    return True

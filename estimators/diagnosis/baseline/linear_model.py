@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from estimators.residual.algebra import definite
+from estimators.residual.algebra import definite, stable
 
 Array = NDArray[Any]
 
@@ -163,9 +163,7 @@ class LinearModel:
     @property
     def bounded(self) -> bool:
         """Whether no pole is outside the circle."""
-        from estimators.diagnosis.baseline.linear_kernels import stable
-
-        return stable(self.den) or self.radius <= 1.0
+        return stable(self.den[1:]) or self.radius <= 1.0
 
     @cached_property
     def radius(self) -> float:

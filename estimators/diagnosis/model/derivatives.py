@@ -68,10 +68,10 @@ def _of_transfer(s: Structure, p: Array, U: Array, clock: Clock) -> tuple[Array 
 
 def _slope(s: Structure, p: Array, x: Array, clock: Clock) -> Array | None:
     """Slope of the static curves at the output, one after the other; None where there are none."""
-    step = 1e-6 * (float(np.std(x)) + 1e-300)
-    total = None
-    for part, sl in zip(s.parts, s.slices(), strict=True):
+    total, step = None, 0.0
+    for part, sl in s.placed[2]:
         if part.effect.slot is Slot.OUTPUT:
+            step = step or 1e-6 * (float(np.std(x)) + 1e-300)
             y = part.apply(x, p[sl], clock)
             slope = (part.apply(x + step, p[sl], clock) - y) / step
             total = slope if total is None else total * slope

@@ -14,21 +14,14 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Slot, level_before, numbered
 from estimators.diagnosis.model.layouts import LAYOUTS, STEPS
+from estimators.residual.algebra import stable
 
 Array = NDArray[Any]
 
 
 def stable_polynomial(f: Array, limit: float = 0.99999) -> bool:
-    """Whether 1 + f1 z^-1 + ... (f without its leading 1) has all its roots inside the circle of radius `limit`."""
-    a = [1.0, *f.tolist()]  # few numbers: plain floats are quicker than arrays
-    if not all(map(math.isfinite, a)):
-        return False
-    for m in range(len(f), 0, -1):  # Schur-Cohn step-down
-        k = a[m]
-        if abs(k) >= limit:
-            return False
-        a = [(a[i] - k * a[m - i]) / (1.0 - k * k) for i in range(m)]
-    return True
+    """Whether 1 + f1 z^-1 + ... (f without its leading 1) is stable, and told from one that is not."""
+    return stable(f, limit)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from estimators.pem.predictors.compiled import polynomial_kernel, state_space_kernel
 from estimators.pem.predictors.kalman import kalman_recursion, state_space_kalman_recursion
 from estimators.pem.predictors.kernel import Kernel, kernel_of
-from estimators.pem.search.starts import is_stable, reflected
+from estimators.pem.search.starts import reflected
+from estimators.residual.algebra import stable
 from oed.models.model import Polynomial, StateSpace
 
 Structure = Polynomial | StateSpace
@@ -46,7 +47,7 @@ def predictor_is_stable(structure: Structure, z: NDArray) -> bool:
         m = structure.matrices(z)
         closed = m["A"] - m["K"] @ m["C"]
         return bool(np.isfinite(closed).all()) and float(np.abs(np.linalg.eigvals(closed)).max()) < 1
-    return all(is_stable(np.concatenate([[1.0], z[part]])) for part in _forgotten(structure))
+    return all(stable(z[part]) for part in _forgotten(structure))
 
 
 def _forgotten(structure: Polynomial) -> list[slice]:
@@ -62,7 +63,7 @@ def projected(structure: Structure, z: NDArray, mirror: bool = True) -> NDArray:
         return z
     z = np.array(z)
     for part in _forgotten(structure):
-        if not is_stable(np.concatenate([[1.0], z[part]])):
+        if not stable(z[part]):
             z[part] = reflected(z[part], 1 - EDGE, mirror)
     return z
 
@@ -75,10 +76,9 @@ def walls(structure: Structure, z: NDArray) -> NDArray[np.float64]:
         return np.zeros((0, len(z)))
     for part in _forgotten(structure):
         degree, factor = part.stop - part.start, 1 / (1 - 20 * EDGE)
-        tail = z[part].tolist()
-        if is_stable([1.0, *(c * factor ** (k + 1) for k, c in enumerate(tail))]):
+        if stable(z[part] * factor ** np.arange(1, degree + 1)):
             continue
-        whole = np.array([1.0, *tail])
+        whole = np.concatenate([[1.0], z[part]])
         slope = np.polyder(whole)
         for root in np.roots(whole):
             if abs(root) < 1 - 20 * EDGE or root.imag < 0:

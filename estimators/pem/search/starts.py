@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dposv, dpotrf, dtrtrs
 
+from estimators.residual.algebra import stable
+
 Signals = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
 """One (y (N,), u (N, nu)) per record; the inputs are already delayed."""
 
@@ -23,24 +25,11 @@ def filtered(b: ArrayLike, a: ArrayLike, x: NDArray) -> NDArray:
     return np.asarray(lfilter(b, a, x))
 
 
-def is_stable(polynomial: NDArray | list[float]) -> bool:
-    """Whether a monic polynomial in q^-1 has all roots inside the unit circle (Schur-Cohn recursion)."""
-    p = np.asarray(polynomial, dtype=float).tolist()
-    while len(p) > 1:
-        last = p[-1]
-        if len(p) == 3:  # the triangle of stability; most of the time is spent here
-            return abs(last) < 1 and abs(p[1]) < 1 + last
-        if not abs(last) < 1:
-            return False
-        scale = 1 - last * last
-        p = [(p[k] - last * p[-1 - k]) / scale for k in range(len(p) - 1)]
-    return True
-
-
 def reflected(tail: NDArray, most: float = 0.999, mirror: bool = True) -> NDArray:
     """A monic polynomial with its unstable roots mirrored into the unit circle."""
-    if is_stable([1.0, *(c / most ** (k + 1) for k, c in enumerate(np.asarray(tail).tolist()))]):
-        return np.array(tail, dtype=float)
+    tail = np.array(tail, dtype=float)
+    if stable(tail / most ** np.arange(1, len(tail) + 1)):
+        return tail
     roots = np.roots(np.concatenate([[1.0], tail])).astype(complex)
     size = np.abs(roots)
     out = size > 1

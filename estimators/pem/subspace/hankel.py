@@ -148,9 +148,8 @@ def autoregressive_order(signals: list[tuple[NDArray, NDArray]], most: int, cent
     )
     total = sum(max(len(u) - most, 0) for u, _ in signals)
     outputs = R[:, -ny:]
-    floor = np.finfo(float).eps ** 2 * np.trace(outputs.T @ outputs) * np.eye(ny)
-    values = []
-    for order in range(1, most + 1):
-        left = outputs[nu + order * (nu + ny) :]
-        values.append(total * np.linalg.slogdet(left.T @ left + floor)[1] + 2 * order * (nu + ny) * ny)
-    return int(np.argmin(values)) + 1
+    left = np.cumsum((outputs[:, :, None] * outputs[:, None, :])[::-1], axis=0)[::-1]  # from each row on
+    floor = np.finfo(float).eps ** 2 * np.trace(left[0]) * np.eye(ny)
+    orders = np.arange(1, most + 1)
+    deviance = total * np.linalg.slogdet(left[nu + orders * (nu + ny)] + floor)[1]
+    return int(np.argmin(deviance + 2 * orders * (nu + ny) * ny)) + 1
