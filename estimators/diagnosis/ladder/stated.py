@@ -12,7 +12,6 @@ from scipy.stats import chi2
 from estimators.diagnosis.baseline.baseline import Baseline, Options
 from estimators.diagnosis.baseline.best import best_linear, own_inputs, prior_of
 from estimators.diagnosis.baseline.choice import WORSE
-from estimators.diagnosis.baseline.linear_model import held_first, unmoved
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.baseline.search import DELAYS, EARLY, Search
 from estimators.diagnosis.ladder.outcome import Outcome
@@ -35,9 +34,6 @@ PLAIN = 4
 """Order of the model whose start is looked at where none is stated: what has more poles follows a start as dynamics."""
 
 
-OFF, SUBTRACTED = 2.6, 2.0
-"""Standard errors of a linear model's mean error from which on the level that was subtracted is off, by a hundredth of chance; and of
-the mean of as many samples as it was taken of, up to which it was the noise of these, and no constant that acts."""
 HALF = 0.5
 """Share of the error that a state beside a level farther off must take for a start at rest to be denied: a curve leaves a level too."""
 
@@ -67,15 +63,6 @@ def starts_at_rest(train: Record, i: int, base: Baseline) -> bool:
     runs = [m.model.free_run(replace(m.prior, rest=rest), u, y, 0) for rest in (True, False)]
     seen = np.isfinite(y)
     return bool(np.sum((y - runs[0])[seen] ** 2) < np.sum((y - runs[1])[seen] ** 2))
-
-
-def _subtracted(level: float, e: Array, record: Record, i: int) -> bool:
-    """Whether a level is within the noise of the mean of the samples before the inputs move: of so many errors (N,), and theirs alone."""
-    resting = unmoved(record.u, record.y[:, i])
-    if not len(resting):
-        return False
-    means = np.convolve(e - e.mean(), np.full(n := min(held_first(record.u), len(e)), 1.0 / n), "valid")
-    return abs(level) < SUBTRACTED * min(float(np.std(means)), float(np.std(resting)))
 
 
 def starts_moving(
@@ -114,32 +101,16 @@ def _moving(search: Search, n: int, *, level: bool) -> Contradiction | None:
     return Contradiction("initial", DENIED.format(share), share, p) if p < MOVING else None
 
 
-def _level_off(record: Record, i: int, base: Baseline) -> bool:
-    """Whether the mean error of an output's linear model says that the level which was subtracted is off."""
-    e = (record.y - base.y_model[0])[:, i]
-    e = e[np.isfinite(e)]
-    return bool(abs(e.mean()) > OFF * np.std(e) / np.sqrt(effective_samples(e)))
-
-
 def denied_starts(
     records: Sequence[Record], base: Baseline, orders: Sequence[int | None], options: Options
 ) -> tuple[list[Contradiction | None], Baseline, Options]:
-    """Which outputs do not start at rest, as was stated, and the linear models and options that go on from there.
-
-    Where nothing but a level is off, by the noise of the samples that it was taken of, and unused blocks say so too, the start at rest
-    stands, and models have a level.
-    """
+    """Which outputs do not start at rest, as was stated, and the linear models and options that go on from there."""
     moving = [starts_moving(records, i, base, n, options) for i, n in enumerate(orders)]
-    off = [i for i in range(len(orders)) if _level_off(records[0], i, base)]
-    if not any(moving) and not off:
+    if not any(moving):
         return moving, base, options
     # the data then tell the training records' starts, and what was stated holds of the test record alone
-    told = replace(options, deviations=None, moving=any(moving))
-    free = best_linear(records, told)
-    e, less = np.nan_to_num(records[0].y - free.y_model[0]), free.rmse_unused < base.rmse_unused
-    levels = [m.model.level(np.zeros(len(m.inputs))) for m in free.outputs]
-    levelled = any(less[i] and _subtracted(levels[i], e[:, i], records[0], i) for i in off)
-    return (moving, free, told) if any(moving) or levelled else (moving, base, options)
+    told = replace(options, deviations=None, moving=True)
+    return moving, best_linear(records, told), told
 
 
 def lacking(

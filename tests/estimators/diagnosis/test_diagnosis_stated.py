@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
-from estimators.diagnosis.ladder.stated import denied_starts, lacking, settling, starts_moving
+from estimators.diagnosis.ladder.stated import lacking, settling, starts_moving
 from estimators.diagnosis.ladder.steps import climb
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.policy import Effort, Policy, Setting
@@ -104,20 +104,6 @@ def test_a_start_that_is_known_to_be_no_rest_is_kept_though_a_step_from_rest_is_
     y = model.free_run(replace(prior, rest=True), u, np.empty(0), 0) + rng.standard_normal(len(u))
     assert not len(prior.of(model, u, y).opening)
     assert len(prior.of(model, u, y, known=True).opening) == 15
-
-
-@pytest.mark.parametrize("level, known", [(0.0, True), (0.5, False)])
-def test_a_level_within_the_noise_of_the_resting_samples_is_fitted_and_not_told(level, known):
-    """Fifteen samples of slow noise tell the resting value to a part of that noise; all of the record tells it better."""
-    rng = np.random.default_rng(3)
-    u = np.repeat(rng.choice([-1.0, 1.0], 100), 20)
-    u[:15] = 0.0
-    noise = lfilter([0.3], [1.0, -0.9], rng.standard_normal(2000))
-    r = Record(u, lfilter([0.0, 0.2], [1.0, -0.9], u) + noise + level)
-    options = Options(deviations=True)
-    found, _, then = denied_starts([r], best_linear([r], options), (None,), options)
-    assert found == [None]
-    assert (then is options) == known
 
 
 @pytest.mark.parametrize("own", [False, True], ids=["an added level", "the plant's own slow pole"])
