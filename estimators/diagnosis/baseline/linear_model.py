@@ -102,7 +102,7 @@ class Prior:
         moving = apart and np.isnan(self.level)
         if (
             moving and not known
-        ):  # and not begun by its first inputs, as an experiment that starts at rest with a step
+        ):  # nor begun by its first inputs, as an experiment that starts at rest with a step
             runs = (
                 model.beginning(opened, u, y).free_run(opened, u, y, 0),
                 model.free_run(replace(self, rest=True), u, y, 0),

@@ -48,10 +48,17 @@ QUICK = 0.2
 """Pole of the filter behind a process or a loop that its shapes are tried with."""
 
 
+SLOWEST = 0.1
+"""Of the record, the longest lag of an actuator that nears its command: of a slower one a limited rate is a saturated input before an
+integrator, which fits as well."""
+
+
 def _servo(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.recursion_kernels import servo_mean
 
     up, down, lag = (abs(float(v)) for v in p)
+    if lag > SLOWEST * clock.length:
+        return np.full(len(x), np.inf)
     return servo_mean(np.ascontiguousarray(x), up, down, lag, level_before(x))
 
 

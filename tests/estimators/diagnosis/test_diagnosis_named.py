@@ -354,3 +354,14 @@ def test_little_beyond_a_linear_model_is_no_answer_where_the_input_answers_at_on
     y = rng.standard_normal(n)
     for share, echo in ((0.01, True), (0.45, True), (0.55, False)):
         assert judge(Record(y, y), np.zeros(n), inverse=True).echoes(share * y) is echo
+
+
+@pytest.mark.slow
+def test_a_saturated_input_is_no_actuator_slower_than_its_record() -> None:
+    """Where its lag was longer than the record, a limited rate was a saturation before an integrator, of which the plant's poles made none."""
+    u, e = np.random.default_rng(1000).normal(size=(2, 1000))
+    y = lfilter([0.0, 0.2155, 0.2012], [1.0, -0.9854, 0.8187], np.clip(u, -0.8, 0.8))
+    result = diagnose(Record(u, y + 0.05 * e))
+    assert (result.effect, result.variant) == ("input_saturation", "saturation")
+    value, error, _ = result.parameters["saturation.limit"]
+    assert value == pytest.approx(0.8, abs=4.0 * error)
