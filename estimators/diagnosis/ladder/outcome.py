@@ -93,12 +93,16 @@ class Outcome:
         best, own = self.share.natures[0], [e for e in self.share.natures if e.nature == nature]
         return any(e.high < best.low for e in own)
 
+    @property
+    def kept(self) -> float:
+        """Error of the named model on unused blocks, of the linear one's, 1 at most; nothing of nothing."""
+        return min(1.0, self.value(Kind.NAMED) / max(self.value(Kind.LINEAR), 1e-300))
+
     def gainsaid(self, nature: str) -> bool:
         """Whether causes of another nature, without any model of them, explain as much as the named model does, and surely more
         than those of this one do: a cousin of the truth bends until it fits, a regression of its place alone does not.
         """
-        named = (self.value(Kind.NAMED) / self.value(Kind.LINEAR)) ** 2
-        return self.behind(nature) and 1.0 - self.share.natures[0].share <= TWICE * named
+        return self.behind(nature) and 1.0 - self.share.natures[0].share <= TWICE * self.kept**2
 
     @property
     def discovered(self) -> str:

@@ -178,7 +178,7 @@ def _supported(o: Outcome, claimed: list[Finding], policy: Policy) -> list[Findi
     a = o.examined.attribution
     limit = squares(a.base) - policy.carried[0] * (squares(a.base) - squares(o.named.fit))
     alone = {g.structure.effects[0].key for g in a.alternatives if squares(g) <= limit}
-    gone = 1.0 - (o.value(Kind.NAMED) / o.value(Kind.LINEAR)) ** 2
+    gone = 1.0 - o.kept**2
     near = [f for f in claimed if f.weight >= policy.agreed * min(claimed[0].weight, gone) or f.key in alone]
     seen = [f for f in near if o.share.explainable and f.nature == o.share.nature]
     other = [f for f in near if f.nature != Nature.LINEAR]
