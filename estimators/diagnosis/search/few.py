@@ -96,12 +96,13 @@ ODDS = 6.0
 
 
 def _dominates(bench: Bench, m: Named, n: Named) -> bool:
-    """Whether one of no more effects is the better one on the record, surely in one-step errors and in simulation by what a search
-    must gain: what neither a noise model nor blocks of few transients can have turned about."""
+    """Whether one of no more effects and parameters is the better one on the record, surely in one-step errors and in simulation by
+    what a search must gain: what neither a noise model nor blocks of few transients can have turned about."""
     surely = m.fit.criterion < n.fit.criterion - ODDS
     return (
         surely
         and len(m.claims) <= len(n.claims)
+        and len(m.fit.p) <= len(n.fit.p)
         and spread(m.fit) < (1.0 - bench.policy.searched[1]) * spread(n.fit)
     )
 
