@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.choice import jackknife
 from estimators.diagnosis.ladder.asked import curve_unknown
+from estimators.diagnosis.ladder.stated import SET
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
@@ -194,10 +195,6 @@ def _undecided(run: Array, linear: Array, rivals: Sequence[Array], most: float) 
     return bool(far) and float(np.median(far)) > most * float(np.sum((run - linear) ** 2))
 
 
-LEAD = 200
-"""Last samples of the training record that set the state of a test record that goes on from them: light and slow poles have shown theirs."""
-
-
 def continues(train: Record, test: Record) -> bool:
     """Whether a test record goes on where the training record ends, by their clock: two parts of one record."""
     return abs(test.t0 - train.t0 - len(train) * train.dt) < 1e-3 * train.dt
@@ -209,7 +206,7 @@ def onward(train: Record, test: Record | None, skip: int) -> Callable[[Answer | 
     record = train if test is None else test
     if test is None or not continues(train, test):
         return lambda model: model.simulate(record, skip)
-    last = train[-min(LEAD, len(train)) :]
+    last = train[-min(SET, len(train)) :]
     whole = last.replace(u=np.concatenate((last.u, test.u)), y=np.concatenate((last.y, test.y)))
     return lambda model: model.simulate(whole, len(last) + skip)[len(last) :]
 

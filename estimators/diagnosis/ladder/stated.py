@@ -26,7 +26,7 @@ Array = NDArray[Any]
 MOVING = 1e-6
 """Significance of a state at the start from which on a record does not begin at rest: that was stated, and takes much to be denied."""
 SET = 200
-"""Samples that set the state whose worth is judged: light poles have shown theirs by then."""
+"""Samples that set a state whose worth is judged, or that goes on into a test record: light and slow poles have shown theirs by then."""
 DENIED = (
     "the record does not start at rest, as was stated: with a state at its start the error is {:.0%} less"
 )

@@ -335,11 +335,6 @@ def warming_clock(u, a):
     return _read(u, k - 3.0 * a * (1.0 - np.exp(-(k + 30.0) / 150.0)))
 
 
-def interleaved(u, a):
-    k = np.arange(len(u))
-    return _read(u, k + 0.2 * a * (1 - 2 * (k % 2)))
-
-
 def lost_samples(u, a):
     k = np.arange(len(u))
     return _read(u, k - 2.0 * a * (k > 300))
@@ -348,16 +343,6 @@ def lost_samples(u, a):
 def refreshed(u, a):
     k = np.arange(len(u))
     return _read(u, np.maximum(np.floor((k - 0.7) / 3.37) * 3.37 + 0.7, 0.0) if a else k)
-
-
-def vented(u, a):
-    """A vent is opened after 310 samples: the losses rise by 40 %, gain and time constant fall; a sensor lags."""
-    x = np.empty(len(u))
-    x[0] = u[0]
-    for k in range(1, len(u)):
-        loss = 0.08 * (1.0 + 0.4 * a * (k > 310))
-        x[k] = x[k - 1] * np.exp(-loss) + (1.0 - np.exp(-loss)) * 0.08 / loss * u[k - 1]
-    return _lag(x, 0.6)
 
 
 def sweep(u, a):
@@ -379,10 +364,10 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "through_flow": (through_flow, 2, {"mean": 4.0, "size": 1.2}), "pendulum": (pendulum, 2, {"size": 0.4}),
     "pendulum_pivot": (pivot, 3, {"size": 0.8}), "position_periodic": (eccentric, 2, {"mean": 3.0, "size": 0.6}),
     "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "gain_heat": (heated_gain, 2, {}),
-    "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}), "interleaved": (interleaved, 2, {}),
+    "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
     "clock_settles": (warming_clock, 4, {}), "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
-    "gain_periodic": (swaying, 2, {}), "stiffness_periodic": (breathing, 2, {}), "lag_drift": (fouled, 2, {}), "loss_change": (vented, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),
+    "gain_periodic": (swaying, 2, {}), "stiffness_periodic": (breathing, 2, {}), "lag_drift": (fouled, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),
     "product_of_inputs": (modulated_flow, 3, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "bilinear": (carried_off, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "stiffness_cubic": (pushed_twice, 2, {"inputs": 2}), "pendulum of two": (pendulum_of_two, 2, {"size": 0.35, "inputs": 2}),
@@ -394,10 +379,10 @@ LOOKALIKES = {
     "input_exponential": "rise_and_fall", "input_tanh": "input_kink", "relay": "hysteresis_rate", "magnitude": "squared",
     "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifice": "vessel",
     "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
-    "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "interleaved": "clock_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",
+    "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",
     "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction", "clearance_sprung": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
     "rate_limit_servo": "rise_and_fall", "input_staircase": "input_kink", "gain_periodic": "stiffness_periodic",
-    "stiffness_periodic": "gain_periodic", "lag_drift": "inertia_drift", "loss_change": "inertia_drift", "clock_settles": "lost_samples",
+    "stiffness_periodic": "gain_periodic", "lag_drift": "inertia_drift", "clock_settles": "lost_samples",
     "relay_feedback": "relay", "wind_up": "rate_limit_servo", "rate_limit": "wind_up",
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Records of rigs with hidden states that are limited, slow, turn or fill up: what is started alike and simulated as in `case_classes`."""
+"""Records of rigs with hidden states that are limited, slow, turn or fill up, or with clocks and losses that change: what is started alike and simulated as in `case_classes`."""
 
 from __future__ import annotations
 
@@ -131,6 +131,21 @@ def tape(u, a):
     return _read(u, np.maximum(k - 2.0 * a * np.cos(0.06 * k + 0.5), 0.0))
 
 
+def vented(u, a):
+    """A vent is opened after 310 samples: the losses rise by 40 %, gain and time constant fall; a sensor lags."""
+    x = np.empty(len(u))
+    x[0] = u[0]
+    for k in range(1, len(u)):
+        loss = 0.08 * (1.0 + 0.4 * a * (k > 310))
+        x[k] = x[k - 1] * np.exp(-loss) + (1.0 - np.exp(-loss)) * 0.08 / loss * u[k - 1]
+    return _lag(x, 0.6)
+
+
+def interleaved(u, a):
+    k = np.arange(len(u))
+    return _read(u, k + 0.2 * a * (1 - 2 * (k % 2)))
+
+
 ALL_CLASSES = CLASSES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
@@ -138,7 +153,7 @@ ALL_CLASSES = CLASSES | {
     "loss_heat": (thickened, 2, {"mean": 3.0}), "capacity_filled": (vat, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "gain_decay": (ageing, 2, {"mean": 4.0, "inputs": 2}), "conveyed": (belt, 2, {"mean": 2.0, "size": 0.5, "inputs": 2}),
     "output_ratio": (gauge, 2, {"mean": 4.0, "size": 1.2}), "delay_periodic": (tape, 2, {}),
-    "plays": (ceramic, 2, {}), "plays_output": (soil, 2, {}),
+    "plays": (ceramic, 2, {}), "plays_output": (soil, 2, {}), "loss_change": (vented, 2, {}), "interleaved": (interleaved, 2, {}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
@@ -152,5 +167,5 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("delay_periodic", "refreshed"), ("delay_periodic", "clock_drift"), ("stiffness_periodic", "delay_periodic"),
     ("gain_periodic", "gain_heat"), ("clearance_sprung", "stiffness_cubic"), ("clearance_sprung", "hysteresis_rate"),
     ("lag_drift", "gain_heat"), ("inertia_drift", "lag_drift"), ("lag_drift", "lost_samples"), ("clock_settles", "lag_drift"),
-    ("clock_drift", "clock_settles"), ("lost_samples", "clock_settles"),
+    ("clock_drift", "clock_settles"), ("lost_samples", "clock_settles"), ("loss_change", "inertia_drift"), ("interleaved", "clock_drift"),
 ]  # fmt: skip
