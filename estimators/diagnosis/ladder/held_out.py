@@ -228,10 +228,10 @@ def assess(
     said, and the best of the others that is sane and determined stands in its place; and where the test record is further from the
     answer than from the linear model, that is said, and the linear model is the answer.
     """
-    record, run = train if test is None else test, onward(train, test, skip)
+    record, free_run = train if test is None else test, onward(train, test, skip)
     y = np.nan_to_num(record.y)
     runs = [
-        [r.step.unused[0] if test is None else _as_read(run(r.step), held[:, i] & (r.step is not ladder.linear))
+        [r.step.unused[0] if test is None else _as_read(free_run(r.step), held[:, i] & (r.step is not ladder.linear))
          for r in ladder.rungs]
         for i, ladder in enumerate(ladders)
     ]  # fmt: skip
@@ -245,7 +245,7 @@ def assess(
         if test is not None:
             known = [not curve_unknown(r.step, train, record) for r in ladder.rungs]
             untried |= not known[answers[-1]]
-            j = _determined(ladder, sane, runs[i], run, use, known)
+            j = _determined(ladder, sane, runs[i], free_run, use, known)
             if j != answers[-1]:
                 kinds = (ladder.rungs[k].step.kind.value for k in (answers[-1], j))
                 warnings.append(UNDETERMINED.format(next(kinds), name, next(kinds)))
@@ -272,7 +272,7 @@ def assess(
     at = [k.answer if s.kind is Kind.LINEAR else a for s, k, a in zip(steps, ladders, answers, strict=True)]
     after, claimed = stacked(answers), stacked(at)
     bare = [ladder.rungs[a].step.without for ladder, a in zip(ladders, at, strict=True)]
-    plain = [r[0] if test is None or a is None else run(a) for r, a in zip(runs, bare, strict=True)]
+    plain = [r[0] if test is None or a is None else free_run(a) for r, a in zip(runs, bare, strict=True)]
     ahead = [np.stack([_innovations(y[:, i] - run[:, i], noise) for i, noise in enumerate(noises)], axis=1)
              for run, noises in ((before, [np.zeros(0)] * len(steps)), (after, [s.noise for s in steps]))]  # fmt: skip
     third, least = squares(claimed), min(first, squares(np.stack(plain, axis=1)), key=np.sum)

@@ -220,14 +220,16 @@ def blocked(
     folds = [([block], blocks.training(block)) for block in blocks.blocks]
     if any(part.effect is STORE_CURVE for part in f.structure.parts):
         folds = blocks.scattered(STRETCHES)
+    timed = [
+        (sl.stop - 1, int(np.clip(f.p[sl.stop - 1], 0, n - 1)))
+        for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True)
+        if part.effect.timed
+    ]
     for fold, mask in folds:
-        keep = channel.keep & mask[0][::thin][:n]
-        free = scales.copy()
-        for sl in (
-            sl for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True) if part.effect.timed
-        ):
-            at = int(np.clip(f.p[sl][-1], 0, n - 1))
-            free[sl.stop - 1] *= mask[0][::thin][at]
+        training, free = mask[0][::thin][:n], scales.copy()
+        for place, at in timed:
+            free[place] *= training[at]
+        keep = channel.keep & training
         g = fit(
             replace(channel, keep=keep), f.structure, f.p, free, noise=None if white else f.noise,
             iterations=STEPS, colour=False,

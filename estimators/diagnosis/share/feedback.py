@@ -19,9 +19,11 @@ PAST = 30
 """Samples of its own past from which an input is predicted."""
 MATTERS = 0.02
 """Share of an input's innovations that the noise must explain: a weaker loop echoes less noise than a block can tell."""
-ANSWERS, SOON, BEFORE = 0.1, 5, 12
-"""Share of what an input's own past, of so many samples, leaves between the jumps of its reference that the noise of its own sample and
-of so many before it must explain: of thirty rigs with a loop or without one, .46 or more and .013 at most."""
+AT_ONCE = 12, range(6)
+"""Samples of its own past from which an input is predicted, and by how many it may answer the noise, its own sample among them."""
+ANSWERS = 0.1
+"""Share of what that past leaves between the jumps of an input's reference that this noise must explain: of thirty rigs with a loop or
+without one, .46 or more and .013 at most."""
 OF_INPUT = 1e-3
 """Share of an input itself that answers the noise where a loop is told by it alone: loops have .016 and more, filtered records 1e-4."""
 ALPHA = 1e-4
@@ -72,20 +74,17 @@ def is_answer(
     Of an input whose past leaves next to nothing of it, noise may foretell even that for another reason: who filtered both
     signals, with samples of later times, gave each some of the other's future.
     """
-    clean = _clean(residual, uses)
-    at_once = [
-        _design([r.u[:, j] for r in records], clean, BEFORE, range(SOON + 1))
-        for j in range(records[0].n_inputs)
-    ]
+    clean, count = _clean(residual, uses), records[0].n_inputs
+    at_once = [_design([r.u[:, j] for r in records], clean, *AT_ONCE) for j in range(count)]
     return any(
-        _gain(*d) * _left(d[0], d[2]) > OF_INPUT * float(d[2] @ d[2])
-        for d in (*at_once, *_designs(records, clean))
+        _left(own, u) - _left(np.hstack((own, lead)), u) > OF_INPUT * float(u @ u)
+        for own, lead, u in (*at_once, *_designs(records, clean))
     )
 
 
 def _at_once(inputs: Sequence[Array], noises: Sequence[Array], alpha: float) -> bool:
     """Whether an input answers the noise of its own sample where its reference stands still: there it does nothing else."""
-    own, lead, target = _design(inputs, noises, BEFORE, range(SOON + 1))
+    own, lead, target = _design(inputs, noises, *AT_ONCE)
     rounding = 1e-7 * float(np.std(target))
     rows = between_jumps(own, target, rounding)
     design = own[rows], lead[rows], target[rows]
