@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.errors import InputError, check_sampling_time
+from oed.errors import InputError, check_sampling_time, check_size
 
 
 def frozen(values: ArrayLike, dtype: type = float) -> NDArray:
@@ -198,6 +198,19 @@ class Record:
             f"Record of {len(self)} samples every {self.dt:g} s: "
             f"{', '.join(self.input_names)} -> {', '.join(self.output_names)}"
         )
+
+
+def check_sizes(record: Record, which: str, power: int = 1) -> None:
+    """Refuse a record whose channels, their ratios or its sampling time have powers whose squares are no doubles."""
+    u, y = (np.abs(np.where(np.isfinite(x), x, 0.0)).max(axis=0) for x in (record.u, record.y))
+    for sizes, names, side in ((u, record.input_names, "input"), (y, record.output_names, "output")):
+        for size, name in zip(sizes, names, strict=True):
+            check_size(f"the size of the {side} {name} of {which}", float(size), power)
+    u, y = u[u > 0], y[y > 0]
+    if len(u) and len(y):
+        for ratio in (y.max() / u.min(), y.min() / u.max()):
+            check_size(f"the size of the outputs of {which} over that of its inputs", float(ratio), power)
+    check_size(f"the sampling time of {which}", record.dt, power)
 
 
 def _channel_names(letter: str, n: int) -> tuple[str, ...]:

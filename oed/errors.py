@@ -86,6 +86,30 @@ def check_sampling_time(dt: object, most: float = 1.0) -> None:
         raise InputError(f"the sampling time is {said}.")
 
 
+LARGEST_EXPONENT = 150
+"""Of a power of ten whose square is a double, with room for the sums of many: variances are squares, in the user's units."""
+
+
+CUBES = 3
+"""Power of signals that is reported in their own units wherever more than a linear model may be: the coefficient of a cubic force,
+whose variance is a sixth power, and the fourth powers of gains. Other units inside would not help: the answer is in the user's."""
+
+
+def largest(power: int = 1) -> float:
+    """The largest size of which the square of the `power`-th power is a double; one over it is the smallest."""
+    return 10.0 ** (LARGEST_EXPONENT // power)
+
+
+def check_size(what: str, size: float, power: int = 1) -> None:
+    """Raise an InputError unless the square of a size's `power`-th power is a double; nothing at all has no size."""
+    most = largest(power)
+    if size and not 1 / most <= size <= most:
+        raise InputError(
+            f"{what} is {size:.3g}; it must lie between {1 / most:g} and {most:g}, so that the variances of what is made of it "
+            "are numbers: choose other units."
+        )
+
+
 def interruption(error: BaseException | None) -> KeyboardInterrupt | None:
     """The interruption behind an error: one that reaches compiled code comes out of it as a SystemError of the interpreter's."""
     while error is not None and not isinstance(error, KeyboardInterrupt):

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from estimators.pem.predictors.of_structure import Structure
-from oed.data import Record
+from oed.data import Record, check_sizes
 from oed.errors import InputError
 from oed.models.model import Polynomial, StateSpace, polynomial
 from oed.models.statespaces import state_space
@@ -56,39 +56,6 @@ def structure_for(
 def _plain(kind: str, orders: tuple[int, ...], delay: int, ny: int, nu: int, diagonal: bool) -> Polynomial:
     """A structure is never changed, so that one will do for many fits."""
     return polynomial(kind, orders, delay, n_outputs=ny, n_inputs=nu, diagonal=diagonal)
-
-
-LARGEST = 1e150
-"""Size of a signal and of one beside the other, and one over it the smallest: sums of squares are doubles, of which the noise's variance and
-the parameters' covariance are made, in the user's units."""
-
-RATIOS = 1 / LARGEST, LARGEST
-"""Sizes of outputs over those of inputs: their squares are the gains' variances."""
-
-
-def check_sizes(
-    record: Record,
-    which: str,
-    most: tuple[float, float] = (LARGEST, LARGEST),
-    ratios: tuple[float, float] = RATIOS,
-) -> None:
-    """Refuse a record whose squares are no doubles."""
-    sizes = {
-        name: float(np.abs(x[np.isfinite(x)]).max(initial=0.0))
-        for name, x in (("inputs", record.u), ("outputs", record.y))
-    }
-    for (name, size), largest in zip(sizes.items(), most, strict=True):
-        if size and not 1 / largest <= size <= largest:
-            raise InputError(
-                f"the {name} of {which} are of the size {size:.3g}; their squares leave the range of doubles, and tests "
-                f"would say what is not so: choose units in which they are between {1 / largest:g} and {largest:g}."
-            )
-    u, y = sizes.values()
-    if u and y and not ratios[0] <= y / u <= ratios[1]:
-        raise InputError(
-            f"the outputs of {which} are of the size {y:.3g} and its inputs of {u:.3g}; squares of what lies between them leave the "
-            f"range of doubles: choose units in which the ratio is between {ratios[0]:g} and {ratios[1]:g}."
-        )
 
 
 def check_records(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimators.residual.measures import fit_percent, window_of
-from oed.data import Record
+from oed.data import Record, check_sizes
 from oed.errors import InputError
 from oed.files.objects import as_record
 
@@ -23,6 +23,7 @@ def errors_on(fit: Fit, record: Record, *, skip: int = 0) -> dict[str, float]:
     """Errors of a fit on a record without its first `skip` samples: simulated, which they start, and one step ahead."""
     if not 0 <= skip < len(record):
         raise InputError(f"--skip {skip} of {len(record)} test samples; leave some to judge by.")
+    check_sizes(record, "the record")
     y, simulated = record.y[skip:], fit.simulate_record(record, window=window_of(fit.initial, skip))[skip:]
     e = fit.residuals_of(record, initial="estimate")[skip:]
     return {

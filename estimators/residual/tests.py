@@ -23,7 +23,7 @@ from estimators.residual.algebra import (
     taken_up,
 )
 from estimators.residual.measures import in_ranges, p_stated
-from oed.data import Record, entry_name, frozen
+from oed.data import Record, check_sizes, entry_name, frozen
 from oed.errors import InputError
 from oed.files.objects import as_records
 
@@ -226,7 +226,7 @@ def autocorrelation(
     was fitted. Cov(r) = (I - Gamma' P Gamma / sigma^2) / N with Gamma_l = sum_t J_t e(t - l) and P the (n, n)
     covariance of what was fitted, by default sigma^2 (J'J)^-1: fitted parameters have removed some of the
     correlation (McLeod 1978, JRSS B 40, 296)."""
-    parts = _parts(residuals)
+    parts = _parts(residuals) if jacobian is not None else of_size_one(_parts(residuals))
     lags = _limited(lags, parts)
     total, power = sum(map(len, parts)), sum(float(e @ e) for e in parts)
     if power <= 0:
@@ -247,7 +247,7 @@ def cross_correlation(
     residuals: NDArray | Parts, inputs: NDArray | Parts, *, lags: Iterable[int] | int = 25
 ) -> ResidualTest:
     """Correlation of (N,) noise that no fit has touched with (N,) inputs; of a fit's residuals: `input_correlation`."""
-    parts = [e[:, None] for e in _parts(residuals)]
+    parts = [e[:, None] for e in of_size_one(_parts(residuals))]
     return _against(_Linear((), parts, None, np.eye(1)), "input", 0, _parts(inputs), lags)
 
 
@@ -285,6 +285,8 @@ class _Linear:
 
 def _linear(fit: Any, records: Record | Sequence[Record], fresh: bool) -> _Linear:
     given = as_records(records)
+    for record in given:
+        check_sizes(record, "the record")
     linear = [fit.linearised(r) for r in given]
     shared = len(fit.covariance)
     levels = int(bool(np.any(fit.output_level_errors))) * given[0].n_outputs
@@ -334,6 +336,7 @@ def _against(of: _Linear, name: str, i: int, u: Parts, lags: Iterable[int] | int
             "they must be equal, record by record."
         )
     chosen = np.arange(_limited(lags, parts) + 1) if isinstance(lags, int) else np.array([*lags], int)
+    u = of_size_one(u)  # of which sums are doubles
     average = sum(x.sum() for x in u) / sum(map(len, u))
     u = of_size_one([x - average for x in u])
     columns = [delayed(x[:, None], chosen) for x in u]

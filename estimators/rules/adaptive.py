@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.residual.algebra import powers_of_two
 from estimators.rules.trace import Rule, Step
 from oed.data import Record, Spectrum
 from oed.errors import InputError, OedError
@@ -174,19 +175,22 @@ def _redesigning(
         records: list[Record] = []
         spectrum: Spectrum | None = None
         fits = _Refits(orders, delay)
+        # In units in which the power is about one: a design refuses powers that are far from it.
+        unit = float(powers_of_two(np.sqrt(power)))
+        near_one = power / unit / unit
         while True:
             done = len(records)
             if done >= first and (due(done) or spectrum is None):
                 ahead = samples * max(budget - done, 1)
                 if hedge:
-                    spectrum = _hedged(records, fits, power, hedge, rng)
+                    spectrum = _hedged(records, fits, near_one, hedge, rng)
                 else:
-                    spectrum = _designed(records, fits, criterion, ahead, power)
+                    spectrum = _designed(records, fits, criterion, ahead, near_one)
             if spectrum is None:
-                step = _white(samples, n_inputs, rng, power)
+                step = _white(samples, n_inputs, rng, near_one)
             else:
                 step = Step(realise(spectrum, samples, rng=rng), "designed")
-            y = yield step
-            records.append(Record(step.u, y))
+            y = yield Step(unit * step.u, step.kind)
+            records.append(Record(step.u, y / unit))
 
     return rule

@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.norm.local_models import PeakEstimate
+from estimators.residual.algebra import powers_of_two
 from estimators.rules.trace import Step, Trace, offered
 from oed.errors import InputError, Status
 
 DRAWS = 200
 SURE = 5.0
 """Deviations after which a line is not drawn: sixteen bits reach 4.86."""
+UNSENT = 1e-12
+"""Share of the largest line's power below which a line counts as not sent: its response is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +33,8 @@ class _Posterior:
         deviation = np.sqrt(self.variance / 2)
         gain = np.abs(self.mean)
         able = np.flatnonzero(gain + SURE * deviation >= np.max(gain - SURE * deviation))
-        m, s = gain[able].astype(np.float32), deviation[able].astype(np.float32)
+        unit = powers_of_two(gain + deviation)  # single precision ends at 1e38
+        m, s = ((x[able] / unit).astype(np.float32) for x in (gain, deviation))
         # r^2 exponential and phi uniform need no normal numbers; sixteen random bits for each are fine enough here.
         bits = np.frombuffer(rng.bytes(4 * DRAWS * len(able)), np.uint16)
         uniform = bits.reshape(2, DRAWS, len(able)).astype(np.float32)
@@ -53,7 +57,7 @@ def _posterior(
     power: NDArray[np.float64], cross: NDArray[np.complex128], energy: float, experiments: int
 ) -> _Posterior:
     """From sum |U|^2 and sum Y U* of every line, and the sum of |Y|^2 over lines and experiments."""
-    power = np.maximum(power, 1e-12)
+    power = np.maximum(power, UNSENT * (power.max() or 1.0))
     mean = np.asarray(cross / power, complex)
     rest = max(energy - float(np.sum(np.abs(cross) ** 2 / power)), 1e-15 * energy)
     noise = rest / (len(power) * (experiments - 1)) if experiments > 1 else energy / len(power)

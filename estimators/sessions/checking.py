@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.sessions.settings import Settings
-from oed.errors import InputError
+from oed.errors import CUBES, InputError, check_size, largest
 from oed.files.clock import sampling_time
 from oed.files.limits import file_content
 from oed.files.reading import read_table
 from oed.files.tables import Table, split_unit
-from oed.plants.checking import LARGEST
 
 Array = NDArray[np.float64]
 HELD = 5
@@ -144,6 +143,15 @@ def check_output(y: Array, rows: int, settings: Settings) -> None:
         )
 
 
+def check_sizes(y: Array, u: Array) -> None:
+    """Raise if powers of an output's size, or of its ratio to the input, are no numbers: usable y (rows, ny), u (rows, nu)."""
+    sizes = [float(np.abs(x).max()) for x in (y, u)]
+    check_size("the size of the outputs", sizes[0], CUBES)
+    check_size(
+        "the size of the outputs over that of the inputs", sizes[0] / sizes[1] if sizes[1] else 0.0, CUBES
+    )
+
+
 def check_reference(u: Array, asked: Array, before: list[Array], settings: Settings) -> None:
     """Raise if the inputs recorded beside the outputs are not those that were asked for, and say what they
     are: u (rows, nu), asked (rows, nu)."""
@@ -192,7 +200,7 @@ def _distance(u: Array, asked: Array, settings: Settings) -> float:
 
 def usable(signal: Array) -> NDArray[np.bool_]:
     """Which samples are numbers of which fourth powers are formed, as those of gains are."""
-    return np.abs(signal) < LARGEST
+    return np.abs(signal) <= largest(CUBES)
 
 
 def faults(y: Array, u: Array, settings: Settings, *, silent: bool = False) -> str:
@@ -201,7 +209,7 @@ def faults(y: Array, u: Array, settings: Settings, *, silent: bool = False) -> s
         signal = y[:, i]
         bad = ~usable(signal)
         if bad.any():
-            return f"{int(bad.sum())} samples of {name} are missing, not finite or beyond {LARGEST:g}, the first at {int(np.argmax(bad))}"
+            return f"{int(bad.sum())} samples of {name} are missing, not finite or beyond {largest(CUBES):g}, the first at {int(np.argmax(bad))}"
         if settings.abort is not None and np.abs(signal).max() > settings.abort[i]:
             t = int(np.argmax(np.abs(signal) > settings.abort[i]))
             return f"{name} went beyond its abort level {settings.abort[i]:g} ({signal[t]:.6g} at sample {t})"

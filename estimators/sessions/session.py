@@ -17,6 +17,7 @@ from estimators.sessions.checking import (
     check_input,
     check_output,
     check_reference,
+    check_sizes,
     faults,
     fitting_factor,
     usable,
@@ -125,6 +126,7 @@ class Sequential(ABC):
                 f"the measurement of step {asked.step} is flagged and not used: {fault}. Apply the same input again "
                 "(after an abort halved by `oed session next DIR --reduce`) and record that; the session waits."
             )
+        check_sizes(values, asked.whole)
         return values
 
     def _check_new(self, values: Array) -> None:

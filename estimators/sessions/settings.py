@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.errors import CampaignError, InputError, check_names, check_sampling_time
+from oed.errors import CUBES, CampaignError, InputError, check_names, check_sampling_time, check_size
 from oed.files.documents import FLAG, NUMBER, TEXT, WHOLE, checked, keyed, parsed_json
 
 SCHEMA = 1
@@ -147,6 +147,10 @@ class Settings:
             object.__setattr__(self, "power", 1.0)
         if self.power is not None and not (np.isfinite(self.power) and self.power > 0):
             raise InputError(f"the power is {self.power}; it must be positive and finite.")
+        check_size("the root of the power", (self.power or 0.0) ** 0.5, CUBES)
+        for name in ("amplitude", "energy"):
+            for limit in getattr(self, name) or ():
+                check_size(f"the limit {name}", limit if name == "amplitude" else limit**0.5, CUBES)
         check_names([self.scaling], ("none", "each", "common"), "scaling")
         if len(self.orders) != 2 or min(self.orders) < 0:
             raise InputError(f"orders is {self.orders}; give nb and nf of an output-error model.")

@@ -6,10 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from oed.data import frozen
-from oed.errors import InputError
-
-LARGEST = 1e50
-"""Of a coefficient, and one over it of the largest of a plant: fourth powers of gains, and poles near the circle, stay doubles."""
+from oed.errors import CUBES, InputError, check_size
 
 
 def polynomial(values: ArrayLike, name: str) -> NDArray[np.float64]:
@@ -91,14 +88,6 @@ def check_sizes(
         raise InputError(
             "every numerator coefficient is zero; a plant that does nothing has no gain to estimate."
         )
-    noise = float(np.abs(covariance).max())
-    for what, size, least, most in (
-        ("num, divided by the leading coefficient of den,", largest, 1 / LARGEST, LARGEST),
-        ("the noise covariance", noise, LARGEST**-2 if noise else 0.0, LARGEST**2),
-        ("the noise filter's num", float(np.abs(noise_num).max()), 1.0, LARGEST),
-    ):
-        if not least <= size <= most:
-            raise InputError(
-                f"the largest entry of {what} is {size:.3g}; it must lie between {least:g} and {most:g}, so that squares of "
-                "gains are numbers: give the signals in other units."
-            )
+    check_size("the largest entry of num, divided by the leading coefficient of den,", largest, CUBES)
+    check_size("the noise's largest standard deviation", float(np.abs(covariance).max()) ** 0.5, CUBES)
+    check_size("the largest entry of the noise filter's num", float(np.abs(noise_num).max()), CUBES)

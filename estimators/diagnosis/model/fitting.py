@@ -176,12 +176,13 @@ def levenberg_marquardt(
             J[:, i] = column
             known.add(i)
         _differences(residual, r, p, steps, known, rough, J)
-        H = J.T @ J
-        norms = np.sqrt(H.diagonal())
-        idle = norms * scales <= IDLE * np.sqrt(cost)
-        if idle.any():
-            J[:, idle], H[idle], H[:, idle], norms[idle] = 0.0, 0.0, 0.0, 1.0
-        H, g = H / norms / norms[:, None], J.T @ r / norms
+        with np.errstate(over="ignore", invalid="ignore"):  # of a start that explodes; its step leads nowhere
+            H = J.T @ J
+            norms = np.sqrt(H.diagonal())
+            idle = norms * scales <= IDLE * np.sqrt(cost)
+            if idle.any():
+                J[:, idle], H[idle], H[:, idle], norms[idle] = 0.0, 0.0, 0.0, 1.0
+            H, g = H / norms / norms[:, None], J.T @ r / norms
         improved, left = False, [TRIES, SHORTER]
         while min(left) > 0:
             try:

@@ -8,14 +8,10 @@ import numpy as np
 from estimators.diagnosis.effects import Effect, Nature
 from estimators.diagnosis.record.measurement import goes_with_clock
 from estimators.diagnosis.record.overlap import copied_rows
-from estimators.pem.checks import check_sizes
-from oed.data import Record
-from oed.errors import InputError
+from oed.data import Record, check_sizes
+from oed.errors import CUBES, InputError
 from oed.files.objects import as_records
 
-LARGEST, RATIOS = (1e50, 1e75), (1e-50, 1e75)
-"""Sizes of inputs and of outputs, one over them the smallest, and of outputs over inputs: a search forms fourth powers, and with inputs
-from 1e60 on recursions of effects inside a plant divide by what has become zero (see `tests/estimators/pem/test_pem_units.py`)."""
 LEAST = 50
 """Samples of a training record: five blocks of ten, below which no error on unused blocks says anything."""
 
@@ -27,7 +23,7 @@ def _check(train: Record, test: Record | None) -> None:
             raise InputError(
                 f"the {name} input has missing samples; simulation needs every input: fill or cut them."
             )
-        check_sizes(record, f"the {name} record", LARGEST, RATIOS)
+        check_sizes(record, f"the {name} record", CUBES)
     if len(train) < LEAST:
         raise InputError(
             f"the training record has {len(train)} samples; at least {LEAST} are needed: measure longer."

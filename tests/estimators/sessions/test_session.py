@@ -57,6 +57,38 @@ def test_ask_and_tell_give_what_run_gives(method):
         session.ask()
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "sizes", [(1e-12, 1e12, 1e-12), (1e12, 1e-12, 1e12), (1e-24, 1e24, 1e-49), (1e49, 1e49, 1e49)]
+)
+def test_units_change_no_conclusion(method, sizes):
+    """Far from one a bandit went by single precision, which ends at 1e38, and a design was silently none: white noise."""
+    found = {}
+    for a, b, dt in ((1.0, 1.0, 1.0), sizes):
+        rig = simulated(REFERENCE, seed=5)
+        session = Session(Settings(method, samples=150, experiments=4, seed=7, power=a * a, dt=dt))
+        estimate = session.run(lambda u, a=a, b=b, rig=rig: b * rig(u / a))
+        found[b] = [x * a / b for x in (estimate.value, *estimate.interval)], estimate, session.trace.kinds
+    (usual, one, kinds), (scaled, other, same) = found.values()
+    assert np.allclose(scaled, usual, rtol=1e-4)
+    assert (one.status, kinds) == (other.status, same)
+    assert np.isclose(one.frequency, other.frequency, rtol=1e-4)
+
+
+@pytest.mark.parametrize("size", [1e-75, 1e-140])
+def test_a_size_without_sixth_powers_is_a_line(size):
+    """The interval had been seven times too narrow at 1e-140, in silence."""
+    with pytest.raises(
+        InputError, match="root of the power is .*between 1e-50 and 1e.50.*choose other units"
+    ):
+        Settings("power", samples=150, power=size * size)
+    with pytest.raises(InputError, match="limit amplitude is .*choose other units"):
+        Settings("power", samples=150, amplitude=size)
+    rig = simulated(REFERENCE, seed=5)
+    with pytest.raises(InputError, match="size of the outputs is .*choose other units"):
+        Session(Settings("power", samples=150)).run(lambda u: size * rig(u))
+
+
 def test_there_is_always_an_estimate_with_its_uncertainty():
     session = Session(Settings("power", samples=24, experiments=4))
     assert np.isnan(session.estimate().value)

@@ -138,7 +138,7 @@ def test_arrays_of_a_plant_cannot_be_written():
         ({"num": [0, 1e200]}, "num, divided by the leading coefficient of den, is 1e.200"),
         ({"num": [0, 1e-70]}, "is 1e-70; it must lie between 1e-50 and 1e.50"),
         ({"den": [1e60, 1.0]}, "is 2e-60"),
-        ({"noise_covariance": 1e-200}, "the noise covariance is 1e-200"),
+        ({"noise_covariance": 1e-200}, "the noise's largest standard deviation is 1e-100"),
         ({"noise_num": [1, 1e90]}, "the noise filter's num is 1e.90"),
     ],
 )
