@@ -43,7 +43,10 @@ def as_frequencies(omega: ArrayLike) -> NDArray:
 def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray[np.float64]:
     """Read-only copy of a signal as (N, channels), checked to be finite."""
     try:
-        given = np.asarray(values)
+        masked = isinstance(values, np.ma.MaskedArray) and values.dtype.kind in "biuf"
+        given = (
+            values.astype(float).filled(np.nan) if masked else np.asarray(values)
+        )  # what is masked is no sample
         if given.dtype.kind in WRONG:
             raise TypeError(WRONG[given.dtype.kind])
         own = given.dtype == float and given.ndim == 2 and given.base is None and not given.flags.writeable
@@ -123,7 +126,7 @@ class Record:
         check_sampling_time(self.dt)
         object.__setattr__(self, "u", u)
         object.__setattr__(self, "y", y)
-        if not isfinite(self.t0):
+        if isinstance(self.t0, str) or self.t0 is None or not isfinite(self.t0):
             raise InputError(
                 f"the time of the first sample is {self.t0}; it must be a finite number of seconds."
             )
@@ -135,11 +138,19 @@ class Record:
             ("input_units", ("",) * u.shape[1]),
             ("output_units", ("",) * y.shape[1]),
         ):
-            given = tuple(getattr(self, field)) or default
+            given = getattr(self, field)
+            given = (given,) if given and isinstance(given, str) else tuple(given) or default
             if len(given) != len(default):
                 side, what = field.split("_")
                 raise InputError(
                     f"{len(given)} {side} {what} for {len(default)} {side} channels; give one per channel."
+                )
+            if not all(isinstance(text, str) for text in given):
+                raise InputError(f"{field} is {given}; give text, one for each channel.")
+            if field.endswith("names") and len(set(given)) < len(given):
+                twice = next(name for name in given if given.count(name) > 1)
+                raise InputError(
+                    f"two {field.split('_')[0]}s are called {twice!r}; give each channel its own name."
                 )
             object.__setattr__(self, field, given)
 

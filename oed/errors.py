@@ -77,7 +77,7 @@ def check_names(names: Iterable[str], known: Sequence[str], what: str) -> None:
 
 def check_sampling_time(dt: object, most: float = 1.0) -> None:
     """Raise an InputError unless it is a positive number of seconds, of which `most` are a finite time."""
-    if not (isinstance(dt, Real) and 0 < float(dt) * most < inf):
+    if not (isinstance(dt, Real) and not isinstance(dt, bool) and 0 < float(dt) * most < inf):
         said = (
             f"the text {dt!r}; it must be a number of seconds, without quotes"
             if isinstance(dt, str)

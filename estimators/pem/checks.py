@@ -104,7 +104,11 @@ def check_records(
         values = np.concatenate([r.y[:, i] for r in records])
         values = values[np.isfinite(values)]
         if values.size and np.ptp(values) == 0 and (offset or not values.any()):
-            raise InputError(
-                f"output {name} is constant ({values[0]:g}) in all records; nothing of it can be told by an input: check "
-                "its sensor, or leave it out."
-            )
+            raise constant_output(name, values[0])
+
+
+def constant_output(name: str, value: float) -> InputError:
+    """What is said of an output that never moves."""
+    return InputError(
+        f"output {name} is constant ({value:g}) in all records; nothing of it can be told by an input: check its sensor, or leave it out."
+    )

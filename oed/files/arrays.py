@@ -23,6 +23,11 @@ def table_of_arrays(shapes: Mapping[str, tuple[int, ...]], get: Callable[[str], 
     own = "input_names" in shapes and "output_names" in shapes and "u" in shapes and "y" in shapes
     place: dict[str, tuple[str, int | None]] = {}
     for name, shape in shapes.items():
+        if name.lower() in ("u", "y") and len(shape) > 2 and sorted(shape)[-2] > 1:
+            raise InputError(
+                f"the array {name} of {source} has {len(shape)} axes; a signal is (N,) or (N, channels) with time on axis 0: "
+                "save one experiment in each file."
+            )
         if own and name not in ("u", "y"):
             continue
         vector = len(shape) <= 1 or (not own and sorted(shape)[:-1] == [1] * (len(shape) - 1))

@@ -7,6 +7,8 @@ from oed.errors import InputError
 
 UNIFORM = 1e-6
 """Largest deviation from a uniform clock that needs no explanation, in steps."""
+CALENDAR = 1e11, 1e3
+"""Seconds, three thousand years, and lengths of the record, beyond both of which a first time counts something smaller than seconds."""
 
 
 def sampling_time(t: NDArray[np.float64], source: str, *, first_row: int = 0) -> tuple[float, float]:
@@ -26,6 +28,11 @@ def sampling_time(t: NDArray[np.float64], source: str, *, first_row: int = 0) ->
         raise InputError(
             f"{source} goes from {t[row]:.12g} to {t[row + 1]:.12g} at row {row + 1 + first_row} (counting from 0); "
             "times must increase: sort the rows, or split the file where the clock restarts."
+        )
+    if t[0] > max(CALENDAR[0], CALENDAR[1] * (t[-1] - t[0])):
+        raise InputError(
+            f"{source} begins at {t[0]:.12g} s, {t[0] / (365.25 * 86400):.3g} years from its zero; times are in seconds: write their "
+            "unit into the name of the column, as t [ms], t [us] or t [ns], or take it out and give the sampling time."
         )
     k = np.arange(len(t))
     mean = float((t[-1] - t[0]) / (len(t) - 1))

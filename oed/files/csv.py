@@ -22,7 +22,7 @@ BLANK = ("", "na", "n/a", "nan", "null", "none", "-nan")
 
 def csv_table(content: bytes, source: str) -> Table:
     """Table of a CSV file: comma, semicolon, tab or bar between the columns, lines before the header that begin
-    with #. Decimal commas are read where semicolons or tabs part the columns and no number has a decimal
+    with # and Excel's `sep=;` are passed over. Decimal commas are read where semicolons or tabs part the columns and no number has a decimal
     point."""
     try:  # spreadsheets write "Unicode text" in UTF-16, with a mark
         text = content.decode("utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig")
@@ -38,7 +38,7 @@ def csv_table(content: bytes, source: str) -> Table:
     stream = io.StringIO(text, newline="")
     header, comment = "", ""
     for header in stream:
-        if header.strip() and not header.startswith("#"):
+        if header.strip() and not header.startswith("#") and not re.fullmatch(r"sep=.\s*", header):  # Excel's
             break
         comment, header = header.strip() or comment, ""
     delimiter = next((mark for mark in (",", ";", "\t", "|") if mark in header), ",")

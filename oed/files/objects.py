@@ -50,15 +50,14 @@ def from_pandas(frame: pd.DataFrame, **options: Any) -> Record:
         extra["t"] = (index.tz_convert(None) if zoned else index).to_numpy()
     elif seconds_per(str(frame.index.name)):
         extra[str(frame.index.name)] = frame.index.to_numpy()
-    elif (
-        options.get("dt") is None
-        and index.dtype.kind == "f"
-        and np.any(index.to_numpy() % 1)
-        and not any(map(seconds_per, names))
-    ):
+    elif options.get("dt") is None and not any(map(seconds_per, names)) and _may_be_times(index.to_numpy()):
+        first = ", ".join(
+            f"{value:g}" if isinstance(value, float) else f"{value!r:.40}" for value in index[:2]
+        )
         raise InputError(
-            f"the index of {source} holds {index[0]:g}, {index[1]:g}, ... under no name that says what they are; call it t "
-            "(frame.index.name = 't') if these are seconds, else give dt, or leave them out by reset_index(drop=True)."
+            f"the index of {source} holds {first}, ... under no name that says what they are; call it t "
+            "(frame.index.name = 't') if these are seconds, make dates of text (pandas.to_datetime), else give dt, or leave "
+            "them out by reset_index(drop=True)."
         )
     extra = {name: values for name, values in extra.items() if name not in names}
 
@@ -70,6 +69,11 @@ def from_pandas(frame: pd.DataFrame, **options: Any) -> Record:
 
     table = Table(source, (*names, *extra), load)
     return record_of(table, **options)
+
+
+def _may_be_times(index: NDArray) -> bool:
+    """Whether an index (N,) is no numbering of rows: it has fractions, or is text, or several things at once."""
+    return bool(index.dtype.kind not in "iub" and (index.dtype.kind != "f" or np.any(index % 1)))
 
 
 def _values(column: pd.Series) -> NDArray:
@@ -311,7 +315,7 @@ def _record_of_object(item: Any, missing: bool) -> Record | None:
     if isinstance(item, Record):
         return item
     if isinstance(item, tuple) and len(item) in (2, 3) and all(map(_is_signal, item[:2])):
-        return Record(np.asarray(item[0]), np.asarray(item[1]), dt=item[2] if len(item) == 3 else 1.0)
+        return Record(item[0], item[1], dt=item[2] if len(item) == 3 else 1.0)
     kinds = kinds_of(item)
     if ("control", "FrequencyResponseData") in kinds:
         raise InputError(

@@ -12,11 +12,11 @@ from oed.errors import InputError, near
 from oed.files.clock import sampling_time
 
 TIME = ("t", "t_s")
-SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
+SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 UNITS = frozenset(
     [
         "V", "mV", "uV", "kV", "A", "mA", "kA", "W", "mW", "kW", "MW", "J", "kJ", "N", "mN", "kN", "Nm", "N/m",
-        "Pa", "kPa", "MPa", "bar", "mbar", "psi", "m", "mm", "cm", "um", "nm", "km", "m2", "m3", "s", "ms", "us",
+        "Pa", "kPa", "MPa", "bar", "mbar", "psi", "m", "mm", "cm", "um", "nm", "km", "m2", "m3", "s", "ms", "us", "ns",
         "min", "rad", "deg", "rpm", "Hz", "kHz", "MHz", "K", "degC", "degF", "°C", "kg", "mol", "L", "mL", "dB",
         "m/s", "m/s2", "m/s^2", "rad/s", "rad/s2", "rad/s^2", "deg/s", "L/min", "kg/s", "m3/s", "m^3/s", "pct",
         "percent", "%", "ppm", "ohm",

@@ -8,12 +8,17 @@ import numpy as np
 from estimators.diagnosis.effects import Effect, Nature
 from estimators.diagnosis.record.measurement import goes_with_clock
 from estimators.diagnosis.record.overlap import copied_rows
+from estimators.pem.checks import constant_output
 from oed.data import Record, check_sizes
 from oed.errors import CUBES, InputError
 from oed.files.objects import as_records
 
 LEAST = 50
 """Samples of a training record: five blocks of ten, below which no error on unused blocks says anything."""
+
+
+STILL = 1e-12
+"""Movement of a channel, of its size, that is none: the last digits of doubles."""
 
 
 def _check(train: Record, test: Record | None) -> None:
@@ -29,7 +34,7 @@ def _check(train: Record, test: Record | None) -> None:
             f"the training record has {len(train)} samples; at least {LEAST} are needed: measure longer."
         )
     spread = np.std(train.u, axis=0)
-    if np.any(spread <= 1e-12 * (np.abs(train.u).max(axis=0) + 1e-300)):
+    if np.any(spread <= STILL * (np.abs(train.u).max(axis=0) + 1e-300)):
         j = int(np.argmin(spread))
         raise InputError(
             f"the input {train.input_names[j]} is constant: there is no excitation; excite it and measure again."
@@ -63,6 +68,11 @@ def together(train: Any, test: Record | None) -> list[Record]:
     for record in records:
         _alike(records[0], record, "other training record")
         _check(record, test)
+    for i, name in enumerate(records[0].output_names):
+        values = np.concatenate([r.y[:, i] for r in records])
+        values = values[np.isfinite(values)]
+        if len(values) and np.ptp(values) <= STILL * np.abs(values).max():
+            raise constant_output(name, values[0])
     return records
 
 

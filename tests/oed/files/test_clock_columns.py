@@ -1,7 +1,9 @@
 """Which column of a file is its clock, and in what unit it counts."""
 
+import numpy as np
 import pytest
 
+from oed.errors import InputError
 from oed.files import read_record
 
 
@@ -25,6 +27,37 @@ def test_units_of_the_clock(tmp_path, name, step) -> None:
     assert record.dt == pytest.approx(step, rel=1e-12)
     assert record.u[:, 0].tolist() == [1.5, -0.325, 7.0]
     assert record.y[:, 0].tolist() == [2.5, 4.0, 0.125]
+
+
+@pytest.mark.parametrize("unit, begin", [("ms", 1.7e12), ("us", 1.7e15), ("ns", 1.7e18)])
+def test_a_calendar_in_small_units_is_told_from_seconds(tmp_path, unit, begin) -> None:
+    """A sampling time of 1e8 s had been taken from nanoseconds since 1970, in silence."""
+    path = tmp_path / "data.csv"
+    rows = "".join(f"{int(begin) + k * 4096},{k % 2},{k}\n" for k in range(9))
+    path.write_text(f"time,u,y\n{rows}")
+    with pytest.raises(
+        InputError,
+        match=rf"begins at 1.7e.{len(str(int(begin))) - 1} s, .*years.*as t .ms., t .us. or t .ns.",
+    ):
+        read_record(path)
+    path.write_text(f"time [{unit}],u,y\n{rows}")
+    assert read_record(path).dt == pytest.approx(4096 * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit], rel=0.1)
+    path.write_text("time,u,y\n0,1,2\n1e12,2,3\n2e12,3,4\n")  # a slow clock is none
+    assert read_record(path).dt == 1e12
+
+
+def test_the_line_by_which_excel_knows_the_separator_is_no_header(tmp_path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_bytes(b"sep=;\r\nt;u;y\r\n0;1,5;2\r\n0,5;2;3\r\n")
+    assert read_record(path).dt == 0.5
+    assert read_record(path).u[:, 0].tolist() == [1.5, 2.0]
+
+
+def test_a_signal_with_three_axes_is_named(tmp_path) -> None:
+    """It had been said that there is no column u."""
+    np.savez(tmp_path / "x.npz", u=np.ones((9, 2, 2)), y=np.ones(9))
+    with pytest.raises(InputError, match="the array u of x.npz has 3 axes; .*time on axis 0"):
+        read_record(tmp_path / "x.npz")
 
 
 def test_a_channel_in_seconds_is_no_clock(tmp_path) -> None:
