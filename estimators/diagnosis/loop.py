@@ -97,8 +97,7 @@ def diagnose(
     setting = setting if effects is None else replace(setting, effects=tuple(effects))
     records = together(train, test)
     first = records[0]
-    if test is not None and setting.separate:
-        test = replace(test, t0=first.t0)
+    test = replace(test, t0=first.t0) if test is not None and setting.separate else test
     say = progress if progress is not None else lambda stage: None
     say("the best linear model")
     asked = replace(_options(first, setting), asked=() if test is None else (test.u,))
@@ -262,8 +261,9 @@ def _outcome(
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     # What the answer explains was no noise that an input answers.
     errors = [r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records]
-    inverse = bench.inverse and has_feedback(records, errors, counted)
-    loop = inverse and is_answer(records, errors, counted)
+    echo = bench.inverse and has_feedback(records, errors, counted)
+    loop = echo and is_answer(records, errors, counted)
+    inverse = echo and ladder.chosen.at_once(train, base.blocks.window)
     return Outcome(i, found, named, ladder, share, left, discovery, inverse, loop)
 
 

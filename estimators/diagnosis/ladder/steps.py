@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
+ENDS = 4
+"""Samples of a record at which an input is moved, up and down by its standard deviation: a dead zone is not at all of them."""
+
+
 class Kind(Enum):
     """Where a step comes from, the simplest first: this order is that of the one-standard-error rule."""
 
@@ -65,6 +69,19 @@ class Step:
     def simulate(self, record: Record, window: int) -> Array:
         """(N,) free run; the first `window` measured samples may set the state."""
         return self.answer.simulate(record, window)
+
+    def at_once(self, record: Record, window: int) -> bool:
+        """Whether it answers an input in the sample in which that acts: only such a model can be the inverse of a controller that does."""
+        size = np.std(record.u, axis=0)
+        for end in np.linspace(window + 1, len(record), ENDS + 1, dtype=int)[1:]:
+            head = record[:end]
+            run = self.simulate(head, window)[-1]
+            for step in np.concatenate((np.diag(size), -np.diag(size))):
+                u = head.u.copy()
+                u[-1] += step
+                if self.simulate(head.replace(u=u), window)[-1] != run:
+                    return True
+        return False
 
     @property
     def chain(self) -> tuple[Step, ...]:

@@ -219,3 +219,21 @@ def test_a_record_that_goes_on_starts_from_where_the_other_ended():
     assert not continues(train, later)
     assert np.max(off(later, 0)) > 10.0
     assert not continues(train, test.replace(t0=0.0))
+
+
+def test_only_what_answers_an_input_at_once_can_be_a_controllers_inverse() -> None:
+    """A dead zone about most of a record hides it at some samples, and not at all."""
+    u = np.random.default_rng(4).normal(size=(300, 2))
+    inside = lambda v: np.sign(v) * np.maximum(np.abs(v) - 1.5, 0.0)
+    late = lambda x: np.concatenate(([0.0], x[:-1]))
+    runs = {
+        True: (lambda r: r.u[:, 0], lambda r: late(r.u[:, 0]) + inside(r.u[:, 1])),
+        False: (lambda r: late(r.u[:, 0]), lambda r: np.full(len(r), 2.0)),
+    }
+    for at_once, models in runs.items():
+        for run in models:
+            step = replace(
+                _step(Kind.NAMED, np.zeros(300)),
+                answer=SimpleNamespace(simulate=lambda r, _, run=run: run(r)),
+            )
+            assert step.at_once(Record(u, np.zeros(300)), 20) is at_once
