@@ -35,6 +35,7 @@ export NUMBA_NUM_THREADS    := 1
 export MPLBACKEND           := Agg
 export MPLCONFIGDIR         := $(abspath $(VENV))/cache/matplotlib
 export NUMBA_CACHE_DIR      := $(abspath $(VENV))/cache/numba
+export XDG_CACHE_HOME       := $(abspath $(VENV))/cache
 export PYRIGHT_PYTHON_CACHE_DIR := $(abspath $(VENV))/cache/pyright
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # The shared records and cases, where they lie beside the checkout.
