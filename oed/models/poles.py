@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 class Pole:
     """A pole, or a pair of conjugate ones.
 
-    `frequency_hz` 0 for a real pole; `damping` ratio, 1 for a real stable pole; `time_constant` in seconds;
-    `radius` magnitude in the z plane.
+    `frequency_hz` 0 for a real pole; `damping` ratio, 1 for a real stable pole; `time_constant` in seconds, negative
+    where it grows; `radius` magnitude in the z plane.
     """
 
     frequency_hz: float
@@ -20,7 +20,12 @@ class Pole:
     radius: float
 
     def __str__(self) -> str:
-        lasts = f"time constant {self.time_constant:.4g} s"
+        unstable = self.time_constant < 0
+        lasts = (
+            f"unstable, e-fold in {-self.time_constant:.4g} s"
+            if unstable
+            else f"time constant {self.time_constant:.4g} s"
+        )
         return (
             f"{self.frequency_hz:.4g} Hz (damping {self.damping:.2g}, {lasts})"
             if self.frequency_hz

@@ -27,6 +27,10 @@ LOW, MANY = 3, 10
 """Lags of the output in a model that cannot take a tone or a trend for its own dynamics and fit the rest; and its parameters."""
 LONG = 8000
 """Samples from which on the model is chosen on pieces of every block, and only fitted to all of them."""
+LITTLE, SURELY, GROWTH = 0.5, 0.5, 1e3
+"""Error of stable models, of the output's standard deviation, from which on an unstable one is tried, as where one of their poles
+remembers longer than a block; of theirs, what it may leave, as its pole may also follow a drift; and by how much it may grow over
+a record: a free run shows no more of what starts it."""
 LAGS = 64
 """Lags of the output's covariance that a prior holds: above every order."""
 
@@ -74,9 +78,14 @@ def _with_noise(m: OutputModel, i: int, base: Baseline, records: Sequence[Record
         k = base.blocks.guard
         near = [base.k_step(r, k)[:, i] - r.y[:, i] for r in records]
         error = float(np.sqrt(np.nanmean(np.concatenate(near) ** 2)))
+        inside = 1.0 - m.model.radius
+        keeps = (
+            f"remembers the initial state for {1.0 / max(inside, 1e-12):.3g} samples"
+            if inside >= 0.0
+            else f"is unstable: an error of the initial state grows e-fold in {-1.0 / inside:.3g} samples"
+        )
         warnings.append(
-            f"{name}: the free run is ill-posed: a pole at radius {m.model.radius:.5g} remembers the initial state for "
-            f"{1.0 / max(1.0 - m.model.radius, 1e-12):.3g} samples; {k} samples ahead the error is {error:.4g}."
+            f"{name}: the free run is ill-posed: a pole at radius {m.model.radius:.5g} {keeps}; {k} samples ahead the error is {error:.4g}."
         )
     return replace(m, noise=noise, noise_std=deviation, warnings=tuple(warnings))
 
@@ -108,6 +117,8 @@ def _output(
         screen, known = _after_start(screen, known)
     trials = known + screen.refined(known)
     chosen = simplest(trials)
+    if chosen.slow or chosen.rmse > LITTLE * np.sqrt(prior.covariance[0]):
+        chosen = _held_by_a_loop(screen, chosen)
     if places is not blocks:
         chosen = search.again(chosen.candidate)
     c = chosen.candidate
@@ -145,6 +156,14 @@ def _after_start(search: Search, known: list[Trial]) -> tuple[Search, list[Trial
         replace(t, squares=batch_squares(t.unused, search.records, search.output, search.blocks))
         for t in known
     ]
+
+
+def _held_by_a_loop(search: Search, chosen: Trial) -> Trial:
+    """The best model with an unstable pole, as a plant in a loop may have, where that surely foretells more than a stable one."""
+    free = replace(search, limit=GROWTH ** (1.0 / max(search.blocks.lengths)))
+    known = free.arx()
+    grown = [t for t in (*known, *free.refined(known)) if t.candidate.models[-1].radius > 1.0]
+    return best if grown and (best := simplest(grown)).rmse < SURELY * chosen.rmse else chosen
 
 
 def _screened(search: Search) -> tuple[Search, list[Trial], list[float]]:

@@ -77,15 +77,15 @@ class Trial:
 
 def tried(
     candidate: Candidate, records: Sequence[Record], output: int, blocks: Blocks, prior: Prior,
-    asked: Sequence[Array] = (),
+    asked: Sequence[Array] = (), limit: float = 1.0,
 ) -> Trial | None:  # fmt: skip
-    """A candidate's free run on each block by the fit to the others; None where one of them is not stable, or rings for ever.
+    """A candidate's free run on each block by the fit to the others; None where one has a pole beyond a limit, or rings for ever.
 
     The run begins where the record begins, as on a test record: a state set just before each block would let a slow
     pole that no input drives stand for a level or a drift.
     """
     longest = max(blocks.lengths)
-    if not all(model.bounded for model in candidate.models) or _rings(candidate.models[-1], longest):
+    if not all(model.within(limit) for model in candidate.models) or _rings(candidate.models[-1], longest):
         return None
     unused = [np.full(n, np.nan) for n in blocks.lengths]
     prior = replace(prior, noise=max(prior.noise, candidate.noise))

@@ -35,6 +35,7 @@ class Individual:
     output: int
     form: Arx
     prior: Prior
+    limit: float = 1.0
 
     @property
     def size(self) -> int:

@@ -160,10 +160,9 @@ class LinearModel:
         """(n,) poles in the z plane."""
         return np.roots(self.den).astype(complex)
 
-    @property
-    def bounded(self) -> bool:
-        """Whether no pole is outside the circle."""
-        return stable(self.den[1:]) or self.radius <= 1.0
+    def within(self, limit: float) -> bool:
+        """Whether no pole is outside a circle of a radius of 1 or more."""
+        return stable(self.den[1:]) or self.radius <= limit
 
     @cached_property
     def radius(self) -> float:

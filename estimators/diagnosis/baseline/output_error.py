@@ -22,7 +22,13 @@ STILL = 1e-4
 
 
 class Problem(Protocol):
-    """What a descent needs: the model of some parameters, and their loss on rows (N,) per record with its derivatives."""
+    """What a descent needs: the model of some parameters, their loss on rows (N,) per record with its derivatives, and the radius
+    below which its poles stay."""
+
+    @property
+    def limit(self) -> float:
+        """Radius below which the poles stay."""
+        ...
 
     def model(self, theta: Array) -> LinearModel:
         """The model of these parameters."""
@@ -36,7 +42,7 @@ class Problem(Protocol):
 def descended(
     problem: Problem, theta: Array, rows: Sequence[NDArray[np.bool_]], steps: int
 ) -> tuple[Array, float]:
-    """The best parameters within so many Gauss-Newton steps, and their mean square; every model on the way is stable."""
+    """The best parameters within so many Gauss-Newton steps, and their mean square; every model on the way keeps to the limit."""
     loss, gradient, hessian = problem.local(theta, rows)
     damping, factor, most = DAMPING
     for _ in range(steps):
@@ -44,7 +50,7 @@ def descended(
         while damping < most:
             H = hessian / np.outer(scale, scale) + damping * np.eye(len(theta))
             step = np.linalg.solve(H, gradient / scale) / scale
-            if problem.model(theta + step).radius < 1.0:
+            if problem.model(theta + step).radius < problem.limit:
                 new = problem.local(theta + step, rows)
                 if new[0] < loss:
                     break
@@ -65,7 +71,7 @@ class OutputError:
 
     `records` the data, inputs of this output only; `output` which output; `form` orders: of A, of B, delays,
     offset; `prior` of the outputs before each record; `whitener` D: the loss is the sum of squares of D times
-    the simulation error (1 for plain output error).
+    the simulation error (1 for plain output error); `limit` radius below which the poles stay.
     """
 
     records: Sequence[Record]
@@ -73,6 +79,7 @@ class OutputError:
     form: Arx
     prior: Prior
     whitener: Array
+    limit: float = 1.0
 
     def fit(
         self, start: LinearModel, rows: Sequence[NDArray[np.bool_]], steps: int

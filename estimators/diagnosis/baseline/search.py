@@ -86,6 +86,7 @@ class Search:
     offset: bool
     asked: tuple[Array, ...] = ()  # (M, inputs) on which the model is wanted
     moving: bool = False  # whether the records are known to begin away from rest
+    limit: float = 1.0  # radius up to which a pole may lie
 
     @property
     def inputs(self) -> int:
@@ -127,7 +128,7 @@ class Search:
         if chosen.kind in ("ARX", "FIR"):
             candidate = self._arx(self._lagged(replace(form, offset=True)), form)
         else:
-            problem = OutputError(self.records, self.output, form, self.prior, np.ones(1))
+            problem = OutputError(self.records, self.output, form, self.prior, np.ones(1), self.limit)
             rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
             candidate = self._oe(problem, problem.fit(chosen.models[-1], rows, STEPS[1])[0], chosen.kind)
         trial = self.tried(candidate)
@@ -153,7 +154,7 @@ class Search:
         return (
             None
             if candidate is None
-            else judged(candidate, self.records, self.output, self.blocks, self.prior, self.asked)
+            else judged(candidate, self.records, self.output, self.blocks, self.prior, self.asked, self.limit)
         )
 
     def refined(self, known: Sequence[Trial]) -> list[Trial]:
@@ -232,9 +233,9 @@ class Search:
         rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
         starts = [realised(best[0].candidate.models[-1], form, REALISED)]
         starts += [t.candidate.models[-1] for t in best if t.candidate.form.na == form.na][:1]
-        problem = OutputError(self.records, self.output, form, self.prior, np.ones(1))
+        problem = OutputError(self.records, self.output, form, self.prior, np.ones(1), self.limit)
         ends = [
-            problem.fit(m, rows, STEPS[0]) if m is not None and m.radius < 1.0 else (None, np.inf)
+            problem.fit(m, rows, STEPS[0]) if m is not None and m.radius < self.limit else (None, np.inf)
             for m in (*starts, self._prefiltered(form))
         ]
         model, loss = min(ends[:-1], key=lambda end: end[1])
@@ -250,7 +251,7 @@ class Search:
         """Output error of one form, from least squares, their iteration and reductions of models near by; `noise` is its mean square."""
         rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
         starts = [self._least(form), self._prefiltered(form), *(realised(m, form, REALISED) for m in near)]
-        problem = OutputError(self.records, self.output, form, self.prior, np.ones(1))
+        problem = OutputError(self.records, self.output, form, self.prior, np.ones(1), self.limit)
         ends = [problem.fit(m, rows, LONGER) for m in starts if m is not None and m.radius < 1.0]
         if not ends:
             return None

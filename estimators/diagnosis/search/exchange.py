@@ -7,16 +7,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects import Slot
+from estimators.diagnosis.baseline.linear_model import FAR
+from estimators.diagnosis.effects import Slot, named
 from estimators.diagnosis.effects.input import DELAY
 from estimators.diagnosis.effects.path import LAG_BEFORE
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
+from estimators.diagnosis.model.linear import relinearised
 from estimators.diagnosis.model.simulation import simulate
+from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
+from estimators.diagnosis.search.free_runs import denominator
 
 Array = NDArray[Any]
 
 WORTH = 2.0  # by which an exchange must lower Schwarz's criterion
+TREND = named("drift")
 KEEP = 6.0  # by which an effect must lower it to stay, as it had to when it came
 
 
@@ -38,6 +43,27 @@ def without(channel: Channel, f: Fit, position: int, known: Sequence[Fit] = ()) 
     alike = [g for g in known if keys and sorted(part.key for part in g.structure.effects) == keys]
     fits = [fit(channel, s, f.p[at], f.scales[at], iterations=20)]
     return fits + [fit(channel, g.structure, g.p, g.scales, iterations=20) for g in alike]
+
+
+def trending(channel: Channel, f: Fit) -> Fit | None:
+    """The model with a trend in place of a pole that remembers where the record began to its end, as no input need drive it; None
+    where it has none, or a trend beside it."""
+    s, taken = f.structure, [part.effect for part in f.structure.parts]
+    within = s.layout != "tf" and any(part.effect.slot in (Slot.PLANT, Slot.FORM) for part in s.effects)
+    if s.layout == "tanks" or within or s.order < 2 or TREND in taken:
+        return None
+    poles = np.roots(denominator(f))
+    slow = int(np.argmax(np.abs(poles)))
+    if abs(poles[slow]) < FAR or poles[slow].imag != 0.0:
+        return None
+    new = replace(s, order=s.order - 1, taps=s.order - 1, layout="tf").adding(Part(TREND, s.inputs[0]))
+    p, scales = np.zeros(new.size), np.ones(new.size)
+    for part, old, at in zip(s.parts, s.slices(), new.slices(), strict=False):
+        count = part.count(new.order)
+        p[at], scales[at] = f.p[old][:count], f.scales[old][:count]
+    p[: new.order] = np.real(np.poly(np.delete(poles, slow)))[1:]
+    p = relinearised(channel, new, p)
+    return None if p is None else fit(channel, new, p, scales, iterations=40)
 
 
 def exchanged(channel: Channel, f: Fit, menu: Menu) -> tuple[Fit, dict[str, tuple[Fit, Fit]], dict[str, Fit]]:

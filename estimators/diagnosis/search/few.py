@@ -8,6 +8,7 @@ import numpy as np
 from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.model.fitting import Fit, fit
 from estimators.diagnosis.search.candidates import Menu
+from estimators.diagnosis.search.exchange import TREND, trending
 from estimators.diagnosis.search.named import HALF, LEFT, Bench, Named, bent, named_steps, spread
 from estimators.diagnosis.search.selection import FULL, Attribution, second
 
@@ -26,7 +27,20 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     The search goes by one-step errors under a noise model of high order, which predicts most of a smooth model error
     whatever its cause. Where no noise model stands in its answer there is nothing that it could have hidden.
     """
-    first = named_steps(bench, a)
+
+    def steps(f: Fit, rivals: dict[str, list[str]]) -> Named:
+        """What holds of a model, or of the same with a trend for a pole that forgets nothing: where unused blocks are surely better
+        with it, or the ladder would refuse how the one with the pole starts."""
+        n = named_steps(bench, replace(a, final=f, rivals=rivals))
+        if TREND not in menu.effects or (t := trending(bench.channel, n.fit)) is None:
+            return n
+        straight = named_steps(bench, replace(a, final=t, rivals=rivals))
+        if straight.step is None or not bench.starts(straight):
+            return n
+        surely = n.step is None or bench.over(straight.unused, n.unused).meets(bench.policy.searched)
+        return straight if surely or not bench.starts(n) else n
+
+    first = steps(a.final, a.rivals)
     kept = [first] if bench.starts(first) else []
     if kept and not len(a.final.noise):
         return first
@@ -40,7 +54,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
             f = fit(bench.channel, f.structure, f.p, f.scales, iterations=40)
             if not spread(f) <= share * least:
                 continue
-            n = named_steps(bench, replace(a, final=f, rivals={}))
+            n = steps(f, {})
             if len(n.unused) and n.whole and bench.over(n.unused, linear).meets(bench.policy.claimed):
                 found.append(n)  # each is significant in its own fit besides
                 least = min(least, n.step_error(bench))

@@ -12,7 +12,7 @@ from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.measurement import at_extremes, at_reversals, held_samples
 from estimators.diagnosis.search.candidates import Menu, augmented
-from estimators.diagnosis.search.exchange import exchanged, whole_delay, without
+from estimators.diagnosis.search.exchange import exchanged, trending, whole_delay, without
 
 B, A = [0.0, 0.1, 0.08], [1.0, -1.5, 0.7]
 
@@ -165,3 +165,26 @@ def test_what_changes_at_the_very_end_of_a_record_is_no_model_of_a_later_one():
     for time, admitted in ((188.0, True), (193.0, False), (7.0, False)):
         p = np.array([-0.5, 1.0, -1.1, time])
         assert bool(np.all(np.isfinite(simulate(s, p, channel.u, channel.clock)))) is admitted
+
+
+def test_a_pole_that_forgets_nothing_gives_way_to_a_trend():
+    """A limited input before a lag, and a scale that creeps: a pole at .9998 had run down from an initial state of its own."""
+    rng, n = np.random.default_rng(35), 900
+    u = np.repeat(rng.uniform(10.0, 90.0, n // 15), 15)
+    y = 6.0 + lfilter([0.0, 0.01], [1.0, -0.9], np.minimum(u, 55.0)) - 0.4 * np.arange(n) / n
+    channel = channel_of(u, y + 0.01 * rng.standard_normal(n))
+    s = Structure(
+        2, parts=(Part(named("offset")), Part(named("initial")), Part(named("saturation_upper"))), base=2
+    )
+    linear = [-1.8998, 0.89982, 0.01, -0.01]
+    slow = fit(
+        channel, s, np.array([*linear, 6.0, 0.0, 0.0, 56.0]), np.array([1.0] * 7 + [50.0]), iterations=40
+    )
+    straight = trending(channel, slow)
+    assert straight is not None
+    assert [part.key for part in straight.structure.effects] == ["saturation_upper", "drift"]
+    assert straight.structure.order == 1
+    assert straight.criterion < slow.criterion
+    assert straight.p[straight.structure.slices()[2]] == pytest.approx([55.0], abs=0.2)
+    assert straight.p[straight.structure.slices()[3]][1] == pytest.approx(-0.4, abs=0.02)
+    assert trending(channel, straight) is None  # one trend is enough

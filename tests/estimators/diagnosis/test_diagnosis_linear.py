@@ -186,3 +186,21 @@ def test_records_of_the_kinds_below_of_which_something_was_claimed(seed):
     found = diagnose(train, test, Setting(effort=Effort.QUICK, separate=True, deviations=stated))
     assert found.effect in LINEAR or (found.effect == "closed_loop" and kind.loop != "open")
     assert found.difference.high >= 0.0
+
+
+@pytest.mark.slow
+def test_an_unstable_plant_in_a_loop_has_a_linear_model():
+    """No stable model followed it better than its mean; slow drifts alone ask for no such pole."""
+    rng, n, pole = np.random.default_rng(3), 400, 1.006
+    x, u, y = 0.0, np.zeros(n), np.zeros(n)
+    for t, target in enumerate(np.repeat(rng.uniform(-1.0, 1.0, n // 50), 50)):
+        y[t] = x + 0.01 * rng.standard_normal()
+        u[t] = 2.0 * (target - y[t])
+        x = pole * x + 0.05 * u[t]
+    model = best_linear([Record(u, y)])
+    assert model.outputs[0].model.radius == pytest.approx(pole, abs=1e-3)
+    assert model.rmse_unused[0] < 0.1 * np.std(y)
+    assert "unstable" in model.outputs[0].warnings[0]
+    grows = np.exp(3.0 * np.arange(n) / n) + 0.3 * rng.standard_normal(n)
+    driven = lfilter([0.0, 0.1], [1.0, -0.9], rng.standard_normal(n))
+    assert best_linear([Record(rng.standard_normal(n), driven + grows)]).outputs[0].model.radius <= 1.0
