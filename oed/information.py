@@ -107,10 +107,13 @@ def information_rows(model: Responding, spectrum: Spectrum) -> NDArray[np.float6
 
 
 def power_root(spectrum: Spectrum) -> NDArray[np.complex128]:
-    """R_k with R_k R_k^* = P_k for every line: returns (K, nu, nu)."""
+    """R_k with R_k R_k^* = P_k for every line, in units of every channel's own power: what is little beside another channel's keeps
+    its digits, and may be all that a sharp resonance is known by: returns (K, nu, nu)."""
     if spectrum.n_inputs == 1:
         return np.sqrt(np.clip(spectrum.power.real, 0, None)).astype(complex)
-    return square_root(spectrum.power)
+    own = np.sqrt(np.clip(np.einsum("kii->ki", spectrum.power).real, 0, None))
+    unit = np.where(own > 0, own, 1.0)
+    return unit[:, :, None] * square_root(spectrum.power / (unit[:, :, None] * unit[:, None, :]))
 
 
 def information_of_signal(plant: Responding, u: ArrayLike) -> NDArray[np.float64]:

@@ -116,8 +116,9 @@ class Challenge:
     def _factor(self, spectrum) -> np.ndarray:
         """F of the information F F^*, (n, k) complex."""
         D = gradient(self.plant, spectrum.omega)
-        values, vectors = np.linalg.eigh(spectrum.power)
-        half = D @ (vectors * np.sqrt(np.clip(values, 0, None))[:, None, :])[:, None]
+        unit = np.sqrt(np.maximum(np.einsum("kii->ki", spectrum.power).real, 1e-300))
+        values, vectors = np.linalg.eigh(spectrum.power / (unit[:, :, None] * unit[:, None, :]))
+        half = D @ (unit[:, :, None] * vectors * np.sqrt(np.clip(values, 0, None))[:, None, :])[:, None]
         return np.moveaxis(half, 1, 0).reshape(self.n, -1)
 
     def condition(self, spectrum) -> float:
