@@ -1,4 +1,4 @@
-"""Covariance of a fitted form's parameters where its errors are correlated: the sandwich with Bartlett weights."""
+"""Covariance of a fitted form's parameters where its errors are correlated: the sandwich, whitened and with Bartlett weights."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -10,11 +10,13 @@ from scipy.stats import chi2
 
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, sensitivities
 from estimators.diagnosis.discovery.form import Assembly
+from estimators.pem.uncertainty import long_run
 
 Array = NDArray[Any]
 LAGS = (
     3.0  # of the Bartlett window, in the model's own time constants: errors of the model last about as long
 )
+LEAST = 1e-9  # of a sample's own error left by the fit: one that alone tells a parameter has none
 ALPHA, SEARCHED = 0.01, 1500  # rate of false terms in a model, and how many candidates it was the best of
 MISSED = 0.05
 """Share by which the error may rise without a term. A coefficient beside a width of its own may be uncertain, as a tanh that
@@ -23,28 +25,28 @@ DIFFERENCE = 1e-5  # relative step of the delta method
 
 
 def covariance(fitted: Fitted, pieces: Sequence[Piece]) -> Array:
-    """(P, P) of theta alone, the start states taken out."""
+    """(P, P) of theta alone, the start states taken out; every error counts as if its own sample had not been fitted."""
     asm = Assembly(fitted.form)
     p, nx = len(fitted.theta), asm.chain_states
-    size = p + nx * len(pieces)
-    H, S = np.zeros((size, size)), np.zeros((size, size))
+    H, parts = np.zeros((p + nx * len(pieces),) * 2), []
     for r, (piece, state) in enumerate(zip(pieces, fitted.starts)):
         y, dy, *_ = sensitivities(asm, fitted.theta, state, piece.d)
-        e = (piece.y - y) * piece.weight
         where = np.concatenate([np.arange(p), p + nx * r + np.arange(nx)])
         J = dy * piece.weight[:, :, None]
         flat = J.reshape(-1, J.shape[2])
-        score = np.einsum("kip,ki->kp", J, e)
-        lags = min(int(LAGS / min(fitted.form.paces)), len(piece.y) // 10)
-        own = score.T @ score
-        for k in range(1, lags + 1):
-            cross = score[k:].T @ score[:-k]
-            own += (1 - k / (lags + 1)) * (cross + cross.T)
         H[np.ix_(where, where)] += flat.T @ flat  # pyright: ignore[reportCallIssue]
-        S[np.ix_(where, where)] += own  # pyright: ignore[reportCallIssue]
+        parts.append((where, J, (piece.y - y) * piece.weight))
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     inverse = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
-    return (inverse @ S @ inverse)[:p, :p]
+    moves = []
+    for where, J, e in parts:
+        reach = J @ inverse[np.ix_(where, where)]
+        kept = np.eye(e.shape[1]) - reach @ J.transpose(0, 2, 1)
+        left = np.linalg.solve(kept + LEAST * np.eye(e.shape[1]), e[:, :, None])
+        moves.append(np.einsum("kip,ki->kp", reach[:, :, :p], left[:, :, 0]))
+    size = np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0)) + 1e-300
+    lags = min(int(LAGS / min(fitted.form.paces)), min(len(q.y) for q in pieces) // 10)
+    return long_run([m / size for m in moves], lags) * np.outer(size, size)
 
 
 def beyond_linear(fitted: Fitted, pieces: Sequence[Piece]) -> Array:
