@@ -110,6 +110,7 @@ CASES: dict[str, Callable[[int], Row]] = {
     "iterate, variance 9": lambda seed: of_iterate(named_plant("reference", 9.0), "siso", 1000, 50, seed),
     "iterate, several channels": lambda seed: of_iterate(SEVERAL, "mimo", 300, 20, seed),
     "iterate, two experiments": lambda seed: of_iterate(REFERENCE, "two-experiment", 1000, 20, seed),
+    "iterate, procedure 1": lambda seed: of_iterate(REFERENCE, "procedure-1", 1000, 20, seed),
     "iterate, short": lambda seed: of_iterate(REFERENCE, "siso", 200, 20, seed),
     "iterate, order 20": lambda seed: of_iterate(named_plant("order-20", 1.0), "siso", 1000, 20, seed),
     "iterate, peak at 0": lambda seed: of_iterate(named_plant("peak-at-zero", 1.0), "siso", 1000, 20, seed),
