@@ -59,7 +59,7 @@ def real_gram(F: NDArray) -> NDArray:
     return parts @ parts.T
 
 
-def of_few(error: float, freedom: int) -> float:
+def of_few(error: float, freedom: float) -> float:
     """A standard error that is itself known from few pieces, as wide as it must be for 1.96 of it to hold in 95 % of
     cases: Student's quantile over the normal one."""
     from scipy.special import stdtrit

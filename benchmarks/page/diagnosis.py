@@ -106,7 +106,7 @@ def _errors(result: Diagnosis) -> Table:
             "high": high,
         })  # fmt: skip
     unit = _unit(result).strip() or "units of the output"
-    caption = f"Root mean square errors with intervals of a block bootstrap, in {unit}; a share has no unit."
+    caption = f"Root mean square errors with 95 % intervals, as of the same record measured again, in {unit}; a share has no unit."
     return Table("errors", caption, headed("error", "value", low="2.5 %", high="97.5 %"), rows)
 
 

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from oed.covariances import of_few
+
 Parts = Sequence[NDArray[np.float64]]
 
 
@@ -173,3 +175,25 @@ def sum_error(off: NDArray[np.float64]) -> float:
     own = float(off @ off)
     near = sum((1.0 - k / (NEAR + 1.0)) * float(off[k:] @ off[:-k]) for k in range(1, min(NEAR, m - 1) + 1))
     return float(np.sqrt(max(own, own + 2.0 * near) * m / max(m - 1, 1)))
+
+
+INDEPENDENT = 8.0
+"""Independent values for a degree of freedom of their own spread: 7 of squares of normal errors, whose kurtosis is 15 ((15 - 1) / 2), and
+one for the memory, which is estimated too."""
+NORMAL = 1.959964
+"""Two-sided 95 % of a normal deviate."""
+
+
+def mean_error(series: NDArray[np.float64]) -> float:
+    """Standard error of the mean of a series with memory, in the order of time, as wide as it must be for 1.96 of it to hold in 95 %."""
+    off = series - series.mean()
+    size = float(np.max(np.abs(off)))
+    if not size:
+        return 0.0
+    off = off / size
+    noise = noise_filter([off])
+    white = np.convolve(off, noise)[: len(off)]
+    own = float(off @ off)
+    spread = max(own, float(white @ white) / float(noise.sum()) ** 2)
+    freedom = max(1.0, len(off) * own / spread / INDEPENDENT)
+    return size * of_few(float(np.sqrt(spread)) / len(off), freedom)

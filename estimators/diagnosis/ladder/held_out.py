@@ -15,16 +15,15 @@ from estimators.diagnosis.ladder.stated import SET
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
+from estimators.residual.algebra import NORMAL, mean_error
 from oed.data import Record
 
 if TYPE_CHECKING:
     from estimators.diagnosis.result.answers import Answer
 
 Array = NDArray[Any]
-SEED = 20260
-"""Of the bootstrap: two runs on one record give the same intervals."""
-DRAWS = 200
-"""Bootstrap draws: the 2.5 % quantile of 200 is off by a tenth of the interval's width."""
+LONGEST = 300.0
+"""Of the logarithm of an interval's half width: what is known so badly has every value, and exp must not overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,54 +53,46 @@ class HeldOut:
         return self.untried or (self.borne.low > 0.0 and not self.lost)
 
 
-def _resampled(squares: list[Array], rng: np.random.Generator) -> list[Array]:
-    """Roots of the means of several series over the same moving blocks, (DRAWS,) each.
+def _root(e: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(e**2, axis=1))))
 
-    The blocks run on from the end to the start: else the first and last samples, where a transient is, would hardly count.
+
+def _moves(e: Array, noise: Array) -> Array:
+    """(N,) what each sample's noise adds to the root mean square of errors (N, ny), to first order, times N.
+
+    What a model makes of the inputs stays as it is when a record is measured again: errors e are e - noise, and `noise` anew.
     """
-    n = len(squares[0])
-    block = max(1, min(n // 5, int(2 * n ** (1 / 3))))
-    count = int(np.ceil(n / block))
-    which = rng.integers(0, n, (DRAWS, count))
-    out = []
-    for series in squares:
-        total = np.concatenate(([0.0], np.cumsum(np.concatenate((series, series[: block - 1])))))
-        sums = total[block:] - total[:-block]
-        out.append(np.sqrt(np.maximum(sums[which].sum(axis=1) / (count * block), 0.0)))
-    return out
+    return ((e - noise / 2.0) * noise).sum(axis=1) / max(_root(e), 1e-300)
 
 
-def _root(squares: Array) -> float:
-    return float(np.sqrt(max(squares.mean(), 0.0)))
+def root_figure(e: Array, noise: Array) -> ErrorFigure:
+    """Root mean square of errors (N, ny), with an interval that is even in its logarithm: that of the same record, measured again."""
+    value = _root(e)
+    wide = float(np.exp(min(NORMAL * mean_error(_moves(e, noise)) / max(value, 1e-300), LONGEST)))
+    return ErrorFigure(value, value / wide, value * wide)
 
 
-def bootstrap(squares: Array, rng: np.random.Generator, other: Array | None = None) -> ErrorFigure:
-    """Root of the mean (or the difference of two roots) with a moving-block bootstrap interval."""
-    if other is None:
-        values, value = _resampled([squares], rng)[0], _root(squares)
-    else:
-        first, second = _resampled([squares, other], rng)
-        values, value = first - second, _root(squares) - _root(other)
-    low, high = np.quantile(values, (0.025, 0.975))
-    return ErrorFigure(value, float(low), float(high))
+def difference_figure(first: Array, second: Array) -> ErrorFigure:
+    """The difference of two such roots; the noise is what the second leaves."""
+    return _about(_root(first) - _root(second), mean_error(_moves(first, second) - _moves(second, second)))
 
 
-def removed(
-    before: Array, after: Array, floor: tuple[float, int], rng: np.random.Generator, policy: Policy
-) -> ErrorFigure:
+def _about(value: float, error: float) -> ErrorFigure:
+    return ErrorFigure(value, value - NORMAL * error, value + NORMAL * error)
+
+
+def removed(before: Array, after: Array, floor: tuple[float, int], policy: Policy) -> ErrorFigure:
     """(before - after)/(before - floor) with its interval; NaN where there is hardly anything to remove.
 
     The floor is from other data, of so many samples: a standard deviation with its own sampling error.
     """
     level, samples = floor
-    value = _root(before)
-    if value - level <= policy.removable * level:
+    room = _root(before) - level
+    if room <= policy.removable * level:
         return ErrorFigure(*[float("nan")] * 3)
-    first, second = _resampled([before, after], rng)
-    floors = level * (1.0 + rng.standard_normal(len(first)) / np.sqrt(2.0 * samples))
-    room = np.maximum(first - floors, policy.removable * level + 1e-300)
-    low, high = np.quantile((first - second) / room, (0.025, 0.975))
-    return ErrorFigure((value - _root(after)) / (value - level), float(low), float(high))
+    value = (_root(before) - _root(after)) / room
+    own = mean_error(_moves(before, after) * (1.0 - value) - _moves(after, after)) / room
+    return _about(value, float(np.hypot(own, value / room * level / np.sqrt(2.0 * samples))))
 
 
 def _sane(run: Array, linear: Array, y: Array, policy: Policy) -> bool:
@@ -257,13 +248,12 @@ def assess(
     before = stacked([0] * len(runs))
     weight = counts & np.isfinite(before)
     rows = weight.any(axis=1)
-    rng = np.random.default_rng(SEED)
 
-    def squares(run: Array) -> Array:
+    def errors(run: Array) -> Array:
         e = np.where(weight, np.nan_to_num(y - run, posinf=1e150, neginf=-1e150), 0.0)
-        return (e**2).sum(axis=1)[rows] / weight.sum(axis=1)[rows]
+        return e[rows] / np.sqrt(weight[rows].sum(axis=1, keepdims=True))
 
-    first, second = squares(before), squares(stacked(answers))
+    first, second = errors(before), errors(stacked(answers))
     if test is not None and _root(second) > _root(first):
         kinds = {k.rungs[a].step.kind.value for k, a in zip(ladders, answers, strict=True) if a}
         warnings.append(REFUSED.format(" and ".join(sorted(kinds)), _root(second), _root(first)))
@@ -275,15 +265,19 @@ def assess(
     plain = [r[0] if test is None or a is None else free_run(a) for r, a in zip(runs, bare, strict=True)]
     ahead = [np.stack([_innovations(y[:, i] - run[:, i], noise) for i, noise in enumerate(noises)], axis=1)
              for run, noises in ((before, [np.zeros(0)] * len(steps)), (after, [s.noise for s in steps]))]  # fmt: skip
-    third, least = squares(claimed), min(first, squares(np.stack(plain, axis=1)), key=np.sum)
-    figures = bootstrap(first, rng), bootstrap(second, rng)
+    third, least = errors(claimed), min(first, errors(np.stack(plain, axis=1)), key=_root)
+    figures, (one, other) = (
+        (root_figure(first, second), root_figure(second, second)),
+        (errors(y - e) for e in ahead),
+    )
     worse = _worse_than_constant(y, weight, figures, policy)
     return HeldOut(
-        before, after, figures[0], figures[1], bootstrap(squares(y - ahead[0]), rng), bootstrap(squares(y - ahead[1]), rng),
-        difference := bootstrap(first, rng, second), removed(first, second, (floor, len(train)), rng, policy),
-        tuple(_rungs(ladders, runs, squares, rng, answers)), tuple(steps), (*warnings, *worse.values()),
-        difference if at == answers and least is first else bootstrap(least, rng, third), untried,
-        ANSWER in _worse_than_constant(y, weight, (figures[0], bootstrap(third, rng)), policy),
+        before, after, figures[0], figures[1], root_figure(one, other), root_figure(other, other),
+        difference := difference_figure(first, second), removed(first, second, (floor, len(train)), policy),
+        tuple(_rungs(ladders, runs, lambda run: root_figure(errors(run), second), answers)), tuple(steps),
+        (*warnings, *worse.values()),
+        difference if at == answers and least is first else difference_figure(least, third), untried,
+        ANSWER in _worse_than_constant(y, weight, (figures[0], root_figure(third, third)), policy),
     )  # fmt: skip
 
 
@@ -321,8 +315,7 @@ def _worse_than_constant(
 def _rungs(
     ladders: Sequence[Ladder],
     runs: list[list[Array]],
-    squares: Any,
-    rng: np.random.Generator,
+    figure_of: Callable[[Array], ErrorFigure],
     answers: Sequence[int],
 ) -> list[dict]:
     """One row per kind of step over all outputs: each output stands on its last rung of that kind or below."""
@@ -336,7 +329,7 @@ def _rungs(
             float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in used])))
             for name in ("value", "low", "high")
         )
-        figure = bootstrap(squares(run), rng)
+        figure = figure_of(run)
         adds = [key for r in used if r.step.kind is kind for key in r.step.adds]
         rows.append({
             "step": kind.value, "adds": adds, "rmse_unused": value, "low": low, "high": high,

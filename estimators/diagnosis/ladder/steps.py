@@ -178,7 +178,7 @@ def paired_gain(
 def unused_error(
     measured: Sequence[Array], step: Step, counted: Sequence[NDArray[np.bool_]], policy: Policy
 ) -> Rung:
-    """The step's root mean square error on unused blocks, with its interval."""
+    """The step's root mean square error on unused blocks, with its interval: 95 % of white errors, .80 of those of a long memory."""
     squares = [(y - s) ** 2 for y, s in zip(measured, step.unused, strict=True)]
     if not all(np.all(np.isfinite(s[use])) for s, use in zip(squares, counted, strict=True)):
         return Rung(step, np.inf, np.inf, np.inf)

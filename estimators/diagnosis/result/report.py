@@ -20,9 +20,9 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class ErrorFigure:
-    """A root mean square error with its bootstrap interval.
+    """A root mean square error with its interval.
 
-    `value` in units of the output; `low, high` 95 % interval from a block bootstrap.
+    `value` in units of the output; `low, high` 95 % interval: of the same record, measured again.
     """
 
     value: float
@@ -43,7 +43,7 @@ class Diagnosis:
     simulation errors on the test record, all outputs; `pred_rmse_before, pred_rmse_after` one-step-ahead
     errors; `difference` paired difference before - after of the simulation error; `noise_floor` estimated
     error of a perfect model; `room` fraction of the removable error removed with the floor as it is, and its
-    95 % interval by the same bootstrap; `yhat_before, yhat_after` (N, ny) simulated test output; `evidence`
+    95 % interval; `yhat_before, yhat_after` (N, ny) simulated test output; `evidence`
     sentences; `parameters` effect parameters: name -> (value, standard error, unit); `confusable` causes that
     this record cannot tell from the first; `remaining` what the final residual still shows; `refinements`
     causes that the search had put into the model and that are not claimed; `floor_is_bound` whether the noise
