@@ -40,8 +40,18 @@ def headline(
     if (
         claimed
     ):  # its numbers are coefficients, which say nothing; what it gains is evidence, and stands below
-        return f"{name} ({effects[top.key].sentence}){' and'.join(on_output(o, several) for o in claimed)}"
+        where = " and".join(on_output(o, several) for o in claimed)
+        return f"{name} ({effects[top.key].sentence}){where}{_instead(claimed, top.key, effects)}"
     return f"{name}: {top.sentence}"
+
+
+def _instead(claimed: Sequence[Outcome], key: str, effects: dict[str, Effect]) -> str:
+    """What the answer has where linear dynamics are told in its place, as they do as well."""
+    steps = [s for o in claimed for s in o.ladder.chosen.chain if s.kind is Kind.NAMED and key not in s.adds]
+    other = [effects[k] for s in steps for k in s.adds if k in effects]
+    return (
+        f" or {other[0].cause.replace('_', ' ')} ({other[0].sentence}), as the answer has it" if other else ""
+    )
 
 
 def on_output(o: Outcome, several: bool) -> str:

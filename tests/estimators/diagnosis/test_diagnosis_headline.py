@@ -7,7 +7,7 @@ import pytest
 
 from estimators.diagnosis.effects import CATALOGUE
 from estimators.diagnosis.ladder.asked import outside
-from estimators.diagnosis.ladder.first_line import UNKNOWN, equations, headline
+from estimators.diagnosis.ladder.first_line import UNKNOWN, _instead, equations, headline
 from estimators.diagnosis.ladder.steps import Kind, Step
 from estimators.diagnosis.ladder.verdicts import Finding
 from estimators.diagnosis.policy import Policy
@@ -75,3 +75,14 @@ def test_what_leaves_the_range_says_by_how_much():
     ramp = np.linspace(0.0, 1.0, 50)
     train, test = (Record(x, x, input_units=("V",)) for x in (ramp, 0.99 + 0.02 * ramp))
     assert any("(0 to 1 V), by up to 0.01 V" in words for words in outside([train], test, Policy()))
+
+
+def test_where_linear_dynamics_do_as_well_the_first_line_says_what_the_answer_has() -> None:
+    """A diode between two filters was "one more order" alone, over a model that had a curve of the sensor."""
+    effects = {e.key: e for e in CATALOGUE}
+    step = Made(kind=Kind.NAMED, adds=("output_tanh",))
+    outcome = Made(ladder=Made(chosen=Made(chain=(step,))))
+    assert _instead([outcome], "order_one", effects) == (
+        " or output nonlinearity (the sensor reads tanh(c y)/c), as the answer has it"
+    )
+    assert _instead([outcome], "output_tanh", effects) == ""
