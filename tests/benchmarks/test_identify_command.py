@@ -129,6 +129,14 @@ def test_bad_input_is_one_line_and_status_2(data, capfd, arguments, words) -> No
     assert len(said.splitlines()) == 1
 
 
+@pytest.mark.parametrize("command", ["identify", "diagnose"])
+def test_rows_given_twice_are_not_counted_twice(data, capfd, command) -> None:
+    """The same file twice had made every standard error too small by a factor of 1.4, in silence."""
+    for second, rows in ((str(data), 400), (f"{data}[300:]", 100)):
+        assert main([command, str(data), second]) == 2
+        assert f"{rows} consecutive rows of record 2 are also in record 1" in capfd.readouterr().err
+
+
 def test_what_was_fitted_is_no_fresh_data(data, capfd, tmp_path) -> None:
     assert main(["identify", f"{data}[:300]", "--test", f"{data}[200:]"]) == 2
     assert "100 consecutive rows of the test record are also in the training record" in capfd.readouterr().err

@@ -141,13 +141,14 @@ def run(args: argparse.Namespace) -> tuple[dict, str]:
 
 def _read(args: argparse.Namespace, notes: list[str]) -> tuple[list, Any]:
     """The records to fit, and the fresh one."""
-    from estimators.diagnosis.record.admission import check_fresh
+    from estimators.diagnosis.record.admission import check_distinct, check_fresh
     from estimators.stages import stage
     from oed.files import read_record
 
     stage("reading the data")
     how = {name: getattr(args, name) for name in ("inputs", "outputs", "dt", "missing")}
     records = [read_record(spec, **how, notes=notes) for spec in args.data]
+    check_distinct(records)
     fresh = read_record(args.test, **how, notes=notes) if args.test else None
     if fresh is not None:
         for record in records:

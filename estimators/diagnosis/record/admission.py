@@ -52,6 +52,19 @@ def check_fresh(train: Record, test: Record) -> None:
                          "them would prove nothing: give data that were not used.")  # fmt: skip
 
 
+def check_distinct(records: Sequence[Record]) -> None:
+    """Refuse records that share measured rows: counted twice they make errors too small, and blocks left out are known."""
+    for k, one in enumerate(records):
+        for j, other in enumerate(records[:k]):
+            alike = (one.n_inputs, one.n_outputs) == (other.n_inputs, other.n_outputs)
+            shared = copied_rows(other, one) if alike else 0
+            if shared:
+                raise InputError(
+                    f"{shared} consecutive rows of record {k + 1} are also in record {j + 1}; counted twice, they would make every "
+                    "standard error too small: give each record once."
+                )
+
+
 def _alike(train: Record, other: Record, name: str) -> None:
     if (other.n_inputs, other.n_outputs) != (train.n_inputs, train.n_outputs):
         raise InputError(f"the {name} has {other.n_inputs} inputs and {other.n_outputs} outputs, the training record "
@@ -64,7 +77,9 @@ def _alike(train: Record, other: Record, name: str) -> None:
 
 def together(train: Any, test: Record | None) -> list[Record]:
     """The training records, checked, the longest first: single effects are looked for there, and judged on all."""
-    records = sorted(as_records(train, missing=True), key=len, reverse=True)
+    given = as_records(train, missing=True)
+    check_distinct(given)
+    records = sorted(given, key=len, reverse=True)
     for record in records:
         _alike(records[0], record, "other training record")
         _check(record, test)
