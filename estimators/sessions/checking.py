@@ -14,7 +14,7 @@ from oed.errors import CUBES, InputError, check_size, largest
 from oed.files.clock import sampling_time
 from oed.files.limits import file_content
 from oed.files.reading import read_table
-from oed.files.tables import Table, split_unit
+from oed.files.tables import Table, seconds_per, split_unit
 
 Array = NDArray[np.float64]
 HELD = 5
@@ -82,6 +82,9 @@ def read_output(path: Path, settings: Settings, step: int) -> Reading:
             "waited for; give that file (or rename this one if its name is wrong)."
         )
     table = read_table(path)
+    twice = [name for name in dict.fromkeys(table.names) if name and table.names.count(name) > 1]
+    if twice:
+        raise InputError(f"{path.name} has more than one column {twice[0]!r}; give each column its own name.")
     if path.suffix.lower() == ".csv" and not file_content(path).endswith((b"\n", b"\r")):
         raise InputError(
             f"{path.name} does not end with a line break; its last row may be half written: wait until the rig has "
@@ -97,13 +100,13 @@ def read_output(path: Path, settings: Settings, step: int) -> Reading:
         )
     u_columns = _columns(table, settings.inputs)
     with_inputs = all(u_columns.values())
-    clock = [name for name in table.names if name in ("t", "t_s")][:1]
     wanted = [*y_columns.values(), *(u_columns.values() if with_inputs else ())]
+    clock = [name for name in table.names if seconds_per(name) and name not in wanted][:1]
     loaded = table.load([*[column for column in wanted if column], *clock])
     if len({len(values) for values in loaded}) > 1:
         raise InputError(f"the columns of {path.name} have unequal lengths; they must be equal.")
     if clock and len(loaded[-1]) > 1:
-        _check_clock(loaded[-1], settings, path.name)
+        _check_clock(loaded[-1] * seconds_per(clock[0]), settings, path.name)
     ny = settings.n_outputs
     y = np.column_stack(loaded[:ny])
     return Reading(y, np.column_stack(loaded[ny : ny + settings.n_inputs]) if with_inputs else None)
