@@ -187,3 +187,33 @@ def test_whole_numbers_and_lists_will_do():
     assert worst_d_criterion([[[1, 0], [0, 1]]]).loss(M) == pytest.approx(
         worst_d_criterion(np.eye(2)[None]).loss(np.array(M, float))
     )
+
+
+@pytest.mark.parametrize("size", [1e-20, 1.0, 1e6])
+def test_a_weight_is_symmetric_to_rounding_of_its_own_size(size):
+    off = np.array([[1.0, 1e-14], [0.0, 1.0]])
+    assert a_criterion(2, size * off).loss(np.eye(2)) == pytest.approx(2 * size)
+    for wrong in ([[1.0, 1e-8], [0.0, 1.0]], [[1.0, 0.5], [0.5 + 1e-8, 1.0]]):
+        with pytest.raises(InputError, match="symmetric"):
+            a_criterion(2, size * np.array(wrong))
+
+
+def test_a_determinant_of_nothing_is_nothing():
+    criterion = d_criterion(2)
+    assert criterion.of_covariance(np.diag([1.0, -1e-20])) == 0.0
+    assert criterion.of_covariance(np.diag([1.0, 0.0])) == 0.0
+    assert criterion.numerator(np.ones((2, 2))) == 0.0
+    assert criterion.scaled(np.array([[1.0, 0.0], [1.0, 0.0]]))[1] == 0.0
+
+
+def test_the_scale_of_a_determinant_keeps_its_digits_of_a_triangle():
+    """By QR it is off by a millionth."""
+    criterion = d_criterion(2)
+    assert criterion.scaled(np.array([[1.0, 0.0], [1e10, 1.0]]))[1] == 1.0
+    assert criterion.scaled(np.array([[1.0, 2.0], [3.0, 4.0]]))[1] == pytest.approx(2.0, rel=1e-12)
+    assert d_criterion(3, [0, 2]).name == "Ds"
+
+
+def test_where_nothing_is_told_a_trace_rises_along_what_is_asked():
+    rise, _ = a_criterion(2).log_numerator(np.diag([1.0, -1.0]))
+    np.testing.assert_array_equal(rise, 2 * np.eye(2))

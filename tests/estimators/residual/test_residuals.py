@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from estimators.pem import identify
-from estimators.residual.algebra import noise_filter
+from estimators.residual.algebra import INDEPENDENT, mean_error, noise_filter
 from estimators.residual.tests import (
     autocorrelation,
     cross_correlation,
@@ -17,6 +17,7 @@ from estimators.residual.tests import (
     residual_tests,
     whiteness,
 )
+from oed.covariances import of_few
 from oed.data import Record
 from oed.errors import InputError
 from tests.oracles import residuals as oracle
@@ -144,3 +145,23 @@ def test_bad_input_is_told(rng) -> None:
         autocorrelation(rng.normal(size=(50, 2)))
     with pytest.raises(InputError, match="lags"):
         autocorrelation(rng.normal(size=3))
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.8, -0.5])
+def test_the_error_of_a_mean_knows_the_memory_of_its_series(pole) -> None:
+    """Of a long AR(1) series: its deviation times 1 / (1 - pole), over the root of its length; a negative pole is not believed."""
+    e = np.asarray(lfilter([1.0], [1.0, -pole], np.random.default_rng(4).normal(size=40_000)))
+    told = max(1 / (1 - pole), 1 / np.sqrt(1 - pole**2)) / 200
+    assert mean_error(3.0 + e) == pytest.approx(told, rel=0.03)
+    assert mean_error(1e200 * e) == pytest.approx(1e200 * mean_error(e), rel=1e-12)
+
+
+def test_the_error_of_a_mean_is_as_wide_as_few_values_make_it() -> None:
+    few = np.random.default_rng(0).normal(size=19)
+    few_error = float(np.sqrt(np.sum((few - few.mean()) ** 2))) / 19
+    assert list(noise_filter([few - few.mean()])) == [1.0]
+    assert mean_error(few) == pytest.approx(of_few(few_error, 19 / INDEPENDENT), rel=1e-12)
+    fewer = few[:5]
+    fewer_error = float(np.sqrt(np.sum((fewer - fewer.mean()) ** 2))) / 5
+    assert mean_error(fewer) == pytest.approx(of_few(fewer_error, 1.0), rel=1e-12)
+    assert mean_error(np.full(7, 2.5)) == 0.0
