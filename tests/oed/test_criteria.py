@@ -217,3 +217,22 @@ def test_the_scale_of_a_determinant_keeps_its_digits_of_a_triangle():
 def test_where_nothing_is_told_a_trace_rises_along_what_is_asked():
     rise, _ = a_criterion(2).log_numerator(np.diag([1.0, -1.0]))
     np.testing.assert_array_equal(rise, 2 * np.eye(2))
+
+
+def test_a_condition_number_is_infinite_where_nothing_is_known_and_has_no_direction():
+    criterion = condition_criterion(2, [1.0, 2.0])
+    np.testing.assert_array_equal(criterion.V, np.diag([1.0, 0.5]))
+    assert criterion.of_covariance(np.diag([2.0, 8.0])) == pytest.approx(4.0)
+    for singular in (np.diag([0.0, 1.0]), np.diag([-1e-20, 1.0])):
+        assert criterion.of_covariance(singular) == np.inf
+    for asked in (
+        lambda: criterion.numerator(np.eye(2)),
+        lambda: criterion.turned(np.eye(2), np.eye(2), None),
+    ):
+        with pytest.raises(InputError, match="no bound by one direction"):
+            asked()
+    for size in (1e-6, 1e6):  # which it does not see
+        other, factor = criterion.scaled(size * criterion.V)
+        assert other.kind == "K"
+        assert factor == 1.0
+        np.testing.assert_allclose(other.V, criterion.of_unit_norm(criterion.V)[0].V, rtol=1e-12)

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from estimators.pem import identify
-from estimators.residual.algebra import INDEPENDENT, mean_error, noise_filter
+from estimators.residual.algebra import INDEPENDENT, mean_error, noise_filter, powers_of_two, sum_error, unit
 from estimators.residual.tests import (
     autocorrelation,
     cross_correlation,
@@ -165,3 +165,28 @@ def test_the_error_of_a_mean_is_as_wide_as_few_values_make_it() -> None:
     fewer_error = float(np.sqrt(np.sum((fewer - fewer.mean()) ** 2))) / 5
     assert mean_error(fewer) == pytest.approx(of_few(fewer_error, 1.0), rel=1e-12)
     assert mean_error(np.full(7, 2.5)) == 0.0
+
+
+def test_the_error_of_a_sum_weighs_neighbours_by_bartlett() -> None:
+    drawn = np.random.default_rng(5).normal(size=12)
+    apart = np.abs(np.subtract.outer(np.arange(12), np.arange(12)))
+    weights = np.clip(1 - apart / 4.0, 0.0, None)
+    for off in (np.cumsum(drawn), drawn, drawn * (-1.0) ** np.arange(12)):
+        together = max(float(off @ off), float(off @ weights @ off))
+        assert sum_error(off) == pytest.approx(np.sqrt(together * 12 / 11), rel=1e-12)
+    assert sum_error(np.array([3.0])) == 3.0
+    assert sum_error(np.array([3.0, 2.0])) == pytest.approx(np.sqrt(2 * (13 + 2 * 0.75 * 6)), rel=1e-12)
+
+
+def test_units_are_powers_of_two_that_change_no_digit() -> None:
+    x = np.array([[0.3, 0.0, np.inf, -5.0], [-0.1, 0.0, 1.0, 4.0]])
+    np.testing.assert_array_equal(powers_of_two(x, axis=(0,)), [0.25, 1.0, 1.0, 4.0])
+    assert powers_of_two(np.zeros(0)) == powers_of_two(np.zeros(3)) == 1.0
+    np.testing.assert_array_equal(unit(np.array([0.3, -0.1])), [1.2, -0.4])
+
+
+def test_a_noise_filter_is_no_longer_than_it_may_be() -> None:
+    e = np.asarray(lfilter([1.0], [1.0, *np.zeros(59), -0.9], np.random.default_rng(6).normal(size=4000)))
+    assert len(noise_filter([e], most=60)) == 61
+    assert len(noise_filter([e])) <= 41
+    assert list(noise_filter([e], most=0)) == [1.0]
