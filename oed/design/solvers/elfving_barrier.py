@@ -23,6 +23,10 @@ from oed.errors import SolverFailure, Status
 
 LARGEST = 150
 PATIENCE = 4
+ROUNDED = (
+    "rounding ended the path of the design's dual: what the parameters make of the output differs by more digits than doubles have; "
+    "give a plant of lower order, or poles farther from the circle."
+)
 LEFT = 0.3
 """Least share of the slack that a step leaves in every direction: nearer the boundary a way back doubles it once a step."""
 
@@ -174,7 +178,13 @@ def direction_exchange(problem: Problem, *, refine: bool, tolerance: float, max_
     best: Exchange | None = None
     accuracy, stalled, status = 1e-2, 0, Status.MAX_ITERATIONS
     for rounds in range(1, max_rounds + 1):
-        X, nu, mu, _ = dual.follow(X, nu, mu, accuracy / dual.size)
+        try:
+            X, nu, mu, _ = dual.follow(X, nu, mu, accuracy / dual.size)
+        except np.linalg.LinAlgError as error:  # rounding has put a point of the path on the cone's boundary
+            if best is None:
+                raise SolverFailure(ROUNDED) from error
+            status = Status.INACCURATE
+            break
         columns, w = _lines(problem, dual, X, nu, mu)
         loss = problem.loss(columns, w)
         prices = problem.prices(X, nu)

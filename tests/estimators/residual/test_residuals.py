@@ -8,7 +8,15 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from estimators.pem import identify
-from estimators.residual.algebra import FEWEST, INDEPENDENT, mean_error, noise_filter, powers_of_two, sum_error, unit
+from estimators.residual.algebra import (
+    FEWEST,
+    INDEPENDENT,
+    mean_error,
+    noise_filter,
+    powers_of_two,
+    sum_error,
+    unit,
+)
 from estimators.residual.tests import (
     autocorrelation,
     cross_correlation,

@@ -11,8 +11,8 @@ from oed.design import information_map, solve_design
 from oed.design.problem.budgets import power_budgets
 from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.lines import Problem
-from oed.design.solvers.elfving_barrier import applies, direction_exchange
-from oed.errors import Status
+from oed.design.solvers.elfving_barrier import _Dual, applies, direction_exchange
+from oed.errors import SolverFailure, Status
 from oed.information import information_of_spectrum
 from oed.plants.named import named_plant
 from oed.plants.norms import gain_gradient, peak
@@ -99,3 +99,23 @@ def test_a_direction_that_no_frequency_tells_anything_of_is_stepped_over():
         )
     ).trace()
     assert found.bound <= found.loss < white
+
+
+@pytest.mark.parametrize("rounds", [0, 1])
+def test_a_path_that_rounding_ends_keeps_the_best_design(three, rounds, monkeypatch):
+    """A 3 x 3 plant of order 20 had ended in a LinAlgError; it is solved from the rounds before."""
+    follow, done = _Dual.follow, []
+
+    def rounded(self, *args):
+        done.append(self)
+        if len(done) > rounds:
+            raise np.linalg.LinAlgError("Matrix is not positive definite")
+        return follow(self, *args)
+
+    monkeypatch.setattr(_Dual, "follow", rounded)
+    if rounds:
+        design = solve_design(three, "gain:0.5")
+        assert design.bound <= design.loss < 1.1 * design.bound
+    else:
+        with pytest.raises(SolverFailure, match="poles farther from the circle"):
+            solve_design(three, "gain:0.5")
