@@ -170,6 +170,7 @@ def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(mo
     )
     monkeypatch.setattr(stage, "named_steps", steps)
     monkeypatch.setattr(stage, "second", second)
+    monkeypatch.setattr(stage, "trending", lambda channel, f: None)
     gain = SimpleNamespace(meets=lambda limits: True)
     base = SimpleNamespace(unused=[np.zeros((1, 1))])
     bench = SimpleNamespace(base=base, output=0, channel=range(100), over=lambda *a: gain, policy=Policy(),
@@ -178,6 +179,28 @@ def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(mo
     stage.best_named(bench, a, Menu())  # type: ignore[arg-type]
     assert asked == fits[:4]  # the search's own, and all but the last
     assert paired == fits[1:4]
+
+
+@pytest.mark.parametrize(
+    ("able", "better", "chosen"),
+    [(True, False, "pole"), (True, True, "trend"), (False, False, "trend"), (False, True, "trend")],
+)
+def test_a_trend_stands_for_a_pole_that_forgets_nothing_only_where_it_must(
+    able, better, chosen, monkeypatch
+) -> None:
+    """Where unused blocks are surely better with it, or the ladder would refuse how the model with the pole starts."""
+    fits = {name: SimpleNamespace(name=name, noise=()) for name in ("pole", "trend")}
+    named_as = lambda bench, a: SimpleNamespace(step=1, fit=a.final, unused=a.final.name)
+    monkeypatch.setattr(stage, "named_steps", named_as)
+    monkeypatch.setattr(stage, "trending", lambda channel, f: fits["trend"])
+    gain = SimpleNamespace(meets=lambda limits: better)
+    bench = SimpleNamespace(channel=None, policy=Policy(), over=lambda *a: gain,
+                            starts=lambda n: able or n.fit.name == "trend")  # fmt: skip
+    a = Attribution(None, None, fits["pole"], [], [], 1.0)  # type: ignore[arg-type]
+    assert stage.best_named(bench, a, Menu()).fit.name == chosen  # type: ignore[arg-type]
+    without = Menu(tuple(e for e in Menu().effects if e.key != "drift"))  # the clock tells nothing there
+    if able:
+        assert stage.best_named(bench, a, without).fit.name == "pole"  # type: ignore[arg-type]
 
 
 def test_what_does_not_start_as_a_test_record_will_is_no_answer(monkeypatch) -> None:
