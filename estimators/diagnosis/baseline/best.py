@@ -118,7 +118,12 @@ def _output(
     trials = known + screen.refined(known)
     chosen = simplest(trials)
     if chosen.slow or chosen.rmse > LITTLE * np.sqrt(prior.covariance[0]):
-        chosen = _held_by_a_loop(screen, chosen)
+        free = replace(
+            screen, limit=GROWTH ** (1.0 / max(blocks.lengths))
+        )  # of the records, where it sees pieces of them
+        chosen = _held_by_a_loop(free, chosen)
+        if chosen.candidate.models[-1].radius > 1.0:
+            search = replace(search, limit=free.limit)
     if places is not blocks:
         chosen = search.again(chosen.candidate)
     c = chosen.candidate
@@ -158,9 +163,8 @@ def _after_start(search: Search, known: list[Trial]) -> tuple[Search, list[Trial
     ]
 
 
-def _held_by_a_loop(search: Search, chosen: Trial) -> Trial:
+def _held_by_a_loop(free: Search, chosen: Trial) -> Trial:
     """The best model with an unstable pole, as a plant in a loop may have, where that surely foretells more than a stable one."""
-    free = replace(search, limit=GROWTH ** (1.0 / max(search.blocks.lengths)))
     known = free.arx()
     grown = [t for t in (*known, *free.refined(known)) if t.candidate.models[-1].radius > 1.0]
     return best if grown and (best := simplest(grown)).rmse < SURELY * chosen.rmse else chosen

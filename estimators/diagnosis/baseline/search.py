@@ -252,7 +252,7 @@ class Search:
         rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
         starts = [self._least(form), self._prefiltered(form), *(realised(m, form, REALISED) for m in near)]
         problem = OutputError(self.records, self.output, form, self.prior, np.ones(1), self.limit)
-        ends = [problem.fit(m, rows, LONGER) for m in starts if m is not None and m.radius < 1.0]
+        ends = [problem.fit(m, rows, LONGER) for m in starts if m is not None and m.radius < self.limit]
         if not ends:
             return None
         model, loss = min(ends, key=lambda end: end[1])

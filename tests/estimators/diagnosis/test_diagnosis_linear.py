@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.baseline import Options, best_linear
+from estimators.diagnosis.baseline import Options, best, best_linear
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.effects import Clock
 from estimators.diagnosis.effects.added import OFFSET
@@ -188,19 +188,36 @@ def test_records_of_the_kinds_below_of_which_something_was_claimed(seed):
     assert found.difference.high >= 0.0
 
 
-@pytest.mark.slow
-def test_an_unstable_plant_in_a_loop_has_a_linear_model():
-    """No stable model followed it better than its mean; slow drifts alone ask for no such pole."""
-    rng, n, pole = np.random.default_rng(3), 400, 1.006
+def in_a_loop(pole, n):
+    """An unstable plant that a proportional controller holds at levels."""
+    rng = np.random.default_rng(3)
     x, u, y = 0.0, np.zeros(n), np.zeros(n)
     for t, target in enumerate(np.repeat(rng.uniform(-1.0, 1.0, n // 50), 50)):
         y[t] = x + 0.01 * rng.standard_normal()
         u[t] = 2.0 * (target - y[t])
         x = pole * x + 0.05 * u[t]
-    model = best_linear([Record(u, y)])
+    return Record(u, y)
+
+
+@pytest.mark.slow
+def test_an_unstable_plant_in_a_loop_has_a_linear_model():
+    """No stable model followed it better than its mean; slow drifts alone ask for no such pole."""
+    rng, n, pole = np.random.default_rng(3), 400, 1.006
+    record = in_a_loop(pole, n)
+    model = best_linear([record])
     assert model.outputs[0].model.radius == pytest.approx(pole, abs=1e-3)
-    assert model.rmse_unused[0] < 0.1 * np.std(y)
+    assert model.rmse_unused[0] < 0.1 * np.std(record.y)
     assert "unstable" in model.outputs[0].warnings[0]
     grows = np.exp(3.0 * np.arange(n) / n) + 0.3 * rng.standard_normal(n)
     driven = lfilter([0.0, 0.1], [1.0, -0.9], rng.standard_normal(n))
     assert best_linear([Record(rng.standard_normal(n), driven + grows)]).outputs[0].model.radius <= 1.0
+
+
+@pytest.mark.slow
+def test_an_unstable_model_chosen_on_pieces_is_fitted_to_the_whole_record(monkeypatch):
+    """The fit to all of a long record kept to the circle, and there was none."""
+    monkeypatch.setattr(best, "LONG", 300)
+    record = in_a_loop(1.006, 400)
+    model = best_linear([record])
+    assert model.outputs[0].model.radius == pytest.approx(1.006, abs=1e-3)
+    assert model.rmse_unused[0] < 0.1 * np.std(record.y)
