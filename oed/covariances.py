@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 P = ParamSpec("P")
 T = TypeVar("T")
 
+NORMAL = 1.959964
+"""Two-sided 95 % of a normal deviate."""
 OUTSIDE = 1e-9
 """Share of what is asked for beside the range of an information, told by its factor, up to which it is determined: lines lie where
 they should to about 1e-11; with 1e-6 a pole that two lines did not tell had a loss 3e-5 below the truth."""
@@ -64,7 +66,7 @@ def of_few(error: float, freedom: float) -> float:
     cases: Student's quantile over the normal one."""
     from scipy.special import stdtrit
 
-    return error * float(stdtrit(freedom, 0.975)) / 1.959964 if freedom > 0 else float("nan")
+    return error * float(stdtrit(freedom, 0.975)) / NORMAL if freedom > 0 else float("nan")
 
 
 def diagonal_blocks(matrix: NDArray[np.float64], count: int) -> NDArray[np.float64]:

@@ -183,8 +183,6 @@ one for the memory, which is estimated too."""
 FEWEST = 4.0
 """Degrees of freedom at least: a memory as long as the record's own is not told from it, and by fewer an interval would tell nothing (by
 one, a measured heater's error was .66 within .011 to 39); of noises with memories of 1 to 2000 samples as many hold with it as without."""
-NORMAL = 1.959964
-"""Two-sided 95 % of a normal deviate."""
 
 
 def mean_error(series: NDArray[np.float64]) -> float:

@@ -14,7 +14,7 @@ from oed.errors import CUBES, InputError, check_size, largest
 from oed.files.clock import sampling_time
 from oed.files.limits import file_content
 from oed.files.reading import read_table
-from oed.files.tables import Table, seconds_per, split_unit
+from oed.files.tables import Table, distinct_names, seconds_per, split_unit
 
 Array = NDArray[np.float64]
 HELD = 5
@@ -82,9 +82,7 @@ def read_output(path: Path, settings: Settings, step: int) -> Reading:
             "waited for; give that file (or rename this one if its name is wrong)."
         )
     table = read_table(path)
-    twice = [name for name in dict.fromkeys(table.names) if name and table.names.count(name) > 1]
-    if twice:
-        raise InputError(f"{path.name} has more than one column {twice[0]!r}; give each column its own name.")
+    distinct_names(table)
     if path.suffix.lower() == ".csv" and not file_content(path).endswith((b"\n", b"\r")):
         raise InputError(
             f"{path.name} does not end with a line break; its last row may be half written: wait until the rig has "

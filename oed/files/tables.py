@@ -78,6 +78,17 @@ def columns_of(record: Record) -> list[str]:
     return list(map(column_name, names, units))
 
 
+def distinct_names(table: Table) -> list[str]:
+    """The names of a table's columns; refused where two have one."""
+    named = [name for name in table.names if name]
+    repeated = sorted({name for name in named if named.count(name) > 1})
+    if repeated:
+        raise InputError(
+            f"{table.source} has more than one column {', '.join(map(repr, repeated))}; give each column its own name."
+        )
+    return named
+
+
 def record_of(
     table: Table, *, inputs: Sequence[str] | str | None = None, outputs: Sequence[str] | str | None = None,
     dt: float | None = None, missing: bool = False, rows: tuple[int | None, int | None] = (None, None),
@@ -87,12 +98,7 @@ def record_of(
     notes = [] if notes is None else notes
     if dt is not None and not (np.isfinite(dt) and dt > 0):
         raise InputError(f"the sampling time given is {dt}; it must be a positive number of seconds.")
-    named = [name for name in table.names if name]
-    repeated = sorted({name for name in named if named.count(name) > 1})
-    if repeated:
-        raise InputError(
-            f"{table.source} has more than one column {', '.join(map(repr, repeated))}; give each column its own name."
-        )
+    named = distinct_names(table)
     u_columns = _chosen(table, inputs, "input", "u", table.inputs)
     y_columns = _chosen(table, outputs, "output", "y", table.outputs)
     both = sorted(set(u_columns) & set(y_columns))

@@ -15,7 +15,8 @@ from estimators.diagnosis.ladder.stated import SET
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
-from estimators.residual.algebra import NORMAL, mean_error
+from estimators.residual.algebra import mean_error
+from oed.covariances import NORMAL
 from oed.data import Record
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.model.fitting import Channel, Fit, innovations
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import stable_polynomial
+from oed.covariances import NORMAL
 
 Array = NDArray[Any]
 LAGS = 1.3
@@ -26,8 +27,8 @@ PARABOLA = (0.5, 2.0)
 """What the squares rise by at the ends of a 95 % interval, of what the derivatives say, within which the derivatives are believed."""
 REACH = 40
 """Samples on either side of a time of change in which another may do as well: between them the squares have a minimum each."""
-FARTHEST, NORMAL = 64.0, 1.959964
-"""Multiple of an interval up to which its end is looked for where the squares are no parabola, and its half width in errors."""
+FARTHEST = 64.0
+"""Multiple of an interval up to which its end is looked for where the squares are no parabola."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,7 @@ from estimators.diagnosis.share.feedback import autoregression, delayed, has_fee
 from estimators.diagnosis.share.news import NEWS, Predictor
 from estimators.diagnosis.share.regression import Folds, Regression, folds_of
 from estimators.diagnosis.share.signals import Columns, bank_of, columns_of
-from estimators.residual.algebra import NORMAL
-from oed.covariances import of_few
+from oed.covariances import NORMAL, of_few
 from oed.data import Record
 
 Array = NDArray[np.float64]

@@ -20,13 +20,14 @@ from estimators.diagnosis.discovery.uncertainty import covariance
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
-from estimators.diagnosis.model.errors import NORMAL, _followed, parameters_of, spread
+from estimators.diagnosis.model.errors import _followed, parameters_of, spread
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.residual.measures import stated
+from oed.covariances import NORMAL
 from tests.benchmarks.test_printed_errors import Row, checked, coverage
 
 RESONANT, QUICK, SPRING = (
