@@ -15,7 +15,6 @@ import pkgutil
 import re
 import signal
 import sys
-import threading
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +24,7 @@ from typing import Any, NoReturn
 import benchmarks.commands
 import oed
 from benchmarks.commands import natural
+from benchmarks.commands.endings import ended_by_signals, how
 from oed.errors import (
     CampaignError,
     InfeasibleDesign,
@@ -220,10 +220,11 @@ def main(argv: list[str] | None = None) -> int:
         os.environ["PYTHONWARNINGS"] = "ignore::RuntimeWarning"  # of workers too
     with _lasting() as out:
         try:
-            return _main(sys.argv[1:] if argv is None else argv, out)
-        except KeyboardInterrupt:  # before there is a command that would say what is kept
-            print("oed: interrupted.", file=sys.stderr)
-            return 128 + signal.SIGINT
+            with ended_by_signals():
+                return _main(sys.argv[1:] if argv is None else argv, out)
+        except KeyboardInterrupt as error:  # before there is a command that would say what is kept
+            print(f"oed: {how(error)}.", file=sys.stderr)
+            return 128 + getattr(error, "number", signal.SIGINT)
 
 
 def _main(argv: list[str], out: _Lasting) -> int:
@@ -259,7 +260,7 @@ def _main(argv: list[str], out: _Lasting) -> int:
         said = f"oed {args.command}: {unknown[0]} is not understood{hint}; see oed {args.command} --help."
         print(_one_line(said), file=sys.stderr)
         return 2
-    with _terminated_like_interrupted(), _progress(args):
+    with _progress(args):
         return _run(args, out)
 
 
@@ -284,64 +285,13 @@ def _progress(args: argparse.Namespace) -> Iterator[None]:
         yield
 
 
-ONCE_MORE = 0.05
-"""Seconds until an interruption that was dropped comes again: any finaliser has ended by then."""
-
-
-class _Terminated(KeyboardInterrupt):
-    """The process was asked to end by SIGTERM: like Ctrl-C, but for the exit status."""
-
-    number = signal.SIGTERM
-
-
-class _HungUp(_Terminated):
-    """Its terminal was closed, and nothing behind `nohup` said that it should go on."""
-
-    number = getattr(signal, "SIGHUP", signal.SIGTERM)  # not on Windows
-
-
-ENDING = {kind.number: kind for kind in (_HungUp, _Terminated)}
-
-
-@contextlib.contextmanager
-def _terminated_like_interrupted() -> Iterator[None]:
-    """While the block runs, SIGTERM and SIGHUP end it as Ctrl-C does, so that workers end too and what was finished is kept. What
-    is raised inside a finaliser or a callback of Python's own is dropped there, and asked for once more."""
-    hook, asked = sys.unraisablehook, []
-
-    def stop(number: int, frame: Any) -> NoReturn:
-        raise ENDING[signal.Signals(number)]
-
-    def once_more(dropped: Any) -> None:
-        if not issubclass(dropped.exc_type, KeyboardInterrupt):
-            return hook(dropped)
-        number = getattr(dropped.exc_type, "number", signal.SIGINT)
-        asked.append(threading.Timer(ONCE_MORE, os.kill, (os.getpid(), number)))
-        asked[-1].daemon = True
-        return asked[-1].start()
-
-    if threading.current_thread() is not threading.main_thread():  # whoever owns that decides
-        yield
-        return
-    heard = [number for number in ENDING if signal.getsignal(number) != signal.SIG_IGN]
-    before, sys.unraisablehook = {number: signal.signal(number, stop) for number in heard}, once_more
-    try:
-        yield
-    finally:
-        for timer in asked:
-            timer.cancel()
-        sys.unraisablehook = hook
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 RESUMES = ("compare", "diagnose-folder", "session")
 """Commands that store each part of their work as it is finished; the others write once they have a result."""
 
 
 def _ended(args: argparse.Namespace, error: KeyboardInterrupt) -> int:
     """Say that the command was ended and what there is of it; the exit status."""
-    what = "ended from outside" if isinstance(error, _Terminated) else "interrupted"
+    what = how(error)
     out = getattr(args, "out", None)
     if args.command in RESUMES:
         left = "what was finished is kept"

@@ -21,6 +21,7 @@ from benchmarks.campaign.processes import as_finished
 from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.users_own import Own
 from benchmarks.campaign.whole_campaign import run_campaign
+from benchmarks.commands.endings import ended_by_signals
 from oed.errors import CampaignError
 
 DEADLY = """
@@ -306,6 +307,26 @@ def test_one_worker_of_one_thread_does_the_work(tmp_path, own):
     assert os.getpid() not in pids
 
 
+IN_TEXT = """
+import sys, benchmarks.cli as cli
+cli._main = lambda argv, out: exec("import signal; signal.raise_signal(%d)")
+sys.exit(cli.main(["plants"]))
+"""
+
+
+@pytest.mark.parametrize(
+    "number, how", [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "ended from outside")]
+)
+def test_the_exit_status_is_the_same_while_text_is_executed(number, how, tmp_path):
+    """As where libraries are imported: started by `-m`, the interpreter ended itself by SIGINT, with the line said."""
+    (tmp_path / "text.py").write_text(IN_TEXT % number)
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    done = subprocess.run(
+        [sys.executable, "-m", "text"], env=env, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (128 + number, f"oed: {how}.\n")
+
+
 @pytest.mark.skipif(not hasattr(os, "kill"), reason="signals")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_that_a_finaliser_drops_ends_the_command_all_the_same(number, capsys):
@@ -319,7 +340,7 @@ def test_a_signal_that_a_finaliser_drops_ends_the_command_all_the_same(number, c
     usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
     before = signal.signal(number, usual)  # behind nohup it is ignored, and stays so
     try:
-        with cli_module._terminated_like_interrupted():
+        with ended_by_signals():
             Finalised()
             time.sleep(10)
     except KeyboardInterrupt as error:

@@ -26,9 +26,10 @@ EXPERIMENTS, SAMPLES = 16, 100
 PLANT = named_plant("reference", 0.01)
 
 
-def measured(folder: Path, step: int) -> Path:
+def measured(folder: Path, step: int, applied: Path | None = None) -> Path:
     """The rig: its output depends on the step alone, so it can be measured again."""
-    rows = [line.split(",") for line in (folder / f"input-{step:04d}.csv").read_text().splitlines()[1:]]
+    applied = applied or folder / f"input-{step:04d}.csv"
+    rows = [line.split(",") for line in applied.read_text().splitlines()[1:]]
     y = simulated(PLANT, seed=8, first=step - 1)([[float(u)] for _, u in rows])
     file = folder.parent / "measured.csv"
     file.write_text(
