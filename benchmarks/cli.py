@@ -225,6 +225,10 @@ def main(argv: list[str] | None = None) -> int:
         except KeyboardInterrupt as error:  # before there is a command that would say what is kept
             print(f"oed: {how(error)}.", file=sys.stderr)
             return 128 + getattr(error, "number", signal.SIGINT)
+        finally:
+            # The work is done: no traceback of what the interpreter still does.
+            if argv is None and signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+                signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _main(argv: list[str], out: _Lasting) -> int:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import timedelta
 from math import isfinite
 from typing import Any
 
@@ -81,6 +82,39 @@ def as_signal(values: ArrayLike, name: str, *, missing: bool = False) -> NDArray
     return array
 
 
+STEADY = 1e-6
+"""Spread of numbers, of their size, up to which they are one number: differences of times, which may deviate as much, round by less."""
+
+
+def the_one(values: NDArray) -> float | None:
+    """The number that values (of any shape) are all the time, the shortest of those between them; None where they differ."""
+    low, middle, high = float(values.min()), float(np.median(values)), float(values.max())
+    if not high - low <= STEADY * abs(high):
+        return None
+    return next(d for k in range(17) if low <= (d := float(f"{middle:.{k}e}")) <= high)
+
+
+def as_sampling_time(dt: object) -> float:
+    """A sampling time in seconds; an array that holds one number throughout, as MAT files have it, is that number."""
+    if isinstance(dt, np.timedelta64 | timedelta):
+        dt = np.timedelta64(dt) / np.timedelta64(1, "s")
+    if isinstance(dt, np.ndarray | list | tuple):
+        try:
+            values = np.array(dt, dtype=float)
+            low, high, dt = values.min(), values.max(), the_one(values)
+        except (TypeError, ValueError):
+            raise InputError(
+                "the sampling time is an array of no numbers; give a number of seconds."
+            ) from None
+        if dt is None:
+            raise InputError(
+                f"the sampling time is given as {values.size} values from {low:.9g} to {high:.9g}; it must be one number of "
+                "seconds: give times as a column t of a table."
+            )
+    check_sampling_time(dt)
+    return float(dt)  # type: ignore[arg-type]
+
+
 def _bad(array: NDArray[np.float64], missing: bool) -> NDArray[np.bool_]:
     """Where samples are infinite, or NaN that marks nothing."""
     return np.isinf(array) if missing else ~np.isfinite(array)
@@ -123,14 +157,13 @@ class Record:
                 f"the input has {len(u)} samples and the output {len(y)}; they must be equal: "
                 "cut both to the time in which both were recorded."
             )
-        check_sampling_time(self.dt)
+        object.__setattr__(self, "dt", as_sampling_time(self.dt))
         object.__setattr__(self, "u", u)
         object.__setattr__(self, "y", y)
         if isinstance(self.t0, str) or self.t0 is None or not isfinite(self.t0):
             raise InputError(
                 f"the time of the first sample is {self.t0}; it must be a finite number of seconds."
             )
-        object.__setattr__(self, "dt", float(self.dt))
         object.__setattr__(self, "t0", float(self.t0))
         for field, default in (
             ("input_names", _channel_names("u", u.shape[1])),

@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.limits import check_limit
-from oed.files.tables import Table, numbers
+from oed.files.tables import CLOCK, Table, numbers, says_step, seconds_per, stated_step
 
-STEP = ("dt", "Ts", "ts")
 TEXTS = ("input_names", "input_units", "output_names", "output_units")
 
 
 def table_of_arrays(shapes: Mapping[str, tuple[int, ...]], get: Callable[[str], Any], source: str) -> Table:
     """Table of named arrays; one that is not a vector gives the columns name1, name2, ..., time on axis 0. A
     vector is one channel whichever way it lies (MATLAB's 1 x N and N x 1), except in the files that
-    `write_record` wrote. Numbers on their own are not columns; of these `dt` (or `Ts`) and `t0` are used."""
+    `write_record` wrote. Numbers on their own are not columns; of these `dt` (or `Ts`, or the rate `fs`) and `t0` are used."""
     own = "input_names" in shapes and "output_names" in shapes and "u" in shapes and "y" in shapes
     place: dict[str, tuple[str, int | None]] = {}
     for name, shape in shapes.items():
@@ -55,15 +54,14 @@ def table_of_arrays(shapes: Mapping[str, tuple[int, ...]], get: Callable[[str], 
             columns.append(numbers(values, column, source))
         return columns
 
-    step = next(
-        (scalar(get(name), name, source) for name in STEP if name in shapes and _single(shapes[name])), None
-    )
-    if step is not None and not (np.isfinite(step) and step > 0):
-        raise InputError(f"{source} states the sampling time {step}; it must be positive, in seconds.")
+    single = [name for name, shape in shapes.items() if _single(shape)]
+    step = stated_step({name: get(name) for name in single if says_step(name)}, source)
+    times = lambda name: says_step(name) or seconds_per(name) or (own and CLOCK.search(name))
+    unread = [name for name in shapes if name not in place and step is None and times(name)]
     start = scalar(get("t0"), "t0", source) if "t0" in shapes and _single(shapes["t0"]) else None
     return Table(
         source, tuple(place), load, units=channels["units"], inputs=marked.get("u", ()),
-        outputs=marked.get("y", ()), labels=channels["names"], dt=step, t0=start,
+        outputs=marked.get("y", ()), labels=channels["names"], dt=step, t0=start, unread=tuple(unread),
     )  # fmt: skip
 
 

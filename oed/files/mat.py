@@ -11,18 +11,18 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.arrays import TEXTS, arrays_of, first_line, scalar, table_of_arrays, texts
 from oed.files.limits import check_limit
 from oed.files.mat5 import is_mat5, read_mat5
-from oed.files.tables import Table, numbers
+from oed.files.tables import CLOCK, Table, numbers, says_step, stated_step
 from oed.lazily import MissingExtra
 
 FIELDS = {
-    "u": ("inputdata", "u"), "y": ("outputdata", "y"), "dt": ("ts", "dt"), "t0": ("tstart", "t0"),
-    "t": ("samplinginstants", "t"), "input_names": ("inputname", "input_names"),
+    "u": ("inputdata", "u"), "y": ("outputdata", "y"), "t0": ("tstart", "t0"), "t": ("samplinginstants", "t", "time"), "input_names": ("inputname", "input_names"),
     "output_names": ("outputname", "output_names"), "input_units": ("inputunit", "input_units"),
     "output_units": ("outputunit", "output_units"), "time_unit": ("timeunit",),
 }  # fmt: skip
@@ -100,19 +100,43 @@ def _struct_table(name: str, struct: Mapping[str, Any], source: str) -> Table:
         raise InputError(
             f"{source} has the time unit {unit!r}; known are {', '.join(filter(None, SECONDS))}."
         )
-    for key in ("dt", "t0"):
-        value = _field(struct, key)
-        value = np.ravel(
-            value[0] if isinstance(value, np.ndarray) and value.dtype.kind == "O" and value.size else value
-        )
-        if value.size == 1 and value[0] is not None:
-            arrays[key] = np.array(scalar(value, key, source) * SECONDS[unit.lower()])
-    if "dt" not in arrays and np.size(_field(struct, "t")) > 1:
-        from oed.files.clock import sampling_time
-
-        times = numbers(np.ravel(_field(struct, "t")), "t", source) * SECONDS[unit.lower()]
-        arrays |= {"dt": np.array(sampling_time(times, f"the clock of {source}")[0]), "t0": times[:1]}
+    scale, times = SECONDS[unit.lower()], _plain(_field(struct, "t"))
+    start = _plain(_field(struct, "t0"))
+    if start.size == 1:
+        arrays["t0"] = np.array(scalar(start, "t0", source) * scale)
+    said = {name: _plain(value) for name, value in struct.items() if says_step(name)}
+    step = stated_step({k: v for k, v in said.items() if v.size}, source, scale=scale, must=times.size < 2)
+    arrays |= {} if step is None else {"dt": np.array(step)}
+    if times.size > 1:
+        arrays |= _clock(numbers(times, "t", source) * scale, len(arrays["u"]), step, source)
+    elif step is None:  # what is there all the same is said to be not understood
+        unread = {name: _plain(v) for name, v in struct.items() if says_step(name) or CLOCK.search(name)}
+        arrays |= {name: v for name, v in unread.items() if says_step(name) or v.size == len(arrays["u"])}
+        arrays |= {"t": times} if times.size else {}
     return table_of_arrays({key: array.shape for key, array in arrays.items()}, arrays.__getitem__, source)
+
+
+def _clock(t: NDArray, length: int, step: float | None, source: str) -> dict[str, NDArray]:
+    """Sampling time and first time of a struct's times (N,), which a sampling time stated beside them must agree with and precedes."""
+    from oed.files.clock import sampling_time
+
+    if len(t) != length:
+        raise InputError(f"{source} has {len(t)} times and {length} samples; they must be equal.")
+    found, tolerance = sampling_time(t, f"the clock of {source}")
+    if step is None:
+        return {"dt": np.array(found), "t0": t[:1]}
+    if abs(found - step) > max(tolerance, 1e-6 * step):
+        raise InputError(
+            f"{source} states the sampling time {step:.9g} s, but its times give {found:.9g} s; they must agree."
+        )
+    return {}
+
+
+def _plain(value: Any) -> NDArray:
+    """A field as (n,), out of the cell that it may lie in; nothing is (0,)."""
+    value = value[0] if isinstance(value, np.ndarray) and value.dtype.kind == "O" and value.size else value
+    array = np.ravel(value if value is not None else [])
+    return array[:0] if array.dtype.kind == "O" and array.size == 1 and array[0] is None else array
 
 
 def _read_v5(content: bytes, source: str) -> dict[str, Any]:

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.clock import sampling_time
-from oed.files.tables import Table, columns_of, numbers, record_of, seconds_per
+from oed.files.tables import (
+    Table,
+    columns_of,
+    numbers,
+    record_of,
+    says_step,
+    seconds_per,
+    stated_step,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,6 +58,8 @@ def from_pandas(frame: pd.DataFrame, **options: Any) -> Record:
         extra["t"] = (index.tz_convert(None) if zoned else index).to_numpy()
     elif seconds_per(str(frame.index.name)):
         extra[str(frame.index.name)] = frame.index.to_numpy()
+    elif not any(map(seconds_per, names)) and (dates := _dates(frame)):
+        names[dates[0]] = "t"
     elif options.get("dt") is None and not any(map(seconds_per, names)) and _may_be_times(index.to_numpy()):
         first = ", ".join(
             f"{value:g}" if isinstance(value, float) else f"{value!r:.40}" for value in index[:2]
@@ -67,8 +77,19 @@ def from_pandas(frame: pd.DataFrame, **options: Any) -> Record:
             for n in wanted
         ]
 
-    table = Table(source, (*names, *extra), load)
+    table = Table(source, (*names, *extra), load, dt=_stated(frame.attrs, source))
     return record_of(table, **options)
+
+
+def _stated(attrs: Mapping[Any, Any], source: str) -> float | None:
+    """The sampling time among the attributes of an object."""
+    said = {str(name): value for name, value in attrs.items() if says_step(str(name)) and value is not None}
+    return stated_step(said, f"the attributes of {source}")
+
+
+def _dates(frame: pd.DataFrame) -> list[int]:
+    """Where the columns of dates stand; the first is the clock, whatever it is called."""
+    return [k for k, kind in enumerate(frame.dtypes) if kind.kind == "M"]
 
 
 def _may_be_times(index: NDArray) -> bool:
@@ -80,6 +101,8 @@ def _values(column: pd.Series) -> NDArray:
     """A column as an array; pandas' own mark of a missing number becomes NaN."""
     import pandas as pd
 
+    if isinstance(column.dtype, pd.DatetimeTZDtype):
+        column = column.dt.tz_convert(None)
     if pd.api.types.is_numeric_dtype(column.dtype) and column.dtype.kind in "biuf":
         return column.to_numpy(dtype=float, na_value=np.nan)
     return column.to_numpy(dtype=object, na_value=None) if column.isna().any() else column.to_numpy()
@@ -134,7 +157,8 @@ def from_xarray(dataset: xr.Dataset, **options: Any) -> Record:
             "with time as its only dimension."
         )
 
-    for axis in sorted({str(v.dims[0]) for v in columns.values()} & set(columns)):
+    dates = [name for name, v in columns.items() if v.dtype.kind == "M"]
+    for axis in [*dates, *sorted({str(v.dims[0]) for v in columns.values()} & set(columns))]:
         if not any(map(seconds_per, columns)):  # xarray's own way to say what the samples lie along
             columns["t"] = columns.pop(axis)
 
@@ -142,7 +166,7 @@ def from_xarray(dataset: xr.Dataset, **options: Any) -> Record:
         return [numbers(columns[name].values, name, source) for name in wanted]
 
     roles = {name: v.attrs.get("role") for name, v in columns.items()}
-    step, start = (dataset.attrs.get(key) for key in ("dt", "t0"))
+    start = dataset.attrs.get("t0")
     table = Table(
         source,
         tuple(columns),
@@ -150,7 +174,7 @@ def from_xarray(dataset: xr.Dataset, **options: Any) -> Record:
         units={name: str(v.attrs["units"]) for name, v in columns.items() if "units" in v.attrs},
         inputs=tuple(name for name, role in roles.items() if role == "input"),
         outputs=tuple(name for name, role in roles.items() if role == "output"),
-        dt=None if step is None else float(step),
+        dt=_stated(dataset.attrs, source),
         t0=None if start is None else float(start),
     )
     return record_of(table, **options)

@@ -43,7 +43,8 @@ def read_record(
         Names of the columns, with or without their units, or one string with commas between them; by default
         what the file marks as such, otherwise the columns that begin with u and with y.
     dt : float, optional
-        Sampling time in seconds; by default the file's own, from the column `t` or `t_s`, otherwise 1 with a note.
+        Sampling time in seconds; by default the file's own, from the column `t` or `t_s`, a sampling time (`dt`, `Ts`) or a
+        rate (`fs`) that it states, otherwise 1 with a note. Times in no unit and steps that vary are refused.
     missing : bool
         Whether NaN is allowed, as the mark of a missing sample.
     notes : list of str, optional

@@ -2,17 +2,28 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.data import Record
+from oed.data import Record, as_sampling_time, the_one
 from oed.errors import InputError, near
 from oed.files.clock import sampling_time
 
 TIME = ("t", "t_s")
 SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+HERTZ = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6}
+STEPS = (
+    "dt",
+    "ts",
+    "deltat",
+    *(f"{a}{b}" for a in ("sample", "sampling") for b in ("time", "period", "interval")),
+)
+RATES = ("fs", *(f"{a}{b}" for a in ("sample", "sampling") for b in ("rate", "frequency")))
+"""Names, without capitals and underscores, under which sampling times and rates are kept. Not h, T, f and period: these may be all sorts of things."""
+CLOCK = re.compile(r"(?i:time|date|datum|zeit|temps|tiempo|elapsed|epoch|clock)|^(T|tid)$")
+"""Names of times that do not say their unit."""
 UNITS = frozenset(
     [
         "V", "mV", "uV", "kV", "A", "mA", "kA", "W", "mW", "kW", "MW", "J", "kJ", "N", "mN", "kN", "Nm", "N/m",
@@ -31,7 +42,8 @@ class Table:
     names of the columns; `load` takes names, gives one float array (N,) each; `units` unit by column name,
     where the source says it; `inputs, outputs` the columns that the source itself marks as inputs and
     outputs; empty where it does not; `labels` channel name by column name, where it is not the column's name;
-    `dt, t0` sampling time and time of the first sample that the source itself states."""
+    `dt, t0` sampling time and time of the first sample that the source itself states; `unread` what it says of its times
+    that is no column."""
 
     source: str
     names: tuple[str, ...]
@@ -42,12 +54,54 @@ class Table:
     labels: Mapping[str, str] = field(default_factory=dict)
     dt: float | None = None
     t0: float | None = None
+    unread: tuple[str, ...] = ()
 
 
 def seconds_per(column: str) -> float:
     """Seconds in a unit of a column of times: t or time, with its unit as in t_ms, `Time (s)`, `time [min]`."""
     found = re.fullmatch(r"(?:t|[Tt]ime|TIME)(?:_(\w+)| ?[\[(](\w+)[\])])?", column)
     return 0.0 if found is None else SECONDS.get(found[1] or found[2] or "s", 0.0)
+
+
+def says_step(name: str) -> tuple[float, int] | None:
+    """Factor and power by which what stands under a name becomes a sampling time in seconds: 1e-3 and 1 of dt_ms, 1 and -1 of Fs."""
+    for bare, unit in ((name, ""), split_unit(name)):
+        plain = bare.lower().replace("_", "")
+        if plain in STEPS and (unit or "s") in SECONDS:
+            return SECONDS[unit or "s"], 1
+        if plain in RATES and (unit or "Hz") in HERTZ:
+            return 1 / HERTZ[unit or "Hz"], -1
+    return None
+
+
+def stated_step(
+    found: Mapping[str, ArrayLike], source: str, *, must: bool = True, scale: float = 1.0
+) -> float | None:
+    """The sampling time that arrays state by their names, numbers or the same number throughout; None where none does. One
+    that varies is refused, or passed over where it need not be understood; `scale` seconds in the unit of time where a name has none."""
+    steps: dict[str, float] = {}
+    for name, given in found.items():
+        values = numbers(np.ravel(np.asarray(given)), name, source)
+        values = values[~np.isnan(values)] if values.size > 1 else values  # the first of differences
+        one = the_one(values) if values.size else None
+        if one is None and values.size > 1 and must:
+            raise InputError(
+                f"{source} has {name} from {values.min():.9g} to {values.max():.9g}, where a record has one sampling time: "
+                "give it (--dt, in Python dt=), or the times as t, in seconds."
+            )
+        factor, power = says_step(name) or (1.0, 1)
+        one = values[0] if one is None and values.size == 1 else one
+        if one is not None:
+            if not 0 < one < np.inf:
+                said = "sampling time" if power > 0 else "sampling rate"
+                raise InputError(
+                    f"{source} states the {said} {one} ({name}); it must be positive, in {'seconds' if power > 0 else 'Hz'}."
+                )
+            steps[name] = factor * one**power * (scale if power > 0 and factor == 1 else 1.0)
+    if len(steps) > 1 and the_one(np.array([*steps.values()])) is None:
+        said = " and ".join(f"{step:.9g} s by {name}" for name, step in steps.items())
+        raise InputError(f"{source} states several sampling times, {said}; correct one or leave it out.")
+    return next(iter(steps.values()), None)
 
 
 def split_unit(column: str) -> tuple[str, str]:
@@ -96,8 +150,7 @@ def record_of(
 ) -> Record:  # fmt: skip
     """Record of some columns of a table; the arguments are those of `oed.files.read_record`."""
     notes = [] if notes is None else notes
-    if dt is not None and not (np.isfinite(dt) and dt > 0):
-        raise InputError(f"the sampling time given is {dt}; it must be a positive number of seconds.")
+    dt = None if dt is None else as_sampling_time(dt)
     named = distinct_names(table)
     u_columns = _chosen(table, inputs, "input", "u", table.inputs)
     y_columns = _chosen(table, outputs, "output", "y", table.outputs)
@@ -109,9 +162,16 @@ def record_of(
     clocks = [name for name in named if seconds_per(name) and name not in (*u_columns, *y_columns)]
     clocks.sort(key=lambda name: name not in TIME)
     scale = {name: seconds_per(name) for name in clocks}
+    rest = [name for name in named if name not in (*u_columns, *y_columns)]
+    stating = [] if clocks or table.dt is not None else [name for name in rest if says_step(name)]
+    if stating:
+        step = stated_step(dict(zip(stating, map(_alone(table), stating))), table.source, must=dt is None)
+        table = replace(table, dt=step)
     if not clocks and dt is None and table.dt is None:
-        scale = _rising(table, [name for name in named if name not in (*u_columns, *y_columns)])
+        scale = _rising(table, rest)
         clocks = list(scale)
+        if not clocks:
+            _check_no_clock(table, rest)
     wanted = [*u_columns, *y_columns, *clocks[:1]]
     loaded = dict(zip(wanted, table.load(wanted)))
     lengths = {name: len(values) for name, values in loaded.items()}
@@ -126,7 +186,11 @@ def record_of(
     _check_finite({name: cut[name] for name in (*u_columns, *y_columns)}, missing, table.source, start)
     times = cut[clocks[0]] * scale[clocks[0]] if clocks else None
     dt, t0 = _clock(table, times, clocks, dt, start, notes)
-    unused = [name for name in named if name not in loaded and not seconds_per(name)]
+    unused = [
+        name
+        for name in rest
+        if name not in (*loaded, *(stating if table.dt else ())) and not seconds_per(name)
+    ]
     if unused:
         notes.append(f"columns of {table.source} that are not used: {', '.join(unused)}.")
     names = _labels(table, (*u_columns, *y_columns))
@@ -146,8 +210,14 @@ EVEN = 0.01
 """Spread of a column's steps, of their mean, up to which it rises as a clock does: logged times shake less, measured ones more."""
 
 
+def _alone(table: Table) -> Callable[[str], NDArray[np.float64]]:
+    """One column of a table by its name."""
+    return lambda name: table.load([name])[0]
+
+
 def _rising(table: Table, names: Sequence[str]) -> dict[str, float]:
-    """Seconds in the unit of each of some columns that are times under a name of their own, as `Zeit [s]`: in a unit of time, rising evenly."""
+    """Seconds in the unit of each of some columns that are times under a name of their own, as `Zeit [s]`: in a unit of time,
+    rising evenly, or however where the name says it."""
     units = {}
     for name in names:
         bracket = re.search(r"[\[(](\w+)[\])]$", name)
@@ -155,7 +225,33 @@ def _rising(table: Table, names: Sequence[str]) -> dict[str, float]:
         units |= {name: SECONDS[unit]} if unit in SECONDS else {}
     steps = dict(zip(units, map(np.diff, table.load(list(units))))) if units else {}
     even = lambda d: len(d) > 1 and d.mean() > 0 and np.abs(d - d.mean()).max() <= EVEN * d.mean()
-    return {name: units[name] for name, d in steps.items() if even(d)}
+    rises = lambda name, d: even(d) or (CLOCK.search(split_unit(name)[0]) and len(d) > 1 and (d > 0).all())
+    return {name: units[name] for name, d in steps.items() if rises(name, d)}
+
+
+MOST_CLOCKS = 8
+"""Columns that are looked at for times of no unit: more than a record has, and few enough to read each."""
+
+
+def _check_no_clock(table: Table, names: Sequence[str]) -> None:
+    """Refuse a table that says its times in a way that is not understood, rather than assume 1 s."""
+    remedy = "or give the sampling time (--dt, in Python dt=)"
+    for name in table.unread:
+        raise InputError(
+            f"{table.source} has {name}, which is not understood: call times t, in seconds, and a sampling time dt, {remedy}."
+        )
+    for name in [name for name in names if CLOCK.search(name)][:MOST_CLOCKS]:
+        try:
+            t = table.load([name])[0]
+        except InputError as error:
+            raise InputError(
+                f"the times of {table.source} are not understood: {error} Dates are times too (pandas.to_datetime), {remedy}."
+            ) from None
+        if len(t) > 1 and (np.diff(t) > 0).all():
+            raise InputError(
+                f"{table.source} has the column {name}, which rises from {t[0]:.9g} to {t[-1]:.9g} as times do, in no unit: call it t "
+                f"if these are seconds, write the unit into its name, as {name} [ms], {remedy}."
+            )
 
 
 def _chosen(

@@ -76,6 +76,11 @@ def is_ended(
         return True
     if process.returncode == 0:  # it was through before it heard of it
         return False
+    if (
+        process.returncode == -how
+    ):  # before there was a command or after it, which a shell calls 128 + how too
+        assert not said, said
+        return True
     assert process.returncode == 128 + how, (process.returncode, said)
     assert len(said.splitlines()) == 1, said
     assert said.startswith(f"oed {words[0]}: ") or not told(folder), said
@@ -106,7 +111,9 @@ def ended_and_resumed(work: Work, place: Path, how: signal.Signals, times: int) 
         folder.mkdir(parents=True)
         before, folders = ended, folders + 1
         for number, words in enumerate(work(folder)):
-            for _ in range(min(OF_MANY if len(usual) > 1 else IN_A_ROW, times - ended)):  # before a third of its time a command only imports
+            for _ in range(
+                min(OF_MANY if len(usual) > 1 else IN_A_ROW, times - ended)
+            ):  # before a third of its time a command only imports
                 if not is_ended(words, folder, draw.uniform(0.3, 1) * usual[number], how, ended % 2 == 1):
                     break
                 ended += 1

@@ -327,6 +327,20 @@ def test_the_exit_status_is_the_same_while_text_is_executed(number, how, tmp_pat
     assert (done.returncode, done.stderr) == (128 + number, f"oed: {how}.\n")
 
 
+AT_EXIT = """
+import atexit, signal, sys
+from benchmarks.cli import main
+atexit.register(signal.raise_signal, signal.SIGINT)
+sys.argv = ["oed", "--help"]
+sys.exit(main())
+"""
+
+
+def test_ctrl_c_after_the_work_has_no_traceback():
+    done = subprocess.run([sys.executable, "-c", AT_EXIT], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")  # which a shell calls 130 too
+
+
 @pytest.mark.skipif(not hasattr(os, "kill"), reason="signals")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_that_a_finaliser_drops_ends_the_command_all_the_same(number, capsys):

@@ -228,7 +228,7 @@ def test_bad_requests_get_one_clear_line(tmp_path: Path) -> None:
         (path, {"inputs": ["u1"], "outputs": ["u1"]}, "u1 are asked for as inputs and as outputs"),
         (path, {"inputs": []}, "no input is named"),
         (path, {"dt": 0.4}, "given is 0.4 s, but the column t of data.csv gives 0.5 s"),
-        (path, {"dt": -1}, "given is -1; it must be a positive"),
+        (path, {"dt": -1}, "sampling time is -1; it must be a positive"),
     ):
         with pytest.raises(InputError, match=message):
             read_record(spec, **options)
