@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import timedelta
 from math import isfinite
 from typing import Any
 
@@ -96,8 +95,8 @@ def the_one(values: NDArray) -> float | None:
 
 def as_sampling_time(dt: object) -> float:
     """A sampling time in seconds; an array that holds one number throughout, as MAT files have it, is that number."""
-    if isinstance(dt, np.timedelta64 | timedelta):
-        dt = np.timedelta64(dt) / np.timedelta64(1, "s")
+    if isinstance(dt, np.timedelta64):  # NumPy counts it among the integers
+        raise InputError(f"the sampling time is {dt}; it must be a positive number of seconds.")
     if isinstance(dt, np.ndarray | list | tuple):
         try:
             values = np.array(dt, dtype=float)

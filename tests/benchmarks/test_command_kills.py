@@ -51,8 +51,10 @@ Work = Callable[[Path], Iterator[list[str]]]
 
 
 def begun(words: list[str], folder: Path) -> subprocess.Popen:
+    """The command; Ctrl-C reaches it also where the tests run in the background, which a shell shields from it."""
     call = [sys.executable, "-m", "benchmarks.cli", *words]
-    return subprocess.Popen(call, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)  # fmt: skip
+    heard = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+    return subprocess.Popen(call, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, preexec_fn=heard)  # fmt: skip
 
 
 def is_ended(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oed.covariances import real_gram, square_root
+from oed.covariances import real_gram, root_in_own_units
 from oed.criteria import Criterion
 from oed.data import Spectrum, frozen
 from oed.errors import InputError
@@ -126,7 +126,7 @@ class InformationMap:
         """
         flat = self._flat(spectrum)
         return criterion.loss_of_factor(
-            np.concatenate([flat.real, flat.imag, square_root(self.constant)], axis=1)
+            np.concatenate([flat.real, flat.imag, root_in_own_units(self.constant)[0]], axis=1)
         )
 
     def _flat(self, spectrum: Spectrum) -> NDArray[np.complex128]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.covariances import solved_below, square_root
+from oed.covariances import root_in_own_units, solved_below
 from oed.criteria import Criterion
 from oed.design.problem.families import local_maxima, maxima_between
 from oed.design.problem.information_maps import InformationMap
@@ -228,7 +228,7 @@ def factor_of(
 
 def _beside(factor: NDArray[np.float64], constant: NDArray[np.float64]) -> NDArray[np.float64]:
     """A factor (n, k), and that of a constant part (n, n) where there is one."""
-    return np.concatenate([factor, square_root(constant)], axis=1) if np.any(constant) else factor
+    return np.concatenate([factor, root_in_own_units(constant)[0]], axis=1) if np.any(constant) else factor
 
 
 def moved_by_rounding(

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.covariances import real_gram, square_root
+from oed.covariances import real_gram, root_in_own_units
 from oed.design.problem.information_maps import InformationMap
 from oed.errors import InfeasibleDesign, NotIdentifiable
 from oed.information import null_directions
@@ -53,7 +53,7 @@ def white_root(information: InformationMap, D: NDArray[np.complex128]) -> NDArra
     channel: D (K, n, ..) -> (n, n)."""
     n = information.n
     flat = np.moveaxis(D, 1, 0).reshape(n, -1) / np.sqrt(len(D))
-    rows = np.concatenate([flat.real.T, flat.imag.T, square_root(information.constant).T])
+    rows = np.concatenate([flat.real.T, flat.imag.T, root_in_own_units(information.constant)[0].T])
     scale = np.linalg.norm(rows, axis=0)
     if not np.isfinite(rows).all():
         raise InfeasibleDesign("the plant's response is not finite on the grid; it has a pole there.")

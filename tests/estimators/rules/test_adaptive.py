@@ -107,3 +107,26 @@ def test_hedging_for_several_channels_puts_the_power_in_the_direction_of_the_pea
 def test_the_hedge_is_checked(options):
     with pytest.raises(InputError, match="give draws >= 0 and inflation > 0"):
         sequential(**options)
+
+
+@pytest.mark.parametrize(
+    "make, criterion", [(sequential, "D"), (sequential, "static-gain"), (two_stage, "hinf")]
+)
+@pytest.mark.parametrize("unit", [2.0**133, 2.0**-133])
+def test_outputs_in_other_units_are_answered_by_the_same_inputs(make, criterion, unit):
+    """At gains of 1e40 white noise had been applied throughout, without a word, or a traceback had ended it."""
+    plant = named_plant("reference", 0.01)
+    other = plant.replace(num=[[unit * plant.num[0][0]]], noise_variance=0.01 * unit**2)
+    traces = [
+        run(
+            make((2, 2), 1, criterion=criterion, experiments=4),
+            simulated(p, seed=1),
+            samples=200,
+            experiments=4,
+            rng=1,
+        )
+        for p in (plant, other)
+    ]
+    assert traces[0].kinds == traces[1].kinds == ("white", "designed", "designed", "designed")
+    for one, two in zip(*(trace.records for trace in traces), strict=True):
+        assert np.allclose(one.u, two.u, atol=1e-6)

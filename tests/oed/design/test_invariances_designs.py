@@ -10,6 +10,7 @@ from estimators.residual.tests import autocorrelation, cross_correlation
 from oed.criteria import a_criterion
 from oed.data import Record
 from oed.design import solve_design
+from oed.information import information_of_records
 from oed.plants.named import named_plant
 from oed.plants.plant import Plant
 
@@ -40,6 +41,22 @@ def test_design_in_other_units(criterion, unit) -> None:
     factor = unit**-2 if criterion == "hinf" else unit ** (-2 * 2 / 4)
     assert found.loss == pytest.approx(factor * base.loss, rel=1e-8, abs=0)
     assert gains(found) == pytest.approx(unit**2 * gains(base), rel=1e-4, abs=0)
+
+
+@pytest.mark.parametrize("criterion", ["D", "hinf", "static-gain"])
+@pytest.mark.parametrize("unit", [2.0**33, 2.0**133, 2.0**-133])
+def test_a_prior_in_other_units(criterion, unit) -> None:
+    """Outputs in units 1e10 times smaller had a static gain's design 15 % off its bound, at 1e30 none: little in the prior was
+    lost beside much. Powers of two, so that not a bit of the data changes."""
+    rng = np.random.default_rng(0)
+    applied, plant = [rng.standard_normal((200, 1))], named_plant("reference", 0.01)
+    designs = []
+    for output in (plant, plant.replace(num=[[unit * plant.num[0][0]]], noise_variance=0.01 * unit**2)):
+        designs.append(solve_design(output, criterion, prior=information_of_records(output, applied) / 200))
+    base, found = designs
+    assert found.status.ok
+    assert found.spectrum.omega == pytest.approx(base.spectrum.omega, abs=1e-6)
+    assert gains(found) == pytest.approx(gains(base), rel=1e-4)
 
 
 @pytest.mark.parametrize("criterion", ["D", "A", "E", "hinf"])
