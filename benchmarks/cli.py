@@ -24,7 +24,7 @@ from typing import Any, NoReturn
 import benchmarks.commands
 import oed
 from benchmarks.commands import natural
-from benchmarks.commands.endings import ended_by_signals, how
+from benchmarks.commands.endings import ended_by_signals, how, leave_in_peace
 from oed.errors import (
     CampaignError,
     InfeasibleDesign,
@@ -226,9 +226,8 @@ def main(argv: list[str] | None = None) -> int:
             print(f"oed: {how(error)}.", file=sys.stderr)
             return 128 + getattr(error, "number", signal.SIGINT)
         finally:
-            # The work is done: no traceback of what the interpreter still does.
-            if argv is None and signal.getsignal(signal.SIGINT) == signal.default_int_handler:
-                signal.signal(signal.SIGINT, signal.SIG_DFL)
+            if argv is None:
+                leave_in_peace()
 
 
 def _main(argv: list[str], out: _Lasting) -> int:

@@ -66,6 +66,15 @@ def ended_by_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def leave_in_peace() -> None:
+    """After the work: the interpreter, which still ends workers and tidies up, is not disturbed by the first signal of a kind, and
+    says nothing of it; the second ends it."""
+    if threading.current_thread() is threading.main_thread():
+        for number in ENDING:
+            if signal.getsignal(number) not in (signal.SIG_IGN, None):
+                signal.signal(number, lambda number, frame: signal.signal(number, signal.SIG_DFL))
+
+
 def how(error: KeyboardInterrupt) -> str:
     """What ended the command, in words."""
     return "ended from outside" if isinstance(error, Terminated) else "interrupted"

@@ -330,15 +330,20 @@ def test_the_exit_status_is_the_same_while_text_is_executed(number, how, tmp_pat
 AT_EXIT = """
 import atexit, signal, sys
 from benchmarks.cli import main
-atexit.register(signal.raise_signal, signal.SIGINT)
-sys.argv = ["oed", "--help"]
+for _ in range(%d):
+    atexit.register(signal.raise_signal, %d)
+sys.argv = ["oed", "--version"]
 sys.exit(main())
 """
 
 
-def test_ctrl_c_after_the_work_has_no_traceback():
-    done = subprocess.run([sys.executable, "-c", AT_EXIT], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")  # which a shell calls 130 too
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_work_changes_nothing_and_the_second_ends_it(number):
+    """Of Ctrl-C there had been a traceback, of SIGTERM warnings of semaphores that were left."""
+    for times, status in ((1, 0), (2, -number)):
+        call = [sys.executable, "-c", AT_EXIT % (times, number)]
+        done = subprocess.run(call, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (status, "")
 
 
 @pytest.mark.skipif(not hasattr(os, "kill"), reason="signals")

@@ -58,7 +58,8 @@ def white_root(information: InformationMap, D: NDArray[np.complex128]) -> NDArra
     if not np.isfinite(rows).all():
         raise InfeasibleDesign("the plant's response is not finite on the grid; it has a pole there.")
     dead = scale == 0
-    R = np.linalg.qr(rows / np.where(dead, 1.0, scale), mode="r") if not dead.any() else None
+    few = len(rows) < n or dead.any()
+    R = None if few else np.linalg.qr(rows / scale, mode="r")
     if R is None or np.abs(np.diag(R)).min() < 1e-13:
         M = rows.T @ rows
         combinations = null_directions(M, information.names) or ["some combination of the parameters"]
