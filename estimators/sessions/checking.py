@@ -104,7 +104,10 @@ def read_output(path: Path, settings: Settings, step: int) -> Reading:
     if len({len(values) for values in loaded}) > 1:
         raise InputError(f"the columns of {path.name} have unequal lengths; they must be equal.")
     if clock and len(loaded[-1]) > 1:
-        _check_clock(loaded[-1] * seconds_per(clock[0]), settings, path.name)
+        t = loaded[-1] * seconds_per(clock[0])
+        _check_step(*sampling_time(t, f"the time of {path.name}"), settings, path.name)
+    if table.dt is not None:
+        _check_step(table.dt, 0.0, settings, path.name)
     ny = settings.n_outputs
     y = np.column_stack(loaded[:ny])
     return Reading(y, np.column_stack(loaded[ny : ny + settings.n_inputs]) if with_inputs else None)
@@ -121,8 +124,7 @@ def _columns(table: Table, names: tuple[str, ...]) -> Mapping[str, str | None]:
     return found
 
 
-def _check_clock(t: Array, settings: Settings, name: str) -> None:
-    step, tolerance = sampling_time(t, f"the time of {name}")
+def _check_step(step: float, tolerance: float, settings: Settings, name: str) -> None:
     if abs(step - settings.dt) > max(tolerance, 1e-6 * settings.dt):
         raise InputError(
             f"the sampling time of {name} is {step:.9g} s and that of the session {settings.dt:.9g} s; "

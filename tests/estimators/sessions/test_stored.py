@@ -133,6 +133,18 @@ def test_a_wrong_file_is_one_clear_line_and_the_session_is_unharmed(waiting, nam
     assert open_session(folder).record(right)[0] == 3
 
 
+@pytest.mark.parametrize("said", [{"dt": 0.002}, {"fs": 500.0}], ids=str)
+def test_a_sampling_time_that_a_file_states_is_checked_like_its_clock(waiting, said):
+    """A record saved as npz has no column of times, and had been taken at any rate."""
+    folder, right, tmp = waiting
+    columns = dict(zip(("z", "phi"), table(right)[:, 1:].T, strict=True))
+    np.savez(tmp / "m.npz", **columns, **said)
+    with pytest.raises(InputError, match=r"sampling time of m.npz is 0.002 s and that of the session 0.001"):
+        open_session(folder).record(tmp / "m.npz")
+    np.savez(tmp / "m.npz", **columns, **{name: (0.001 if name == "dt" else 1000.0) for name in said})
+    assert open_session(folder).record(tmp / "m.npz")[0] == 3
+
+
 def test_the_output_of_another_step_is_known_again(waiting):
     folder, right, tmp = waiting
     with pytest.raises(InputError, match="this is the output of step 1, which is recorded"):
