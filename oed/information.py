@@ -42,7 +42,7 @@ class Responding(Protocol):
         ...
 
 
-def _inverse_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def inverse_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     """W with W' W = Lambda^-1; an InputError where Lambda is singular."""
     try:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
@@ -55,7 +55,7 @@ def _inverse_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def whitened_gradient(model: Responding, omega: ArrayLike) -> NDArray[np.complex128]:
     """dG with the noise whitened, Phi_v^-1/2 dG_i: omega (K,) -> (K, n, ny, nu)."""
-    W = _inverse_root(model.noise_covariance)
+    W = inverse_root(model.noise_covariance)
     dG = model.response(omega)[1]
     H = model.noise_response(omega)
     if isinstance(H, tuple):
@@ -210,7 +210,7 @@ def _weighted_gradients(
     plant: Plant, inputs: list[NDArray[np.float64]]
 ) -> Iterator[tuple[list[int], NDArray[np.float64]]]:
     """Which experiments, and their gradients weighted by the noise, (ny, n, M, N); as many as memory should hold."""
-    W = _inverse_root(plant.noise_covariance)
+    W = inverse_root(plant.noise_covariance)
     apart = np.count_nonzero(W) == np.count_nonzero(np.diag(W))
     signals = [as_signal(u, "the input") for u in inputs]
     for length in sorted({len(u) for u in signals}):

@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.design import Design
+from oed.design.problem.information_maps import InformationMap
 from oed.design.problem.lines import Problem
+from oed.design.problem.orthonormal import Orthonormal
 from oed.design.solvers.column_generation import Exchange
 from oed.errors import Status
 
@@ -56,6 +59,20 @@ def assembled(
         status=Status.OK if closed else Status.INACCURATE,
         information=problem.map.of_spectrum(spectrum), map=problem.map, power_used=used,
         limits={b.name: b.limit for b in problem.budgets}, solver=solver, rounds=rounds,
+    )  # fmt: skip
+
+
+def in_own_parameters(
+    design: Design, basis: Orthonormal, information: InformationMap, criterion: Criterion, factor: float
+) -> Design:
+    """A Design that was found in other coordinates, said of the model's own parameters; factor between the losses."""
+    told = design.certificate
+    certificate = replace(
+        told, X=basis.times(told.X, "turned"), numerator=told.numerator * factor, bound=told.bound * factor
+    )
+    return replace(
+        design, criterion=criterion, loss=design.loss * factor, bound=design.bound * factor, certificate=certificate,
+        information=information.of_spectrum(design.spectrum), map=information,
     )  # fmt: skip
 
 

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.covariances import on_one_thread
 from oed.criteria import Criterion
-from oed.design.assembling import certified
+from oed.design.assembling import certified, in_own_parameters
 from oed.design.problem.budgets import power_budgets
-from oed.design.problem.criteria_by_name import criterion_of
+from oed.design.problem.criteria_by_name import criterion_in, criterion_of, has_derivative
 from oed.design.problem.design import Design
 from oed.design.problem.grid import bands_of, denser, frequency_grid
 from oed.design.problem.information_maps import information_map
@@ -106,19 +106,31 @@ def solve_design(
         # Given frequencies may miss a resonance, or part of the band: the certificate must not.
         omega = np.union1d(omega, frequency_grid(information, bands, 400))
     problem = Problem(information, wanted, budgets, omega, bands)
-    if wanted.family is not None:
-        from oed.design.solvers.worst_response import worst_response_design
-
-        design = worst_response_design(problem, wanted.family, refine=refine, tolerance=tolerance)
-        return design if refine else _beside_the_grid(design, frequency_grid(information, bands, 400))
     if wanted.method == "ratio":
         if any(limit is not None for limit in (output_power, channel_power, rate_power)):
             raise InputError("modified-E knows a limit on the input power only; leave out the others.")
         return condition_design(problem, refine=refine, tolerance=tolerance)
-    found = _first_found(problem, model, criterion, solver, refine, tolerance)
-    if refine:
-        found = _refined(found, problem, solver, tolerance)
-    design = certified(found, tolerance=tolerance, solver=solver)
+    basis, factor = None, 1.0
+    if problem.finely and information.coordinates and not np.any(information.constant):
+        basis = information.coordinates(omega)
+    if basis is not None:
+        told = replace(information, factor=basis.factor, finer=None, coordinates=None)
+        other, factor = criterion_in(basis, criterion, wanted, told)
+        problem = Problem(told, other, budgets, omega, bands)
+    family = problem.original.family
+    if family is not None:
+        from oed.design.solvers.worst_response import worst_response_design
+
+        design = worst_response_design(problem, family, refine=refine, tolerance=tolerance)
+    else:
+        found = _first_found(problem, model, criterion, solver, refine, tolerance)
+        if refine:
+            found = _refined(found, problem, solver, tolerance)
+        design = certified(found, tolerance=tolerance, solver=solver)
+    if basis is not None:
+        if has_derivative(criterion):  # what the certificate's direction belongs to
+            wanted = replace(wanted, V=basis.times(design.criterion.V, "T"))
+        design = in_own_parameters(design, basis, information, wanted, factor)
     return design if refine else _beside_the_grid(design, frequency_grid(information, bands, 400))
 
 

@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.criteria import NAMED, Criterion, c_criterion, d_criterion, g_criterion
+from oed.criteria.determinant import Determinant
 from oed.criteria.trace import Trace
 from oed.data import entry_name
 from oed.design.problem.families import Family
 from oed.design.problem.grid import frequency_grid
 from oed.design.problem.information_maps import InformationMap
+from oed.design.problem.orthonormal import Orthonormal
 from oed.errors import InputError, check_names
 from oed.models.model import Model
 from oed.plants.norms import gain_gradient, peak
@@ -63,7 +65,7 @@ def criterion_of(
         return d_criterion(n, np.array([information.names.index(part) for part in chosen]), name=criterion)
     numbers = [_number(argument, criterion) for argument in arguments]
     if name == "hinf":
-        return c_criterion(_peak_gradient(_plant(model, name)), name="hinf")
+        return c_criterion(_peak_gradient(model), name="hinf")
     if name in ("static-gain", "gain"):
         omega = 0.0 if name == "static-gain" else _one(numbers, criterion, "a frequency, such as gain:0.5")
         if not 0 <= omega <= np.pi:
@@ -79,7 +81,25 @@ def criterion_of(
             return _worst_response(model, information, (low, high), criterion)
         return Trace(_mean_response(model, information, (low, high)), name=criterion)
     which = int(_one(numbers, criterion, f"the pole's number, such as {name}:1")) if numbers else 1
-    return c_criterion(_pole_gradient(_plant(model, name), which, name), name=criterion)
+    return c_criterion(_pole_gradient(model, which, name), name=criterion)
+
+
+def criterion_in(
+    basis: Orthonormal, criterion: str | Criterion, wanted: Criterion, information: InformationMap
+) -> tuple[Criterion, float]:
+    """What was asked of a model, asked in other coordinates, whose information this is; and the factor between the losses.
+
+    What has a derivative by the coordinates is not found by way of the model's parameters, whose last digits matter."""
+    if has_derivative(criterion):
+        return criterion_of(criterion, basis, information, over_a_band=True), 1.0
+    if isinstance(wanted, Determinant) and np.array_equal(wanted.V, np.eye(wanted.n)):
+        return wanted, float(np.exp(-2 * basis.logdet / wanted.n))
+    return replace(wanted, V=basis.times(wanted.V, "inverse")), 1.0
+
+
+def has_derivative(criterion: str | Criterion) -> bool:
+    """Whether what a criterion asks for is a function of the model, whatever its parameters."""
+    return isinstance(criterion, str) and criterion.split(":")[0] not in (*NAMED, "Ds")
 
 
 def _responses(model: Any, omega: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -141,19 +161,20 @@ def _one(numbers: list[float], criterion: str, what: str) -> float:
 
 
 def _plant(model: Any, name: str) -> Plant:
+    model = model.plant if isinstance(model, Orthonormal) else model
     if not isinstance(model, Plant):
         raise InputError(f"the criterion {name} needs a Plant; convert the model with its to_plant().")
     return model
 
 
-def _peak_gradient(plant: Plant) -> NDArray[np.float64]:
-    found = peak(plant)
+def _peak_gradient(model: Any) -> NDArray[np.float64]:
+    found = peak(_plant(model, "hinf"))
     if not found.unique:
         raise InputError(
             f"the peak gain is attained at {len(found.frequencies)} frequencies, so it has no derivative; "
             "design for the gain at one of them."
         )
-    return gain_gradient(plant, found)
+    return gain_gradient(model, found)
 
 
 def _gain_gradient(model: Any, omega: float) -> NDArray[np.float64]:
@@ -164,9 +185,9 @@ def _gain_gradient(model: Any, omega: float) -> NDArray[np.float64]:
     return np.einsum("p,npq,q->n", u[:, 0].conj(), dG[0], vh[0].conj()).real
 
 
-def _pole_gradient(plant: Plant, which: int, name: str) -> NDArray[np.float64]:
-    """Gradient of a pole's modulus or damping ratio, by implicit differentiation of A(z) = 0."""
-    poles = []
+def _pole_gradient(model: Any, which: int, name: str) -> NDArray[np.float64]:
+    """Gradient of a pole's modulus or damping ratio."""
+    plant, poles = _plant(model, name), []
     for i, row in enumerate(plant.den):
         for j, A in enumerate(row):
             for p in np.roots(A):
@@ -176,23 +197,12 @@ def _pole_gradient(plant: Plant, which: int, name: str) -> NDArray[np.float64]:
     if not 1 <= which <= len(poles):
         raise InputError(f"the criterion {name}:{which} asks for pole {which}; the plant has {len(poles)}.")
     _, i, j, p = poles[which - 1]
-    A = plant.den[i][j]
-    order = len(A) - 1
-    slope = np.polyval(np.polyder(A), p)
+    slope = np.polyval(np.polyder(plant.den[i][j]), p)
     if abs(slope) < 1e-9:
         raise InputError(f"the pole {p:.6g} is multiple, so it has no derivative; choose another.")
-    tail = (
-        ""
-        if plant.n_outputs * plant.n_inputs == 1
-        else f"_{entry_name(i, j, plant.n_outputs, plant.n_inputs)}"
-    )
-    c = np.zeros(len(plant.free))
-    for k, parameter in enumerate(plant.free):
-        if parameter.startswith("a") and parameter.endswith(tail):
-            power = int(parameter[1:].split("_")[0])
-            if parameter == f"a{power}{tail}":
-                dp = -(p ** (order - power)) / slope
-                c[k] = (p.conjugate() * dp).real / abs(p) if name == "pole" else _damping_slope(p, dp)
+    by_coefficients = not isinstance(model, Orthonormal)
+    dp = _slope_of_pole(plant, i, j, p, slope) if by_coefficients else model.slope_of_pole(i, j, p)
+    c = (p.conjugate() * dp).real / abs(p) if name == "pole" else _damping_slope(p, dp)
     if not np.any(c):
         raise InputError(
             f"the pole {p:.6g} does not depend on the unknown parameters; nothing is to be learnt."
@@ -200,12 +210,23 @@ def _pole_gradient(plant: Plant, which: int, name: str) -> NDArray[np.float64]:
     return c
 
 
+def _slope_of_pole(plant: Plant, i: int, j: int, p: complex, slope: complex) -> NDArray[np.complex128]:
+    """Derivative of a pole of an entry by the parameters, by implicit differentiation of A(z) = 0; slope A'(p)."""
+    order, dp = len(plant.den[i][j]) - 1, np.zeros(len(plant.free), dtype=complex)
+    several = plant.n_outputs * plant.n_inputs > 1
+    tail = f"_{entry_name(i, j, plant.n_outputs, plant.n_inputs)}" if several else ""
+    for power in range(1, order + 1):
+        if f"a{power}{tail}" in plant.free:
+            dp[plant.free.index(f"a{power}{tail}")] = -(p ** (order - power)) / slope
+    return dp
+
+
 def _damping(p: complex) -> float:
     s = np.log(complex(p))  # a plant of real poles only has them as real numbers
     return float(-s.real / abs(s))
 
 
-def _damping_slope(p: complex, dp: complex) -> float:
+def _damping_slope(p: complex, dp: NDArray[np.complex128]) -> NDArray[np.float64]:
     s, ds = np.log(complex(p)), dp / p
     modulus = abs(s)
-    return float(-ds.real / modulus + s.real * (s.conjugate() * ds).real / modulus**3)
+    return -ds.real / modulus + s.real * (s.conjugate() * ds).real / modulus**3

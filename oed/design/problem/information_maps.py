@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from oed.covariances import real_gram, root_in_own_units
 from oed.criteria import Criterion
 from oed.data import Spectrum, frozen
+from oed.design.problem.orthonormal import Orthonormal, orthonormal
 from oed.errors import InputError
 from oed.information import power_root, whitened_gradient
 from oed.models.model import Model
@@ -54,6 +55,8 @@ class InformationMap:
         `factor` in extended precision, for parameters that double precision hardly tells apart.
     dt : float, optional
         Sampling time in seconds: frequencies are said in Hz where it is known.
+    coordinates : callable, optional
+        omega (K,) -> the model in coordinates that tell such parameters apart, or None.
     """
 
     names: tuple[str, ...]
@@ -65,6 +68,7 @@ class InformationMap:
     input_gain: Responses | None = None
     finer: Responses | None = None
     dt: float | None = None
+    coordinates: Callable[[NDArray[np.float64]], Orthonormal | None] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -195,6 +199,7 @@ def information_map(
             model.free, model.n_inputs, lambda omega: whitened_gradient(model, omega),
             lambda omega: model.response(omega)[0], np.zeros((len(model.free),) * 2), resonances_of(dens),
             finer=lambda omega: whitened_gradient(model, omega.astype(np.longdouble)), dt=model.dt,
+            coordinates=lambda omega: orthonormal(model, omega),
         )  # fmt: skip
     if isinstance(model, Model):
         return _of_model(model)

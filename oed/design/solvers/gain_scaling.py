@@ -12,6 +12,7 @@ from oed.design.problem.lines import Problem
 from oed.design.solvers.column_generation import Exchange
 from oed.design.solvers.merging_lines import evaluated
 from oed.errors import Status
+from oed.information import inverse_root
 from oed.plants.norms import peak
 from oed.plants.plant import Plant
 
@@ -27,12 +28,12 @@ def peak_sinusoid(problem: Problem, model: Any, criterion: str | Criterion) -> E
         return None
     columns = problem.columns(np.array([at.frequency]), at.input_direction[None, :].astype(complex))
     omega = problem.omega[:: max(1, len(problem.omega) // (4 * problem.map.n + 50))]
-    # In the scaled coordinates the gradients are D; the noise weights both sides of G = sum x_i G'_i alike.
+    # The noise weights both sides of G = sum x_i G'_i alike.
     D = np.moveaxis(problem.map.factor(omega), 1, 0).reshape(problem.map.n, -1)
-    dG = np.moveaxis(model.response(omega)[1], 1, 0).reshape(problem.map.n, -1)
-    G = model.response(omega)[0].ravel()
+    G = (inverse_root(model.noise_covariance) @ model.transfer(omega)).reshape(len(omega), -1)
+    G = (G / model.noise_response(omega)[:, None]).ravel()
     scale = np.linalg.norm(D, axis=1)
-    rows = np.concatenate([dG.real, dG.imag], axis=1).T / scale
+    rows = np.concatenate([D.real, D.imag], axis=1).T / scale
     x = np.linalg.lstsq(rows, np.concatenate([G.real, G.imag]), rcond=None)[0] / scale
     X = (problem.R @ x)[:, None]
     w = 1 / columns.q[0]
