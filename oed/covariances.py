@@ -95,12 +95,14 @@ def covariance_of(M: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.
     return _inverted(vectors.T @ (V / scale[:, None]), root, root <= 3e-7 * root.max(), OUTSIDE_SQUARED)
 
 
-def covariance_of_factor(factor: NDArray[np.float64], V: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def covariance_of_factor(
+    factor: NDArray[np.float64], V: NDArray[np.float64], alike: bool = False
+) -> NDArray[np.float64] | None:
     """V' (F F')^-1 V from the factor itself, to the full precision; None where F F' does not determine V'
-    theta."""
+    theta. Every parameter is taken in units of what is known of it, but where they are `alike` in any spectrum."""
     if not np.isfinite(factor).all():
         return None
-    scale = _usable(np.linalg.norm(factor, axis=1), V)
+    scale = _usable(np.ones(len(factor)) if alike else np.linalg.norm(factor, axis=1), V)
     if scale is None:
         return None
     rows = factor / scale[:, None]

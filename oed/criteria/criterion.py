@@ -121,12 +121,12 @@ class Criterion(ABC):
         covariance = covariance_of(M, self.columns)
         return self.of_covariance(covariance) if covariance is not None else np.inf
 
-    def loss_of_factor(self, factor: Array) -> float:
+    def loss_of_factor(self, factor: Array, alike: bool = False) -> float:
         """Loss of the information factor factor', with twice the digits of `loss` where that is singular:
-        factor (n, k)."""
+        factor (n, k); alike as `covariance_of_factor` has it."""
         if self.family is not None:
             return self.family.worst(factor @ factor.T)
-        covariance = covariance_of_factor(factor, self.columns)
+        covariance = covariance_of_factor(factor, self.columns, alike)
         return self.of_covariance(covariance) if covariance is not None else np.inf
 
     def direction(self, information: Array, weight: Array | None = None) -> Array:

@@ -1,5 +1,6 @@
-"""The one function that makes a Design of what a solver found, with its certificate."""
+"""The one function that makes a Design of what a solver found, with its certificate; and the coordinates in which it is found."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,10 +9,9 @@ from numpy.typing import NDArray
 from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.problem.certificate import Certificate
+from oed.design.problem.criteria_by_name import criterion_in, of_the_model
 from oed.design.problem.design import Design
-from oed.design.problem.information_maps import InformationMap
 from oed.design.problem.lines import Problem
-from oed.design.problem.orthonormal import Orthonormal
 from oed.design.solvers.column_generation import Exchange
 from oed.errors import Status
 
@@ -62,18 +62,33 @@ def assembled(
     )  # fmt: skip
 
 
-def in_own_parameters(
-    design: Design, basis: Orthonormal, information: InformationMap, criterion: Criterion, factor: float
-) -> Design:
-    """A Design that was found in other coordinates, said of the model's own parameters; factor between the losses."""
-    told = design.certificate
-    certificate = replace(
-        told, X=basis.times(told.X, "turned"), numerator=told.numerator * factor, bound=told.bound * factor
-    )
-    return replace(
-        design, criterion=criterion, loss=design.loss * factor, bound=design.bound * factor, certificate=certificate,
-        information=information.of_spectrum(design.spectrum), map=information,
-    )  # fmt: skip
+def told_apart(problem: Problem, criterion: str | Criterion) -> tuple[Problem, Callable[[Design], Design]]:
+    """The same problem in coordinates that tell its parameters apart, where double precision does not and they are known; and what
+    makes a Design that is found there one of the model's own parameters."""
+    information, wanted = problem.map, problem.original
+    needed = problem.finely and information.coordinates and not np.any(information.constant)
+    basis = information.coordinates(problem.omega) if needed and information.coordinates else None
+    if basis is None:
+        return problem, lambda design: design
+    told = replace(information, factor=basis.factor, finer=None, coordinates=None, alike=True)
+    other, factor = criterion_in(basis, criterion, wanted, told)
+
+    def in_own_parameters(design: Design) -> Design:
+        # What follows from the model has no combinations but those that the certificate's direction belongs to.
+        V = basis.times(design.criterion.V, "T") if of_the_model(criterion) else wanted.V
+        found = design.certificate
+        certificate = replace(
+            found,
+            X=basis.times(found.X, "turned"),
+            numerator=found.numerator * factor,
+            bound=found.bound * factor,
+        )
+        return replace(
+            design, criterion=replace(wanted, V=V), loss=design.loss * factor, bound=design.bound * factor,
+            certificate=certificate, information=information.of_spectrum(design.spectrum), map=information,
+        )  # fmt: skip
+
+    return Problem(told, other, problem.budgets, problem.omega, problem.bands), in_own_parameters
 
 
 def _without_trifles(found: Exchange) -> Exchange:

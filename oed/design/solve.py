@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.covariances import on_one_thread
 from oed.criteria import Criterion
-from oed.design.assembling import certified, in_own_parameters
+from oed.design.assembling import certified, told_apart
 from oed.design.problem.budgets import power_budgets
-from oed.design.problem.criteria_by_name import criterion_in, criterion_of, has_derivative
+from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.design import Design
 from oed.design.problem.grid import bands_of, denser, frequency_grid
 from oed.design.problem.information_maps import information_map
@@ -110,13 +110,7 @@ def solve_design(
         if any(limit is not None for limit in (output_power, channel_power, rate_power)):
             raise InputError("modified-E knows a limit on the input power only; leave out the others.")
         return condition_design(problem, refine=refine, tolerance=tolerance)
-    basis, factor = None, 1.0
-    if problem.finely and information.coordinates and not np.any(information.constant):
-        basis = information.coordinates(omega)
-    if basis is not None:
-        told = replace(information, factor=basis.factor, finer=None, coordinates=None)
-        other, factor = criterion_in(basis, criterion, wanted, told)
-        problem = Problem(told, other, budgets, omega, bands)
+    problem, in_own_parameters = told_apart(problem, criterion)
     family = problem.original.family
     if family is not None:
         from oed.design.solvers.worst_response import worst_response_design
@@ -127,10 +121,7 @@ def solve_design(
         if refine:
             found = _refined(found, problem, solver, tolerance)
         design = certified(found, tolerance=tolerance, solver=solver)
-    if basis is not None:
-        if has_derivative(criterion):  # what the certificate's direction belongs to
-            wanted = replace(wanted, V=basis.times(design.criterion.V, "T"))
-        design = in_own_parameters(design, basis, information, wanted, factor)
+    design = in_own_parameters(design)
     return design if refine else _beside_the_grid(design, frequency_grid(information, bands, 400))
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from oed.covariances import on_one_thread, real_gram, square_root
 from oed.criteria import Criterion
 from oed.data import Spectrum
-from oed.design.assembling import assembled
+from oed.design.assembling import assembled, told_apart
 from oed.design.problem.budgets import power_budgets
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.criteria_by_name import criterion_of
@@ -98,7 +98,8 @@ def masked_design(
     _check_open(panels, masks)
     used = np.einsum("kij,kij->k", panels.R, panels.R.conj()).real > 0
     problem = Problem(information, wanted, power_budgets(information, input_power), panels.omega[used])
-    return _Search(problem, masks, limit, tolerance).run(panels)
+    problem, in_own_parameters = told_apart(problem, criterion)
+    return in_own_parameters(_Search(problem, masks, limit, tolerance).run(panels))
 
 
 @dataclass(frozen=True, eq=False)

@@ -90,15 +90,15 @@ def criterion_in(
     """What was asked of a model, asked in other coordinates, whose information this is; and the factor between the losses.
 
     What has a derivative by the coordinates is not found by way of the model's parameters, whose last digits matter."""
-    if has_derivative(criterion):
+    if of_the_model(criterion):
         return criterion_of(criterion, basis, information, over_a_band=True), 1.0
     if isinstance(wanted, Determinant) and np.array_equal(wanted.V, np.eye(wanted.n)):
         return wanted, float(np.exp(-2 * basis.logdet / wanted.n))
     return replace(wanted, V=basis.times(wanted.V, "inverse")), 1.0
 
 
-def has_derivative(criterion: str | Criterion) -> bool:
-    """Whether what a criterion asks for is a function of the model, whatever its parameters."""
+def of_the_model(criterion: str | Criterion) -> bool:
+    """Whether what is asked for follows from the model, whatever its parameters are."""
     return isinstance(criterion, str) and criterion.split(":")[0] not in (*NAMED, "Ds")
 
 

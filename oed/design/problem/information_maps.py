@@ -57,6 +57,8 @@ class InformationMap:
         Sampling time in seconds: frequencies are said in Hz where it is known.
     coordinates : callable, optional
         omega (K,) -> the model in coordinates that tell such parameters apart, or None.
+    alike : bool
+        Whether the parameters are such coordinates: of like effect.
     """
 
     names: tuple[str, ...]
@@ -69,6 +71,7 @@ class InformationMap:
     finer: Responses | None = None
     dt: float | None = None
     coordinates: Callable[[NDArray[np.float64]], Orthonormal | None] | None = None
+    alike: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.names)

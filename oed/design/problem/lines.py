@@ -157,7 +157,7 @@ class Problem:
         # Of some combinations the optimum may be singular: what lies in its range is told exactly in the model's own parameters.
         D = np.einsum("knrq,kq->nkr", self.map.factor(columns.omega), columns.direction * np.sqrt(w)[:, None])
         flat = np.concatenate([D.real, D.imag], axis=2).reshape(self.map.n, -1)
-        return self.original.loss_of_factor(_beside(flat, self.map.constant)) / self.scale
+        return self.original.loss_of_factor(_beside(flat, self.map.constant), self.map.alike) / self.scale
 
     def rounding(self, columns: Columns, w: NDArray[np.float64]) -> float:
         """How far rounding alone moves the loss, relative: seen at the last digits, and what the coordinates may have lost."""

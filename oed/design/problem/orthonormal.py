@@ -66,11 +66,11 @@ class _Entry:
     def slope_of_pole(self, p: complex) -> NDArray[np.complex128]:
         """What each basis function moves a pole by: A moves by -P/b at it."""
         A, b = (polynomial.astype(np.longdouble) for polynomial in (self.A, self.b))
-        p = np.clongdouble(p)
+        at = np.array([p], dtype=np.clongdouble)
         for _ in range(NEWTONS):
-            p = p - np.polyval(A, p) / np.polyval(np.polyder(A), p)
-        told = self.polynomials(np.array([1 / p]))[0] / np.polyval(b[::-1], 1 / p)
-        return (p ** (len(A) - 1) / np.polyval(np.polyder(A), p) * told).astype(complex)
+            at = at - np.polyval(A, at) / np.polyval(np.polyder(A), at)
+        told = self.polynomials(1 / at)[0] / np.polyval(b[::-1], 1 / at)
+        return (at ** (len(A) - 1) / np.polyval(np.polyder(A), at) * told).astype(complex)
 
     @cached_property
     def exact(self) -> tuple[NDArray, NDArray, float]:
@@ -199,7 +199,7 @@ def _decimals(values: NDArray[np.float64]) -> NDArray:
 def _inverse(S: NDArray) -> tuple[NDArray, Decimal]:
     """The inverse of a matrix of decimals by elimination with pivots, and log |det S|."""
     n, logdet = len(S), Decimal(0)
-    M = np.concatenate([S, np.where(np.eye(n) > 0, Decimal(1), Decimal(0))], axis=1)
+    M = np.concatenate([S, _decimals(np.eye(n))], axis=1)
     for k in range(n):
         top = k + int(np.argmax(np.abs(M[k:, k])))
         M[[k, top]] = M[[top, k]]
