@@ -27,8 +27,9 @@ from oed.design.problem.lines import Problem
 from oed.design.solvers.column_generation import Exchange
 from oed.errors import OedError, Status
 from oed.plants.named import named_plant
+from oed.plants.plant import Plant
 from tests.oracles.certificates import Challenge, hard_plant, least_condition
-from tests.oracles.digits import exact_loss
+from tests.oracles.digits import exact_loss, pole_slope
 
 WITHIN = 1e-6
 """What a loss or a bound may be off: the issue's figure."""
@@ -269,6 +270,71 @@ def test_a_design_for_few_quantities_closes_where_its_information_is_singular(se
     design, rng = solve_design(plant, name), np.random.default_rng(0)
     assert 0 <= design.gap < 1e-7
     assert verdict(plant, criterion, rng) in ("closed", "open", "untold")
+
+
+def of_roots(poles, zeros, gain, delay):
+    """A plant of roots of the upper half plane, the others being their conjugates."""
+    pair = lambda z: (z, np.conj(z)) if np.imag(z) else (z,)
+    whole = lambda roots: np.poly([each for z in roots for each in pair(z)]).real
+    return Plant(np.r_[np.zeros(delay), gain * whole(zeros)], whole(poles), noise_covariance=0.01)
+
+
+@pytest.fixture(scope="module")
+def order_19():
+    """Information of white noise of a condition of 1e26: its coefficients are told apart in orthonormal coordinates only."""
+    poles = (
+        .99606, .909018 + .416398j, .355619 + .772113j, -.311174 + .943568j, -.230261 + .869288j, -.812546 + .582665j,
+        -.828733 + .540902j, -.846627 + .319597j, .399221 + .131148j, -.316339 + .246575j,
+    )  # fmt: skip
+    return of_roots(poles, (2.808679 + 0.607739j, 0.856537 + 0.516085j), 6.835, 18)
+
+
+def test_a_pole_among_many_has_the_loss_of_its_lines(order_19):
+    """Loss and bound were 4.5e-5 too large, and OK: what was asked for had the last digits of the coefficients."""
+    p = min(
+        (p for p in np.roots(order_19.den[0][0]) if p.imag >= 0),
+        key=lambda p: -np.log(p).real / abs(np.log(p)),
+    )
+    design = solve_design(order_19, "pole:1")
+    assert design.status is Status.OK
+    exact = exact_loss("A", order_19, design.spectrum, pole_slope(order_19, p))
+    assert design.loss / exact == pytest.approx(1.0, rel=1e-9)
+    assert design.gap < 1e-8
+
+
+def test_a_static_gain_costs_the_noise(order_19):
+    """A plant whose gain's slope is a combination that the other parameters do not need has its own sinusoid as optimum: the
+    loss is the noise's variance. At order 17 the bound was 1.4e-4 above it."""
+    poles = (
+        -.967149 + .249428j, -.857191 + .465137j, -.847359 + .530796j, -.7134 + .571256j, -.019977 + .853949j,
+        .87018 + .492026j, .998891, .992239, .82488, .776905 + .070751j,
+    )  # fmt: skip
+    zeros = (
+        -.910329 + 2.137909j, 1.517075, -.998476 + .055181j, -.871509 + .49038j, -.392017 + .919958j,
+        .512954 + .841171j, .598475 + .801141j, .796203 + .196659j, .080571 + .12803j,
+    )  # fmt: skip
+    design = solve_design(of_roots(poles, zeros, 5.896, 9), "static-gain")
+    assert design.status is Status.OK
+    assert (design.bound, design.loss) == pytest.approx((0.01, 0.01), rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    "criterion", ["D", "A", "E", "I", "G", "hinf", "gain:0.5", "damping:1", "Ds:b18,a2", "mask D"]
+)
+def test_designs_of_parameters_that_are_not_told_apart_close(order_19, criterion):
+    """I, G and the scalars had been open at gaps of 1e-8 to 1e-6, as rounding hid what they ask for; in the model's own parameters
+    the design's numbers belong together."""
+    if criterion == "mask D":
+        design = masked_design(order_19, "D", input_mask=lambda w: np.full(len(w), 20.0))
+    else:
+        design = solve_design(order_19, criterion)
+    told = design.certificate
+    assert design.status is Status.OK
+    assert told.rounding < 1e-9
+    assert told.X.shape[0] == design.criterion.n == len(order_19.free)
+    assert design.map.factor(np.array([0.3])).shape == (1, 24, 1, 1)
+    assert told.numerator == pytest.approx(design.criterion.numerator(told.X), rel=1e-2)
+    assert told.bound == pytest.approx(told.numerator / told.value)
 
 
 def test_no_loss_is_told_below_its_bound():

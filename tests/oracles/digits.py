@@ -32,7 +32,7 @@ def _inverse(a: Pair) -> Pair:
 
 
 def exact_loss(kind: str, plant: Plant, spectrum: Spectrum, V: NDArray | None = None) -> float:
-    """D or A of the lines of one input at a plant of one output in white noise; or trace V' M^-1 V, V (n, s)."""
+    """D or A of the lines of one input at a plant of one output in white noise; or trace V' M^-1 V, V (n, s), decimals or not."""
     with localcontext() as context:
         context.prec = 60
         A, B = ([Decimal(float(x)) for x in side[0][0]] for side in (plant.den, plant.num))
@@ -73,5 +73,27 @@ def _loss_of(kind: str, M: list[list[Decimal]], V: NDArray) -> float:
 
 
 def _trace(inverse: list[list[Decimal]], V: NDArray) -> float:
-    columns = [[Decimal(float(x)) for x in column] for column in V.T]
+    columns = [[Decimal(x) for x in column] for column in V.T]
     return float(sum(a * b * x for v in columns for a, row in zip(v, inverse) for b, x in zip(v, row)))
+
+
+def pole_slope(plant: Plant, near: complex) -> NDArray:
+    """Derivative of a pole's modulus by the parameters, (n, 1) decimals: Newton's method from a double that is nearly it."""
+    with localcontext() as context:
+        context.prec = 60
+        A, p = [Decimal(float(x)) for x in plant.den[0][0]], (Decimal(near.real), Decimal(near.imag))
+        slope = (Decimal(1), Decimal(0))
+        for _ in range(8):
+            value, slope = (A[0], Decimal(0)), (Decimal(0), Decimal(0))
+            for a in A[1:]:  # Horner's rule for the polynomial and its derivative
+                turned, moved = _times(slope, p), _times(value, p)
+                slope, value = (turned[0] + value[0], turned[1] + value[1]), (moved[0] + a, moved[1])
+            step = _times(value, _inverse(slope))
+            p = (p[0] - step[0], p[1] - step[1])
+        size, power, told = (p[0] ** 2 + p[1] ** 2).sqrt(), (Decimal(-1), Decimal(0)), []
+        for _ in A[1:]:  # minus p^(n - k) / A', from the last coefficient to the first
+            dp = _times(power, _inverse(slope))
+            told.append((p[0] * dp[0] + p[1] * dp[1]) / size)
+            power = _times(power, p)
+        zeros = [Decimal(0)] * (len(plant.free) - len(told))
+        return np.array([[x] for x in [*zeros, *told[::-1]]], dtype=object)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from oed.covariances import real_gram, root_in_own_units
 from oed.criteria import Criterion
 from oed.data import Spectrum, frozen
-from oed.design.problem.orthonormal import Orthonormal, orthonormal
+from oed.design.problem.orthonormal import Orthonormal, orthonormal_coordinates
 from oed.errors import InputError
 from oed.information import power_root, whitened_gradient
 from oed.models.model import Model
@@ -202,7 +202,7 @@ def information_map(
             model.free, model.n_inputs, lambda omega: whitened_gradient(model, omega),
             lambda omega: model.response(omega)[0], np.zeros((len(model.free),) * 2), resonances_of(dens),
             finer=lambda omega: whitened_gradient(model, omega.astype(np.longdouble)), dt=model.dt,
-            coordinates=lambda omega: orthonormal(model, omega),
+            coordinates=lambda omega: orthonormal_coordinates(model, omega),
         )  # fmt: skip
     if isinstance(model, Model):
         return _of_model(model)

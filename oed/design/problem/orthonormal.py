@@ -147,7 +147,7 @@ class Orthonormal:
         return float(sum(entry.exact[2] for entry in self.entries))
 
 
-def orthonormal(plant: Plant, omega: NDArray[np.float64]) -> Orthonormal | None:
+def orthonormal_coordinates(plant: Plant, omega: NDArray[np.float64]) -> Orthonormal | None:
     """The coordinates on a grid (K,); None where some parameters are known, or there are too many."""
     if plant.free != plant.all_names:
         return None
