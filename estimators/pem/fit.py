@@ -77,7 +77,7 @@ class Fit:
     notes : tuple of str
         What a reader should know beside the numbers.
     regularisation : Regularisation, optional
-        Kernel, disturbance and hyperparameters of a regularised impulse response. Its covariance is the posterior's.
+        Kernel, disturbance and hyperparameters of a regularised impulse response. The fit's covariance has its errors too.
     subspace : Subspace, optional
         Horizon and singular values of a subspace method, whose parameters minimise no loss.
     records : tuple of Record

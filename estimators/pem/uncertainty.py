@@ -44,7 +44,7 @@ def _problem(fit: Fit, records: Record | Sequence[Record]) -> tuple[Problem, NDA
     """The problem that a fit solved and where it ended, in scaled parameters."""
     if fit.regularisation is not None:
         raise InputError(
-            "this fit is regularised: its covariance is the posterior's, and neither a sandwich nor a profile of the "
+            "this fit is regularised: its covariance is the posterior's and its bias's, and neither a sandwich nor a profile of the "
             "squared loss belongs to it; fit without regularisation for these."
         )
     if fit.subspace is not None:

@@ -316,7 +316,8 @@ def _linear(fit: Any, records: Record | Sequence[Record], fresh: bool) -> _Linea
             )
     if fresh or posterior:
         spread = np.zeros_like(spread)
-        spread[:shared, :shared] = fit.covariance * broad[:shared] * broad[:shared, None]
+        own = fit.regularisation.posterior if posterior else fit.covariance
+        spread[:shared, :shared] = own * broad[:shared] * broad[:shared, None]
     if posterior and levels:
         spread[shared:common, shared:common] = np.diag((fit.output_level_errors * broad[shared:common]) ** 2)
     return _Linear(given, residuals, wide, weight, spread, int(fresh) - int(posterior), influence)

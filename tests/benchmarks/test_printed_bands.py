@@ -158,7 +158,8 @@ def test_coverage(name: str, record_figure) -> None:
 @pytest.mark.validate
 @pytest.mark.parametrize("rings", [False, True])
 def test_the_peak_of_a_regularised_response(rings: bool, record_figure) -> None:
-    """Posterior errors hold for a response like the prior's; of one that rings the peak is shrunk, and the fit says so."""
+    """Errors hold for a response like the prior's; of one that rings the peak is shrunk by more than is seen of it, and the fit says
+    so: the posterior alone held 77 to 83 %."""
     b, f = (B, F) if rings else ([0.0, 0.1], [1.0, -0.9])
     held, plant = 0, Plant(b, f)
     for seed in range(200):
@@ -169,7 +170,7 @@ def test_the_peak_of_a_regularised_response(rings: bool, record_figure) -> None:
         value, error, true = of_peak(fit, plant)["peak"]
         held += abs(value - true) < 1.959964 * error
     record_figure("coverage of the peak of a regularised response", held / 200, runs=200, rings=rings)
-    assert (held >= binom.ppf(1e-3, 200, 0.93)) != rings
+    assert held >= binom.ppf(1e-3, 200, 0.87 if rings else 0.93)
     assert "too small" in repr(fit)
 
 

@@ -5,7 +5,8 @@ under a flat prior (restricted likelihood) and the variance of e concentrated, i
 
     N log(y' Z^-1 y / N) + log det Z + log det(1' Z^-1 1),   Z = X K X' + T + V in units of var e
 
-(Chen, Ohlsson, Ljung 2012; the taps' covariance is the posterior's at the hyperparameters found). With K = M M' and V
+(Chen, Ohlsson, Ljung 2012; the taps' covariance has beside the posterior's what the
+hyperparameters' errors and the prior's own bias make). With K = M M' and V
 tridiagonal up to differences, all of it follows from moments of the size of the taps: O(N n^2) once per V, O(n^3) per K.
 """
 
@@ -78,6 +79,7 @@ class _State:
     variance: float
     taps: NDArray[np.float64]
     covariance: NDArray[np.float64]
+    bias: NDArray[np.float64]
     level: float
     level_variance: float
     freedom: float
@@ -138,15 +140,18 @@ def _state(row: _Row, moments: Callable, x: NDArray, whole: bool = False) -> _St
     value = total * np.log(rest / total) + log_det + 2 * float(np.log(np.diag(L)).sum())
     none = np.zeros(0)
     if not whole:
-        return _State(value, rest / total, none, none, 0.0, 0.0, 0.0)
+        return _State(value, rest / total, none, none, none, 0.0, 0.0, 0.0)
     half = solve_triangular(L, M.T, lower=True)
-    covariance, taps = half.T @ half, M @ cho_solve((L, True), f)
+    # The prior keeps (I + A)^-1 of a response M z from it; z itself was kept from as much, which the second term puts back.
+    z = cho_solve((L, True), f)
+    kept = cho_solve((L, True), z)
+    covariance, taps, bias = half.T @ half, M @ z, M @ (kept + cho_solve((L, True), kept))
     freedom = len(A) - float(np.trace(cho_solve((L, True), np.eye(len(A))))) + row.levels
     level, spread = 0.0, 0.0
     if row.levels:
         level = float(across[-1] - across[:n] @ taps)
         spread = 1 / level_information + float(across[:n] @ covariance @ across[:n])
-    return _State(value, rest / total, taps, covariance, level, spread, freedom)
+    return _State(value, rest / total, taps, covariance, bias, level, spread, freedom)
 
 
 def _starts(row: _Row) -> list[NDArray[np.float64]]:
@@ -197,6 +202,14 @@ def _maximised(row: _Row, most: int) -> tuple[NDArray, _State, NDArray, bool, in
     return x, _state(row, moments, x, True), spread, bool(best.success), count
 
 
+def _beside_the_posterior(row: _Row, x: NDArray, state: _State, hyper: NDArray) -> NDArray[np.float64]:
+    """Squared errors of the taps beside the posterior's, (n, n): what the hyperparameters' own errors make of them, and the square
+    of what the prior takes from this response, which is more than from the average one where it rings."""
+    moments = _moments(row)
+    slope = _slope(lambda at: _state(row, moments, at, True).taps, x)
+    return slope.T @ hyper @ slope + np.outer(state.bias, state.bias)
+
+
 def regularised(
     form: Polynomial, records: list[Record], kernel: str, disturbance: str | None, *,
     offset: bool, unknown: bool, max_iterations: int = 100,
@@ -211,7 +224,7 @@ def regularised(
     su, sy = np.where(su > 0, su, 1.0), np.where(sy > 0, sy, 1.0)
     coloured = disturbance is not None
     target = polynomial("bj", [form.nb, 1, 1, 0], form.nk, n_outputs=ny, n_inputs=nu) if coloured else form
-    theta, spread = np.zeros(target.n), np.zeros((target.n, target.n))
+    theta, (spread, beside) = np.zeros(target.n), np.zeros((2, target.n, target.n))
     level, level_error = np.array(y_level), np.zeros(ny)
     found = {x: np.zeros((ny, nu)) for x in ("scale", "decay", "correlation")}
     found |= {x: np.zeros(ny) for x in ("transient", "phi", "q", "noise")}
@@ -241,6 +254,7 @@ def regularised(
         units = np.concatenate([np.full(form.nb[i, j], sy[i] / su[j]) for j in row.inputs])
         theta[taps] = state.taps * units
         spread[taps[:, None], taps] = state.covariance * state.variance * np.outer(units, units)
+        beside[taps[:, None], taps] = _beside_the_posterior(row, x, state, hyper) * np.outer(units, units)
         if coloured:
             at = [place["c"][0].start, place["d"][0].start]
             theta[at] = noise.polynomials
@@ -257,11 +271,11 @@ def regularised(
         ]
     chosen = Regularisation(
         kernel, disturbance, **{k: frozen(v) for k, v in found.items()}, input_scale=frozen(su),
-        errors=tuple(errors), log_likelihood=likelihood, degrees_of_freedom=freedom,
+        errors=tuple(errors), log_likelihood=likelihood, degrees_of_freedom=freedom, posterior=frozen(spread),
     )  # fmt: skip
-    deviations = np.sqrt(innovation)
+    deviations, told = np.sqrt(innovation), spread + beside
     fit = Fit(
-        Model(target, theta, np.diag(innovation), records[0].dt), (spread + spread.T) / 2, np.nan, total,
+        Model(target, theta, np.diag(innovation), records[0].dt), (told + told.T) / 2, np.nan, total,
         estimated + int(np.ceil(freedom)), np.nan, Status.CONVERGED if converged else Status.MAX_ITERATIONS,
         steps, np.nan, [], u_level, level, level_error, "estimate" if unknown else "zero", tuple(notes), chosen,
     )  # fmt: skip

@@ -68,6 +68,14 @@ def dense(fit, record: Record, level: bool, taps: int = TAPS) -> tuple:
     return value, K @ X.T @ P @ y, K - K @ X.T @ P @ X @ K, at, float(1 / np.sqrt(information[0, 0]))
 
 
+def left_of(fit, record: Record, taps: np.ndarray) -> np.ndarray:
+    """What the posterior's mean leaves of a response, were the record its answer without noise."""
+    size = len(record)
+    u = record.u[:, 0] - fit.input_level[0]
+    X = np.column_stack([np.r_[np.zeros(k), u[: size - k]] for k in range(1, TAPS + 1)])
+    return taps - dense(fit, record.replace(y=(X @ taps)[:, None]), True)[1]
+
+
 @pytest.mark.parametrize(
     ("name", "disturbance"), [("tc", "ar1"), ("dc", "walk"), ("ss", None), ("tc", None), ("ss", "walk")]
 )
@@ -79,7 +87,17 @@ def test_posterior_is_the_dense_one(name, disturbance) -> None:
     )
     value, taps, covariance, level, error = dense(fit, record, True)
     assert fit.theta[:TAPS] == pytest.approx(taps, abs=1e-7 * np.abs(taps).max())
-    assert fit.covariance[:TAPS, :TAPS] == pytest.approx(covariance, abs=1e-7 * np.abs(covariance).max())
+    posterior = fit.regularisation.posterior[:TAPS, :TAPS]
+    assert posterior == pytest.approx(covariance, abs=1e-7 * np.abs(covariance).max())
+    # Beside it: the square of what the prior takes from the response, told of the response with as much put back; and what as many
+    # combinations of the taps as there are hyperparameters gain.
+    left = left_of(fit, record, taps)
+    left = left + left_of(fit, record, left)
+    beside = fit.covariance[:TAPS, :TAPS] - posterior - np.outer(left, left)
+    gained = np.linalg.eigvalsh(beside)
+    assert gained[0] > -1e-7 * covariance.max()
+    assert gained[-1] > 1e-4 * covariance.max()
+    assert np.all(np.abs(gained[: TAPS - len(fit.regularisation.errors[0])]) < 1e-7 * covariance.max())
     assert fit.output_level[0] == pytest.approx(level, rel=1e-7)
     assert fit.output_level_errors[0] == pytest.approx(error, rel=1e-6)
     size = len(record) - 1
