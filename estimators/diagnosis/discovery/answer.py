@@ -97,7 +97,7 @@ def discover(
     return Discovery(
         model,
         tuple(terms),
-        model.equation(),
+        model.equation(terms),
         leading_nature(terms),
         tuple(predictions),
         judge.rmse(predictions),

@@ -36,6 +36,7 @@ GRID = 41  # points of a curve
 EDGE = 0.005  # quantile of the training signal where a curve ends
 BAND = 1.96
 MOST = 0.6  # of the terms' weight, that one nature must have to be the equation's
+UNTOLD = 2.0  # relative error of forces in units of an input, of that in others, from which on it is most of it the input's own
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,10 +139,46 @@ class DiscoveredModel:
             out.append((replace(term, factors=tuple(factors), rate=rate), own[:taps]))
         return out
 
-    def _driver(self, chain: int) -> int:
-        """The input in whose units the forces on a chain are given: the one that moves it most."""
-        betas = self.theta[self.assembly.betas[chain]]
-        return int(np.argmax(np.abs(betas[:, -1])))
+    @cached_property
+    def _drivers(self) -> tuple[int | None, ...]:
+        """Per chain, the input in whose units the forces on it are given: the one that moves it most; none where the record hardly
+        tells what it does, as beside a curve of the same input: then they are given in units of the highest derivative."""
+        out: list[int | None] = []
+        for chain, rows in enumerate(self.assembly.betas):
+            j = int(np.argmax(np.abs(self.theta[rows][:, -1])))
+            own = [n for n, t in enumerate(self.form.terms) if self._free(t) and t.chain == chain]
+            unsure = [max((self._relative_error(n, k) for n in own), default=0.0) for k in (j, None)]
+            out.append(None if unsure[0] > UNTOLD * unsure[1] else j)
+        return tuple(out)
+
+    @staticmethod
+    def _free(term: Term) -> bool:
+        """Whether a term is a force with coefficients of its own, in no input's place."""
+        return term.slot == "force" and term.along < 0
+
+    def _relative_error(self, number: int, j: int | None) -> float:
+        """Standard error of a force's coefficient, of itself, in units of an input or of the highest derivative."""
+        k = abs(self._coefficient(number, self.theta, j))
+        error = error_of(
+            lambda theta: np.array([self._coefficient(number, theta, j)]), self.theta, self.covariance
+        )
+        return float(error[0]) / max(k, 1e-300)
+
+    def _coefficient(self, number: int, theta: Array, j: int | None) -> float:
+        """Of a force and its scaled signals, in the units of input j or of the highest derivative."""
+        term, block = self.form.terms[number], self.form.blocks[number]
+        taps = theta[block][: self.form.taps(term)]
+        if j is None:
+            return float(taps[-1]) * self._highest(term.chain)
+        b = theta[self.assembly.betas[term.chain][j]]
+        last = term.along == LAST or abs(b[-1]) > 1e-2 * np.linalg.norm(b)
+        share = float(taps[-1] / b[-1]) if last else float(taps @ b / (b @ b))
+        return share * float(self.scales.su[j])
+
+    def _highest(self, chain: int) -> float:
+        """The highest derivative of an output, in its unit and seconds, of a force of one."""
+        pace = self.form.paces[chain] / self.scales.dt
+        return float(self.scales.sy[chain]) * pace ** self.form.orders[chain]
 
     def amplitude(self, number: int, theta: Array) -> float:
         """Coefficient of a term in the user's units: of its input for a force, of the output for a map."""
@@ -152,13 +189,7 @@ class DiscoveredModel:
             return float(taps[0]) * size * float(self.scales.sy[term.chain])
         if term.along >= 0:
             return float(taps[0]) * size * float(self.scales.su[term.along])
-        j = self._driver(term.chain)
-        b = theta[self.assembly.betas[term.chain][j]]
-        if term.along == LAST or abs(b[-1]) > 1e-2 * np.linalg.norm(b):
-            share = float(taps[-1] / b[-1])
-        else:
-            share = float(taps @ b / (b @ b))
-        return share * size * float(self.scales.su[j])
+        return size * self._coefficient(number, theta, self._drivers[term.chain])
 
     @cached_property
     def axes(self) -> dict[str, Axis]:
@@ -174,7 +205,18 @@ class DiscoveredModel:
     def _unit(self, term: Term) -> str:
         if term.slot == "output":
             return self.names[f"y{term.chain}"][1]
-        return self.names[f"u{term.along if term.along >= 0 else self._driver(term.chain)}"][1]
+        if term.along >= 0:
+            return self.names[f"u{term.along}"][1]
+        return self._force_unit(term.chain)[1]
+
+    def _force_unit(self, chain: int) -> tuple[str, str]:
+        """What forces on a chain are given in, in words, and the unit."""
+        j, order = self._drivers[chain], self.form.orders[chain]
+        if j is None:
+            unit = f"{self.names[f'y{chain}'][1] or '1'}/s" + (f"^{order}" if order > 1 else "")
+            return f"in {unit}", unit
+        name, unit = self.names[f"u{j}"]
+        return f"in {unit or 'units'} of {name}", unit
 
     def found(self) -> list[FoundTerm]:
         """The terms that act (slow states stand inside them), with errors, in the user's units."""
@@ -225,7 +267,11 @@ class DiscoveredModel:
 
     def _saturates(self, term: Term, curve: Curve) -> bool:
         """Whether the input acts less and less with its size: what its curve takes from the linear path may open as it grows."""
-        direct = term.factors[0].signal == f"u{self._driver(term.chain)}"
+        j, signal = self._drivers[term.chain], term.factors[0].signal
+        direct = float(signal == f"u{j}")
+        if j is None and signal.startswith("u"):  # the linear path in units of the force
+            b = self.theta[self.assembly.betas[term.chain][int(signal[1:])]]
+            direct = float(b[-1]) * self._highest(term.chain) / self.axes[signal].scale
         slope = np.abs(direct + np.gradient(curve.value, curve.grid))
         inner = np.abs(curve.grid - curve.grid.mean()) < 0.25 * np.ptp(curve.grid)
         return float(slope[~inner].mean()) < float(slope[inner].mean())
@@ -268,17 +314,15 @@ class DiscoveredModel:
             BAND * error_of(value, self.theta, self.covariance), unit,
         )  # fmt: skip
 
-    def equation(self) -> str:
-        """One line per output and slot."""
+    def equation(self, found: Sequence[FoundTerm]) -> str:
+        """One line per output and slot, of terms in this order."""
         lines = []
-        found = self.found()
         for i in range(len(self.form.orders)):
             label, unit = self.names[f"y{i}"]
             forces = [f.text for f in found if f.slot == "force" and f.output == i]
             maps = [f.text for f in found if f.slot == "output" and f.output == i]
             if forces:
-                u, per = self.names[f"u{self._driver(i)}"]
-                lines.append(f"force on {label} (in {per or 'units'} of {u}) = " + summed(forces))
+                lines.append(f"force on {label} ({self._force_unit(i)[0]}) = " + summed(forces))
             if maps:
                 lines.append(f"{label} read (in {unit or 'its units'}) = {label} + " + summed(maps))
         return "; ".join(lines)

@@ -42,8 +42,8 @@ class HeldOut:
     rungs: tuple[dict[str, Any], ...]
     answered: tuple[Step, ...]  # per output, the step whose free run is given
     warnings: tuple[str, ...]
-    # the difference by the models of what is claimed, also where their runs are too loose to be the answer, from the linear model or
-    # from themselves without it
+    # the share removed by the models of what is claimed, also where their runs are too loose to be the answer, from the linear model
+    # or from themselves without it; the difference where there is hardly anything to remove
     borne: ErrorFigure
     untried: bool = False  # whether the record asks for a curve where nothing is known of it, so that it says nothing of a claim
     lost: bool = False  # whether the record's own mean is nearer to it than the free run of what is claimed
@@ -274,10 +274,10 @@ def assess(
     worse = _worse_than_constant(y, weight, figures, policy)
     return HeldOut(
         before, after, figures[0], figures[1], root_figure(one, other), root_figure(other, other),
-        difference := difference_figure(first, second), removed(first, second, (floor, len(train)), policy),
+        difference_figure(first, second), removed(first, second, level := (floor, len(train)), policy),
         tuple(_rungs(ladders, runs, lambda run: root_figure(errors(run), second), answers)), tuple(steps),
         (*warnings, *worse.values()),
-        difference if at == answers and least is first else difference_figure(least, third), untried,
+        share if np.isfinite((share := removed(least, third, level, policy)).low) else difference_figure(least, third), untried,
         ANSWER in _worse_than_constant(y, weight, (figures[0], root_figure(third, third)), policy),
     )  # fmt: skip
 

@@ -235,3 +235,24 @@ def test_a_claim_is_borne_by_no_gain_that_its_model_has_without_it(rng) -> None:
     assert bears(None)
     assert bears(0.9)
     assert not bears(0.4)
+
+
+def test_what_a_record_bears_is_what_is_printed_of_it() -> None:
+    """Of a lightly damped pendulum's error 19 to 100 % were removed, as it stood beside "no cause found that holds on unused data": its
+    difference, .023 with a standard error of .0145, had been asked."""
+    every = np.ones((1200, 1), dtype=bool)
+
+    def told(seed: int) -> HeldOut:
+        x = np.random.default_rng(seed).standard_normal((3, 1200))
+        noise, lacks, y = lfilter([1.0], np.poly(0.998 * np.exp([0.05j, -0.05j])).real, x, axis=1)
+        runs = [SimpleNamespace(simulate=lambda r, w, e=e: r.y[:, 0] - e) for e in (noise + lacks, noise)]
+        steps = [Step(Kind.LINEAR, (), (), runs[0], linear=True), Step(Kind.NAMED, (), (), runs[1])]
+        rungs = tuple(Rung(s, v, v, v) for s, v in zip(steps, (1.0, 0.5), strict=True))
+        ladder, record = Ladder(rungs, 1, (every[:, 0],)), Record(np.ones(1200), 9.0 * y)
+        return assess(
+            record, record, [ladder], skip=0, floor=0.1, counts=every, held=~every, policy=Setting().policy
+        )
+
+    found = [told(seed) for seed in range(40)]
+    assert any((f.difference.low > 0.0) != (f.room.low > 0.0) for f in found)
+    assert all(f.bears == (f.room.low > 0.0) for f in found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -135,6 +136,21 @@ def test_a_hardening_spring_is_found_in_the_users_units() -> None:
     assert error < 0.5 * float(np.sqrt(np.mean((base.simulate(other) - other.y) ** 2)))
     again = DiscoveredModel.from_json(found.model.to_json())
     assert np.array_equal(again.simulate(other, 20), found.model.simulate(other, 20))
+    assert "(in N of u)" in found.equation
+    (value, error, unit), truth = found.terms[0].parameters["coefficient"], -1.6 / 4
+    assert unit == "N"
+    assert abs(value - truth) < max(3 * error, 0.05 * abs(truth))
+    # where the record hardly tells what a newton does, as beside a curve of the input, forces are derivatives of the output: of
+    # a pendulum with a propeller 32 +- 260 "units of u" were as sure as 2670 +- 850 1/s^4
+    model, rows = found.model, found.model.assembly.betas[0][0]
+    unsure = model.covariance.copy()
+    unsure[np.ix_(rows, rows)] += 1e4 * np.diag(model.theta[rows] ** 2)
+    untold = replace(model, covariance=unsure)
+    assert "(in mm/s^3)" in untold.equation(untold.found())
+    newton = model.theta[rows][-1] * model._highest(0) / model.scales.su[0]
+    for known, force in zip(model.found(), untold.found(), strict=True):
+        assert force.curve.value == pytest.approx(newton * known.curve.value, rel=1e-9)
+        assert force.same_as == known.same_as
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.9])
