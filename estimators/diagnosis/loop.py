@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from estimators.diagnosis.baseline import Baseline, Options, best_linear
 from estimators.diagnosis.baseline.disturbances import set_aside
 from estimators.diagnosis.baseline.search import LONG
-from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, Discovery, discover
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.asked import begun, outside
 from estimators.diagnosis.ladder.held_out import HeldOut, assess
@@ -25,13 +24,14 @@ from estimators.diagnosis.ladder.stated import Contradiction, denied_starts, lac
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, as_started, climb, paired_gain, refused
 from estimators.diagnosis.ladder.verdicts import verdict
 from estimators.diagnosis.policy import Setting
-from estimators.diagnosis.record.admission import LEAST, together, told_from_clock
+from estimators.diagnosis.record.admission import together, told_from_clock
 from estimators.diagnosis.record.measurement import lost_samples, observations
 from estimators.diagnosis.remainder import Limits, fit_remainder, linear_footing, spliced
-from estimators.diagnosis.result.answers import DiscoveredAnswer, LinearAnswer, RemainderAnswer, early
+from estimators.diagnosis.result.answers import LinearAnswer, RemainderAnswer, early
 from estimators.diagnosis.result.model import diagnosed_model
 from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
+from estimators.diagnosis.search.discovered import Discovered, discovered
 from estimators.diagnosis.search.elsewhere import seen_elsewhere
 from estimators.diagnosis.search.examination import PHYSICAL, Examined, Known, as_motion, examine
 from estimators.diagnosis.search.few import best_named
@@ -114,15 +114,11 @@ def diagnose(
     parts = [(found, bench, n) for (found, bench, _), n in zip(parts, also, strict=True)]
     say("terms of no catalogue")
     shares = [_shares(records, i, base, part[2].step) for i, part in enumerate(parts)]
-    done = all(_exhausted(part, left) for part, (_, left) in zip(parts, shares, strict=True))
-    discovery = (
-        Discovery(None, sought=False) if done else discover(records, base, setting.effort.value, setting.skip)
-    )
+    done = [_exhausted(part, left) for part, (_, left) in zip(parts, shares, strict=True)]
+    terms = discovered(records, base, setting, _options(first, setting), done)
     say("comparison on blocks not used")
-    again = cache(lambda: _without_the_last_block(records, base, discovery, setting))
     outcomes = [
-        _outcome(records, i, base, part, shares[i], (discovery, again), setting)
-        for i, part in enumerate(parts)
+        _outcome(records, i, base, part, shares[i], terms[i], setting) for i, part in enumerate(parts)
     ]
     held = _held_out(first, test, outcomes, setting)
     outcomes = [o.standing(step) for o, step in zip(outcomes, held.answered, strict=True)]
@@ -199,12 +195,12 @@ def _runs(step: Step, records: Sequence[Record], i: int, base: Baseline) -> tupl
 
 
 def _outcome(
-    records: Sequence[Record], i: int, base: Baseline, parts: Parts, shares: tuple[Share, Share],
-    discovered: tuple[Discovery, Callable[[], tuple[Baseline, Discovery]]], setting: Setting,
+    records: Sequence[Record], i: int, base: Baseline, parts: Parts, shares: tuple[Share, Share], terms: Discovered,
+    setting: Setting,
 ) -> Outcome:  # fmt: skip
-    """The ladder of one output; what was discovered comes with the same search made without the last block, on demand."""
+    """The ladder of one output."""
     found, bench, named = parts
-    (share, left), (discovery, again) = shares, discovered
+    share, left = shares
     train, *others = records
     steps = [linear_step(base, i, bench.rest)]
     kept = np.repeat(found.last.keep, bench.thin)
@@ -224,8 +220,7 @@ def _outcome(
             replace(named.step, unused=(*named.step.unused, *unseen), slow=slow, admitted=not echoes)
         )
         named = replace(named, step=steps[-1])
-    if discovery.model is not None:
-        step = _discovered_step(discovery, discovery.model, i)
+    if (step := terms.step()) is not None:
         steps.append(replace(step, admitted=not bench.echoes(step.unused[0])))
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
@@ -249,13 +244,11 @@ def _outcome(
         without = refused(steps, Kind.DISCOVERED)
         other = climb(y, without, counted, setting.policy, least=least)
         gain = paired_gain(y, other.chosen.unused, ladder.chosen.unused, ladder.counted, setting.policy)
-        if not gain.meets(setting.policy.unchecked) and not _confirmed(
-            records, i, base, counted, again(), setting
-        ):
+        if not gain.meets(setting.policy.unchecked) and not terms.confirmed(counted):
             steps, ladder = without, other
     above = share if ladder.chosen.kind is Kind.LINEAR else left
     rest = None
-    if discovery.sought and above.explainable:  # else unused blocks have said that nothing of it lasts
+    if terms.found.sought and above.explainable:  # else unused blocks have said that nothing of it lasts
         rest = _remainder_step(records, i, base, ladder, above, setting)
     if rest is not None and not bench.echoes(rest.unused[0]):
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
@@ -264,7 +257,7 @@ def _outcome(
     echo = bench.inverse and has_feedback(records, errors, counted)
     loop = echo and is_answer(records, errors, counted)
     inverse = echo and ladder.chosen.at_once(train, base.blocks.window)
-    return Outcome(i, found, named, ladder, share, left, discovery, inverse, loop)
+    return Outcome(i, found, named, ladder, share, left, terms.found, inverse, loop)
 
 
 def _remainder_step(
@@ -296,53 +289,6 @@ def _remainder_step(
 
 MEMBER = 20
 """Parameters that a member of the remainder counts as in the noise floor: ridge regressions and networks are pulled to zero."""
-
-
-def _without_the_last_block(
-    records: Sequence[Record], base: Baseline, whole: Discovery, setting: Setting
-) -> tuple[Baseline, Discovery]:
-    """The linear model and what is discovered from the records without the last block and what is beside that.
-
-    The second search is as wide as the `whole` one's answer needs.
-    """
-    last = base.blocks.blocks[-1]
-    unseen = records[last.record]
-    head = unseen[: max(0, last.start - base.blocks.guard)]
-    heads = [*(r for r in records if r is not unseen), *([head] if len(head) >= LEAST else [])]
-    linear = best_linear(heads, _options(unseen, setting))
-    budget = BUDGETS[setting.effort.value]
-    if whole.model is not None:
-        budget = budget.about(whole.model.form.orders, len(whole.terms))
-    return linear, discover(heads, linear, budget, setting.skip)
-
-
-def _confirmed(
-    records: Sequence[Record], i: int, base: Baseline, counted: Sequence[Array], again: tuple[Baseline, Discovery],
-    setting: Setting,
-) -> bool:  # fmt: skip
-    """Whether a search that never saw the last block finds terms that simulate it better.
-
-    The parameters of a discovered model did not see the blocks that vouch for it, but the search for its terms did.
-    """
-    (linear, found), last = again, base.blocks.blocks[-1]
-    if found.model is None:
-        return False
-    unseen, use = records[last.record], counted[last.record].copy()
-    use[: last.start] = False
-    runs = [m.simulate(unseen, base.blocks.window)[:, i] for m in (linear, found.model)]
-    gain = paired_gain([np.nan_to_num(unseen.y[:, i])], runs[:1], runs[1:], [use], setting.policy)
-    return gain.meets(setting.policy.claimed)
-
-
-def _discovered_step(d: Discovery, model: DiscoveredModel, i: int) -> Step:
-    terms = [t for t in d.terms if t.output == i]
-    parameters = {f"term {k + 1}.{name}": v for k, t in enumerate(terms) for name, v in t.parameters.items()}
-    return Step(
-        Kind.DISCOVERED, tuple(t.text for t in terms), tuple(u[:, i] for u in d.unused),
-        DiscoveredAnswer(i, model), len(model.theta), parameters,
-        tuple(t.meaning for t in terms), d.equation, nature=d.nature,
-        folds=tuple(DiscoveredAnswer(i, m) for m in d.folds), rivals=tuple(DiscoveredAnswer(i, m) for m in d.rivals),
-    )  # fmt: skip
 
 
 def _held_out(train: Record, test: Record | None, outcomes: list[Outcome], setting: Setting) -> HeldOut:

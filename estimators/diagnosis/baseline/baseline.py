@@ -91,6 +91,14 @@ class Baseline:
     rmse_unused_se: Array
     dt: float
 
+    def alone(self, output: int) -> "Baseline":
+        """Of one output, for records that have no other."""
+        one = [output]
+        return replace(
+            self, outputs=(self.outputs[output],), y_model=tuple(y[:, one] for y in self.y_model), unused=tuple(y[:, one] for y in self.unused),
+            rmse_unused=self.rmse_unused[one], rmse_unused_se=self.rmse_unused_se[one],
+        )  # fmt: skip
+
     @property
     def ill_posed(self) -> bool:
         """Whether a free run hangs on its initial state, which a window of samples cannot tell well enough."""
@@ -159,3 +167,9 @@ class Baseline:
             for s in range(0, len(record) - w, k):
                 out[s + w : s + w + k, i] = m.model.free_run(prior, u[s : s + w + k], y[s : s + w + k], w)[w:]
         return out
+
+
+def of_output(record: Record, i: int) -> Record:
+    """A record with one of its outputs alone."""
+    names, units = record.output_names, record.output_units
+    return record.replace(y=record.y[:, [i]], output_names=(names[i],), output_units=(units[i],))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.baseline.baseline import of_output
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.discovery import DiscoveredModel
 from estimators.diagnosis.effects import CATALOGUE, Clock, Effect, named
@@ -147,14 +148,21 @@ class NamedAnswer:
 
 @dataclass(frozen=True, eq=False)
 class DiscoveredAnswer:
-    """One output of a model whose terms were discovered."""
+    """One output of a model whose terms were discovered, of all outputs or of that one alone."""
 
     output: int
     model: DiscoveredModel
 
+    @property
+    def _column(self) -> int:
+        return self.output if len(self.model.form.orders) > 1 else 0
+
     def simulate(self, record: Record, window: int) -> Array:
         """(N,) free run."""
-        return self.model.simulate(record, window)[:, self.output]
+        alone = len(self.model.form.orders) < record.n_outputs
+        return self.model.simulate(of_output(record, self.output) if alone else record, window)[
+            :, self._column
+        ]
 
     def symbols(self, w: Wiring) -> Any:
         """One output of the model, whose states stand once for all outputs that read it."""
@@ -163,7 +171,7 @@ class DiscoveredAnswer:
         key = self.model.to_json()
         if key not in w.shared:
             w.shared[key] = models.discovered(w, self.model)
-        return w.shared[key][self.output]
+        return w.shared[key][self._column]
 
     def to_dict(self) -> dict[str, Any]:
         """The whole model, as its outputs may drive one another."""

@@ -1,0 +1,112 @@
+"""The discovered stage: terms of no catalogue for every output, together where outputs may push one another, and as steps of the ladder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.baseline import Baseline, Options, best_linear, of_output
+from estimators.diagnosis.discovery import BUDGETS, Discovery, discover
+from estimators.diagnosis.discovery.search import Budget
+from estimators.diagnosis.ladder.steps import Kind, Step, paired_gain
+from estimators.diagnosis.policy import Setting
+from estimators.diagnosis.record.admission import LEAST
+from estimators.diagnosis.result.answers import DiscoveredAnswer
+from oed.data import Record
+
+Array = NDArray[Any]
+TOGETHER = 2
+"""Outputs whose terms are looked for in one search, as one axis may push the other: what it costs and holds in memory grows with the
+fourth power of their number. Of more, each is looked at alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class Discovered:
+    """What was discovered of output `output`, from `records` and their linear model `base`, of whose outputs it is `column`."""
+
+    output: int
+    column: int
+    records: Sequence[Record]
+    base: Baseline
+    found: Discovery
+    again: Callable[[], tuple[Baseline, Discovery]]  # both made without the last block
+    setting: Setting
+
+    def step(self) -> Step | None:
+        """The model as a step of the ladder; None where nothing was found."""
+        d = self.found
+        if d.model is None:
+            return None
+        terms = [t for t in d.terms if t.output == self.output]
+        parameters = {
+            f"term {k + 1}.{name}": v for k, t in enumerate(terms) for name, v in t.parameters.items()
+        }
+        answer = lambda model: DiscoveredAnswer(self.output, model)
+        return Step(
+            Kind.DISCOVERED, tuple(t.text for t in terms), tuple(u[:, self.column] for u in d.unused), answer(d.model),
+            len(d.model.theta), parameters, tuple(t.meaning for t in terms), d.equation, nature=d.nature,
+            folds=tuple(map(answer, d.folds)), rivals=tuple(map(answer, d.rivals)),
+        )  # fmt: skip
+
+    def confirmed(self, counted: Sequence[Array]) -> bool:
+        """Whether a search that never saw the last block finds terms that simulate it better.
+
+        The parameters of a discovered model did not see the blocks that vouch for it, but the search for its terms did.
+        """
+        (linear, again), last = self.again(), self.base.blocks.blocks[-1]
+        if again.model is None:
+            return False
+        unseen, use = self.records[last.record], counted[last.record].copy()
+        use[: last.start] = False
+        runs = [m.simulate(unseen, self.base.blocks.window)[:, self.column] for m in (linear, again.model)]
+        y = np.nan_to_num(unseen.y[:, self.column])
+        gain = paired_gain([y], runs[:1], runs[1:], [use], self.setting.policy)
+        return gain.meets(self.setting.policy.claimed)
+
+
+def discovered(
+    records: Sequence[Record], base: Baseline, setting: Setting, options: Options, exhausted: Sequence[bool]
+) -> list[Discovered]:
+    """The discovered stage of every output; no search where all that it would look at is `exhausted`."""
+    outputs = range(len(base.outputs))
+    if len(outputs) <= TOGETHER:
+        both = _searched(records, base, setting, options, all(exhausted))
+        return [Discovered(i, i, records, base, *both, setting) for i in outputs]
+    out = []
+    for i in outputs:
+        own, mine = [of_output(r, i) for r in records], base.alone(i)
+        found, again = _searched(own, mine, setting, replace(options, diagonal=False), exhausted[i])
+        found = replace(found, terms=tuple(replace(t, output=i) for t in found.terms))
+        out.append(Discovered(i, 0, own, mine, found, again, setting))
+    return out
+
+
+def _searched(
+    records: Sequence[Record], base: Baseline, setting: Setting, options: Options, exhausted: bool
+) -> tuple[Discovery, Callable[[], tuple[Baseline, Discovery]]]:
+    """What is found, and how to look again without the last block."""
+    budget, skip = BUDGETS[setting.effort.value], setting.skip
+    found = Discovery(None, sought=False) if exhausted else discover(records, base, budget, skip)
+    return found, cache(lambda: _without_the_last_block(records, base, found, budget, options, skip))
+
+
+def _without_the_last_block(
+    records: Sequence[Record], base: Baseline, whole: Discovery, budget: Budget, options: Options, skip: int
+) -> tuple[Baseline, Discovery]:
+    """The linear model and what is discovered from the records without the last block and what is beside that.
+
+    The second search is as wide as the `whole` one's answer needs.
+    """
+    last = base.blocks.blocks[-1]
+    unseen = records[last.record]
+    head = unseen[: max(0, last.start - base.blocks.guard)]
+    heads = [*(r for r in records if r is not unseen), *([head] if len(head) >= LEAST else [])]
+    linear = best_linear(heads, options)
+    if whole.model is not None:
+        budget = budget.about(whole.model.form.orders, len(whole.terms))
+    return linear, discover(heads, linear, budget, skip)
