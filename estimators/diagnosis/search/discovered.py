@@ -23,6 +23,9 @@ Array = NDArray[Any]
 TOGETHER = 2
 """Outputs whose terms are looked for in one search, as one axis may push the other: what it costs and holds in memory grows with the
 fourth power of their number. Of more, each is looked at alone."""
+LATER = 1
+"""Samples by which an input may act later on one output than on another in one search, whose models see it at one time: earlier outputs
+could not follow it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +77,7 @@ def discovered(
 ) -> list[Discovered]:
     """The discovered stage of every output; no search where all that it would look at is `exhausted`."""
     outputs = range(len(base.outputs))
-    if len(outputs) <= TOGETHER:
+    if len(outputs) <= TOGETHER and _at_one_time(base):
         both = _searched(records, base, setting, options, all(exhausted))
         return [Discovered(i, i, records, base, *both, setting) for i in outputs]
     out = []
@@ -84,6 +87,12 @@ def discovered(
         found = replace(found, terms=tuple(replace(t, output=i) for t in found.terms))
         out.append(Discovered(i, 0, own, mine, found, again, setting))
     return out
+
+
+def _at_one_time(base: Baseline) -> bool:
+    """Whether the inputs act on all outputs at nearly one time, as far as the same ones act on all."""
+    delays = [m.shared[1] for m in base.outputs]
+    return len({len(d) for d in delays}) > 1 or bool(np.all(np.ptp(delays, axis=0) <= LATER))
 
 
 def _searched(

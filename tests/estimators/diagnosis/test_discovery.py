@@ -184,6 +184,18 @@ def test_many_outputs_are_looked_at_one_by_one() -> None:
     assert np.array_equal(again.simulate(other, 20), run)
 
 
+def test_an_output_that_the_input_reaches_later_holds_up_no_other() -> None:
+    """One search delays an input by what its latest output asks for: the spring of a mass beside a pipe of eight samples was lost."""
+    r = rig(lambda x, v: 1.6 * x**3)
+    late = lfilter(np.r_[np.zeros(8), 0.3], [1, -0.7], r.u[:, 0])
+    e = 0.02 * np.random.default_rng(1).standard_normal(len(r))
+    records = [r.replace(y=np.column_stack((r.y[:, 0], late + e)), output_names=(), output_units=())]
+    base = best_linear(records)
+    every = discovered(records, base, Setting(effort=Effort.QUICK), Options(), [False, True])
+    assert [d.step() is None for d in every] == [False, True]
+    assert every[0].found.rmse_unused[0] < 0.4 * base.rmse_unused[0]
+
+
 @pytest.mark.parametrize("colour", [0.0, 0.9])
 def test_a_linear_rig_yields_nothing(colour) -> None:
     record = rig(lambda x, v: 0.0, noise=0.1, seed=4, colour=colour)
