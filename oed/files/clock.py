@@ -7,6 +7,8 @@ from oed.errors import InputError
 
 UNIFORM = 1e-6
 """Largest deviation from a uniform clock that needs no explanation, in steps."""
+PRINTED = 12
+"""Digits that a time may be printed to; from more on, its rounding is below what needs no explanation."""
 CALENDAR = 1e11, 1e3
 """Seconds, three thousand years, and lengths of the record, beyond both of which a first time counts something smaller than seconds."""
 
@@ -39,37 +41,46 @@ def sampling_time(t: NDArray[np.float64], source: str, *, first_row: int = 0) ->
     floating = 4 * float(np.spacing(np.abs(t).max()))
     slack = UNIFORM * mean
     if np.abs(steps - mean).max() > slack + floating:
-        rounding = _rounding_unit(t)
-        explains = rounding <= mean / 3  # a coarser clock cannot tell rounding from a lost sample
-        if not explains or _line_deviation(t) > rounding / 2 * (1 + 1e-6) + floating:
+        units = _rounding_units(t)
+        rounding = float(units.max())
+        explains = 0.0 < rounding <= mean / 3  # a coarser clock cannot tell rounding from a lost sample
+        if not explains or _line_deviation(t, units / 2 * (1 + 1e-6) + floating) > 1.0:
             _refuse(t, steps, max(slack, rounding if explains else 0.0) + floating, source, first_row)
         slack = max(slack, rounding)
     return _simplest(t, k, mean, floating), (slack + floating) / (len(t) - 1) + UNIFORM * mean
 
 
-def _rounding_unit(t: NDArray[np.float64]) -> float:
-    """Unit of the last digit of times that look printed to fixed decimals or stored in single precision, else 0."""
-    largest = float(np.abs(t).max())
-    for digits in range(10):
-        if (np.abs(t - np.round(t, digits)) <= 2 * np.spacing(largest)).all():
-            return 10.0**-digits
+def _rounding_units(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) unit of the last digit of times that look printed to fixed decimals or to so many digits, or stored in single precision,
+    else 0."""
+    largest, every = float(np.abs(t).max()), np.ones(len(t))
+    for decimals in range(10):
+        if (np.abs(t - np.round(t, decimals)) <= 2 * np.spacing(largest)).all():
+            fixed = every * 10.0**-decimals
+            break
+    else:
+        fixed = 0.0 * every
+    for digits in range(1, PRINTED + 1):
+        if all(np.array_equal(x, [float(f"{v:.{digits}g}") for v in x]) for x in (t[-1:], t)):
+            top = np.floor(np.log10(np.where(t == 0.0, 10.0**-digits, np.abs(t))))
+            return np.maximum(fixed, 10.0 ** (top + 1 - digits))
     single = t.astype(np.float32)
-    return float(np.spacing(np.float32(largest))) if (single == t).all() else 0.0
+    return np.maximum(fixed, np.spacing(np.abs(single)).astype(float) if (single == t).all() else 0.0)
 
 
-def _line_deviation(t: NDArray[np.float64]) -> float:
-    """Least largest deviation of t from any line in k, by exchange of the three points that support it."""
+def _line_deviation(t: NDArray[np.float64], allowed: NDArray[np.float64]) -> float:
+    """Least largest deviation of t from any line in k, of what is allowed, by exchange of the three points that support it."""
     k = np.arange(len(t), dtype=float)
     if len(t) < 3:
         return 0.0
     support = np.array([0, len(t) // 2, len(t) - 1])
     deviation = 0.0
     for _ in range(100):
-        i, j, m = support
-        slope = (t[m] - t[i]) / (k[m] - k[i])
-        chord = t[j] - t[i] - slope * (k[j] - k[i])
-        residual = t - (t[i] + chord / 2 + slope * (k - k[i]))
-        deviation = abs(chord) / 2
+        sides = np.array([1.0, -1.0, 1.0]) * allowed[support]
+        system = np.stack((np.ones(3), k[support], sides), axis=1)
+        start, slope, height = np.linalg.solve(system, t[support])
+        residual = (t - (start + slope * k)) / allowed
+        deviation = abs(height)
         worst = int(np.argmax(np.abs(residual)))
         if worst in support or abs(residual[worst]) <= deviation * (1 + 1e-9):
             return float(abs(residual[worst]))

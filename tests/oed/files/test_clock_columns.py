@@ -5,6 +5,7 @@ import pytest
 
 from oed.errors import InputError
 from oed.files import read_record
+from oed.files.clock import sampling_time
 
 
 @pytest.mark.parametrize(
@@ -71,3 +72,17 @@ def test_a_channel_in_seconds_is_no_clock(tmp_path) -> None:
         path.write_text(f"delay_s;u;y\n{rows}", encoding="utf-8")
         assert read_record(path).dt == dt
         assert read_record(path, dt=0.1).dt == 0.1
+
+
+@pytest.mark.parametrize("digits", [6, 7, 8, 10, 12])
+def test_a_clock_that_is_printed_to_so_many_digits_is_uniform(digits) -> None:
+    """A record at 51.2 kHz with "%.10g" was refused from the row on in which its time passed a tenth of a second."""
+    dt = 1.0 / 51200.0 if digits > 8 else 1.0 / 3.0
+    for t0 in (0.0, 0.09 if digits > 8 else 98.7):
+        t = np.array([float(f"{t0 + k * dt:.{digits}g}") for k in range(1000)])
+        step, tolerance = sampling_time(t, "t")
+        assert step == pytest.approx(dt, rel=1e-4)
+        assert abs(step - dt) <= tolerance
+        lost = np.delete(t, 700)
+        with pytest.raises(InputError, match="not uniform: from row 699 to row 700"):
+            sampling_time(lost, "t")
