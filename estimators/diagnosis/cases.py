@@ -31,6 +31,11 @@ META = keyed(
             "anyOf": [ORDER, {"type": "array", "items": ORDER, "minItems": 1}, {"type": "null"}],
             "description": "a whole number from 1 to 20, or a list with one per output",
         },
+        "skip": {
+            "type": "integer",
+            "minimum": 0,
+            "description": "a whole number of test samples that may set the initial state",
+        },
         **dict.fromkeys(("structure", "signals", "time_unit", "input_hold", "note"), TEXT),
         **{
             name: {
@@ -104,13 +109,14 @@ def diagnose_files(
     test: Path | str | None = None,
     *,
     meta: Path | str | None = None,
-    skip: int = 0,
+    skip: int | None = None,
     columns: Columns | None = None,
     setting: Setting | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Diagnosis, list[str]]:
-    """Diagnose records in files, one or several for training."""
+    """Diagnose records in files, one or several for training; `skip` is by default what their description says, else 0."""
     from oed.files import read_record
+    from oed.files.tables import ASSUMED
 
     columns, wanted = columns or Columns(), setting or Setting()
     notes: list[str] = []
@@ -124,15 +130,24 @@ def diagnose_files(
         side: given or (",".join(known[side]) if isinstance(known.get(side), list) else None)
         for side, given in (("inputs", columns.inputs), ("outputs", columns.outputs))
     }
+    if skip is None:
+        skip = 0 if test is None else known.get("skip", 0)
     _check(wanted, skip)
 
+    stated = known.get("sampling_time")
+
     def read(path: Path | str) -> Record:
-        return _in_units(read_record(path, **names, dt=columns.dt, missing=True, notes=notes), known)
+        told: list[str] = []
+        record = read_record(path, **names, dt=columns.dt, missing=True, notes=told)
+        if isinstance(stated, int | float) and any(note.endswith(f"{ASSUMED}.") for note in told):
+            record = record.replace(dt=float(stated), t0=record.t0 * stated)
+            told = [note for note in told if not note.endswith(f"{ASSUMED}.")]
+        notes.extend(told)
+        return _in_units(record, known)
 
     records = [read(path) for path in ([train] if isinstance(train, str | Path) else train)]
     first = max(records, key=len)
     second = read(test) if test is not None else None
-    stated = known.get("sampling_time")
     if isinstance(stated, int | float) and columns.dt is None and abs(first.dt - stated) > 1e-3 * stated:
         raise InputError(
             f"the sampling time is {stated:g} s in meta.json and {first.dt:g} s by the column t; correct one of them."

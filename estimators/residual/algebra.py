@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import svd as scipy_svd
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from oed.covariances import of_few
@@ -198,3 +199,14 @@ def mean_error(series: NDArray[np.float64]) -> float:
     spread = max(own, float(white @ white) / float(noise.sum()) ** 2)
     freedom = max(FEWEST, len(off) * own / spread / INDEPENDENT)
     return size * of_few(float(np.sqrt(spread)) / len(off), freedom)
+
+
+def thin_svd(
+    matrix: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """U, singular values and V' of a matrix; by LAPACK's slower routine where the faster one gives up, as it does on some finite
+    matrices with many rows that depend on the others: 940 samples of steps, their lags and what a model makes of them."""
+    try:
+        return np.linalg.svd(matrix, full_matrices=False)
+    except np.linalg.LinAlgError:
+        return scipy_svd(matrix, full_matrices=False, lapack_driver="gesvd")

@@ -57,6 +57,10 @@ class Table:
     unread: tuple[str, ...] = ()
 
 
+ASSUMED = "1 s is assumed (--dt)"
+"""What is said of a record without a clock."""
+
+
 def seconds_per(column: str) -> float:
     """Seconds in a unit of a column of times: t or time, with its unit as in t_ms, `Time (s)`, `time [min]`."""
     found = re.fullmatch(r"(?:t|[Tt]ime|TIME)(?:_(\w+)| ?[\[(](\w+)[\])])?", column)
@@ -346,9 +350,7 @@ def _clock(
     step = dt if dt is not None else stated
     if step is None:
         step = 1.0
-        notes.append(
-            f"{table.source} has no column t or time and no sampling time is given: 1 s is assumed (--dt)."
-        )
+        notes.append(f"{table.source} has no column t or time and no sampling time is given: {ASSUMED}.")
     return step, start * step if t0 is None else t0
 
 

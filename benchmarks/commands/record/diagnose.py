@@ -17,7 +17,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("train", metavar="TRAIN", nargs="+", help="training record (csv, mat, parquet or npz), or several of one system; FILE[a:b] takes rows a to b-1")
     add("--test", metavar="TEST", help="held-out record, whose state is that of TRAIN's end where it goes on from there; without it blocked cross-validation inside TRAIN")
     add("--meta", metavar="META.json", help="sampling time, structure and order known beforehand")
-    add("--skip", type=int, default=0, metavar="n", help="test samples that may set the initial state")
+    add("--skip", type=int, metavar="n", help="test samples that may set the initial state (0, or what META.json says)")
     add("--order", type=int, help="order stated for the linear model; what the data ask for beyond it is named (default: from --meta, else none)")
     add("--model", metavar="MODEL.json", help="a model of the system, as `oed identify --out` writes it: its orders are kept, its error stands beside")
     add("--inputs", metavar="NAMES", help="input columns, with commas (default: those that begin with u)")

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.regression import Arx, lagged_inputs
+from estimators.residual.algebra import thin_svd
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -161,7 +162,7 @@ def realised(model: LinearModel, form: Arx, lags: int) -> LinearModel | None:
     )  # (nu, length), from its delay on
     later = 1 if form.nb > n else 0  # B of n + 1 coefficients leaves the first sample to itself
     H = np.concatenate([toeplitz_rows(p[later:], lags) for p in pulses], axis=1)
-    left, size, _ = np.linalg.svd(H, full_matrices=False)
+    left, size, _ = thin_svd(H)
     if n == 0 or len(size) < n or size[n - 1] <= 1e-10 * size[0]:
         return None
     O = left[:, :n] * np.sqrt(size[:n])

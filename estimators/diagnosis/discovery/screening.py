@@ -11,6 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 from estimators.diagnosis.discovery.dictionary import Candidate, candidates, placed, values
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, run_piece, start_state
 from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Term
+from estimators.residual.algebra import thin_svd
 
 Array = NDArray[Any]
 SMOOTH = 1.0  # samples over which measured outputs are smoothed before they enter a candidate, over the pace
@@ -198,7 +199,7 @@ def _basis(J: Array) -> Array:
     size = np.linalg.norm(J, axis=0)
     if not np.isfinite(size).all() or not size.any():
         return np.zeros((len(J), 0))
-    U, s, _ = np.linalg.svd(J[:, size > 0] / size[size > 0], full_matrices=False)
+    U, s, _ = thin_svd(J[:, size > 0] / size[size > 0])
     return U[:, s > 1e-7 * s.max(initial=0.0)]
 
 

@@ -27,6 +27,7 @@ LEAST_TURNS = 2  # jumps of a record that make it one of an angle
 COUNTS = 3  # rounds of turns from the model, and the model from the turns
 CLEAR, TAIL = 3, 10  # samples before and after a jump that say little: a filter keeps them
 ORDERS_TURNED = (1, 2, 3, 4)  # of the angle
+ORDERS_FOLDED = (2, 3)  # of what is behind a fold, beside the linear model's: two drives on a belt swing and lag
 MOVED = 0.2  # of a turn, from sample to sample, beyond which an angle is in the middle of a jump
 
 
@@ -91,75 +92,90 @@ HALF = _Fold(lambda y: np.maximum(y, 0.0), lambda t, x: np.where(t > 0.15 * t.me
 
 
 def _behind(effect: Callable[[], Effect], fold: _Fold) -> Callable[..., Iterator[Any]]:
-    """Fits of a linear part behind a fold, from unfolded signs and from random poles."""
+    """Fits of a linear part behind a fold, from unfolded signs and from random poles.
+
+    The model before it was fitted to what the fold left: its order need not hold for what is behind.
+    """
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-        from scipy.signal import lfilter
+        from estimators.diagnosis.effects.profiled import of_order
 
-        from estimators.diagnosis.effects.added import OFFSET
-        from estimators.diagnosis.model.fitting import fit
-        from estimators.diagnosis.model.linear import fresh_poles
-        from estimators.diagnosis.model.structure import Part, stable_polynomial
-
-        s, y, keep = base.structure, channel.y, channel.keep
+        s = base.structure
         if s.layout != "tf" or s.effects:
             return
-        floor = float(np.quantile(y[keep], 0.002)) if any(q.effect is OFFSET for q in s.parts) else 0.0
-        t = np.where(keep, fold.seen(y - floor), 0.0)
-        U = channel.u[:, list(s.inputs)]
-
-        def regressors(f: Array) -> Array:
-            v = np.asarray(lfilter([1.0], np.concatenate(([1.0], f)), U, axis=0))
-            late = [delayed(x[:, None], range(1 + s.delay, 1 + s.delay + s.taps)) for x in v.T]
-            return np.column_stack([*late, np.ones(len(y))])
-
-        def settled(f: Array, target: Array) -> tuple[float, Array, Array, Array]:
-            """(error, numerators and level, what the linear part should be, its denominator) after rounds of signs."""
-            X = regressors(f)
-            Q, R = np.linalg.qr(X[keep])
-            theta = np.zeros(X.shape[1])
-            for _ in range(ROUNDS):
-                theta = np.linalg.lstsq(R, Q.T @ target[keep], rcond=1e-10)[0]
-                again = fold.target(t, X @ theta)
-                if np.array_equal(again, target):
-                    break
-                target = again
-            return float(np.sum((target - X @ theta)[keep] ** 2)), theta, target, f
-
-        rng = np.random.default_rng(SEED)
-        found = []
-        for draw in range(DRAWS):
-            f = base.p[: s.order] if draw == 0 else _random_poles(rng, s.order)
-            X = regressors(f)
-            guess = X @ (
-                rng.standard_normal(X.shape[1]) / (np.std(X, axis=0) + np.abs(np.mean(X, axis=0)) + 1e-300)
-            )
-            found += [settled(f, fold.target(t, guess)), settled(f, _unfolded(t) * t)]
-        found.sort(key=lambda entry: entry[0])
-        better = []
-        for entry in found[:4]:
-            for _ in range(4):  # the poles from the signs, and the signs from the poles
-                f = fresh_poles(entry[2], U, s, keep)
-                if not stable_polynomial(f):
-                    break
-                again = settled(f, entry[2])
-                if again[0] > 0.999 * entry[0]:
-                    break
-                entry = again
-            better.append(entry)
-        part = Part(effect(), s.inputs[0])
-        new = s.adding(part)
-        scales = np.concatenate((base.scales, [float(np.std(t)) + 1e-300]))
-        for _, theta, _, f in sorted(better, key=lambda entry: entry[0])[:2]:
-            p = np.zeros(new.size)
-            p[: s.order], p[s.order : s.plant_size], p[-1] = f, theta[:-1], theta[-1]
-            for q, sl in zip(new.parts, new.slices(), strict=True):
-                if q.effect is OFFSET:
-                    p[sl] = floor
-            scales[s.order : s.plant_size] = np.abs(theta[:-1]) + 0.1 * np.abs(theta[:-1]).max() + 1e-300
-            yield fit(channel, new, p, scales.copy(), noise=base.noise, iterations=30)
+        for n in sorted({s.order, *ORDERS_FOLDED}):
+            yield from _of_order(effect(), fold, channel, base, *of_order(base, n, s.taps if n == s.order else n))
 
     return search
+
+
+def _of_order(
+    effect: Effect, fold: _Fold, channel: Any, base: Any, s: Any, begun: Array, sizes: Array
+) -> Iterator[Any]:
+    """Fits of a linear part of one structure behind a fold."""
+    from scipy.signal import lfilter
+
+    from estimators.diagnosis.effects.added import OFFSET
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import fresh_poles
+    from estimators.diagnosis.model.structure import Part, stable_polynomial
+
+    y, keep = channel.y, channel.keep
+    floor = float(np.quantile(y[keep], 0.002)) if any(q.effect is OFFSET for q in s.parts) else 0.0
+    t = np.where(keep, fold.seen(y - floor), 0.0)
+    U = channel.u[:, list(s.inputs)]
+
+    def regressors(f: Array) -> Array:
+        v = np.asarray(lfilter([1.0], np.concatenate(([1.0], f)), U, axis=0))
+        late = [delayed(x[:, None], range(1 + s.delay, 1 + s.delay + s.taps)) for x in v.T]
+        return np.column_stack([*late, np.ones(len(y))])
+
+    def settled(f: Array, target: Array) -> tuple[float, Array, Array, Array]:
+        """(error, numerators and level, what the linear part should be, its denominator) after rounds of signs."""
+        X = regressors(f)
+        Q, R = np.linalg.qr(X[keep])
+        theta = np.zeros(X.shape[1])
+        for _ in range(ROUNDS):
+            theta = np.linalg.lstsq(R, Q.T @ target[keep], rcond=1e-10)[0]
+            again = fold.target(t, X @ theta)
+            if np.array_equal(again, target):
+                break
+            target = again
+        return float(np.sum((target - X @ theta)[keep] ** 2)), theta, target, f
+
+    rng = np.random.default_rng(SEED)
+    found = []
+    for draw in range(DRAWS):
+        known = draw == 0 and s.order == base.structure.order
+        f = base.p[: s.order] if known else _random_poles(rng, s.order)
+        X = regressors(f)
+        guess = X @ (
+            rng.standard_normal(X.shape[1]) / (np.std(X, axis=0) + np.abs(np.mean(X, axis=0)) + 1e-300)
+        )
+        found += [settled(f, fold.target(t, guess)), settled(f, _unfolded(t) * t)]
+    found.sort(key=lambda entry: entry[0])
+    better = []
+    for entry in found[:4]:
+        for _ in range(4):  # the poles from the signs, and the signs from the poles
+            f = fresh_poles(entry[2], U, s, keep)
+            if not stable_polynomial(f):
+                break
+            again = settled(f, entry[2])
+            if again[0] > 0.999 * entry[0]:
+                break
+            entry = again
+        better.append(entry)
+    new = s.adding(Part(effect, s.inputs[0]))
+    scales = np.concatenate((sizes, [float(np.std(t)) + 1e-300]))
+    scales[: s.order] = 1.0
+    for _, theta, _, f in sorted(better, key=lambda entry: entry[0])[:2]:
+        p = np.zeros(new.size)
+        p[: s.order], p[s.order : s.plant_size], p[-1] = f, theta[:-1], theta[-1]
+        for q, sl in zip(new.parts, new.slices(), strict=True):
+            if q.effect is OFFSET:
+                p[sl] = floor
+        scales[s.order : s.plant_size] = np.abs(theta[:-1]) + 0.1 * np.abs(theta[:-1]).max() + 1e-300
+        yield fit(channel, new, p, scales.copy(), noise=base.noise, iterations=30)
 
 
 def _unrolled(y: Array, pole: float) -> tuple[float, Array, Array, tuple[float, float]] | None:

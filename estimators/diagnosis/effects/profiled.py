@@ -115,8 +115,9 @@ def of_order(f: Any, order: int, taps: int) -> tuple[Any, Array, Array]:
     few = replace(f.structure, order=order, taps=taps)
     p, scales = np.zeros(few.size), np.zeros(few.size)
     for now, then in zip(few.slices(), f.structure.slices(), strict=True):
-        size = now.stop - now.start
-        p[now], scales[now] = f.p[then][:size], f.scales[then][:size]
+        known = min(now.stop - now.start, then.stop - then.start)
+        p[now][:known], scales[now][:known] = f.p[then][:known], f.scales[then][:known]
+        scales[now][known:] = f.scales[then][-1:]  # of starting states that the other order has not
     return few, p, scales
 
 

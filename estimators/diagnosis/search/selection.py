@@ -16,7 +16,7 @@ from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
 from estimators.diagnosis.share.feedback import MATTERS, between_jumps, wald
-from estimators.residual.algebra import unit
+from estimators.residual.algebra import thin_svd, unit
 
 Array = NDArray[Any]
 EVERYTHING = Menu()
@@ -116,7 +116,7 @@ def feedback_test(u: Array, e: Array, lags: int = 5, memory: int = 12) -> float:
 
 def _basis(X: Array) -> Array:
     """Orthonormal columns of all that those of a matrix tell apart."""
-    U, size, _ = np.linalg.svd(X, full_matrices=False)
+    U, size, _ = thin_svd(X)
     return U[:, size > 1e-13 * size[0]]
 
 

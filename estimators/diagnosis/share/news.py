@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.share.feedback import autoregression, whitened
-from estimators.residual.algebra import delayed, sum_error
+from estimators.residual.algebra import delayed, sum_error, thin_svd
 from oed.data import Record
 
 Array = NDArray[np.float64]
@@ -135,7 +135,7 @@ def _sized(columns: Array) -> Array:
 
 def _directions(columns: Array, whole: float = 0.0) -> Array:
     """(M, p) orthonormal directions of columns, but for what is rounding beside the largest of them or beside a `whole`."""
-    basis, values, _ = np.linalg.svd(columns, full_matrices=False)
+    basis, values, _ = thin_svd(columns)
     return basis[:, values > SINGULAR * max(values[0], whole)]
 
 

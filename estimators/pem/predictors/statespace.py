@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.pem.subspace.hankel import lagged
+from estimators.residual.algebra import thin_svd
 from oed.errors import InputError
 from oed.models.model import Polynomial, StateSpace
 
@@ -31,7 +32,7 @@ def subspace_start(
     rows = [
         np.hstack([markov[:, k * width : past * width], np.zeros((ny, k * width))]) for k in range(future)
     ]
-    _, singular, right = np.linalg.svd(np.vstack(rows) @ Z.T, full_matrices=False)
+    _, singular, right = thin_svd(np.vstack(rows) @ Z.T)
     X = (np.sqrt(singular[:n, None]) * right[:n]).T
     C = np.linalg.lstsq(X, Y - U @ D.T, rcond=None)[0].T
     E = Y - U @ D.T - X @ C.T

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.pem.subspace.hankel import Factor
+from estimators.residual.algebra import thin_svd
 from oed.errors import InputError
 
 TOLD = 1e-6
@@ -107,6 +108,6 @@ def _decomposed(along: NDArray, count: int) -> tuple[NDArray, NDArray, NDArray]:
     rows = len(along)
     values, left = eigh(along @ along.T, subset_by_index=[rows - count, rows - 1], check_finite=False)
     if not values[0] > TOLD * values[-1]:
-        return np.linalg.svd(along, full_matrices=False)
+        return thin_svd(along)
     singular = np.sqrt(values[::-1])
     return left[:, ::-1], singular, (left[:, ::-1] / singular).T @ along
