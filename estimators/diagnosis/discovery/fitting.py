@@ -82,8 +82,14 @@ def sensitivities(asm: Assembly, theta: Array, state: Array, d: Array) -> Run:
 
 
 def forgets(f: Fitted, pieces: Sequence[Piece]) -> bool:
-    """Whether runs from disturbed states stay beside the fitted one: an unstable mode that only this start hides is refused."""
+    """Whether runs from disturbed states stay beside the fitted one, and slow states follow what drives them: an unstable mode that
+    only this start hides is refused."""
     asm = Assembly(f.form)
+    rates = [
+        t.rate * f.theta[block.stop - 1] for t, block in zip(f.form.terms, f.form.blocks) if t.slot == "slow"
+    ]
+    if not all(0.0 < rate <= 1.0 for rate in rates):
+        return False
     filled = asm.fill(f.theta)
     nx = asm.chain_states
     piece = max(pieces, key=lambda q: len(q.y))

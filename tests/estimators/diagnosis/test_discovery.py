@@ -13,6 +13,7 @@ from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.discovery import DiscoveredModel, discover, recursion_kernels
 from estimators.diagnosis.discovery.answer import _late_inputs
 from estimators.diagnosis.discovery.dictionary import SHARP, Kind, candidates
+from estimators.diagnosis.discovery.fitting import forgets
 from estimators.diagnosis.discovery.form import FREE, Assembly, Factor, Form, Term
 from estimators.diagnosis.discovery.screening import screen
 from estimators.diagnosis.discovery.starts import linear_fit, pieces_of, scales_of
@@ -235,6 +236,23 @@ def test_axes_that_push_each_other_are_found_and_named() -> None:
 def test_two_linear_axes_yield_nothing() -> None:
     record = polar_arm(0.0, noise=0.1, seed=4)
     assert not discover([record], best_linear([record]), "quick").found
+
+
+@pytest.mark.parametrize("rate, forgotten", [(1.0, True), (-0.2, False)])
+def test_a_slow_state_follows_what_drives_it(rate, forgotten) -> None:
+    """A winding's answer had a slow state with a time constant of -1610 s."""
+    rng = np.random.default_rng(5)
+    u = rng.standard_normal((300, 1))
+    y = lfilter([0.0, 0.2], [1.0, -0.8], u, axis=0)
+    scales = scales_of([Record(u, y)], [y], np.zeros(1, int))
+    pieces = pieces_of([Record(u, y)], [np.ones((300, 1), bool)], scales)
+    fitted = linear_fit((1,), pieces, scales, [(y - scales.y) / scales.sy], feedthrough=True)
+    assert fitted is not None
+    slow = Term((Factor(Kind.LINEAR, "u0", 0.0),), "slow", rate=0.01)
+    acts = Term((Factor(Kind.LINEAR, "s0", 0.0),), along=-2)
+    form = fitted.form.with_terms(slow, acts)
+    grown = replace(fitted, form=form, theta=np.r_[fitted.theta, rate, 0.0])
+    assert forgets(grown, pieces) == forgotten
 
 
 def test_measured_signals_promise_nothing_by_the_residual_that_they_hold() -> None:

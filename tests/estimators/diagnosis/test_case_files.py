@@ -1,0 +1,49 @@
+"""A case in files: what its description says counts where nothing else does."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from estimators.diagnosis.cases import Columns, diagnose_files
+from estimators.diagnosis.policy import Effort, Setting
+from oed.errors import InputError
+
+
+@pytest.fixture
+def case(tmp_path):
+    """Two records without a clock, the second from a start out of equilibrium, and how their description is written."""
+    rng = np.random.default_rng(1)
+    for name, n, start in (("train", 400, 0.0), ("test", 300, 4.0)):
+        u = rng.standard_normal(n)
+        y = lfilter([0.0, 0.1], [1.0, -0.9], u, zi=[start])[0] + 0.02 * rng.standard_normal(n)
+        np.savetxt(
+            tmp_path / f"{name}.csv", np.column_stack((u, y)), delimiter=",", header="u,y", comments=""
+        )
+
+    def diagnosed(meta: dict, **given):
+        (tmp_path / "meta.json").write_text(json.dumps(meta))
+        files = [tmp_path / name for name in ("train.csv", "test.csv", "meta.json")]
+        return diagnose_files(
+            files[0], files[1], meta=files[2], setting=Setting(effort=Effort.QUICK), **given
+        )
+
+    return diagnosed
+
+
+def test_a_description_tells_the_sampling_time_of_files_without_a_clock(case) -> None:
+    """ "The sampling time is 0.08 s in meta.json and 1 s by the column t" was said of files that have no column t."""
+    found, notes = case({"sampling_time": 0.08})
+    assert found.extra["train"].dt == 0.08
+    assert not any("assumed" in note for note in notes)
+    assert case({"sampling_time": 0.08}, columns=Columns(dt=0.1))[0].extra["train"].dt == 0.1
+
+
+def test_a_description_tells_how_many_samples_set_the_state(case) -> None:
+    """Their errors, of a start that nobody told, were most of a control's error."""
+    told, untold = case({"skip": 20})[0], case({"note": "n", "sampling_time": 1.0})[0]
+    assert told.rmse_before.value < 0.03 < untold.rmse_before.value
+    assert case({"skip": 20}, skip=0)[0].rmse_before.value == untold.rmse_before.value
+    with pytest.raises(InputError, match="skip"):
+        case({"skip": -1})
