@@ -130,9 +130,8 @@ def diagnose_files(
         side: given or (",".join(known[side]) if isinstance(known.get(side), list) else None)
         for side, given in (("inputs", columns.inputs), ("outputs", columns.outputs))
     }
-    if skip is None:
-        skip = 0 if test is None else known.get("skip", 0)
-    _check(wanted, skip)
+    opening = skip if skip is not None else 0 if test is None else int(known.get("skip", 0))
+    _check(wanted, opening)
 
     stated = known.get("sampling_time")
 
@@ -154,7 +153,7 @@ def diagnose_files(
         )
     said = setting_of_meta(known, first.n_outputs) if meta is not None else wanted
     final = replace(
-        wanted, structure=said.structure, deviations=said.deviations, skip=skip,
+        wanted, structure=said.structure, deviations=said.deviations, skip=opening,
         orders=(wanted.orders or said.orders) * (first.n_outputs if len(wanted.orders) == 1 else 1),
     )  # fmt: skip
     if second is not None and second.t0 < first.t0 + first.dt * (len(first) - 1):

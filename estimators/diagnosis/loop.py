@@ -31,7 +31,7 @@ from estimators.diagnosis.result.answers import LinearAnswer, RemainderAnswer, e
 from estimators.diagnosis.result.model import diagnosed_model
 from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.discovered import Discovered, discovered
+from estimators.diagnosis.search.discoveries import Discovered, discovered
 from estimators.diagnosis.search.elsewhere import seen_elsewhere
 from estimators.diagnosis.search.examination import PHYSICAL, Examined, Known, as_motion, examine
 from estimators.diagnosis.search.few import best_named

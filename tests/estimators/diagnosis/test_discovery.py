@@ -19,7 +19,7 @@ from estimators.diagnosis.discovery.screening import screen
 from estimators.diagnosis.discovery.starts import linear_fit, pieces_of, scales_of
 from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.result.answers import read_answer
-from estimators.diagnosis.search.discovered import discovered
+from estimators.diagnosis.search.discoveries import discovered
 from oed.data import Record
 
 KINDS = range(16)
