@@ -276,7 +276,7 @@ class LinearModel:
                 late[: last + 1 - i, i - 1] = b[i : last + 1]
             columns.append(late)
             parts.append(0.5 * size * (np.ones((last, last)) + np.eye(last)))
-        return np.hstack(columns), block_diag(*parts) if parts else np.zeros((0, 0))
+        return np.hstack(columns), np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
 
     def _told(self, prior: Prior, driven: Array, u: Array, y: Array) -> tuple[Array, Array]:
         """(n + w,) outputs before a record and in a window of it, and (N,) what enters 1/A, as far as the window's samples (w,) tell."""
@@ -293,7 +293,7 @@ class LinearModel:
                 came[: len(late)] = late
                 came = np.asarray(lfilter([1.0], self.den, came, axis=0))[:w]
                 lead = np.hstack((lead, np.concatenate((np.zeros((n, came.shape[1])), came))))
-                cov = block_diag(cov, known)
+                cov = np.asarray(block_diag(cov, known))
             spread = lead @ cov @ lead.T
             inner = spread[np.ix_(seen, seen)] + prior.noise * np.eye(len(seen))  # pyright: ignore[reportCallIssue]
             weights = definite(inner, y[seen - n] - ahead[seen], 1e-13)
