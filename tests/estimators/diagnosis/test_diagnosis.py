@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis import loop
 from estimators.diagnosis.cases import diagnose_files
 from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.loop import Setting, diagnose
@@ -21,6 +20,7 @@ from estimators.diagnosis.record.measurement import (
     rounding_step,
     wild_samples,
 )
+from estimators.diagnosis.search import discoveries
 from estimators.diagnosis.search.selection import feedback_test
 from oed.data import Record
 from oed.errors import InputError
@@ -54,7 +54,7 @@ def test_terms_are_looked_for_only_where_something_is_left(monkeypatch):
         asked.append(arguments)
         return Discovery(None)
 
-    monkeypatch.setattr(loop, "discover", spy)
+    monkeypatch.setattr(discoveries, "discover", spy)
     rng = np.random.default_rng(11)
     diagnose(linear_record(rng, 500), None, SETTING)
     assert not asked

@@ -139,7 +139,7 @@ def test_terms_that_make_up_one_curve_of_the_rate_are_named_by_its_shape(rng) ->
 def test_a_curve_that_opens_as_the_input_grows_is_no_saturation() -> None:
     grid = np.linspace(-3.0, 3.0, 61)
     term: Any = SimpleNamespace(factors=[SimpleNamespace(signal="u0")])
-    model: Any = SimpleNamespace(_driver=lambda chain: 0)
+    model: Any = SimpleNamespace(_drivers=(0,))
     term.chain = 0
     for sign, closes in ((1.0, True), (-0.9, False)):
         curve: Any = SimpleNamespace(grid=grid, value=sign * np.tanh(grid))
