@@ -132,7 +132,6 @@ def diagnose_files(
     }
     opening = skip if skip is not None else 0 if test is None else int(known.get("skip", 0))
     _check(wanted, opening)
-
     stated = known.get("sampling_time")
 
     def read(path: Path | str) -> Record:

@@ -107,16 +107,13 @@ def _behind(effect: Callable[[], Effect], fold: _Fold) -> Callable[..., Iterator
         if s.layout != "tf" or s.effects:
             return
         for n in sorted({s.order, *ORDERS_FOLDED}):
-            yield from _of_order(
-                effect(), fold, channel, base, *of_order(base, n, s.taps if n == s.order else n)
-            )
+            new, _, sizes = of_order(base, n, s.taps if n == s.order else n)
+            yield from _of_order(effect(), fold, channel, base, new, sizes)
 
     return search
 
 
-def _of_order(
-    effect: Effect, fold: _Fold, channel: Any, base: Any, s: Any, begun: Array, sizes: Array
-) -> Iterator[Any]:
+def _of_order(effect: Effect, fold: _Fold, channel: Any, base: Any, s: Any, sizes: Array) -> Iterator[Any]:
     """Fits of a linear part of one structure behind a fold."""
     from scipy.signal import lfilter
 
