@@ -307,6 +307,12 @@ def test_one_worker_of_one_thread_does_the_work(tmp_path, own):
     assert os.getpid() not in pids
 
 
+USUAL = """
+import signal
+signal.signal(%d, signal.%s)  # as in a terminal: a background job of a shell is born deaf to Ctrl-C
+"""
+HEARD = {signal.SIGINT: "default_int_handler", signal.SIGTERM: "SIG_DFL"}
+
 IN_TEXT = """
 import sys, benchmarks.cli as cli
 cli._main = lambda argv, out: exec("import signal; signal.raise_signal(%d)")
@@ -319,7 +325,7 @@ sys.exit(cli.main(["plants"]))
 )
 def test_the_exit_status_is_the_same_while_text_is_executed(number, how, tmp_path):
     """As where libraries are imported: started by `-m`, the interpreter ended itself by SIGINT, with the line said."""
-    (tmp_path / "text.py").write_text(IN_TEXT % number)
+    (tmp_path / "text.py").write_text(USUAL % (number, HEARD[number]) + IN_TEXT % number)
     env = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
     done = subprocess.run(
         [sys.executable, "-m", "text"], env=env, capture_output=True, text=True, check=False
@@ -341,7 +347,8 @@ sys.exit(main())
 def test_a_signal_after_the_work_changes_nothing_and_the_second_ends_it(number):
     """Of Ctrl-C there had been a traceback, of SIGTERM warnings of semaphores that were left."""
     for times, status in ((1, 0), (2, -number)):
-        call = [sys.executable, "-c", AT_EXIT % (times, number)]
+        text = USUAL % (number, HEARD[number]) + AT_EXIT % (times, number)
+        call = [sys.executable, "-c", text]
         done = subprocess.run(call, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (status, "")
 
