@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, toeplitz
+from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from estimators.residual.algebra import definite, stable
@@ -21,8 +21,6 @@ FORGOTTEN, LONGEST = 1e-2, 500
 """Share of a response after which an input before a record no longer counts, and most samples of it."""
 REACH = 400
 """Most samples that set a training record's state: their covariance is solved as one matrix."""
-UNDERWAY = 2
-"""Samples of delay from which on a record's first outputs answer inputs before it that no state of past outputs stands for."""
 FEWEST = 5
 """Samples from which on an output is known to rest, or a state is set by measurement."""
 STILL = 0.05
@@ -252,56 +250,29 @@ class LinearModel:
         driven = self.driven(u, np.zeros((1, u.shape[1])) if prior.rest else None)
         if len(self.moved) and not prior.rest and np.isfinite(y[:w]).any():
             return self._after_inputs(prior, u, y[:w])
-        ahead, driven = self._told(prior, driven, u, y[:w])
+        ahead = self._told(prior, driven, u, y[:w])
         return np.concatenate((ahead[n:], self.run(driven[w:], ahead[w:][::-1])))
 
     def beginning(self, prior: Prior, u: Array, y: Array) -> "LinearModel":
         """The model with what the training record (N, nu), (N,) tells of its beginning, where others begin alike."""
         if not len(prior.opening) or len(self.moved):
             return self
-        ahead = self._told(prior, self.driven(u), u, y[:REACH])[0]
+        ahead = self._told(prior, self.driven(u), u, y[:REACH])
         return replace(self, begun=ahead[: self.order][::-1])
 
-    def _underway(self, u: Array) -> tuple[Array, Array]:
-        """(last lag, m) what each input before a record with inputs (N, nu) adds to what enters 1/A, where it is underway for longer than
-        the state says, and their covariance (m, m) about the first inputs: half of it another level that was held until the record."""
-        columns, parts = [np.zeros((self.num.shape[1] - 1, 0))], []
-        for b, size in zip(self.num, np.var(u, axis=0), strict=True):
-            used = np.flatnonzero(b)
-            if not len(used) or used[0] < UNDERWAY or not size:
-                continue
-            last = int(used[-1])
-            late = np.zeros((len(columns[0]), last))
-            for i in range(1, last + 1):
-                late[: last + 1 - i, i - 1] = b[i : last + 1]
-            columns.append(late)
-            parts.append(0.5 * size * (np.ones((last, last)) + np.eye(last)))
-        return np.hstack(columns), np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
-
-    def _told(self, prior: Prior, driven: Array, u: Array, y: Array) -> tuple[Array, Array]:
-        """(n + w,) outputs before a record and in a window of it, and (N,) what enters 1/A, as far as the window's samples (w,) tell."""
+    def _told(self, prior: Prior, driven: Array, u: Array, y: Array) -> Array:
+        """(n + w,) outputs before a record and in a window of it, as far as the window's samples (w,) tell of them."""
         n, w = self.order, len(y)
         mean, cov = self._before(prior, u, y)
         past = np.full(n, mean)
         ahead = np.concatenate((past, self.run(driven[:w], past)))
         seen = np.flatnonzero(np.isfinite(y)) + n
         if n and len(seen):
-            late, known = self._underway(u) if not prior.rest else (np.zeros((0, 0)), np.zeros((0, 0)))
             lead = np.concatenate((np.eye(n)[::-1], self.free(w)))
-            if late.shape[1]:
-                came = np.zeros((max(w, len(late)), late.shape[1]))
-                came[: len(late)] = late
-                came = np.asarray(lfilter([1.0], self.den, came, axis=0))[:w]
-                lead = np.hstack((lead, np.concatenate((np.zeros((n, came.shape[1])), came))))
-                cov = np.asarray(block_diag(cov, known))
             spread = lead @ cov @ lead.T
             inner = spread[np.ix_(seen, seen)] + prior.noise * np.eye(len(seen))  # pyright: ignore[reportCallIssue]
-            weights = definite(inner, y[seen - n] - ahead[seen], 1e-13)
-            ahead += spread[:, seen] @ weights
-            if late.shape[1]:
-                driven, m = driven.copy(), min(len(late), len(driven))
-                driven[:m] += (late @ (known @ (lead[seen, n:].T @ weights)))[:m]
-        return ahead, driven
+            ahead += spread[:, seen] @ definite(inner, y[seen - n] - ahead[seen], 1e-13)
+        return ahead
 
     def unset(self, prior: Prior, noise: float, length: int, window: int) -> float:
         """Mean variance of a free run of `length` samples, as far as a window of samples with noise of a variance leaves its state

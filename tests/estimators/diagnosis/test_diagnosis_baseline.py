@@ -392,21 +392,3 @@ def test_runs_go_on_as_filters_do_and_stability_is_that_of_the_roots():
         for radius in (0.9, 1.1):
             scaled = den * (radius / np.abs(np.roots(den)).max()) ** np.arange(order + 1)
             assert stable(scaled[1:]) == (radius < 1.0)
-
-
-@pytest.mark.parametrize("before", [0.0, -2.0, 2.0])
-def test_what_was_underway_before_a_record_is_told_by_its_first_outputs(before, rng) -> None:
-    """A duct of 17 samples, cut out after a step: the first outputs still answer the old level, and a control's error was doubled by
-    taking the new one for it."""
-    delay, poles = 17, np.poly([0.8, 0.4])
-    model = LinearModel(poles, np.r_[np.zeros(delay), 1.2 * 0.2 * 0.6][None])
-    u = np.repeat(rng.choice([-1.0, 1.0], 40), 15)[:, None]
-    past = np.full((200, 1), before) + u[0]
-    clean = np.asarray(lfilter(model.num[0], poles, np.r_[past, u], axis=0))[200:, 0]
-    noise = 0.03
-    prior = Prior(0.0, np.var(clean) * 0.95 ** np.arange(5), noise**2)
-    errors = []
-    for _ in range(20):
-        y = clean + noise * rng.standard_normal(len(u))
-        errors.append(np.sqrt(np.mean((model.free_run(prior, u, y, 20) - clean)[20:120] ** 2)))
-    assert np.median(errors) < 2 * noise
