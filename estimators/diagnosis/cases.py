@@ -137,9 +137,10 @@ def diagnose_files(
     def read(path: Path | str) -> Record:
         told: list[str] = []
         record = read_record(path, **names, dt=columns.dt, missing=True, notes=told)
-        if isinstance(stated, int | float) and any(note.endswith(f"{ASSUMED}.") for note in told):
+        assumed = [note for note in told if note.endswith(f"{ASSUMED}.")]
+        if assumed and isinstance(stated, int | float):
             record = record.replace(dt=float(stated), t0=record.t0 * stated)
-            told = [note for note in told if not note.endswith(f"{ASSUMED}.")]
+            told.remove(assumed[0])
         notes.extend(told)
         return _in_units(record, known)
 

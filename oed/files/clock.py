@@ -61,7 +61,7 @@ def _rounding_units(t: NDArray[np.float64]) -> NDArray[np.float64]:
     else:
         fixed = 0.0 * every
     for digits in range(1, PRINTED + 1):
-        if all(np.array_equal(x, [float(f"{v:.{digits}g}") for v in x]) for x in (t[-1:], t)):
+        if all(np.array_equal(x, [float(f"{v:.{digits}g}") for v in x]) for x in (t[-PRINTED:], t)):
             top = np.floor(np.log10(np.where(t == 0.0, 10.0**-digits, np.abs(t))))
             return np.maximum(fixed, 10.0 ** (top + 1 - digits))
     single = t.astype(np.float32)

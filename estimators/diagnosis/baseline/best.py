@@ -118,9 +118,8 @@ def _output(
     trials = known + screen.refined(known)
     chosen = simplest(trials)
     if chosen.slow or chosen.rmse > LITTLE * np.sqrt(prior.covariance[0]):
-        free = replace(
-            screen, limit=GROWTH ** (1.0 / max(blocks.lengths))
-        )  # of the records, where it sees pieces of them
+        # over the whole records, where the screen sees pieces of them
+        free = replace(screen, limit=GROWTH ** (1.0 / max(blocks.lengths)))
         chosen = _held_by_a_loop(free, chosen)
         if chosen.candidate.models[-1].radius > 1.0:
             search = replace(search, limit=free.limit)

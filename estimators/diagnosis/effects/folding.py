@@ -27,10 +27,8 @@ LEAST_TURNS = 2  # jumps of a record that make it one of an angle
 COUNTS = 3  # rounds of turns from the model, and the model from the turns
 CLEAR, TAIL = 3, 10  # samples before and after a jump that say little: a filter keeps them
 ORDERS_TURNED = (1, 2, 3, 4)  # of the angle
-ORDERS_FOLDED = (
-    2,
-    3,
-)  # of what is behind a fold, beside the linear model's: two drives on a belt swing and lag
+ORDERS_FOLDED = (2, 3)
+"""Of what is behind a fold, beside the linear model's: two drives on a belt swing and lag."""
 MOVED = 0.2  # of a turn, from sample to sample, beyond which an angle is in the middle of a jump
 
 

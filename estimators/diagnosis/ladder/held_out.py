@@ -271,13 +271,14 @@ def assess(
         (root_figure(first, second), root_figure(second, second)),
         (errors(y - e) for e in ahead),
     )
-    worse = _worse_than_constant(y, weight, figures, policy)
+    worse, level = _worse_than_constant(y, weight, figures, policy), (floor, len(train))
+    share = removed(least, third, level, policy)
     return HeldOut(
         before, after, figures[0], figures[1], root_figure(one, other), root_figure(other, other),
-        difference_figure(first, second), removed(first, second, level := (floor, len(train)), policy),
+        difference_figure(first, second), removed(first, second, level, policy),
         tuple(_rungs(ladders, runs, lambda run: root_figure(errors(run), second), answers)), tuple(steps),
         (*warnings, *worse.values()),
-        share if np.isfinite((share := removed(least, third, level, policy)).low) else difference_figure(least, third), untried,
+        share if np.isfinite(share.low) else difference_figure(least, third), untried,
         ANSWER in _worse_than_constant(y, weight, (figures[0], root_figure(third, third)), policy),
     )  # fmt: skip
 

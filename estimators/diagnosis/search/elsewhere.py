@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.baseline import Options, best_linear
+from estimators.diagnosis.baseline import Options, best_linear, of_output
 from estimators.diagnosis.ladder import Kind, Step
 from estimators.diagnosis.model.fitting import leaving
 from estimators.diagnosis.result.answers import LinearAnswer, ThroughAnswer
@@ -57,8 +57,8 @@ def _behind(
     if not _shows(bench, known, drive - plain):
         return own
     # Of every block what the other model simulates of it unseen, so that no error on unused blocks has seen its block.
-    single = record.replace(u=np.column_stack((record.u, drive)), y=record.y[:, [i]], input_names=(), input_units=(),
-                            output_names=(), output_units=())  # fmt: skip
+    inputs = np.column_stack((record.u, drive))
+    single = of_output(record, i).replace(u=inputs, input_names=(), input_units=())
     base = best_linear([single], options)
     m, unused = base.outputs[0], base.unused[0][:, 0]
     if not bench.over(unused, known).meets(policy.searched):
