@@ -27,6 +27,7 @@ from oed.files.writing import append_line, renamed, tidy, write_whole
 
 NAME = re.compile(r"(input|output|flagged|rest-input|rest-output)-(\d{4,})(?:-(\d+))?\.csv")
 SETTINGS, JOURNAL = "session.json", "journal.txt"
+UNDONE = re.compile(r"undone-((?:input|output)-(\d{4,})(?:-\d+)?)-\d+\.csv")
 LINE = re.compile(r"\d{4}(?:-\d\d){2}T\d\d(?::\d\d){2}Z \d{4,} ([a-z-]+) (\S+) ([0-9a-f]{16})(?: (.*))?")
 """Of the journal: event, file, fingerprint, words."""
 KINDS = ("input", "output", "flagged", "rest-input", "rest-output")
@@ -82,6 +83,11 @@ class Folder:
                 for (step, _), file in self.find(kind).items():
                     if file.name not in known:
                         self.note(step, kind, file)
+            for hit in filter(None, map(UNDONE.fullmatch, sorted(os.listdir(self.path)))):
+                if (
+                    hit[0] not in known
+                ):  # else the name's next file would be held against this one's fingerprint
+                    self.note(int(hit[2]), "undone", self.path / hit[0], f"{hit[1]}.csv")
             yield
 
     def note(self, step: int, event: str, file: Path, words: str = "") -> None:
@@ -107,10 +113,9 @@ class Folder:
         found: dict[str, str] = {}
         for entry in filter(None, map(_entry, self._journal())):
             event, name, mark, words = entry.groups()
+            found[name] = mark
             if event == "undone":
                 found.pop(words, None)
-            else:
-                found[name] = mark
         return found
 
     def _journal(self) -> list[str]:

@@ -2,6 +2,7 @@
 
 usage: kill_driver.py FOLDER KILLS SEED        kill at KILLS random moments
        kill_driver.py FOLDER calls SEED        kill before and after every call that changes the disk
+       kill_driver.py FOLDER undo KILLS SEED   take every output back once, killed at KILLS random moments
 
 Prints one JSON object: kills that landed, and how often a command had to be given. It forks because a fresh
 interpreter for each command would spend its life importing, and the kills would hit nothing else.
@@ -128,6 +129,39 @@ def drive(folder: Path, mode: str, seed: int) -> dict:
     return {"kills": kills, "seconds": usual}
 
 
+def drive_undo(folder: Path, wanted: int, seed: int) -> dict:
+    """Whoever finds the output still there after a kill takes it back again; its rig then measures the same."""
+    durations(folder.parent / "scratch")  # imports everything, so that kills hit the work
+    draw, landed, half_done, usual = random.Random(seed), 0, 0, 0.0
+    start_session(folder, Settings("power", samples=SAMPLES, experiments=EXPERIMENTS, dt=0.01, seed=3))
+    give = lambda *words, moment=None: killed(["session", words[0], str(folder), *words[1:]], moment, None)
+    for step in range(1, EXPERIMENTS + 1):
+        give("next")
+        give("record", str(measured(folder, step)))
+        give("next")  # an input that is made from the output, and goes aside with it
+        output, later = folder / f"output-{step:04d}.csv", folder / f"input-{step + 1:04d}.csv"
+        here = 0
+        while output.exists():
+            moment = draw.uniform(0, usual) if usual and landed < wanted and here < 4 else None
+            began = time.perf_counter()
+            if give("undo", moment=moment):
+                landed, here = landed + 1, here + 1
+                half_done += output.exists() and not later.exists() and step < EXPERIMENTS
+                open_session(folder).status()
+            elif moment is None:
+                usual = usual or time.perf_counter() - began
+            else:  # it was through before: this machine is faster now
+                usual *= 0.8
+        give("record", str(measured(folder, step)))
+    return {"kills": landed, "between its renames": half_done}
+
+
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    sys.stdout.write(json.dumps(drive(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]))) + "\n")
+    where, mode, *numbers = sys.argv[1:]
+    report = (
+        drive_undo(Path(where), *map(int, numbers))
+        if mode == "undo"
+        else drive(Path(where), mode, int(numbers[0]))
+    )
+    sys.stdout.write(json.dumps(report) + "\n")

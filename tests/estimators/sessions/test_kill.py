@@ -17,9 +17,9 @@ from oed.plants.named import named_plant
 DRIVER = Path(__file__).with_name("kill_driver.py")
 
 
-def drive(folder: Path, mode: str, seed: int) -> dict:
+def drive(folder: Path, *words: object) -> dict:
     done = subprocess.run(
-        [sys.executable, str(DRIVER), str(folder), mode, str(seed)],
+        [sys.executable, str(DRIVER), str(folder), *map(str, words)],
         capture_output=True,
         text=True,
         check=False,
@@ -66,3 +66,19 @@ def test_killed_sessions_end_with_the_numbers_of_an_undisturbed_one(
     plain = session.run(simulated(named_plant("reference", 0.01), seed=8))
     assert plain.value == a.value
     np.testing.assert_array_equal(plain.gains, a.gains)
+
+
+@pytest.mark.slow
+def test_outputs_taken_back_under_kills_end_as_if_undisturbed(tmp_path, record_figure):
+    whole, disturbed = tmp_path / "whole" / "rig", tmp_path / "disturbed" / "rig"
+    for folder in (whole, disturbed):
+        folder.parent.mkdir()
+    assert drive(whole, "undo", 0, 4)["kills"] == 0
+    report = drive(disturbed, "undo", 30, 4)
+    record_figure("kills of undo", report)
+    assert report["kills"] == 30
+    assert numbers(disturbed) == numbers(whole)
+    assert len(list(whole.glob("undone-output-*"))) == 16
+    assert not list(disturbed.glob("*.tmp"))
+    entries = lambda folder: [line.split()[1:] for line in (folder / "journal.txt").read_text().splitlines()]
+    assert sorted(entries(disturbed)) == sorted(entries(whole))

@@ -324,6 +324,22 @@ def test_settings_that_were_changed_are_named(tmp_path):
     assert open_session(folder).settings.dt == 0.05
 
 
+def test_what_was_taken_back_by_a_killed_command_is_not_held_against_its_next_measurement(tmp_path):
+    """Two kills: of `undo` before its line of the journal, then of `record` before its own."""
+    folder, experiment = tmp_path / "rig", simulated(AVIS, seed=9)
+    start_session(folder, ISOLATION)
+    file = rig(open_session(folder).next_input(), tmp_path / "measured.csv", experiment)
+    open_session(folder).record(file)
+    output, journal = folder / "output-0001.csv", folder / "journal.txt"
+    output.rename(folder / "undone-output-0001-1.csv")
+    open_session(folder).next_input()
+    before = journal.read_text()
+    open_session(folder).record(rig(folder / "input-0001.csv", tmp_path / "measured.csv", experiment))
+    assert output.read_bytes() != (folder / "undone-output-0001-1.csv").read_bytes()
+    journal.write_text(before)
+    assert open_session(folder).step == 2
+
+
 def test_one_bit_of_the_journal_changes_no_step_and_no_file(tmp_path):
     """The files are the state: a bit of a fingerprint is a line that names the file, a bit of anything else nothing."""
     folder, experiment = tmp_path / "rig", simulated(AVIS, seed=9)
