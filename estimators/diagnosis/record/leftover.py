@@ -77,7 +77,13 @@ def _columns(channel: Channel, f: Fit, y: Array) -> list[tuple[str, str, list[Ar
 
 
 def _through(f: Fit, j: int) -> Callable[[Array], Array]:
-    """How what happens at an input acts on the output: through the linear part of the model."""
+    """How what happens at an input acts on the output: through the linear part of the model, in a unit near its own size, since
+    products of large signals would be taken for a run that explodes."""
+    linear = _linear_part(f, j)
+    return lambda x: linear(unit(x))
+
+
+def _linear_part(f: Fit, j: int) -> Callable[[Array], Array]:
     s = f.structure
     if s.layout == "tf":
         den = np.concatenate(([1.0], f.p[: s.order]))

@@ -73,6 +73,20 @@ def test_leftovers_follow_what_was_planted_and_nothing_else():
     assert natures["product"][0] == "dynamic nonlinearity"
 
 
+@pytest.mark.parametrize("size", [2.0**-163, 2.0**163])
+def test_what_is_left_behind_an_oscillator_has_no_unit(size):
+    """Products of signals of 1e49 were an explosion beside a plant made of states: nothing was left of a product, and NumPy warned."""
+    found = []
+    for unit in (1.0, size):
+        record = drawn(np.random.default_rng(6), 700, product=0.3)
+        channel = channel_of(Record(unit * record.u, unit * record.y))
+        s, p = Structure(2, layout="oscillator"), np.array([np.log(0.24), np.log(0.36), 1.0, 0.0])
+        found.append(leftovers(channel, fit(channel, s, p, np.ones(4))))
+    plain, scaled = found
+    assert "products of past inputs and outputs" in plain[0].sentence
+    assert [item.sentence for item in scaled] == [item.sentence for item in plain]
+
+
 def test_blocks_held_out_show_what_overfitting_hides():
     rng = np.random.default_rng(7)
     u = np.repeat(rng.uniform(-1, 1, 60), 4)[:, None]
