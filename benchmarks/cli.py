@@ -16,6 +16,7 @@ import re
 import signal
 import sys
 import traceback
+import unicodedata
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
@@ -136,17 +137,28 @@ def plain(value: Any) -> Any:
     return str(value)
 
 
-class _Lasting:
-    """A stream of text that ends no work: where it can no longer be written to, the rest goes nowhere, and why is kept."""
+BEYOND_ASCII = re.compile(r"[^\n\t -~]")
 
-    def __init__(self, stream: Any) -> None:
+
+def _written_out(text: str) -> str:
+    """Text in which characters that a terminal obeys and does not show are written out: names in files may have them."""
+    shown = lambda hit: repr(hit[0])[1:-1] if unicodedata.category(hit[0])[0] == "C" else hit[0]
+    return BEYOND_ASCII.sub(shown, text)
+
+
+class _Lasting:
+    """A stream of text that ends no work: where it can no longer be written to, the rest goes nowhere, and why is kept. What a
+    terminal would obey is written out, but for what goes to `drawn`, where lines of progress are."""
+
+    def __init__(self, stream: Any, drawn: bool = False) -> None:
         self.stream, self.failed = stream, None
+        self.drawn = self if drawn else _Lasting(stream, drawn=True)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.stream, name)
 
     def write(self, text: str) -> int:
-        self._tried(self.stream.write, text)
+        self._tried(self.stream.write, text if self.drawn is self else _written_out(text))
         return len(text)
 
     def flush(self) -> None:
@@ -202,11 +214,11 @@ LONGEST = 1500
 
 
 def _one_line(text: str) -> str:
-    """A message as one line; what a file put in it, such as a column's name, does not reach the terminal as a command."""
+    """A message as one line, not longer than it may be."""
     words = " ".join(text.split())
     if len(words) > LONGEST:
         words = f"{words[: LONGEST // 2]} ... {words[-LONGEST // 2 :]}"
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in words)
+    return _written_out(words)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -3,7 +3,6 @@
 import json
 import os
 import platform
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from benchmarks.campaign.plants import expanded
 from benchmarks.campaign.settings import Limit, Settings, default_limits
 from benchmarks.campaign.users_own import Own
 from benchmarks.campaign.whole_campaign import TIME_LIMIT, check_amounts, fill_store, parts_to_do, stored_runs
+from benchmarks.progress import drawn
 from benchmarks.tables.columns import headings, is_number
 from benchmarks.tables.formats import to_text
 from benchmarks.tables.tabulation import tabulate
@@ -67,9 +67,7 @@ class _Progress:
         if self.bar is None:
             from tqdm import tqdm
 
-            self.bar = tqdm(
-                total=total, initial=done, unit="part", desc="campaign", file=sys.stderr, leave=True
-            )
+            self.bar = tqdm(total=total, initial=done, unit="part", desc="campaign", file=drawn(), leave=True)
         self.bar.update(done - self.bar.n)
         if done == total:
             self.bar.close()

@@ -73,10 +73,15 @@ def in_words(seconds: float) -> str:
     return f"{minutes} {whole % 60} s" if whole < 3600 else f"{whole // 3600} h {minutes}"
 
 
+def drawn() -> TextIO:
+    """Standard error for what moves the cursor, which in all other text is written out."""
+    return getattr(sys.stderr, "drawn", sys.stderr)
+
+
 @contextmanager
 def shown(command: str, stream: TextIO | None = None) -> Iterator[None]:
     """While the block runs, its stages and its time on a stream, standard error as it is now if none is given."""
-    line = _Line(command, sys.stderr if stream is None else stream, time.monotonic)
+    line = _Line(command, drawn() if stream is None else stream, time.monotonic)
     ended = threading.Event()
 
     def tell() -> None:

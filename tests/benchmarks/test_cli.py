@@ -186,6 +186,15 @@ def test_json_is_alone_on_standard_output_even_below_python(tmp_path):
     assert "banner" in done.stderr
 
 
+def test_what_a_terminal_obeys_is_written_out_of_a_name_in_a_file(tmp_path, capfd):
+    """It had been in messages, not in answers: a plant's name could clear the screen."""
+    plant, name = tmp_path / "p.json", "a\x1b[2J\r\u202eb\u00a0\u00b5"
+    plant.write_text(json.dumps({"num": [[[0, 1]]], "den": [[[1, -0.5]]], "dt": 1, "name": name}))
+    words = ["theory", "--plant", str(plant), "--noise-variance", "1", "--quiet"]
+    assert main(words) == 0
+    assert "a\\x1b[2J\\r\\u202eb\u00a0\u00b5," in capfd.readouterr().out
+
+
 def test_a_name_that_is_no_text_is_printed(tmp_path):
     call = [sys.executable, "-m", "benchmarks.cli", "demo", b"\xff"]
     done = subprocess.run(call, cwd=tmp_path, capture_output=True, check=False)
