@@ -112,8 +112,9 @@ def peak_gain_efficiency_by_experiments(
     rows = np.concatenate([psi.real, psi.imag])
     best = float(plant.noise_covariance[0, 0]) if optimum is None else optimum
     efficiency, total = np.zeros(experiments), np.zeros((len(c), len(c)))
+    weighted = np.empty_like(rows)  # once: a third of the time of order 100 went into pages of new ones
     for k in range(experiments):
-        weighted = rows * np.tile(np.sqrt(nodes.weight * Phi[k]), 2)[:, None]
+        np.multiply(rows, np.tile(np.sqrt(nodes.weight * Phi[k]), 2)[:, None], out=weighted)
         total = total + weighted.T @ weighted
         efficiency[k] = best / ((k + 1) * losses(total, c).c)
     return efficiency
