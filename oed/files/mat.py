@@ -210,7 +210,12 @@ def _parse_hdf5(content: bytes, source: str) -> dict[str, Any]:
 
     with h5py.File(io.BytesIO(content), "r") as file:
         reader = _Hdf5(file, source)
-        return {str(name): reader.of(file, str(name), 0) for name in file if not str(name).startswith("#")}
+        found = {str(name): reader.of(file, str(name), 0) for name in file if not str(name).startswith("#")}
+        stated = {str(name): value for name, value in file.attrs.items() if says_step(str(name))}
+        said = {
+            name: np.asarray(value) for name, value in stated.items() if not isinstance(value, h5py.Empty)
+        }
+        return said | found
 
 
 class _Hdf5:
@@ -241,7 +246,7 @@ class _Hdf5:
         kind = kind.decode() if isinstance(kind, bytes) else str(kind)
         if isinstance(node, h5py.Group):
             return {str(name): self.of(node, str(name), depth) for name in node}
-        if node.attrs.get("MATLAB_empty", 0):
+        if node.attrs.get("MATLAB_empty", 0) or node.shape is None:
             return np.empty(0, dtype=str if kind == "char" else float)
         if node.external or node.is_virtual:
             raise InputError(

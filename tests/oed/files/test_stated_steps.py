@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -147,6 +148,20 @@ def test_attributes_state_it_too():
     framed = table({})
     framed.attrs["Ts"] = np.array([[0.02]])
     assert as_record(framed).dt == 0.02
+
+
+def test_attributes_of_an_hdf5_file_state_it_too(tmp_path):
+    """They were passed over: 1 s instead of .02."""
+    file = tmp_path / "r.mat"
+    for said, expected in ((np.array([50]), 0.02), (h5py.Empty("f8"), 1.0), (-50.0, None), ("fifty", None)):
+        with h5py.File(file, "w") as to:
+            to.update(SIGNALS)
+            to.attrs["fs"] = said
+        if expected:
+            assert read_record(file).dt == expected
+        else:
+            with pytest.raises(InputError, match="must be positive|must be real numbers"):
+                read_record(file)
 
 
 @pytest.mark.parametrize(
