@@ -133,6 +133,7 @@ def test_no_process_is_left(tmp_path, own, how):
          own("slow"), "--estimators", "frf", "--samples", "50", "--experiments", "2", "--replicates", "300", "--jobs", "2",
          "--quiet", "--out", str(out)],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=None if how == signal.SIGKILL else lambda: signal.signal(how, signal.SIG_DFL),  # heard behind `nohup` too
     )  # fmt: skip
     deadline = time.monotonic() + 120
     while (
