@@ -123,6 +123,7 @@ class Settings:
                 raise InputError(f"{name} is {value!r}; it must be a whole number from {least} to {most:,}.")
             object.__setattr__(self, name, int(value))
         check_sampling_time(self.dt, MOST**2)  # the longest session's length is a number
+        check_size("the sampling time", self.dt, CUBES)
         numbers = (
             self.samples * (self.periods + self.warm_up) + 2 * self.ramp + self.lead + self.rest
         ) * max(self.n_inputs, self.n_outputs)

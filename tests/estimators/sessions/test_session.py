@@ -82,6 +82,8 @@ def test_a_size_without_sixth_powers_is_a_line(size):
         InputError, match="root of the power is .*between 1e-50 and 1e.50.*choose other units"
     ):
         Settings("power", samples=150, power=size * size)
+    with pytest.raises(InputError, match="sampling time is .*between 1e-50 and 1e.50.*choose other units"):
+        Settings("diagnose-next", samples=240, dt=size)  # the diagnosis at its end refused it
     with pytest.raises(InputError, match="limit amplitude is .*choose other units"):
         Settings("power", samples=150, amplitude=size)
     rig = simulated(REFERENCE, seed=5)
