@@ -9,17 +9,22 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import itertools
 import json
 import os
 import shutil
 import subprocess
 import sys
+import time
+from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import estimators.diagnosis.cases as cases_module
+import estimators.sessions.folder as folder_module
 from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.whole_campaign import run_campaign
 from benchmarks.cli import main
@@ -266,6 +271,30 @@ def test_a_folder_that_was_moved_goes_on(tmp_path):
         (tmp_path / "c" / place / ".1-0.tmp").touch()
     assert plain(run_campaign(SMALL, 7, tmp_path / "c", jobs=1)) == whole
     assert not list(tmp_path.rglob("*.tmp"))
+
+
+def test_a_clock_that_is_set_back_changes_nothing(tmp_path, monkeypatch):
+    """A day earlier at every look: half a campaign, a session's first step; then the rest."""
+    rest = SessionSettings("power", samples=20, experiments=2, dt=0.01, seed=3)
+
+    def go(at):
+        run_campaign(SMALL, 5, at / "campaign", jobs=1)
+        start_session(at / "rig", rest)
+        for _ in range(2):
+            session = open_session(at / "rig")
+            session.record(measured(session, at / "m.csv"))
+        return plain(run_campaign(SMALL, 7, at / "campaign", jobs=1)), {
+            f.name: f.read_bytes() for f in (at / "rig").glob("*put-*.csv")
+        }
+
+    whole = go(tmp_path / "a")
+    now = itertools.count(4e9, -86400.0)
+    clock = SimpleNamespace(now=lambda zone: datetime.fromtimestamp(next(now), zone))
+    monkeypatch.setattr(folder_module, "datetime", clock)
+    monkeypatch.setattr(time, "time", lambda: next(now))
+    assert go(tmp_path / "b") == whole
+    stamps = [line[:10] for line in (tmp_path / "b" / "rig" / "journal.txt").read_text().splitlines()]
+    assert stamps == sorted(set(stamps), reverse=True)  # it did run backwards
 
 
 def test_what_a_killed_process_left_beside_a_file_goes_with_the_next_writing(tmp_path):
