@@ -11,20 +11,18 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.choice import jackknife
 from estimators.diagnosis.ladder.asked import curve_unknown
+from estimators.diagnosis.ladder.figures import about, difference_figure, moves, root, root_figure, together
 from estimators.diagnosis.ladder.stated import SET
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
 from estimators.residual.algebra import mean_error
-from oed.covariances import NORMAL
 from oed.data import Record
 
 if TYPE_CHECKING:
     from estimators.diagnosis.result.answers import Answer
 
 Array = NDArray[Any]
-LONGEST = 300.0
-"""Of the logarithm of an interval's half width: what is known so badly has every value, and exp must not overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,46 +52,18 @@ class HeldOut:
         return self.untried or (self.borne.low > 0.0 and not self.lost)
 
 
-def _root(e: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(e**2, axis=1))))
-
-
-def _moves(e: Array, noise: Array) -> Array:
-    """(N,) what each sample's noise adds to the root mean square of errors (N, ny), to first order, times N.
-
-    What a model makes of the inputs stays as it is when a record is measured again: errors e are e - noise, and `noise` anew.
-    """
-    return ((e - noise / 2.0) * noise).sum(axis=1) / max(_root(e), 1e-300)
-
-
-def root_figure(e: Array, noise: Array) -> ErrorFigure:
-    """Root mean square of errors (N, ny), with an interval that is even in its logarithm: that of the same record, measured again."""
-    value = _root(e)
-    wide = float(np.exp(min(NORMAL * mean_error(_moves(e, noise)) / max(value, 1e-300), LONGEST)))
-    return ErrorFigure(value, value / wide, value * wide)
-
-
-def difference_figure(first: Array, second: Array) -> ErrorFigure:
-    """The difference of two such roots; the noise is what the second leaves."""
-    return _about(_root(first) - _root(second), mean_error(_moves(first, second) - _moves(second, second)))
-
-
-def _about(value: float, error: float) -> ErrorFigure:
-    return ErrorFigure(value, value - NORMAL * error, value + NORMAL * error)
-
-
 def removed(before: Array, after: Array, floor: tuple[float, int], policy: Policy) -> ErrorFigure:
     """(before - after)/(before - floor) with its interval; NaN where there is hardly anything to remove.
 
     The floor is from other data, of so many samples: a standard deviation with its own sampling error.
     """
     level, samples = floor
-    room = _root(before) - level
+    room = root(before) - level
     if room <= policy.removable * level:
         return ErrorFigure(*[float("nan")] * 3)
-    value = (_root(before) - _root(after)) / room
-    own = mean_error(_moves(before, after) * (1.0 - value) - _moves(after, after)) / room
-    return _about(value, float(np.hypot(own, value / room * level / np.sqrt(2.0 * samples))))
+    value = (root(before) - root(after)) / room
+    own = mean_error(moves(before, after) * (1.0 - value) - moves(after, after)) / room
+    return about(value, float(np.hypot(own, value / room * level / np.sqrt(2.0 * samples))))
 
 
 def _sane(run: Array, linear: Array, y: Array, policy: Policy) -> bool:
@@ -143,7 +113,7 @@ def _order(ladder: Ladder) -> list[int]:
     able = [
         j
         for j, r in enumerate(ladder.rungs)
-        if r.step.admitted and r.step.kind is not Kind.LINEAR and r.high < ladder.rungs[0].value
+        if r.step.admitted and r.step.kind is not Kind.LINEAR and r.figure.high < ladder.rungs[0].value
     ]
     able.sort(key=lambda j: (j != ladder.answer, ladder.rungs[j].value))
     linear = [j for j, r in enumerate(ladder.rungs) if r.step.kind is Kind.LINEAR]
@@ -255,9 +225,9 @@ def assess(
         return e[rows] / np.sqrt(weight[rows].sum(axis=1, keepdims=True))
 
     first, second = errors(before), errors(stacked(answers))
-    if test is not None and _root(second) > _root(first):
+    if test is not None and root(second) > root(first):
         kinds = {k.rungs[a].step.kind.value for k, a in zip(ladders, answers, strict=True) if a}
-        warnings.append(REFUSED.format(" and ".join(sorted(kinds)), _root(second), _root(first)))
+        warnings.append(REFUSED.format(" and ".join(sorted(kinds)), root(second), root(first)))
         answers, second = [0] * len(runs), first
     steps = [ladder.rungs[a].step for ladder, a in zip(ladders, answers, strict=True)]
     at = [k.answer if s.kind is Kind.LINEAR else a for s, k, a in zip(steps, ladders, answers, strict=True)]
@@ -266,7 +236,7 @@ def assess(
     plain = [r[0] if test is None or a is None else free_run(a) for r, a in zip(runs, bare, strict=True)]
     ahead = [np.stack([_innovations(y[:, i] - run[:, i], noise) for i, noise in enumerate(noises)], axis=1)
              for run, noises in ((before, [np.zeros(0)] * len(steps)), (after, [s.noise for s in steps]))]  # fmt: skip
-    third, least = errors(claimed), min(first, errors(np.stack(plain, axis=1)), key=_root)
+    third, least = errors(claimed), min(first, errors(np.stack(plain, axis=1)), key=root)
     figures, (one, other) = (
         (root_figure(first, second), root_figure(second, second)),
         (errors(y - e) for e in ahead),
@@ -327,14 +297,11 @@ def _rungs(
         at = [_last(ladder, kind) for ladder in ladders]
         run = np.stack([r[j] for r, j in zip(runs, at, strict=True)], axis=1)
         used = [ladder.rungs[j] for ladder, j in zip(ladders, at, strict=True)]
-        value, low, high = (
-            float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in used])))
-            for name in ("value", "low", "high")
-        )
+        unused = together([r.errors for r in used], [k.rungs[k.answer].errors for k in ladders])
         figure = figure_of(run)
         adds = [key for r in used if r.step.kind is kind for key in r.step.adds]
         rows.append({
-            "step": kind.value, "adds": adds, "rmse_unused": value, "low": low, "high": high,
+            "step": kind.value, "adds": adds, "rmse_unused": unused.value, "low": unused.low, "high": unused.high,
             "rmse_test": figure.value, "low_test": figure.low, "high_test": figure.high,
             "answer": any(k.rungs[a].step.kind is kind for k, a in zip(ladders, answers, strict=True)),
         })  # fmt: skip

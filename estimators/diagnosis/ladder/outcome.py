@@ -84,7 +84,11 @@ class Outcome:
         """
         first, last = self.ladder.rungs[0], self.ladder.rungs[self.ladder.answer]
         bends = last.step.nature not in ("", Nature.LINEAR)
-        return bends and last.value < (1.0 - share) * first.value and (last.high < first.low or self.bent)
+        return (
+            bends
+            and last.value < (1.0 - share) * first.value
+            and (last.figure.high < first.figure.low or self.bent)
+        )
 
     def behind(self, nature: str) -> bool:
         """Whether causes of another nature surely explain more than those of this one do, without any model of them."""

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.choice import SLOW
 from estimators.diagnosis.effects import Nature
+from estimators.diagnosis.ladder.figures import together
 from estimators.diagnosis.policy import Policy
+from estimators.diagnosis.result.report import ErrorFigure
 from estimators.residual.algebra import sum_error
 from oed.data import Record
 
@@ -112,12 +114,16 @@ class Gain:
 
 @dataclass(frozen=True, eq=False)
 class Rung:
-    """One step with its error on unused blocks: value and 95 % interval."""
+    """One step with its errors on unused blocks of all records together, (N,), NaN where they do not count, and what they come to."""
 
     step: Step
-    value: float
-    low: float
-    high: float
+    errors: Array
+    figure: ErrorFigure
+
+    @property
+    def value(self) -> float:
+        """Root mean square of the errors."""
+        return self.figure.value
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,16 +181,10 @@ def paired_gain(
     return Gain(value, error, share, float(np.mean(relative)) / max(spread, 1e-300))
 
 
-def unused_error(
-    measured: Sequence[Array], step: Step, counted: Sequence[NDArray[np.bool_]], policy: Policy
-) -> Rung:
-    """The step's root mean square error on unused blocks, with its interval: 95 % of white errors, .80 of those of a long memory."""
-    squares = [(y - s) ** 2 for y, s in zip(measured, step.unused, strict=True)]
-    if not all(np.all(np.isfinite(s[use])) for s, use in zip(squares, counted, strict=True)):
-        return Rung(step, np.inf, np.inf, np.inf)
-    mean, error = _mean(_pieces(squares, counted, policy.pieces))
-    low, high = (float(np.sqrt(max(mean + z * error, 0.0))) for z in (-1.96, 1.96))
-    return Rung(step, float(np.sqrt(mean)), low, high)
+def unused_errors(measured: Sequence[Array], step: Step, counted: Sequence[NDArray[np.bool_]]) -> Array:
+    """The step's errors on unused blocks of all records together, (N,): NaN where they do not count, infinite where there is no number."""
+    off = np.concatenate([y - s for y, s in zip(measured, step.unused, strict=True)])
+    return np.where(np.concatenate(counted), np.where(np.isfinite(off), off, np.inf), np.nan)
 
 
 def _charged(measured: Sequence[Array], step: Step) -> Sequence[Array]:
@@ -233,20 +233,21 @@ def climb(
     )  # where the linear model predicts nothing, nothing is compared
     order = list(Kind)
     ranked = [steps[0], *sorted(steps[1:], key=lambda s: (order.index(s.kind), s.size))]
-    rungs = tuple(unused_error(measured, s, counted, policy) for s in ranked)
+    errors = [unused_errors(measured, s, counted) for s in ranked]
     able = [
         i
-        for i, r in enumerate(rungs)
-        if i >= least and (i == least or (r.step.admitted and np.isfinite(r.value)))
+        for i, (s, e) in enumerate(zip(ranked, errors, strict=True))
+        if i >= least and (i == least or (s.admitted and not np.any(np.isinf(e))))
     ]
     answer = able[0]
     for i in able[1:]:
-        before, after = (_charged(measured, rungs[k].step) for k in (answer, i))
+        before, after = (_charged(measured, ranked[k]) for k in (answer, i))
         gain = paired_gain(measured, before, after, counted, policy)
-        searched = rungs[i].step.kind in (Kind.DISCOVERED, Kind.REMAINDER)
+        searched = ranked[i].kind in (Kind.DISCOVERED, Kind.REMAINDER)
         if gain.meets(policy.searched if searched else policy.claimed):
             answer = i
-        elif rungs[i].step.kind is Kind.DISCOVERED and rungs[answer].step.nature == Nature.TIME:
-            back = paired_gain(measured, rungs[i].step.unused, rungs[answer].step.unused, counted, policy)
+        elif ranked[i].kind is Kind.DISCOVERED and ranked[answer].nature == Nature.TIME:
+            back = paired_gain(measured, ranked[i].unused, ranked[answer].unused, counted, policy)
             answer = answer if back.meets(policy.claimed) else i
+    rungs = tuple(Rung(s, e, together([e], [errors[answer]])) for s, e in zip(ranked, errors, strict=True))
     return Ladder(rungs, answer, counted)

@@ -30,6 +30,9 @@ REACH = 40
 FARTHEST = 64.0
 """Multiple of an interval up to which its end is looked for where the squares are no parabola."""
 
+ELSEWHERE = 2.0 ** np.arange(-2, 7)
+"""Multiples of its size by which a parameter is moved of which the samples say nothing nearby: past all that it can be."""
+
 
 @dataclass(frozen=True, eq=False)
 class Spread:
@@ -76,7 +79,7 @@ def parameters_of(f: Fit, channel: Channel, prefix: str = "") -> dict[str, tuple
     if not f.jacobian.size:
         return {}
     known = spread(f)
-    errors = np.sqrt(np.maximum(np.diag(known.covariance), 0.0))
+    errors = _beside(f, channel, known, np.sqrt(np.maximum(np.diag(known.covariance), 0.0)))
     out: dict[str, tuple[float, float, str]] = {}
     for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True):
         for i, (name, unit) in enumerate(part.parameters(f.structure.order)):
@@ -110,6 +113,39 @@ def _followed(f: Fit, channel: Channel, known: Spread, at: int, error: float) ->
     if all(low * height < rise(side) < high * height for side in (1.0, -1.0)):
         return error
     return error * max(1.0, *(_end(lambda t, side=side: rise(side * t), height) for side in (1.0, -1.0)))
+
+
+def _beside(f: Fit, channel: Channel, known: Spread, errors: Array) -> Array:
+    """Standard errors (size,) whose 95 % intervals hold what the parameters would be beside other values, as likely, of those that the
+    samples say nothing of nearby: a play that its input has moved at once says nothing of where it was, one it has not does."""
+    lost = np.isinf(errors)
+    if not lost.any() or f.unrounded is not None or len(channel) != len(f.residual):
+        return errors
+    J = _weighted(f)[:, ~lost]
+    norms = np.sqrt(np.sum(J**2, axis=0))
+    shifts = (
+        np.linalg.pinv(J / np.where(norms > 0.0, norms, 1.0)) / np.where(norms > 0.0, norms, 1.0)[:, None]
+    )
+    here = innovations(f.residual, f.weight)
+    widths = NORMAL * errors[~lost]
+    heights = np.maximum(widths**2 / np.maximum(np.diag(known.curvature)[~lost], 1e-300), 1e-300)
+    ends = widths.copy()
+    for at in np.flatnonzero(lost):
+        for step in np.outer(ELSEWHERE, (1.0, -1.0)).ravel() * f.scales[at]:
+            q = f.p.copy()
+            q[at] += step
+            y = simulate(f.structure, q, channel.u, channel.clock)
+            if not np.isfinite(y[-1]):
+                continue
+            r = innovations(np.where(channel.keep, channel.y - y, 0.0), f.weight)
+            shift = shifts @ (r - here)
+            rise = float(np.sum((r - J @ shift) ** 2) - here @ here)
+            near = rise < heights
+            wide = np.abs(shift) + widths * np.sqrt(np.maximum(1.0 - rise / heights, 0.0))
+            ends[near] = np.maximum(ends, wide)[near]
+    out = errors.copy()
+    out[~lost] = ends / NORMAL
+    return out
 
 
 def _other_times(f: Fit, channel: Channel, at: int) -> float:

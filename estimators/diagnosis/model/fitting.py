@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.derivatives import exact_columns
+from estimators.diagnosis.model.rounding import deviance_residual, expected, rounded_deviance, told
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Structure
 
@@ -214,52 +215,6 @@ def levenberg_marquardt(
     return p, cost, J
 
 
-def _expected(y: Array, simulated: Array, step: float, sigma: float) -> Array:
-    """Expected unrounded output within the rounding interval, given the simulated one (truncated normal)."""
-    from scipy.special import ndtr
-
-    a = (y - step / 2 - simulated) / sigma
-    b = (y + step / 2 - simulated) / sigma
-    mass = ndtr(b) - ndtr(a)
-    density = (np.exp(-0.5 * np.clip(a, -30, 30) ** 2) - np.exp(-0.5 * np.clip(b, -30, 30) ** 2)) / np.sqrt(
-        2 * np.pi
-    )
-    inside = simulated + sigma * density / np.maximum(mass, 1e-12)
-    return np.where(
-        mass > 1e-9,
-        np.clip(inside, y - step / 2, y + step / 2),
-        np.clip(simulated, y - step / 2, y + step / 2),
-    )
-
-
-def _deviance_residual(y: Array, simulated: Array, step: float, sigma: float) -> Array:
-    """Signed residual whose square is -2 log of the probability of the rounding interval."""
-    from scipy.special import ndtr
-
-    gap = y - simulated
-    mass = ndtr((gap + step / 2) / sigma) - ndtr((gap - step / 2) / sigma)
-    far = (np.abs(gap) - step / 2) / sigma  # beyond the tails' precision, their leading term
-    value = np.where(
-        mass > 1e-12, -2.0 * np.log(np.maximum(mass, 1e-12)), 55.3 + np.maximum(far**2 - 47.0, 0.0)
-    )
-    return np.sign(gap) * np.sqrt(np.maximum(value, 0.0))
-
-
-def _rounded_deviance(y: Array, simulated: Array, step: float, sigma: float) -> tuple[float, float]:
-    """-2 log-likelihood of rounded samples, on the scale of n log(variance), the noise level maximised over."""
-    from scipy.special import ndtr
-
-    best, best_sigma = np.inf, sigma
-    for factor in (0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0):
-        s = sigma * factor
-        mass = ndtr((y + step / 2 - simulated) / s) - ndtr((y - step / 2 - simulated) / s)
-        value = -2.0 * float(np.sum(np.log(np.maximum(mass, 1e-40))))
-        if value < best:
-            best, best_sigma = value, s
-    n = len(y)
-    return best + n * (2.0 * np.log(step) - 1.0 - np.log(2 * np.pi)), best_sigma**2
-
-
 def _errors(channel: Channel, structure: Structure, noise: Array, q: Array) -> Array | None:
     """One-step-ahead errors (N,) of the simulated output, 0 where a sample does not count; None where it does not stay finite."""
     y = simulate(structure, q, channel.u, channel.clock)
@@ -342,11 +297,11 @@ def _fit_rounded(
         y = simulate(structure, q, channel.u, channel.clock)
         if not finite(y):
             return None
-        return np.where(keep, _deviance_residual(channel.y, y, channel.step, sigma), 0.0)
+        return np.where(keep, deviance_residual(channel.y, y, channel.step, sigma), 0.0)
 
     def deviance_here() -> tuple[float, float]:
         simulated = simulate(structure, p, channel.u, channel.clock)
-        return _rounded_deviance(channel.y[keep], simulated[keep], channel.step, sigma)
+        return rounded_deviance(channel.y[keep], simulated[keep], channel.step, sigma)
 
     for _ in range(3):
         p, _, _ = levenberg_marquardt(likelihood, p, scales, iterations=max(5, iterations // 3), steps=steps)
@@ -355,13 +310,15 @@ def _fit_rounded(
     deviance, variance = deviance_here()
     J, e = (
         np.zeros((len(p), len(channel))).T,
-        np.where(keep, _expected(r, np.zeros(len(r)), channel.step, np.sqrt(variance)), 0.0),
+        np.where(keep, expected(r, np.zeros(len(r)), channel.step, np.sqrt(variance)), 0.0),
     )
     _differences(partial(_errors, channel, structure, np.zeros(0)), r, p, steps, set(), None, J)
     # Both divided so that their products are the scores: e = E[y | its interval] - simulated moves with the parameters by
-    # the share mean(e^2)/variance of what the simulation does.
-    share = np.sqrt(max(float(np.sum(e**2)) / max(n, 1) / variance, 1e-12))
-    return Fit(structure, p, noise, variance, deviance, r, n, J * share, scales, noise, noise, e / share)
+    # the share of its information of what the simulation does, in the mean over what could have been read.
+    share = np.sqrt(told(r, channel.step, float(np.sqrt(variance))))
+    return Fit(
+        structure, p, noise, variance, deviance, r, n, J * share[:, None], scales, noise, noise, e / share
+    )
 
 
 def leaving(f: Fit, residual: Array) -> Fit:

@@ -226,7 +226,10 @@ def test_a_claim_is_borne_by_no_gain_that_its_model_has_without_it(rng) -> None:
             Step(Kind.NAMED, ("offset",), (), run(0.5)),
         ]
         steps[1] = replace(steps[1], without=None if without is None else run(without))
-        rungs = tuple(Rung(s, value, value, value) for s, value in zip(steps, (1.0, 0.5), strict=True))
+        rungs = tuple(
+            Rung(s, np.full(400, value), ErrorFigure(value, value, value))
+            for s, value in zip(steps, (1.0, 0.5), strict=True)
+        )
         ladder = Ladder(rungs, 1, (every[:, 0],))
         return assess(
             record, record, [ladder], skip=0, floor=0.1, counts=every, held=~every, policy=Setting().policy
@@ -247,7 +250,9 @@ def test_what_a_record_bears_is_what_is_printed_of_it() -> None:
         noise, lacks, y = lfilter([1.0], np.poly(0.998 * np.exp([0.05j, -0.05j])).real, x, axis=1)
         runs = [SimpleNamespace(simulate=lambda r, w, e=e: r.y[:, 0] - e) for e in (noise + lacks, noise)]
         steps = [Step(Kind.LINEAR, (), (), runs[0], linear=True), Step(Kind.NAMED, (), (), runs[1])]
-        rungs = tuple(Rung(s, v, v, v) for s, v in zip(steps, (1.0, 0.5), strict=True))
+        rungs = tuple(
+            Rung(s, np.full(1200, v), ErrorFigure(v, v, v)) for s, v in zip(steps, (1.0, 0.5), strict=True)
+        )
         ladder, record = Ladder(rungs, 1, (every[:, 0],)), Record(np.ones(1200), 9.0 * y)
         return assess(
             record, record, [ladder], skip=0, floor=0.1, counts=every, held=~every, policy=Setting().policy

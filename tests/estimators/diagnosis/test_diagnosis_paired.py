@@ -9,7 +9,8 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from estimators.diagnosis.effects import Clock, named
-from estimators.diagnosis.ladder.held_out import difference_figure, removed, root_figure
+from estimators.diagnosis.ladder.figures import difference_figure, root_figure
+from estimators.diagnosis.ladder.held_out import removed
 from estimators.diagnosis.ladder.verdicts import _assumed
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.fitting import Channel
