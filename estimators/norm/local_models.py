@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from estimators.norm.local_fits import Band, Spectra, fit_band, response
 from estimators.rules.trace import Trace
+from oed.covariances import NORMAL
 from oed.errors import InputError, Status
 from oed.plants.norms import largest_gain, refined_maximum
 
@@ -178,7 +179,11 @@ def _peak_of_model(
     spread = lambda g: sqrt(max(float((g @ covariance @ np.conj(g)).real) / 2, 0.0))
     error = spread(height) / (2 * value)
     per_line = 2 * np.pi / N
-    where_error = spread((above - below) / (2 * h)) / bend * band.half * per_line if bend > 0 else np.inf
+    # The slope is zero within its error as far off as the bend, which is not known either, lets it (Fieller).
+    sure = bend * abs(bend) - (NORMAL * spread((above - 2 * height + below) / h**2)) ** 2
+    where_error = (
+        spread((above - below) / (2 * h)) / sqrt(sure) * band.half * per_line if sure > 0 else np.inf
+    )
     sharp = bend > 0 and where_error < 0.25 * band.half * per_line
     trusted = inside and sharp and error < 0.1 * value
     estimate = PeakEstimate(

@@ -91,17 +91,16 @@ def highest_peak(trace: Trace) -> PeakEstimate:
 
 
 def width_left_open(best: PeakEstimate, trace: Trace, spectra: Spectra | None = None) -> PeakEstimate:
-    """The estimate with the error that the width of its band leaves open. Were the model right, the estimate
-    from a narrower band would differ by no more than the difference of the two variances allows (Hausman,
-    Econometrica 1978); what it differs more is added to the variance."""
+    """The estimate with the error that the width of its band leaves open: what one from a narrower band differs is added to the
+    variance. Were the model right, some of it would be expected (Hausman, Econometrica 1978); taking that off left the frequency of a
+    peak among ten (`order-20`), which the local model has nearly, held in .92."""
     centre = round(best.frequency * len(trace.records[0]) / (2 * np.pi))
     narrow = local_peak(trace, lines=NARROW, centre=centre, spectra=spectra)
     wider = {}
     for value, error in (("value", "standard_error"), ("frequency", "frequency_error")):
-        mine, theirs = getattr(best, error), getattr(narrow, error)
-        excess = (getattr(narrow, value) - getattr(best, value)) ** 2 - max(theirs**2 - mine**2, 0.0)
-        if excess > 0:  # not where the narrow band has no number
-            wider[error] = float(np.hypot(mine, np.sqrt(excess)))
+        difference = getattr(narrow, value) - getattr(best, value)
+        if np.isfinite(difference):  # the narrow band may have no number
+            wider[error] = float(np.hypot(getattr(best, error), difference))
     return replace(best, **wider)
 
 
