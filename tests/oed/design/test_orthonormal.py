@@ -16,6 +16,7 @@ from oed.design.problem.orthonormal import (
     orthonormal_coordinates,
 )
 from oed.plants.plant import Plant
+from tests.oracles.digits import pole_slope
 
 OMEGA = np.linspace(0.01, 3.1, 400)
 AT = np.array([0.2, 0.9, 2.5])
@@ -157,16 +158,54 @@ def test_a_poles_slope_is_that_of_the_models_pole(row, column) -> None:
 
 
 def test_a_pole_gets_its_digits_from_those_of_its_eigenvalue() -> None:
-    """Poles of a cluster are roots to five digits in double precision."""
-    poles = np.array([0.9, 0.901, 0.902, 0.5])
+    """Poles of a cluster are roots to five digits in double precision, and their slopes to four."""
+    poles = np.array([0.9, 0.9001, 0.9002, 0.5])
     plant = Plant([0.0, 1.0], np.poly(poles))
     base = told(plant)
     T = base.times(np.eye(5), "T")
-    A = np.poly(poles)
     for p in poles:
-        own = np.r_[0.0, -(p ** np.arange(3.0, -1.0, -1.0)) / np.polyval(np.polyder(A), p)]
-        found = T @ base.slope_of_pole(0, 0, p * (1 + 2e-6))
-        np.testing.assert_allclose(found, own, rtol=1e-6, atol=1e-9)
+        found = T @ base.slope_of_pole(0, 0, p * (1 + 2e-7))
+        np.testing.assert_allclose(found, pole_slope(plant, p).astype(float)[:, 0], rtol=1e-6, atol=1e-6)
+
+
+def test_a_gradient_beside_alike_poles_has_its_digits() -> None:
+    """The first of the basis is z^2 / A^2 but for a factor, and G is B / A: by exact fractions of the same z; in double precision 1e-6 is lost."""
+    plant, base, omega = alike(), told(alike()), np.array([0.5])
+    z = np.exp(-1j * omega.astype(np.longdouble))[0]
+    exact = [Fraction(*part.as_integer_ratio()) for part in (z.real, z.imag)]
+
+    def times(x: list[Fraction], y: list[Fraction]) -> list[Fraction]:
+        return [x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]]
+
+    def over(x: list[Fraction], y: list[Fraction]) -> complex:
+        size = y[0] ** 2 + y[1] ** 2
+        return complex(float((x[0] * y[0] + x[1] * y[1]) / size), float((x[1] * y[0] - x[0] * y[1]) / size))
+
+    def value(polynomial: np.ndarray) -> list[Fraction]:
+        found = [Fraction(0), Fraction(0)]
+        for a in polynomial[::-1]:
+            found = times(found, exact)
+            found[0] += Fraction(float(a))
+        return found
+
+    A, B = value(plant.den[0][0]), value(plant.num[0][0])
+    G, dG = base.response(omega)
+    assert dG[0, 0, 0, 0] / base.entries[0].first == pytest.approx(
+        over(times(exact, exact), times(A, A)), rel=1e-8
+    )
+    assert G[0, 0, 0] == pytest.approx(over(B, A), rel=1e-8)
+
+
+def test_what_cancels_is_rounded_once() -> None:
+    """The way there and back, of two coefficients, in more digits than it needs."""
+    plant = Plant([0.0, 1.0], [1.0, -0.9999999])
+    (entry,) = told(plant).entries
+    V = entry.times(np.eye(2), "inverse")
+    with localcontext() as context:
+        context.prec = 200
+        exact = (entry.exact[0] @ _decimals(V)).astype(float)
+    np.testing.assert_array_equal(entry.times(V, "T"), exact)
+    assert 0.0 < np.abs(exact - np.eye(2)).max() < 1e-6
 
 
 def test_what_has_no_such_coordinates() -> None:
