@@ -75,7 +75,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
         least = min(x.step_error(bench) for x in (*kept, *singles) if x.step is not None or x is n)
         if n.step_error(bench) > HALF * least:
             break
-        needed = 2.0 * n.fit.n * float(np.log(max(spread(n.fit) / (told * least), 1.0)))
+        needed = 2.0 * n.fit.n * float(np.log(max(spread(n.fit) / max(told * least, 1e-300), 1.0)))
         more = second(bench.channel, n.fit, menu, coloured=False, needed=needed)
         pairs += judged(more[:SECOND], told, (*kept, *singles, *pairs))
     options = sorted(

@@ -22,6 +22,7 @@ from estimators.diagnosis.ladder.outcome import FAILED, SOME, Outcome
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.result.report import ErrorFigure
 from estimators.diagnosis.search.examination import Known, _forgetting
 from estimators.diagnosis.search.named import Named
 from estimators.diagnosis.search.naming import CONTENT, FOLDED, LATE, as_shown
@@ -195,8 +196,8 @@ def test_a_name_is_not_given_where_causes_of_another_place_explain_as_much(
 )
 def test_what_surely_bends_is_told_though_no_model_of_it_lasts(high, nature, bent, told) -> None:
     rungs = [
-        SimpleNamespace(value=1.0, low=0.9, high=1.1),
-        SimpleNamespace(value=0.4, low=0.3, high=high, step=SimpleNamespace(nature=nature)),
+        SimpleNamespace(value=1.0, figure=ErrorFigure(1.0, 0.9, 1.1)),
+        SimpleNamespace(value=0.4, figure=ErrorFigure(0.4, 0.3, high), step=SimpleNamespace(nature=nature)),
     ]
     o: Any = SimpleNamespace(ladder=SimpleNamespace(rungs=rungs, answer=1), bent=bent)
     assert Outcome.surely(o, 0.5) is told
@@ -207,7 +208,7 @@ def test_the_names_of_a_model_go_where_another_stands_in_its_place() -> None:
     def rung(kind: Kind, value: float, high: float, admitted: bool = True) -> Any:
         step: Any = SimpleNamespace(kind=kind, admitted=admitted)
         step.chain = (step,)
-        return SimpleNamespace(step=step, value=value, high=high)
+        return SimpleNamespace(step=step, value=value, figure=ErrorFigure(value, value, high))
 
     rungs = (rung(Kind.LINEAR, 1.0, 1.1), rung(Kind.NAMED, 0.2, 0.3), rung(Kind.DISCOVERED, 0.25, 0.3))
     none: Any = None
