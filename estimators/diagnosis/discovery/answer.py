@@ -89,7 +89,7 @@ def discover(
     front = [f for f in again if f is not None and forgets(f, pieces) and bends(f, pieces, 0)]
     whole, alike, gain, considered = _chosen(_pruned(front, pieces, budget.rounds), judge)
     got = None if whole is None else judge.unused(whole, False)
-    if whole is None or got is None or not judge.better(got[0]):
+    if whole is None or got is None:
         return Discovery(None, considered=considered, gain=gain)
     predictions, folds = got
     model = _model(whole, records, pieces, scales)
@@ -150,9 +150,10 @@ class _Judge:
             out.append(float(np.mean(e[use] ** 2)) if use.any() else 0.0)
         return np.array(out)
 
-    def better(self, predictions: Sequence[Array]) -> bool:
-        """Whether the blocks are better predicted than by the baseline, each from its own window."""
-        return bool(self.of(predictions).mean() < self.of(self.baseline.unused).mean())
+    def starts(self, f: Fitted) -> bool:
+        """Whether the blocks are better predicted than by the baseline also where each starts from its own window alone."""
+        got = self.unused(f, False)
+        return got is not None and bool(self.of(got[0]).mean() < self.of(self.baseline.unused).mean())
 
     def ahead(self, f: Fitted) -> Array:
         """Mean squares by batch of the last parts, infinite where a run explodes."""
@@ -208,7 +209,7 @@ def _chosen(
     considered = tuple((_short(f), float(np.sqrt(s[:m].mean() / base.mean()))) for f, s in tried)
     linear, nonlinear = [[t for t in tried if bool(t[0].form.terms) is k] for k in (False, True)]
     lasting = min((judge.through(f) for f, _ in linear), default=np.inf)
-    nonlinear = [t for t in nonlinear if judge.through(t[0]) < lasting]
+    nonlinear = [t for t in nonlinear if judge.through(t[0]) < lasting and judge.starts(t[0])]
     if not nonlinear or not linear:
         return None, [], 0.0, considered
     best = min(nonlinear, key=lambda t: t[1].mean())
@@ -238,17 +239,12 @@ def _errors(a: Array, b: Array) -> float:
     return float(d.mean() / max(d.std(ddof=1) / np.sqrt(len(d)), 1e-300))
 
 
-def _front(found: list[Fitted], each: int = 2) -> list[Fitted]:
-    """The best few models of every number of terms, and of several outputs the best of every orders."""
-    out, seen = [], {}
+def _front(found: list[Fitted]) -> list[Fitted]:
+    """The best model of every number of terms and every orders."""
+    best: dict[tuple, Fitted] = {}
     for f in found:
-        several = len(f.form.orders) > 1
-        count = sum(t.slot != "slow" for t in f.form.terms)
-        k = (count, f.form.orders if several else ())
-        if count == 0 or seen.get(k, 0) < (1 if several else each):
-            seen[k] = seen.get(k, 0) + 1
-            out.append(f)
-    return sorted(out, key=lambda f: f.free)
+        best.setdefault((sum(t.slot != "slow" for t in f.form.terms), f.form.orders), f)
+    return sorted(best.values(), key=lambda f: f.free)
 
 
 def _short(f: Fitted) -> str:

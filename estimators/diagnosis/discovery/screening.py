@@ -1,7 +1,7 @@
 """Screening: what each candidate would explain of the residual, by one linear regression on exact sensitivities."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,8 @@ ELEMENTS = (
 )
 SHORT = 400  # samples that a part has at least
 KEPT = 60  # candidates of a chain that go on where a part had to do for all
+PAIRS = 3  # pairs of forces that are fitted beside the single candidates
+ALIKE = 0.01  # share of a column that another must leave of it: else the two together are the difference of their errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +38,20 @@ class Screened:
     along: int
     coefficients: Array
     gain: float
+    beside: "Screened | None" = None  # a force that is to be added with it; the gain is that of both
 
     @property
     def parameters(self) -> int:
         """What it would add: coefficients, free constants, rates of slow states."""
         terms = self.candidate.terms
-        return (
-            len(self.coefficients) + sum(sum(f.free) for t in terms for f in t.factors) + self.candidate.slow
-        )
+        own = len(self.coefficients) + sum(sum(f.free) for t in terms for f in t.factors) + self.candidate.slow
+        return own + (0 if self.beside is None else self.beside.parameters)
+
+    @property
+    def key(self) -> tuple:
+        """What it is apart from its constants, and where it acts."""
+        own = (self.candidate.key, self.slot, self.chain, self.along == FREE)
+        return (own,) if self.beside is None else tuple(sorted((own, *self.beside.key), key=str))
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,6 +236,7 @@ def _gains(fitted: Fitted, listed, residual: Array, X: Array, size: Array, share
             add("force", i, FREE, k, np.einsum("mn,mn->m", k, gi))
         last = gi[:, -1:] / scale[:, -1:] ** 2
         add("force", i, LAST, last, last[:, 0] * gi[:, -1])
+        out += _pairs(listed, i, Xi[:, -1], gi[:, -1], size, share)
         for j, numbers in enumerate(betas[i]):
             b = fitted.theta[numbers]
             power = np.maximum(np.einsum("a,mab,b->m", b, G, b), 1e-300)
@@ -238,8 +247,38 @@ def _gains(fitted: Fitted, listed, residual: Array, X: Array, size: Array, share
     return out
 
 
+def _pairs(listed, i: int, X: Array, g: Array, size: Array, share: float) -> list[Screened]:
+    """Two forces at once, by exact regression on both; the best `PAIRS` of them.
+
+    A product with a difference, as a flow that carries warmth, is two terms of which neither need explain anything alone.
+    """
+    at = np.flatnonzero([c.slow == 0 for c in listed])
+    X, g = X[:, at], g[at]
+    scale = np.sqrt(np.einsum("nm,nm->m", X, X))
+    fine = scale > 0
+    at, X, g, scale = at[fine], X[:, fine] / scale[fine], g[fine] / scale[fine], scale[fine]
+    r = X.T @ X
+    left = 1.0 - r**2
+    gain = (g[:, None] ** 2 + g**2 - 2.0 * r * g[:, None] * g) / np.maximum(left, 1e-12)
+    gain[(left < ALIKE) | np.tri(len(g), dtype=bool)] = 0.0
+    out: dict[tuple, Screened] = {}
+    for flat in np.argsort(-gain, axis=None):
+        a, b = np.unravel_index(flat, gain.shape)
+        if gain[a, b] <= 0.0 or len(out) == PAIRS:
+            break
+        k = np.array([g[a] - r[a, b] * g[b], g[b] - r[a, b] * g[a]]) / (left[a, b] * scale[[a, b]] * size[at[[a, b]]])
+        first, second = (Screened(listed[at[c]], "force", i, LAST, k[m : m + 1], 0.0) for m, c in enumerate((a, b)))
+        if first.candidate.key != second.candidate.key:
+            pair = replace(first, gain=float(gain[a, b] * share), beside=second)
+            out.setdefault(pair.key, pair)
+    return [*out.values()]
+
+
 def terms_of(screened: Screened, fitted: Fitted) -> tuple[tuple[Term, ...], Array]:
     """The terms to add and their parameters to start from."""
+    if screened.beside is not None:
+        pairs = [terms_of(x, fitted) for x in (replace(screened, beside=None), screened.beside)]
+        return (*pairs[0][0], *pairs[1][0]), np.concatenate([p[1] for p in pairs])
     terms = placed(screened.candidate, fitted.form, screened.slot, screened.chain, screened.along)
     theta: list[float] = []
     for t in terms:

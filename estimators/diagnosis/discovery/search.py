@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.discovery.dictionary import PERIODS, SHARP, Kind
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, run_piece
-from estimators.diagnosis.discovery.form import FREE, Assembly
+from estimators.diagnosis.discovery.form import FREE, LAST, Assembly
 from estimators.diagnosis.discovery.recursion_kernels import factor_values
 from estimators.diagnosis.discovery.screening import BEND, Screened, screen, terms_of
 from estimators.diagnosis.discovery.starts import Scales, linear_fit
@@ -72,27 +72,22 @@ def _ranked(
     def merit(s: Screened) -> float:
         return n * math.log(max(1 - s.gain / fitted.sse, 1e-6)) + s.parameters * math.log(n)
 
-    out, seen = [], set()
+    out: dict[tuple, Screened] = {}
     for s in sorted(found, key=merit):
-        key = (s.candidate.key, s.slot, s.chain, s.along == FREE)
-        if key in seen:
-            continue
-        seen.add(key)
-        out.append(s)
-        if len(out) == budget.width:
-            break
-    return out
+        if s.beside is not None or sum(x.beside is None for x in out.values()) < budget.width:
+            out.setdefault(s.key, s)
+    return [*out.values()]
 
 
 def grown(fitted: Fitted, s: Screened, pieces: Sequence[Piece], rounds: int) -> Fitted | None:
     """The model with a candidate added, fitted by simulation error; smaller first steps where the full one explodes."""
     terms, theta = terms_of(s, fitted)
     form = fitted.form.with_terms(*fitted.form.terms, *terms)
-    taps = form.taps(terms[-1])
+    new = range(len(fitted.form.terms), len(form.terms))
+    taps = [form.blocks[t].start - fitted.free + m for t in new for m in range(form.taps(form.terms[t]))]
     for share in (1.0, 0.3, 0.0):
         start = theta.copy()
-        first = len(start) - form.size(terms[-1])
-        start[first : first + taps] *= share
+        start[taps] *= share
         f = fit(
             form,
             np.concatenate([fitted.theta, start]),
@@ -109,6 +104,44 @@ def grown(fitted: Fitted, s: Screened, pieces: Sequence[Piece], rounds: int) -> 
         ):
             return f
     return None
+
+
+FAST = 0.7
+"""What the pole that a longer chain starts with forgets in a sample: a lag that sampling hardly resolves changes least at first."""
+
+
+def lengthened(fitted: Fitted, chain: int, pieces: Sequence[Piece], rounds: int) -> Fitted | None:
+    """The model with a chain one longer, fitted by simulation error from where it is the same: numerators, denominator and states
+    times the same fast pole. A lag beside what is missing shows only once that is there."""
+    form, theta = fitted.form, fitted.theta
+    n, first = form.orders[chain], sum(form.orders[:chain])
+    c = FAST / form.paces[chain]
+    longer = lambda x: np.convolve(x, (1.0, c))
+    orders = (*form.orders[:chain], n + 1, *form.orders[chain + 1 :])
+    own = lambda t: t.slot == "force" and t.chain == chain
+    opened = lambda t: n == 1 and own(t) and t.along == LAST  # of one state the last tap is all there is
+    terms = tuple(replace(t, along=FREE) if opened(t) else t for t in form.terms)
+    parts, at = [], 0
+    for i, m in enumerate(form.orders):
+        size = m * (1 + form.inputs) + 1 + form.inputs * form.feedthrough
+        mine = theta[at : at + size]
+        if i == chain:
+            rows = mine[m : m * (1 + form.inputs)].reshape(form.inputs, m)
+            level = mine[m * (1 + form.inputs)]
+            parts += [longer(np.r_[1.0, mine[:m]])[1:], *map(longer, rows), [c * level]]
+            mine = mine[m * (1 + form.inputs) + 1 :]
+        parts.append(mine)
+        at += size
+    for t, block in zip(form.terms, form.blocks):
+        mine, taps = theta[block], form.taps(t)
+        if own(t) and (t.along == FREE or opened(t)):
+            parts += [longer(mine[:taps]), mine[taps:]]
+        else:
+            parts.append(np.r_[mine[:taps] * (c if own(t) and t.along == LAST else 1.0), mine[taps:]])
+    starts = [np.r_[s[:first], longer(s[first : first + n]), s[first + n :]] for s in fitted.starts]
+    form = replace(form, orders=orders, terms=terms)
+    f = fit(form, np.concatenate(parts), starts, pieces, iterations=rounds, tolerance=ROUGH)
+    return f if f is not None and f.sse < fitted.sse and forgets(f, pieces) else None
 
 
 def bends(f: Fitted, pieces: Sequence[Piece], count: int) -> bool:
@@ -147,9 +180,9 @@ def greedy_search(
 ) -> list[Fitted]:  # fmt: skip
     """All models fitted on the way, the best by the criterion first; linear ones among them.
 
-    `own` orders of the best linear model. Where several outputs are coupled, chains of these orders go a way of their own, and
-    so do chains of the least of them: longer chains mimic the coupling, also in the linear model of one output alone, and would
-    crowd out the short ones that need more terms for it.
+    `own` orders of the best linear model. Chains of every order go a way of their own, and of several outputs those of their own
+    orders and of the least of them: longer chains mimic what is missing, also in the linear model alone, and would crowd out the
+    short ones that need more terms for it.
     """
     ny = pieces[0].y.shape[1]
 
@@ -158,18 +191,14 @@ def greedy_search(
         return [f for f in fits if f is not None and forgets(f, pieces)]
 
     beam, rivals = linear([(n,) * ny for n in budget.orders]), linear([(n,) * ny for n in budget.rivals])
-    every = [
-        *beam,
-        *rivals,
-        *_climbed(beam, budget.beam if ny == 1 else 1, ny * budget.terms, pieces, zeros, budget),
-    ]
+    ways = [[f] for f in beam] if ny == 1 else [beam]
     if ny > 1:
         own = tuple(min(max(n, 1), max(budget.orders)) for n in own)
         for way in dict.fromkeys((own, (min(own),) * ny)):
-            first = [f for f in beam if f.form.orders == way] or linear([way])
-            every += [f for f in first if f not in beam]
-            every += _climbed(first, 1, ny * budget.terms, pieces, zeros, budget)
-    return sorted(every, key=criterion)
+            ways.append([f for f in beam if f.form.orders == way] or linear([way]))
+    every = {id(f): f for f in (*beam, *rivals, *(f for way in ways for f in way))}
+    climbed = [f for way in ways for f in _climbed(way, 1, ny * budget.terms, pieces, zeros, budget)]
+    return sorted((*every.values(), *climbed), key=criterion)
 
 
 def _climbed(
@@ -186,6 +215,8 @@ def _climbed(
     for _ in range(terms):
         trials = ((f, s) for f in beam for s in _ranked(f, pieces, zeros, budget))
         new = [g for f, s in trials if (g := grown(f, s, pieces, budget.rounds)) is not None]
+        extended = ((f, i) for f in beam if f.form.terms for i, n in enumerate(f.form.orders) if n < max(budget.orders))
+        new += [g for f, i in extended if (g := lengthened(f, i, pieces, budget.rounds)) is not None]
         if not new:
             break
         every += new
