@@ -19,9 +19,9 @@ from oed.data import Record
 
 Array = NDArray[Any]
 BUDGETS = {
-    "quick": Budget(orders=(1, 2, 3), width=4, beam=1, terms=3, rounds=8),
+    "quick": Budget(orders=(1, 2, 3), width=4, terms=3, rounds=8),
     "normal": Budget(),
-    "thorough": Budget(width=14, beam=4, terms=6, rounds=25),
+    "thorough": Budget(width=14, beam=2, terms=6, rounds=25),
 }
 ADMITTED = 1.0  # standard errors by which unused blocks must get better than with the best linear model: the usual rule
 LEAST = 0.02  # share of the error below which what was found is as good as nothing, among so many candidates

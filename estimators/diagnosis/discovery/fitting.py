@@ -112,23 +112,19 @@ def forgets(f: Fitted, pieces: Sequence[Piece]) -> bool:
 
 def normal_equations(
     asm: Assembly, theta: Array, states: Sequence[Array], pieces: Sequence[Piece]
-) -> tuple[Array, Array, float] | None:
-    """J'J, J'e and e'e over all records (parameters, then the start of each), None where the run explodes."""
+) -> tuple[Array, Array] | None:
+    """J'J and J'e over all records (parameters, then the start of each), None where a derivative explodes."""
     p, nx = len(theta), asm.chain_states
     size = p + nx * len(pieces)
-    H, g, sse = np.zeros((size, size)), np.zeros(size), 0.0
+    H, g = np.zeros((size, size)), np.zeros(size)
     for r, (piece, state) in enumerate(zip(pieces, states)):
         got = sensitivities(asm, theta, state, piece.d)
-        if not got.fine:
-            return None
         e = ((piece.y - got.y) * piece.weight).ravel()
         J = (got.dy * piece.weight[:, :, None]).reshape(len(e), -1)
         where = np.concatenate([np.arange(p), p + nx * r + np.arange(nx)])
-        with np.errstate(over="ignore", invalid="ignore"):  # sensitivities explode before a run does
-            H[np.ix_(where, where)] += J.T @ J  # pyright: ignore[reportCallIssue]
-            g[where] += J.T @ e
-            sse += float(e @ e)
-    return (H, g, sse) if np.isfinite(sse) and np.isfinite(H).all() else None
+        H[np.ix_(where, where)] += J.T @ J  # pyright: ignore[reportCallIssue]
+        g[where] += J.T @ e
+    return (H, g) if np.isfinite(H).all() else None
 
 
 def fit(
@@ -151,40 +147,49 @@ def fit(
     split = lambda v: (v[:p], [v[p + nx * r : p + nx * (r + 1)] for r in range(len(pieces))])
     first = point
 
-    def equations(at: Array) -> tuple[Array, Array, float] | None:
+    def strayed(at: Array) -> Array:
+        return np.where(np.arange(len(at)) >= p, at - first, 0.0) if anchor else np.zeros(len(at))
+
+    def cost(at: Array) -> float:
+        theta, states = split(at)
+        runs = [run_piece(asm, theta, s, q.d) for s, q in zip(states, pieces)]
+        if not all(r.fine for r in runs):
+            return np.inf
+        off = strayed(at)
+        return sum(float(np.sum(((q.y - r.y) * q.weight) ** 2)) for r, q in zip(runs, pieces)) + anchor * float(off @ off)
+
+    def equations(at: Array) -> tuple[Array, Array] | None:
         found = normal_equations(asm, *split(at), pieces)
         if found is None or not anchor:
             return found
-        H, g, sse = found
-        off = np.where(np.arange(len(at)) >= p, first - at, 0.0)
+        H, g = found
         H[range(p, len(at)), range(p, len(at))] += anchor
-        return H, g + anchor * off, sse + anchor * float(off @ off)
+        return H, g - anchor * strayed(at)
 
     with np.errstate(over="ignore", invalid="ignore"):
-        here = equations(point)
-    if here is None:
-        return None
-    damping = DAMPING
-    for _ in range(iterations):
-        H, g, sse = here
-        scale = np.sqrt(np.maximum(np.diag(H), 1e-12 * np.diag(H).max(initial=1e-300)))
-        Hs, gs = H / np.outer(scale, scale), g / scale
-        better = None
-        while damping < HIGHEST:
-            step = np.linalg.lstsq(Hs + damping * np.eye(len(Hs)), gs, rcond=None)[0] / scale
-            trial = point + step
-            there = equations(trial)
-            if there is not None and there[2] < sse:
-                better = there
+        sse = cost(point)
+        here = equations(point) if np.isfinite(sse) else None
+        if here is None:
+            return None
+        damping = DAMPING
+        for k in range(iterations):
+            H, g = here
+            scale = np.sqrt(np.maximum(np.diag(H), 1e-12 * np.diag(H).max(initial=1e-300)))
+            Hs, gs = H / np.outer(scale, scale), g / scale
+            while damping < HIGHEST:
+                trial = point + np.linalg.lstsq(Hs + damping * np.eye(len(Hs)), gs, rcond=None)[0] / scale
+                less = cost(trial)
+                ended = less < sse and (sse - less < tolerance * sse or k == iterations - 1)
+                if less < sse and (ended or (there := equations(trial)) is not None):
+                    break
+                damping *= 6.0
+            else:
                 break
-            damping *= 6.0
-        if better is None:
-            break
-        damping = max(damping / 8.0, LOWEST)
-        point, here = trial, better
-        if sse - better[2] < tolerance * sse:
-            break
+            point, sse = trial, less
+            if ended:
+                break
+            damping, here = max(damping / 8.0, LOWEST), there
     theta, states = split(point)
     outputs = tuple(run_piece(asm, theta, s, q.d).y for s, q in zip(states, pieces))
     count = int(sum(q.weight.sum() for q in pieces))
-    return Fitted(form, theta, tuple(states), here[2], count, outputs)
+    return Fitted(form, theta, tuple(states), sse, count, outputs)

@@ -31,13 +31,13 @@ GAINED = 0.01
 class Budget:
     """How much is tried: the work is proportional to orders x width x terms.
 
-    `width` candidates are fitted per model and level, `beam` models go on, up to `terms` terms; `rounds` of each fit.
+    `width` candidates are fitted per model and level, `beam` models of each first order go on, up to `terms` terms; `rounds` of each fit.
     """
 
     orders: tuple[int, ...] = (1, 2, 3, 4)
     rivals: tuple[int, ...] = (5, 6)  # further linear models that terms have to beat
-    width: int = 8
-    beam: int = 3
+    width: int = 6
+    beam: int = 1
     terms: int = 4
     rounds: int = 12
     late: tuple[tuple[str, ...], ...] = ()
@@ -197,7 +197,7 @@ def greedy_search(
         for way in dict.fromkeys((own, (min(own),) * ny)):
             ways.append([f for f in beam if f.form.orders == way] or linear([way]))
     every = {id(f): f for f in (*beam, *rivals, *(f for way in ways for f in way))}
-    climbed = [f for way in ways for f in _climbed(way, 1, ny * budget.terms, pieces, zeros, budget)]
+    climbed = [f for way in ways for f in _climbed(way, budget.beam, ny * budget.terms, pieces, zeros, budget)]
     return sorted((*every.values(), *climbed), key=criterion)
 
 

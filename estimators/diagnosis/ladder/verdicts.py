@@ -154,7 +154,8 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
         if not doubted and o.named_carries(policy, agreed=True):
             return [*agreed, Finding("", agreed[0].cause, agreed[0].nature, 0.0, 0.0, words)]
         kind = o.share.nature if o.share.explainable and o.weighs(o.share.nature) else o.discovered
-        cause = next((t.same_as for t in mine[:1] if t.nature == kind and t.same_as), UNKNOWN)
+        heavy = [t for t in mine if t.weight >= HEAVY * mine[0].weight and t.nature == kind]
+        cause = next((t.same_as for t in heavy[:1] if t.same_as), UNKNOWN)
         return [Finding("", cause, kind, weight, 0.0, words)] + [
             Finding("", t.same_as, t.nature, 0.1 * weight / (2 + k), 0.0, f"{t.meaning}{tag}: {t.text}")
             for k, t in enumerate(mine[1:]) if t.same_as and t.same_as != cause
@@ -165,6 +166,10 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
         return [Finding("order", named("order").cause, nature, weight, 0.0, words)]
     words = f"what is left{tag} can be predicted, but neither a name nor an equation was found for it"
     return [Finding("", UNKNOWN, nature, weight, 0.0, words)]
+
+
+HEAVY = 0.5
+"""Of the strongest term's weight, from which on another of the answer's nature may name it: a product with a difference is two terms."""
 
 
 def _supported(o: Outcome, claimed: list[Finding], policy: Policy) -> list[Finding]:
