@@ -87,10 +87,10 @@ def diagnose(
 
     Notes
     -----
-    What a test record's outputs are is never used to fit anything, and chooses one thing, which is then said: an answer that is worse
-    there than the linear model gives way to it, as its claims do. Its inputs and its clock decide whether the
-    training data determine a model's run there; where not, the answer is the model below, and that is said. One that goes on, by its
-    clock, where the training record ends starts from the state there.
+    What a test record's outputs are is never used to fit anything or to choose between models, but they can refuse one, which is then
+    said: an answer that is worse there than the linear model gives way to it, as its claims do. Its inputs and its clock decide whether
+    the training data determine a model's run there; where not, the answer is the model below, which is said, unless its outputs surely
+    bear it out. One that goes on, by its clock, where the training record ends starts from the state there.
     """
     test = None if test is None else as_records(test, missing=True)[0]
     setting = Setting() if setting is None else setting
@@ -122,6 +122,7 @@ def diagnose(
     ]
     held = _held_out(first, test, outcomes, setting)
     outcomes = [o.standing(step) for o, step in zip(outcomes, held.answered, strict=True)]
+    outcomes = [_outside_the_loop(o, test, held, setting) for o in outcomes]
     lacks = [
         settling(first, o, base, setting.policy) or lacking(records, o, base, n, asked, setting.policy)
         for o, n in zip(outcomes, orders, strict=True)
@@ -305,6 +306,15 @@ def _held_out(train: Record, test: Record | None, outcomes: list[Outcome], setti
     floor = float(np.sqrt(np.mean([_floor(o, train) ** 2 for o in outcomes])))
     return assess(train, test, [o.ladder for o in outcomes], skip=setting.skip if test is not None else 0, floor=floor,
                   counts=counts, held=held, policy=setting.policy)  # fmt: skip
+
+
+def _outside_the_loop(o: Outcome, test: Record | None, held: HeldOut, setting: Setting) -> Outcome:
+    """Not taken for a controller's inverse where a test record bears its model and no input there knows of the noise."""
+    if not o.inverse or test is None or not held.bears:
+        return o
+    counts = np.isfinite(test.y[:, o.index]) & (np.arange(len(test)) >= setting.skip)
+    echo = has_feedback([test], [test.y[:, o.index] - held.after[:, o.index]], [counts])
+    return o if echo else replace(o, inverse=False)
 
 
 def _floor(o: Outcome, train: Record) -> float:

@@ -252,8 +252,19 @@ def _folded(
 
 MAGNITUDE = _folded("magnitude", "the sensor reads the magnitude |y + level|", lambda x, p, c: np.abs(x + p[0]), EVEN,
                     lambda: MAGNITUDE)  # fmt: skip
-SQUARED = _folded("squared", "the sensor reads the square (y + level)^2", lambda x, p, c: (x + p[0]) ** 2, SQUARE,
-                  lambda: SQUARED)  # fmt: skip
+
+
+STRAIGHT = 3.0
+"""Spans of the signal from the fold of a parabola, beyond which its slope changes by less than a third over all of the signal: a
+curve of any other sensor, which has effects of its own, and a line that takes the place of the model's gain."""
+
+
+def _square(x: Array, p: Array, clock: Clock) -> Array:
+    near = np.min(np.abs(x + p[0])) < STRAIGHT * np.ptp(x)
+    return (x + p[0]) ** 2 if near else np.full(len(x), np.inf)
+
+
+SQUARED = _folded("squared", "the sensor reads the square (y + level)^2", _square, SQUARE, lambda: SQUARED)
 RECTIFIED = _folded("rectified", "the sensor reads one side only: max(y + level, 0)",
                     lambda x, p, c: np.maximum(x + p[0], 0.0), HALF, lambda: RECTIFIED)  # fmt: skip
 WRAPPED = Effect(

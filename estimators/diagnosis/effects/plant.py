@@ -206,10 +206,15 @@ MEMORIES = (0.05, 0.2)  # of the record: time constants of a slow state that are
 
 
 def leaky(x: Array, time: float) -> Array:
-    """Leaky integral of unit gain of a signal, with a time constant in samples; it rests where the signal stood before."""
+    """Leaky integral of unit gain of a signal, with a time constant in samples; it rests where the signal stood before.
+
+    Infinite where that is less than a sample: what follows at once is no state, and says nothing of its time.
+    """
     from scipy.signal import lfilter
 
-    pole = float(np.exp(-1.0 / max(abs(time), 0.5)))
+    if abs(time) < 1.0:
+        return np.full(len(x), np.inf)
+    pole = float(np.exp(-1.0 / abs(time)))
     level = level_before(x)
     return level + np.asarray(lfilter([1.0 - pole], [1.0, -pole], x - level))
 
@@ -236,6 +241,15 @@ def _heat(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     return leaky(U[:, 0] ** 2, p[-1])
 
 
+def _squared(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+    return U[:, 0] ** 2
+
+
+def _with_square(s: Sizes) -> Grid:
+    size = s.su**2 + float(np.mean(s.u)) ** 2
+    return [[f / size] for f in CHANGES], [1.0 / size]
+
+
 def _with_time(s: Sizes) -> Grid:
     return [[f] for f in CHANGES], [1.0]
 
@@ -251,7 +265,8 @@ def _coefficient(
 ) -> Effect:  # fmt: skip
     return Effect(
         key=key, cause=cause, nature=nature, slot=Slot.PLANT, sentence=sentence, force=force, signal=signal, starts=starts,
-        parameters=parameters, trials=6, layouts=MOVING - {"integrator"}, family="heat" if signal is _heat else "drifts",
+        parameters=parameters, trials=6, layouts=MOVING - {"integrator"},
+        family={_heat: "heat", _squared: "bilinear"}.get(signal, "drifts"),
     )  # fmt: skip
 
 
@@ -315,6 +330,9 @@ MODULATED = (
     _coefficient("stiffness_heat", "slow_hidden_state", Nature.DYNAMIC,
                  "the stiffness follows a slow state that the squared input feeds", _stiffness_by, _heat, _with_heat,
                  {"share": "1/u^2", "time": "sample"}),
+    _coefficient("stiffness_squared", "bilinear", Nature.DYNAMIC,
+                 "the squared input changes the stiffness at once, as a voltage softens an electrostatic spring", _stiffness_by,
+                 _squared, _with_square, {"share": "1/u^2"}),
     Effect(key="gain_fatigue", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_tired,
            sentence="the gain is used up by the input and recovers slowly: fatigue, a depleted store", starts=_with_use,
            parameters={"use": "1/(u sample)", "recovery": "1/sample"}),

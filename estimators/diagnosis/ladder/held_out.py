@@ -83,6 +83,12 @@ UNDETERMINED = (
 )
 
 
+BORNE = (
+    "what the {} model of {} changes on the test record is not determined by the training data alone: its errors, far less than those "
+    "of the {} model, bear it out"
+)
+
+
 REFUSED = (
     "the {} model is worse on the test record than the linear model ({:.4g} against {:.4g}): the answer is the linear model, and this "
     "one thing the test record chose"
@@ -186,9 +192,9 @@ def assess(
 
     `counts` (N, ny) says which samples of that record count, `held` (N, ny) in which of them the sensor shows its last value:
     what is simulated is then compared as it would show it, but for the linear model, which knows of no such sensor. The
-    answer of each output is its ladder's; where its free run explodes, or is not determined by the training data, that is
-    said, and the best of the others that is sane and determined stands in its place; and where the test record is further from the
-    answer than from the linear model, that is said, and the linear model is the answer.
+    answer of each output is its ladder's; where its free run explodes, or is not determined by the training data and the record does
+    not surely bear it out, that is said, and the best of the others that is sane and determined stands in its place; and where the
+    test record is further from the answer than from the linear model, that is said, and the linear model is the answer.
     """
     record, free_run = train if test is None else test, onward(train, test, skip)
     y = np.nan_to_num(record.y)
@@ -209,9 +215,11 @@ def assess(
             untried |= not known[answers[-1]]
             j = _determined(ladder, sane, runs[i], free_run, use, known)
             if j != answers[-1]:
+                own, other = ((y[:, i] - runs[i][k])[use, None] for k in (answers[-1], j))
+                borne = difference_figure(other, own).low > 0.0
                 kinds = (ladder.rungs[k].step.kind.value for k in (answers[-1], j))
-                warnings.append(UNDETERMINED.format(next(kinds), name, next(kinds)))
-                answers[-1] = j
+                warnings.append((BORNE if borne else UNDETERMINED).format(next(kinds), name, next(kinds)))
+                answers[-1] = answers[-1] if borne else j
 
     def stacked(which: Sequence[int]) -> Array:
         return np.stack([r[j] for r, j in zip(runs, which, strict=True)], axis=1)

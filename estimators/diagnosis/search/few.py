@@ -42,7 +42,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
 
     first = steps(a.final, a.rivals)
     kept = [first] if bench.starts(first) else []
-    if kept and not len(a.final.noise):
+    if kept and not len(a.final.noise) and not _loose(first):
         return first
 
     linear = bench.base.unused[0][:, bench.output]
