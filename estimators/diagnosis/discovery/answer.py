@@ -88,7 +88,8 @@ def discover(
     again = (fit(f.form, f.theta, f.starts, pieces, iterations=budget.rounds) for f in front)
     front = [f for f in again if f is not None and forgets(f, pieces) and bends(f, pieces, 0)]
     whole, alike, gain, considered = _chosen(_pruned(front, pieces, budget.rounds), judge)
-    got = None if whole is None else judge.unused(whole, False)
+    # what a window says nothing of, as a store that is half full, is carried on from the record's start
+    got = None if whole is None else judge.unused(whole, carried=not judge.starts(whole))
     if whole is None or got is None:
         return Discovery(None, considered=considered, gain=gain)
     predictions, folds = got
@@ -209,7 +210,8 @@ def _chosen(
     considered = tuple((_short(f), float(np.sqrt(s[:m].mean() / base.mean()))) for f, s in tried)
     linear, nonlinear = [[t for t in tried if bool(t[0].form.terms) is k] for k in (False, True)]
     lasting = min((judge.through(f) for f, _ in linear), default=np.inf)
-    nonlinear = [t for t in nonlinear if judge.through(t[0]) < lasting and judge.starts(t[0])]
+    nonlinear = [t for t in nonlinear if judge.through(t[0]) < lasting]
+    nonlinear = [t for t in nonlinear if judge.starts(t[0])] or nonlinear
     if not nonlinear or not linear:
         return None, [], 0.0, considered
     best = min(nonlinear, key=lambda t: t[1].mean())

@@ -197,8 +197,14 @@ class DiscoveredModel:
         return signal_axes(terms, self.scales, self.names)
 
     def _swings(self, chain: int) -> bool:
-        """Whether the linear part of a chain has light poles."""
-        roots = np.roots(np.concatenate(([1.0], self.theta[self.assembly.alphas[chain]])))
+        """Whether a chain has light poles, its forces of the output taken at their mean slopes over the record's range."""
+        alphas, signal = self.theta[self.assembly.alphas[chain]].copy(), f"y{chain}"
+        grid = np.linspace(*self.ranges[signal], GRID)
+        for term, k in self.resolved():
+            if (term.slot, term.chain, {f.signal for f in term.factors}) == ("force", chain, {signal}):
+                along = self.theta[self.assembly.betas[chain][term.along]] if term.along >= 0 else 1.0
+                alphas[-len(k * along) :] -= k * along * np.polyfit(grid, values(term, {signal: grid}), 1)[0]
+        roots = np.roots(np.concatenate(([1.0], alphas)))
         poles = np.log(1.0 + self.form.paces[chain] * roots + 0j)
         return bool(np.any((roots.imag != 0.0) & (-poles.real < SWINGS * np.abs(poles))))
 
