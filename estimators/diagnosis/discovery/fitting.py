@@ -156,7 +156,9 @@ def fit(
         if not all(r.fine for r in runs):
             return np.inf
         off = strayed(at)
-        return sum(float(np.sum(((q.y - r.y) * q.weight) ** 2)) for r, q in zip(runs, pieces)) + anchor * float(off @ off)
+        return sum(
+            float(np.sum(((q.y - r.y) * q.weight) ** 2)) for r, q in zip(runs, pieces)
+        ) + anchor * float(off @ off)
 
     def equations(at: Array) -> tuple[Array, Array] | None:
         found = normal_equations(asm, *split(at), pieces)

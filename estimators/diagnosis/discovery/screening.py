@@ -44,7 +44,9 @@ class Screened:
     def parameters(self) -> int:
         """What it would add: coefficients, free constants, rates of slow states."""
         terms = self.candidate.terms
-        own = len(self.coefficients) + sum(sum(f.free) for t in terms for f in t.factors) + self.candidate.slow
+        own = (
+            len(self.coefficients) + sum(sum(f.free) for t in terms for f in t.factors) + self.candidate.slow
+        )
         return own + (0 if self.beside is None else self.beside.parameters)
 
     @property
@@ -266,8 +268,12 @@ def _pairs(listed, i: int, X: Array, g: Array, size: Array, share: float) -> lis
         a, b = np.unravel_index(flat, gain.shape)
         if gain[a, b] <= 0.0 or len(out) == PAIRS:
             break
-        k = np.array([g[a] - r[a, b] * g[b], g[b] - r[a, b] * g[a]]) / (left[a, b] * scale[[a, b]] * size[at[[a, b]]])
-        first, second = (Screened(listed[at[c]], "force", i, LAST, k[m : m + 1], 0.0) for m, c in enumerate((a, b)))
+        k = np.array([g[a] - r[a, b] * g[b], g[b] - r[a, b] * g[a]]) / (
+            left[a, b] * scale[[a, b]] * size[at[[a, b]]]
+        )
+        first, second = (
+            Screened(listed[at[c]], "force", i, LAST, k[m : m + 1], 0.0) for m, c in enumerate((a, b))
+        )
         if first.candidate.key != second.candidate.key:
             pair = replace(first, gain=float(gain[a, b] * share), beside=second)
             out.setdefault(pair.key, pair)

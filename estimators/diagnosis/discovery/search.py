@@ -121,13 +121,13 @@ def lengthened(fitted: Fitted, chain: int, pieces: Sequence[Piece], rounds: int)
     own = lambda t: t.slot == "force" and t.chain == chain
     opened = lambda t: n == 1 and own(t) and t.along == LAST  # of one state the last tap is all there is
     terms = tuple(replace(t, along=FREE) if opened(t) else t for t in form.terms)
-    parts, at = [], 0
+    parts, at, level = [], 0, 0.0
     for i, m in enumerate(form.orders):
         size = m * (1 + form.inputs) + 1 + form.inputs * form.feedthrough
         mine = theta[at : at + size]
         if i == chain:
             rows = mine[m : m * (1 + form.inputs)].reshape(form.inputs, m)
-            level = mine[m * (1 + form.inputs)]
+            level = float(mine[m * (1 + form.inputs)])
             parts += [longer(np.r_[1.0, mine[:m]])[1:], *map(longer, rows), [c * level]]
             mine = mine[m * (1 + form.inputs) + 1 :]
         parts.append(mine)
@@ -138,7 +138,8 @@ def lengthened(fitted: Fitted, chain: int, pieces: Sequence[Piece], rounds: int)
             parts += [longer(mine[:taps]), mine[taps:]]
         else:
             parts.append(np.r_[mine[:taps] * (c if own(t) and t.along == LAST else 1.0), mine[taps:]])
-    starts = [np.r_[s[:first], longer(s[first : first + n]), s[first + n :]] for s in fitted.starts]
+    held = np.r_[np.zeros(n), level]  # a constant acts on the last state, which is another one now
+    starts = [np.r_[s[:first], longer(s[first : first + n]) + held, s[first + n :]] for s in fitted.starts]
     form = replace(form, orders=orders, terms=terms)
     f = fit(form, np.concatenate(parts), starts, pieces, iterations=rounds, tolerance=ROUGH)
     return f if f is not None and f.sse < fitted.sse and forgets(f, pieces) else None
@@ -197,7 +198,9 @@ def greedy_search(
         for way in dict.fromkeys((own, (min(own),) * ny)):
             ways.append([f for f in beam if f.form.orders == way] or linear([way]))
     every = {id(f): f for f in (*beam, *rivals, *(f for way in ways for f in way))}
-    climbed = [f for way in ways for f in _climbed(way, budget.beam, ny * budget.terms, pieces, zeros, budget)]
+    climbed = [
+        f for way in ways for f in _climbed(way, budget.beam, ny * budget.terms, pieces, zeros, budget)
+    ]
     return sorted((*every.values(), *climbed), key=criterion)
 
 
@@ -215,7 +218,13 @@ def _climbed(
     for _ in range(terms):
         trials = ((f, s) for f in beam for s in _ranked(f, pieces, zeros, budget))
         new = [g for f, s in trials if (g := grown(f, s, pieces, budget.rounds)) is not None]
-        extended = ((f, i) for f in beam if f.form.terms for i, n in enumerate(f.form.orders) if n < max(budget.orders))
+        extended = (
+            (f, i)
+            for f in beam
+            if f.form.terms
+            for i, n in enumerate(f.form.orders)
+            if n < max(budget.orders)
+        )
         new += [g for f, i in extended if (g := lengthened(f, i, pieces, budget.rounds)) is not None]
         if not new:
             break

@@ -30,8 +30,24 @@ def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
     return out + _between(train, test, policy) + _new_frequencies(train, test, policy)
 
 
+ABOUT = 0.05
+"""Share of a record, before and after a sample outside the range of the training data, that is left out with it: what it meets there, as
+a tank that runs over, has begun before and is remembered after."""
+
+
+def inside(train: Sequence[Record], test: Record) -> NDArray[np.bool_]:
+    """(N,) samples of a test record about which it stays in the range of the training inputs and outputs; all, where those are few."""
+    off = np.zeros(len(test), dtype=bool)
+    for of in (lambda r: r.u, lambda r: r.y):
+        known, asked = np.concatenate([of(r) for r in train]), of(test)
+        off |= np.any((asked < np.nanmin(known, axis=0)) | (asked > np.nanmax(known, axis=0)), axis=1)
+    near = np.convolve(off, np.ones(2 * int(ABOUT * len(test)) + 1), mode="same") > 0.5
+    return ~near if np.mean(near) < MOST else np.ones(len(test), dtype=bool)
+
+
 OPENING, MOST = 0.1, 0.5
-"""A test record began in a state of its own where so much of it, at its start, makes so much of the answer's squared error."""
+"""A test record began in a state of its own where so much of it, at its start, makes so much of the answer's squared error. What leaves
+the range of the training data for so much of it is judged there too."""
 
 
 def begun(test: Record, run: NDArray, skip: int) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.choice import jackknife
-from estimators.diagnosis.ladder.asked import curve_unknown
+from estimators.diagnosis.ladder.asked import curve_unknown, inside
 from estimators.diagnosis.ladder.figures import about, difference_figure, moves, root, root_figure, together
 from estimators.diagnosis.ladder.stated import SET
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
@@ -41,7 +41,8 @@ class HeldOut:
     answered: tuple[Step, ...]  # per output, the step whose free run is given
     warnings: tuple[str, ...]
     # the share removed by the models of what is claimed, also where their runs are too loose to be the answer, from the linear model
-    # or from themselves without it; the difference where there is hardly anything to remove
+    # or from themselves without it, where the record stays in the range of the training data; the difference where there is hardly
+    # anything to remove
     borne: ErrorFigure
     untried: bool = False  # whether the record asks for a curve where nothing is known of it, so that it says nothing of a claim
     lost: bool = False  # whether the record's own mean is nearer to it than the free run of what is claimed
@@ -250,6 +251,10 @@ def assess(
         (errors(y - e) for e in ahead),
     )
     worse, level = _worse_than_constant(y, weight, figures, policy), (floor, len(train))
+    lost = ANSWER in _worse_than_constant(y, weight, (figures[0], root_figure(third, third)), policy)
+    if test is not None:  # a claim is of what the training data cover
+        use = inside([train], test)[rows]
+        least, third = least[use], third[use]
     share = removed(least, third, level, policy)
     return HeldOut(
         before, after, figures[0], figures[1], root_figure(one, other), root_figure(other, other),
@@ -257,7 +262,7 @@ def assess(
         tuple(_rungs(ladders, runs, lambda run: root_figure(errors(run), second), answers)), tuple(steps),
         (*warnings, *worse.values()),
         share if np.isfinite(share.low) else difference_figure(least, third), untried,
-        ANSWER in _worse_than_constant(y, weight, (figures[0], root_figure(third, third)), policy),
+        lost,
     )  # fmt: skip
 
 

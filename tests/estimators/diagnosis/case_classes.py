@@ -233,6 +233,11 @@ def softening(u, a):
     return _swing(lambda x, v, f, t: 0.06 * (f - (1.0 - 0.5 * a * t / 700.0) * x) - 0.03 * v, u)
 
 
+def electrostatic(u, a):
+    """A mass on a spring that the voltage softens, beside the force that it exerts."""
+    return _swing(lambda x, v, f, t: 0.06 * (f - (1.0 - 0.035 * a * f * f) * x) - 0.03 * v, u)
+
+
 def fouled(u, a):
     """A process behind which a probe lags ever more."""
     x, z, out = _lag(u, 0.8), u[0], np.empty(len(u))
@@ -363,7 +368,8 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "loss_cubic": (loss, 2, _LEVEL), "outflow_root": (outflow, 2, _LEVEL), "vessel": (vessel, 2, _LEVEL),
     "through_flow": (through_flow, 2, {"mean": 4.0, "size": 1.2}), "pendulum": (pendulum, 2, {"size": 0.4}),
     "pendulum_pivot": (pivot, 3, {"size": 0.8}), "position_periodic": (eccentric, 2, {"mean": 3.0, "size": 0.6}),
-    "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "gain_heat": (heated_gain, 2, {}),
+    "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "stiffness_squared": (electrostatic, 2, {"mean": 3.0, "size": 0.8}),
+    "gain_heat": (heated_gain, 2, {}),
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
     "clock_settles": (warming_clock, 4, {}), "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
@@ -380,7 +386,7 @@ LOOKALIKES = {
     "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifice": "vessel",
     "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
     "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",
-    "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction", "clearance_sprung": "stiction",
+    "stiffness_squared": "stiffness_drift", "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction", "clearance_sprung": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",
     "rate_limit_servo": "rise_and_fall", "input_staircase": "input_kink", "gain_periodic": "stiffness_periodic",
     "stiffness_periodic": "gain_periodic", "lag_drift": "inertia_drift", "clock_settles": "lost_samples",
