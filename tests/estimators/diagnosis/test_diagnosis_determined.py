@@ -16,7 +16,7 @@ from estimators.diagnosis.baseline.choice import Candidate, run_spread, tried
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.effects import named
-from estimators.diagnosis.ladder.asked import curve_unknown
+from estimators.diagnosis.ladder.asked import ABOUT, curve_unknown, inside
 from estimators.diagnosis.ladder.held_out import (
     ANSWER,
     HeldOut,
@@ -261,3 +261,35 @@ def test_what_a_record_bears_is_what_is_printed_of_it() -> None:
     found = [told(seed) for seed in range(40)]
     assert any((f.difference.low > 0.0) != (f.room.low > 0.0) for f in found)
     assert all(f.bears == (f.room.low > 0.0) for f in found)
+
+
+@pytest.mark.parametrize(("error", "kept"), [(0.3, True), (1.05, False)])
+def test_what_the_training_data_leave_open_a_test_record_may_bear_out(error: float, kept: bool) -> None:
+    """A plate over a voltage, measured at higher ones than before: its model, whose parts hung on single blocks, left a fifth of the
+    linear model's error, and the linear model was the answer."""
+    y = np.random.default_rng(3).standard_normal(400)
+    record, every = Record(np.ones(400), y), np.ones((400, 1), dtype=bool)
+    run = lambda left: SimpleNamespace(simulate=lambda r, w: (1.0 - left) * r.y[:, 0])
+    steps = [Step(Kind.LINEAR, (), (), run(1.0), linear=True), Step(Kind.NAMED, ("offset",), (), run(error))]
+    steps[1] = replace(steps[1], folds=tuple(run(left) for left in (error, error, -1.0)))
+    rungs = tuple(Rung(s, v, v, v) for s, v in zip(steps, (1.0, 0.5), strict=True))
+    held = assess(
+        record, record, [Ladder(rungs, 1, (every[:, 0],))], skip=0, floor=0.1, counts=every, held=~every,
+        policy=Setting().policy,
+    )  # fmt: skip
+    assert (held.answered[0] is steps[1]) == kept
+    assert any("bear it out" in w for w in held.warnings) == kept
+    assert any("hangs on single blocks" in w for w in held.warnings) != kept
+
+
+def test_a_claim_is_judged_where_the_record_stays_in_the_range_of_the_training_data() -> None:
+    """A tank that ran over on the test record alone took its outflow's name away, though all the rest of the record bore it."""
+    wave = np.sin(0.05 * np.arange(400))
+    train, test = Record(wave, wave), Record(wave, wave + 3.0 * (np.abs(np.arange(400) - 200) < 5))
+    about = int(ABOUT * 400)
+    near = np.flatnonzero(~inside([train], test))
+    off = np.flatnonzero(test.y[:, 0] > train.y.max())
+    assert len(off)
+    assert (near[0], near[-1]) == (off[0] - about, off[-1] + about)
+    assert inside([train], train).all()
+    assert inside([train], Record(9.0 * wave, wave)).all()  # nearly all is outside: it is judged there

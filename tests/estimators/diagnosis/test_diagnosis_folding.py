@@ -5,6 +5,8 @@ import pytest
 from scipy.linalg import expm
 
 from estimators import diagnose
+from estimators.diagnosis.effects import named
+from estimators.diagnosis.effects.plant import leaky
 from estimators.diagnosis.policy import Setting
 from oed.data import Record
 
@@ -29,3 +31,17 @@ def test_the_order_behind_a_fold_is_not_that_of_a_model_that_sees_nothing_of_it(
     found = diagnose(drives(1), drives(2), Setting(skip=20))
     assert found.effect == "magnitude_sensor"
     assert found.rmse_after.value < 0.05 * found.rmse_before.value
+
+
+def test_a_parabola_far_from_its_fold_is_a_line_and_no_square() -> None:
+    """A ship's turning rate was read through the square of a level five times as far: it took the place of the model's own gain, and
+    the cause with it."""
+    x = np.linspace(-1.0, 1.0, 50)
+    assert np.all(np.isfinite(named("squared").apply(x, np.array([5.0]), None)))
+    assert not np.any(np.isfinite(named("squared").apply(x, np.array([7.5]), None)))
+
+
+def test_what_follows_within_a_sample_is_no_slow_state() -> None:
+    """An electrostatic spring was named a slow state with a time constant of -2e-5 s."""
+    assert np.all(np.isfinite(leaky(np.ones(9), 1.5)))
+    assert not np.any(np.isfinite(leaky(np.ones(9), -0.3)))
