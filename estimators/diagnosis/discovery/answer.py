@@ -11,7 +11,7 @@ from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, run_piece
 from estimators.diagnosis.discovery.form import Assembly
 from estimators.diagnosis.discovery.model import DiscoveredModel, FoundTerm, leading_nature, strongest_first
-from estimators.diagnosis.discovery.search import Budget, bends, greedy_search
+from estimators.diagnosis.discovery.search import Budget, acting, bends, complexity, greedy_search
 from estimators.diagnosis.discovery.starts import Scales, pieces_of, scales_of
 from estimators.diagnosis.discovery.uncertainty import beyond_linear, covariance, pruned
 from estimators.diagnosis.discovery.validation import ahead, free_run, start_prior, unused
@@ -25,6 +25,7 @@ BUDGETS = {
 }
 ADMITTED = 1.0  # standard errors by which unused blocks must get better than with the best linear model: the usual rule
 LEAST = 0.02  # share of the error below which what was found is as good as nothing, among so many candidates
+HALF = 0.5  # of the baseline's error on unused blocks, up to which a model is one whose state no window shows, and not one that cannot start
 SEARCHED = 2000  # samples on which terms are looked for; what is found is fitted to all and judged on all
 ALIKE = 1.5  # times the answer's error on unused blocks, up to which another model is asked what it makes of a record
 BATCHES = 4  # parts of every block: the units of the standard error of a difference
@@ -211,12 +212,13 @@ def _chosen(
     linear, nonlinear = [[t for t in tried if bool(t[0].form.terms) is k] for k in (False, True)]
     lasting = min((judge.through(f) for f, _ in linear), default=np.inf)
     nonlinear = [t for t in nonlinear if judge.through(t[0]) < lasting]
-    nonlinear = [t for t in nonlinear if judge.starts(t[0])] or nonlinear
+    surely = lambda s: s[:m].mean() < HALF**2 * base.mean()
+    nonlinear = [t for t in nonlinear if judge.starts(t[0])] or [t for t in nonlinear if surely(t[1])]
     if not nonlinear or not linear:
         return None, [], 0.0, considered
     best = min(nonlinear, key=lambda t: t[1].mean())
     near = [t for t in nonlinear if t is best or _errors(t[1], best[1]) < 1.0]
-    f, s = min(near, key=lambda t: t[0].free)
+    f, s = min(near, key=lambda t: complexity(t[0]))
     rivals = [(x, s) for _, x in linear] + [(base, s[:m])]
     gain = min(_errors(a, b) for a, b in rivals)
     forward = min(x[m:].mean() for _, x in linear)
@@ -245,7 +247,7 @@ def _front(found: list[Fitted]) -> list[Fitted]:
     """The best model of every number of terms and every orders."""
     best: dict[tuple, Fitted] = {}
     for f in found:
-        best.setdefault((sum(t.slot != "slow" for t in f.form.terms), f.form.orders), f)
+        best.setdefault((acting(f), f.form.orders), f)
     return sorted(best.values(), key=lambda f: f.free)
 
 

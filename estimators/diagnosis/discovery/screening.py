@@ -238,21 +238,25 @@ def _gains(fitted: Fitted, listed, residual: Array, X: Array, size: Array, share
             add("force", i, FREE, k, np.einsum("mn,mn->m", k, gi))
         last = gi[:, -1:] / scale[:, -1:] ** 2
         add("force", i, LAST, last, last[:, 0] * gi[:, -1])
-        out += _pairs(listed, i, Xi[:, -1], gi[:, -1], size, share)
+        pairs = _pairs(listed, i, LAST, Xi[:, -1], gi[:, -1], size, share)
         for j, numbers in enumerate(betas[i]):
             b = fitted.theta[numbers]
             power = np.maximum(np.einsum("a,mab,b->m", b, G, b), 1e-300)
             add("force", i, j, (gi @ b / power)[:, None], (gi @ b) ** 2 / power)
+            if n > 1:
+                pairs += _pairs(listed, i, j, np.einsum("ntm,t->nm", Xi, b), gi @ b, size, share)
+        out += sorted(pairs, key=lambda s: -s.gain)[:PAIRS]
         o = int(first[-1]) + i
         power = np.maximum(np.einsum("nm,nm->m", X[:, o], X[:, o]), 1e-300)
         add("output", i, FREE, (g[o] / power)[:, None], g[o] ** 2 / power)
     return out
 
 
-def _pairs(listed, i: int, X: Array, g: Array, size: Array, share: float) -> list[Screened]:
-    """Two forces at once, by exact regression on both; the best `PAIRS` of them.
+def _pairs(listed, i: int, along: int, X: Array, g: Array, size: Array, share: float) -> list[Screened]:
+    """Two forces at once that enter alike, by exact regression on both; the best `PAIRS` of them.
 
-    A product with a difference, as a flow that carries warmth, is two terms of which neither need explain anything alone.
+    A product with a difference, as a flow that carries warmth, is two terms of which neither need explain anything alone; a curve
+    of an input may be two.
     """
     at = np.flatnonzero([c.slow == 0 for c in listed])
     X, g = X[:, at], g[at]
@@ -272,7 +276,7 @@ def _pairs(listed, i: int, X: Array, g: Array, size: Array, share: float) -> lis
             left[a, b] * scale[[a, b]] * size[at[[a, b]]]
         )
         first, second = (
-            Screened(listed[at[c]], "force", i, LAST, k[m : m + 1], 0.0) for m, c in enumerate((a, b))
+            Screened(listed[at[c]], "force", i, along, k[m : m + 1], 0.0) for m, c in enumerate((a, b))
         )
         if first.candidate.key != second.candidate.key:
             pair = replace(first, gain=float(gain[a, b] * share), beside=second)

@@ -52,9 +52,24 @@ class Budget:
         )
 
 
+CANDIDATES = 500
+"""Of which a term is the best, some hundred: to say which one it is costs as much as two parameters do."""
+
+
+def acting(f: Fitted) -> int:
+    """Number of terms, slow states not counted."""
+    return sum(t.slot != "slow" for t in f.form.terms)
+
+
 def criterion(f: Fitted) -> float:
     """Bayes's criterion with the errors taken for white: for ranking, not for claims."""
-    return f.count * math.log(max(f.mse, 1e-300)) + f.free * math.log(f.count)
+    size = f.free * math.log(f.count) + 2.0 * math.log(CANDIDATES) * acting(f)
+    return f.count * math.log(max(f.mse, 1e-300)) + size
+
+
+def complexity(f: Fitted) -> float:
+    """Number of parameters, the choice of every term counted as two."""
+    return f.free + 2.0 * acting(f)
 
 
 def _ranked(

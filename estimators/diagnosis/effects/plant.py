@@ -277,6 +277,11 @@ def _tired(x: Array, p: Array, clock: Clock) -> Array:
     return used_up(np.ascontiguousarray(x), use, recovery, level_before(x))
 
 
+def _warmed(x: Array, p: Array, clock: Clock) -> Array:
+    warm = leaky(x**2, p[1])
+    return x * (1.0 + p[0] * warm) if np.all(np.isfinite(warm)) else warm
+
+
 def _with_use(s: Sizes) -> Grid:
     n, size = len(s.u), float(np.mean(np.abs(s.u))) + 1e-300
     return [[f / (m * n * size), 1.0 / (m * n)] for f in USES for m in MEMORIES], [
@@ -337,7 +342,7 @@ MODULATED = (
            sentence="the gain is used up by the input and recovers slowly: fatigue, a depleted store", starts=_with_use,
            parameters={"use": "1/(u sample)", "recovery": "1/sample"}),
     Effect(key="gain_heat", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10,
-           apply=lambda x, p, clock: x * (1.0 + p[0] * leaky(x**2, p[1])),
+           apply=_warmed,
            sentence="the gain follows a slow state that the squared input feeds: heat", starts=_with_heat,
            parameters={"share": "1/u^2", "time": "sample"}),
     SLOWING,

@@ -252,10 +252,11 @@ def assess(
     )
     worse, level = _worse_than_constant(y, weight, figures, policy), (floor, len(train))
     lost = ANSWER in _worse_than_constant(y, weight, (figures[0], root_figure(third, third)), policy)
-    if test is not None:  # a claim is of what the training data cover
+    share = removed(least, third, level, policy)
+    if test is not None and not share.low > 0.0:  # a claim is of what the training data cover
         use = inside([train], test)[rows]
         least, third = least[use], third[use]
-    share = removed(least, third, level, policy)
+        share = removed(least, third, level, policy)
     return HeldOut(
         before, after, figures[0], figures[1], root_figure(one, other), root_figure(other, other),
         difference_figure(first, second), removed(first, second, level, policy),

@@ -190,7 +190,9 @@ def test_a_trend_stands_for_a_pole_that_forgets_nothing_only_where_it_must(
 ) -> None:
     """Where unused blocks are surely better with it, or the ladder would refuse how the model with the pole starts."""
     fits = {name: SimpleNamespace(name=name, noise=()) for name in ("pole", "trend")}
-    named_as = lambda bench, a: SimpleNamespace(step=1, fit=a.final, unused=a.final.name)
+    named_as = lambda bench, a: SimpleNamespace(
+        step=SimpleNamespace(parameters={}), claims=(), fit=a.final, unused=a.final.name
+    )
     monkeypatch.setattr(stage, "named_steps", named_as)
     monkeypatch.setattr(stage, "trending", lambda channel, f: fits["trend"])
     gain = SimpleNamespace(meets=lambda limits: better)

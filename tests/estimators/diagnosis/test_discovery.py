@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from estimators import diagnose
 from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.discovery import DiscoveredModel, discover, recursion_kernels
 from estimators.diagnosis.discovery.answer import _late_inputs
@@ -271,7 +272,7 @@ def test_measured_signals_promise_nothing_by_the_residual_that_they_hold() -> No
     assert max(s.gain for s in products) < 0.1 * base.sse
 
 
-def test_the_inverse_of_a_controller_that_answers_at_once_is_no_discovery() -> None:
+def test_the_inverse_of_a_controller_that_answers_at_once_is_no_answer() -> None:
     """u = r - 0.4 y without any error and with r of two values: y is a curve of u, which no plant is that acts a sample later."""
     rng, n = np.random.default_rng(2), 700
     r = np.repeat(rng.choice([-1.0, 1.0], n // 5), 5)
@@ -282,7 +283,11 @@ def test_the_inverse_of_a_controller_that_answers_at_once_is_no_discovery() -> N
         u[k] = r[k] - 0.4 * y[k]
         x = 0.8 * x + 0.2 * u[k]
     record = Record(u, y)
-    assert not discover([record], best_linear([record]), "quick").found
+    found = discover([record], best_linear([record]), "quick")
+    assert not any(t.slot == "output" for t in found.terms)
+    answer = diagnose(record, None, Setting(effort=Effort.QUICK))
+    assert answer.effect == "closed_loop"
+    assert answer.rmse_after == answer.rmse_before
 
 
 def test_inputs_are_late_for_each_output_by_its_own_model() -> None:
