@@ -178,17 +178,19 @@ def fit(
             H, g = here
             scale = np.sqrt(np.maximum(np.diag(H), 1e-12 * np.diag(H).max(initial=1e-300)))
             Hs, gs = H / np.outer(scale, scale), g / scale
+            there = None
             while damping < HIGHEST:
                 trial = point + np.linalg.lstsq(Hs + damping * np.eye(len(Hs)), gs, rcond=None)[0] / scale
                 less = cost(trial)
                 ended = less < sse and (sse - less < tolerance * sse or k == iterations - 1)
-                if less < sse and (ended or (there := equations(trial)) is not None):
+                there = equations(trial) if less < sse and not ended else None
+                if ended or there is not None:
                     break
                 damping *= 6.0
             else:
                 break
             point, sse = trial, less
-            if ended:
+            if there is None:
                 break
             damping, here = max(damping / 8.0, LOWEST), there
     theta, states = split(point)

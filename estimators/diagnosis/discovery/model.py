@@ -18,8 +18,10 @@ from estimators.diagnosis.discovery.starts import Scales, drive
 from estimators.diagnosis.discovery.uncertainty import error_of
 from estimators.diagnosis.discovery.validation import STILL, StartPrior, expected_state, free_run
 from estimators.diagnosis.discovery.wording import (
+    CARRIED,
     DEGREE,
     Axis,
+    carried,
     meaning,
     named_by_shape,
     nature,
@@ -32,8 +34,6 @@ from estimators.diagnosis.effects.plant import SWINGS
 from oed.data import Record
 
 Array = NDArray[Any]
-CARRIED = "an input times a difference (a flow that carries: a gain and a time constant at once)"
-"""What a product of two inputs is beside that of one of them with the output."""
 GRID = 41  # points of a curve
 EDGE = 0.005  # quantile of the training signal where a curve ends
 BAND = 1.96
@@ -271,18 +271,9 @@ class DiscoveredModel:
         for i, t in enumerate(kinds):
             if out[i].same_as == "input_saturation" and not self._saturates(t, found[i].curve):
                 out[i] = replace(found[i], same_as="hammerstein")
-        loops = [
-            self._factors(t) for t, f in zip(kinds, found) if f.same_as == "bilinear" and t.slot == "force"
-        ]
-        for i, t in enumerate(kinds):
-            shared = any(chain == t.chain and own & self._factors(t)[1] for chain, own in loops)
-            if out[i].same_as == "product_of_inputs" and t.slot == "force" and shared:
+            if out[i].same_as == "product_of_inputs" and carried(t, kinds):
                 out[i] = replace(out[i], same_as="bilinear", nature="dynamic nonlinearity", meaning=CARRIED)
         return out
-
-    @staticmethod
-    def _factors(term: Term) -> tuple[int, set[str]]:
-        return term.chain, {f.signal for f in term.factors}
 
     def _saturates(self, term: Term, curve: Curve) -> bool:
         """Whether the input acts less and less with its size: what its curve takes from the linear path may open as it grows."""

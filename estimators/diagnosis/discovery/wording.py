@@ -154,6 +154,16 @@ def same_as(term: Term, swings: bool = True) -> str:
     return "coulomb_friction" if flat else "nonlinear_loss"
 
 
+CARRIED = "an input times a difference (a flow that carries: a gain and a time constant at once)"
+
+
+def carried(term: Term, terms: Sequence[Term]) -> bool:
+    """Whether a product of inputs stands beside that of one of them with the output: `CARRIED` is what the two are."""
+    inputs = {f.signal for f in term.factors}
+    loops = [t for t in terms if (t.slot, t.chain) == ("force", term.chain) and same_as(t) == "bilinear"]
+    return term.slot == "force" and any(inputs & {f.signal for f in t.factors} for t in loops)
+
+
 OF_RATE: Mapping[str, tuple[Callable[[Array], Array], ...]] = {
     "coulomb_friction": (np.sign, lambda v: np.sign(v) * np.sqrt(np.abs(v))), "nonlinear_drag": (lambda v: v * np.abs(v), lambda v: v**3),
     "asymmetric_rise_and_fall": (np.abs, lambda v: np.maximum(v, 0.0)),

@@ -10,8 +10,8 @@ from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.discovery import answer, discover, search
 from estimators.diagnosis.discovery.dictionary import Kind
 from estimators.diagnosis.discovery.form import FREE, LAST, Factor, Term
-from estimators.diagnosis.discovery.model import CARRIED
 from estimators.diagnosis.discovery.starts import linear_fit, pieces_of, scales_of
+from estimators.diagnosis.discovery.wording import CARRIED
 from oed.data import Record
 
 
