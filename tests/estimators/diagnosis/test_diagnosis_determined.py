@@ -272,7 +272,9 @@ def test_what_the_training_data_leave_open_a_test_record_may_bear_out(error: flo
     run = lambda left: SimpleNamespace(simulate=lambda r, w: (1.0 - left) * r.y[:, 0])
     steps = [Step(Kind.LINEAR, (), (), run(1.0), linear=True), Step(Kind.NAMED, ("offset",), (), run(error))]
     steps[1] = replace(steps[1], folds=tuple(run(left) for left in (error, error, -1.0)))
-    rungs = tuple(Rung(s, v, v, v) for s, v in zip(steps, (1.0, 0.5), strict=True))
+    rungs = tuple(
+        Rung(s, np.full(400, v), ErrorFigure(v, v, v)) for s, v in zip(steps, (1.0, 0.5), strict=True)
+    )
     held = assess(
         record, record, [Ladder(rungs, 1, (every[:, 0],))], skip=0, floor=0.1, counts=every, held=~every,
         policy=Setting().policy,
