@@ -42,6 +42,7 @@ from estimators.diagnosis.share.feedback import has_feedback, is_answer
 from estimators.diagnosis.share.news import NEWS, Predictor
 from oed.covariances import on_one_thread
 from oed.data import Record
+from oed.errors import InputError
 from oed.files.objects import as_records
 
 Array = NDArray[Any]
@@ -96,6 +97,11 @@ def diagnose(
     setting = Setting() if setting is None else setting
     setting = setting if effects is None else replace(setting, effects=tuple(effects))
     records = together(train, test)
+    if test is not None and not np.isfinite(test.y[setting.skip :]).any(axis=0).all():
+        raise InputError(
+            f"the test record has {len(test)} samples, of which the first {setting.skip} are left out (skip): no output is "
+            "measured in the rest; leave out fewer."
+        )
     first = records[0]
     test = replace(test, t0=first.t0) if test is not None and setting.separate else test
     say = progress if progress is not None else lambda stage: None

@@ -76,13 +76,20 @@ def least_squares(X: NDArray, y: NDArray, rcond: float | None = None) -> NDArray
         c = _corrected(H / size / size[:, None], (X.T @ y) / size, left)
         if c is not None:
             return c / size
-    return np.linalg.lstsq(X, y, rcond=rcond)[0]
+    return decomposed(X, y, rcond)
+
+
+def decomposed(X: NDArray, y: NDArray, rcond: float | None = None) -> NDArray:
+    """The same by a decomposition of columns of like size: in their own units a constant beside an input of 1e-15 would be all
+    there is."""
+    size = powers_of_two(X, (0,))
+    return np.linalg.lstsq(X / size, y, rcond=rcond)[0] / size
 
 
 def powers_of_two(x: NDArray, axis: tuple[int, ...] | None = None) -> NDArray:
     """The power of two next to the largest value along axes; 1 where there is none."""
     top = np.max(np.abs(x), axis=axis, initial=0.0)
-    return np.ldexp(1.0, np.floor(np.log2(np.where((top > 0) & (top < np.inf), top, 1.0))).astype(int))
+    return np.ldexp(1.0, np.frexp(np.where((top > 0) & (top < np.inf), top, 1.0))[1] - 1)
 
 
 def unit(x: NDArray) -> NDArray:

@@ -155,7 +155,8 @@ def _diagnosed(cases: list[Path], out: Path, jobs: int, quiet: bool) -> dict[str
             what = error if line is None else line["effect"]
             each = (time.monotonic() - begin) / (count - len(cases) + len(todo))
             left = f"about {in_words(each * (len(cases) - count))} left" if count < len(cases) else "done"
-            print(f"{count}/{len(cases)} {Path(path).name}: {what}; {left}", file=sys.stderr, flush=True)
+            name = " ".join(Path(path).name.split())  # on one line, as everything here
+            print(f"{count}/{len(cases)} {name}: {what}; {left}", file=sys.stderr, flush=True)
     if out.exists():  # the same bytes whoever did the work
         lines = out.read_text(encoding="utf-8").splitlines()
         write_whole(

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 from scipy.ndimage import median_filter
 
+from estimators.residual.algebra import decomposed
+
 Array = NDArray[Any]
 
 MOST_TONES = 5
@@ -58,7 +60,7 @@ def foretold(e: Array, W: Array, own: slice, held_out: slice) -> Array:
     use = np.isfinite(e)
     if len(e) > held_out.stop - held_out.start:
         use[held_out] = False
-    theta = np.linalg.lstsq(W[use], e[use], rcond=None)[0]
+    theta = decomposed(W[use], e[use])
     return W[held_out, own] @ theta[own]
 
 

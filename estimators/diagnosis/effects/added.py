@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
 from estimators.diagnosis.effects.input import after, kept
+from estimators.residual.algebra import decomposed
 
 Array = NDArray[Any]
 TURNED = 16.0
@@ -112,7 +113,7 @@ def _swing(channel: Any, s: Any) -> tuple[float, Array] | None:
     if w == 0.0:
         return None
     X = np.column_stack((Z, np.cos(w * k), np.sin(w * k)))[use]
-    theta = np.linalg.lstsq(X, channel.y[use], rcond=None)[0]
+    theta = decomposed(X, channel.y[use])
     through = 1.0 - np.sum(theta[: s.order] * np.exp(-1j * w * np.array(lags)))
     out = (theta[-2] - 1j * theta[-1]) / through
     return w, np.array([out.real, -out.imag])

@@ -60,6 +60,10 @@ def zones(x: Array, shares: tuple[float, ...]) -> list[list[float]]:
     return [[m - a * size, m + b * size] for m in rests for a in shares for b in shares]
 
 
+LEAST = 1e-100
+"""Of a width or a sharpness, by which is divided: far below any in a unit in which signals may be, of which 1e-50 is the smallest."""
+
+
 def broken_line(x: Array, p: Array) -> Array:
     """Slopes and corners in turn: a broken line through the origin, of slope 1 at the far left."""
     from estimators.diagnosis.effects.recursion_kernels import hinges
@@ -70,7 +74,7 @@ def broken_line(x: Array, p: Array) -> Array:
 
 def exponential(x: Any, p: Array, clock: Clock) -> Any:
     """(exp(c x) - 1)/c, of slope 1 at zero and the identity for small c."""
-    return x if abs(p[0]) < 1e-12 else np.expm1(np.clip(p[0] * x, -60.0, 60.0)) / p[0]
+    return x if abs(p[0]) < LEAST else np.expm1(np.clip(p[0] * x, -60.0, 60.0)) / p[0]
 
 
 def power(x: Any, p: Array, clock: Clock) -> Any:
@@ -80,7 +84,7 @@ def power(x: Any, p: Array, clock: Clock) -> Any:
 
 def sigmoid(x: Any, p: Array, clock: Clock) -> Any:
     """tanh(c (x - centre))/c from its value at zero, the identity for small c."""
-    if abs(p[0]) < 1e-12:
+    if abs(p[0]) < LEAST:
         return x
     return (np.tanh(p[0] * (x - p[1])) + np.tanh(p[0] * p[1])) / p[0]
 
@@ -134,7 +138,8 @@ def _rate_driven(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.plant_kernels import bouc_wen
 
     way = np.ascontiguousarray(np.cumsum(x))
-    return x + p[0] * bouc_wen(way, abs(p[1]) + 1e-12) / (abs(p[1]) + 1e-12)
+    width = max(abs(p[1]), LEAST)
+    return x + p[0] * bouc_wen(way, width) / width
 
 
 def _late(x: Array, p: Array, clock: Clock) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
+from estimators.diagnosis.effects.input import LEAST
 
 Array = NDArray[Any]
 
@@ -84,7 +85,7 @@ def _stop_levels(s: Sizes) -> Grid:
 
 
 def _hysteretic(c: Any) -> dict[str, float]:
-    width = max(abs(float(c[1])), 1e-9)
+    width = max(abs(float(c[1])), LEAST)
     return {"spring": float(c[0]) / width, "width": width}
 
 
@@ -131,7 +132,7 @@ PLANT = (
             starts=lambda s: _grid([0.03], [0.1], [0.2], [0.4], sizes=[s.su])),
     _inside("stribeck", "stribeck_friction", "dry friction that is larger at low speed", trials=15, reversing=True,
             parameters={"level": "u", "excess": "u", "speed": "u/sample"}, extends="coulomb", against="velocity",
-            inside=lambda c: {"coulomb": abs(c[0]), "static": c[1], "speed": max(abs(c[2]), 1e-9)},
+            inside=lambda c: {"coulomb": abs(c[0]), "static": c[1], "speed": max(abs(c[2]), LEAST)},
             curve=lambda x, c: _dry(x, c, excess=abs(c[1]) * np.exp(-((x / max(abs(c[2]), 1e-300)) ** 2))),
             starts=lambda s: _grid(*([f, 0.6 * f, h] for f in (0.1, 0.25) for h in (0.2, 0.6)), sizes=[s.su, s.su, s.sv])),
     _inside("coulomb_asymmetric", "coulomb_friction", "dry friction, another level for each direction", trials=10,

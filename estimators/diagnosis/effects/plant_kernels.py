@@ -259,7 +259,7 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
         big = 0.0
         for i in range(m):
             big += abs(x[i])
-        if not big < 1e60:
+        if not big < 1e100:
             out[k:] = np.inf
             return out
     return out

@@ -17,6 +17,7 @@ from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Siz
 from estimators.diagnosis.effects.input import kept
 from estimators.diagnosis.effects.loops import PACES, slowest_rate
 from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, profile, quick_behind
+from estimators.residual.algebra import powers_of_two
 
 Array = NDArray[Any]
 FASTEST = 5.0  # rate per sample above which a process is no different from none
@@ -24,6 +25,7 @@ INSTANT = 3.0
 """Rate per sample from which a process has settled to 5 % within each: what it does to its input is a curve."""
 # first step towards a rest in sizes of the input, and how often it is doubled: as far as it matters
 NEAR, DOUBLINGS = (1e-3, 20)
+ROOT = 2e-12  # share of a level to which it is found
 WARM, HEATS, SLOW, MOST_WARM = (-0.6, 0.8), (0.3, 1.5), (0.05, 0.2), 20.0
 """Of a loss that its own power warms: share by which it changes in the end, heat for the mean power, time constants in records,
 that are tried; and the largest share."""
@@ -53,14 +55,15 @@ def _rest(force: Callable[..., Any], u: float, c: Array, start: float) -> float:
     Newton's steps leave a force that ends at zero for where no level is.
     """
     move = lambda x: u - x - float(force(x, 0.0, u, 0.0, 0.0, c))
-    x, now, step = start, move(start), NEAR * (abs(u) + abs(start) + 1e-9)
+    x, now, step = start, move(start), NEAR * (abs(u) + abs(start) or 1e-9)
     for _ in range(DOUBLINGS):
         ahead = x + float(np.copysign(step, now))
         then = move(ahead)
         if not np.isfinite(then) or now == 0.0:
             return x if now == 0.0 else start
         if now * then <= 0.0:
-            return float(brentq(move, x, ahead))  # pyright: ignore[reportArgumentType]
+            near = ROOT * max(abs(x), abs(ahead))
+            return float(brentq(move, x, ahead, xtol=near))  # pyright: ignore[reportArgumentType]
         x, now, step = ahead, then, 2.0 * step
     return start
 
@@ -134,14 +137,17 @@ def _outflows(s: Sizes) -> float:
 def _through_flow(x: Array, p: Array, clock: Clock) -> Array:
     """A heated volume that a flow passes, then a pipe: what leaves now entered when a volume less had passed.
 
-    p: rate per unit of flow, and the pipe's volume in samples of flow.
+    p: rate per unit of flow, and the pipe's volume in samples of flow. The process has a rate in samples beside a flow near one.
     """
-    flow = np.maximum(x, LEAST_FLOW * (abs(float(np.mean(x))) + 1e-300))
-    heated = passed(_exchange, flow, np.array([p[0]]), start=1.0 / max(level_before(flow), 1e-300))
+    unit = float(powers_of_two(np.array(np.mean(x))))
+    flow = np.maximum(x / unit, LEAST_FLOW * (abs(float(np.mean(x / unit))) + 1e-300))
+    heated = (
+        passed(_exchange, flow, np.array([unit * p[0]]), start=1.0 / max(level_before(flow), 1e-300)) / unit
+    )
     if not np.isfinite(heated[-1]) or p[1] < 0:
         return np.full(len(x), np.inf)
     through = np.cumsum(flow)  # at the end of each sample
-    entered = np.interp(through - p[1], through, np.arange(len(x)), left=-1.0)
+    entered = np.interp(through - p[1] / unit, through, np.arange(len(x)), left=-1.0)
     return np.interp(entered, np.arange(-1, len(x)), np.concatenate((heated[:1], heated)))
 
 

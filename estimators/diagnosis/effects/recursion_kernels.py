@@ -113,7 +113,7 @@ def servo_mean(signal, up, down, lag, start):  # pragma: no cover - compiled
 @compiled
 def _written(out, k, x):  # pragma: no cover - compiled
     """Whether a sample's value was written; where it has exploded, all from there on is infinite."""
-    if not abs(x) < 1e60:
+    if not abs(x) < 1e100:
         out[k:] = np.inf
         return False
     out[k] = x

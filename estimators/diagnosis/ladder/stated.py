@@ -19,6 +19,7 @@ from estimators.diagnosis.ladder.steps import Kind, paired_gain
 from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.search.named import INDEPENDENT
+from estimators.residual.algebra import decomposed
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -176,7 +177,7 @@ def settling(train: Record, o: Outcome, base: Baseline, policy: Policy) -> Contr
 
     def left(*more: Array) -> Array:
         X = np.column_stack((*columns, np.ones(n), *more))[use]
-        return y[use] - X @ np.linalg.lstsq(X, y[use], rcond=None)[0]
+        return y[use] - X @ decomposed(X, y[use])
 
     beside, alone = left(z ** np.arange(n)), left()
     own = (y - base.y_model[0][:, i])[use]

@@ -12,7 +12,7 @@ from estimators.diagnosis.ladder import Kind, Step
 from estimators.diagnosis.model.fitting import leaving
 from estimators.diagnosis.result.answers import LinearAnswer, ThroughAnswer
 from estimators.diagnosis.search.named import Bench, Claim, Named
-from estimators.residual.algebra import delayed
+from estimators.residual.algebra import decomposed, delayed
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -89,5 +89,5 @@ def _shows(bench: Bench, known: Array, changed: Array) -> bool:
     left = bench.train.y[use, bench.output] - known[use]
     X = np.column_stack((np.ones(use.sum()), delayed(changed[:, None], range(TAPS))[use]))
     X[~np.isfinite(X)] = 0.0
-    rest = left - X @ np.linalg.lstsq(X, left, rcond=None)[0]
+    rest = left - X @ decomposed(X, left)
     return float(rest @ rest) < (1.0 - bench.policy.searched[1]) ** 2 * float(left @ left)

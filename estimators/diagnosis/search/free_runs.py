@@ -160,7 +160,7 @@ def _tanks(f: Shaped, u: Array, clock: Clock, y: Array, window: int) -> Array:
         def errors(x: Array) -> Array:
             return (y[:window] - simulate(f.structure, f.p, u[:window], head, rest=True, start=x))[seen]
 
-        x0, _, _ = levenberg_marquardt(errors, x0, np.abs(x0) + 1e-3 * np.abs(x0).max() + 1e-12)
+        x0, _, _ = levenberg_marquardt(errors, x0, np.abs(x0) + (1e-3 * np.abs(x0).max() or 1.0))
     return simulate(f.structure, f.p, u, clock, rest=True, start=x0)
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from estimators.residual.algebra import decomposed
 from oed.data import Record
 
 Array = NDArray[np.float64]
@@ -106,7 +107,7 @@ def between_jumps(own: Array, target: Array, rounding: float) -> NDArray[np.bool
         rows = inside
         if spread <= rounding:
             break
-        left = target - own @ np.linalg.lstsq(own[rows], target[rows], rcond=None)[0]
+        left = target - own @ decomposed(own[rows], target[rows])
     return rows
 
 

@@ -47,3 +47,10 @@ def test_a_description_tells_how_many_samples_set_the_state(case) -> None:
     assert case({"skip": 20}, skip=0)[0].rmse_before.value == untold.rmse_before.value
     with pytest.raises(InputError, match="skip"):
         case({"skip": -1})
+
+
+@pytest.mark.parametrize("skip", [300, 10**20])
+def test_a_test_record_of_which_nothing_is_left_is_a_line(case, skip) -> None:
+    """It had been a ValueError of an empty maximum."""
+    with pytest.raises(InputError, match=f"300 samples, of which the first {skip} are left out"):
+        case({"skip": skip})

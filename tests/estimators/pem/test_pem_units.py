@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from estimators.residual import compare_models
 from estimators.residual.tests import autocorrelation, cross_correlation, residual_tests
 from oed.data import Record
 from oed.errors import InputError
+from oed.files import read_record
 
 
 def record(u_size: float = 1.0, y_size: float = 1.0, dt: float = 1.0, noise: float = 0.3) -> Record:
@@ -144,3 +147,17 @@ def test_nor_of_a_diagnosis(sizes):
     assert np.isclose(
         found.parameters["saturation.limit"][0] / sizes[0], usual.parameters["saturation.limit"][0], rtol=1e-6
     )
+
+
+@pytest.mark.validate
+@pytest.mark.skipif(not os.environ.get("OED_CASES"), reason="needs the practice records, in OED_CASES")
+@pytest.mark.parametrize("name", ["case_002", "case_005", "case_010", "case_013"])
+def test_nor_of_a_diagnosis_of_a_rig(name):
+    """A bilinear plant was a nonlinear loss, a sensor that saturates a broken line, wherever a unit was 1e13 from one."""
+    folder = Path(os.environ["OED_CASES"]) / "undeclared" / "practice" / "public" / "P" / name
+    records = [read_record(folder / f"{part}.csv") for part in ("train", "test")]
+    found = []
+    for a, b, dt in ((1, 1, 1), (1e-31, 1e13, 1e-5), (1e45, 1e45, 1e-45)):
+        r = diagnose(*(Record(a * r.u, b * r.y, dt=dt * r.dt) for r in records))
+        found.append((r.effect, r.nature, r.variant, f"{r.rmse_after.value / b:.4g}"))
+    assert found == found[:1] * 3
