@@ -8,15 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, numbered
-from estimators.diagnosis.effects.input import (
-    LEAST,
-    broken_line,
-    dead_zone,
-    exponential,
-    quantiles,
-    sigmoid,
-    zones,
-)
+from estimators.diagnosis.effects.input import broken_line, dead_zone, exponential, quantiles, sigmoid, zones
 
 Array = NDArray[Any]
 
@@ -55,13 +47,13 @@ def _widths(s: Sizes) -> Grid:
 
 
 def _sharp(function: Any) -> Any:
-    """f(c x)/c, the identity for small c."""
-    return lambda x, p, clock: x if abs(p[0]) < LEAST else function(p[0] * x) / p[0]
+    """f(c x)/c, the identity for no c."""
+    return lambda x, p, clock: x if p[0] == 0.0 else function(p[0] * x) / p[0]
 
 
 def _logarithm(x: Any, p: Array, clock: Clock) -> Any:
-    """log(1 + c x)/c, of slope 1 at zero and the identity for small c; flat where there is none."""
-    return x if abs(p[0]) < LEAST else np.log1p(np.maximum(p[0] * x, 1e-9 - 1.0)) / p[0]
+    """log(1 + c x)/c, of slope 1 at zero and the identity for no c; flat where there is none."""
+    return x if p[0] == 0.0 else np.log1p(np.maximum(p[0] * x, 1e-9 - 1.0)) / p[0]
 
 
 def _bends(s: Sizes) -> Grid:
