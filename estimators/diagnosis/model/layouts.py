@@ -27,6 +27,8 @@ LAYOUTS: dict[str, tuple[int, int]] = {
     "tanks": (2, 10),
 }
 STEPS = 5
+RATES = (-30.0, 5.0)
+"""Of the logarithms of rates per sample: below, nothing moves in any record; above, all has settled within a sample."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ def layout_matrices(layout: str, r: Array) -> tuple[Array, Array, Array, Array, 
 
     What follows the rates in r are columns by which further inputs enter.
     """
-    rate = np.exp(np.clip(r[: LAYOUTS[layout][1]], -30, 5))
+    rate = np.exp(np.clip(r[: LAYOUTS[layout][1]], *RATES))
     if layout == "first":
         a = rate[0]
         return np.array([[-a]]), np.array([a]), np.array([a]), np.ones(1), np.ones(1)

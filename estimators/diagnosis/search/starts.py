@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Sizes, Slot
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
-from estimators.diagnosis.model.layouts import layout_matrices, states
+from estimators.diagnosis.model.layouts import RATES, layout_matrices, states
 from estimators.diagnosis.model.linear import fresh_poles, relinearised
 from estimators.diagnosis.model.simulation import acted, joined, simulate
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
@@ -67,7 +67,7 @@ def sizes_of(channel: Channel, base: Fit, part: Part) -> Sizes:
     u = u if part.effect.each else joined(s, rates, U)
     X = states(layout, rates, U)
     position, velocity = layout_matrices(layout, rates)[3:]
-    damping = float(np.exp(rates[1] - rates[0])) if len(rates) > 1 else 1.0
+    damping = float(np.exp(np.subtract(*np.clip(rates[[1, 0]], *RATES)))) if len(rates) > 1 else 1.0
     return Sizes(u, y, channel.clock, X @ position, X @ velocity, damping=damping)
 
 
