@@ -222,6 +222,13 @@ def test_what_rounding_leaves_of_the_information(step: float) -> None:
     assert found[0][1] == pytest.approx(1.0, abs=0.06)
 
 
+def test_a_step_far_below_the_noise_leaves_all_but_a_twelfth_of_its_square() -> None:
+    """A start that ends a thousand million steps off ended the diagnosis of a rounded record in a ValueError."""
+    r = np.linspace(-0.5, 0.5, 9)
+    assert told(r, 1.0, 9.99) == pytest.approx(told(r, 1.0, 10.01), rel=1e-5)
+    assert told(r, 1e-9, 1.0) == pytest.approx(1.0, abs=1e-12)
+
+
 def test_noise_that_follows_the_input_has_its_own_variance() -> None:
     """A constant variance would say 0.6 of the error: the noise is loud where the input is far from zero."""
     rng, n, found, told = np.random.default_rng(0), 400, [], []
