@@ -308,6 +308,16 @@ def test_cases_of_another_version_are_done_again(cases, monkeypatch):
     assert len((cases / "r.jsonl").read_text().splitlines()) == 2
 
 
+def test_an_answer_that_was_edited_is_done_again(cases, capsys):
+    """The digests of its files and version stood, and it was believed."""
+    diagnosed(cases)
+    out = cases / "r.jsonl"
+    out.write_text(out.read_text().replace('"effect": "n8"', '"effect": "n9"', 1))
+    assert diagnosed(cases) == (0, {"a": "n8", "b": "n8"})
+    assert "changed since" in capsys.readouterr().err
+    assert json.loads((cases / "r.jsonl.before").read_text())["effect"] == "n9"
+
+
 @pytest.mark.parametrize(
     "text", ["u,y\n1,2\n", "precious", '{"case": ["a"], "effect": 1}\n', '{"note": 1}\n', '{"case": 5}\n']
 )

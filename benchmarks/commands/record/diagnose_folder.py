@@ -18,6 +18,8 @@ HELP = "diagnose every case of a folder (train.csv, test.csv, meta.json in each)
 EXAMPLE = "oed diagnose-folder cases/public/P --out results.jsonl --jobs 2"
 BEGIN = '{"case": '
 """Of every line of results."""
+SEALED = ', "digest": "'
+"""What ends every line, before the digest of all that is before it."""
 FILES = ("train.csv", "test.csv", "meta.json")
 
 
@@ -66,6 +68,16 @@ def _content(folder: Path) -> str:
     return found.hexdigest()
 
 
+def _sealed(line: str) -> str:
+    """A line of JSON with its own digest as the last entry."""
+    return f'{line[:-1]}{SEALED}{blake2b(line.encode(), digest_size=8).hexdigest()}"}}'
+
+
+def _intact(line: str) -> bool:
+    """Whether a line is as it was sealed."""
+    return line == _sealed(line.rpartition(SEALED)[0] + "}")
+
+
 def _version() -> str:
     from benchmarks.campaign.store import versions
 
@@ -73,7 +85,7 @@ def _version() -> str:
 
 
 def _done(out: Path, cases: list[Path]) -> set[str]:
-    """Cases whose line was made from the same files by the same version. Lines about other content are set
+    """Cases whose line was made from the same files by the same version, and is as it was written. Other lines are set
     aside in a file of their own; the line that a killed run was writing is dropped. Another file is refused."""
     if not out.exists():
         return set()
@@ -92,14 +104,14 @@ def _done(out: Path, cases: list[Path]) -> set[str]:
             raise InputError(
                 f"line {number} of {out} is no result of this command; give another --out. Nothing was changed."
             ) from None
-        good = case not in done and wanted.get(case, made) == made
+        good = case not in done and wanted.get(case, made) == made and _intact(line)
         (kept if good else aside).append(line)
         if good:
             done.add(case)
     if aside:
         before = out.with_name(out.name + ".before")
         print(
-            f"{len(aside)} lines of {out} were made from other files or by another version: they are kept in "
+            f"{len(aside)} lines of {out} were made from other files or by another version, or changed since: they are kept in "
             f"{before.name}, and their cases are diagnosed again.",
             file=sys.stderr,
         )
@@ -150,7 +162,7 @@ def _diagnosed(cases: list[Path], out: Path, jobs: int, quiet: bool) -> dict[str
         if line is None:
             failed[Path(path).name] = error
         else:
-            append_line(out, json.dumps(plain(line), allow_nan=False))
+            append_line(out, _sealed(json.dumps(plain(line), allow_nan=False)))
         if not quiet:
             what = error if line is None else line["effect"]
             each = (time.monotonic() - begin) / (count - len(cases) + len(todo))
