@@ -85,8 +85,8 @@ UNDETERMINED = (
 
 
 BORNE = (
-    "what the {} model of {} changes on the test record is not determined by the training data alone: its errors, far less than those "
-    "of the {} model, bear it out"
+    "what the {} model of {} changes on the test record is not determined by the training data alone: its errors, surely less than "
+    "those of the {} model, bear it out"
 )
 
 
