@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from oed import solve_design
 from oed.design.problem.orthonormal import (
     LARGEST,
     Orthonormal,
@@ -15,6 +16,7 @@ from oed.design.problem.orthonormal import (
     _inverse,
     orthonormal_coordinates,
 )
+from oed.errors import InputError
 from oed.plants.plant import Plant
 from tests.oracles.digits import pole_slope
 
@@ -232,3 +234,12 @@ def test_an_inverse_of_decimals_exchanges_rows() -> None:
     # by the first row: -2 (1e-40 - 9) + 1 (0 - 3)
     assert float(logdet) == pytest.approx(np.log(15.0), rel=1e-12)
     assert _decimals(np.array([[0.1]]))[0, 0] == Decimal.from_float(0.1) != Decimal("0.1")
+
+
+def test_more_coefficients_than_any_digits_are_found_for_are_refused_in_one_line() -> None:
+    """The design of a plant of order 100 had not ended after nine minutes; one of as many FIR coefficients needs no such digits."""
+    rng = np.random.default_rng(3)
+    poles = 0.8 * np.exp(1j * np.linspace(0.1, 3.0, 31))
+    den = np.poly(np.concatenate((poles, poles.conj()))).real
+    with pytest.raises(InputError, match=r"124 coefficients .* more than 120 .* lower the order"):
+        solve_design(Plant(np.r_[0.0, rng.standard_normal(62)], den))
