@@ -234,7 +234,8 @@ def assess(
         return e[rows] / np.sqrt(weight[rows].sum(axis=1, keepdims=True))
 
     first, second = errors(before), errors(stacked(answers))
-    if test is not None and root(second) > root(first):
+    refused = test is not None and root(second) > root(first)
+    if refused:
         kinds = {k.rungs[a].step.kind.value for k, a in zip(ladders, answers, strict=True) if a}
         warnings.append(REFUSED.format(" and ".join(sorted(kinds)), root(second), root(first)))
         answers, second = [0] * len(runs), first
@@ -253,7 +254,7 @@ def assess(
     worse, level = _worse_than_constant(y, weight, figures, policy), (floor, len(train))
     lost = ANSWER in _worse_than_constant(y, weight, (figures[0], root_figure(third, third)), policy)
     share = removed(least, third, level, policy)
-    if test is not None and not share.low > 0.0:  # a claim is of what the training data cover
+    if test is not None and not refused and not share.low > 0.0:  # a claim is of what the training data cover
         use = inside([train], test)[rows]
         least, third = least[use], third[use]
         share = removed(least, third, level, policy)
