@@ -14,7 +14,7 @@ from estimators.diagnosis.discovery.model import DiscoveredModel, FoundTerm, lea
 from estimators.diagnosis.discovery.search import Budget, acting, bends, complexity, greedy_search
 from estimators.diagnosis.discovery.starts import Scales, pieces_of, scales_of
 from estimators.diagnosis.discovery.uncertainty import beyond_linear, covariance, pruned
-from estimators.diagnosis.discovery.validation import ahead, free_run, start_prior, unused
+from estimators.diagnosis.discovery.validation import ahead, free_run, start_prior, unused, without_each
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -90,10 +90,9 @@ def discover(
     front = [f for f in again if f is not None and forgets(f, pieces) and bends(f, pieces, 0)]
     whole, alike, gain, considered = _chosen(_pruned(front, pieces, budget.rounds), judge)
     # what a window says nothing of, as a store that is half full, is carried on from the record's start
-    got = None if whole is None else judge.unused(whole, carried=not judge.starts(whole))
-    if whole is None or got is None:
+    predictions = None if whole is None else judge.unused(whole, carried=not judge.starts(whole))
+    if whole is None or predictions is None:
         return Discovery(None, considered=considered, gain=gain)
-    predictions, folds = got
     model = _model(whole, records, pieces, scales)
     terms = strongest_first(model.found(), beyond_linear(whole, pieces))
     return Discovery(
@@ -105,7 +104,7 @@ def discover(
         judge.rmse(predictions),
         gain,
         considered,
-        folds=tuple(replace(model, theta=theta) for theta in folds),
+        folds=tuple(replace(model, theta=f.theta) for f in judge.folds(whole) or ()),
         rivals=tuple(replace(model, form=f.form, theta=f.theta, prior=start_prior(f, pieces)) for f in alike),
     )
 
@@ -137,11 +136,20 @@ class _Judge:
         self.skip = self.blocks.window if skip is None else skip
         self.counting = baseline.blocks.counting(records)
         self.batches = baseline.blocks.batches(BATCHES)
+        self._known: dict[Fitted, list[Fitted] | None] = {}
 
-    def unused(self, f: Fitted, carried: bool) -> tuple[list[Array], list[Array]] | None:
-        """Predictions of all blocks in the user's units, and the parameters without each block."""
-        got = unused(f, self.pieces, self.blocks, carried)
-        return None if got is None else ([y * self.scales.sy + self.scales.y for y in got[0]], got[1])
+    def folds(self, f: Fitted) -> list[Fitted] | None:
+        """The form fitted without each block; asked of one model several times."""
+        if f not in self._known:
+            self._known[f] = without_each(f, self.pieces, self.blocks)
+        return self._known[f]
+
+    def unused(self, f: Fitted, carried: bool) -> list[Array] | None:
+        """Predictions of all blocks in the user's units, by fits that did not see them."""
+        folds = self.folds(f)
+        if folds is None:
+            return None
+        return [y * self.scales.sy + self.scales.y for y in unused(folds, self.pieces, self.blocks, carried)]
 
     def of(self, predictions: Sequence[Array]) -> Array:
         """Mean squares by batch of all blocks."""
@@ -155,7 +163,7 @@ class _Judge:
     def starts(self, f: Fitted) -> bool:
         """Whether the blocks are better predicted than by the baseline also where each starts from its own window alone."""
         got = self.unused(f, False)
-        return got is not None and bool(self.of(got[0]).mean() < self.of(self.baseline.unused).mean())
+        return got is not None and bool(self.of(got).mean() < self.of(self.baseline.unused).mean())
 
     def ahead(self, f: Fitted) -> Array:
         """Mean squares by batch of the last parts, infinite where a run explodes."""
@@ -204,7 +212,7 @@ def _chosen(
     for f in found:
         got = judge.unused(f, True)
         if got is not None:
-            s = np.concatenate([judge.of(got[0]), judge.ahead(f)])
+            s = np.concatenate([judge.of(got), judge.ahead(f)])
             if np.all(np.isfinite(s)):
                 tried.append((f, s))
     m = len(base)

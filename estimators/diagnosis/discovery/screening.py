@@ -266,11 +266,12 @@ def _pairs(listed, i: int, along: int, X: Array, g: Array, size: Array, share: f
     r = X.T @ X
     left = 1.0 - r**2
     gain = (g[:, None] ** 2 + g**2 - 2.0 * r * g[:, None] * g) / np.maximum(left, 1e-12)
-    gain[(left < ALIKE) | np.tri(len(g), dtype=bool)] = 0.0
+    gain[(left < ALIKE) | np.tri(len(g), dtype=bool) | ~np.isfinite(gain)] = 0.0
     out: dict[tuple, Screened] = {}
-    for flat in np.argsort(-gain, axis=None):
-        a, b = np.unravel_index(flat, gain.shape)
-        if gain[a, b] <= 0.0 or len(out) == PAIRS:
+    while gain.size and len(out) < PAIRS:  # few of them are looked at: no sorting
+        a, b = np.unravel_index(np.argmax(gain), gain.shape)
+        best, gain[a, b] = float(gain[a, b]), 0.0
+        if best <= 0.0:
             break
         k = np.array([g[a] - r[a, b] * g[b], g[b] - r[a, b] * g[a]]) / (
             left[a, b] * scale[[a, b]] * size[at[[a, b]]]
@@ -279,7 +280,7 @@ def _pairs(listed, i: int, along: int, X: Array, g: Array, size: Array, share: f
             Screened(listed[at[c]], "force", i, along, k[m : m + 1], 0.0) for m, c in enumerate((a, b))
         )
         if first.candidate.key != second.candidate.key:
-            pair = replace(first, gain=float(gain[a, b] * share), beside=second)
+            pair = replace(first, gain=best * share, beside=second)
             out.setdefault(pair.key, pair)
     return [*out.values()]
 

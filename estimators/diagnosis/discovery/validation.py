@@ -182,31 +182,29 @@ def predicted(
     return out
 
 
-def unused(
-    fitted: Fitted, pieces: Sequence[Piece], blocks: Blocks, carried: bool
-) -> tuple[list[Array], list[Array]] | None:
-    """Per record (N, ny): every block by the form fitted to the others, its state from its window, and the parameters of each fit;
-    None if one explodes.
-    """
-    out, folds = [np.full_like(p.y, np.nan) for p in pieces], []
-    for block in blocks.blocks:
-        got = _left_out(fitted, pieces, blocks.training(block), [block], blocks.window, carried)
-        if got is None:
-            return None
-        out[block.record][block.rows] = got[0][block]
-        folds.append(got[1])
-    return out, folds
+def without_each(fitted: Fitted, pieces: Sequence[Piece], blocks: Blocks) -> list[Fitted] | None:
+    """The form fitted to the rest of the records, for every block; None if one explodes."""
+    folds = [_left_out(fitted, pieces, blocks.training(block)) for block in blocks.blocks]
+    fits = [f for f in folds if f is not None]
+    return fits if len(fits) == len(folds) else None
+
+
+def unused(folds: Sequence[Fitted], pieces: Sequence[Piece], blocks: Blocks, carried: bool) -> list[Array]:
+    """Per record (N, ny): every block by the form fitted to the others, its state from its window."""
+    out = [np.full_like(p.y, np.nan) for p in pieces]
+    for block, f in zip(blocks.blocks, folds, strict=True):
+        out[block.record][block.rows] = predicted(f, pieces, [block], blocks.window, carried)[block]
+    return out
 
 
 def ahead(fitted: Fitted, pieces: Sequence[Piece], window: int) -> dict[Block, Array] | None:
     """The last part of every record by the form fitted to the first parts: what varies with time shows."""
     ends = [Block(r, int((1 - AHEAD) * len(p.y)), len(p.y)) for r, p in enumerate(pieces)]
     use = [np.arange(len(p.y)) < b.start for p, b in zip(pieces, ends)]
-    got = _left_out(fitted, pieces, use, ends, window, True)
-    return None if got is None else got[0]
+    f = _left_out(fitted, pieces, use)
+    return None if f is None else predicted(f, pieces, ends, window, True)
 
 
-def _left_out(fitted, pieces, use, blocks, window, carried) -> tuple[dict[Block, Array], Array] | None:
+def _left_out(fitted: Fitted, pieces: Sequence[Piece], use: Sequence[Array]) -> Fitted | None:
     kept = [Piece(p.d, p.y, p.weight * u[:, None]) for p, u in zip(pieces, use)]
-    f = fit(fitted.form, fitted.theta, fitted.starts, kept, iterations=FOLD_ROUNDS, anchor=ANCHOR)
-    return None if f is None else (predicted(f, pieces, blocks, window, carried), f.theta)
+    return fit(fitted.form, fitted.theta, fitted.starts, kept, iterations=FOLD_ROUNDS, anchor=ANCHOR)

@@ -1,6 +1,6 @@
 """What a test record asks that the training records do not answer: ranges, levels between theirs, frequencies, a start."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,12 @@ from estimators.diagnosis.policy import Policy
 from oed.data import Record
 
 
+def _range(train: Sequence[Record], of: Callable[[Record], NDArray]) -> tuple[NDArray, NDArray]:
+    """The least and the largest values of what is read of the training records, by column."""
+    known = np.concatenate([of(r) for r in train])
+    return np.nanmin(known, axis=0), np.nanmax(known, axis=0)
+
+
 def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
     """What the test record asks that no training record covered: ranges of inputs, outputs and their rates."""
     out = []
@@ -19,11 +25,11 @@ def outside(train: Sequence[Record], test: Record, policy: Policy) -> list[str]:
         ("rate of the input", lambda r: np.diff(r.u, axis=0), [f"{u}/sample" if u else "" for u in test.input_units]),
         ("rate of the output", lambda r: np.diff(r.y, axis=0), [f"{u}/sample" if u else "" for u in test.output_units]),
     ):  # fmt: skip
-        known = np.concatenate([of(r) for r in train])
-        low, high, asked = np.nanmin(known, axis=0), np.nanmax(known, axis=0), of(test)
+        low, high = _range(train, of)
+        asked = of(test)
         share = np.mean((asked < low) | (asked > high), axis=0)
         for j in np.flatnonzero(share > policy.outside):
-            number = f" {j + 1}" if known.shape[1] > 1 else ""
+            number = f" {j + 1}" if len(low) > 1 else ""
             far = max(low[j] - np.nanmin(asked[:, j]), np.nanmax(asked[:, j]) - high[j])
             out.append(f"{100 * share[j]:.3g} % of the test record's samples leave the range of the {words}{number} that the training "
                        f"data cover ({f'{low[j]:.4g} to {high[j]:.4g} {units[j]}'.rstrip()}), by up to {f'{far:.3g} {units[j]}'.rstrip()}")  # fmt: skip
@@ -39,8 +45,8 @@ def inside(train: Sequence[Record], test: Record) -> NDArray[np.bool_]:
     """(N,) samples of a test record about which it stays in the range of the training inputs and outputs; all, where those are few."""
     off = np.zeros(len(test), dtype=bool)
     for of in (lambda r: r.u, lambda r: r.y):
-        known, asked = np.concatenate([of(r) for r in train]), of(test)
-        off |= np.any((asked < np.nanmin(known, axis=0)) | (asked > np.nanmax(known, axis=0)), axis=1)
+        low, high = _range(train, of)
+        off |= np.any((of(test) < low) | (of(test) > high), axis=1)
     near = np.convolve(off, np.ones(2 * int(ABOUT * len(test)) + 1), mode="same") > 0.5
     return ~near if np.mean(near) < MOST else np.ones(len(test), dtype=bool)
 
