@@ -70,7 +70,7 @@ def write_comparison(
     done = iter(at_once([*claims, *tasks.values(), *duels], jobs))
     mapped = [row for found in islice(done, len(claims)) for row in found]
     found = dict(zip(tasks, islice(done, len(tasks)), strict=True))
-    sections = [*_answer(tables, answer), *_inputs(best), *_comparison(rows, settings, replicates),
+    sections = [*_answer(tables, answer, jobs), *_inputs(best), *_comparison(rows, settings, replicates),
                 *_profiles(tables, pairs), *_information(information, known, settings, siso)]  # fmt: skip
     if answer:
         head = head_to_head_rows(list(done))
@@ -99,7 +99,7 @@ def write_comparison(
         matrix="headline" if information else "", repeat=_repeat(settings, replicates), runs=_runs(settings, replicates),
         names={name: text for name in used if (text := words_of(name))},
     )  # fmt: skip
-    return words, save_page(folder, page, static=True)
+    return words, save_page(folder, page, static=True, jobs=jobs)
 
 
 def _repeat(settings: Settings, replicates: int) -> dict[str, str]:
@@ -133,10 +133,10 @@ def shown(name: str, rows: Sequence[Row]) -> list[Table]:
     )
 
 
-def _answer(tables: Tables, rows: list[Row]) -> list[Section]:
+def _answer(tables: Tables, rows: list[Row], jobs: int) -> list[Section]:
     if not rows:
         return []
-    growth = growth_rows(tables, rows)
+    growth = growth_rows(tables, rows, jobs)
     by_budget = [Section("By budget, up to the limit", [TEXTS["growth"]], shown("growth", growth),
                          [figures.growth_figure(growth)])] if growth else []  # fmt: skip
     return [

@@ -10,13 +10,14 @@ import os
 import re
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from hashlib import blake2b, sha256
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import oed
+from benchmarks.campaign.processes import spread
 from benchmarks.page.charts import CONFIG, chart, extent, style
 from benchmarks.page.content import Figure, Page, Table, cell, read_page, series_of
 from benchmarks.tables.formats import ABSENT, to_csv, to_latex, to_markdown, to_parquet
@@ -29,6 +30,8 @@ DIGITS = 6
 """Of a number in the page: more than anyone reads or sorts by; the files in tables/ have all of them."""
 DRAWN = 5
 """Of a number in a figure: a pixel is a thousandth of it, and what is said of a point comes as text where it matters."""
+FEW = 16
+"""Figures that are drawn sooner, at a tenth of a second each, than other processes have loaded what draws them."""
 PREFER = ("power", "procedure-2", "two-experiment")
 """Inputs that the answer's matrix shows first: the iterations, whichever the plant's channels allow."""
 
@@ -39,8 +42,8 @@ def file_name(text: str) -> str:
     return plain if plain == text else f"{plain}-{blake2b(in_text(text).encode(), digest_size=3).hexdigest()}"
 
 
-def save_page(folder: Path, page: Page, *, static: bool = False) -> Path:
-    """Write report.json, its tables as files, with `static` every figure as SVG and PDF too, and the page."""
+def save_page(folder: Path, page: Page, *, static: bool = False, jobs: int = 1) -> Path:
+    """Write report.json, its tables as files, with `static` every figure as SVG and PDF too, on so many processes, and the page."""
     from benchmarks.cli import plain
 
     page = replace(page, made={**page.made, "version of oed": oed.__version__})
@@ -59,10 +62,9 @@ def save_page(folder: Path, page: Page, *, static: bool = False) -> Path:
     if static:
         from benchmarks.page.figures_static import save_figure
 
-        for figure in page.figures:
-            if not figure.rows:  # as on the page: there is nothing to draw
-                continue
-            save_figure(folder / "figures", figure, file_name(figure.name))
+        # as on the page: without rows there is nothing to draw
+        figures = {file_name(figure.name): figure for figure in page.figures if figure.rows}
+        spread(partial(save_figure, folder / "figures"), figures.items(), jobs if len(figures) > FEW else 1)
     for name, text in page.downloads.items():
         write_whole(folder / file_name(name), text)
     write_whole(folder / "report.json", json.dumps(plain(page.to_dict()), ensure_ascii=False) + "\n")

@@ -1,12 +1,14 @@
 """Efficiency against budget, up to the limit: what the iterations carry after 1, 2, 5, .. experiments, and after all that one could do."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from benchmarks.campaign.one_part import checkpoints
 from benchmarks.campaign.plants import family_of
+from benchmarks.campaign.processes import at_once
 from benchmarks.tables.tabulation import Tables
 from oed.plants.plant import Plant
 
@@ -44,15 +46,16 @@ def growth_of(
     return dict(enumerate(values.tolist(), 1)), float(limit)
 
 
-def growth_rows(tables: Tables, answer: Sequence[Row]) -> list[Row]:
+def growth_rows(tables: Tables, answer: Sequence[Row], jobs: int = 1) -> list[Row]:
     """The iterations on every plant, by budget: as measured where the campaign went, as predicted up to the limit."""
     table: list[Row] = []
-    for said in answer:
-        plant, variance, name = said["plant"], said["noise_variance"], said["iterations"]
-        if (plant, variance) not in tables.known or family_of(plant):
-            continue
-        target = tables.known[plant, variance]
-        predicted, limit = growth_of(target.plant, name, FARTHEST, target.optimum.c)
+    place = lambda said: (said["plant"], said["noise_variance"])
+    answer = [said for said in answer if place(said) in tables.known and not family_of(said["plant"])]
+    targets = [tables.known[place(said)] for said in answer]
+    tasks = [partial(growth_of, target.plant, said["iterations"], FARTHEST, target.optimum.c)
+             for said, target in zip(answer, targets, strict=True)]  # fmt: skip
+    for said, (predicted, limit) in zip(answer, at_once(tasks, jobs), strict=True):
+        plant, variance, name = *place(said), said["iterations"]
         here = [r for r in tables.information if (r["plant"], r["noise_variance"]) == (plant, variance)]
         measured = {r["experiments"]: r for r in here if r["method"] == name}
         white = {r["experiments"]: r["c_efficiency"] for r in here if r["method"] == "white"}
