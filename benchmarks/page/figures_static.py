@@ -1,5 +1,6 @@
 """A declared figure with matplotlib, for papers: the same rows as on the page, as SVG and PDF."""
 
+import io
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 
 from benchmarks.page.charts import DASHES, SHAPES, style
 from benchmarks.page.content import Figure, series_of
-from oed.files.writing import write_figure
+from oed.files.writing import write_figure, write_whole
 
 LINES = ("-", "--", ":", "-.")
 MARKERS = dict(zip(SHAPES, "os^DPv", strict=True))
@@ -159,12 +160,19 @@ def _series(
 def save_as(file: Path, sheet: Any) -> Path:
     """A sheet in the format of the file's suffix, the same bytes for the same sheet."""
     import matplotlib
+    from matplotlib.backend_bases import get_registered_canvas_class
 
-    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(file.suffix.lower())
+    undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    kind = file.suffix[1:].lower()
     with matplotlib.rc_context(
         {"svg.hashsalt": file.stem, "svg.fonttype": "none", "font.family": "sans-serif"}
     ):
-        return write_figure(file, sheet, metadata=undated)
+        if kind not in undated:
+            return write_figure(file, sheet)
+        # `savefig` draws everything once before, to find places that the drawing finds anyway.
+        canvas, stream = get_registered_canvas_class(kind)(sheet), io.BytesIO()
+        getattr(canvas, f"print_{kind}")(stream, metadata=undated[kind])
+        return write_whole(file, stream.getvalue())
 
 
 def save_figure(folder: Path, named: tuple[str, Figure]) -> None:

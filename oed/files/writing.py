@@ -24,8 +24,6 @@ WRITERS = {".csv": csv_bytes, ".mat": mat_bytes, ".npz": npz_bytes, ".parquet": 
 
 MESSAGES = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
 KEPT = "What was there before is kept: make room or choose another place."
-DRAWN_ONCE = ("svg", "pdf")
-"""Formats whose canvases are asked directly: `savefig` draws everything once before, to find places that drawing finds anyway."""
 _COUNT = itertools.count()
 _HERE = blake2b(platform.node().encode(), digest_size=3).hexdigest()
 """Names this machine in temporary names: of another's processes, on a shared disk, nobody here knows whether they live."""
@@ -169,13 +167,8 @@ def renamed(path: Path, to: Path, *, kept: str = KEPT) -> Path:
 
 def write_figure(path: Path, figure: Any, **options: Any) -> Path:
     """Save a matplotlib figure whole or not at all, in the format of the file's suffix."""
-    from matplotlib.backend_bases import get_registered_canvas_class
-
-    stream, kind = io.BytesIO(), path.suffix[1:].lower()
-    if kind in DRAWN_ONCE:
-        getattr(get_registered_canvas_class(kind)(figure), f"print_{kind}")(stream, **options)
-    else:
-        figure.savefig(stream, format=kind, **options)
+    stream = io.BytesIO()
+    figure.savefig(stream, format=path.suffix[1:], **options)
     return write_whole(path, stream.getvalue())
 
 
