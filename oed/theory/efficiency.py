@@ -5,6 +5,7 @@ peak gain (c) it is lambda_e / (c' I^-1 c) wherever the gain-scaling theorem hol
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from oed.information import ENTRIES, Responding, information_rows, whitened_grad
 from oed.plants.norms import gain_gradient, peak
 from oed.plants.plant import Plant
 from oed.theory.limit_on_grid import spectra_of_iterations
+from oed.theory.quadrature import Nodes
 
 LOST = 1e-13
 """Share of the largest diagonal entry of a triangular factor below which an entry is rounding."""
@@ -117,23 +119,46 @@ def peak_gain_efficiency_by_experiments(
     lambda_e unless it is given, which holds for white noise and a free gain. Source: [S] Lemmas 6 and 13;
     table of docs/theory/design.md."""
     top = peak(plant)
-    if not top.unique:
+    best = float(plant.noise_covariance[0, 0]) if optimum is None else optimum
+    if not top.unique or np.isnan(best):
         return np.full(experiments, np.nan)
     c = gain_gradient(plant, top)
     nodes, Phi, _ = spectra_of_iterations(plant, experiments)
-    psi = whitened_gradient(plant, nodes.omega)[:, :, 0, 0]
-    best = float(plant.noise_covariance[0, 0]) if optimum is None else optimum
-    re, im = psi.real.copy(), psi.imag.copy()  # of their own: parts of complex numbers bypass BLAS
-    n, weight = len(c), nodes.weight[:, None]
-    efficiency, total = np.zeros(experiments), np.zeros((n, n))
-    together = max(1, ENTRIES // n**2)
-    for first in range(0, experiments, together):
-        some = Phi[first : first + together]
-        information = np.empty((len(some), n, n))
-        for i in range(n):  # a row of the products at every line, for all experiments in one multiplication
-            products = re[:, i : i + 1] * re[:, i:] + im[:, i : i + 1] * im[:, i:]
-            information[:, i, i:] = information[:, i:, i] = some @ (weight * products)
-        for k, more in enumerate(information, first):
-            total = total + more
-            efficiency[k] = best / ((k + 1) * _variance(total, c))
+    efficiency, total = np.zeros(experiments), np.zeros((len(c), len(c)))
+    for k, information in enumerate(_informations(plant, nodes, Phi)):
+        total = total + information
+        efficiency[k] = best / ((k + 1) * _variance(total, c))
     return efficiency
+
+
+def _informations(plant: Plant, nodes: Nodes, Phi: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+    """Information of each of several spectra, Phi (M, K) at the nodes, (n, n). The derivatives by the coefficients of B
+    (or A) are one function of frequency times powers of the delay, so that a product of two depends on the difference
+    of their powers alone: 4 n integrals instead of n^2 / 2, a tenth of the time at order 100."""
+    rows = [row for row in plant._parameters() if row[0] in plant.free]
+    first = {row[1]: row for row in reversed(rows)}
+    psi = whitened_gradient(plant.replace(free=tuple(row[0] for row in first.values())), nodes.omega)[
+        :, :, 0, 0
+    ]
+    of = dict(
+        zip(sorted(first, reverse=True), psi.T, strict=True)
+    )  # B stands before A, as among the parameters
+    b, a = (of.get(letter, np.zeros(len(nodes.omega))) for letter in "ba")
+    power = np.array([row[2] - first[row[1]][2] for row in rows])
+    in_a = np.array([row[1] == "a" for row in rows])
+    lag = power - power[:, None]  # of the product of row i, conjugated, and column j
+    lag = np.where(in_a[:, None] & ~in_a, -lag, lag)
+    kind = np.where(in_a[:, None] ^ in_a, 2 + (lag < 0), in_a[:, None] & in_a)
+    lags, at = np.unique(np.abs(lag), return_inverse=True)
+    same, both = np.stack([np.abs(b) ** 2, np.abs(a) ** 2]), b.conj() * a
+    integrals = np.empty((4, len(lags), len(Phi)))
+    together = max(1, ENTRIES // len(nodes.omega))
+    for k in range(0, len(lags), together):
+        turn = np.multiply.outer(lags[k : k + together], nodes.omega)
+        cos, sin = np.cos(turn) * nodes.weight, np.sin(turn) * nodes.weight
+        even, odd = cos * both.real, sin * both.imag
+        integrals[:, k : k + together] = (
+            np.stack([cos * same[0], cos * same[1], even + odd, even - odd]) @ Phi.T
+        )
+    for m in range(len(Phi)):
+        yield integrals[kind, at.reshape(kind.shape), m]
