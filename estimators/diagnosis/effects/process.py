@@ -37,12 +37,19 @@ CONTENTS = (-0.6, 0.5, 1.5, 4.0, 10.0)
 """Relative changes over the record of what a capacity had at its start."""
 FILLS, MOST_FLOWS = 0.5, 3
 """Of all that flows, what must be net for something to be filled or emptied; inputs of a record that are tried with one another."""
+LEAST = 1e-300  # a difference that no quotient by it leaves without a number
 LEAST_FLOW = 1e-3  # of the mean flow: what stands still takes for ever
+
+
+TURBULENT = 20.0
+"""Of a flow through an orifice, the difference at which its rate is stated, in those below which it is laminar. A rate of its square
+root alone has the unit of a root, and a number of samples in which it settles is none in another unit of the input."""
 
 
 def _orifice(p, v, u, q, s, c):
     d = u - p
-    return d - (1.0 + np.abs(c[0]) * (d > 0.0)) * d / np.sqrt(np.abs(d) + np.abs(c[1]))
+    slowed = np.sqrt((1.0 + TURBULENT) / (1.0 + np.abs(d) / np.maximum(np.abs(c[1]), LEAST)))
+    return d - (1.0 + np.abs(c[0]) * (d > 0.0)) * slowed * d
 
 
 def _exchange(p, v, u, q, s, c):
@@ -245,7 +252,7 @@ PROCESS = (
     _process("rise_and_fall", "asymmetric_rise_and_fall", "it rises at another rate than it falls",
              lambda p, v, u, q, s, c: -c[0] * np.maximum(u - p, 0.0),
              {"asymmetry": "1"}, lambda s: _shapes(s, [-0.6], [1.0], [3.0], sizes=[1.0])),
-    _process("orifice", "asymmetric_rise_and_fall", "it fills and empties through orifices, at rates of their own", _orifice,
+    _process("orifices", "asymmetric_rise_and_fall", "it fills and empties through orifices, at rates of their own", _orifice,
              {"asymmetry": "1", "smooth": "u"}, lambda s: _shapes(s, [0.0, 0.05], [2.0, 0.05], sizes=[1.0, s.su])),
     _process("loss_cubic", "nonlinear_loss", "a loss k3 x^3 that grows with the level",
              lambda p, v, u, q, s, c: c[0] * p**3, {"k3": "1/u^2"},

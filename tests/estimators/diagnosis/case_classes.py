@@ -364,7 +364,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "stiction": (stuck, 2, {}), "clearance": (loose, 2, {}), "clearance_sprung": (sprung, 4, {}),
     "hysteresis_rate": (dragged, 2, {}), "output_sigmoid": (sigmoid, 2, {}), "output_exponential": (logarithm, 2, {}),
     "magnitude": (magnitude, 2, {}), "squared": (squared, 2, {}), "rectified": (rectified, 2, {}),
-    "wrapped": (wrapped, 3, {}), "rise_and_fall": (rise_and_fall, 3, _LEVEL), "orifice": (orifice, 3, _LEVEL),
+    "wrapped": (wrapped, 3, {}), "rise_and_fall": (rise_and_fall, 3, _LEVEL), "orifices": (orifice, 3, _LEVEL),
     "loss_cubic": (loss, 2, _LEVEL), "outflow_root": (outflow, 2, _LEVEL), "vessel": (vessel, 2, _LEVEL),
     "through_flow": (through_flow, 2, {"mean": 4.0, "size": 1.2}), "pendulum": (pendulum, 2, {"size": 0.4}),
     "pendulum_pivot": (pivot, 3, {"size": 0.8}), "position_periodic": (eccentric, 2, {"mean": 3.0, "size": 0.6}),
@@ -383,7 +383,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
 LOOKALIKES = {
     # effect: a record that looks like it and is not
     "input_exponential": "rise_and_fall", "input_tanh": "input_kink", "relay": "hysteresis_rate", "magnitude": "squared",
-    "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifice": "vessel",
+    "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifices": "vessel",
     "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
     "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",
     "stiffness_squared": "stiffness_drift", "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction", "clearance_sprung": "stiction",

@@ -63,7 +63,7 @@ NAMED = {
     "time": ("tf", [("gain_drift", [0.3]), ("drift", [0.1, 0.2]), ("tones", [0.2, 0.3, 0.1]), ("sweep", [0.1, 0.01, 0.2, 0.1])],
              {}),
     "step": ("tf", [("step_input", [0.5, 40.3])], {"clock": (-30.0, 0.5, 300)}),
-    "process": ("tf", [("orifice", [0.3, 1.5, 0.05])], {}),
+    "process": ("tf", [("orifices", [0.3, 1.5, 0.05])], {}),
     "vessel": ("tf", [("vessel", [0.3, 1.0, 0.4])], {"rest": False}),
     "linear inside": ("driven", [], {"delay": 2}),
     "springs": ("oscillator", [("stiffness_cubic", [0.1]), ("drag", [0.2])], {"rest": False}),

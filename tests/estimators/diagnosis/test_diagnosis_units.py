@@ -13,13 +13,7 @@ from estimators.residual.algebra import decomposed, powers_of_two
 
 FAR = (2.0**-150, 2.0**150)
 N = 300
-OF_A_ROOT = ("orifice",)
-"""Its rate is in roots of the input's unit and is started in samples: it is found where the input's size is near one only."""
-CURVES = [
-    e
-    for e in CATALOGUE
-    if e.apply and e.starts and e.slot in (Slot.INPUT, Slot.OUTPUT) and e.key not in OF_A_ROOT
-]
+CURVES = [e for e in CATALOGUE if e.apply and e.starts and e.slot in (Slot.INPUT, Slot.OUTPUT)]
 
 
 def sizes(unit: float) -> Sizes:
