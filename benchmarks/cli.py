@@ -182,15 +182,17 @@ class _Lasting:
 @contextlib.contextmanager
 def _lasting() -> Iterator[_Lasting]:
     """Standard output and standard error, those that there are, do not end the work while the block runs."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # as behind `>&-`: the next file that is opened would have its place
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8"))  # noqa: SIM115
     out, err = _Lasting(sys.stdout), _Lasting(sys.stderr)
     with contextlib.ExitStack() as stack:
         for stream, redirected in ((out, contextlib.redirect_stdout), (err, contextlib.redirect_stderr)):
-            if stream.stream is not None:  # as behind `>&-`
-                # or a file whose name is no text ends the work
-                if isinstance(stream.stream, io.TextIOWrapper):
-                    stream.stream.reconfigure(errors="backslashreplace")
-                stack.enter_context(redirected(stream))
-                stack.callback(stream.flush)
+            # or a file whose name is no text ends the work
+            if isinstance(stream.stream, io.TextIOWrapper):
+                stream.stream.reconfigure(errors="backslashreplace")
+            stack.enter_context(redirected(stream))
+            stack.callback(stream.flush)
         yield out
 
 

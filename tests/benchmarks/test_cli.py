@@ -248,6 +248,28 @@ def test_a_reader_that_goes_away_loses_no_result(words, made, both, tmp_path):
     assert {file.name for file in tmp_path.glob("m/*")} >= {*made}
 
 
+@pytest.mark.parametrize("closed", ["2>&-", ">&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("more, status", [((), 0), (("--json",), 0), (("--nonsense",), 2)])
+def test_closed_streams_end_no_command(closed, more, status, tmp_path):
+    """As a service may start it: without standard error, no command that shows its progress had worked, and said nothing."""
+    words = [
+        sys.executable,
+        "-m",
+        "benchmarks.cli",
+        "design",
+        "--plant",
+        "reference",
+        "--realise",
+        "50",
+        "--out",
+        "d.csv",
+        *more,
+    ]
+    done = subprocess.run(["sh", "-c", f'exec "$@" {closed}', "sh", *words], cwd=tmp_path, check=False)
+    assert done.returncode == status
+    assert (tmp_path / "d.csv").exists() == (status == 0)
+
+
 @pytest.mark.slow
 def test_a_full_disk_behind_the_output_loses_no_folder(tmp_path):
     """The answer is printed first, which fails; what was asked for in files is there."""
