@@ -1,6 +1,6 @@
 """The algebra of a residual's correlations: noise filters, least squares, delayed columns, what a fit has taken, the spread left."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,20 +21,23 @@ def noise_filter(residuals: Parts, most: int | None = None) -> NDArray[np.float6
     )
     if covariance[0] <= 0:
         return np.ones(1)
-    covariance = covariance / covariance[0]
+    fits = list(autoregressions(covariance / covariance[0]))
+    return fits[int(np.argmin([total * np.log(v) + 2 * order for order, (_, v) in enumerate(fits)]))][0]
+
+
+def autoregressions(covariance: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], float]]:
+    """Whitening filter and variance of what it leaves, of every order from 0 on (Levinson), while they are stable: covariance (K,) of
+    lags 0 to K - 1, 1 at lag 0."""
     a, variance = np.ones(1), 1.0
-    best, lowest = a, 0.0
+    yield a, variance
     for order in range(1, len(covariance)):
         reflection = -float(a @ covariance[order:0:-1]) / variance
         if not abs(reflection) < 1:
-            break
+            return
         longer = np.append(a, 0.0)
         a = longer + reflection * longer[::-1]
         variance *= 1 - reflection**2
-        aic = total * np.log(variance) + 2 * order
-        if aic < lowest:
-            best, lowest = a, aic
-    return best
+        yield a, variance
 
 
 def stable(f: NDArray, limit: float = 1.0) -> bool:

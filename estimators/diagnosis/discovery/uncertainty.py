@@ -1,31 +1,45 @@
-"""Covariance of a fitted form's parameters where its errors are correlated: the sandwich, whitened and with Bartlett weights."""
+"""Covariance of a fitted form's parameters where its errors are correlated: the sandwich of the errors' innovations."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, sensitivities
 from estimators.diagnosis.discovery.form import Assembly
-from estimators.pem.uncertainty import long_run
+from estimators.residual.algebra import autoregressions, noise_filter
 
 Array = NDArray[Any]
-LAGS = (
-    3.0  # of the Bartlett window, in the model's own time constants: errors of the model last about as long
-)
 LEAST = 1e-9  # of a sample's own error left by the fit: one that alone tells a parameter has none
 ALPHA, SEARCHED = 0.01, 1500  # rate of false terms in a model, and how many candidates it was the best of
 MISSED = 0.05
 """Share by which the error may rise without a term. A coefficient beside a width of its own may be uncertain, as a tanh that
 is nearly a cube is, where the term itself is beyond doubt: unused blocks judge it then."""
 DIFFERENCE = 1e-5  # relative step of the delta method
+GAPS = 2  # times the noise is estimated with what it foretells itself in place of missing samples, after it took them for zero
+BEFORE = 200  # samples before a record whose noise is still heard in it: of a pole of .98 all but 2 % is forgotten by then
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One record: its place in the information, J (N, ny, own parameters) and errors e (N, ny), both zero where not `seen` (N, ny)."""
+
+    where: NDArray[np.int64]
+    J: Array
+    e: Array
+    seen: NDArray[np.bool_]
 
 
 def covariance(fitted: Fitted, pieces: Sequence[Piece]) -> Array:
-    """(P, P) of theta alone, the start states taken out; every error counts as if its own sample had not been fitted."""
+    """(P, P) of theta alone, the start states taken out.
+
+    Errors are innovations w through 1 / A, so that what moves theta against the errors is that through 1 / A backwards in time against
+    w, whose products have no memory of their own, be the variance constant or not. Every w counts as if its sample had not been fitted.
+    """
     asm = Assembly(fitted.form)
     p, nx = len(fitted.theta), asm.chain_states
     H, parts = np.zeros((p + nx * len(pieces),) * 2), []
@@ -35,18 +49,82 @@ def covariance(fitted: Fitted, pieces: Sequence[Piece]) -> Array:
         J = dy * piece.weight[:, :, None]
         flat = J.reshape(-1, J.shape[2])
         H[np.ix_(where, where)] += flat.T @ flat  # pyright: ignore[reportCallIssue]
-        parts.append((where, J, (piece.y - y) * piece.weight))
+        parts.append(_Part(where, J, (piece.y - y) * piece.weight, piece.weight > 0.0))
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     inverse = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
-    moves = []
-    for where, J, e in parts:
-        reach = J @ inverse[np.ix_(where, where)]
-        kept = np.eye(e.shape[1]) - reach @ J.transpose(0, 2, 1)
-        left = np.linalg.solve(kept + LEAST * np.eye(e.shape[1]), e[:, :, None])
-        moves.append(np.einsum("kip,ki->kp", reach[:, :, :p], left[:, :, 0]))
-    size = np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0)) + 1e-300
-    lags = min(int(LAGS / min(fitted.form.paces)), min(len(q.y) for q in pieces) // 10)
-    return long_run([m / size for m in moves], lags) * np.outer(size, size)
+    filters = _noises(parts, inverse)
+    total = np.zeros((p, p))
+    for q in parts:
+        reach = q.J @ inverse[np.ix_(q.where, q.where)]
+        back = np.stack([_backwards(a, reach[:, k]) for k, a in enumerate(filters)], axis=1)
+        own = np.stack([lfilter(a, [1.0], q.J[:, k], axis=0) for k, a in enumerate(filters)], axis=1)
+        e = [_foretold(q.e[:, k], q.seen[:, k], a) for k, a in enumerate(filters)]
+        w = np.stack([lfilter(a, [1.0], x) for x, a in zip(e, filters, strict=True)], axis=1)
+        kept = np.eye(w.shape[1]) - own @ back.transpose(0, 2, 1)
+        left = np.linalg.solve(kept + LEAST * np.eye(w.shape[1]), w[:, :, None])
+        moves = np.einsum("kip,ki->kp", back[:, :, :p], left[:, :, 0])
+        total += moves.T @ moves
+    return total
+
+
+def _backwards(a: Array, x: Array) -> Array:
+    """Signals (N, n) through 1 / A, from the last sample to the first."""
+    return np.asarray(lfilter([1.0], a, x[::-1], axis=0))[::-1]
+
+
+def _foretold(e: Array, seen: NDArray[np.bool_], a: Array) -> Array:
+    """Errors (N,) with what those before foretell in place of the missing ones: innovations of zero."""
+    order = len(a) - 1
+    out = np.concatenate([np.zeros(order), e])
+    for t in np.flatnonzero(~seen) if order else ():
+        out[order + t] = -a[:0:-1] @ out[t : order + t]
+    return out[order:]
+
+
+def _noises(parts: Sequence[_Part], inverse: Array) -> list[Array]:
+    """Whitening filter of each output's errors, the noise's and not the residual's: a fit takes what is slow out of it first.
+
+    The covariances of the residuals are the noise's less what the fit takes, R - HR - RH + HRH with the projection H; that is added for
+    the R of the residuals' own filter.
+    """
+    outputs = [[(q, q.J[:, k], q.e[:, k], q.seen[:, k]) for q in parts] for k in range(parts[0].e.shape[1])]
+    filters, lags = zip(*(_of_residuals([e for *_, e, _ in own], [s for *_, s in own]) for own in outputs))
+    spans = [
+        [_coloured(a, c[0], J) * s[:, None] for _, J, _, s in own]
+        for own, a, c in zip(outputs, filters, lags)
+    ]
+    taken = np.zeros_like(inverse)
+    for own, span in zip(outputs, spans, strict=True):
+        for (q, J, *_), RJ in zip(own, span, strict=True):
+            taken[np.ix_(q.where, q.where)] += J.T @ RJ  # pyright: ignore[reportCallIssue]
+    taken, found = inverse @ taken @ inverse, []
+    for own, span, a, c in zip(outputs, spans, filters, lags, strict=True):
+        n = sum(len(RJ) for RJ in span)
+        for (q, J, *_), RJ in zip(own, span, strict=True):
+            at = np.ix_(q.where, q.where)
+            pairs = (J, RJ @ inverse[at]), (RJ @ inverse[at], J), (-J, J @ taken[at])
+            c = c + [sum(float(np.sum(x[k:] * y[: len(y) - k])) for x, y in pairs) / n for k in range(len(a))]
+        fits = list(autoregressions(c / c[0])) if c[0] > 0.0 else []
+        found.append(fits[-1][0] if len(fits) == len(a) else a)
+    return found
+
+
+def _of_residuals(errors: Sequence[Array], seen: Sequence[NDArray[np.bool_]]) -> tuple[Array, Array]:
+    """Whitening filter of one output's residuals (N,), its order chosen, and their covariances at as many lags and 0."""
+    a = noise_filter(errors)
+    for _ in range(0 if all(s.all() for s in seen) else GAPS):
+        errors = [_foretold(e, s, a) for e, s in zip(errors, seen, strict=True)]
+        a = noise_filter(errors)
+    n = sum(map(len, errors))
+    return a, np.array([sum(float(e[k:] @ e[: len(e) - k]) for e in errors) / n for k in range(len(a))])
+
+
+def _coloured(a: Array, variance: float, x: Array) -> Array:
+    """Covariance of a noise of that variance, white but for 1 / A, times signals (N, n)."""
+    before = np.zeros((BEFORE if len(a) > 1 else 0, *x.shape[1:]))
+    back = _backwards(a, np.concatenate([before, x]))
+    pulse = np.asarray(lfilter([1.0], a, np.eye(1, BEFORE)[0]))
+    return variance / float(pulse @ pulse) * np.asarray(lfilter([1.0], a, back, axis=0))[len(before) :]
 
 
 def beyond_linear(fitted: Fitted, pieces: Sequence[Piece]) -> Array:

@@ -101,8 +101,8 @@ CASES = {
 }
 
 
-def discovered(kind: int, colour: float, seed: int) -> Row:
-    """A term at the input of a chain of second order, as `DiscoveredModel` has it, in the scaled units of its fit."""
+def discovered(kind: int, colour: float, missing: float, seed: int) -> Row:
+    """A term at the input of a chain of second order, as `DiscoveredModel` has it, in the scaled units of its fit; a share `missing`."""
     form = Form((2,), 1, (0.3,), (0.3,), (Term((Factor(kind, "u0"),), chain=0, along=0),))
     theta, state, n = np.array([0.9, 1.0, 0.2, 0.8, 0.05, 0.3]), np.array([0.3, -0.2]), 600
     rng = np.random.default_rng(seed)
@@ -110,7 +110,8 @@ def discovered(kind: int, colour: float, seed: int) -> Row:
     drive = np.column_stack([np.ones(n), u, np.diff(u, prepend=u[0])])
     y = run_piece(Assembly(form), theta, state, drive).y
     e = np.asarray(lfilter([np.sqrt(1 - colour**2)], [1.0, -colour], rng.normal(size=n + 100)))[100:]
-    piece = Piece(drive, y + 0.1 * y.std() * e[:, None], np.ones((n, 1)))
+    seen = (rng.uniform(size=(n, 1)) >= missing).astype(float)
+    piece = Piece(drive, y + 0.1 * y.std() * e[:, None], seen)
     f = discovered_fit(form, theta, (state,), [piece])
     assert f is not None
     errors = np.sqrt(np.diag(covariance(f, [piece])))
@@ -119,22 +120,23 @@ def discovered(kind: int, colour: float, seed: int) -> Row:
 
 
 @pytest.mark.parametrize(
-    "kind, colour",
+    "kind, colour, missing",
     [
-        (Kind.SQUARE, 0.7),
+        (Kind.SQUARE, 0.9, 0.0),
+        (Kind.SQUARE, 0.7, 0.15),
         *(
-            pytest.param(k, c, marks=pytest.mark.validate)
-            for k, c in ((Kind.SQUARE, 0.0), (Kind.SQUARE, 0.9), (Kind.CUBE, 0.0))
+            pytest.param(k, c, 0.0, marks=pytest.mark.validate)
+            for k, c in ((Kind.SQUARE, 0.0), (Kind.SQUARE, 0.7), (Kind.CUBE, 0.0))
         ),
     ],
 )
-def test_coverage_of_discovered_terms(kind: int, colour: float, record_figure) -> None:
-    """500 runs. By Bartlett's weights alone, which see too little of a noise with memory, a term's was held in .88 (colour .7), the
-    constant's in .81 (.9); a cube's in .91, as its few large samples were fitted by themselves."""
+def test_coverage_of_discovered_terms(kind: int, colour: float, missing: float, record_figure) -> None:
+    """2000 runs. Bartlett's weights on the products of errors and derivatives held .907 to .978 at colour .9, .925 to .94 in white noise;
+    the constant's was held in .92 where the noise's memory was the residual's, and .90 where missing samples were zeros of it."""
     checked(
-        f"discovered, factor {kind}, colour {colour}",
-        lambda seed: discovered(kind, colour, seed),
-        500,
+        f"discovered, factor {kind}, colour {colour}, missing {missing}",
+        lambda seed: discovered(kind, colour, missing, seed),
+        2000,
         record_figure,
     )
 
