@@ -84,10 +84,11 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     )
     if not options:
         return first
+    options = [n for n in options if not _loose(n)] or options
     near = [n for n in options if not _told_apart(bench, n, options[0])]
     near = [n for n in near if not any(_dominates(bench, m, n) for m in near)]
     best = min(
-        near, key=lambda n: (_loose(n), bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench))
+        near, key=lambda n: (bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench))
     )
     head = best.claims[0]
     equal = [n.claims[0].cause for n in near if len(n.claims) <= len(best.claims)]
@@ -101,10 +102,15 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
 def _loose(n: Named) -> bool:
     """Whether the record says nothing of a parameter of what bends: it has run to a limit in which the effect is another one."""
     keys = tuple(f"{c.key}." for c in n.claims if bent(c))
-    rows = () if n.step is None else n.step.parameters.items()
-    return not all(np.isfinite(error) for name, (_, error, _) in rows if name.startswith(keys))
+    rows = {} if n.step is None else n.step.parameters
+    s = n.fit.structure
+    at = [sl.start + i for q, sl in zip(s.parts, s.slices(), strict=True) for i in range(len(q.parameters(s.order)))]
+    sizes = dict(zip(rows, n.fit.scales[at], strict=True)) if rows else {}
+    return any(e > UNTOLD * sizes[name] for name, (_, e, _) in rows.items() if name.startswith(keys))
 
 
+UNTOLD = 4.0
+"""Sizes of a parameter, as of the signals that it is set against, from which on its standard error leaves it open altogether."""
 ODDS = 6.0
 """Of Schwarz's criterion, by which a model must be the better one: odds of twenty to one."""
 
