@@ -18,7 +18,7 @@ from estimators.diagnosis.baseline.disturbances import set_aside
 from estimators.diagnosis.baseline.search import LONG
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.asked import begun, outside
-from estimators.diagnosis.ladder.held_out import HeldOut, assess
+from estimators.diagnosis.ladder.held_out import HeldOut, assess, onward
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.stated import Contradiction, denied_starts, lacking, settling, starts_at_rest
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, as_started, climb, paired_gain, refused
@@ -129,6 +129,7 @@ def diagnose(
     held = _held_out(first, test, outcomes, setting)
     outcomes = [o.standing(step) for o, step in zip(outcomes, held.answered, strict=True)]
     outcomes = [_outside_the_loop(o, test, held, setting) for o in outcomes]
+    outcomes = [_bent_after_all(o, first, test, held, setting) for o in outcomes]
     lacks = [
         settling(first, o, base, setting.policy) or lacking(records, o, base, n, asked, setting.policy)
         for o, n in zip(outcomes, orders, strict=True)
@@ -321,6 +322,25 @@ def _outside_the_loop(o: Outcome, test: Record | None, held: HeldOut, setting: S
     counts = np.isfinite(test.y[:, o.index]) & (np.arange(len(test)) >= setting.skip)
     echo = has_feedback([test], [test.y[:, o.index] - held.after[:, o.index]], [counts])
     return o if echo else replace(o, inverse=False)
+
+
+def _bent_after_all(
+    o: Outcome, train: Record, test: Record | None, held: HeldOut, setting: Setting
+) -> Outcome:
+    """With the bent effect for which linear dynamics stood that fit the training record as well, where a test record tells the two
+    models apart by what a search must gain: as an answer that it bears out, neither saw it."""
+    n, i = o.named, o.index
+    step = next((s for s in held.answered[i].chain if s.kind is Kind.NAMED), None)
+    if test is None or step is None or n.alike is None or not n.bent:
+        return o
+    run = onward(train, test, setting.skip)
+    counts = np.isfinite(test.y[:, i]) & (np.arange(len(test)) >= setting.skip)
+    gain = paired_gain(
+        [np.nan_to_num(test.y[:, i])], [run(n.alike[1])], [run(step)], [counts], setting.policy
+    )
+    rivals = tuple(name for name in n.bent[0].rivals if name != n.alike[0].cause)
+    claims = (replace(n.bent[0], rivals=rivals),)
+    return replace(o, named=replace(n, claims=claims)) if gain.meets(setting.policy.searched) else o
 
 
 def _floor(o: Outcome, train: Record) -> float:

@@ -20,8 +20,10 @@ from estimators.diagnosis.discovery.validation import STILL, StartPrior, expecte
 from estimators.diagnosis.discovery.wording import (
     CARRIED,
     DEGREE,
+    LAGGED,
     Axis,
     carried,
+    lagged,
     meaning,
     named_by_shape,
     nature,
@@ -65,9 +67,8 @@ class FoundTerm:
     same_as: str
     parameters: dict[str, tuple[float, float, str]]
     curve: Curve
-    weight: float = (
-        0.0  # squares of the outputs (in their spreads) that its curve moves beyond a linear model, by term
-    )
+    # squares of the outputs (in their spreads) that its curve moves beyond a linear model, by term
+    weight: float = 0.0
 
 
 def strongest_first(terms: Sequence[FoundTerm], bent: Array) -> list[FoundTerm]:
@@ -198,8 +199,8 @@ class DiscoveredModel:
         terms = [t for t, _ in self.resolved()]
         return signal_axes(terms, self.scales, self.names)
 
-    def _swings(self, chain: int) -> bool:
-        """Whether a chain has light poles, its forces of the output taken at their mean slopes over the record's range."""
+    def _poles(self, chain: int) -> Array:
+        """Poles of a chain, per sample, its forces of the output taken at their mean slopes over the record's range."""
         alphas, signal = self.theta[self.assembly.alphas[chain]].copy(), f"y{chain}"
         grid = np.linspace(*self.ranges[signal], GRID)
         for term, k in self.resolved():
@@ -207,8 +208,15 @@ class DiscoveredModel:
                 along = self.theta[self.assembly.betas[chain][term.along]] if term.along >= 0 else 1.0
                 alphas[-len(k * along) :] -= k * along * np.polyfit(grid, values(term, {signal: grid}), 1)[0]
         roots = np.roots(np.concatenate(([1.0], alphas)))
-        poles = np.log(1.0 + self.form.paces[chain] * roots + 0j)
-        return bool(np.any((roots.imag != 0.0) & (-poles.real < SWINGS * np.abs(poles))))
+        return np.log(1.0 + self.form.paces[chain] * roots + 0j)
+
+    def _swings(self, chain: int) -> bool:
+        """Whether a chain has light poles."""
+        poles = self._poles(chain)
+        swinging = (
+            np.abs(poles.imag) % np.pi > 0.0
+        )  # a negative pole's logarithm turns by half a circle a sample
+        return bool(np.any(swinging & (-poles.real < SWINGS * np.abs(poles))))
 
     def _unit(self, term: Term) -> str:
         if term.slot == "output":
@@ -233,11 +241,8 @@ class DiscoveredModel:
             if term.slot == "slow":
                 continue
             k = self.amplitude(number, self.theta)
-            error = float(
-                error_of(lambda th, n=number: np.array([self.amplitude(n, th)]), self.theta, self.covariance)[
-                    0
-                ]
-            )
+            amplitude = lambda theta, n=number: np.array([self.amplitude(n, theta)])
+            error = float(error_of(amplitude, self.theta, self.covariance)[0])
             unit = self._unit(term)
             text = f"{k:.3g} +- {error:.2g} * {term_text(term, self.axes)}"
             out.append(
@@ -273,6 +278,9 @@ class DiscoveredModel:
                 out[i] = replace(found[i], same_as="hammerstein")
             if out[i].same_as == "product_of_inputs" and carried(t, kinds):
                 out[i] = replace(out[i], same_as="bilinear", nature="dynamic nonlinearity", meaning=CARRIED)
+            slow = lagged(t, [q for q, _ in self.resolved() if q.slot == "slow"])
+            if slow is not None and slow.rate > -self._poles(t.chain).real.max():
+                out[i] = replace(out[i], same_as="hammerstein", nature=nature(slow), meaning=LAGGED)
         return out
 
     def _saturates(self, term: Term, curve: Curve) -> bool:
@@ -297,11 +305,8 @@ class DiscoveredModel:
             ):
                 if free:
                     spread = float(np.sqrt(max(self.covariance[at, at], 0.0)))
-                    out[f"{name} of {axis.label}"] = (
-                        shift + axis.scale * value,
-                        axis.scale * spread,
-                        axis.unit,
-                    )
+                    scaled = shift + axis.scale * value, axis.scale * spread, axis.unit
+                    out[f"{name} of {axis.label}"] = scaled
                     at += 1
         return out
 

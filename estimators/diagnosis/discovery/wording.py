@@ -164,6 +164,18 @@ def carried(term: Term, terms: Sequence[Term]) -> bool:
     return term.slot == "force" and any(inputs & {f.signal for f in t.factors} for t in loops)
 
 
+LAGGED = "static curve of the input behind a lag of its own (actuator nonlinearity, input nonlinearity)"
+
+
+def lagged(term: Term, slow: Sequence[Term]) -> Term | None:
+    """The state that a force is alone, where inputs alone drive it: `LAGGED`, where it is not slow beside the chain."""
+    f = term.factors[0]
+    if len(term.factors) > 1 or term.slot != "force" or f.signal[0] != "s" or f.kind != Kind.LINEAR:
+        return None
+    driver = slow[int(f.signal[1:])]
+    return driver if _letters(driver, {}) == {"u"} else None
+
+
 OF_RATE: Mapping[str, tuple[Callable[[Array], Array], ...]] = {
     "coulomb_friction": (np.sign, lambda v: np.sign(v) * np.sqrt(np.abs(v))), "nonlinear_drag": (lambda v: v * np.abs(v), lambda v: v**3),
     "asymmetric_rise_and_fall": (np.abs, lambda v: np.maximum(v, 0.0)),

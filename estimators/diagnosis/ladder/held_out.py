@@ -41,8 +41,7 @@ class HeldOut:
     answered: tuple[Step, ...]  # per output, the step whose free run is given
     warnings: tuple[str, ...]
     # the share removed by the models of what is claimed, also where their runs are too loose to be the answer, from the linear model
-    # or from themselves without it, where the record stays in the range of the training data; the difference where there is hardly
-    # anything to remove
+    # or from themselves without it, where the record stays in the range of the training data; the difference where no share is sure
     borne: ErrorFigure
     untried: bool = False  # whether the record asks for a curve where nothing is known of it, so that it says nothing of a claim
     lost: bool = False  # whether the record's own mean is nearer to it than the free run of what is claimed
@@ -253,19 +252,23 @@ def assess(
     )
     worse, level = _worse_than_constant(y, weight, figures, policy), (floor, len(train))
     lost = ANSWER in _worse_than_constant(y, weight, (figures[0], root_figure(third, third)), policy)
-    share = removed(least, third, level, policy)
-    if test is not None and not refused and not share.low > 0.0:  # a claim is of what the training data cover
+    borne = _borne(least, third, level, policy)
+    if test is not None and not refused and not borne.low > 0.0:  # a claim is of what the training data cover
         use = inside([train], test)[rows]
-        least, third = least[use], third[use]
-        share = removed(least, third, level, policy)
+        borne = _borne(least[use], third[use], level, policy)
     return HeldOut(
         before, after, figures[0], figures[1], root_figure(one, other), root_figure(other, other),
         difference_figure(first, second), removed(first, second, level, policy),
         tuple(_rungs(ladders, runs, lambda run: root_figure(errors(run), second), answers)), tuple(steps),
         (*warnings, *worse.values()),
-        share if np.isfinite(share.low) else difference_figure(least, third), untried,
-        lost,
+        borne, untried, lost,
     )  # fmt: skip
+
+
+def _borne(before: Array, after: Array, floor: tuple[float, int], policy: Policy) -> ErrorFigure:
+    """The share removed where that is surely some, else the difference: beside a floor too near to tell a share, errors may still fall."""
+    share = removed(before, after, floor, policy)
+    return share if share.low > 0.0 else difference_figure(before, after)
 
 
 def _innovations(e: Array, noise: Array) -> Array:

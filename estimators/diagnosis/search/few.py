@@ -87,9 +87,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     options = [n for n in options if not _loose(n)] or options
     near = [n for n in options if not _told_apart(bench, n, options[0])]
     near = [n for n in near if not any(_dominates(bench, m, n) for m in near)]
-    best = min(
-        near, key=lambda n: (bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench))
-    )
+    best = min(near, key=lambda n: (bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench)))
     head = best.claims[0]
     equal = [n.claims[0].cause for n in near if len(n.claims) <= len(best.claims)]
     rivals = tuple(name for name in dict.fromkeys((*head.rivals, *equal)) if name != head.cause)
@@ -104,7 +102,11 @@ def _loose(n: Named) -> bool:
     keys = tuple(f"{c.key}." for c in n.claims if bent(c))
     rows = {} if n.step is None else n.step.parameters
     s = n.fit.structure
-    at = [sl.start + i for q, sl in zip(s.parts, s.slices(), strict=True) for i in range(len(q.parameters(s.order)))]
+    at = [
+        sl.start + i
+        for q, sl in zip(s.parts, s.slices(), strict=True)
+        for i in range(len(q.parameters(s.order)))
+    ]
     sizes = dict(zip(rows, n.fit.scales[at], strict=True)) if rows else {}
     return any(e > UNTOLD * sizes[name] for name, (_, e, _) in rows.items() if name.startswith(keys))
 

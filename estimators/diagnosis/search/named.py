@@ -32,6 +32,7 @@ from estimators.diagnosis.search.free_runs import blocked, denominator, lengthen
 from estimators.diagnosis.search.naming import BENT, as_shown, bending, dated, scaled_runs
 from estimators.diagnosis.search.ratios import part_significance
 from estimators.diagnosis.search.selection import Attribution
+from estimators.diagnosis.search.selection import Claim as Option
 from estimators.diagnosis.share.feedback import answered, autoregression, whitened
 from estimators.diagnosis.share.news import FREE, Predictor
 from estimators.residual.measures import p_stated
@@ -73,16 +74,17 @@ class Named:
     dropped: tuple[tuple[str, str], ...]  # key, and why in words
     step: Step | None  # None where nothing holds
     unused: Array = field(default_factory=lambda: np.zeros(0))  # (N,) of unused blocks; empty for no effects
-    alike: Effect | None = None  # linear dynamics that fit the record as well as its one bent effect
+    alike: tuple[Effect, NamedAnswer] | None = None  # linear dynamics that fit as well as its one bent effect
+    bent: tuple[Claim, ...] = ()  # the claim of that, where they stand in for it
 
     def as_linear(self) -> Named:
         """With the linear dynamics as the cause in place of the bent effect that they fit as well as."""
-        if self.alike is None or not self.claims:
+        if self.alike is None or not self.claims or self.bent:
             return self
         head = self.claims[0]
-        names = tuple(n for n in dict.fromkeys((*head.rivals, head.cause)) if n != self.alike.cause)
-        part = replace(head.part, effect=self.alike)
-        return replace(self, claims=(Claim(part, head.gain, head.p_value, names),))
+        names = tuple(n for n in dict.fromkeys((*head.rivals, head.cause)) if n != self.alike[0].cause)
+        part = replace(head.part, effect=self.alike[0])
+        return replace(self, claims=(Claim(part, head.gain, head.p_value, names),), bent=self.claims)
 
     def anything(self, effects: Iterable[Effect]) -> bool:
         """Whether its one effect has equals of so many natures that unused blocks tell nothing of which it is."""
@@ -96,9 +98,7 @@ class Named:
 
     def step_error(self, bench: Bench) -> float:
         """Root mean square error of its step on unused blocks."""
-        if not len(self.unused):
-            return float("inf")
-        return bench.error(self.unused)
+        return bench.error(self.unused) if len(self.unused) else float("inf")
 
 
 def linear_step(base: Baseline, i: int, rest: bool, adds: tuple[str, ...] = ()) -> Step:
@@ -272,11 +272,12 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             held = bending(bench, f, shown, unused)
             dynamics = [c.part.effect.nature is Nature.LINEAR for c in claims]
             bare = [rest for (rest, _), plain in zip(rests, dynamics, strict=True) if not plain]
-            alike, told = _as_linear(bench, a, f) if len(held) == 1 and bent(held[0]) else (None, False)
+            other, told = _as_linear(bench, a, f) if len(held) == 1 and bent(held[0]) else (None, False)
             claims = tuple(_with_rivals(held, a, f))
             left = float(np.sum(f.residual**2) / max(np.sum(a.base.residual**2), 1e-300))
-            linear = alike is not None or all(_foretold(c, bench, left) for c in claims)
+            linear = other is not None or all(_foretold(c, bench, left) for c in claims)
             step = replace(_step(bench, f, held, unused, bare), linear=linear) if held else None
+            alike = None if other is None else (other.effect, bench.answer(other.fit))
             n = Named(f, claims, tuple(dropped), step, unused, alike)
             return n if told else n.as_linear()
         worst = min(weak, key=lambda i: claims[i].gain.value)
@@ -360,13 +361,13 @@ def bent(c: Claim) -> bool:
     return c.part.effect.nature in BENT
 
 
-def _as_linear(bench: Bench, a: Attribution, f: Fit) -> tuple[Effect | None, bool]:
+def _as_linear(bench: Bench, a: Attribution, f: Fit) -> tuple[Option | None, bool]:
     """Linear dynamics that fit the record as well as a model of one bent effect, and whether unused blocks tell the two apart: by
     what the best of a search must gain, or by more than is linear in the inputs."""
     alike = [o for o in a.claims if o.effect.nature is Nature.LINEAR and _near(f, o.fit)]
     told = [bench.over(bench.unused(f), bench.unused(o.fit)).meets(bench.policy.searched) for o in alike]
     first = next((o for o, apart in zip(alike, told, strict=True) if not apart), alike[0] if alike else None)
-    return (first.effect, all(told) or bench.tells(f)) if first else (None, True)
+    return first, first is None or all(told) or bench.tells(f)
 
 
 def spread(f: Fit) -> float:
