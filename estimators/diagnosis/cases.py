@@ -9,6 +9,7 @@ from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.result.report import Diagnosis
 from oed.data import Record
 from oed.errors import InputError
+from oed.files.clock import SECONDS
 from oed.files.documents import TEXT, keyed, read_document
 
 SIGNALS = {"deviations": True, "as logged": False}
@@ -25,7 +26,7 @@ META = keyed(
         "sampling_time": {
             "type": "number",
             "exclusiveMinimum": 0,
-            "description": "a positive number of seconds",
+            "description": "a positive number, in time_unit or else in seconds",
         },
         "suggested_order": {
             "anyOf": [ORDER, {"type": "array", "items": ORDER, "minItems": 1}, {"type": "null"}],
@@ -132,22 +133,33 @@ def diagnose_files(
     }
     opening = skip if skip is not None else 0 if test is None else int(known.get("skip", 0))
     _check(wanted, opening)
-    stated = known.get("sampling_time")
+    number, unit = known.get("sampling_time"), str(known.get("time_unit") or "s")
+    if number is not None and unit not in SECONDS:
+        raise InputError(f"time_unit in meta.json is {unit!r}; known are {', '.join(SECONDS)}.")
+    stated = None if number is None else float(number) * SECONDS[unit]
 
     def read(path: Path | str) -> Record:
         told: list[str] = []
         record = read_record(path, **names, dt=columns.dt, missing=True, notes=told)
         assumed = [note for note in told if note.endswith(f"{ASSUMED}.")]
-        if assumed and isinstance(stated, int | float):
-            record = record.replace(dt=float(stated), t0=record.t0 * stated)
+        if assumed and stated is not None:
+            record = record.replace(dt=stated, t0=record.t0 * stated)
             told.remove(assumed[0])
+        elif (
+            stated is not None
+            and columns.dt is None
+            and unit != "s"
+            and abs(record.dt - number) < 1e-3 * number
+        ):
+            record = record.replace(dt=stated, t0=record.t0 * SECONDS[unit])
+            told.append(f"the times are taken in {unit}, the time_unit of meta.json")
         notes.extend(told)
         return _in_units(record, known)
 
     records = [read(path) for path in ([train] if isinstance(train, str | Path) else train)]
     first = max(records, key=len)
     second = read(test) if test is not None else None
-    if isinstance(stated, int | float) and columns.dt is None and abs(first.dt - stated) > 1e-3 * stated:
+    if stated is not None and columns.dt is None and abs(first.dt - stated) > 1e-3 * stated:
         raise InputError(
             f"the sampling time is {stated:g} s in meta.json and {first.dt:g} s by the column t; correct one of them."
         )

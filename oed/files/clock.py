@@ -5,6 +5,13 @@ from numpy.typing import NDArray
 
 from oed.errors import InputError
 
+SECONDS = {
+    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0), **dict.fromkeys(("ms", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "µs", "microsecond", "microseconds"), 1e-6), **dict.fromkeys(("ns", "nanosecond", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("min", "minute", "minutes"), 60.0), **dict.fromkeys(("h", "hour", "hours"), 3600.0),
+    **dict.fromkeys(("day", "days"), 86400.0),
+}  # fmt: skip
+"""Seconds in a unit of time, by its names. Not d, which differences have, and not m."""
 UNIFORM = 1e-6
 """Largest deviation from a uniform clock that needs no explanation, in steps."""
 PRINTED = 12

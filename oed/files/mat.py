@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from oed.data import Record
 from oed.errors import InputError
 from oed.files.arrays import TEXTS, arrays_of, first_line, scalar, table_of_arrays, texts
+from oed.files.clock import SECONDS, sampling_time
 from oed.files.limits import check_limit
 from oed.files.mat5 import is_mat5, read_mat5
 from oed.files.tables import CLOCK, Table, numbers, says_step, stated_step
@@ -27,11 +28,6 @@ FIELDS = {
     "output_units": ("outputunit", "output_units"), "time_unit": ("timeunit",),
 }  # fmt: skip
 """Our names, and the names of iddata's fields in lower case that stand for them."""
-
-SECONDS = {
-    "nanoseconds": 1e-9, "microseconds": 1e-6, "milliseconds": 1e-3, "seconds": 1.0, "minutes": 60.0, "hours": 3600.0,
-    "": 1.0, "s": 1.0, "days": 86400.0,
-}  # fmt: skip
 
 
 def mat_table(content: bytes, source: str) -> Table:
@@ -96,11 +92,9 @@ def _struct_table(name: str, struct: Mapping[str, Any], source: str) -> Table:
             fallback = default if what == "names" else [""] * n
             arrays[f"{side}_{what}"] = np.array(entries if len(entries) == n else fallback, dtype=str)
     unit = "".join(texts(_field(struct, "time_unit"))) if _field(struct, "time_unit") is not None else ""
-    if unit.lower() not in SECONDS:
-        raise InputError(
-            f"{source} has the time unit {unit!r}; known are {', '.join(filter(None, SECONDS))}."
-        )
-    scale, times = SECONDS[unit.lower()], _plain(_field(struct, "t"))
+    if (unit or "s").lower() not in SECONDS:
+        raise InputError(f"{source} has the time unit {unit!r}; known are {', '.join(SECONDS)}.")
+    scale, times = SECONDS[(unit or "s").lower()], _plain(_field(struct, "t"))
     start = _plain(_field(struct, "t0"))
     if start.size == 1:
         arrays["t0"] = np.array(scalar(start, "t0", source) * scale)
@@ -118,8 +112,6 @@ def _struct_table(name: str, struct: Mapping[str, Any], source: str) -> Table:
 
 def _clock(t: NDArray, length: int, step: float | None, source: str) -> dict[str, NDArray]:
     """Sampling time and first time of a struct's times (N,), which a sampling time stated beside them must agree with and precedes."""
-    from oed.files.clock import sampling_time
-
     if len(t) != length:
         raise InputError(f"{source} has {len(t)} times and {length} samples; they must be equal.")
     found, tolerance = sampling_time(t, f"the clock of {source}")

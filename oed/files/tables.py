@@ -9,10 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from oed.data import Record, as_sampling_time, the_one
 from oed.errors import InputError, near
-from oed.files.clock import sampling_time
+from oed.files.clock import SECONDS, sampling_time
 
 TIME = ("t", "t_s")
-SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 HERTZ = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6}
 STEPS = (
     "dt",

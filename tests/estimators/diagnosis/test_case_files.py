@@ -40,6 +40,20 @@ def test_a_description_tells_the_sampling_time_of_files_without_a_clock(case) ->
     assert case({"sampling_time": 0.08}, columns=Columns(dt=0.1))[0].extra["train"].dt == 0.1
 
 
+@pytest.mark.parametrize("clock", ["", "t [min],", "t,"])
+def test_a_sampling_time_is_in_the_unit_of_time_that_the_description_names(case, tmp_path, clock) -> None:
+    """One of 5 with `"time_unit": "min"` beside a column `t [min]` was "5 s in meta.json and 300 s by the column t"."""
+    for name in ("train.csv", "test.csv"):
+        header, *rows = (tmp_path / name).read_text().splitlines()
+        times = [f"{5 * k}," if clock else "" for k in range(len(rows))]
+        (tmp_path / name).write_text("\n".join([clock + header, *(t + row for t, row in zip(times, rows))]))
+    assert case({"sampling_time": 5, "time_unit": "min"})[0].extra["train"].dt == 300.0
+    with pytest.raises(InputError, match="time_unit in meta.json is 'fortnights'; known are s, "):
+        case({"sampling_time": 5, "time_unit": "fortnights"})
+    with pytest.raises(InputError, match="a number of 401 digits"):
+        case({"sampling_time": 10**400})
+
+
 def test_a_description_tells_how_many_samples_set_the_state(case) -> None:
     """Their errors, of a start that nobody told, were most of a control's error."""
     told, untold = case({"skip": 20})[0], case({"note": "n", "sampling_time": 1.0})[0]
