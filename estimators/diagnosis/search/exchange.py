@@ -66,6 +66,16 @@ def trending(channel: Channel, f: Fit) -> Fit | None:
     return None if p is None else fit(channel, new, p, scales, iterations=40)
 
 
+def drifting(channel: Channel, f: Fit) -> Fit | None:
+    """The model with a trend beside its effects; None where it has one."""
+    s = f.structure
+    if s.layout == "tanks" or TREND in [part.effect for part in s.parts]:
+        return None
+    new = s.adding(Part(TREND, s.inputs[0]))
+    more = new.size - s.size
+    return fit(channel, new, np.r_[f.p, np.zeros(more)], np.r_[f.scales, np.ones(more)], iterations=40)
+
+
 def exchanged(channel: Channel, f: Fit, menu: Menu) -> tuple[Fit, dict[str, tuple[Fit, Fit]], dict[str, Fit]]:
     """Each effect left out once and put up against its siblings, with all the others in the model.
 

@@ -8,7 +8,7 @@ import numpy as np
 from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.model.fitting import Fit, fit
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.exchange import TREND, trending
+from estimators.diagnosis.search.exchange import TREND, drifting, trending
 from estimators.diagnosis.search.named import HALF, LEFT, Bench, Named, bent, named_steps, spread
 from estimators.diagnosis.search.selection import FULL, Attribution, second
 
@@ -32,13 +32,18 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
         """What holds of a model, or of the same with a trend for a pole that forgets nothing: where unused blocks are surely better
         with it, or the ladder would refuse how the one with the pole starts."""
         n = named_steps(bench, replace(a, final=f, rivals=rivals))
-        if TREND not in menu.effects or (t := trending(bench.channel, n.fit)) is None:
+        if TREND not in menu.effects:
             return n
-        straight = named_steps(bench, replace(a, final=t, rivals=rivals))
-        if straight.step is None or not bench.starts(straight):
-            return n
-        surely = n.step is None or bench.over(straight.unused, n.unused).meets(bench.policy.searched)
-        return straight if surely or not bench.starts(n) else n
+        passing = {p.key for p in f.structure.effects if p.effect.timed and p.effect.nature is Nature.ADDED}
+        options = [trending(bench.channel, n.fit)]
+        options += [drifting(bench.channel, n.fit)] if passing & {key for key, _ in n.dropped} else []
+        for t in (t for t in options if t is not None):
+            straight = named_steps(bench, replace(a, final=t, rivals=rivals))
+            if straight.step is None or not bench.starts(straight):
+                continue
+            surely = n.step is None or bench.over(straight.unused, n.unused).meets(bench.policy.searched)
+            n = straight if surely or not bench.starts(n) else n
+        return n
 
     first = steps(a.final, a.rivals)
     kept = [first] if bench.starts(first) else []
