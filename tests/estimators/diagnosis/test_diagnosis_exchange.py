@@ -12,7 +12,7 @@ from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.measurement import at_extremes, at_reversals, held_samples
 from estimators.diagnosis.search.candidates import Menu, augmented
-from estimators.diagnosis.search.exchange import exchanged, trending, whole_delay, without
+from estimators.diagnosis.search.exchange import drifting, exchanged, trending, whole_delay, without
 
 B, A = [0.0, 0.1, 0.08], [1.0, -1.5, 0.7]
 
@@ -188,3 +188,8 @@ def test_a_pole_that_forgets_nothing_gives_way_to_a_trend():
     assert straight.p[straight.structure.slices()[2]] == pytest.approx([55.0], abs=0.2)
     assert straight.p[straight.structure.slices()[3]][1] == pytest.approx(-0.4, abs=0.02)
     assert trending(channel, straight) is None  # one trend is enough
+    assert drifting(channel, straight) is None
+    bare, at = straight.structure.keeping([part.key != "drift" for part in straight.structure.parts])
+    again = drifting(channel, fit(channel, bare, straight.p[at], straight.scales[at], iterations=40))
+    assert again is not None
+    assert again.p[again.structure.slices()[3]][1] == pytest.approx(-0.4, abs=0.02)

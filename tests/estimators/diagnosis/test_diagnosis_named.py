@@ -158,7 +158,7 @@ def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(mo
         asked.append(a.final)
         error = max(a.final.p, 1.0)
         return SimpleNamespace(
-            step=None, fit=a.final, unused=np.ones(1), whole=True, step_error=lambda b: error
+            step=None, fit=a.final, unused=np.ones(1), whole=True, step_error=lambda b: error, dropped=()
         )
 
     def second(channel, f, menu, coloured, needed):
@@ -181,20 +181,28 @@ def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(mo
     assert paired == fits[1:4]
 
 
+@pytest.mark.parametrize("passing", [False, True])
 @pytest.mark.parametrize(
     ("able", "better", "chosen"),
     [(True, False, "pole"), (True, True, "trend"), (False, False, "trend"), (False, True, "trend")],
 )
 def test_a_trend_stands_for_a_pole_that_forgets_nothing_only_where_it_must(
-    able, better, chosen, monkeypatch
+    able, better, chosen, passing, monkeypatch
 ) -> None:
-    """Where unused blocks are surely better with it, or the ladder would refuse how the model with the pole starts."""
-    fits = {name: SimpleNamespace(name=name, noise=()) for name in ("pole", "trend")}
+    """Where unused blocks are surely better with it, or the ladder would refuse how the model with the pole starts; and for a step
+    that unused blocks did not bear: a thermometer that crept had a step of no time that could be told."""
+    effects = [SimpleNamespace(key="step_input", effect=named("step_input"))]
+    structure = SimpleNamespace(effects=effects if passing else [], parts=(), slices=lambda: (), order=1)
+    fits = {
+        name: SimpleNamespace(name=name, noise=(), structure=structure, scales=np.ones(1))
+        for name in ("pole", "trend")
+    }
     named_as = lambda bench, a: SimpleNamespace(
-        step=SimpleNamespace(parameters={}), claims=(), fit=a.final, unused=a.final.name
-    )
+        step=SimpleNamespace(parameters={}), claims=(), fit=a.final, unused=a.final.name, dropped=[("step_input", "")]
+    )  # fmt: skip
     monkeypatch.setattr(stage, "named_steps", named_as)
-    monkeypatch.setattr(stage, "trending", lambda channel, f: fits["trend"])
+    monkeypatch.setattr(stage, "trending", lambda channel, f: None if passing else fits["trend"])
+    monkeypatch.setattr(stage, "drifting", lambda channel, f: fits["trend"])
     gain = SimpleNamespace(meets=lambda limits: better)
     bench = SimpleNamespace(channel=None, policy=Policy(), over=lambda *a: gain,
                             starts=lambda n: able or n.fit.name == "trend")  # fmt: skip
@@ -203,6 +211,17 @@ def test_a_trend_stands_for_a_pole_that_forgets_nothing_only_where_it_must(
     without = Menu(tuple(e for e in Menu().effects if e.key != "drift"))  # the clock tells nothing there
     if able:
         assert stage.best_named(bench, a, without).fit.name == "pole"  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("error", "loose"), [(3.9, False), (4.1, True), (np.inf, True)])
+def test_an_effect_is_loose_whose_parameter_the_record_leaves_open(error, loose) -> None:
+    """A lamp had been play with a gap of -1 +- 28 where its input goes from 4 to 9."""
+    s = Structure(2, parts=(Part(OFFSET), Part(named("saturation_upper"))), base=1)
+    rows = {"offset.offset": (0.0, np.inf, ""), "saturation_upper.level": (1.0, 2.5 * error, "u")}
+    claim = SimpleNamespace(key="saturation_upper", part=s.parts[1])
+    f = SimpleNamespace(structure=s, scales=np.array([1.0] * (s.size - 1) + [2.5]))
+    n = SimpleNamespace(claims=(claim,), step=SimpleNamespace(parameters=rows), fit=f)
+    assert stage._loose(n) is loose  # type: ignore[arg-type]
 
 
 def test_what_does_not_start_as_a_test_record_will_is_no_answer(monkeypatch) -> None:

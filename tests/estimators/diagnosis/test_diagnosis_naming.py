@@ -9,8 +9,10 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.choice import SLOW
+from estimators.diagnosis.discovery.dictionary import Kind as Curve
+from estimators.diagnosis.discovery.form import Factor, Term
 from estimators.diagnosis.discovery.model import DiscoveredModel
-from estimators.diagnosis.discovery.wording import named_by_shape
+from estimators.diagnosis.discovery.wording import lagged, named_by_shape
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock
@@ -135,6 +137,17 @@ def test_terms_that_make_up_one_curve_of_the_rate_are_named_by_its_shape(rng) ->
     }
     for name, force in bent.items():
         assert named_by_shape(v, force + 7.0 * v + 0.02 * rng.standard_normal(len(v))) == name
+
+
+def test_a_state_that_inputs_alone_drive_is_a_curve_of_the_input() -> None:
+    """A propeller that follows its voltage with a lag had been "a slow hidden state"."""
+    state = Term((Factor(Curve.LINEAR, "s0", 1.0),), "force")
+    drives = lambda *signals: [Term(tuple(Factor(Curve.SQUARE, s, 0.0) for s in signals), "slow", rate=0.1)]
+    assert lagged(state, drives("u0")) is not None
+    assert lagged(state, drives("u0", "u1")) is not None
+    assert lagged(state, drives("y0")) is None
+    assert lagged(Term((*state.factors, Factor(Curve.LINEAR, "u0", 0.0)), "force"), drives("u0")) is None
+    assert lagged(Term((Factor(Curve.LINEAR, "y0", 0.0),), "force"), drives("u0")) is None
 
 
 def test_a_curve_that_opens_as_the_input_grows_is_no_saturation() -> None:

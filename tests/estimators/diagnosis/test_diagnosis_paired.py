@@ -1,16 +1,19 @@
 """Two models compared sample by sample, and what a report says of the removable error."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.stats import binom
 
+from estimators.diagnosis import loop
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.ladder.figures import difference_figure, root_figure
-from estimators.diagnosis.ladder.held_out import removed
+from estimators.diagnosis.ladder.held_out import _borne, removed
+from estimators.diagnosis.ladder.steps import Gain, Kind, Step
 from estimators.diagnosis.ladder.verdicts import _assumed
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.fitting import Channel
@@ -20,6 +23,7 @@ from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.paired import as_good, paired_difference
 from estimators.diagnosis.result.report import ErrorFigure
 from estimators.diagnosis.search.candidates import Menu, augmented
+from estimators.diagnosis.search.named import Claim, Named
 from estimators.residual.algebra import mean_error
 from oed.data import Record
 
@@ -139,3 +143,41 @@ def test_a_limit_that_is_reached_on_one_side_only_is_said_to_be_assumed_on_the_o
     assert _assumed(out, "saturation").startswith(words)
     assert bool(_assumed(out, "saturation")) == bool(words)
     assert _assumed(out, "input_cubic") == ""
+
+
+def test_errors_that_surely_fall_bear_a_claim_beside_a_floor_too_near_to_tell_a_share(rng) -> None:
+    """A diode behind a filter: .0649 -> .0523 beside a floor of at most .0636, and "no cause found that holds"."""
+    noise = rng.standard_normal((4000, 1))
+    before, after, floor = 0.066 * noise, 0.053 * noise, (0.0636, 100)
+    assert removed(before, after, floor, Policy()).low < 0.0 < _borne(before, after, floor, Policy()).low
+    assert _borne(before, before[::-1], floor, Policy()).low < 0.0
+    far = removed(before, after, (0.01, 4000), Policy())
+    assert _borne(before, after, (0.01, 4000), Policy()).value == far.value
+
+
+@pytest.mark.parametrize(("better", "cause"), [(0.3, "output_nonlinearity"), (0.0, "sensor_lag")])
+def test_a_test_record_tells_a_curve_from_the_dynamics_that_fit_as_well(better, cause, rng) -> None:
+    """Both fit the training record; neither saw the test record."""
+    y = rng.standard_normal((1000, 1))
+    answer = lambda error: SimpleNamespace(simulate=lambda record, skip: y[:, 0] + error * noise)
+    noise = rng.standard_normal(1000)
+    step: Any = Step(Kind.NAMED, (), (), answer(1.0 - better), 1)  # type: ignore[arg-type]
+    gain, part = Gain(0.1, 0.01, 0.1), Part(named("output_tanh"))
+    linear = (named("order_one"), answer(1.0))
+    n = Named(None, (Claim(part, gain, 0.0, ("sensor_lag", "pendulum")),), (), step, y, linear)  # type: ignore[arg-type]
+    o: Any = Found(n.as_linear())
+    assert o.named.claims[0].cause == "sensor_lag"
+    held: Any = SimpleNamespace(answered=(step,))
+    record = Record(y, y)
+    found = loop._bent_after_all(o, record, record, held, Setting()).named.claims[0]
+    assert found.cause == cause
+    assert ("sensor_lag" in found.rivals) is False
+    assert loop._bent_after_all(o, record, None, held, Setting()) is o
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the loop asks of an outcome here."""
+
+    named: Named
+    index: int = 0
