@@ -133,10 +133,10 @@ def diagnose_files(
     }
     opening = skip if skip is not None else 0 if test is None else int(known.get("skip", 0))
     _check(wanted, opening)
-    number, unit = known.get("sampling_time"), str(known.get("time_unit") or "s")
-    if number is not None and unit not in SECONDS:
+    unit, said = str(known.get("time_unit") or "s"), "sampling_time" in known
+    if said and unit not in SECONDS:
         raise InputError(f"time_unit in meta.json is {unit!r}; known are {', '.join(SECONDS)}.")
-    stated = None if number is None else float(number) * SECONDS[unit]
+    stated = float(known["sampling_time"]) * SECONDS[unit] if said else None
 
     def read(path: Path | str) -> Record:
         told: list[str] = []
@@ -145,13 +145,9 @@ def diagnose_files(
         if assumed and stated is not None:
             record = record.replace(dt=stated, t0=record.t0 * stated)
             told.remove(assumed[0])
-        elif (
-            stated is not None
-            and columns.dt is None
-            and unit != "s"
-            and abs(record.dt - number) < 1e-3 * number
-        ):
-            record = record.replace(dt=stated, t0=record.t0 * SECONDS[unit])
+        scale = SECONDS[unit] if stated is not None and columns.dt is None else 1.0
+        if stated is not None and scale != 1.0 and abs(scale * record.dt - stated) < 1e-3 * stated:
+            record = record.replace(dt=stated, t0=record.t0 * scale)
             told.append(f"the times are taken in {unit}, the time_unit of meta.json")
         notes.extend(told)
         return _in_units(record, known)
@@ -163,10 +159,10 @@ def diagnose_files(
         raise InputError(
             f"the sampling time is {stated:g} s in meta.json and {first.dt:g} s by the column t; correct one of them."
         )
-    said = setting_of_meta(known, first.n_outputs) if meta is not None else wanted
+    given = setting_of_meta(known, first.n_outputs) if meta is not None else wanted
     final = replace(
-        wanted, structure=said.structure, deviations=said.deviations, skip=opening,
-        orders=(wanted.orders or said.orders) * (first.n_outputs if len(wanted.orders) == 1 else 1),
+        wanted, structure=given.structure, deviations=given.deviations, skip=opening,
+        orders=(wanted.orders or given.orders) * (first.n_outputs if len(wanted.orders) == 1 else 1),
     )  # fmt: skip
     if second is not None and second.t0 < first.t0 + first.dt * (len(first) - 1):
         same = abs(second.t0 - first.t0) < 0.5 * first.dt
