@@ -20,7 +20,8 @@ BATCHES = 4
 """Parts of a block whose errors are one unit of a standard error: longer than what noise remembers, and enough of them."""
 SLOW = 1.4
 """By so much a pole that remembers longer than a block must lower the error: of such a pole the record shows one response
-only, which blocks share, and a trend or a disturbance that came once looks the same."""
+only, which blocks share, and a trend or a disturbance that came once looks the same; by its square one that outlives the record,
+of whose return nothing is seen."""
 STEP = 100
 """Samples of the answer to a step by which models that were fitted without one block or another are compared: the poles that a
 record may not show are those that are quick beside it."""
@@ -56,6 +57,7 @@ class Trial:
     unused: list[Array]
     squares: Array
     slow: bool
+    endless: bool  # whether a pole outlives the record
     # variance of the model's answer to a step, as far as it depends on the block left out
     spread: float = 0.0
     # the same of its runs on the inputs on which it is wanted, above that of its runs on the records; and of a state that a slow
@@ -71,7 +73,11 @@ class Trial:
     def charged(self) -> Array:
         """The mean squares with the charges for a pole slower than a block and for what the records do not determine."""
         unsure = min(self.spread / max(float(self.squares.mean()), 1e-300), 1.0)
-        shown = self.squares * (SLOW**2 if self.slow else 1.0) * (1.0 + ((1.0 + WORSE) ** 2 - 1.0) * unsure)
+        shown = (
+            self.squares
+            * SLOW ** (2 * (self.slow + self.endless))
+            * (1.0 + ((1.0 + WORSE) ** 2 - 1.0) * unsure)
+        )
         return shown + self.beyond
 
 
@@ -94,8 +100,8 @@ def tried(
         run = model.free_run(prior, record.u[: block.stop], record.y[: block.stop, output], blocks.window)
         unused[block.record][block.rows] = run[block.rows]
     squares = batch_squares(unused, records, output, blocks)
-    slow = blocks.slow(candidate.models[-1].radius)
-    trial = Trial(candidate, unused, squares, slow, undetermined(candidate.models[:-1], records))
+    slow, endless = (bool(candidate.models[-1].radius > 1.0 - 1.0 / n) for n in (blocks.shortest, longest))
+    trial = Trial(candidate, unused, squares, slow, endless, undetermined(candidate.models[:-1], records))
     return replace(trial, beyond=_left_open(trial, records, blocks, prior, asked)) if asked else trial
 
 

@@ -141,11 +141,42 @@ def test_models_that_differ_without_a_block_must_be_better_by_what_a_simpler_may
     assert spread[0] > 20 * spread[1] > 0
     form = Arx(1, 1, (0,), False)
     trials = [
-        Trial(Candidate("OE", "", size, [], form), [], square * np.ones(20), False, each)
+        Trial(Candidate("OE", "", size, [], form), [], square * np.ones(20), False, False, each)
         for size, square, each in ((4, 1e-3, spread[0]), (5, 1.02e-3, 0.0))
     ]
     assert simplest(trials).candidate.size == 5
     assert simplest([replace(t, spread=0.0) for t in trials]).candidate.size == 4
+
+
+def test_a_pole_that_outlives_the_record_must_gain_twice_what_a_slow_one_must():
+    """Gyroscopes to a tilt: a pole at 1.00000 was 1.5 times better on unused blocks and twice as bad on the test record."""
+    from estimators.diagnosis.baseline.choice import SLOW, Trial, simplest, tried
+
+    form = Arx(1, 1, (0,), False)
+    trial = lambda size, error, *slow: Trial(
+        Candidate("OE", "", size, [], form), [], error**2 * np.ones(20), *slow
+    )
+    quick, slow, endless = trial(2, 1.0, False, False), (True, False), (True, True)
+    for error, kind, taken in (
+        (0.68, slow, True),
+        (0.68, endless, False),
+        (0.48, endless, True),
+        (0.75, slow, False),
+    ):
+        assert (simplest([quick, trial(4, error, *kind)]).candidate.size == 4) is taken
+    assert SLOW**2 == pytest.approx(1.96)
+    record = Record(np.ones(500), np.ones(500))
+    for radius, kind in ((0.98, (False, False)), (0.995, slow), (0.999, endless)):
+        models = [LinearModel(np.array([1.0, -radius]), np.full((1, 1), 1.0 - radius))] * 6
+        found = tried(
+            Candidate("OE", "", 2, models, form),
+            [record],
+            0,
+            blocks_of([record], 5, 20, 0),
+            Prior(1.0, 0.5 ** np.arange(8), 1.0),
+        )
+        assert found is not None
+        assert (found.slow, found.endless) == kind
 
 
 @pytest.mark.parametrize("ratio", [1.0, 5.0, 15.0])
