@@ -107,7 +107,7 @@ def load_plant(spec: str, noise_variance: float | None = None) -> Plant:
 def _diagnosed(spec: str) -> bool:
     """Whether a file is the model that `oed diagnose --out` wrote."""
     try:
-        return "answers" in json.loads(Path(spec).read_text(encoding="utf-8"))
+        return "answers" in json.loads(file_content(Path(spec)))
     except (OSError, ValueError, TypeError, RecursionError):
         return False
 

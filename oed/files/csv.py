@@ -163,9 +163,11 @@ def _number(entry: str, row: int, column: str, source: str) -> float:
     if _is_number(entry) and "_" not in entry:
         return float(entry)
     hint = "correct it or leave the column out"
-    if _is_number(entry.replace(",", ".")):
+    if "," in entry and _is_number(entry.replace(",", ".")):
         hint = "write decimal points, not commas"
-    elif _is_number(re.sub(r"[,' ]", "", entry)):
+    elif _is_number(re.sub("[\\u2212\\u2013]", "-", entry)) and "_" not in entry:
+        hint = "write minus as -, not as a dash"
+    elif _is_number(re.sub(r"[,'\s_\u2019]", "", entry)):
         hint = "write them without marks between the thousands"
     elif re.match(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}", entry):
         hint = "write dates like 2024-01-31 12:00:00.05, or the time in seconds"

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.campaign.plants import content_of
+from benchmarks.campaign.plants import content_of, load_plant
 from benchmarks.tables.formats import from_parquet
 from estimators.diagnosis.result.model import DiagnosedModel
 from estimators.sessions import open_session
@@ -157,7 +157,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
 def test_no_document_is_waited_for_or_endless(tmp_path):
     """A plant, a session, a part or a report that is a pipe was waited for for ever; /dev/zero filled the memory."""
     os.mkfifo(tmp_path / "session.json")
-    for read_one in (plant_from_json, saved_model, DiagnosedModel.load, from_parquet, content_of):
+    for read_one in (plant_from_json, load_plant, saved_model, DiagnosedModel.load, from_parquet, content_of):
         for path in (str(tmp_path / "session.json"), "/dev/zero"):
             with contextlib.suppress(InputError):  # a model may be something else
                 assert read_one(path) is None
