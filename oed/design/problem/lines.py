@@ -253,7 +253,7 @@ def _price(
     E = X.T @ flat.reshape(n, -1)
     if q == 1:
         E *= E
-        worth = E.reshape(-1, K, r).sum(axis=0).sum(axis=1)
+        worth = E.reshape(len(E) * flat.shape[1], K, r).sum(axis=0).sum(axis=1)
         cost = (forms[:, :, 0, 0].real * nu).sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(worth > 0, worth / cost, 0.0)

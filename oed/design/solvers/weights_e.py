@@ -97,7 +97,9 @@ class _Problem:
         )
 
     def gap(self, now: _Iterate) -> float:
-        """Relative gap between t and the bound of the multipliers, made admissible."""
+        """Relative gap between t and the bound of the multipliers, made admissible; infinite where t, which is free, has no loss."""
+        if now.t <= 0.0:
+            return np.inf
         worth = self.worth(now.Z)
         price = float((worth / (self.Q.T @ now.nu)).max())
         fixed = float(np.sum(now.Z * (self.constant @ now.Z)))
