@@ -13,6 +13,8 @@ from oed.errors import CampaignError
 
 ROUNDS = 10
 """How often all workers are started again; what still kills its worker is then tried alone, once."""
+PER_CORE = 8
+"""Processes on a core at most: they compute and do not wait, so that more of them only fill the memory, with a tenth of a GB each."""
 WATCH = 0.5
 """Seconds between two looks of a worker at whether the process that started it lives."""
 
@@ -28,6 +30,8 @@ def as_finished(
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     todo = dict(enumerate(items))
+    # All are started, whatever there is to do; with one, the work would be done here, and end this process with it.
+    jobs = min(jobs, max(2, min(len(todo), PER_CORE * (os.cpu_count() or 1))))
     # A worker that has come to hold much more than after its first task, as by its imports, is replaced and says so.
     warnings.filterwarnings("ignore", "A worker stopped while some jobs were given")
     # Ended by a signal, workers leave tasks undone; that is said in a line of our own.

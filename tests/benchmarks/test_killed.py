@@ -17,6 +17,7 @@ import pytest
 
 import benchmarks.campaign.cluster as cluster_module
 import benchmarks.cli as cli_module
+from benchmarks.campaign import processes
 from benchmarks.campaign.processes import as_finished
 from benchmarks.campaign.settings import Settings
 from benchmarks.campaign.users_own import Own
@@ -167,6 +168,20 @@ def test_work_that_is_given_up_is_not_commented_on():
         work.close()
         gc.collect()
     assert not [str(w.message) for w in seen]
+
+
+def test_no_more_processes_are_started_than_there_is_work_for(monkeypatch):
+    """`--jobs 1000` had started a thousand, for three tables."""
+    import joblib
+
+    asked, usual = [], joblib.parallel_config
+    monkeypatch.setattr(
+        joblib, "parallel_config", lambda **how: (asked.append(how["n_jobs"]), usual(**how))[1]
+    )
+    monkeypatch.setattr(processes, "PER_CORE", 1)
+    for count in (1, 3, 1000):
+        assert len(list(as_finished(abs, range(count), 30))) == count
+    assert asked == [2, min(3, max(2, os.cpu_count() or 1)), max(2, os.cpu_count() or 1)]
 
 
 @pytest.mark.slow
