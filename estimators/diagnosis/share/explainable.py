@@ -92,8 +92,8 @@ def _means(squares: Array, owner: NDArray[np.int64]) -> Array:
 
 
 def _interval(target: Array, left: Array, owner: NDArray[np.int64]) -> tuple[float, float, float]:
-    """1 - left^2 / target^2 with a 95 % interval; the batches' differences are taken for independent: it holds in .87 to .94, the least
-    where what is left is slow."""
+    """1 - left^2 / target^2 with a 95 % interval; the batches' differences are taken for independent: it holds in .79 to .94 of
+    records with inputs of their own, the least where what is left is slow (noise with a pole of .9, 600 samples)."""
     base = float(np.mean(target**2))
     if not base:
         return 0.0, 0.0, 0.0
