@@ -21,7 +21,16 @@ from estimators.diagnosis.ladder.asked import begun, outside
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, onward
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.stated import Contradiction, denied_starts, lacking, settling, starts_at_rest
-from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, as_started, climb, paired_gain, refused
+from estimators.diagnosis.ladder.steps import (
+    Kind,
+    Ladder,
+    Step,
+    as_started,
+    climb,
+    over_linear,
+    paired_gain,
+    refused,
+)
 from estimators.diagnosis.ladder.verdicts import verdict
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.admission import together, told_from_clock
@@ -258,6 +267,12 @@ def _outcome(
     rest = None
     if terms.found.sought and above.explainable:  # else unused blocks have said that nothing of it lasts
         rest = _remainder_step(records, i, base, ladder, above, setting)
+    if rest is not None and not bench.echoes(rest.unused[0]):
+        steps = [*steps, rest]
+        ladder = climb(y, steps, counted, setting.policy, least=least)
+    make = lambda bare: _remainder_step(records, i, base, bare, share, setting)
+    most = share.high if share.explainable else 0.0
+    rest = over_linear(ladder, most, make, y, setting.policy)
     if rest is not None and not bench.echoes(rest.unused[0]):
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     # What the answer explains was no noise that an input answers.

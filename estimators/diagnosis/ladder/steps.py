@@ -6,7 +6,7 @@ see, and simulates any record. The stages do not know of each other here; a new 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
@@ -144,6 +144,11 @@ class Ladder:
         """The answer."""
         return self.rungs[self.answer].step
 
+    @property
+    def explained(self) -> float:
+        """Share of the linear model's squared error on unused blocks that the answer takes away."""
+        return 1.0 - (self.rungs[self.answer].value / max(self.rungs[0].value, 1e-300)) ** 2
+
 
 def _pieces(squares: Sequence[Array], counted: Sequence[NDArray[np.bool_]], count: int) -> Array:
     """Sums of squares and numbers of samples over about `count` stretches of all records together, (pieces, 2)."""
@@ -251,3 +256,21 @@ def climb(
             answer = answer if back.meets(policy.claimed) else i
     rungs = tuple(Rung(s, e, together([e], [errors[answer]])) for s, e in zip(ranked, errors, strict=True))
     return Ladder(rungs, answer, counted)
+
+
+def over_linear(
+    ladder: Ladder,
+    most: float,
+    make: Callable[[Ladder], Step | None],
+    measured: Sequence[Array],
+    policy: Policy,
+) -> Step | None:
+    """A step made on the linear model itself, where `most` that can be explained is more than the answer does and the step does more: what is
+    named or found may be one piece of what is missing, and a regression of it all does not need that."""
+    if not most > ladder.explained:
+        return None
+    linear = next(k for k, r in enumerate(ladder.rungs) if r.step is ladder.linear)
+    if (step := make(replace(ladder, answer=linear))) is None:
+        return None
+    gain = paired_gain(measured, ladder.chosen.unused, step.unused, ladder.counted, policy)
+    return step if gain.meets((policy.searched[0], policy.lasting)) else None

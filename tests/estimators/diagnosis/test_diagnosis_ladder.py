@@ -17,7 +17,7 @@ from estimators.diagnosis.ladder.asked import begun, outside
 from estimators.diagnosis.ladder.figures import together
 from estimators.diagnosis.ladder.held_out import continues, onward
 from estimators.diagnosis.ladder.outcome import Outcome
-from estimators.diagnosis.ladder.steps import refused
+from estimators.diagnosis.ladder.steps import over_linear, refused
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.answers import LinearAnswer
 from oed.data import Record
@@ -70,6 +70,31 @@ def test_what_was_searched_for_on_the_same_blocks_must_gain_more() -> None:
         better = _step(Kind.DISCOVERED, 0.0 * y[0])
         assert climb(y, [*steps, better], COUNTED, POLICY).chosen.kind is kind
         assert climb(y, [*steps, better], COUNTED, replace(POLICY, searched=POLICY.claimed)).chosen is better
+
+
+def test_a_regression_of_all_that_is_missing_need_not_stand_on_one_piece_of_it() -> None:
+    """A river under snow: 1.93 mm/d for a named piece, where a regression of the linear model's residual had 1.18."""
+    y, steps = _case(4, 1.6, 1.4)
+    ladder = climb(y, steps, COUNTED, POLICY)
+    assert ladder.chosen.kind is Kind.NAMED
+    assert 0.0 < ladder.explained < 0.5
+    rng, asked = np.random.default_rng(5), []
+
+    def found(most: float, size: float) -> Step | None:
+        def make(bare):
+            asked.append(bare.chosen)
+            return _step(Kind.REMAINDER, size * rng.standard_normal(N)) if size < 9.0 else None
+
+        return over_linear(ladder, most, make, y, POLICY)
+
+    assert found(ladder.explained, 0.0) is None
+    assert not asked  # nothing more to explain: none is fitted
+    assert found(0.9, 9.0) is None
+    assert found(0.9, 0.9) is None  # not a third less than the answer
+    better = found(0.9, 0.1)
+    assert better is not None
+    assert climb(y, [*steps, better], COUNTED, POLICY).chosen is better
+    assert all(step is ladder.linear for step in asked)
 
 
 def test_the_gain_of_nothing_passes_one_standard_error_in_about_a_sixth() -> None:
