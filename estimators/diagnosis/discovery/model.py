@@ -213,9 +213,8 @@ class DiscoveredModel:
     def _swings(self, chain: int) -> bool:
         """Whether a chain has light poles."""
         poles = self._poles(chain)
-        swinging = (
-            np.abs(poles.imag) % np.pi > 0.0
-        )  # a negative pole's logarithm turns by half a circle a sample
+        # a negative pole's logarithm turns by half a circle a sample
+        swinging = np.abs(poles.imag) % np.pi > 0.0
         return bool(np.any(swinging & (-poles.real < SWINGS * np.abs(poles))))
 
     def _unit(self, term: Term) -> str:
