@@ -1,6 +1,6 @@
 """A few effects in place of the search's: models that unused blocks choose between, where its criterion may have been misled."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.model.fitting import Fit, fit
 from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.exchange import TREND, drifting, trending
-from estimators.diagnosis.search.named import HALF, LEFT, Bench, Named, bent, named_steps, spread
+from estimators.diagnosis.search.named import HALF, LEFT, Bench, Claim, Named, bent, named_steps, spread
 from estimators.diagnosis.search.selection import FULL, Attribution, second
 
 TRIED = 8
@@ -89,10 +89,14 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     )
     if not options:
         return first
-    options = [n for n in options if not _loose(n)] or options
-    near = [n for n in options if not _told_apart(bench, n, options[0])]
-    near = [n for n in near if not any(_dominates(bench, m, n) for m in near)]
-    best = min(near, key=lambda n: (bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench)))
+    near = _nearest(bench, options)
+    if all(_loose(n, n.claims[:1]) for n in near):
+        beaten = lambda n: any(_dominates(bench, m, n) for m in options)
+        options = [n for n in options if not _loose(n) and not beaten(n)] or options
+        near = _nearest(bench, options)
+    best = min(
+        near, key=lambda n: (_loose(n), bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench))
+    )
     head = best.claims[0]
     equal = [n.claims[0].cause for n in near if len(n.claims) <= len(best.claims)]
     rivals = tuple(name for name in dict.fromkeys((*head.rivals, *equal)) if name != head.cause)
@@ -102,9 +106,16 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     return replace(best, claims=(replace(head, rivals=rivals), *best.claims[1:]), step=step)
 
 
-def _loose(n: Named) -> bool:
-    """Whether the record says nothing of a parameter of what bends: it has run to a limit in which the effect is another one."""
-    keys = tuple(f"{c.key}." for c in n.claims if bent(c))
+def _nearest(bench: Bench, options: list[Named]) -> list[Named]:
+    """Those that unused blocks cannot tell from the first and best, but for what others of no more effects surely beat."""
+    near = [n for n in options if not _told_apart(bench, n, options[0])]
+    return [n for n in near if not any(_dominates(bench, m, n) for m in near)]
+
+
+def _loose(n: Named, claims: Sequence[Claim] | None = None) -> bool:
+    """Whether the record says nothing of a parameter of what bends, of some claims or all: it has run to a limit in which the effect
+    is another one."""
+    keys = tuple(f"{c.key}." for c in (n.claims if claims is None else claims) if bent(c))
     rows = {} if n.step is None else n.step.parameters
     s = n.fit.structure
     at = [
