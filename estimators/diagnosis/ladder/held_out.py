@@ -192,7 +192,7 @@ def assess(
 
     `counts` (N, ny) says which samples of that record count, `held` (N, ny) in which of them the sensor shows its last value:
     what is simulated is then compared as it would show it, but for the linear model, which knows of no such sensor. The
-    answer of each output is its ladder's; where its free run explodes, or is not determined by the training data and the record does
+    answer of each output is its ladder's; where its free run explodes, or is not determined by the training data, and the record does
     not surely bear it out, that is said, and the best of the others that is sane and determined stands in its place; and where the
     test record is further from the answer than from the linear model, that is said, and the linear model is the answer.
     """
@@ -206,7 +206,17 @@ def assess(
     answers, warnings, untried = [], [], False
     for i, ladder in enumerate(ladders):
         name, use = record.output_names[i], counts[:, i]
-        sane = [j for j in _order(ladder) if _sane(runs[i][j][use], runs[i][0][use], train.y[:, i], policy)]
+        off = [(y[:, i] - run)[use, None] for run in runs[i]]
+        sane = [
+            j
+            for j in _order(ladder)
+            if _sane(runs[i][j][use], runs[i][0][use], train.y[:, i], policy)
+            or (
+                test is not None
+                and np.all(np.isfinite(off[j]))
+                and difference_figure(off[0], off[j]).low > 0.0
+            )
+        ]
         answers.append(sane[0] if sane else 0)
         if answers[-1] != ladder.answer or not sane:
             warnings.append(_exploded(ladder, answers[-1] if sane else None, name))
@@ -215,8 +225,7 @@ def assess(
             untried |= not known[answers[-1]]
             j = _determined(ladder, sane, runs[i], free_run, use, known)
             if j != answers[-1]:
-                own, other = ((y[:, i] - runs[i][k])[use, None] for k in (answers[-1], j))
-                borne = difference_figure(other, own).low > 0.0
+                borne = difference_figure(off[j], off[answers[-1]]).low > 0.0
                 kinds = (ladder.rungs[k].step.kind.value for k in (answers[-1], j))
                 warnings.append((BORNE if borne else UNDETERMINED).format(next(kinds), name, next(kinds)))
                 answers[-1] = answers[-1] if borne else j

@@ -284,6 +284,25 @@ def test_what_the_training_data_leave_open_a_test_record_may_bear_out(error: flo
     assert any("hangs on single blocks" in w for w in held.warnings) != kept
 
 
+@pytest.mark.parametrize(("left", "kept"), [(0.1, True), (2.5, False), (np.nan, False)])
+def test_a_run_that_goes_where_the_record_goes_is_no_explosion(left: float, kept: bool) -> None:
+    """A battery run far below its training record: the curve over its charge left .019 V of the linear model's .311, and was refused for
+    going three times as far as that."""
+    y, every = np.random.default_rng(3).standard_normal(400), np.ones((400, 1), dtype=bool)
+    train, test = Record(np.ones(400), 0.1 * y), Record(np.ones(400), 3.0 * y)
+    run = lambda share: SimpleNamespace(simulate=lambda r, w: (1.0 - share) * r.y[:, 0])
+    steps = [Step(Kind.LINEAR, (), (), run(1.0), linear=True), Step(Kind.NAMED, ("offset",), (), run(left))]
+    rungs = tuple(
+        Rung(s, np.full(400, v), ErrorFigure(v, v, v)) for s, v in zip(steps, (1.0, 0.5), strict=True)
+    )
+    held = assess(
+        train, test, [Ladder(rungs, 1, (every[:, 0],))], skip=0, floor=0.01, counts=every, held=~every,
+        policy=Setting().policy,
+    )  # fmt: skip
+    assert (held.answered[0] is steps[1]) == kept
+    assert any("leaves every bound" in w for w in held.warnings) != kept
+
+
 def test_a_claim_is_judged_where_the_record_stays_in_the_range_of_the_training_data() -> None:
     """A tank that ran over on the test record alone took its outflow's name away, though all the rest of the record bore it."""
     wave = np.sin(0.05 * np.arange(400))
