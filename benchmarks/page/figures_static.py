@@ -119,12 +119,17 @@ def _ticks(ax: Any, figure: Figure) -> None:
         axis.set_minor_formatter(FuncFormatter(_power) if high < NUMBERED * low else NullFormatter())
 
 
+PLAIN = 2
+"""Powers of ten, either way, whose numbers are written out."""
+
+
 def _power(value: float, place: int | None = None) -> str:
-    """A number of a logarithmic axis: 2, 10², 5×10⁻⁴."""
+    """A number of a logarithmic axis: 20, 10³, 5×10⁻⁴."""
     power = int(np.floor(np.log10(value) + 1e-9))
-    times = "" if power == 0 else f"10{str(power).translate(RAISED)}"
-    digits = f"{value / 10.0**power:.4g}"
-    return digits if not times else times if digits == "1" else f"{digits}×{times}"
+    if abs(power) <= PLAIN:
+        return f"{value:.4g}"
+    times, digits = f"10{str(power).translate(RAISED)}", f"{value / 10.0**power:.4g}"
+    return times if digits == "1" else f"{digits}×{times}"
 
 
 def _series(

@@ -254,3 +254,11 @@ def test_a_page_is_made_where_its_scripts_cannot_be_kept(where, tmp_path, monkey
     monkeypatch.setattr(Path, "home", none)
     monkeypatch.setattr(vl_convert, "javascript_bundle", lambda: "let a;</script>")
     assert skeleton._bundle.__wrapped__() == "let a;<\\/script>"
+
+
+def test_ticks_of_logarithmic_axes_are_written_out_near_one() -> None:
+    """1, 2, 5, 10¹, 2×10¹ had stood beside one another."""
+    from benchmarks.page.figures_static import _power
+
+    found = {0.02: "0.02", 1.0: "1", 10.0: "10", 20.0: "20", 500.0: "500", 1e3: "10³", 5e-4: "5×10⁻⁴"}
+    assert {value: _power(value) for value in found} == found
