@@ -268,11 +268,9 @@ def _outcome(
     if terms.found.sought and above.explainable:  # else unused blocks have said that nothing of it lasts
         rest = _remainder_step(records, i, base, ladder, above, setting)
     if rest is not None and not bench.echoes(rest.unused[0]):
-        steps = [*steps, rest]
-        ladder = climb(y, steps, counted, setting.policy, least=least)
+        ladder = climb(y, steps := [*steps, rest], counted, setting.policy, least=least)
     make = lambda bare: _remainder_step(records, i, base, bare, share, setting)
-    most = share.high if share.explainable else 0.0
-    rest = over_linear(ladder, most, make, y, setting.policy)
+    rest = over_linear(ladder, share.high if share.explainable else 0.0, make, y, setting.policy)
     if rest is not None and not bench.echoes(rest.unused[0]):
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     # What the answer explains was no noise that an input answers.
@@ -330,12 +328,17 @@ def _held_out(train: Record, test: Record | None, outcomes: list[Outcome], setti
                   counts=counts, held=held, policy=setting.policy)  # fmt: skip
 
 
+def _judged(test: Record, i: int, setting: Setting) -> NDArray[np.bool_]:
+    """(N,) samples of an output of a test record that count."""
+    return np.isfinite(test.y[:, i]) & (np.arange(len(test)) >= setting.skip)
+
+
 def _outside_the_loop(o: Outcome, test: Record | None, held: HeldOut, setting: Setting) -> Outcome:
     """Not taken for a controller's inverse where a test record bears its model and no input there knows of the noise."""
     if not o.inverse or test is None or not held.bears:
         return o
-    counts = np.isfinite(test.y[:, o.index]) & (np.arange(len(test)) >= setting.skip)
-    echo = has_feedback([test], [test.y[:, o.index] - held.after[:, o.index]], [counts])
+    left = test.y[:, o.index] - held.after[:, o.index]
+    echo = has_feedback([test], [left], [_judged(test, o.index, setting)])
     return o if echo else replace(o, inverse=False)
 
 
@@ -349,13 +352,13 @@ def _bent_after_all(
     if test is None or step is None or n.alike is None or not n.bent:
         return o
     run = onward(train, test, setting.skip)
-    counts = np.isfinite(test.y[:, i]) & (np.arange(len(test)) >= setting.skip)
+    counts = _judged(test, i, setting)
     gain = paired_gain(
         [np.nan_to_num(test.y[:, i])], [run(n.alike[1])], [run(step)], [counts], setting.policy
     )
     rivals = tuple(name for name in n.bent[0].rivals if name != n.alike[0].cause)
-    claims = (replace(n.bent[0], rivals=rivals),)
-    return replace(o, named=replace(n, claims=claims)) if gain.meets(setting.policy.searched) else o
+    bent = replace(n, claims=(replace(n.bent[0], rivals=rivals),))
+    return replace(o, named=bent) if gain.meets(setting.policy.searched) else o
 
 
 def _floor(o: Outcome, train: Record) -> float:

@@ -58,7 +58,11 @@ class Blocks:
 
     def slow(self, radius: float) -> bool:
         """Whether a pole of this radius remembers longer than the shortest block."""
-        return radius > 1.0 - 1.0 / self.shortest
+        return bool(radius > 1.0 - 1.0 / self.shortest)
+
+    def endless(self, radius: float) -> bool:
+        """Whether a pole of this radius outlives the longest record."""
+        return bool(radius > 1.0 - 1.0 / max(self.lengths))
 
     def training(self, held_out: Block) -> list[NDArray[np.bool_]]:
         """The samples that a fit may use while a block is held out."""

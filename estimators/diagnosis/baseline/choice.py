@@ -100,7 +100,7 @@ def tried(
         run = model.free_run(prior, record.u[: block.stop], record.y[: block.stop, output], blocks.window)
         unused[block.record][block.rows] = run[block.rows]
     squares = batch_squares(unused, records, output, blocks)
-    slow, endless = (bool(candidate.models[-1].radius > 1.0 - 1.0 / n) for n in (blocks.shortest, longest))
+    slow, endless = (kind(candidate.models[-1].radius) for kind in (blocks.slow, blocks.endless))
     trial = Trial(candidate, unused, squares, slow, endless, undetermined(candidate.models[:-1], records))
     return replace(trial, beyond=_left_open(trial, records, blocks, prior, asked)) if asked else trial
 

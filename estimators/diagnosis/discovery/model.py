@@ -260,7 +260,8 @@ class DiscoveredModel:
 
     def _renamed(self, found: list[FoundTerm]) -> list[FoundTerm]:
         """The terms; of several that are one curve of a rate, each with the name of the whole curve's shape."""
-        kinds = [t for t, _ in self.resolved() if t.slot != "slow"]
+        terms = [t for t, _ in self.resolved()]
+        kinds, states = ([t for t in terms if (t.slot == "slow") is slow] for slow in (False, True))
         groups: dict[int, list[int]] = {}
         for i, t in enumerate(kinds):
             if len(t.factors) == 1 and t.slot == "force" and t.factors[0].signal == f"v{t.chain}":
@@ -277,7 +278,7 @@ class DiscoveredModel:
                 out[i] = replace(found[i], same_as="hammerstein")
             if out[i].same_as == "product_of_inputs" and carried(t, kinds):
                 out[i] = replace(out[i], same_as="bilinear", nature="dynamic nonlinearity", meaning=CARRIED)
-            slow = lagged(t, [q for q, _ in self.resolved() if q.slot == "slow"])
+            slow = lagged(t, states)
             if slow is not None and slow.rate > -self._poles(t.chain).real.max():
                 out[i] = replace(out[i], same_as="hammerstein", nature=nature(slow), meaning=LAGGED)
         return out

@@ -263,22 +263,28 @@ def test_what_a_record_bears_is_what_is_printed_of_it() -> None:
     assert all(f.bears == (f.room.low > 0.0) for f in found)
 
 
+def assessed(train: Record, test: Record, steps: list[Step], floor: float) -> HeldOut:
+    """Two steps on a test record, the second of half the error on unused blocks and the answer."""
+    every = np.ones((len(test), 1), dtype=bool)
+    rungs = tuple(
+        Rung(s, np.full(len(test), v), ErrorFigure(v, v, v)) for s, v in zip(steps, (1.0, 0.5), strict=True)
+    )
+    return assess(
+        train, test, [Ladder(rungs, 1, (every[:, 0],))], skip=0, floor=floor, counts=every, held=~every,
+        policy=Setting().policy,
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(("error", "kept"), [(0.3, True), (1.05, False)])
 def test_what_the_training_data_leave_open_a_test_record_may_bear_out(error: float, kept: bool) -> None:
     """A plate over a voltage, measured at higher ones than before: its model, whose parts hung on single blocks, left a fifth of the
     linear model's error, and the linear model was the answer."""
     y = np.random.default_rng(3).standard_normal(400)
-    record, every = Record(np.ones(400), y), np.ones((400, 1), dtype=bool)
+    record = Record(np.ones(400), y)
     run = lambda left: SimpleNamespace(simulate=lambda r, w: (1.0 - left) * r.y[:, 0])
     steps = [Step(Kind.LINEAR, (), (), run(1.0), linear=True), Step(Kind.NAMED, ("offset",), (), run(error))]
     steps[1] = replace(steps[1], folds=tuple(run(left) for left in (error, error, -1.0)))
-    rungs = tuple(
-        Rung(s, np.full(400, v), ErrorFigure(v, v, v)) for s, v in zip(steps, (1.0, 0.5), strict=True)
-    )
-    held = assess(
-        record, record, [Ladder(rungs, 1, (every[:, 0],))], skip=0, floor=0.1, counts=every, held=~every,
-        policy=Setting().policy,
-    )  # fmt: skip
+    held = assessed(record, record, steps, 0.1)
     assert (held.answered[0] is steps[1]) == kept
     assert any("bear it out" in w for w in held.warnings) == kept
     assert any("hangs on single blocks" in w for w in held.warnings) != kept
@@ -288,17 +294,11 @@ def test_what_the_training_data_leave_open_a_test_record_may_bear_out(error: flo
 def test_a_run_that_goes_where_the_record_goes_is_no_explosion(left: float, kept: bool) -> None:
     """A battery run far below its training record: the curve over its charge left .019 V of the linear model's .311, and was refused for
     going three times as far as that."""
-    y, every = np.random.default_rng(3).standard_normal(400), np.ones((400, 1), dtype=bool)
+    y = np.random.default_rng(3).standard_normal(400)
     train, test = Record(np.ones(400), 0.1 * y), Record(np.ones(400), 3.0 * y)
     run = lambda share: SimpleNamespace(simulate=lambda r, w: (1.0 - share) * r.y[:, 0])
     steps = [Step(Kind.LINEAR, (), (), run(1.0), linear=True), Step(Kind.NAMED, ("offset",), (), run(left))]
-    rungs = tuple(
-        Rung(s, np.full(400, v), ErrorFigure(v, v, v)) for s, v in zip(steps, (1.0, 0.5), strict=True)
-    )
-    held = assess(
-        train, test, [Ladder(rungs, 1, (every[:, 0],))], skip=0, floor=0.01, counts=every, held=~every,
-        policy=Setting().policy,
-    )  # fmt: skip
+    held = assessed(train, test, steps, 0.01)
     assert (held.answered[0] is steps[1]) == kept
     assert any("leaves every bound" in w for w in held.warnings) != kept
 

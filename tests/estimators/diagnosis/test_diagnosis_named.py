@@ -213,17 +213,6 @@ def test_a_trend_stands_for_a_pole_that_forgets_nothing_only_where_it_must(
         assert stage.best_named(bench, a, without).fit.name == "pole"  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("error", "loose"), [(3.9, False), (4.1, True), (np.inf, True)])
-def test_an_effect_is_loose_whose_parameter_the_record_leaves_open(error, loose) -> None:
-    """A lamp had been play with a gap of -1 +- 28 where its input goes from 4 to 9."""
-    s = Structure(2, parts=(Part(OFFSET), Part(named("saturation_upper"))), base=1)
-    rows = {"offset.offset": (0.0, np.inf, ""), "saturation_upper.level": (1.0, 2.5 * error, "u")}
-    claim = SimpleNamespace(key="saturation_upper", part=s.parts[1])
-    f = SimpleNamespace(structure=s, scales=np.array([1.0] * (s.size - 1) + [2.5]))
-    n = SimpleNamespace(claims=(claim,), step=SimpleNamespace(parameters=rows), fit=f)
-    assert stage._loose(n) is loose  # type: ignore[arg-type]
-
-
 def test_what_does_not_start_as_a_test_record_will_is_no_answer(monkeypatch) -> None:
     """Blocks have a window that sets their state; a run from the record's own start shows what integrates what was fitted to it."""
     y, rise = np.sin(np.arange(50.0)), np.linspace(0.0, 9.0, 50)

@@ -26,6 +26,7 @@ from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.result.report import ErrorFigure
 from estimators.diagnosis.search.examination import Known, _forgetting
+from estimators.diagnosis.search.few import _loose
 from estimators.diagnosis.search.named import Named
 from estimators.diagnosis.search.naming import CONTENT, FOLDED, LATE, as_shown
 from estimators.diagnosis.share import Evidence
@@ -255,3 +256,14 @@ def test_the_search_starts_from_a_linear_part_without_a_pole_that_an_effect_has_
     few = fit_linear(channel, Structure(1, (0, 1)))
     poor = replace(slow, residual=few.residual / (1.01 * SLOW))
     assert _forgetting(channel, s, poor, Known(2, memory=240.0))[0].order == 2  # it pays for itself
+
+
+@pytest.mark.parametrize(("error", "loose"), [(3.9, False), (4.1, True), (np.inf, True)])
+def test_an_effect_is_loose_whose_parameter_the_record_leaves_open(error, loose) -> None:
+    """A lamp had been play with a gap of -1 +- 28 where its input goes from 4 to 9."""
+    s = Structure(2, parts=(Part(OFFSET), Part(named("saturation_upper"))), base=1)
+    rows = {"offset.offset": (0.0, np.inf, ""), "saturation_upper.level": (1.0, 2.5 * error, "u")}
+    claim = SimpleNamespace(key="saturation_upper", part=s.parts[1])
+    f = SimpleNamespace(structure=s, scales=np.array([1.0] * (s.size - 1) + [2.5]))
+    n = SimpleNamespace(claims=(claim,), step=SimpleNamespace(parameters=rows), fit=f)
+    assert _loose(n) is loose  # type: ignore[arg-type]
