@@ -133,6 +133,7 @@ class Ladder:
     rungs: tuple[Rung, ...]
     answer: int
     counted: tuple[NDArray[np.bool_], ...]  # samples of each record on which the errors were taken
+    exact: bool = False  # the linear model leaves the rounding of doubles, and nothing can be missing
 
     @property
     def linear(self) -> Step:
@@ -146,8 +147,15 @@ class Ladder:
 
     @property
     def explained(self) -> float:
-        """Share of the linear model's squared error on unused blocks that the answer takes away."""
-        return 1.0 - (self.rungs[self.answer].value / max(self.rungs[0].value, 1e-300)) ** 2
+        """Share of the linear model's squared error on unused blocks that the answer takes away; nothing of none."""
+        return 1.0 - self.left(self.rungs[self.answer].value)
+
+    def left(self, value: float) -> float:
+        """An error's mean square as a share of the linear model's on unused blocks; all of it where that model has none."""
+        ratio = value / self.rungs[0].value if self.rungs[0].value > 0.0 else 1.0
+        return (
+            ratio * ratio
+        )  # where ** 2 raises beyond the range of doubles, as it does for an error of rounding alone
 
 
 def _pieces(squares: Sequence[Array], counted: Sequence[NDArray[np.bool_]], count: int) -> Array:
@@ -229,7 +237,7 @@ def climb(
     """Order the steps, and climb to each that is better on unused blocks than the answer so far, beyond its standard errors.
 
     `measured` and `counted` are (N,) per training record; the first step is the linear model. By construction the
-    answer is no worse there than the linear model, whatever a stage claims of itself. Steps before `least` are shown only:
+    answer is no worse there than the linear model, whatever a stage claims of itself; of an exact one there is nothing to gain. Steps before `least` are shown only:
     a linear model fitted to samples that are no measurements. A named cause that runs by the clock gives way to discovered
     terms that do as well without one: they say what happens when it all begins again.
     """
@@ -245,7 +253,11 @@ def climb(
         if i >= least and (i == least or (s.admitted and not np.any(np.isinf(e))))
     ]
     answer = able[0]
-    for i in able[1:]:
+    y = np.concatenate([m[use] for m, use in zip(measured, counted, strict=True)])
+    exact = together([errors[answer]], [errors[answer]]).value <= ROUNDING * float(
+        np.max(np.abs(y), initial=0.0)
+    )
+    for i in () if exact else able[1:]:
         before, after = (_charged(measured, ranked[k]) for k in (answer, i))
         gain = paired_gain(measured, before, after, counted, policy)
         searched = ranked[i].kind in (Kind.DISCOVERED, Kind.REMAINDER)
@@ -255,7 +267,11 @@ def climb(
             back = paired_gain(measured, ranked[i].unused, ranked[answer].unused, counted, policy)
             answer = answer if back.meets(policy.claimed) else i
     rungs = tuple(Rung(s, e, together([e], [errors[answer]])) for s, e in zip(ranked, errors, strict=True))
-    return Ladder(rungs, answer, counted)
+    return Ladder(rungs, answer, counted, exact)
+
+
+ROUNDING = 1e-13
+"""Of the largest sample: what a sum of some hundred doubles may be off by, and no record of a sensor is good to."""
 
 
 def over_linear(
@@ -267,7 +283,7 @@ def over_linear(
 ) -> Step | None:
     """A step made on the linear model itself, where `most` that can be explained is more than the answer does and the step does more: what is
     named or found may be one piece of what is missing, and a regression of it all does not need that."""
-    if not most > ladder.explained:
+    if ladder.exact or not most > ladder.explained:
         return None
     linear = next(k for k, r in enumerate(ladder.rungs) if r.step is ladder.linear)
     if (step := make(replace(ladder, answer=linear))) is None:

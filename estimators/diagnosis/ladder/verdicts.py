@@ -58,9 +58,8 @@ def verdict(
 ) -> dict[str, Any]:
     """The fields of a `Diagnosis` that name causes; what was `stated` and does not hold is one where no other is."""
     several, effects = len(outcomes) > 1, {e.key: e for e in (*CATALOGUE, *setting.effects)}
-    rests = [
-        leftovers(o.examined.last, o.named.fit, alpha=setting.alpha / len(outcomes) / 10) for o in outcomes
-    ]
+    every, outcomes = outcomes, [o for o in outcomes if not o.ladder.exact]  # rounding has no cause
+    rests = [leftovers(o.examined.last, o.named.fit, alpha=setting.alpha / len(every) / 10) for o in outcomes]
     system = [f for o in outcomes for f in _system(o, on_output(o, several), setting.policy)]
     withdrawn = bool(system) and not held.bears
     doubted = [f.cause for f in system if withdrawn]
@@ -70,7 +69,7 @@ def verdict(
         system = [f for o in told for f in _predictable(o, on_output(o, several), setting.policy)]
     for o, rest in zip(outcomes, rests, strict=True):
         if not any(f.cause == UNKNOWN for f in system):
-            system += _unexplained(o, rest, setting.alpha / len(outcomes), on_output(o, several))
+            system += _unexplained(o, rest, setting.alpha / len(every), on_output(o, several))
     if not system:
         # beside a cause that the record does not bear, only a pole of the linear model itself is told
         told = [(o, c) for o, c in stated if not withdrawn or c.key == SETTLES]
@@ -107,7 +106,7 @@ def verdict(
         "system": f"{headline(first[0], outcomes, effects, record, held.bears) if first else UNCLAIMED if withdrawn else echo}; {errors}",
         "equation": "; ".join(equations(outcomes)),
         "floor_is_bound": any(map(bool, rests)) or any(_absorbing(o) for o in outcomes),
-        "data": tuple(f.sentence for f in data), "explainable": _explainable(outcomes),
+        "data": tuple(f.sentence for f in data), "explainable": _explainable(every),
     }  # fmt: skip
 
 
@@ -119,7 +118,7 @@ def _meanings(outcomes: Sequence[Outcome]) -> list[str]:
 
 def _explainable(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """The share of the first output's residual, as there is one share for one residual; the least sure where several."""
-    s = min((o.share for o in outcomes), key=lambda s: -s.share)
+    s = min((o.share.nothing if o.ladder.exact else o.share for o in outcomes), key=lambda s: -s.share)
     return {name: getattr(s, name) for name in ("share", "low", "high", "by", "nature", "noise_floor")}
 
 
@@ -145,7 +144,7 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     agree = Kind.DISCOVERED not in kinds or [f.nature for f in claimed[:1]] == [o.discovered]
     if agree and o.named_carries(policy):
         return claimed
-    weight = 1.0 - (o.ladder.rungs[o.ladder.answer].value / o.ladder.rungs[0].value) ** 2
+    weight = o.ladder.explained
     mine = [t for t in o.discovery.terms if t.output == o.index]
     if Kind.DISCOVERED in kinds and mine:
         words = f"blocks not used are simulated with {_percent(o):.3g} % less error with the terms{tag}: {o.discovery.equation}"
@@ -209,7 +208,7 @@ def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
 
 
 def _percent(o: Outcome) -> float:
-    return 100 * (1.0 - o.ladder.rungs[o.ladder.answer].value / o.ladder.rungs[0].value)
+    return 100 * (1.0 - np.sqrt(1.0 - o.ladder.explained))
 
 
 def _nameless(o: Outcome, tag: str, policy: Policy, gained: float) -> list[Finding]:
@@ -217,7 +216,7 @@ def _nameless(o: Outcome, tag: str, policy: Policy, gained: float) -> list[Findi
     if not o.left.explainable:
         return []
     value = next(r.value for r in o.ladder.rungs if r.step.kind is Kind.NAMED)
-    left = o.left.share * (value / o.ladder.rungs[0].value) ** 2
+    left = o.left.share * o.ladder.left(value)
     if left <= max(gained, policy.claimed[1]):
         return []
     words = f"of what the named effects leave{tag}, {o.left.share:.0%} can be explained: {o.left.natures[0].sentence}"

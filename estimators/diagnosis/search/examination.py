@@ -96,6 +96,7 @@ right one has not been missed where all were fitted."""
 PAID, LEAST_FITTED = 2000, 4
 """Samples of a record from which on fewer effects are fitted, so that the work does not grow with it, and the fewest: the
 scores of a long record are sharp."""
+EXACT = 1e-6  # of the step between levels: what a model hits so nearly was not rounded to them, its inputs have few values
 PHYSICAL = 4
 """Poles from which on a linear model is no plant that effects could sit in, but an approximation of one."""
 
@@ -251,7 +252,7 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
     naive = fit_linear(replace(channel, keep=~missing), s) if not np.array_equal(keep, ~missing) else first
     if step > 0.0:
         sigma = float(np.sqrt(np.mean(first.residual[keep] ** 2)))
-        if step > 0.8 * sigma:
+        if EXACT * step < sigma < step / 0.8:
             channel = replace(channel, step=step)
             levels = len(np.unique(y))
             signatures.append(Signature("quantised", i, levels, step,

@@ -1,7 +1,7 @@
 """How much of what the linear model leaves could be explained at all, from which variables, and of what nature."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,11 @@ class Share:
     def nature(self) -> str:
         """The nature that the evidence puts first; noise where nothing is explainable."""
         return self.natures[0].nature if self.explainable and self.natures else "noise"
+
+    @property
+    def nothing(self) -> "Share":
+        """The same of a residual in which only rounding is left."""
+        return replace(self, share=0.0, low=0.0, high=0.0, by={}, natures=())
 
 
 def _means(squares: Array, owner: NDArray[np.int64]) -> Array:

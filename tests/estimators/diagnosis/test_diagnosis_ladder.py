@@ -97,6 +97,22 @@ def test_a_regression_of_all_that_is_missing_need_not_stand_on_one_piece_of_it()
     assert all(step is ladder.linear for step in asked)
 
 
+@pytest.mark.parametrize(("rest", "exact"), [(0.0, True), (1e-150, False)])
+def test_of_an_error_of_rounding_alone_every_share_is_a_number(rest: float, exact: bool) -> None:
+    """A static gain fitted without noise: its error is nothing at all on one processor and 1e-16 on another, and the square of
+    a ratio to it left the range of doubles."""
+    _, steps = _case(1, 1.0, 1.0)
+    y = [np.full(N, rest)]
+    steps = [replace(steps[0], unused=(0.0 * y[0],)), replace(steps[1], unused=(y[0] + 1e10,))]
+    ladder = climb(y, steps, COUNTED, POLICY)
+    assert ladder.chosen is ladder.linear
+    assert ladder.explained == 0.0
+    assert ladder.exact is exact  # an error as large as the record is no rounding, however small both are
+    assert ladder.left(1e10) >= 1.0
+    assert over_linear(ladder, 0.9, lambda bare: steps[1], y, POLICY) is None
+    assert over_linear(replace(ladder, answer=1), 0.9, lambda bare: None, y, POLICY) is None
+
+
 def test_the_gain_of_nothing_passes_one_standard_error_in_about_a_sixth() -> None:
     """Two equally wrong models: one-sided normal rate .16; 400 pairs, 3.5 standard deviations of the count."""
     passed = 0

@@ -169,13 +169,18 @@ def test_no_passing_disturbance_explains_slow_noise_as_one_that_is_there_does(ra
 @pytest.mark.filterwarnings(
     "ignore::RuntimeWarning"
 )  # logarithms of a variance of zero are still taken elsewhere
-@pytest.mark.parametrize("response", [[0.0, 1.0, 0.5], [2.0]], ids=["filter", "gain"])
-@pytest.mark.parametrize("kind", ["noise", "step"])
+@pytest.mark.parametrize(
+    "response", [[0.0, 1.0, 0.5], [2.0], [1.0, 0.5, 0.25]], ids=["filter", "gain", "mean"]
+)
+@pytest.mark.parametrize("kind", ["noise", "step", "signs"])
 def test_a_record_without_any_noise_is_diagnosed(response, kind):
-    """Nothing is left of it, and so nothing gained by any effect: what was gained had been a logarithm of 0 / 0; of a gain a
-    period of 1 / 0 was tried, of a step a share of nothing taken."""
-    u = np.random.default_rng(0).standard_normal(300) if kind == "noise" else 1.0 * (np.arange(300) > 40)
+    """Nothing is left of it, and so nothing gained by any effect, whatever rounding leaves: what was gained had been a logarithm of
+    0 / 0; of a gain a period of 1 / 0 was tried, of a step a share of nothing taken, of an output of few values its rounding."""
+    noise = np.random.default_rng(0).standard_normal(300)
+    u = {"noise": noise, "step": 1.0 * (np.arange(300) > 40), "signs": np.sign(noise)}[kind]
     result = diagnose(Record(u, np.convolve(u, response)[:300]))
-    # nothing, or linear dynamics; what the rounding of doubles leaves is coloured, a step's response has few values
-    assert result.nature in ("none", "linear dynamics", "noise" if kind == "noise" else "sampling")
+    assert result.nature == "none"
+    assert all("rests" in observed for observed in result.data)
+    assert result.system.startswith("nothing is missing")
+    assert result.explainable["share"] == 0.0
     assert max(result.rmse_before.value, result.rmse_after.value) < 1e-12
