@@ -18,6 +18,7 @@ from estimators.diagnosis.baseline.disturbances import set_aside
 from estimators.diagnosis.baseline.search import LONG
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.asked import begun, outside
+from estimators.diagnosis.ladder.claims import ANYTHING, Named
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, onward
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.stated import Contradiction, denied_starts, lacking, settling, starts_at_rest
@@ -45,7 +46,7 @@ from estimators.diagnosis.search.elsewhere import seen_elsewhere
 from estimators.diagnosis.search.examination import PHYSICAL, Examined, Known, as_motion, examine
 from estimators.diagnosis.search.few import best_named
 from estimators.diagnosis.search.free_runs import denominator, largest_pole
-from estimators.diagnosis.search.named import ANYTHING, Bench, Named, linear_step, named_steps
+from estimators.diagnosis.search.named import Bench, linear_step, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback, is_answer
 from estimators.diagnosis.share.news import NEWS, Predictor
@@ -232,13 +233,11 @@ def _outcome(
         # From sample to sample of the record as it is.
         radii = base.outputs[i].model.radius, largest_pole(denominator(named.fit)) ** (1.0 / bench.thin)
         slow = [base.blocks.slow(radius) for radius in radii] == [False, True]
-        echoes = bench.inverse and bench.echoes(named.step.unused[0])
-        steps.append(
-            replace(named.step, unused=(*named.step.unused, *unseen), slow=slow, admitted=not echoes)
-        )
+        whole = replace(named.step, unused=(*named.step.unused, *unseen), slow=slow)
+        steps.append(whole.heard(bench.inverse and bench.echoes(named.step.unused[0])))
         named = replace(named, step=steps[-1])
     if (step := terms.step()) is not None:
-        steps.append(replace(step, admitted=not bench.echoes(step.unused[0])))
+        steps.append(step.heard(bench.echoes(step.unused[0])))
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     started = as_started(steps, train, i, setting.skip)
@@ -254,7 +253,7 @@ def _outcome(
         s.kind is Kind.NAMED and first.admitted > s.admitted for s, first in zip(steps, started, strict=True)
     ):
         why = ANYTHING if vague else "a linear predictor of the output gains nothing from it"
-        named = replace(named, claims=(), dropped=(*named.dropped, *((c.key, why) for c in named.claims)))
+        named = named.without_claims(why)
     least = int(len(out) > 0)
     ladder = climb(y, steps, counted, setting.policy, least=least)
     if ladder.chosen.kind is Kind.DISCOVERED:
@@ -335,7 +334,7 @@ def _judged(test: Record, i: int, setting: Setting) -> NDArray[np.bool_]:
 
 def _outside_the_loop(o: Outcome, test: Record | None, held: HeldOut, setting: Setting) -> Outcome:
     """Not taken for a controller's inverse where a test record bears its model and no input there knows of the noise."""
-    if not o.inverse or test is None or not held.bears:
+    if not o.inverse or o.ladder.chosen.echo or test is None or not held.bears:
         return o
     left = test.y[:, o.index] - held.after[:, o.index]
     echo = has_feedback([test], [left], [_judged(test, o.index, setting)])

@@ -89,6 +89,12 @@ BORNE = (
 )
 
 
+AFTER_ALL = (
+    "unused blocks alone do not admit the {} model of {}: its errors on the test record, surely less than those of the {} model, do, and "
+    "this one thing the test record chose"
+)
+
+
 REFUSED = (
     "the {} model is worse on the test record than the linear model ({:.4g} against {:.4g}): the answer is the linear model, and this "
     "one thing the test record chose"
@@ -247,6 +253,17 @@ def assess(
         kinds = {k.rungs[a].step.kind.value for k, a in zip(ladders, answers, strict=True) if a}
         warnings.append(REFUSED.format(" and ".join(sorted(kinds)), root(second), root(first)))
         answers, second = [0] * len(runs), first
+    if test is not None:
+        for i, ladder in enumerate(ladders):
+            off = [np.where(counts[:, i], y[:, i] - run, 0.0)[counts[:, i], None] for run in runs[i]]
+            sane = [
+                _sane(run[counts[:, i]], runs[i][0][counts[:, i]], train.y[:, i], policy) for run in runs[i]
+            ]
+            if (j := _borne_after_all(ladder, answers[i], off, sane, policy)) != answers[i]:
+                kinds = (ladder.rungs[k].step.kind.value for k in (j, answers[i]))
+                warnings.append(AFTER_ALL.format(next(kinds), record.output_names[i], next(kinds)))
+                answers[i] = j
+        second = errors(stacked(answers))
     steps = [ladder.rungs[a].step for ladder, a in zip(ladders, answers, strict=True)]
     at = [k.answer if s.kind is Kind.LINEAR else a for s, k, a in zip(steps, ladders, answers, strict=True)]
     after, claimed = stacked(answers), stacked(at)
@@ -278,6 +295,21 @@ def _borne(before: Array, after: Array, floor: tuple[float, int], policy: Policy
     """The share removed where that is surely some, else the difference: beside a floor too near to tell a share, errors may still fall."""
     share = removed(before, after, floor, policy)
     return share if share.low > 0.0 else difference_figure(before, after)
+
+
+def _borne_after_all(
+    ladder: Ladder, answer: int, off: Sequence[Array], sane: Sequence[bool], policy: Policy
+) -> int:
+    """The rung that unused blocks put before the answer without being sure of it, or though it may only hear what the input knows of the
+    noise, where errors on the test record, (n, 1), are surely less with it: the best on unused blocks of those."""
+    limit = (1.0 - policy.searched[1]) * ladder.rungs[answer].value
+    able = [
+        j
+        for j, r in enumerate(ladder.rungs)
+        if sane[j] and r.step.kind is not Kind.LINEAR and r.value < limit
+    ]
+    borne = [j for j in able if difference_figure(off[answer], off[j]).low > 0.0]
+    return min(borne, key=lambda j: ladder.rungs[j].value, default=answer)
 
 
 def _innovations(e: Array, noise: Array) -> Array:

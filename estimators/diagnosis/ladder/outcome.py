@@ -9,11 +9,11 @@ import numpy as np
 from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.discovery.model import leading_nature
 from estimators.diagnosis.effects import Nature
+from estimators.diagnosis.ladder.claims import Named
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.model.fitting import ar_model, innovations
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.search.examination import Examined
-from estimators.diagnosis.search.named import Named
 from estimators.diagnosis.share import Share
 
 FAILED = "its run on the test record is no answer"
@@ -54,12 +54,11 @@ class Outcome:
         if step is chosen or step.kind is Kind.LINEAR:
             return self
         at = next(i for i, r in enumerate(self.ladder.rungs) if r.step is step)
-        out = replace(self, ladder=replace(self.ladder, answer=at))
+        out = replace(self, ladder=replace(self.ladder, answer=at), inverse=self.inverse or step.echo)
         before, after = ({s.kind for s in q.chain} for q in (chosen, step))
-        if Kind.NAMED not in before - after:
-            return out
-        dropped = (*self.named.dropped, *((c.key, FAILED) for c in self.named.claims))
-        return replace(out, named=replace(self.named, claims=(), dropped=dropped))
+        if Kind.NAMED in before - after:
+            return replace(out, named=self.named.without_claims(FAILED))
+        return out if step.admitted else replace(out, named=self.named.with_refused())
 
     @property
     def bent(self) -> bool:

@@ -60,6 +60,9 @@ class Step:
     )  # AR coefficients that whiten its simulation error
     admitted: bool = True  # False where the stage's own cross-validation refuses it: shown, never the answer
     below: Step | None = None  # the step that it adds to; the linear model where none is named
+    echo: bool = (
+        False  # it gains so little that it may only hear what the input knows of the noise: it names no cause
+    )
     nature: str = ""  # the kind of its first cause
     rivals: tuple[Answer, ...] = ()  # models with other causes that unused blocks cannot tell from it
     folds: tuple[Answer, ...] = ()  # the same model fitted without one block or another
@@ -84,6 +87,10 @@ class Step:
                 if self.simulate(head.replace(u=u), window)[-1] != run:
                     return True
         return False
+
+    def heard(self, echo: bool) -> Step:
+        """The step, refused where it may only hear what the input knows of the noise."""
+        return replace(self, admitted=self.admitted and not echo, echo=echo)
 
     @property
     def chain(self) -> tuple[Step, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot, named
+from estimators.diagnosis.ladder.claims import Claim
 from estimators.diagnosis.ladder.first_line import UNKNOWN, equations, headline, on_output
 from estimators.diagnosis.ladder.held_out import HeldOut
 from estimators.diagnosis.ladder.outcome import Outcome
@@ -22,7 +23,6 @@ from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.leftover import Leftover, leftovers
 from estimators.diagnosis.result.words import in_units
-from estimators.diagnosis.search.named import Claim
 from estimators.diagnosis.search.selection import FAMILY
 from estimators.residual.measures import p_stated
 from oed.data import Record
@@ -91,7 +91,16 @@ def verdict(
     ]
     chosen = list(dict.fromkeys(f.cause for f in found))
     errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g} {in_units('y', record)}"
-    echo = ECHO if any(o.loop for o in outcomes) else MINGLED if any(o.inverse for o in outcomes) else NOTHING
+    bare = all(o.ladder.chosen.linear for o in outcomes)  # else a model of no cause that holds is the answer
+    echo = (
+        ECHO
+        if any(o.loop for o in outcomes)
+        else MINGLED
+        if any(o.inverse for o in outcomes)
+        else NOTHING
+        if bare
+        else UNCLAIMED
+    )
     return {
         "detected": bool(found), "effect": chosen[0] if chosen else NONE,
         "variant": ", ".join(dict.fromkeys((*(_meanings(outcomes) if first else []), *(f.key for f in found if f.key)))),

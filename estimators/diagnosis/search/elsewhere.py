@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Options, best_linear, of_output
 from estimators.diagnosis.ladder import Kind, Step
+from estimators.diagnosis.ladder.claims import Claim, Named
 from estimators.diagnosis.model.fitting import leaving
 from estimators.diagnosis.result.answers import LinearAnswer, ThroughAnswer
-from estimators.diagnosis.search.named import Bench, Claim, Named
+from estimators.diagnosis.search.named import Bench
 from estimators.residual.algebra import decomposed, delayed
 from oed.data import Record
 

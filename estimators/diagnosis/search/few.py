@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from estimators.diagnosis.effects import Nature
+from estimators.diagnosis.ladder.claims import Claim, Named
 from estimators.diagnosis.model.fitting import Fit, fit
 from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.exchange import TREND, drifting, trending
-from estimators.diagnosis.search.named import HALF, LEFT, Bench, Claim, Named, bent, named_steps, spread
+from estimators.diagnosis.search.named import HALF, LEFT, Bench, bent, named_steps, spread
 from estimators.diagnosis.search.selection import FULL, Attribution, second
 
 TRIED = 8

@@ -19,7 +19,8 @@ from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.search.free_runs import denominator, largest_pole
 
 if TYPE_CHECKING:
-    from estimators.diagnosis.search.named import Bench, Claim
+    from estimators.diagnosis.ladder.claims import Claim
+    from estimators.diagnosis.search.named import Bench
 
 Array = NDArray[Any]
 FOLD, FOLDED = "magnitude_sensor", 0.02

@@ -18,6 +18,7 @@ from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.ladder import Gain, Kind, paired_gain
+from estimators.diagnosis.ladder.claims import Claim
 from estimators.diagnosis.ladder.held_out import APART, _undecided
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
@@ -26,7 +27,7 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.search.examination import Known, as_motion
 from estimators.diagnosis.search.free_runs import free_run, start_of
-from estimators.diagnosis.search.named import Claim, _gains, _holds, _surest
+from estimators.diagnosis.search.named import _gains, _holds, _surest
 from estimators.diagnosis.search.ratios import part_significance
 from oed.data import Record
 

@@ -19,6 +19,7 @@ from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.effects.plant import SWINGS
 from estimators.diagnosis.ladder import Kind, Ladder
+from estimators.diagnosis.ladder.claims import Named
 from estimators.diagnosis.ladder.held_out import _order
 from estimators.diagnosis.ladder.outcome import FAILED, SOME, Outcome
 from estimators.diagnosis.model.fitting import Channel, fit
@@ -27,7 +28,6 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.result.report import ErrorFigure
 from estimators.diagnosis.search.examination import Known, _forgetting
 from estimators.diagnosis.search.few import _loose
-from estimators.diagnosis.search.named import Named
 from estimators.diagnosis.search.naming import CONTENT, FOLDED, LATE, as_shown
 from estimators.diagnosis.share import Evidence
 

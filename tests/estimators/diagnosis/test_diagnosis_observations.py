@@ -7,10 +7,10 @@ from scipy.signal import lfilter
 
 from estimators import diagnose
 from estimators.diagnosis.effects import CATALOGUE
+from estimators.diagnosis.ladder.claims import Claim, Named
 from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.record.admission import told_from_clock
 from estimators.diagnosis.record.measurement import LONG_REST, goes_with_clock, observations
-from estimators.diagnosis.search.named import Claim, Named
 from oed import Record
 
 

@@ -11,6 +11,7 @@ from scipy.stats import binom
 
 from estimators.diagnosis import loop
 from estimators.diagnosis.effects import Clock, named
+from estimators.diagnosis.ladder.claims import Claim, Named
 from estimators.diagnosis.ladder.figures import difference_figure, root_figure
 from estimators.diagnosis.ladder.held_out import _borne, removed
 from estimators.diagnosis.ladder.steps import Gain, Kind, Step
@@ -23,7 +24,6 @@ from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.record.paired import as_good, paired_difference
 from estimators.diagnosis.result.report import ErrorFigure
 from estimators.diagnosis.search.candidates import Menu, augmented
-from estimators.diagnosis.search.named import Claim, Named
 from estimators.residual.algebra import mean_error
 from oed.data import Record
 
