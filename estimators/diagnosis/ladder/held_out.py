@@ -244,7 +244,7 @@ def assess(
     rows = weight.any(axis=1)
 
     def errors(run: Array) -> Array:
-        e = np.where(weight, np.nan_to_num(y - run, posinf=1e150, neginf=-1e150), 0.0)
+        e = np.where(weight, np.nan_to_num(y - run, nan=FAR, posinf=FAR, neginf=-FAR), 0.0)
         return e[rows] / np.sqrt(weight[rows].sum(axis=1, keepdims=True))
 
     first, second = errors(before), errors(stacked(answers))
@@ -313,9 +313,7 @@ def _borne_after_all(
 
 
 def _innovations(e: Array, noise: Array) -> Array:
-    return np.convolve(np.nan_to_num(e, posinf=1e150, neginf=-1e150), np.concatenate(([1.0], noise)))[
-        : len(e)
-    ]
+    return np.convolve(np.nan_to_num(e, posinf=FAR, neginf=-FAR), np.concatenate(([1.0], noise)))[: len(e)]
 
 
 def _exploded(ladder: Ladder, instead: int | None, name: str) -> str:
@@ -329,6 +327,7 @@ def _exploded(ladder: Ladder, instead: int | None, name: str) -> str:
 
 
 ANSWER = "answer"
+FAR = 1e40  # an error that is no number: beyond all others, and its sixth power one
 
 
 def _worse_than_constant(
@@ -358,6 +357,7 @@ def _rungs(
         used = [ladder.rungs[j] for ladder, j in zip(ladders, at, strict=True)]
         unused = together([r.errors for r in used], [k.rungs[k.answer].errors for k in ladders])
         figure = figure_of(run)
+        figure = figure if figure.value < FAR / 1e9 else ErrorFigure(np.inf, np.inf, np.inf)
         adds = [key for r in used if r.step.kind is kind for key in r.step.adds]
         rows.append({
             "step": kind.value, "adds": adds, "rmse_unused": unused.value, "low": unused.low, "high": unused.high,

@@ -12,8 +12,10 @@ from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.ladder.claims import Named
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.model.fitting import ar_model, innovations
+from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.search.examination import Examined
+from estimators.diagnosis.search.named import CLOCKED, INDEPENDENT
 from estimators.diagnosis.share import Share
 
 FAILED = "its run on the test record is no answer"
@@ -76,6 +78,12 @@ class Outcome:
         use = c.keep & self.ladder.counted[0]
         e = np.where(use, c.y - unused, 0.0)
         return f.variance <= WORSE**2 * float(np.mean(innovations(e, ar_model(e)[0])[use] ** 2))
+
+    @property
+    def passing(self) -> bool:
+        """Whether the answer runs by the clock and leaves an error as slow as itself: it may be a stretch of slow noise."""
+        left = np.nan_to_num(self.ladder.rungs[self.ladder.answer].errors)
+        return self.ladder.chosen.nature in CLOCKED and not effective_samples(left) > INDEPENDENT
 
     def surely(self, share: float) -> bool:
         """Whether the answer bends, and takes so large a share of the error on unused blocks: with intervals that lie apart, or

@@ -210,7 +210,7 @@ def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
         return [Finding("", UNKNOWN, o.share.nature, o.share.share, 0.0, words)]
     # in a loop a model may gain by hearing what the input knows of the noise
     looped = o.examined.attribution.feedback < FIRM
-    if o.inverse or looped or not o.surely(policy.lasting):
+    if o.inverse or looped or o.passing or not o.surely(policy.lasting):
         return []
     words = f"a model lowers the error on unused blocks{tag} by {_percent(o):.3g} %, but does not hold on the test record"
     return [Finding("", UNKNOWN, o.ladder.chosen.nature, 1.0, 0.0, words)]

@@ -13,7 +13,7 @@ from estimators.diagnosis.discovery.dictionary import Kind as Curve
 from estimators.diagnosis.discovery.form import Factor, Term
 from estimators.diagnosis.discovery.model import DiscoveredModel
 from estimators.diagnosis.discovery.wording import lagged, named_by_shape
-from estimators.diagnosis.effects import named
+from estimators.diagnosis.effects import Nature, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.effects.path import INITIAL
@@ -218,9 +218,23 @@ def test_what_surely_bends_is_told_though_no_model_of_it_lasts(high, nature, ben
     assert not Outcome.surely(o, 0.7)
 
 
+@pytest.mark.parametrize(
+    ("nature", "memory", "passing"),
+    [(Nature.ADDED, 0.98, True), (Nature.ADDED, 0.5, False), (Nature.DYNAMIC, 0.98, False)],
+)
+def test_what_runs_by_the_clock_beside_slow_noise_is_told_by_no_training_record_alone(
+    nature, memory, passing
+) -> None:
+    """A step in a linear plant's slow noise, half of the error of 464 samples, refused by the test record: "an effect without a name"."""
+    e = lfilter([1.0], [1.0, -memory], np.random.default_rng(4).standard_normal(464))
+    rungs = [SimpleNamespace(errors=np.zeros(0)), SimpleNamespace(errors=np.r_[np.nan, e])]
+    ladder = SimpleNamespace(rungs=rungs, answer=1, chosen=SimpleNamespace(nature=nature))
+    assert Outcome.passing.fget(SimpleNamespace(ladder=ladder)) is passing  # type: ignore[attr-defined]
+
+
 def test_the_names_of_a_model_go_where_another_stands_in_its_place() -> None:
     def rung(kind: Kind, value: float, high: float, admitted: bool = True) -> Any:
-        step: Any = SimpleNamespace(kind=kind, admitted=admitted)
+        step: Any = SimpleNamespace(kind=kind, admitted=admitted, echo=False)
         step.chain = (step,)
         return SimpleNamespace(step=step, value=value, figure=ErrorFigure(value, value, high))
 
@@ -241,6 +255,13 @@ def test_the_names_of_a_model_go_where_another_stands_in_its_place() -> None:
     assert other.named.dropped == (("a", FAILED),)
     for same in (rungs[1], rungs[0]):  # the linear model leaves open what is missing
         assert o.standing(same.step) is o
+    # what the ladder refused and a test record bears out gets its names back, but not where it may hear the input's answer to the noise
+    for echo in (False, True):
+        rungs[1].step.admitted, rungs[1].step.echo = False, echo
+        bare = replace(o, ladder=replace(o.ladder, answer=0), named=found.without_claims("no news"))
+        assert bare.named.dropped == (("a", "no news"),)
+        back = bare.standing(rungs[1].step)
+        assert (back.named.claims, back.named.dropped, back.inverse) == (claims, (), echo)
 
 
 def test_the_search_starts_from_a_linear_part_without_a_pole_that_an_effect_has_slowed(rng) -> None:
