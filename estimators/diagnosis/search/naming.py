@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects import Nature, named
+from estimators.diagnosis.effects.folding import RECTIFIED
 from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.effects.plant import MOVING, SWINGS
 from estimators.diagnosis.effects.process import FILLED, THROUGH, at_once
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 FOLD, FOLDED = "magnitude_sensor", 0.02
-"""Cause of a sensor that folds; and of the samples, what it must read from its rarer side: from one side alone it is a curve like any other."""
+"""Cause of a sensor that folds; and of the samples, what it must read from its rarer side by more than the model's error: from one side
+alone it is a curve like any other."""
 
 CONTENT, LATE = 0.4, 0.5
 """Of a capacity, change over the record, and of a pipe, samples of delay at the mean flow, below which a flow does no more than
@@ -81,8 +83,12 @@ def _folds(f: Fit, at: int, channel: Channel) -> bool:
     """Whether what a folding sensor sees in this record lies on both sides of its fold."""
     start = f.structure.slices()[at].start
     x = simulate(replace(f.structure, parts=f.structure.parts[:at]), f.p[:start], channel.u, channel.clock)
-    above = float(np.mean(x[channel.keep] + f.p[start] > 0.0))
-    return min(above, 1.0 - above) >= FOLDED
+    above = x + f.p[start] > 0.0
+    rarer = above if np.mean(above[channel.keep]) < 0.5 else ~above
+    effect = f.structure.parts[at].effect
+    if effect is not RECTIFIED:  # which reads nothing there
+        rarer &= effect.apply(x, f.p[start:], channel.clock) > np.sqrt(np.mean(f.residual[channel.keep] ** 2))
+    return float(np.mean(rarer[channel.keep])) >= FOLDED
 
 
 def scaled_runs(f: Fit, c: Channel) -> list[Array]:

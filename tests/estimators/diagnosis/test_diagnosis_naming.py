@@ -40,10 +40,14 @@ def _shown(
     first: int = 0,
     plant: tuple = (Structure(1), [-0.5, 1.0]),
     channel: Channel = CHANNEL,
+    left: float = 0.0,
 ):
     """The effect that is claimed where one was fitted, by default beside a pole at 0.5."""
     part = Part(named(key), 0, first=first)
-    fit: Any = SimpleNamespace(structure=plant[0].adding(part), p=np.array([*plant[1], *p]))
+    residual = left * np.ones(0 if channel is CHANNEL else len(channel.y))
+    fit: Any = SimpleNamespace(
+        structure=plant[0].adding(part), p=np.array([*plant[1], *p]), residual=residual
+    )
     return as_shown(part, fit, channel).effect
 
 
@@ -66,10 +70,16 @@ def test_a_fold_that_is_hardly_reached_is_a_curve() -> None:
     n = 2000
     u = np.linspace(0.0, 1.0, n)
     channel = Channel(u[:, None], u, Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
+    plant = Structure(1), [0.0, 1.0]
     for share, cause in ((0.8 * FOLDED, "output_nonlinearity"), (1.2 * FOLDED, "magnitude_sensor")):
-        plant = Structure(1), [0.0, 1.0]
         assert _shown("squared", [-share], plant=plant, channel=channel).cause == cause
         assert _shown("squared", [share - 1.0], plant=plant, channel=channel).cause == cause
+    # a river's flow, low for a third of the time: what is folded there is less than the model's error
+    for left, cause in ((0.07, "magnitude_sensor"), (0.09, "output_nonlinearity")):
+        assert _shown("squared", [-0.3], plant=plant, channel=channel, left=left).cause == cause
+        assert (
+            _shown("rectified", [-0.3], plant=plant, channel=channel, left=left).cause == "magnitude_sensor"
+        )
 
 
 def test_a_flow_that_hardly_fills_or_passes_no_pipe_is_a_product() -> None:
