@@ -1,7 +1,7 @@
 """Which linear models are tried for one output, and in which order."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,8 @@ NEARER = 0.95
 """Of the loss from a reduction or from ARX, below which the iteration's end is another minimum and not the same."""
 REALISED = 30
 """Lags of the impulse response that a reduction to few poles keeps: three times the largest order."""
+REDUCED, SAMPLES = 30, 10
+"""Order of a long ARX, whose reduction knows light modes that noise hides from a short one, and samples that each of its coefficients has."""
 BLIND = 0.5
 """Error of refined models, of that of ARX, below which ARX has seen next to nothing, and its delays are those of noise."""
 MOVES = (4, 2, 1)
@@ -87,6 +89,7 @@ class Search:
     asked: tuple[Array, ...] = ()  # (M, inputs) on which the model is wanted
     moving: bool = False  # whether the records are known to begin away from rest
     limit: float = 1.0  # radius up to which a pole may lie
+    long: dict[tuple, LinearModel] = field(default_factory=dict)  # long ARX that were asked before
 
     @property
     def inputs(self) -> int:
@@ -233,6 +236,7 @@ class Search:
         rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
         starts = [realised(best[0].candidate.models[-1], form, REALISED)]
         starts += [t.candidate.models[-1] for t in best if t.candidate.form.na == form.na][:1]
+        starts += [realised(self._long(form), form, 2 * REDUCED)]
         problem = OutputError(self.records, self.output, form, self.prior, np.ones(1), self.limit)
         ends = [
             problem.fit(m, rows, STEPS[0]) if m is not None and m.radius < self.limit else (None, np.inf)
@@ -243,9 +247,17 @@ class Search:
             model = ends[-1][0]
         if model is None:
             return None
-        model, loss = problem.fit(model, rows, STEPS[1])
+        model, loss = problem.fit(model, rows, LONGER)
         count = sum(self.blocks.lengths)
         return count * np.log(max(loss, 1e-300)) + form.size * np.log(count), problem, model
+
+    def _long(self, form: Arx) -> LinearModel:
+        """ARX long enough to hold any noise too, of the delay and offset of a form."""
+        key = form.delay, form.offset
+        if key not in self.long:
+            order = min(REDUCED, sum(self.blocks.lengths) // (SAMPLES * (1 + self.inputs)))
+            self.long[key] = self._least(replace(form, na=order, nb=order))
+        return self.long[key]
 
     def of_form(self, form: Arx, *near: LinearModel) -> Candidate | None:
         """Output error of one form, from least squares, their iteration and reductions of models near by; `noise` is its mean square."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, sensitivities
+from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, run_piece, sensitivities
 from estimators.diagnosis.discovery.form import Assembly
 from estimators.residual.algebra import autoregressions, noise_filter
 
@@ -19,6 +19,10 @@ ALPHA, SEARCHED = 0.01, 1500  # rate of false terms in a model, and how many can
 MISSED = 0.05
 """Share by which the error may rise without a term. A coefficient beside a width of its own may be uncertain, as a tanh that
 is nearly a cube is, where the term itself is beyond doubt: unused blocks judge it then."""
+SEEN, FURTHER = 0.1, 3.0
+"""Of the noise's variance, by which a fit must be worse at a standard error for the derivatives to be believed (by one, were the noise
+white and the parameter alone), and by how much the distance grows until it is."""
+ROUGH = 1e-6  # of a parameter: no record tells a change so small, and how the squares jump there is their roughness
 DIFFERENCE = 1e-5  # relative step of the delta method
 GAPS = 2  # times the noise is estimated with what it foretells itself in place of missing samples, after it took them for zero
 BEFORE = 200  # samples before a record whose noise is still heard in it: of a pole of .98 all but 2 % is forgotten by then
@@ -64,7 +68,38 @@ def covariance(fitted: Fitted, pieces: Sequence[Piece]) -> Array:
         left = np.linalg.solve(kept + LEAST * np.eye(w.shape[1]), w[:, :, None])
         moves = np.einsum("kip,ki->kp", back[:, :, :p], left[:, :, 0])
         total += moves.T @ moves
-    return total
+    wider = _wider(fitted, pieces, np.sqrt(np.diag(total)))
+    return total * np.outer(wider, wider)
+
+
+def _wider(fitted: Fitted, pieces: Sequence[Piece], errors: Array) -> Array:
+    """(P,) factors from standard errors to the distance at which a fit is worse by the noise's variance, moved by that parameter alone.
+
+    One where it is worse at the standard error. Dry friction that sticks and slips anew in every sample has derivatives that explode,
+    and squares that are rough at the least distance: standard errors of next to nothing, of what moves no run.
+    """
+    asm, theta = Assembly(fitted.form), fitted.theta
+
+    def squares(k: int, step: float) -> Array:
+        off = np.zeros(2)
+        for way in range(2):
+            moved = theta + (1 - 2 * way) * step * np.eye(1, len(theta), k)[0]
+            for piece, state in zip(pieces, fitted.starts):
+                run = run_piece(asm, moved, state, piece.d)
+                off[way] += np.sum(((piece.y - run.y) * piece.weight) ** 2) if run.fine else np.inf
+        return off
+
+    variance = fitted.sse / max(1, fitted.count)
+    out = np.ones(len(theta))
+    for k, error in enumerate(errors):
+        size = max(abs(float(theta[k])), float(error))
+        step = max(float(error), ROUGH * size)
+        level = squares(k, ROUGH * size).max() + SEEN * variance
+        while step < size and not squares(k, step).min() > level:
+            step *= FURTHER
+        if step > error > 0.0:
+            out[k] = step / error
+    return out
 
 
 def _backwards(a: Array, x: Array) -> Array:

@@ -18,6 +18,7 @@ from estimators.diagnosis.discovery.fitting import forgets
 from estimators.diagnosis.discovery.form import FREE, Assembly, Factor, Form, Term
 from estimators.diagnosis.discovery.screening import screen
 from estimators.diagnosis.discovery.starts import linear_fit, pieces_of, scales_of
+from estimators.diagnosis.discovery.uncertainty import _wider, covariance
 from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.result.answers import read_answer
 from estimators.diagnosis.search.discoveries import discovered
@@ -254,6 +255,21 @@ def test_a_slow_state_follows_what_drives_it(rate, forgotten) -> None:
     form = fitted.form.with_terms(slow, acts)
     grown = replace(fitted, form=form, theta=np.r_[fitted.theta, rate, 0.0])
     assert forgets(grown, pieces) == forgotten
+
+
+def test_a_standard_error_at_which_no_fit_is_worse_is_none(rng) -> None:
+    """A core with remanence had dry friction that slipped anew in every sample, "-3.558 +- 8.4e-18 A"."""
+    u = rng.standard_normal((600, 1))
+    y = lfilter([0.0, 0.2], [1.0, -0.8], u, axis=0) + 0.05 * rng.standard_normal((600, 1))
+    scales = scales_of([Record(u, y)], [y], np.zeros(1, int))
+    pieces = pieces_of([Record(u, y)], [np.ones((600, 1), bool)], scales)
+    fitted = linear_fit((1,), pieces, scales, [(y - scales.y) / scales.sy], feedthrough=True)
+    assert fitted is not None
+    errors = np.sqrt(np.diag(covariance(fitted, pieces)))
+    assert np.all(_wider(fitted, pieces, errors) == 1.0)
+    for share in (1e-4, 1e-12):
+        told = share * errors * _wider(fitted, pieces, share * errors)
+        assert np.all((0.1 * errors < told) & (told < 3.0 * errors))
 
 
 def test_measured_signals_promise_nothing_by_the_residual_that_they_hold() -> None:
