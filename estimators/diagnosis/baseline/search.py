@@ -202,7 +202,7 @@ class Search:
                 form = replace(
                     top.candidate.form, delay=tuple(max(1, d + step) for d in top.candidate.form.delay)
                 )
-                fit = self._fitted(form, [top]) if form != top.candidate.form else None
+                fit = self._fitted(form, [top], False) if form != top.candidate.form else None
                 trial = fit and self.tried(self._oe(*fit[1:], "OE"))
                 if not (trial and trial.rmse < (1.0 - NOTHING) * top.rmse):
                     break
@@ -231,23 +231,31 @@ class Search:
             ]
         return stable
 
-    def _fitted(self, form: Arx, best: Sequence[Trial]) -> tuple[float, OutputError, LinearModel] | None:
-        """Schwarz's criterion, problem and model of an output-error form, from a reduction of the best, ARX and its iteration."""
+    def _fitted(
+        self, form: Arx, best: Sequence[Trial], anew: bool = True
+    ) -> tuple[float, OutputError, LinearModel] | None:
+        """Schwarz's criterion, problem and model of an output-error form, from reductions of the best and, `anew`, of a long ARX, from ARX
+        and its iteration."""
         rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
         starts = [realised(best[0].candidate.models[-1], form, REALISED)]
         starts += [t.candidate.models[-1] for t in best if t.candidate.form.na == form.na][:1]
-        starts += [realised(self._long(form), form, 2 * REDUCED)]
         problem = OutputError(self.records, self.output, form, self.prior, np.ones(1), self.limit)
         ends = [
             problem.fit(m, rows, STEPS[0]) if m is not None and m.radius < self.limit else (None, np.inf)
-            for m in (*starts, self._prefiltered(form))
+            for m in (
+                *starts,
+                self._prefiltered(form),
+                realised(self._long(form), form, 2 * REDUCED) if anew else None,
+            )
         ]
-        model, loss = min(ends[:-1], key=lambda end: end[1])
-        if ends[-1][1] < NEARER * loss:
-            model = ends[-1][0]
-        if model is None:
+        model, loss = min(ends[:-2], key=lambda end: end[1])
+        if ends[-2][1] < NEARER * loss:
+            model, loss = ends[-2]
+        tops = [model] if ends[-1][1] > NEARER * loss else [model, ends[-1][0]]
+        ends = [problem.fit(m, rows, STEPS[1]) for m in tops if m is not None]
+        if not ends:
             return None
-        model, loss = problem.fit(model, rows, LONGER)
+        model, loss = min(ends, key=lambda end: end[1])
         count = sum(self.blocks.lengths)
         return count * np.log(max(loss, 1e-300)) + form.size * np.log(count), problem, model
 

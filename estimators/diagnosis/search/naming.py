@@ -86,7 +86,7 @@ def _folds(f: Fit, at: int, channel: Channel) -> bool:
     above = x + f.p[start] > 0.0
     rarer = above if np.mean(above[channel.keep]) < 0.5 else ~above
     effect = f.structure.parts[at].effect
-    if effect is not RECTIFIED:  # which reads nothing there
+    if effect.apply is not None and effect is not RECTIFIED:  # which reads nothing there
         rarer &= effect.apply(x, f.p[start:], channel.clock) > np.sqrt(np.mean(f.residual[channel.keep] ** 2))
     return float(np.mean(rarer[channel.keep])) >= FOLDED
 
