@@ -19,6 +19,7 @@ from estimators.diagnosis.search.named import CLOCKED, INDEPENDENT
 from estimators.diagnosis.share import Share
 
 FAILED = "its run on the test record is no answer"
+UNSURE = "unused blocks are not surely better with it"
 WORSE = 1.1
 """One-step error, of the best linear model's on unused blocks, up to which a fit, which has seen them, is as good."""
 TWICE = 2.0
@@ -50,7 +51,7 @@ class Outcome:
 
     def standing(self, step: Step) -> Outcome:
         """With the step that stands on a record as the answer, in place of one that does not, whose names go with it; a linear one
-        leaves open what is missing.
+        leaves open what is missing. One that was refused gets its names back where unused blocks are surely better with it too.
         """
         chosen = self.ladder.chosen
         if step is chosen or step.kind is Kind.LINEAR:
@@ -60,7 +61,10 @@ class Outcome:
         before, after = ({s.kind for s in q.chain} for q in (chosen, step))
         if Kind.NAMED in before - after:
             return replace(out, named=self.named.without_claims(FAILED))
-        return out if step.admitted else replace(out, named=self.named.with_refused())
+        if Kind.NAMED not in after - before:
+            return out
+        sure = self.ladder.rungs[at].figure.high < self.ladder.rungs[0].value
+        return replace(out, named=self.named.with_refused() if sure else self.named.without_claims(UNSURE))
 
     @property
     def bent(self) -> bool:

@@ -21,7 +21,7 @@ from estimators.diagnosis.effects.plant import SWINGS
 from estimators.diagnosis.ladder import Kind, Ladder
 from estimators.diagnosis.ladder.claims import Named
 from estimators.diagnosis.ladder.held_out import _order
-from estimators.diagnosis.ladder.outcome import FAILED, SOME, Outcome
+from estimators.diagnosis.ladder.outcome import FAILED, SOME, UNSURE, Outcome
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
@@ -272,6 +272,10 @@ def test_the_names_of_a_model_go_where_another_stands_in_its_place() -> None:
         assert bare.named.dropped == (("a", "no news"),)
         back = bare.standing(rungs[1].step)
         assert (back.named.claims, back.named.dropped, back.inverse) == (claims, (), echo)
+    # a battery cell was a loop that winds up: one block of five had all of the gain
+    unsure = (rungs[0], rung(Kind.NAMED, 0.2, 1.3, admitted=False), rungs[2])
+    o = Outcome(0, none, found, Ladder(unsure, 0, ()), none, none, none)
+    assert o.standing(unsure[1].step).named.dropped == (("a", UNSURE),)
 
 
 def test_the_search_starts_from_a_linear_part_without_a_pole_that_an_effect_has_slowed(rng) -> None:
