@@ -98,10 +98,11 @@ def diagnose(
 
     Notes
     -----
-    What a test record's outputs are is never used to fit anything or to choose between models, but they can refuse one, which is then
-    said: an answer that is worse there than the linear model gives way to it, as its claims do. Its inputs and its clock decide whether
-    the training data determine a model's run there; where not, the answer is the model below, which is said, unless its outputs surely
-    bear it out. One that goes on, by its clock, where the training record ends starts from the state there.
+    What a test record's outputs are is never used to fit anything. They can refuse a model or admit one, each of which is then said: an
+    answer that is worse there than the linear model gives way to it, as its claims do; one that unused blocks put first without being
+    sure of it is the answer where errors there are surely less. Its inputs and its clock decide whether the training data determine a
+    model's run there; where not, the answer is the model below, which is said, unless its outputs surely bear it out. One that goes
+    on, by its clock, where the training record ends starts from the state there.
     """
     test = None if test is None else as_records(test, missing=True)[0]
     setting = Setting() if setting is None else setting
