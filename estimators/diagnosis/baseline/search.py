@@ -89,7 +89,8 @@ class Search:
     asked: tuple[Array, ...] = ()  # (M, inputs) on which the model is wanted
     moving: bool = False  # whether the records are known to begin away from rest
     limit: float = 1.0  # radius up to which a pole may lie
-    long: dict[tuple, LinearModel] = field(default_factory=dict)  # long ARX that were asked before
+    # long ARX that were asked before: of these records, so that a search of others begins without
+    long: dict[tuple, LinearModel] = field(default_factory=dict, init=False)
 
     @property
     def inputs(self) -> int:

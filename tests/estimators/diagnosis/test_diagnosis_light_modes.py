@@ -1,11 +1,15 @@
 """Light modes of several inputs: their delays, and where a record of them starts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim, lfilter
 
-from estimators.diagnosis.baseline import Options, best_linear
+from estimators.diagnosis.baseline import Options, best_linear, blocks_of
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from estimators.diagnosis.baseline.regression import Arx
+from estimators.diagnosis.baseline.search import Search
 from oed.data import Record
 
 
@@ -77,3 +81,12 @@ def test_slow_and_quick_modes_in_coloured_noise_are_found_from_a_long_arx(seed):
     noise *= 0.05 * rms(y) / rms(noise)
     base = best_linear([Record(u, y + noise, dt)], Options(deviations=True))
     assert base.rmse_unused[0] < 1.05 * rms(noise)
+
+
+def test_a_long_arx_is_of_the_records_that_are_searched():
+    rng = np.random.default_rng(2)
+    first, other = ([Record(u, np.cumsum(u))] for u in rng.standard_normal((2, 300)))
+    search = Search(first, 0, blocks_of(first, 5, 20, 20), Prior(0.0, 0.9 ** np.arange(40.0), 0.01), False)
+    form = Arx(1, 1, (1,), False)
+    assert search._long(form) is search._long(form)
+    assert replace(search, records=other)._long(form) is not search._long(form)
