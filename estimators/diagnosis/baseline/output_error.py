@@ -18,8 +18,10 @@ Array = NDArray[Any]
 
 DAMPING = (1e-6, 10.0, 1e6)
 """Levenberg's first damping in units of each parameter's information, its factor, and where a search gives up."""
-STILL = 1e-4
-"""Relative decrease of the loss below which a search has arrived: a tenth of what the choice between models can tell."""
+STILL = 1e-6
+"""Relative decrease of the loss below which a search has arrived: poles near one another at a quick sampling make valleys in which
+steps of 1e-4 still lead to half the error."""
+ENOUGH = 1e-11  # of the diagonal, that damps a step: without, parameters of which a record tells nothing make a singular matrix
 
 
 class Problem(Protocol):
@@ -60,7 +62,7 @@ def descended(
             break
         gained = loss - new[0]
         theta, (loss, gradient, hessian) = theta + step, new
-        damping /= factor
+        damping = max(damping / factor, ENOUGH)
         if gained < STILL * loss:
             break
     return theta, loss

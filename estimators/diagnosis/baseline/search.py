@@ -36,8 +36,8 @@ REALISED = 30
 """Lags of the impulse response that a reduction to few poles keeps: three times the largest order."""
 REDUCED, SAMPLES = 30, 10
 """Order of a long ARX, whose reduction knows light modes that noise hides from a short one, and samples that each of its coefficients has."""
-BLIND = 0.5
-"""Error of refined models, of that of ARX, below which ARX has seen next to nothing, and its delays are those of noise."""
+BLIND = 0.8
+"""Error of refined models, of that of ARX, below which ARX sees too little for its delays: they may be those of noise."""
 MOVES = (4, 2, 1)
 """Samples by which a delay moves: what light modes still ring with hides the onset of an impulse response by more than one."""
 STEPS = (4, 8, 4)
@@ -253,7 +253,7 @@ class Search:
         if ends[-2][1] < NEARER * loss:
             model, loss = ends[-2]
         tops = [model] if ends[-1][1] > NEARER * loss else [model, ends[-1][0]]
-        ends = [problem.fit(m, rows, STEPS[1]) for m in tops if m is not None]
+        ends = [problem.fit(m, rows, LONGER if anew else STEPS[1]) for m in tops if m is not None]
         if not ends:
             return None
         model, loss = min(ends, key=lambda end: end[1])

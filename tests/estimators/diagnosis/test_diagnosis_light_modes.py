@@ -64,7 +64,7 @@ def test_light_poles_of_each_input_are_not_set_ringing_by_the_noise_of_a_rest(wi
     assert rms(model.free_run(known, u, y, window) - truth) < 1e-6 * size
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3])
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
 def test_slow_and_quick_modes_in_coloured_noise_are_found_from_a_long_arx(seed):
     """A quarter car on a shaker, modes of 1.2 and 10 Hz: descents from short ARX end in other minima, 10 to 13 % above the noise."""
     k, c, kt, lag, ratio, dt, n = 65.5, 4.75, 4070.0, 0.013, 6.64, 0.005, 2400
