@@ -27,6 +27,8 @@ LOW, MANY = 3, 10
 """Lags of the output in a model that cannot take a tone or a trend for its own dynamics and fit the rest; and its parameters."""
 LONG = 8000
 """Samples from which on the model is chosen on pieces of every block, and only fitted to all of them."""
+FURTHER = 0.02
+"""Of the error on unused blocks, what a patient search must gain where its model has no fewer poles: less is no other model."""
 LITTLE, SURELY, GROWTH = 0.5, 0.5, 1e3
 """Error of stable models, of the output's standard deviation, from which on an unstable one is tried, as where one of their poles
 remembers longer than a block; of theirs, what it may leave, as its pole may also follow a drift; and by how much it may grow over
@@ -117,6 +119,11 @@ def _output(
         screen, known = _after_start(screen, known)
     trials = known + screen.refined(known)
     chosen = simplest(trials)
+    further = known + replace(screen, patient=True).refined(known)
+    last = simplest(further)
+    needed = 0.0 if last.candidate.form.na < chosen.candidate.form.na else FURTHER
+    if last.rmse < (1.0 - needed) * chosen.rmse:
+        trials, chosen = further, last
     if chosen.slow or chosen.rmse > LITTLE * np.sqrt(prior.covariance[0]):
         # over the whole records, where the screen sees pieces of them
         free = replace(screen, limit=GROWTH ** (1.0 / max(blocks.lengths)))

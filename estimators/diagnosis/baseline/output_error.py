@@ -18,10 +18,12 @@ Array = NDArray[Any]
 
 DAMPING = (1e-6, 10.0, 1e6)
 """Levenberg's first damping in units of each parameter's information, its factor, and where a search gives up."""
-STILL = 1e-6
-"""Relative decrease of the loss below which a search has arrived: poles near one another at a quick sampling make valleys in which
-steps of 1e-4 still lead to half the error."""
-ENOUGH = 1e-11  # of the diagonal, that damps a step: without, parameters of which a record tells nothing make a singular matrix
+STILL, ENOUGH = 1e-4, 0.0
+"""Relative decrease of the loss below which a search has arrived: a tenth of what the choice between models can tell; and the least
+damping, in units of each parameter's information."""
+PATIENT = 1e-6, 1e-11
+"""The same of a patient search: poles near one another at a quick sampling make valleys in which steps of 1e-4 still lead to half the
+error; and in so many steps parameters of which the record tells nothing make a singular matrix without damping."""
 
 
 class Problem(Protocol):
@@ -43,7 +45,11 @@ class Problem(Protocol):
 
 
 def descended(
-    problem: Problem, theta: Array, rows: Sequence[NDArray[np.bool_]], steps: int
+    problem: Problem,
+    theta: Array,
+    rows: Sequence[NDArray[np.bool_]],
+    steps: int,
+    ends: tuple[float, float] = (STILL, ENOUGH),
 ) -> tuple[Array, float]:
     """The best parameters within so many Gauss-Newton steps, and their mean square; every model on the way keeps to the limit."""
     loss, gradient, hessian = problem.local(theta, rows)
@@ -62,8 +68,8 @@ def descended(
             break
         gained = loss - new[0]
         theta, (loss, gradient, hessian) = theta + step, new
-        damping = max(damping / factor, ENOUGH)
-        if gained < STILL * loss:
+        damping = max(damping / factor, ends[1])
+        if gained < ends[0] * loss:
             break
     return theta, loss
 
@@ -85,10 +91,14 @@ class OutputError:
     limit: float = 1.0
 
     def fit(
-        self, start: LinearModel, rows: Sequence[NDArray[np.bool_]], steps: int
+        self,
+        start: LinearModel,
+        rows: Sequence[NDArray[np.bool_]],
+        steps: int,
+        ends: tuple[float, float] = (STILL, ENOUGH),
     ) -> tuple[LinearModel, float]:
         """The best model within so many steps of `start` and its mean square on the rows, (N,) per record."""
-        theta, loss = descended(self, self._vector(start), rows, steps)
+        theta, loss = descended(self, self._vector(start), rows, steps, ends)
         return self.model(theta), loss
 
     def _vector(self, model: LinearModel) -> Array:

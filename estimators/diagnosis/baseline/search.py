@@ -14,7 +14,14 @@ from estimators.diagnosis.baseline.choice import tried as judged
 from estimators.diagnosis.baseline.disturbances import noise_model
 from estimators.diagnosis.baseline.individual import Individual
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
-from estimators.diagnosis.baseline.output_error import OutputError, descended, realised
+from estimators.diagnosis.baseline.output_error import (
+    ENOUGH,
+    PATIENT,
+    STILL,
+    OutputError,
+    descended,
+    realised,
+)
 from estimators.diagnosis.baseline.regression import Arx, Lagged, lagged
 from oed.data import Record
 
@@ -36,8 +43,9 @@ REALISED = 30
 """Lags of the impulse response that a reduction to few poles keeps: three times the largest order."""
 REDUCED, SAMPLES = 30, 10
 """Order of a long ARX, whose reduction knows light modes that noise hides from a short one, and samples that each of its coefficients has."""
-BLIND = 0.8
-"""Error of refined models, of that of ARX, below which ARX sees too little for its delays: they may be those of noise."""
+BLIND = (0.5, 0.8)
+"""Error of refined models, of that of ARX, below which ARX has seen next to nothing, and its delays are those of noise; and the same for
+a patient search."""
 MOVES = (4, 2, 1)
 """Samples by which a delay moves: what light modes still ring with hides the onset of an impulse response by more than one."""
 STEPS = (4, 8, 4)
@@ -89,8 +97,14 @@ class Search:
     asked: tuple[Array, ...] = ()  # (M, inputs) on which the model is wanted
     moving: bool = False  # whether the records are known to begin away from rest
     limit: float = 1.0  # radius up to which a pole may lie
+    patient: bool = False  # whether descents begin from a long ARX too, and go on for long
     # long ARX that were asked before: of these records, so that a search of others begins without
     long: dict[tuple, LinearModel] = field(default_factory=dict, init=False)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Where descents end."""
+        return PATIENT if self.patient else (STILL, ENOUGH)
 
     @property
     def inputs(self) -> int:
@@ -169,7 +183,7 @@ class Search:
         delays = list(dict.fromkeys(t.candidate.form.delay for t in best[:10]))[:2]
         found = self._orders(best, delays)
         short = tuple(d if d > max(DELAYS) else min(d, 1) for d in delays[0])
-        if min((t.rmse for t in found), default=np.inf) < BLIND * best[0].rmse:
+        if min((t.rmse for t in found), default=np.inf) < BLIND[self.patient] * best[0].rmse:
             if short not in delays:
                 found += self._orders(sorted((*best, *found), key=lambda t: t.rmse), [short])
             moved = self._moved(min(found, key=lambda t: t.rmse))
@@ -235,25 +249,29 @@ class Search:
     def _fitted(
         self, form: Arx, best: Sequence[Trial], anew: bool = True
     ) -> tuple[float, OutputError, LinearModel] | None:
-        """Schwarz's criterion, problem and model of an output-error form, from reductions of the best and, `anew`, of a long ARX, from ARX
-        and its iteration."""
+        """Schwarz's criterion, problem and model of an output-error form, from a reduction of the best, ARX and its iteration; `anew` by a
+        patient search, from that of a long ARX too."""
+        patient = self.patient and anew
         rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
         starts = [realised(best[0].candidate.models[-1], form, REALISED)]
         starts += [t.candidate.models[-1] for t in best if t.candidate.form.na == form.na][:1]
         problem = OutputError(self.records, self.output, form, self.prior, np.ones(1), self.limit)
         ends = [
-            problem.fit(m, rows, STEPS[0]) if m is not None and m.radius < self.limit else (None, np.inf)
+            problem.fit(m, rows, STEPS[0], self.ends)
+            if m is not None and m.radius < self.limit
+            else (None, np.inf)
             for m in (
                 *starts,
                 self._prefiltered(form),
-                realised(self._long(form), form, 2 * REDUCED) if anew else None,
+                realised(self._long(form), form, 2 * REDUCED) if patient else None,
             )
         ]
         model, loss = min(ends[:-2], key=lambda end: end[1])
         if ends[-2][1] < NEARER * loss:
             model, loss = ends[-2]
         tops = [model] if ends[-1][1] > NEARER * loss else [model, ends[-1][0]]
-        ends = [problem.fit(m, rows, LONGER if anew else STEPS[1]) for m in tops if m is not None]
+        steps = LONGER if patient else STEPS[1]
+        ends = [problem.fit(m, rows, steps, self.ends) for m in tops if m is not None]
         if not ends:
             return None
         model, loss = min(ends, key=lambda end: end[1])
@@ -290,12 +308,17 @@ class Search:
             problem = Individual(self.records, self.output, Arx(n, n + SPARE, delay, self.offset), self.prior)
             starts = [problem.start(c.models[-1], REALISED) for c in (best, arx)]
             starts += [] if theta is None else [problem.grown(theta)]
-            ends = [descended(problem, s, rows, STEPS[1]) for s in starts if problem.model(s).radius < 1.0]
+            ends = [
+                descended(problem, s, rows, STEPS[1], self.ends)
+                for s in starts
+                if problem.model(s).radius < 1.0
+            ]
             if not ends:
                 break
-            theta, loss = descended(problem, min(ends, key=lambda end: end[1])[0], rows, LONGER)
+            theta, loss = descended(problem, min(ends, key=lambda end: end[1])[0], rows, LONGER, self.ends)
             parts = [
-                descended(problem, theta, self.blocks.training(b), STEPS[2])[0] for b in self.blocks.blocks
+                descended(problem, theta, self.blocks.training(b), STEPS[2], self.ends)[0]
+                for b in self.blocks.blocks
             ]
             words = f"{n} poles of its own for each input, {n + SPARE} coefficients, delay {min(delay)}"
             models = [problem.model(t) for t in (*parts, theta)]
@@ -303,7 +326,9 @@ class Search:
         return [t for t in found if t is not None]
 
     def _oe(self, problem: OutputError, model: LinearModel, kind: str) -> Candidate:
-        models = [problem.fit(model, self.blocks.training(b), STEPS[2])[0] for b in self.blocks.blocks]
+        models = [
+            problem.fit(model, self.blocks.training(b), STEPS[2], self.ends)[0] for b in self.blocks.blocks
+        ]
         return Candidate(kind, _words(problem.form), problem.form.size, [*models, model], problem.form)
 
 
