@@ -13,7 +13,7 @@ from estimators.diagnosis.baseline.choice import SLOW, Trial, batch_squares, sim
 from estimators.diagnosis.baseline.disturbances import foretold, noise_model, tones, waves
 from estimators.diagnosis.baseline.linear_model import Prior, rest_level, unmoved
 from estimators.diagnosis.baseline.search import LONG as TAPS
-from estimators.diagnosis.baseline.search import ORDERS, Search
+from estimators.diagnosis.baseline.search import ORDERS, REFINED, Search
 from estimators.residual.algebra import delayed
 from oed.data import Record
 from oed.errors import InputError
@@ -28,7 +28,8 @@ LOW, MANY = 3, 10
 LONG = 8000
 """Samples from which on the model is chosen on pieces of every block, and only fitted to all of them."""
 FURTHER = 0.02
-"""Of the error on unused blocks, what a patient search must gain where its model has no fewer poles: less is no other model."""
+"""Of the error on unused blocks, what a patient search must gain: less is no other model. Where the usual one asks for the most poles
+there are, which stand for any that it missed, fewer need gain nothing."""
 LITTLE, SURELY, GROWTH = 0.5, 0.5, 1e3
 """Error of stable models, of the output's standard deviation, from which on an unstable one is tried, as where one of their poles
 remembers longer than a block; of theirs, what it may leave, as its pole may also follow a drift; and by how much it may grow over
@@ -121,7 +122,7 @@ def _output(
     chosen = simplest(trials)
     further = known + replace(screen, patient=True).refined(known)
     last = simplest(further)
-    needed = 0.0 if last.candidate.form.na < chosen.candidate.form.na else FURTHER
+    needed = 0.0 if last.candidate.form.na < chosen.candidate.form.na == max(REFINED) else FURTHER
     if last.rmse < (1.0 - needed) * chosen.rmse:
         trials, chosen = further, last
     if chosen.slow or chosen.rmse > LITTLE * np.sqrt(prior.covariance[0]):
