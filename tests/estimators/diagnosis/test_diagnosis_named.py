@@ -238,11 +238,7 @@ def test_a_start_is_judged_on_the_record_as_it_is_where_the_input_acts_at_once(r
     monkeypatch.setattr(Bench, "starts", kept)
     found = diagnose(Record(u, lfilter([0.3], [1.0, -0.7], np.clip(u, -0.7, 0.7)) + e))
     assert found.effect == "input_saturation"
-    assert next(told for told in asked if told[1]) == (
-        True,
-        True,
-        True,
-    )  # of the first that has a model to start
+    assert next(told for told in asked if told[1]) == (True, True, True)
 
 
 def test_a_growing_curve_is_tried_behind_a_lag_however_little_its_score_promises() -> None:
