@@ -195,35 +195,35 @@ PRODUCT = Effect(
 PATH = (*PATH, PRODUCT)
 
 
-BENDS = ((4.0, 8.0), (8.0, 14.0), (12.0, 18.0), (16.0, 25.0), (8.0, 25.0), (16.0, 12.0))
+BENDS = tuple((a, b) for a in (5.0, 10.0, 20.0) for b in (5.0, 10.0, 20.0))
 """Rates of the two exponentials, in ranges of the charge that the record covers, that are tried."""
 POLES = (0.0, 0.8, 0.9, 0.95, 0.98)
 """Of the linear part beside the store, which a model with an integrator has lost."""
-LEAST_RANGE = (
-    0.8  # of the charge's travel that is net: a store is filled or emptied, it does not swing about a level
-)
 LEAST_BEND = 0.1  # of the squares that an integrator leaves, which the bends of the curve must explain
 STEEPEST = 40.0  # exponent at which an exponential is cut: outside the record's range it says nothing
 
 
-def _charge(u: Array, scale: float) -> Array:
-    """Integral of the input up to each sample, in ranges of the training record."""
-    return np.concatenate(([0.0], np.cumsum(u)[:-1])) / scale
-
-
 def _curved(u: Array, p: Array, clock: Clock) -> Array:
-    """slope x + first (exp(-a x) - 1) + last (exp(b (x - 1)) - exp(-b)): a store is full at one end and empty at the other."""
-    if p[5] == 0.0 or p[2] < 0.0 or p[4] < 0.0:
+    """The curve of the charge less its value at the start of the training record: what adds up, adds up from the record on."""
+    if p[5] <= 0.0 or p[2] < 0.0 or p[4] < 0.0:
         return np.full(len(u), np.inf)
-    return curve_of_charge(_charge(u, p[5]), p)
+    added = np.where(np.arange(len(u)) < clock.lead, 0.0, u)
+    return curve_of_charge(np.cumsum(added) - added, p)
 
 
-def curve_of_charge(x: Any, p: Array) -> Any:
-    """The curve over the charge in ranges of the training record, numbers or symbols."""
-    slope, first, a, last, b, _ = p
-    low = np.expm1(np.clip(-a * x, -STEEPEST, STEEPEST))
-    high = np.exp(np.clip(b * (x - 1.0), -STEEPEST, STEEPEST)) - np.exp(-b)
-    return slope * x + first * low + last * high
+def curve_of_charge(charge: Any, p: Array) -> Any:
+    """slope x + first (exp(-a x) - 1) + last (exp(b (x - 1)) - exp(-b)), less the same at the start of the training record.
+
+    x is the charge, numbers or symbols, in ranges of that record from its least: a store is full at one end and empty at the other.
+    """
+    slope, first, a, last, b, size, least, start = p
+
+    def at(x: Any) -> Any:
+        low = np.expm1(np.clip(-a * x, -STEEPEST, STEEPEST))
+        high = np.exp(np.clip(b * (x - 1.0), -STEEPEST, STEEPEST)) - np.exp(-b)
+        return slope * x + first * low + last * high
+
+    return at((charge + start - least) / size) - at(-least / size)
 
 
 def _stores(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -233,21 +233,16 @@ def _stores(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.model.structure import Part
 
     s, j, keep = base.structure, base.structure.inputs[0], channel.keep
-    charge = np.cumsum(channel.u[:, j])
-    scale = float(charge[-1])
-    if (
-        s.layout != "tf"
-        or s.effects
-        or len(s.inputs) != 1
-        or abs(scale) < LEAST_RANGE * float(np.ptp(charge))
-    ):
+    charge = np.concatenate(([0.0], np.cumsum(channel.u[:-1, j])))
+    if s.layout != "tf" or s.effects or len(s.inputs) != 1 or not np.ptp(charge) > 0.0:
         return
+    covered = np.array([np.ptp(charge), charge.min(), 0.0])
     size = float(np.std(channel.y)) + 1e-300
     new = s.adding(Part(STORE_CURVE, j))
     at = new.slices()[-1].start
     linear = [*range(s.order, at), at, at + 1, at + 3]
     # the range only names the units
-    scales = np.concatenate((base.scales, [size, size, 10.0, size, 10.0, 0.0]))
+    scales = np.concatenate((base.scales, [size, size, 10.0, size, 10.0, 0.0, 0.0, 0.0]))
     scales[s.order : s.plant_size] = size / (float(np.std(channel.u[:, j])) + 1e-300)
 
     def least(p: Array, free: list[int]) -> tuple[float, Array]:
@@ -269,13 +264,13 @@ def _stores(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         for bend in BENDS:
             p = np.zeros(new.size)
             p[: s.order] = np.real(np.poly([pole] + [0.0] * (s.order - 1)))[1:]
-            p[[at + 2, at + 4, at + 5]] = *bend, scale
+            p[[at + 2, at + 4]], p[at + 5 :] = bend, covered
             found.append(least(p, linear))
     straight = []
     for pole in POLES:  # without its bends it is an integrator, which is linear
         p = np.zeros(new.size)
         p[: s.order] = np.real(np.poly([pole] + [0.0] * (s.order - 1)))[1:]
-        p[[at + 2, at + 4, at + 5]] = *BENDS[0], scale
+        p[[at + 2, at + 4]], p[at + 5 :] = BENDS[0], covered
         straight.append(least(p, linear[:-2])[0])
     if min(found, key=lambda entry: entry[0])[0] > (1.0 - LEAST_BEND) * min(straight):
         return
@@ -290,7 +285,8 @@ def _stores(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 STORE_CURVE = Effect(
     key="integral_curve", cause="integrated_input_curve", nature=Nature.OUTPUT_STATIC, slot=Slot.PATH, trials=20,
     sentence="a curve of the integral of the input is added: a store, as a battery's voltage over its state of charge",
-    parameters={"slope": "y", "first": "y", "first_rate": "1", "last": "y", "last_rate": "1", "range": "u sample"},
+    parameters={"slope": "y", "first": "y", "first_rate": "1", "last": "y", "last_rate": "1", "range": "u sample",
+                "least": "u sample", "start": "u sample"},
     shape=lambda size, order: list(STORE_CURVE.parameters.items()), apply=_curved, search=_stores,
 )  # fmt: skip
 

@@ -25,6 +25,11 @@ TREND = named("drift")
 KEEP = 6.0  # by which an effect must lower it to stay, as it had to when it came
 
 
+IDLE = 0.01
+"""Of the squared error, what a part must change of the run to do anything: where it does not, fits without a block stop where the
+fit to all began, and unused blocks seem to ask for it."""
+
+
 def without(channel: Channel, f: Fit, position: int, known: Sequence[Fit] = ()) -> list[Fit]:
     """A model fitted again without one of its parts, by least squares, its noise model chosen from its residual.
 
@@ -43,6 +48,19 @@ def without(channel: Channel, f: Fit, position: int, known: Sequence[Fit] = ()) 
     alike = [g for g in known if keys and sorted(part.key for part in g.structure.effects) == keys]
     fits = [fit(channel, s, f.p[at], f.scales[at], iterations=20)]
     return fits + [fit(channel, g.structure, g.p, g.scales, iterations=20) for g in alike]
+
+
+def without_idle(channel: Channel, f: Fit) -> tuple[str, Fit] | None:
+    """The first effect that changes nothing of the run, as a play without width, and the model without it; None where each does."""
+    for position in range(f.structure.base, len(f.structure.parts)):
+        part = f.structure.parts[position]
+        if part.effect.slot is Slot.FORM or part.own:
+            continue
+        s, at = f.structure.keeping([i != position for i in range(len(f.structure.parts))])
+        change = channel.y - simulate(s, f.p[at], channel.u, channel.clock) - f.residual
+        if np.sum(change[channel.keep] ** 2) < IDLE * np.sum(f.residual[channel.keep] ** 2):
+            return part.key, fit(channel, s, f.p[at], f.scales[at], noise=f.noise)
+    return None
 
 
 def trending(channel: Channel, f: Fit) -> Fit | None:

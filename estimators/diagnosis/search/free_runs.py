@@ -6,6 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
 
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import FAR, LinearModel, Prior
@@ -27,6 +28,10 @@ LONGEST = 3000
 """Samples of constant input before a record; a pole within `FAR` of the circle has settled to 5 % by then."""
 LEVELS = slice(8, 10)
 """Where the levels at the first sample stand among the parameters of two tanks."""
+FILLED = np.linspace(-0.25, 1.25, 31)
+"""Levels at which a store may be when a record begins, in the range that the training record covered, and some way beyond."""
+REFUSED = 3.0
+"""Of the model's own error, how far off all of a window must be for a store not to be as full as when the training record began."""
 STRETCHES = 5
 """Of a fold that is scattered over a record: each a twenty-fifth of it, beyond which a curve of five bends is hardly carried."""
 STEPS = 6
@@ -126,13 +131,11 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
     """
     if f.structure.layout == "tanks":
         return _tanks(f, u, clock, y, window)
-    den = denominator(f)
-    lead = lead_in(f, start)
-    padded = np.concatenate((np.repeat(u[:1], lead, axis=0), u))
-    early = Clock(np.concatenate((clock.k[0] - np.arange(lead, 0.0, -1.0), clock.k)), clock.length, lead)
-    run = simulate(f.structure, f.p, padded, early, rest=True)[lead:]
+    f = _filled(f, u, clock, y, window, start)
+    run = _begun(f, u, clock, start)
     if not np.all(np.isfinite(run)):
         return run
+    den = denominator(f)
     if np.isfinite(y[: max(window, 0)]).any():
         return run + _corrected(den, y - run, window, start)
     prior, integrates = start.prior, largest_pole(den) >= FAR
@@ -140,6 +143,50 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
     if integrates and np.isfinite(level := prior.started(first)):
         run = run + (level - run[0])  # its level and its state are one: only where records started is known
     return run
+
+
+def _begun(f: Shaped, u: Array, clock: Clock, start: Start) -> Array:
+    """(N,) simulated output from rest, or settled under the first input."""
+    lead = lead_in(f, start)
+    padded = np.concatenate((np.repeat(u[:1], lead, axis=0), u))
+    early = Clock(np.concatenate((clock.k[0] - np.arange(lead, 0.0, -1.0), clock.k)), clock.length, lead)
+    return simulate(f.structure, f.p, padded, early, rest=True)[lead:]
+
+
+@dataclass(frozen=True, eq=False)
+class _Filled:
+    """A model whose store starts at a level of its own."""
+
+    structure: Structure
+    p: Array
+
+
+def _filled(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: Start) -> Shaped:
+    """A model with a store, as full as the window of another record says: as the training record began, unless that is refused there."""
+    stores = [
+        sl
+        for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True)
+        if part.effect is STORE_CURVE
+    ]
+    seen = np.flatnonzero(np.isfinite(y[: max(window, 0)]))
+    if not stores or not len(seen):
+        return f
+    (size, least), head = f.p[stores[0]][-3:-1], Clock(clock.k[:window], clock.length)
+
+    def begun(level: float) -> tuple[float, Shaped]:
+        """Mean square in the window from a level, in ranges of the training record, and the model."""
+        p = f.p.copy()
+        p[[sl.stop - 1 for sl in stores]] = level * size + least
+        model = _Filled(f.structure, p)
+        error = y[:window] - _begun(model, u[:window], head, start)
+        error = (error - _corrected(denominator(f), error, window, start))[seen]
+        return float(np.mean(error**2)) if np.all(np.isfinite(error)) else np.inf, model
+
+    as_before = begun(-least / size)[0]
+    coarse = min(FILLED, key=lambda level: begun(level)[0])
+    fine = minimize_scalar(lambda level: begun(level)[0], (coarse, coarse + 0.01))
+    best, model = begun(float(fine.x))
+    return model if as_before - best > REFUSED**2 * start.prior.noise else f
 
 
 def _corrected(den: Array, error: Array, window: int, start: Start) -> Array:

@@ -27,7 +27,7 @@ from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.result.answers import LinearAnswer, NamedAnswer
-from estimators.diagnosis.search.exchange import without
+from estimators.diagnosis.search.exchange import without, without_idle
 from estimators.diagnosis.search.free_runs import blocked, denominator, lengthened, start_of
 from estimators.diagnosis.search.naming import BENT, as_shown, bending, dated, scaled_runs
 from estimators.diagnosis.search.ratios import part_significance
@@ -187,6 +187,11 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
     f, dropped = a.final, []
     unused = bench.unused(f) if f.structure.effects else np.zeros(0)
     while f.structure.effects:
+        if (gone := without_idle(bench.channel, f)) is not None:
+            key, f = gone
+            dropped.append((key, "it changes nothing of the run"))
+            unused = bench.unused(f)
+            continue
         claims, rests = [], []
         for position, part in enumerate(f.structure.parts):
             if position < f.structure.base:

@@ -59,7 +59,8 @@ NAMED = {
     "lines": ("tf", [("input_lines", [0.5, -0.4, -1.2, 0.7], {"size": 2}), ("output_lines", [-0.3, 0.2])], {}),
     "sandwich": ("tf", [("sandwich", [-0.5, 0.5, 0.2], {"first": 1})], {}),
     "block with zeros": ("tf", [("input_cubic", [-0.4, 0.3, 0.05], {"first": 1, "free": True})], {}),
-    "paths": ("tf", [("mode", [0.2, 0.1, -1.2, 0.8], {"size": 2}), ("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0])], {}),
+    "paths": ("tf", [("mode", [0.2, 0.1, -1.2, 0.8], {"size": 2}), ("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 4.0])], {}),
+    "store": ("tf", [("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 0.0])], {"rest": False}),
     "time": ("tf", [("gain_drift", [0.3]), ("drift", [0.1, 0.2]), ("tones", [0.2, 0.3, 0.1]), ("sweep", [0.1, 0.01, 0.2, 0.1])],
              {}),
     "step": ("tf", [("step_input", [0.5, 40.3])], {"clock": (-30.0, 0.5, 300)}),
@@ -142,11 +143,26 @@ def test_a_named_answer_is_its_twin(name):
         "angle",
         "fatigue",
         "warm",
+        "store",
     ],
 )
 def test_a_named_answer_settles_under_an_operating_level_as_the_simulation_does(name):
     layout, effects, options = NAMED[name]
     _held(_model(_named(layout, effects, options | {"rest": False})), level=1.5)
+
+
+@pytest.mark.parametrize("level, off", [(31.0, 31.0), (0.5, 0.0)])
+def test_a_store_is_as_full_as_the_window_of_a_record_says(level, off):
+    """From a level that the training record did not start from; by less than three errors off it is as there."""
+    answer = replace(_named(*NAMED["store"]), start=Start(replace(PRIOR, noise=1e-4), False))
+    moved = replace(answer, p=answer.p + level * (np.arange(len(answer.p)) == len(answer.p) - 1))
+    wanted = replace(answer, p=answer.p + off * (np.arange(len(answer.p)) == len(answer.p) - 1))
+    record = lambda y: Record(_input(), y, dt=0.5)
+    y = moved.simulate(record(np.zeros(120)), 0)
+    assert np.ptp(y - answer.simulate(record(y), 0)) > 0.01 * level / 31.0
+    noise = 0.01 * np.random.default_rng(5).standard_normal(120) * (off > 0.0)
+    run = answer.simulate(record(y + noise), 20)
+    np.testing.assert_allclose(run, wanted.simulate(record(y), 0), atol=0.03)
 
 
 @pytest.mark.parametrize("rest", [True, False])

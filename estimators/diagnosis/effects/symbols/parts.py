@@ -182,8 +182,8 @@ def _heated(w: Wiring, x: Any, p: Array) -> Any:
 
 def _store(w: Wiring, x: Any, p: Array) -> Any:
     charge = w.state()
-    charge.after = charge.x + x
-    return curve_of_charge(charge.x / p[5], p)
+    charge.after = charge.x + w.ca.if_else(w.k > -0.5, x, 0.0)
+    return curve_of_charge(charge.x, p)
 
 
 def _line(w: Wiring, x: Any, p: Array) -> Any:
