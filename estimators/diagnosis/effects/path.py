@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -143,11 +143,9 @@ def _product(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     if not stable_polynomial(f):
         return np.full(len(U), np.inf)
     pair = U[:, channel], U[:, int(other) - 1]
-    before, product = (
-        (x - centres[0]) * (y - centres[1]) for x, y in ([level_before(x) for x in pair], pair)
-    )
+    before, both = ((x - centres[0]) * (y - centres[1]) for x, y in ([level_before(x) for x in pair], pair))
     num, den = np.concatenate((np.zeros(int(delay)), b)), np.concatenate(([1.0], f))
-    return before * num.sum() / den.sum() + np.asarray(lfilter(num, den, product - before))
+    return before * num.sum() / den.sum() + np.asarray(lfilter(num, den, both - before))
 
 
 def _product_shape(size: int, order: int) -> list[tuple[str, str]]:
@@ -227,23 +225,39 @@ def curve_of_charge(charge: Any, p: Array) -> Any:
 
 
 def _stores(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Least squares of the curve and of a linear part without an integrator, for several bends and poles; the best are fitted."""
+    """A store that one input or another fills."""
+    s = base.structure
+    if s.layout == "tf" and not s.effects:
+        for j, order in product(s.inputs, {s.order, max(s.order - 1, 1)}):
+            yield from _filled_by(channel, base, j, order)
+
+
+def _filled_by(channel: Any, base: Any, j: int, order: int) -> Iterator[Any]:
+    """Least squares of the curve and of a linear part without an integrator, for several bends and poles; the best are fitted.
+
+    A pole of the linear model that stands for the store goes with it, where the order is one less: beside it nothing tells the two apart.
+    """
     from estimators.diagnosis.model.fitting import fit
     from estimators.diagnosis.model.simulation import simulate
     from estimators.diagnosis.model.structure import Part
 
-    s, j, keep = base.structure, base.structure.inputs[0], channel.keep
+    s, keep = replace(base.structure, order=order), channel.keep
     charge = np.concatenate(([0.0], np.cumsum(channel.u[:-1, j])))
-    if s.layout != "tf" or s.effects or len(s.inputs) != 1 or not np.ptp(charge) > 0.0:
+    if not np.ptp(charge) > 0.0:
         return
     covered = np.array([np.ptp(charge), charge.min(), 0.0])
     size = float(np.std(channel.y)) + 1e-300
     new = s.adding(Part(STORE_CURVE, j))
     at = new.slices()[-1].start
     linear = [*range(s.order, at), at, at + 1, at + 3]
-    # the range only names the units
-    scales = np.concatenate((base.scales, [size, size, 10.0, size, 10.0, 0.0, 0.0, 0.0]))
-    scales[s.order : s.plant_size] = size / (float(np.std(channel.u[:, j])) + 1e-300)
+    scales = np.ones(new.size)
+    scales[:order] = base.scales[:order]
+    for part, old, own in zip(s.parts, base.structure.slices(), new.slices(), strict=False):
+        scales[own] = base.scales[old][: part.count(order)]
+    scales[at:] = size, size, 10.0, size, 10.0, 0.0, 0.0, 0.0  # the range only names the units
+    scales[s.order : s.plant_size] = np.repeat(
+        size / (np.std(channel.u[:, list(s.inputs)], axis=0) + 1e-300), s.taps
+    )
 
     def least(p: Array, free: list[int]) -> tuple[float, Array]:
         """Sum of squares and parameters at the least squares of those in which the output is linear."""

@@ -141,7 +141,7 @@ class NamedAnswer:
                 "base": s.base, "steps": s.steps, "parts": parts}  # fmt: skip
         return {
             "kind": "named", "output": self.output, "structure": form, "p": self.p.tolist(),
-            "prior": _plain(asdict(self.start.prior)), "rest": self.start.rest, "clock": list(self.clock),
+            "prior": _plain(asdict(self.start.prior)), "rest": self.start.rest, "error": self.start.error, "clock": list(self.clock),
             "thin": self.thin, "step": self.step, "ahead": self.ahead,
         }  # fmt: skip
 
@@ -249,7 +249,7 @@ def _named(data: dict[str, Any], effects: tuple[Effect, ...]) -> NamedAnswer:
     )
     structure = Structure(**(form | {"inputs": tuple(form["inputs"]), "parts": parts}))
     t0, dt, length = data["clock"]
-    start = Start(_prior_of(data["prior"]), data["rest"])
+    start = Start(_prior_of(data["prior"]), data["rest"], data.get("error", 0.0))
     return NamedAnswer(data["output"], structure, np.array(data["p"]), start, (t0, dt, int(length)), data["thin"],
                        data["step"], data["ahead"])  # fmt: skip
 

@@ -32,6 +32,8 @@ FILLED = np.linspace(-0.25, 1.25, 31)
 """Levels at which a store may be when a record begins, in the range that the training record covered, and some way beyond."""
 REFUSED = 3.0
 """Of the model's own error, how far off all of a window must be for a store not to be as full as when the training record began."""
+GONE = 0.5
+"""Of a state, what may be left at the end of a window for it to be told from a store's level there."""
 STRETCHES = 5
 """Of a fold that is scattered over a record: each a twenty-fifth of it, beyond which a curve of five bends is hardly carried."""
 STEPS = 6
@@ -58,6 +60,7 @@ class Start:
 
     prior: Prior  # of the simulation error, whose part that decays with the poles is a wrong state
     rest: bool  # no input before the record; else the first one, for ever
+    error: float = 0.0  # variance of the fit's simulation error
 
 
 def start_of(f: Fit, channel: Channel, prior: Prior, rest: bool) -> Start:
@@ -73,8 +76,11 @@ def start_of(f: Fit, channel: Channel, prior: Prior, rest: bool) -> Start:
         own = np.where(channel.keep, channel.y - run - r, 0.0)
     first = prior.covariance[0] * (largest_pole(denominator(f)) >= FAR)
     first += _products(own[: OPENING + len(covariance)], len(covariance), OPENING)
-    noise = min(prior.noise, float(np.mean(r**2)))
-    return Start(replace(prior, mean=0.0, covariance=covariance + first, noise=noise, rest=False), rest)
+    error = float(np.mean(r**2))
+    noise = min(prior.noise, error)
+    return Start(
+        replace(prior, mean=0.0, covariance=covariance + first, noise=noise, rest=False), rest, error
+    )
 
 
 def _products(x: Array, lags: int, count: int) -> Array:
@@ -172,6 +178,10 @@ def _filled(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: Sta
     if not stores or not len(seen):
         return f
     (size, least), head = f.p[stores[0]][-3:-1], Clock(clock.k[:window], clock.length)
+    poles = np.roots(
+        denominator(f)
+    )  # a state that does not decay in the window is not told from a level of the store
+    quick = np.atleast_1d(np.real(np.poly(poles[np.abs(poles) ** window < GONE])))
 
     def begun(level: float) -> tuple[float, Shaped]:
         """Mean square in the window from a level, in ranges of the training record, and the model."""
@@ -179,14 +189,14 @@ def _filled(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: Sta
         p[[sl.stop - 1 for sl in stores]] = level * size + least
         model = _Filled(f.structure, p)
         error = y[:window] - _begun(model, u[:window], head, start)
-        error = (error - _corrected(denominator(f), error, window, start))[seen]
+        error = (error - _corrected(quick, error, window, start))[seen]
         return float(np.mean(error**2)) if np.all(np.isfinite(error)) else np.inf, model
 
     as_before = begun(-least / size)[0]
     coarse = min(FILLED, key=lambda level: begun(level)[0])
     fine = minimize_scalar(lambda level: begun(level)[0], (coarse, coarse + 0.01))
     best, model = begun(float(fine.x))
-    return model if as_before - best > REFUSED**2 * start.prior.noise else f
+    return model if as_before - best > REFUSED**2 * start.error else f
 
 
 def _corrected(den: Array, error: Array, window: int, start: Start) -> Array:

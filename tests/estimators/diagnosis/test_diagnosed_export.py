@@ -154,7 +154,7 @@ def test_a_named_answer_settles_under_an_operating_level_as_the_simulation_does(
 @pytest.mark.parametrize("level, off", [(31.0, 31.0), (0.5, 0.0)])
 def test_a_store_is_as_full_as_the_window_of_a_record_says(level, off):
     """From a level that the training record did not start from; by less than three errors off it is as there."""
-    answer = replace(_named(*NAMED["store"]), start=Start(replace(PRIOR, noise=1e-4), False))
+    answer = replace(_named(*NAMED["store"]), start=Start(PRIOR, False, 1e-4))
     moved = replace(answer, p=answer.p + level * (np.arange(len(answer.p)) == len(answer.p) - 1))
     wanted = replace(answer, p=answer.p + off * (np.arange(len(answer.p)) == len(answer.p) - 1))
     record = lambda y: Record(_input(), y, dt=0.5)
