@@ -324,3 +324,16 @@ def test_a_sign_is_no_sharper_than_the_input_tells():
         widths = [c.terms[0].factors[0].q for c in found if c.key == ((Kind.SIGN, "u0"),)]
         assert widths
         assert all(low * np.std(u) * 0.9 < w < high * 1.1 for w in widths)
+
+
+def test_an_input_that_is_switched_between_two_levels_has_no_curve():
+    form = Form((1,), 1, (0.1,), (0.1,))
+    rng = np.random.default_rng(4)
+    prbs = np.concatenate((np.zeros(10), rng.choice([-1.0, 1.0], 600)))  # at rest first
+    kinds = {}
+    for name, u in {"switched": prbs, "three levels": np.concatenate((prbs, np.zeros(100)))}.items():
+        y = lfilter([0.1], [1.0, -0.9], u)
+        found = candidates(form, {"y0": y, "v0": y, "u0": u}, {"y0": 0.0, "u0": 0.0}, 10.0)
+        kinds[name] = {f.kind for c in found for t in c.terms for f in t.factors if f.signal == "u0"}
+    assert kinds["switched"] == {Kind.LINEAR}
+    assert {Kind.SQUARE, Kind.ABS} < kinds["three levels"]
