@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.discovery.form import Factor, Form, Term
 from estimators.diagnosis.discovery.recursion_kernels import factor_values
+from estimators.diagnosis.record.measurement import switched
 
 Array = NDArray[Any]
 
@@ -44,7 +45,6 @@ deviation) left out: between few levels nothing says where it jumps."""
 QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # where hinges start
 PERIODS = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # wave numbers per standard deviation
 SLOW = (8.0, 32.0, 128.0)  # time constants of slow states in samples over the model's own
-TWO_LEVELS = 0.97  # of the samples of a signal that is switched between them: it may rest at a third before it begins
 BELOW = 0.15  # how far below the range a root's or logarithm's zero starts, in spans
 
 
@@ -151,17 +151,12 @@ def candidates(
             root = Factor(Kind.ROOT, name, zero)
             out += [Candidate((Term((root, linear(b))),)) for b in u]
     out += _slow(names, signals, zeros, samples, y, u, v)
-    switched = {name for name in u if _switched(signals[name])}
+    two_levels = {name for name in u if switched(signals[name])}
     return [
         c
         for c in out
-        if not any(f.signal in switched and f.kind != Kind.LINEAR for t in c.terms for f in t.factors)
+        if not any(f.signal in two_levels and f.kind != Kind.LINEAR for t in c.terms for f in t.factors)
     ]
-
-
-def _switched(x: Array) -> bool:
-    """Whether a signal has two levels: every function of it is a straight line there, and anything elsewhere."""
-    return float(np.sort(np.unique(x, return_counts=True)[1])[-2:].sum()) > TWO_LEVELS * len(x)
 
 
 def _slow(names, signals, zeros, samples, y, u, v) -> list[Candidate]:

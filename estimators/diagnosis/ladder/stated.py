@@ -10,8 +10,9 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from estimators.diagnosis.baseline.baseline import Baseline, Options
-from estimators.diagnosis.baseline.best import best_linear, own_inputs, prior_of
+from estimators.diagnosis.baseline.best import FURTHER, best_linear, own_inputs, prior_of
 from estimators.diagnosis.baseline.choice import WORSE
+from estimators.diagnosis.baseline.linear_model import held_first
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.baseline.search import DELAYS, EARLY, Search
 from estimators.diagnosis.ladder.outcome import Outcome
@@ -108,10 +109,31 @@ def denied_starts(
     """Which outputs do not start at rest, as was stated, and the linear models and options that go on from there."""
     moving = [starts_moving(records, i, base, n, options) for i, n in enumerate(orders)]
     if not any(moving):
-        return moving, base, options
+        return moving, *_levelled(records, base, options)
     # the data then tell the training records' starts, and what was stated holds of the test record alone
     told = replace(options, deviations=None, moving=True)
     return moving, best_linear(records, told), told
+
+
+NEAR = 3.0
+"""Standard errors of a mean: beyond which a level is none of what the noise makes, and within which samples at rest say nothing of it."""
+
+
+def _levelled(records: Sequence[Record], base: Baseline, options: Options) -> tuple[Baseline, Options]:
+    """The linear models and options with a level of each output, where deviations are from means of so few samples at rest that a constant
+    is left: it is no cause, but what has no level bends to it."""
+    for i in range(len(base.outputs)):
+        rests = [r.y[:, i] - y[:, i] for r, y in zip(records, base.y_model, strict=True)]
+        left = np.concatenate([e[np.isfinite(e)] for e in rests])
+        error = float(np.std(left)) / np.sqrt(effective_samples(left - left.mean()))
+        n = min(held_first(records[0].u), len(left))
+        scatter = float(np.std(np.convolve(left, np.full(n, 1.0 / n), "valid")))
+        if NEAR * error < abs(left.mean()) < NEAR * scatter:
+            told = replace(options, deviations=None)
+            other = best_linear(records, told)
+            both = (float(np.sum(b.rmse_unused**2)) for b in (other, base))
+            return (other, told) if next(both) < (1.0 - FURTHER) ** 2 * next(both) else (base, options)
+    return base, options
 
 
 def lacking(

@@ -245,6 +245,15 @@ def goes_with_clock(records: Sequence[Record]) -> bool:
     )
 
 
+TWO_LEVELS = 0.97
+"""Of the samples of an input that is switched between two levels: it may rest at a third before it begins."""
+
+
+def switched(x: NDArray[Any]) -> bool:
+    """Whether a signal has two levels: every function of it is a straight line there, and anything elsewhere."""
+    return float(np.sort(np.unique(x, return_counts=True)[1])[-2:].sum()) > TWO_LEVELS * len(x)
+
+
 def observations(records: Sequence[Record]) -> tuple[str, ...]:
     """Sentences on what is missing from the records and on rest before their inputs start: facts, no faults."""
     said = []

@@ -11,6 +11,7 @@ from estimators.diagnosis.effects import CATALOGUE, Effect, Slot
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import layout_starts
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.record.measurement import switched
 from estimators.diagnosis.search.starts import Start, fitted, renewed, scored
 
 Array = NDArray[Any]
@@ -110,9 +111,10 @@ def augmented(
     for e in (e for e in chosen if e.slot is not Slot.PLANT):
         for task in (task for task in tasks if task.effect is e):
             for f in _least(fitted(channel, base, task.starts(), iterations)):
-                most = max(most, base.deviance - f.deviance)
                 found.append(f)
-                yield f
+                if not _straight(channel, f):
+                    most = max(most, base.deviance - f.deviance)
+                    yield f
     yield from _lagged_fits(channel, base, found, iterations)
     simple: dict[str, Fit] = {}
     for f in _plant_fits(channel, base, [e for e in plant if e in chosen], tasks, iterations):
@@ -178,8 +180,17 @@ def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int)
             _with_fresh_poles(channel, f, np.insert(source.p, at, -pole), np.insert(f.scales, at, 1.0), new, np.inf, iterations)
             for pole in real or [0.5]
         ]  # fmt: skip
-        yield from ([] if best is None else [best])
+        yield from ([] if best is None or _straight(channel, best) else [best])
         yield from _least(g for g in behind if g is not None)
+
+
+def _straight(channel: Channel, f: Fit) -> bool:
+    """Whether what was added is a curve of an input that has two levels: a gain and an offset, whatever the curve."""
+    *before, part = f.structure.parts
+    if not part.effect.static or part.effect.slot is not Slot.INPUT or part.own:
+        return False
+    alone = not any(q.effect.slot is Slot.INPUT and q.channel == part.channel for q in before)
+    return alone and switched(channel.u[channel.keep][:, part.channel])
 
 
 def _with_fresh_poles(
