@@ -111,6 +111,8 @@ def screen(fitted: Fitted, pieces: Sequence[Piece], zeros: dict[str, float]) -> 
         for i in range(len(form.orders)):
             for s in [s for s in best if s.chain == i][:KEPT]:
                 kept.setdefault((s.candidate.key, s.candidate.terms), s.candidate)
+        if not kept:  # all are linear in their signals
+            return []
         listed = list(kept.values())
         columns = 2 * len(listed) * (sum(form.orders) + len(form.orders)) * len(form.orders)
         parts = _parts(fitted, pieces, max(ELEMENTS // columns, SHORT))

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.ladder import Gain
 from estimators.diagnosis.remainder.members import Networks
 from estimators.diagnosis.remainder.ridge import Ridge, Set
+from estimators.diagnosis.remainder.trees import Trees
 from estimators.diagnosis.share.feedback import delayed
 from oed.data import Record
 
@@ -28,7 +29,7 @@ class Remainder:
     """
 
     output: int
-    members: tuple[Ridge | Networks, ...]
+    members: tuple[Ridge | Networks | Trees, ...]
     weights: Array
     low: Array
     high: Array
@@ -72,9 +73,10 @@ class Remainder:
         return run, run + self.error[0], run + self.error[1]
 
 
-def _change(member: Ridge | Networks, record: Record, earlier: Array, output: int) -> Array:
+def _change(member: Ridge | Networks | Trees, record: Record, earlier: Array, output: int) -> Array:
     """(N,) what a member would add to the earlier run."""
     if isinstance(member, Networks):
         return member.run(record, earlier)
     run = member.run(record, earlier, output)
-    return run - earlier[:, output] if member.which is Set.INPUTS else run
+    alone = isinstance(member, Ridge) and member.which is Set.INPUTS
+    return run - earlier[:, output] if alone else run

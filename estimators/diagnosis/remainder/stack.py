@@ -16,6 +16,7 @@ from estimators.diagnosis.remainder.footing import Footing
 from estimators.diagnosis.remainder.members import Networks, scale_of, starts_of, trained
 from estimators.diagnosis.remainder.mixture import Remainder
 from estimators.diagnosis.remainder.ridge import PENALTIES, Ridge, Set, columns, normal_equations, ridge_of
+from estimators.diagnosis.remainder.trees import Trees, grown, table
 from estimators.diagnosis.share import Share
 from estimators.diagnosis.share.feedback import autoregression, delayed, has_feedback, whitened
 from estimators.diagnosis.share.signals import bank_of
@@ -36,7 +37,7 @@ class Limits:
     """How much work a remainder may be, and when it is taken.
 
     `shapes` states and neurons of the networks: a second-order force and a curve; more is for the thorough;
-    `starts` of each shape: one in four ends within a tenth of the best on practice records; `reach` by how
+    `trees` whether trees are grown; `starts` of each shape: one in four ends within a tenth of the best on practice records; `reach` by how
     much of the training residual's span a correction may exceed it; `fade` spans beyond an input's training
     range at which the correction begins to fade, and is gone; `errors, least` gain on unused blocks that
     admits it: in standard errors, and as a share of the error there. With one standard error coloured noise
@@ -46,6 +47,7 @@ class Limits:
     """
 
     shapes: tuple[tuple[int, int], ...] = ((2, 4),)
+    trees: bool = True
     starts: int = 8
     reach: float = 0.2
     fade: tuple[float, float] = (0.25, 1.0)
@@ -58,7 +60,7 @@ class Limits:
     def of(cls, effort: Effort) -> Limits:
         """Limits of an effort."""
         shapes = {Effort.QUICK: (), Effort.NORMAL: ((2, 4),), Effort.THOROUGH: ((2, 4), (3, 6))}
-        return cls(shapes=shapes[effort])
+        return cls(shapes=shapes[effort], trees=effort is not Effort.QUICK)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +156,30 @@ def _networks(task: _Task, shape: tuple[int, int]) -> tuple[Networks, list[Array
     return whole, out
 
 
+def _trees(task: _Task) -> tuple[Trees, list[Array]]:
+    """Trees fitted to all blocks, and their change of the earlier run on blocks that they did not see."""
+    bank = bank_of(task.base, task.records, task.output)
+
+    def of(runs: Sequence[Array], uses: Sequence[NDArray[np.bool_]]) -> tuple[Trees, list[Array]]:
+        tables = [table(bank, r, run, task.output) for r, run in zip(task.records, runs, strict=True)]
+        left = task.residual(runs)
+        X, r = (np.concatenate([x[use] for x, use in zip(xs, uses, strict=True)]) for xs in (tables, left))
+        return grown(bank, X, r, task.bounds(left)), tables
+
+    out = task.empty()
+    for k, block in enumerate(task.base.blocks.blocks):
+        trees, tables = of(task.footing.without[k], task.training(k))
+        out[block.record][block.rows] = trees.predicted(tables[block.record][block.rows])
+    return of(task.footing.final, task.counts)[0], out
+
+
+def _misled(task: _Task, policy: Policy) -> bool:
+    """Whether the inputs do not answer the noise, but tell the earlier model's error: it is most of what that leaves."""
+    earlier = [run[:, task.output] for run in task.footing.unused(task.base.blocks)]
+    unused = [run + change for run, change in zip(earlier, _trees(task)[1], strict=True)]
+    return paired_gain(task.y, earlier, unused, task.counts, policy).meets(policy.overwhelming)
+
+
 def fit_remainder(
     base: Baseline,
     records: Sequence[Record],
@@ -172,9 +198,14 @@ def fit_remainder(
     own = [c[:, output] for c in base.blocks.counting(records)] if counts is None else list(counts)
     rest_of = [r.y[:, output] - run[:, output] for r, run in zip(records, footing.final, strict=True)]
     feedback = has_feedback(records, rest_of, own)
-    records = [delayed(r) for r in records] if feedback else records
     task = _Task(base, records, footing, output, own, limits, feedback)
+    if feedback and limits.trees and _misled(task, policy):
+        task = replace(task, feedback=False)
+    elif feedback:
+        task = replace(task, records=[delayed(r) for r in records])
+    records = task.records
     made = [_ridge(task, which) for which in Set] + [_networks(task, shape) for shape in limits.shapes]
+    made += [_trees(task)] if limits.trees else []
     earlier = [run[:, output] for run in footing.unused(base.blocks)]
     left = task.counted(task.residual(footing.unused(base.blocks)))
     changes = np.stack([task.counted(change) for _, change in made], axis=1)
@@ -196,7 +227,7 @@ def fit_remainder(
     return Remainder(
         output, tuple(m for (m, _), k in zip(made, kept, strict=True) if k), weights[kept], u.min(axis=0), u.max(axis=0),
         limits.fade, unused, float(np.sqrt(np.mean(rest**2))), gain, not refused, _words(gain, refused),
-        tuple(np.quantile(rest, (0.025, 0.975)).tolist()), feedback,
+        tuple(np.quantile(rest, (0.025, 0.975)).tolist()), task.feedback,
     )  # fmt: skip
 
 

@@ -12,11 +12,16 @@ from estimators.diagnosis.remainder.members import Networks, Scale
 from estimators.diagnosis.remainder.mixture import Remainder
 from estimators.diagnosis.remainder.network import Network, Sizes
 from estimators.diagnosis.remainder.ridge import Ridge, Set
+from estimators.diagnosis.remainder.trees import Trees
 from estimators.diagnosis.share.signals import Bank
 from oed.errors import InputError
 
 FORM = "remainder 1"
 """Name and version of the form; another one is refused."""
+
+
+NODES = {"roots": int, "feature": int, "threshold": float, "left": int, "right": int, "value": float}
+"""Arrays of the trees, and what their entries are."""
 
 
 def to_json(rest: Remainder) -> str:
@@ -29,12 +34,15 @@ def to_json(rest: Remainder) -> str:
     return json.dumps({"form": FORM, **head, **arrays, "gain": asdict(rest.gain), "members": members})
 
 
-def _written(member: Ridge | Networks) -> dict[str, Any]:
+def _written(member: Ridge | Networks | Trees) -> dict[str, Any]:
     if isinstance(member, Networks):
         scale = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(member.scale).items()}
         nets = [n.theta.tolist() for n in member.networks]
         sizes = asdict(member.networks[0].sizes)
         return {"networks": nets, "sizes": sizes, "scale": scale, "bounds": member.bounds}
+    if isinstance(member, Trees):
+        nodes = {k: getattr(member, k).tolist() for k in NODES}
+        return {"trees": nodes, "bank": asdict(member.bank), "level": member.level, "bounds": member.bounds}
     arrays = {k: getattr(member, k).tolist() for k in ("low", "high", "centre", "spread", "weights")}
     return {"set": member.which.value, "bank": asdict(member.bank), **arrays, "bounds": member.bounds}
 
@@ -59,7 +67,7 @@ def from_json(text: str) -> Remainder:
         raise InputError(f"this is no {FORM!r} ({error}); give what to_json wrote.") from None
 
 
-def _read(told: Mapping[str, Any]) -> Ridge | Networks:
+def _read(told: Mapping[str, Any]) -> Ridge | Networks | Trees:
     low, high = told["bounds"]
     if "networks" in told:
         own = told["scale"]
@@ -67,9 +75,12 @@ def _read(told: Mapping[str, Any]) -> Ridge | Networks:
         sizes = Sizes(**told["sizes"])
         nets = tuple(Network(sizes, np.array(theta, dtype=float)) for theta in told["networks"])
         return Networks(Scale(**scale, level=own["level"], size=own["size"]), nets, (low, high))
+    bank = Bank(**{k: _tuples(v) for k, v in told["bank"].items()})
+    if "trees" in told:
+        nodes = {k: np.array(v, dtype=NODES[k]) for k, v in told["trees"].items()}
+        return Trees(bank, **nodes, level=float(told["level"]), bounds=(low, high))
     arrays = {k: np.array(told[k], dtype=float) for k in ("low", "high", "centre", "spread", "weights")}
-    bank = {k: _tuples(v) for k, v in told["bank"].items()}
-    return Ridge(which=Set(told["set"]), bank=Bank(**bank), **arrays, bounds=(low, high))
+    return Ridge(which=Set(told["set"]), bank=bank, **arrays, bounds=(low, high))
 
 
 def _tuples(value: Any) -> Any:

@@ -111,10 +111,9 @@ def augmented(
     for e in (e for e in chosen if e.slot is not Slot.PLANT):
         for task in (task for task in tasks if task.effect is e):
             for f in _least(fitted(channel, base, task.starts(), iterations)):
+                most = max(most, base.deviance - f.deviance)
                 found.append(f)
-                if not _straight(channel, f):
-                    most = max(most, base.deviance - f.deviance)
-                    yield f
+                yield from _bent(channel, f)
     yield from _lagged_fits(channel, base, found, iterations)
     simple: dict[str, Fit] = {}
     for f in _plant_fits(channel, base, [e for e in plant if e in chosen], tasks, iterations):
@@ -180,17 +179,17 @@ def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int)
             _with_fresh_poles(channel, f, np.insert(source.p, at, -pole), np.insert(f.scales, at, 1.0), new, np.inf, iterations)
             for pole in real or [0.5]
         ]  # fmt: skip
-        yield from ([] if best is None or _straight(channel, best) else [best])
+        yield from ([] if best is None else _bent(channel, best))
         yield from _least(g for g in behind if g is not None)
 
 
-def _straight(channel: Channel, f: Fit) -> bool:
-    """Whether what was added is a curve of an input that has two levels: a gain and an offset, whatever the curve."""
+def _bent(channel: Channel, f: Fit) -> list[Fit]:
+    """The fit, unless what was added is a curve of an input that has two levels: a gain and an offset, whatever the curve."""
     *before, part = f.structure.parts
     if not part.effect.static or part.effect.slot is not Slot.INPUT or part.own:
-        return False
+        return [f]
     alone = not any(q.effect.slot is Slot.INPUT and q.channel == part.channel for q in before)
-    return alone and switched(channel.u[channel.keep][:, part.channel])
+    return [] if alone and switched(channel.u[channel.keep][:, part.channel]) else [f]
 
 
 def _with_fresh_poles(

@@ -19,7 +19,9 @@ from estimators.diagnosis.remainder import (
 )
 from estimators.diagnosis.remainder.network import Sizes
 from estimators.diagnosis.remainder.network_kernels import derivatives, free_run
+from estimators.diagnosis.remainder.trees import Trees, grown
 from estimators.diagnosis.share import Evidence, explainable_share
+from estimators.diagnosis.share.signals import Bank
 from oed.data import Record
 from oed.errors import InputError
 
@@ -186,6 +188,47 @@ def test_a_controllers_echo_of_the_noise_is_not_taken_up(seed: int) -> None:
     assert share.nature in ("noise", "linear dynamics")
     rest = fit_remainder(base, [train], linear_footing(base, [train]), limits=QUICK, share=share)
     assert not rest.admitted
+
+
+def _batches(seed: int, count: int) -> Record:
+    """Heated batches: each begins with a cold charge that no input tells, whatever the heating is."""
+    rng, inputs, charges = np.random.default_rng(seed), [], []
+    for _ in range(count):
+        k, top = np.arange(int(rng.integers(22, 44))), rng.uniform(0.3, 2.0)
+        heat = top * np.where(k < 12, 1.0 + 0.02 * k, 1.3 * np.exp(-(k - 12) / 6.0))
+        inputs.append(heat + 0.01 * rng.standard_normal(len(k)))
+        charges.append(-4.0 * np.exp(-k / 2.5))
+    u = np.concatenate(inputs)
+    y = lfilter([0.0, 0.1], [1.0, -0.9], u) + np.concatenate(charges)
+    return Record(u, y + 0.02 * rng.standard_normal(len(u)))
+
+
+def test_an_input_that_tells_most_of_the_error_does_not_answer_the_noise() -> None:
+    """The linear model's error foretells the next batch: a record of it looks like a loop until the error is explained."""
+    train, test = _batches(0, 80), _batches(100, 40)
+    base = best_linear([train])
+    assert explainable_share(base, [train]).feedback
+    rest = fit_remainder(base, [train], linear_footing(base, [train]), limits=Limits(shapes=()))
+    assert not rest.feedback
+    assert any(isinstance(m, Trees) for m in rest.members)
+    run = base.simulate(test)
+    left = [np.std(test.y[20:, 0] - y[20:]) for y in (run[:, 0], rest.simulate(test, run))]
+    assert left[1] < 0.5 * left[0]
+    np.testing.assert_array_equal(rest.simulate(test, run), from_json(to_json(rest)).simulate(test, run))
+
+
+def test_trees_are_the_sum_of_their_means() -> None:
+    """A step at 0 of a signal: the mean on either side of it, and within the bounds; twice the same."""
+    rng = np.random.default_rng(1)
+    X = rng.standard_normal((400, 2))
+    r = np.where(X[:, 0] > 0.0, 2.0, -1.0)
+    trees, again = (grown(_BANK, X, r, (-0.5, 3.0)) for _ in range(2))
+    far = np.array([[9.0, 0.0], [-9.0, 0.0]])
+    np.testing.assert_allclose(trees.predicted(far), [2.0, -0.5], atol=0.05)
+    np.testing.assert_array_equal(trees.predicted(X), again.predicted(X))
+
+
+_BANK = Bank((1.0, 2.0, 4.0), (16.0,), ((0.0,), (0.0,), (0.0,)), (0.0,) * 3, (1.0,) * 3, 400)
 
 
 def test_what_follows_the_clock_is_left_to_the_clock() -> None:
