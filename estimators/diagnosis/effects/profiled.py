@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, lfilter
 
-from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before, numbered
 from estimators.diagnosis.effects.input import after
 
 Array = NDArray[Any]
@@ -44,6 +44,8 @@ TIMES = 48
 """Of a record, at any two of which a disturbance may begin and end: what lasts no two of them is an impulse."""
 LEAST_TURNS = 1.2
 """Of a gain in a record: fewer are a drift."""
+WAVES, WAVED = 12, 6.0
+"""Harmonics of a periodic gain, whose last is a twelfth of a sawtooth's first; and of Schwarz's criterion, what each must gain."""
 QUICK = 0.2
 """Pole of the filter behind a process or a loop that its shapes are tried with."""
 
@@ -70,7 +72,9 @@ def _stairs(x: Any, p: Array, clock: Clock) -> Any:
 def _swaying(x: Any, p: Array, clock: Clock) -> Any:
     if not LEAST_TURNS <= abs(p[0]) * clock.length / (2.0 * np.pi) <= 0.5 * clock.length:
         return 0.0 * x + np.inf
-    return x * (1.0 + p[1] * np.cos(p[0] * clock.k) + p[2] * np.sin(p[0] * clock.k))
+    turns = [(h + 1.0) * p[0] * clock.k for h in range(len(p) // 2)]
+    waves = (a * np.cos(w) + b * np.sin(w) for a, b, w in zip(p[1::2], p[2::2], turns, strict=True))
+    return x * (1.0 + sum(waves))
 
 
 def profile(
@@ -248,7 +252,22 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         part = Part(SWAY, j)
         begun = [np.concatenate((base.p, shape)) for shape in rotating(channel, base, j, u)]
         starts = [q for p in begun for q in (p, *renewed(channel, s.adding(part), p))]
-        yield from lean(channel, ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0]))
+        for f in lean(channel, ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0])):
+            yield from _waved(channel, f)
+
+
+def _waved(channel: Any, f: Any) -> Iterator[Any]:
+    """A periodic gain, and one harmonic after the other for as long as Schwarz's criterion falls: what is filled and emptied is no sine."""
+    from estimators.diagnosis.model.fitting import fit
+
+    yield f
+    for size in range(2, WAVES + 1):
+        s = replace(f.structure, parts=(*f.structure.parts[:-1], replace(f.structure.parts[-1], size=size)))
+        p, scales = np.append(f.p, [0.0, 0.0]), np.append(f.scales, [1.0, 1.0])
+        g = fit(channel, s, p, scales, noise=f.noise, iterations=10)
+        if g.criterion > f.criterion - WAVED:
+            return
+        yield (f := g)
 
 
 def _banked(x: Array) -> Array:
@@ -363,10 +382,12 @@ STAIRS = Effect(
     sentence="the input acts in whole steps: a staircase", parameters={"step": "u", "level": "u"}, apply=_stairs, search=_edges,
 )  # fmt: skip
 
+WAVE = {"cosine": "1", "sine": "1"}
 SWAY = Effect(
     key="gain_periodic", cause="periodic_gain", nature=Nature.TIME, slot=Slot.INPUT, per_sample=True, family="drifts",
-    sentence="the gain changes periodically: (1 + a cos(w t) + b sin(w t))", apply=_swaying, search=_beats,
-    parameters={"frequency": "rad/sample", "cosine": "1", "sine": "1"},
+    sentence="the gain changes periodically: (1 + a cos(w t) + b sin(w t)), with harmonics where there are some", apply=_swaying, search=_beats,
+    parameters={"frequency": "rad/sample"} | WAVE,
+    shape=lambda size, order: [("frequency", "rad/sample"), *(numbered(WAVE, size) if size > 1 else WAVE.items())],
 )  # fmt: skip
 
 PULSE = Effect(

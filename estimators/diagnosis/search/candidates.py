@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects import CATALOGUE, Effect, Slot
+from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import layout_starts
 from estimators.diagnosis.model.structure import Part, Structure
@@ -188,8 +188,11 @@ def _bent(channel: Channel, f: Fit) -> list[Fit]:
     *before, part = f.structure.parts
     if not part.effect.static or part.effect.slot is not Slot.INPUT or part.own:
         return [f]
-    alone = not any(q.effect.slot is Slot.INPUT and q.channel == part.channel for q in before)
-    return [] if alone and switched(channel.u[channel.keep][:, part.channel]) else [f]
+    bent = any(
+        q.effect.slot is Slot.INPUT and q.channel == part.channel and q.effect.nature is not Nature.TIME
+        for q in before  # a gain that changes slowly leaves two levels, or nearly
+    )
+    return [] if not bent and switched(channel.u[channel.keep][:, part.channel]) else [f]
 
 
 def _with_fresh_poles(

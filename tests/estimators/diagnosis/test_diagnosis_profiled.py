@@ -184,3 +184,17 @@ def test_a_record_without_any_noise_is_diagnosed(response, kind):
     assert result.system.startswith("nothing is missing")
     assert result.explainable["share"] == 0.0
     assert max(result.rmse_before.value, result.rmse_after.value) < 1e-12
+
+
+def test_a_gain_that_is_filled_and_emptied_has_harmonics():
+    """A sawtooth, as of a hopper: a sine leaves two fifths of it."""
+    rng = np.random.default_rng(5)
+    u = 5.0 + excitation(rng, N)
+    hopper = 1.0 + 0.3 * (0.5 - np.arange(N) / 90.0 % 1.0)
+    y = lfilter([0.0, 0.2], [1.0, -0.8], u * hopper)
+    _, found = fits(u, y + 0.01 * np.std(y) * rng.standard_normal(N), "gain_periodic")
+    best = min(found, key=lambda f: f.criterion)
+    sizes = [part.size for part in best.structure.effects]
+    assert sizes[0] > 4
+    assert len(best.p[best.structure.slices()[-1]]) == 1 + 2 * sizes[0]
+    assert np.std(best.residual) < 2.5 * 0.01 * np.std(y)  # noise, and the edge of the sawtooth
