@@ -39,6 +39,18 @@ def play(signal, half_width, start=0.0):  # pragma: no cover - compiled
 
 
 @compiled
+def reported(signal, least, start):  # pragma: no cover - compiled
+    """The signal as last reported: before the record as `start`, then wherever it is further from that than the least step."""
+    out = np.empty_like(signal)
+    last = start
+    for k in range(signal.shape[0]):
+        if abs(signal[k] - last) > least:
+            last = signal[k]
+        out[k] = last
+    return out
+
+
+@compiled
 def unplayed(signal, widths, weights):  # pragma: no cover - compiled
     """The signal that has a given sum with its plays of positive weights: by bisection, as the sum grows with it."""
     out = np.empty_like(signal)

@@ -17,7 +17,7 @@ PLAIN = {
     "use": "use by the input", "change": "relative change", "start": "time of the start",
     "end": "time of the end", "behind": "lag behind the actuator", "plant": "pole of its plant", "input_kink.c": "steepness c at zero",
     "output_absolute.c": "half the difference of the gains, c", "outflow_root.k": "outflow coefficient k", "vessel.k": "outflow coefficient k",
-    "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start",
+    "reported_on_change.start": "reading at the start, off the signal", "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start",
     "relay_feedback.low": "lower level", "relay_feedback.high": "upper level", "gain_heat.time": "time constant",
     "rise_and_fall.asymmetry": "relative excess of the rate when it rises", "orifices.asymmetry": "relative excess of the rate when it rises",
     "orifices.rate": "rate at twenty times the laminar difference",

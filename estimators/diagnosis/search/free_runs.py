@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import FAR, LinearModel, Prior
 from estimators.diagnosis.effects import Clock, Slot
+from estimators.diagnosis.effects.folding import REPORTED
 from estimators.diagnosis.effects.path import INITIAL, STORE_CURVE
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, levenberg_marquardt
 from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices
@@ -137,7 +138,7 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
     """
     if f.structure.layout == "tanks":
         return _tanks(f, u, clock, y, window)
-    f = _filled(f, u, clock, y, window, start)
+    f = _as_read(_filled(f, u, clock, y, window, start), u, clock, y, window, start)
     run = _begun(f, u, clock, start)
     if not np.all(np.isfinite(run)):
         return run
@@ -159,9 +160,23 @@ def _begun(f: Shaped, u: Array, clock: Clock, start: Start) -> Array:
     return simulate(f.structure, f.p, padded, early, rest=True)[lead:]
 
 
+def _as_read(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: Start) -> Shaped:
+    """A model with a sensor that reports changes only, which stands where the first sample of another record's window shows it."""
+    parts = f.structure.parts
+    at = next((i for i, part in enumerate(parts) if part.effect is REPORTED), None)
+    seen = np.flatnonzero(np.isfinite(y[: max(window, 0)]))
+    if at is None or not len(seen):
+        return f
+    bare, own = f.structure.keeping([i != at for i in range(len(parts))])
+    signal = _begun(_Moved(bare, f.p[own]), u[:window], Clock(clock.k[:window], clock.length), start)
+    p = f.p.copy()
+    p[f.structure.slices()[at].stop - 1] = y[seen[0]] - signal[0]
+    return _Moved(f.structure, p)
+
+
 @dataclass(frozen=True, eq=False)
-class _Filled:
-    """A model whose store starts at a level of its own."""
+class _Moved:
+    """A model that starts from elsewhere than on the training record."""
 
     structure: Structure
     p: Array
@@ -187,7 +202,7 @@ def _filled(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: Sta
         """Mean square in the window from a level, in ranges of the training record, and the model."""
         p = f.p.copy()
         p[[sl.stop - 1 for sl in stores]] = level * size + least
-        model = _Filled(f.structure, p)
+        model = _Moved(f.structure, p)
         error = y[:window] - _begun(model, u[:window], head, start)
         error = (error - _corrected(quick, error, window, start))[seen]
         return float(np.mean(error**2)) if np.all(np.isfinite(error)) else np.inf, model

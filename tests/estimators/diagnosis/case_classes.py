@@ -323,14 +323,6 @@ def store(u, a):
     return curve - 0.05 * _lag(u, 0.9)
 
 
-def swung(u, a):
-    """A store that is filled and used by turns, and is never full nor empty at the end."""
-    charge = np.concatenate(([0.0], np.cumsum(u)[:-1]))
-    charge = (charge - charge.min()) / np.ptp(charge)
-    curve = 0.5 * charge + a * (0.3 * np.expm1(-10.0 * charge) + 0.2 * np.exp(15.0 * (charge - 1.0)))
-    return curve + 0.05 * _lag(np.concatenate((u[:1], u[:-1])), 0.9)
-
-
 def _read(u, at):
     """The continuous output of a linear plant at any time, by filtering an input held on a fine grid."""
     fine = np.repeat(u, FINE)
@@ -378,7 +370,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "pendulum_pivot": (pivot, 3, {"size": 0.8}), "position_periodic": (eccentric, 2, {"mean": 3.0, "size": 0.6}),
     "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "stiffness_squared": (electrostatic, 2, {"mean": 3.0, "size": 0.8}),
     "gain_heat": (heated_gain, 2, {}),
-    "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "integral_curve of two ways": (swung, 2, {}), "clock_drift": (clock_drift, 2, {}),
+    "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
     "clock_settles": (warming_clock, 4, {}), "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
     "gain_periodic": (swaying, 2, {}), "stiffness_periodic": (breathing, 2, {}), "lag_drift": (fouled, 2, {}), "wind_up": (wound_up, 2, {}), "relay_feedback": (thermostat, 2, {}),

@@ -146,6 +146,23 @@ def interleaved(u, a):
     return _read(u, k + 0.2 * a * (1 - 2 * (k % 2)))
 
 
+def swung(u, a):
+    """A store that is filled and used by turns, and is never full nor empty at the end."""
+    charge = np.concatenate(([0.0], np.cumsum(u)[:-1]))
+    charge = (charge - charge.min()) / np.ptp(charge)
+    curve = 0.5 * charge + a * (0.3 * np.expm1(-10.0 * charge) + 0.2 * np.exp(15.0 * (charge - 1.0)))
+    return curve + 0.05 * _lag(np.concatenate((u[:1], u[:-1])), 0.9)
+
+
+def on_change(u, a):
+    """A wireless sensor: it sends a change of more than a fifth of the signal's spread."""
+    y = _linear(u)
+    sent = [y[0] + 0.1 * a * y.std()]
+    for now in y:
+        sent.append(now if abs(now - sent[-1]) > 0.2 * a * y.std() else sent[-1])
+    return np.array(sent[1:])
+
+
 ALL_CLASSES = CLASSES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
@@ -154,10 +171,12 @@ ALL_CLASSES = CLASSES | {
     "gain_decay": (ageing, 2, {"mean": 4.0, "inputs": 2}), "conveyed": (belt, 2, {"mean": 2.0, "size": 0.5, "inputs": 2}),
     "output_ratio": (gauge, 2, {"mean": 4.0, "size": 1.2}), "delay_periodic": (tape, 2, {}),
     "plays": (ceramic, 2, {}), "plays_output": (soil, 2, {}), "loss_change": (vented, 2, {}), "interleaved": (interleaved, 2, {}),
+    "reported_on_change": (on_change, 2, {}), "integral_curve of two ways": (swung, 2, {}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
+    ("reported_on_change", "refreshed"), ("reported_on_change", "plays_output"),
     ("rate_in_loop", "wind_up"), ("rate_of_loop", "wind_up"), ("wind_up", "rate_in_loop"), ("rate_limit_servo", "rate_in_loop"),
     ("gain_of_angle", "gain_periodic"), ("gain_periodic", "gain_of_angle"), ("gain_fatigue", "gain_heat"), ("gain_heat", "gain_fatigue"),
     ("loss_heat", "loss_cubic"), ("loss_cubic", "loss_heat"), ("capacity_filled", "product_of_inputs"), ("bilinear", "capacity_filled"),

@@ -34,6 +34,12 @@ def _play(w: Wiring, x: Any, p: Array) -> Any:
     return s.after
 
 
+def _reported(w: Wiring, x: Any, p: Array) -> Any:
+    s = w.state(w.value(x) + p[1])
+    s.after = w.ca.if_else(w.ca.fabs(x - s.x) > abs(p[0]), x, s.x)
+    return s.after
+
+
 def _side_by_side(w: Wiring, x: Any, p: Array) -> Any:
     out = x
     for weight, half in zip(p[1:], play_widths(p[0]), strict=True):
@@ -200,7 +206,7 @@ TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "rate_in_loop": _steered(0), "rate_of_loop": _steered(1),
     "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "loss_heat": _warmed, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
-    "output_lines": _line_from_origin,
+    "output_lines": _line_from_origin, "reported_on_change": _reported,
 }  # fmt: skip
 """Of the catalogue's effects that are no map of one sample and its time."""
 
