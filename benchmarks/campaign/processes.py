@@ -1,6 +1,7 @@
 """Work on several processes: nothing is lost when one is killed, and none is left when the first one is."""
 
 import os
+import signal
 import sys
 import threading
 import time
@@ -64,8 +65,11 @@ def as_finished(
 
 
 def _watched(parent: int, k: int, function: Callable[[Any], Any], item: Any) -> tuple[int, Any]:
-    """Do the work in a worker that ends with the process that started it, also where that was killed."""
+    """Do the work in a worker that ends with the process that started it, also where that was killed; Ctrl-C, which a terminal sends
+    to both, is for that one, which ends its workers."""
     if not any(thread.name == "oed-watch" for thread in threading.enumerate()):
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
         threading.Thread(target=_watch, args=(parent,), name="oed-watch", daemon=True).start()
     return k, function(item)
 

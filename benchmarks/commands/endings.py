@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, NoReturn
 
 ONCE_MORE = 0.05
@@ -41,6 +42,7 @@ def ended_by_signals() -> Iterator[None]:
     hook, asked = sys.unraisablehook, []
 
     def stop(number: int, frame: Any) -> NoReturn:
+        threading.excepthook = partial(_of_threads, threading.excepthook)
         raise ENDING[signal.Signals(number)]
 
     def once_more(dropped: Any) -> None:
@@ -64,6 +66,12 @@ def ended_by_signals() -> Iterator[None]:
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _of_threads(hook: Any, failed: Any) -> None:
+    """Silent on the thread that hands tasks to workers: once the command is ended, it finds those gone that it was about to hand on."""
+    if failed.thread is None or failed.thread.name != "ExecutorManagerThread":
+        hook(failed)
 
 
 def leave_in_peace() -> None:

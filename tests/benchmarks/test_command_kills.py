@@ -41,8 +41,8 @@ ITERATE = (
     "iterate --plant three-by-two --algorithm mimo --samples 2000 --iterations 40 --noise-variance 1 --quiet"
 )
 SESSION = "--method sequential --samples 200 --dt 0.01 --experiments 4 --orders 2 2 --delay 1 --quiet"
-UNTOLD = ("lock", "cost.json", "progress.json", "journal.txt")
-"""What a folder keeps of its own history: locks, seconds, and a journal with the times of day."""
+UNTOLD = ("lock", "cost.json", "progress.json", "journal.txt", ".tmp")
+"""What a folder keeps of its own history: locks, seconds, a journal with the times of day; and, until the next run, files half written."""
 pytestmark = [
     pytest.mark.validate,
     pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes under /proc"),
