@@ -44,8 +44,8 @@ TIMES = 48
 """Of a record, at any two of which a disturbance may begin and end: what lasts no two of them is an impulse."""
 LEAST_TURNS = 1.2
 """Of a gain in a record: fewer are a drift."""
-WAVES, WAVED = 12, 6.0
-"""Harmonics of a periodic gain, whose last is a twelfth of a sawtooth's first; and of Schwarz's criterion, what each must gain."""
+WAVES, WAVED, REPEATS = 12, 20.0, 3.0
+"""Harmonics of a periodic gain, what each must gain of Schwarz's criterion, and its turns in a record: less would be any function of time."""
 QUICK = 0.2
 """Pole of the filter behind a process or a loop that its shapes are tried with."""
 
@@ -261,10 +261,10 @@ def _waved(channel: Any, f: Any) -> Iterator[Any]:
     from estimators.diagnosis.model.fitting import fit
 
     yield f
-    for size in range(2, WAVES + 1):
+    turns = abs(f.p[f.structure.slices()[-1].start]) * len(channel) / (2.0 * np.pi)
+    for size in range(2, WAVES + 1 if turns >= REPEATS else 2):
         s = replace(f.structure, parts=(*f.structure.parts[:-1], replace(f.structure.parts[-1], size=size)))
-        p, scales = np.append(f.p, [0.0, 0.0]), np.append(f.scales, [1.0, 1.0])
-        g = fit(channel, s, p, scales, noise=f.noise, iterations=10)
+        g = fit(channel, s, np.append(f.p, [0, 0]), np.append(f.scales, [1, 1]), noise=f.noise, iterations=10)
         if g.criterion > f.criterion - WAVED:
             return
         yield (f := g)

@@ -50,8 +50,8 @@ def without(channel: Channel, f: Fit, position: int, known: Sequence[Fit] = ()) 
     return fits + [fit(channel, g.structure, g.p, g.scales, iterations=20) for g in alike]
 
 
-def without_idle(channel: Channel, f: Fit) -> tuple[str, Fit] | None:
-    """The first effect that changes nothing of the run, as a play without width, and the model without it; None where each does."""
+def without_idle(channel: Channel, f: Fit) -> tuple[int, Fit] | None:
+    """The place of the first effect that changes nothing of the run, as a play without width, and the model without it; None where each does."""
     for position in range(f.structure.base, len(f.structure.parts)):
         part = f.structure.parts[position]
         if part.effect.slot is Slot.FORM or part.own:
@@ -59,7 +59,7 @@ def without_idle(channel: Channel, f: Fit) -> tuple[str, Fit] | None:
         s, at = f.structure.keeping([i != position for i in range(len(f.structure.parts))])
         change = channel.y - simulate(s, f.p[at], channel.u, channel.clock) - f.residual
         if np.sum(change[channel.keep] ** 2) < IDLE * np.sum(f.residual[channel.keep] ** 2):
-            return part.key, fit(channel, s, f.p[at], f.scales[at], noise=f.noise)
+            return position, fit(channel, s, f.p[at], f.scales[at], noise=f.noise)
     return None
 
 

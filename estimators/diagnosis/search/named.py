@@ -188,8 +188,8 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
     unused = bench.unused(f) if f.structure.effects else np.zeros(0)
     while f.structure.effects:
         if (gone := without_idle(bench.channel, f)) is not None:
-            key, f = gone
-            dropped.append((key, "it changes nothing of the run"))
+            dropped.append((f.structure.parts[gone[0]].key, "it changes nothing of the run"))
+            f = min(gone[1], _best_without(bench, a, f, gone[0]), key=lambda g: bench.error(bench.unused(g)))
             unused = bench.unused(f)
             continue
         claims, rests = [], []
