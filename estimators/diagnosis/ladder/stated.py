@@ -131,8 +131,8 @@ def _levelled(records: Sequence[Record], base: Baseline, options: Options) -> tu
         if NEAR * error < abs(left.mean()) < NEAR * scatter:
             told = replace(options, deviations=None)
             other = best_linear(records, told)
-            both = (float(np.sum(b.rmse_unused**2)) for b in (other, base))
-            return (other, told) if next(both) < (1.0 - FURTHER) ** 2 * next(both) else (base, options)
+            first, second = (float(np.sum(b.rmse_unused**2)) for b in (base, other))
+            return (other, told) if second < (1.0 - FURTHER) ** 2 * first else (base, options)
     return base, options
 
 

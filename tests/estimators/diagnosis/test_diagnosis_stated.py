@@ -116,3 +116,18 @@ def test_a_slow_pole_that_no_input_drives_is_a_level_that_settles(own):
     base, told = best_linear([r], Options()), SimpleNamespace(index=0, share=SimpleNamespace(feedback=False))
     found = settling(r, told, base, Policy())  # type: ignore[arg-type]
     assert (found and found.key) == (None if own else "drift")
+
+
+@pytest.mark.slow
+def test_a_level_that_few_samples_at_rest_leave_is_part_of_the_linear_model():
+    """Deviations from the mean of ten samples of slow noise, under an input of two levels: u + c u^2 is a level there, and no curve."""
+    rng, records = np.random.default_rng(6), []
+    for start in (0.0, 2000.0):
+        u = np.concatenate((np.zeros(10), np.repeat(rng.choice([-1.0, 1.0], 120), 8)))
+        noise = lfilter([1.0], [1.0, -0.7], rng.standard_normal(len(u))) * np.sqrt(1.0 - 0.7**2)
+        y = lfilter([0.0, 0.1], [1.0, -0.9], u) + 0.05 * noise + 0.04
+        records.append(Record(u, y, t0=start))
+    found = diagnose(*records, Setting(deviations=True))
+    assert found.effect in ("none", "coloured_noise")
+    assert found.rmse_before.value < 1.1 * 0.05
+    assert found.rmse_after == found.rmse_before
