@@ -43,6 +43,12 @@ def held_first(u: Array) -> int:
     return int(moved[0]) if len(moved) else len(u)
 
 
+def rest_means(u: Array, e: Array) -> Array:
+    """Means of as many samples of an error (N,) as the inputs (N, nu) rest at first: such a one is what deviations are from."""
+    n = min(held_first(u), len(e))
+    return np.convolve(e, np.full(n, 1.0 / n), "valid")
+
+
 def unmoved(u: Array, y: Array) -> Array:
     """The outputs measured before the inputs (N, nu) first move; none where they are too few to tell anything."""
     y = y[: held_first(u)]

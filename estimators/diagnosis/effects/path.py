@@ -273,19 +273,15 @@ def _filled_by(channel: Any, base: Any, j: int, order: int) -> Iterator[Any]:
         q[free] = theta
         return float(np.sum((channel.y - still - X @ theta)[keep] ** 2)), q
 
-    found = []
-    for pole in POLES:
-        for bend in BENDS:
-            p = np.zeros(new.size)
-            p[: s.order] = np.real(np.poly([pole] + [0.0] * (s.order - 1)))[1:]
-            p[[at + 2, at + 4]], p[at + 5 :] = bend, covered
-            found.append(least(p, linear))
-    straight = []
-    for pole in POLES:  # without its bends it is an integrator, which is linear
+    def shape(pole: float, bend: tuple[float, float]) -> Array:
         p = np.zeros(new.size)
         p[: s.order] = np.real(np.poly([pole] + [0.0] * (s.order - 1)))[1:]
-        p[[at + 2, at + 4]], p[at + 5 :] = BENDS[0], covered
-        straight.append(least(p, linear[:-2])[0])
+        p[[at + 2, at + 4]], p[at + 5 :] = bend, covered
+        return p
+
+    found = [least(shape(pole, bend), linear) for pole in POLES for bend in BENDS]
+    # without its bends it is an integrator, which is linear
+    straight = [least(shape(pole, BENDS[0]), linear[:-2])[0] for pole in POLES]
     if min(found, key=lambda entry: entry[0])[0] > (1.0 - LEAST_BEND) * min(straight):
         return
     quick = []

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from estimators.diagnosis.baseline.baseline import Baseline, Options
 from estimators.diagnosis.baseline.best import FURTHER, best_linear, own_inputs, prior_of
 from estimators.diagnosis.baseline.choice import WORSE
-from estimators.diagnosis.baseline.linear_model import held_first
+from estimators.diagnosis.baseline.linear_model import rest_means
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.baseline.search import DELAYS, EARLY, Search
 from estimators.diagnosis.ladder.outcome import Outcome
@@ -126,8 +126,7 @@ def _levelled(records: Sequence[Record], base: Baseline, options: Options) -> tu
         rests = [r.y[:, i] - y[:, i] for r, y in zip(records, base.y_model, strict=True)]
         left = np.concatenate([e[np.isfinite(e)] for e in rests])
         error = float(np.std(left)) / np.sqrt(effective_samples(left - left.mean()))
-        n = min(held_first(records[0].u), len(left))
-        scatter = float(np.std(np.convolve(left, np.full(n, 1.0 / n), "valid")))
+        scatter = float(np.std(rest_means(records[0].u, left)))
         if NEAR * error < abs(left.mean()) < NEAR * scatter:
             told = replace(options, deviations=None)
             other = best_linear(records, told)

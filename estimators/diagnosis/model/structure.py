@@ -170,6 +170,10 @@ class Structure:
             stays[sl] = kept
         return replace(self, parts=parts, base=sum(wanted[: self.base])), np.flatnonzero(stays)
 
+    def leaving(self, position: int) -> tuple[Structure, NDArray[np.int_]]:
+        """The structure without one of its parts."""
+        return self.keeping([i != position for i in range(len(self.parts))])
+
     def adding(self, part: Part) -> Structure:
         """The structure with one more part."""
         return replace(self, parts=(*self.parts, part))

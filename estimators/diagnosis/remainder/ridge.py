@@ -7,7 +7,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.share.signals import Bank, columns_of, leaky, rate
+from estimators.diagnosis.share.signals import Bank, columns_of, late, leaky, rate
 from oed.data import Record
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ def columns(which: Set, bank: Bank, record: Record, run: Array, output: int) -> 
         base += [y, v, rate(v), *(leaky(y, t) for t in bank.taus[2::2][:3])]
     for j in range(nu):
         x = (record.u[:, j] - bank.centre[j]) / bank.spread[j]
-        base += [np.concatenate((np.full(i, x[0]), x[: len(x) - i])) for i in range(3)]
+        base += [late(x, i) for i in range(3)]
         base += [leaky(x, t) for t in bank.taus]
     X = np.stack(base, axis=1)
     every = -(-(X.shape[1] ** 2 // 2) // MOST)

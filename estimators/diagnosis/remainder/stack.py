@@ -173,10 +173,10 @@ def _trees(task: _Task) -> tuple[Trees, list[Array]]:
     return of(task.footing.final, task.counts)[0], out
 
 
-def _misled(task: _Task, policy: Policy) -> bool:
-    """Whether the inputs do not answer the noise, but tell the earlier model's error: it is most of what that leaves."""
+def _misled(task: _Task, changes: Sequence[Array], policy: Policy) -> bool:
+    """Whether the inputs do not answer the noise, but tell trees the earlier model's error: it is most of what that leaves."""
     earlier = [run[:, task.output] for run in task.footing.unused(task.base.blocks)]
-    unused = [run + change for run, change in zip(earlier, _trees(task)[1], strict=True)]
+    unused = [run + change for run, change in zip(earlier, changes, strict=True)]
     return paired_gain(task.y, earlier, unused, task.counts, policy).meets(policy.overwhelming)
 
 
@@ -199,13 +199,15 @@ def fit_remainder(
     rest_of = [r.y[:, output] - run[:, output] for r, run in zip(records, footing.final, strict=True)]
     feedback = has_feedback(records, rest_of, own)
     task = _Task(base, records, footing, output, own, limits, feedback)
-    if feedback and limits.trees and _misled(task, policy):
+    trees = [_trees(task)] if limits.trees else []
+    if feedback and any(_misled(task, changes, policy) for _, changes in trees):
         task = replace(task, feedback=False)
     elif feedback:
         task = replace(task, records=[delayed(r) for r in records])
+        trees = [_trees(task)] if limits.trees else []
     records = task.records
     made = [_ridge(task, which) for which in Set] + [_networks(task, shape) for shape in limits.shapes]
-    made += [_trees(task)] if limits.trees else []
+    made += trees
     earlier = [run[:, output] for run in footing.unused(base.blocks)]
     left = task.counted(task.residual(footing.unused(base.blocks)))
     changes = np.stack([task.counted(change) for _, change in made], axis=1)

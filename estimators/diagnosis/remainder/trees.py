@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.share.signals import Bank, leaky, rate
+from estimators.diagnosis.share.signals import Bank, late, leaky, rate
 from oed.data import Record
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ def table(bank: Bank, record: Record, run: Array, output: int) -> Array:
     y = run[:, output]
     columns = [y, rate(y), rate(rate(y)), *(leaky(y, t) for t in bank.taus[2::2])]
     for j, x in enumerate(record.u.T):
-        columns += [x, *(np.concatenate((np.full(i, x[0]), x[: len(x) - i])) for i in (1, 2)), rate(x)]
+        columns += [x, late(x, 1), late(x, 2), rate(x)]
         size = np.abs(x - bank.centre[j])
         columns += [leaky(v, t) for t in bank.taus for v in (x, size)]
     return np.stack(columns, axis=1)

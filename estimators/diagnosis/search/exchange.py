@@ -37,7 +37,7 @@ def without(channel: Channel, f: Fit, position: int, known: Sequence[Fit] = ()) 
     the same effects is another.
     """
     gone = f.structure.parts[position]
-    s, at = f.structure.keeping([i != position for i in range(len(f.structure.parts))])
+    s, at = f.structure.leaving(position)
     # The poles before it are linear ones, and stay: what they gain is nothing that the effect gains.
     if gone.own:
         lag = replace(gone, effect=LAG_BEFORE, size=1)
@@ -56,7 +56,7 @@ def without_idle(channel: Channel, f: Fit) -> tuple[int, Fit] | None:
         part = f.structure.parts[position]
         if part.effect.slot is Slot.FORM or part.own:
             continue
-        s, at = f.structure.keeping([i != position for i in range(len(f.structure.parts))])
+        s, at = f.structure.leaving(position)
         change = channel.y - simulate(s, f.p[at], channel.u, channel.clock) - f.residual
         if np.sum(change[channel.keep] ** 2) < IDLE * np.sum(f.residual[channel.keep] ** 2):
             return position, fit(channel, s, f.p[at], f.scales[at], noise=f.noise)

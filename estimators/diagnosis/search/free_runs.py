@@ -138,12 +138,14 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
     """
     if f.structure.layout == "tanks":
         return _tanks(f, u, clock, y, window)
-    f = _as_read(_filled(f, u, clock, y, window, start), u, clock, y, window, start)
+    told = np.isfinite(y[: max(window, 0)]).any()
+    if told:
+        f = _as_told(f, u[:window], Clock(clock.k[:window], clock.length), y[:window], start)
     run = _begun(f, u, clock, start)
     if not np.all(np.isfinite(run)):
         return run
     den = denominator(f)
-    if np.isfinite(y[: max(window, 0)]).any():
+    if told:
         return run + _corrected(den, y - run, window, start)
     prior, integrates = start.prior, largest_pole(den) >= FAR
     first = u[0] if len(prior.held) == u.shape[1] else u[0, list(f.structure.inputs)]
@@ -160,20 +162,6 @@ def _begun(f: Shaped, u: Array, clock: Clock, start: Start) -> Array:
     return simulate(f.structure, f.p, padded, early, rest=True)[lead:]
 
 
-def _as_read(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: Start) -> Shaped:
-    """A model with a sensor that reports changes only, which stands where the first sample of another record's window shows it."""
-    parts = f.structure.parts
-    at = next((i for i, part in enumerate(parts) if part.effect is REPORTED), None)
-    seen = np.flatnonzero(np.isfinite(y[: max(window, 0)]))
-    if at is None or not len(seen):
-        return f
-    bare, own = f.structure.keeping([i != at for i in range(len(parts))])
-    signal = _begun(_Moved(bare, f.p[own]), u[:window], Clock(clock.k[:window], clock.length), start)
-    p = f.p.copy()
-    p[f.structure.slices()[at].stop - 1] = y[seen[0]] - signal[0]
-    return _Moved(f.structure, p)
-
-
 @dataclass(frozen=True, eq=False)
 class _Moved:
     """A model that starts from elsewhere than on the training record."""
@@ -182,36 +170,51 @@ class _Moved:
     p: Array
 
 
-def _filled(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: Start) -> Shaped:
-    """A model with a store, as full as the window of another record says: as the training record began, unless that is refused there."""
-    stores = [
-        sl
-        for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True)
-        if part.effect is STORE_CURVE
-    ]
-    seen = np.flatnonzero(np.isfinite(y[: max(window, 0)]))
-    if not stores or not len(seen):
-        return f
-    (size, least), head = f.p[stores[0]][-3:-1], Clock(clock.k[:window], clock.length)
-    poles = np.roots(
-        denominator(f)
-    )  # a state that does not decay in the window is not told from a level of the store
-    quick = np.atleast_1d(np.real(np.poly(poles[np.abs(poles) ** window < GONE])))
+def _as_told(f: Shaped, u: Array, clock: Clock, y: Array, start: Start) -> Shaped:
+    """A model whose parts with a start of their own begin another record as its window (M,) says."""
+    for at, part in enumerate(f.structure.parts):
+        if part.effect is STORE_CURVE:
+            f = _filled(f, at, u, clock, y, start)
+        elif part.effect is REPORTED:
+            f = _as_read(f, at, u, clock, y, start)
+    return f
 
-    def begun(level: float) -> tuple[float, Shaped]:
-        """Mean square in the window from a level, in ranges of the training record, and the model."""
-        p = f.p.copy()
-        p[[sl.stop - 1 for sl in stores]] = level * size + least
-        model = _Moved(f.structure, p)
-        error = y[:window] - _begun(model, u[:window], head, start)
-        error = (error - _corrected(quick, error, window, start))[seen]
-        return float(np.mean(error**2)) if np.all(np.isfinite(error)) else np.inf, model
 
-    as_before = begun(-least / size)[0]
-    coarse = min(FILLED, key=lambda level: begun(level)[0])
-    fine = minimize_scalar(lambda level: begun(level)[0], (coarse, coarse + 0.01))
-    best, model = begun(float(fine.x))
-    return model if as_before - best > REFUSED**2 * start.error else f
+def _beginning(f: Shaped, at: int, value: float) -> _Moved:
+    """The model with another start, the last parameter, of one of its parts."""
+    p = f.p.copy()
+    p[f.structure.slices()[at].stop - 1] = value
+    return _Moved(f.structure, p)
+
+
+def _as_read(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start) -> Shaped:
+    """A model with a sensor that reports changes only, which stands where the window's first sample shows it."""
+    bare, own = f.structure.leaving(at)
+    signal = _begun(_Moved(bare, f.p[own]), u, clock, start)
+    return _beginning(f, at, float(y[np.isfinite(y)][0] - signal[0]))
+
+
+def _filled(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start) -> Shaped:
+    """A model with a store, as full as the window says: as the training record began, unless that is refused there."""
+    size, least = f.p[f.structure.slices()[at]][-3:-1]
+    # a state that does not decay in the window is not told from a level of the store
+    poles = np.roots(denominator(f))
+    quick = np.atleast_1d(np.real(np.poly(poles[np.abs(poles) ** len(y) < GONE])))
+
+    def left(model: Shaped) -> float:
+        """Mean square in the window."""
+        error = y - _begun(model, u, clock, start)
+        error = (error - _corrected(quick, error, len(y), start))[np.isfinite(y)]
+        return float(np.mean(error**2)) if np.all(np.isfinite(error)) else np.inf
+
+    def begun(level: float) -> Shaped:
+        """From a level, in ranges of the training record."""
+        return _beginning(f, at, level * size + least)
+
+    coarse = min(FILLED, key=lambda level: left(begun(level)))
+    fine = minimize_scalar(lambda level: left(begun(level)), (coarse, coarse + 0.01))
+    model = begun(float(fine.x))
+    return model if left(begun(-least / size)) - left(model) > REFUSED**2 * start.error else f
 
 
 def _corrected(den: Array, error: Array, window: int, start: Start) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
-from estimators.diagnosis.baseline.linear_model import held_first
+from estimators.diagnosis.baseline.linear_model import rest_means
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.forces import effective_samples
@@ -36,7 +36,6 @@ def part_significance(rest: Fit, f: Fit, part: Part, family: int, u: NDArray[Any
 def _as_subtracted(u: NDArray[Any], f: Fit, part: Part) -> float:
     """p-value of a constant beside the error of what deviations are from, the mean of the samples before the inputs (N, nu) moved:
     of so many samples, means of the noise scatter by that."""
-    n = min(held_first(u), len(f.residual))
-    scatter = float(np.sqrt(np.mean(np.convolve(f.residual, np.full(n, 1.0 / n), "valid") ** 2)))
+    scatter = float(np.sqrt(np.mean(rest_means(u, f.residual) ** 2)))
     constant = abs(float(f.p[f.structure.slices()[f.structure.parts.index(part)]][0]))
     return float(2.0 * norm.sf(constant / max(scatter, 1e-300)))

@@ -70,6 +70,11 @@ def leaky(x: Array, tau: float) -> Array:
     return np.asarray(lfilter([1.0 - p], [1.0, -p], x - x[0])) + x[0]
 
 
+def late(x: Array, by: int) -> Array:
+    """(N,) the signal so many samples late, at its first value before."""
+    return np.concatenate((np.full(by, x[0]), x[: len(x) - by]))
+
+
 def rate(x: Array) -> Array:
     """(N,) difference to the sample before, 0 at the first."""
     return np.diff(x, prepend=x[0])
@@ -114,7 +119,7 @@ def columns_of(bank: Bank, record: Record, run: Array, output: int, start: float
     table = _Table()
     for j, x in enumerate(u):
         name = record.input_names[j]
-        lags = [np.concatenate((np.full(i, x[0]), x[: len(x) - i])) for i in range(3)]
+        lags = [late(x, i) for i in range(3)]
         linear = lags + [leaky(x, t) for t in bank.taus]
         table.add(name, "linear", *linear)
         for h in _hinges(x, bank.knots[j]):
