@@ -12,7 +12,7 @@ integral over panels that are cut where a density jumps. So loss and bound are t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,8 @@ from oed.covariances import on_one_thread, real_gram, square_root
 from oed.criteria import Criterion
 from oed.data import Spectrum
 from oed.design.assembling import assembled, told_apart
+from oed.design.parametrisations.densities import Density, Panels, Pricing
+from oed.design.parametrisations.masked_polishing import polished_density
 from oed.design.problem.budgets import power_budgets
 from oed.design.problem.certificate import Certificate
 from oed.design.problem.criteria_by_name import criterion_of
@@ -31,7 +33,7 @@ from oed.design.problem.lines import Columns, Problem
 from oed.design.problem.masks import Mask, Masks, hermitian_root
 from oed.design.solvers.column_generation import solve_weights
 from oed.errors import InfeasibleDesign
-from oed.theory.quadrature import graded_edges, integral, panel_nodes, resolved_edges
+from oed.theory.quadrature import integral
 
 NARROWEST = 1e-3
 """The ceiling on a density lets all the power into this share of the narrowest resonance: to 1e-6 that is a line."""
@@ -46,7 +48,15 @@ PIECES = 12
 PATIENCE = 8
 """Rounds without a smaller gap after which rounding holds it up."""
 RESOLVED = 1e-9
-"""Accuracy of the integrals, relative: what the certificate's bound is lowered by."""
+"""Accuracy of the integrals, relative: what the certificate's bound is lowered by; a tenth of the tolerance where that is less."""
+NEARLY = 1e-3
+"""Gap below which the jumps of the density show well enough to try Newton's method on them."""
+FINE = 1e-7
+"""Tolerance that mixing densities does not reach in few rounds; at others Newton's method is tried where the gap does not fall."""
+FLAT = 2e-3
+"""Relative gain of the bound in a quasi-Newton step, in units of the tolerance, below which it is the last."""
+AGAIN = 0.3
+"""Share of the gap of the last trial at which the next is worth its time."""
 
 
 @on_one_thread
@@ -94,61 +104,12 @@ def masked_design(
     limit = power_budgets(information, input_power)[0].limit
     narrow = min(WIDEST, float(information.resonances[:, 1].min(initial=WIDEST)))
     masks = Masks(information, input_mask, output_mask, limit * np.pi / (NARROWEST * narrow))
-    panels = _Panels.of(masks)
+    panels = Panels.of(masks, min(RESOLVED, 0.1 * tolerance))
     _check_open(panels, masks)
     used = np.einsum("kij,kij->k", panels.R, panels.R.conj()).real > 0
     problem = Problem(information, wanted, power_budgets(information, input_power), panels.omega[used])
     problem, in_own_parameters = told_apart(problem, criterion)
     return in_own_parameters(_Search(problem, masks, limit, tolerance).run(panels))
-
-
-@dataclass(frozen=True, eq=False)
-class _Panels:
-    """Nodes and weights of the quadrature, (K,), and the masks there: R and B of `Masks.at`."""
-
-    edges: NDArray[np.float64]
-    omega: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    R: NDArray[np.complex128]
-    B: NDArray[np.complex128] | None
-
-    @classmethod
-    def on(cls, masks: Masks, edges: NDArray[np.float64]) -> _Panels:
-        omega, weight = (part.ravel() for part in panel_nodes(edges[:-1], edges[1:]))
-        return cls(edges, omega, weight / np.pi, *masks.at(omega))
-
-    @classmethod
-    def of(cls, masks: Masks) -> _Panels:
-        """Panels that resolve masks and information."""
-        information = masks.information
-
-        def resolved(omega: NDArray) -> NDArray[np.float64]:
-            R, B = masks.at(omega)
-            told = np.sum(np.abs(information.factor(omega) @ R[:, None]) ** 2, axis=(2, 3))
-            traces = [
-                np.einsum("kii->k", part).real
-                for part in (R @ R.conj().swapaxes(1, 2), B)
-                if part is not None
-            ]
-            return np.column_stack([told, *traces])
-
-        start = graded_edges(0.0, np.pi, information.resonances)
-        return cls.on(masks, resolved_edges(resolved, start, RESOLVED))
-
-
-@dataclass(frozen=True, eq=False)
-class _Density:
-    """The density that a certificate (X, nu) finds worth most, as a function of frequency."""
-
-    X: NDArray[np.float64]
-    nu: float
-
-    def worth(self, D: NDArray[np.complex128], limit: float) -> NDArray[np.complex128]:
-        """T = S - nu I / P (K, nu, nu) from the scaled factors D (K, n, r, nu)."""
-        K, n, r, q = D.shape
-        E = (self.X.T @ np.moveaxis(D, 1, 0).reshape(n, -1)).reshape(-1, K, r, q)
-        E = E.swapaxes(0, 1).reshape(K, -1, q)
-        return E.conj().swapaxes(1, 2) @ E - self.nu / limit * np.eye(q)
 
 
 class _Search:
@@ -157,23 +118,16 @@ class _Search:
     def __init__(self, problem: Problem, masks: Masks, limit: float, tolerance: float) -> None:
         self.problem, self.masks, self.limit, self.tolerance = problem, masks, limit, tolerance
         self.ends = np.zeros(0)
-        self.last: tuple[_Panels, NDArray[np.complex128]] | None = None
-        self.found: dict[_Density, tuple[NDArray[np.complex128], NDArray[np.float64]]] = {}
+        self.pricing = Pricing(problem, masks, limit)
 
-    def factor(self, panels: _Panels) -> NDArray[np.complex128]:
-        """Scaled factors at the nodes, kept while the panels stay."""
-        if self.last is None or self.last[0] is not panels:
-            self.last, self.found = (panels, self.problem.scaled_factor(panels.omega)), {}
-        return self.last[1]
-
-    def run(self, panels: _Panels) -> Design:
+    def run(self, panels: Panels) -> Design:
         # The first: everything, whatever its power; the second: what white noise would find worth most.
         n = self.problem.map.n
         self.ends = panels.edges[np.linspace(0, len(panels.edges) - 1, PIECES + 1).astype(int)][1:-1]
         best = self._best(panels, self.problem.criterion.direction(np.eye(n)))
-        found, pieces, start = [_Density(np.eye(n), 0.0), best], np.ones((2, PIECES), dtype=bool), None
-        panels = self._cut(panels, best)
-        bound, kept, loss, stalled = self._bound(panels, best), None, np.inf, 0
+        found, pieces, start = [Density(np.eye(n), 0.0), best], np.ones((2, PIECES), dtype=bool), None
+        panels = self.pricing.cut(panels, best)
+        bound, kept, loss, stalled, near = self._bound(panels, best), None, np.inf, 0, NEARLY
         for _ in range(MOST_ROUNDS):
             gap = max(loss / bound - 1, self.tolerance)
             columns, phi = self._columns(panels, found, pieces)
@@ -187,13 +141,28 @@ class _Search:
                 loss, kept = value, (panels, np.einsum("mk,mkij->kij", shares, phi, optimize=True))
             new = []
             # A density within both masks is dear: there the price is the one that the weights found.
-            priced = _Density(weights.X, float(weights.nu[0]))
+            priced = Density(weights.X, float(weights.nu[0]))
             for density in (priced if panels.B is not None else self._best(panels, weights.X), None):
                 new.append(density or self._climbed(panels, best))
-                panels = self._cut(panels, new[-1])
+                panels = self.pricing.cut(panels, new[-1])
                 proof = self._bound(panels, new[-1])
                 if proof > bound:
                     bound, best = proof, new[-1]
+            polished = None
+            if self.tolerance < loss / bound - 1 < near and (self.tolerance < FINE or stalled):
+                near = AGAIN * (loss / bound - 1)
+                M = self.problem.constant + columns.information(w)
+                polished = polished_density(self.pricing, panels, M, best)
+            if polished is not None:
+                panels, one, own = polished
+                proof, value = (
+                    self._bound(panels, one),
+                    self.problem.criterion.loss(self.pricing.told(panels, own)),
+                )
+                if value < loss:
+                    loss, kept = value, (panels, own)
+                if proof > bound:
+                    bound, best = proof, one
             stalled = stalled + 1 if loss / bound - 1 > 0.9 * gap else 0
             if loss / bound - 1 <= self.tolerance or stalled == PATIENCE:
                 break
@@ -206,16 +175,16 @@ class _Search:
         nodes, phi = kept if kept is not None else (panels, np.zeros(panels.R.shape))
         return self._design(nodes, phi, best, self._bound(panels, best, exactly=True))
 
-    def _piece(self, panels: _Panels) -> NDArray[np.int64]:
+    def _piece(self, panels: Panels) -> NDArray[np.int64]:
         """Which piece of the band every node belongs to."""
         return np.searchsorted(self.ends, panels.omega)
 
     def _columns(
-        self, panels: _Panels, found: list[_Density], pieces: NDArray[np.bool_]
+        self, panels: Panels, found: list[Density], pieces: NDArray[np.bool_]
     ) -> tuple[Columns, NDArray[np.complex128]]:
         """Information of the pieces of the densities, their shares of the power and of their piece; the densities."""
-        D, piece = self.factor(panels), self._piece(panels)
-        phi = np.stack([self._at(panels, one)[0] for one in found])
+        D, piece = self.pricing.factor(panels), self._piece(panels)
+        phi = np.stack([self.pricing.at(panels, one)[0] for one in found])
         F, shares = [], []
         for one, wanted in zip(phi, pieces, strict=True):
             told = D @ (hermitian_root(one) * np.sqrt(panels.weight)[:, None, None])[:, None]
@@ -228,18 +197,12 @@ class _Search:
         direction = np.full((len(F), D.shape[3]), 1 / np.sqrt(D.shape[3]), dtype=complex)
         return Columns(np.zeros(len(F)), direction, np.stack(F), np.stack(shares)), phi
 
-    def _at(self, panels: _Panels, one: _Density) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        factor = self.factor(panels)  # forgets what was found on other panels
-        if one not in self.found:
-            self.found[one] = self.masks.most(panels.R, panels.B, one.worth(factor, self.limit))
-        return self.found[one]
-
-    def _best(self, panels: _Panels, X: NDArray) -> _Density:
+    def _best(self, panels: Panels, X: NDArray) -> Density:
         """With the price of power at which the bound is best; it is convex in the price."""
         from scipy.optimize import minimize_scalar
 
-        free = _Density(X, 0.0)
-        S = free.worth(self.factor(panels), self.limit)
+        free = Density(X, 0.0)
+        S = free.worth(self.pricing.factor(panels), self.limit)
         top = self.limit * float(np.linalg.eigvalsh(S)[:, -1].max())
         eye = np.eye(S.shape[1]) / self.limit
         h = lambda nu: nu + float(panels.weight @ self.masks.most(panels.R, panels.B, S - nu * eye)[1])
@@ -248,11 +211,11 @@ class _Search:
         found = minimize_scalar(h, bounds=(0.0, top), method="bounded", options={"xatol": 1e-13 * top})
         return replace(free, nu=min((h(x), x) for x in (0.0, float(found.x)))[1])
 
-    def _climbed(self, panels: _Panels, one: _Density) -> _Density:
+    def _climbed(self, panels: Panels, one: Density) -> Density:
         """A certificate of a larger bound, by quasi-Newton steps: its gradient is the information of its own density."""
         from scipy.optimize import minimize
 
-        problem, D = self.problem, self.factor(panels)
+        problem, D = self.problem, self.pricing.factor(panels)
         (K, _, r, q), flat = D.shape, np.moveaxis(D, 1, 0).reshape(D.shape[1], -1)
         criterion, shape = problem.criterion, one.X.shape
         unit, price = np.abs(one.X).max(), max(one.nu, 1e-12)
@@ -274,47 +237,34 @@ class _Search:
         x = np.append(one.X.ravel() / unit, one.nu / price)
         bounds = [(None, None)] * one.X.size + [(0.0, None)]
         found = minimize(
-            against, x, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": STEPS, "maxcor": 30}
+            against,
+            x,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={
+                "maxiter": STEPS,
+                "maxcor": 30,
+                "ftol": max(1e-15, FLAT * self.tolerance),
+                "gtol": 10 * self.tolerance,
+            },
         ).x
-        return _Density(unit * found[:-1].reshape(shape), price * found[-1])
+        return Density(unit * found[:-1].reshape(shape), price * found[-1])
 
-    def _bound(self, panels: _Panels, one: _Density, exactly: bool = False) -> float:
+    def _bound(self, panels: Panels, one: Density, exactly: bool = False) -> float:
         """Scaled bound of a certificate; exactly: by an integral that closes in on the kinks, lowered by its accuracy."""
         if exactly and panels.B is None:
             worth = lambda w: self.masks.most(
                 *self.masks.at(w), one.worth(self.problem.scaled_factor(w), self.limit)
             )[1]
-            most = float(integral(worth, panels.edges, RESOLVED)) / np.pi * (1 + RESOLVED)
+            accuracy = min(RESOLVED, 0.1 * self.tolerance)
+            most = float(integral(worth, panels.edges, accuracy)) / np.pi * (1 + accuracy)
         else:
-            most = float(panels.weight @ self._at(panels, one)[1])
+            most = float(panels.weight @ self.pricing.at(panels, one)[1])
         fixed = float(np.sum(one.X * (self.problem.constant @ one.X)))
         return self.problem.criterion.numerator(one.X) / (fixed + one.nu + most)
 
-    def _cut(self, panels: _Panels, one: _Density) -> _Panels:
-        """Panels with edges where the density jumps: where the number of positive eigenvalues of its worth changes."""
-        if panels.B is not None:
-            return panels
-
-        def positive(omega: NDArray) -> NDArray[np.int64]:
-            R, _ = self.masks.at(omega)
-            T = one.worth(self.problem.scaled_factor(omega), self.limit)
-            return np.count_nonzero(np.linalg.eigvalsh(R.conj().swapaxes(1, 2) @ T @ R) > 0, axis=1)
-
-        points = np.union1d(panels.omega, panels.edges)
-        count = positive(points)
-        at = np.flatnonzero(count[1:] != count[:-1])
-        if not len(at):
-            return panels
-        low, high, left = points[at], points[at + 1], count[at]
-        for _ in range(60):
-            middle = (low + high) / 2
-            same = positive(middle) == left
-            low, high = np.where(same, middle, low), np.where(same, high, middle)
-        edges = np.union1d(panels.edges, high)
-        edges = edges[np.concatenate([[True], np.diff(edges) > 1e-15])]
-        return _Panels.on(self.masks, edges) if len(edges) > len(panels.edges) else panels
-
-    def _design(self, panels: _Panels, phi: NDArray, one: _Density, bound: float) -> Design:
+    def _design(self, panels: Panels, phi: NDArray, one: Density, bound: float) -> Design:
         problem = self.problem
         power = phi * panels.weight[:, None, None]
         share = np.einsum("kii->k", power).real
@@ -342,7 +292,7 @@ class _Search:
         )  # fmt: skip
 
 
-def _check_open(panels: _Panels, masks: Masks) -> None:
+def _check_open(panels: Panels, masks: Masks) -> None:
     """An InfeasibleDesign where the masks leave no power."""
     if np.any(panels.R):
         return

@@ -30,6 +30,8 @@ DRAWS = 4
 """Units in the last place, to either side, at which the prices are seen."""
 LOST = 0.01
 """Rounding of the coordinates over its worst case, condition times precision: .013 was seen where it is largest."""
+BESIDE = 1e-5
+"""Distance from an end of a band, in units of the distance over which the plant changes, at which a line is put there: what it is worth is off by the square."""
 REGULAR = 1e-4
 """Least singular value of the information's factor over the largest from which on the coordinates tell the loss of some combinations:
 with 4e-4 to 12 digits, and singular designs have 0."""
@@ -268,3 +270,24 @@ def _price(
     worth, turned = np.linalg.eigh(inverse_root.conj().swapaxes(1, 2) @ S @ inverse_root)
     direction = np.einsum("kqr,kr->kq", inverse_root, turned[:, :, -1])
     return Prices(worth[:, -1], direction / np.linalg.norm(direction, axis=1, keepdims=True))
+
+
+def within_bands(problem: Problem, omega: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Frequencies moved to the nearest in the bands."""
+    edges = np.array(problem.bands)
+    near = np.clip(omega[:, None], edges[:, 0], edges[:, 1])
+    return near[np.arange(len(omega)), np.argmin(np.abs(near - omega[:, None]), axis=1)]
+
+
+def snapped(problem: Problem, columns: Columns) -> Columns:
+    """Lines beside an end of a band moved to it; at 0 and pi an amplitude is real."""
+    edges = np.unique(np.array(problem.bands).ravel())
+    nearest = edges[np.argmin(np.abs(columns.omega[:, None] - edges), axis=1)]
+    at = np.abs(nearest - columns.omega) < BESIDE * problem.length_scale(columns.omega)
+    if not at.any():
+        return columns
+    omega, direction = np.where(at, nearest, columns.omega), columns.direction.copy()
+    for k in np.flatnonzero((omega == 0) | (omega == np.pi)):
+        turned = direction[k] * np.exp(-0.5j * np.angle(np.sum(direction[k] ** 2)))
+        direction[k] = turned.real / np.linalg.norm(turned.real)
+    return problem.columns(omega, direction)
