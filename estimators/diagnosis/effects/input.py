@@ -98,7 +98,8 @@ def _hinges(x: Array, p: Array, clock: Clock) -> Array:
 def _rate_limited(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.recursion_kernels import servo_mean
 
-    return servo_mean(np.ascontiguousarray(x), abs(p[0]), abs(p[0]), 0.0, level_before(x))
+    rate = np.abs(p[:1])
+    return servo_mean(np.ascontiguousarray(x), rate, rate, 0.0, level_before(x))
 
 
 def _rate_limited_samples(x: Array, p: Array, clock: Clock) -> Array:
@@ -108,15 +109,21 @@ def _rate_limited_samples(x: Array, p: Array, clock: Clock) -> Array:
 
 
 def _play(x: Array, p: Array, clock: Clock) -> Array:
+    return moved(x, abs(p[0]), p[1])
+
+
+def moved(x: Array, half: float, stood: float) -> Array:
+    """What a play hands on, from where it stood: the plant behind it was at rest there, as it is before a test record."""
     from estimators.diagnosis.effects.recursion_kernels import play
 
-    return play(np.ascontiguousarray(x), abs(p[0]), stood(x, abs(p[0]), p[1]))
+    off = aside(half, stood)
+    return play(np.ascontiguousarray(x), half, level_before(x) + off) - off
 
 
-def stood(x: Array, half: float, start: float) -> float:
-    """Where what has a gap stood before the record: `start` of half the gap from the first command. Nothing in its later
-    motion says so, and a record that rests at first would begin with an error as wide as the gap."""
-    return level_before(x) + half * float(np.clip(start, -1.0, 1.0))
+def aside(half: float, stood: float) -> float:
+    """How far what has a gap stood from its first command, by the share of half the gap. Nothing in its later motion says so, and a
+    record that rests at first would begin with an error as wide as the gap."""
+    return half * float(np.clip(stood, -1.0, 1.0))
 
 
 def _hysteretic(x: Array, p: Array, clock: Clock) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
-from estimators.diagnosis.effects.input import kept, stood
+from estimators.diagnosis.effects.input import aside, kept, moved
 from estimators.diagnosis.effects.output import mended
 from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, entering, firm, profile, quick_behind
 
@@ -226,11 +226,9 @@ def play_widths(largest: float) -> Array:
 
 
 def plays(x: Array, p: Array, clock: Clock) -> Array:
-    """A signal and, by their weights p[1:], its plays of up to p[0] half width, at rest before the record."""
-    from estimators.diagnosis.effects.recursion_kernels import play
-
+    """A signal and, by their weights, its plays of up to p[0] half width, which stood at the last parameter's share of it."""
     x = np.ascontiguousarray(x)
-    return x + sum(w * play(x, r, level_before(x)) for w, r in zip(p[1:], play_widths(p[0]), strict=True))
+    return x + sum(w * moved(x, r, p[-1]) for w, r in zip(p[1:-1], play_widths(p[0]), strict=True))
 
 
 REACHES, SHARES = (0.5, 1.0, 2.0, 4.0), (0.7, 3.0)
@@ -240,7 +238,15 @@ a play as wide as the signal is long never moves, and what is narrower than nois
 
 def looped(size: float) -> list[list[float]]:
     """Shapes of plays side by side for a signal of a size."""
-    return [[w * size / (1.0 + a), *(PLAYS * [a / PLAYS])] for w in REACHES for a in SHARES]
+    return [[w * size / (1.0 + a), *(PLAYS * [a / PLAYS]), 0.0] for w in REACHES for a in SHARES]
+
+
+PLAYED_BY = {"width": "{}"} | {f"weight{i}": "1" for i in range(1, PLAYS + 1)} | {"start": "1"}
+"""Units of the parameters of plays side by side; at the start they stand at -1 of their half widths if led there from below, at 1 if from above."""
+
+
+def _units(size: float) -> list[float]:
+    return [size, *(PLAYS * [1.0]), 1.0]
 
 
 def _hysteretic(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -254,14 +260,14 @@ def _hysteretic(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
         part, size = Part(SIDE_BY_SIDE, j), float(np.std(u))
         starts = [np.concatenate((base.p, shape)) for shape in looped(2.0 * size)]
         every = [q for p in starts for q in (p, *renewed(channel, base.structure.adding(part), p))]
-        yield from ended(channel, base, part, every, [size, *(PLAYS * [1.0])])
+        yield from ended(channel, base, part, every, _units(size))
 
 
 def _unplayed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
     """The output before its hysteresis, and how much larger an error of it is behind: by the weights of the plays that move."""
     from estimators.diagnosis.effects.recursion_kernels import play, unplayed
 
-    widths, weights = play_widths(shape[0]), np.array(shape[1:])
+    widths, weights = play_widths(shape[0]), np.array(shape[1:-1])
     x = unplayed(np.ascontiguousarray(channel.y), widths, weights)
     moves = [np.diff(play(x, r, x[0]), prepend=x[0]) != 0.0 for r in widths]
     return x, 1.0 + weights @ np.array(moves)
@@ -273,7 +279,8 @@ def _sticky(x: Array, p: Array, clock: Clock) -> Array:
 
     half = abs(p[0])
     left = half * float(np.clip(p[1], 0.0, 1.0))
-    return sticky(np.ascontiguousarray(x), half, left, stood(x, half, p[2]))
+    off = aside(half, p[2])
+    return sticky(np.ascontiguousarray(x), half, left, level_before(x) + off) - off
 
 
 def _sticking(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -323,15 +330,15 @@ STICTION = Effect(
 SIDE_BY_SIDE = Effect(
     key="plays", cause="hysteresis", nature=Nature.DYNAMIC, slot=Slot.INPUT, reversing=True, trials=40, apply=plays, search=_hysteretic,
     sentence="the input acts with hysteresis: directly, and through plays of four widths side by side",
-    parameters={"width": "u"} | {f"weight{i}": "1" for i in range(1, PLAYS + 1)},
+    parameters={k: v.format("u") for k, v in PLAYED_BY.items()},
 )  # fmt: skip
 PLAYED = Effect(
     key="plays_output", cause="hysteresis", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, reversing=True, trials=40,
     sentence="the output has hysteresis: it is read directly, and through plays of four widths side by side",
-    parameters={"width": "y"} | {f"weight{i}": "1" for i in range(1, PLAYS + 1)}, apply=plays,
+    parameters={k: v.format("y") for k, v in PLAYED_BY.items()}, apply=plays,
     search=mended(lambda: PLAYED, lambda c: looped(float(np.std(c.y))),
                   lambda c, best: [[best[0] * f, *(np.array(best[1:]) * g)] for f in (0.7, 1.0, 1.4) for g in (0.6, 1.6)],
-                  lambda c: [float(np.std(c.y)), *(PLAYS * [1.0])], _unplayed),
+                  lambda c: _units(float(np.std(c.y))), _unplayed),
 )  # fmt: skip
 
 LOOPS = (STICTION, WINDUP, STEERED, STEERING, RELAY, SIDE_BY_SIDE, PLAYED)

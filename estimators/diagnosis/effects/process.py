@@ -16,7 +16,17 @@ from scipy.optimize import brentq
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
 from estimators.diagnosis.effects.input import kept
 from estimators.diagnosis.effects.loops import PACES, slowest_rate
-from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, profile, quick_behind
+from estimators.diagnosis.effects.profiled import (
+    BEGUN,
+    SERVO,
+    SLOWEST,
+    ended,
+    firm,
+    lean,
+    profile,
+    quick_behind,
+    servos,
+)
 from estimators.residual.algebra import powers_of_two
 
 Array = NDArray[Any]
@@ -37,6 +47,9 @@ CONTENTS = (-0.6, 0.5, 1.5, 4.0, 10.0)
 """Relative changes over the record of what a capacity had at its start."""
 FILLS, MOST_FLOWS = 0.5, 3
 """Of all that flows, what must be net for something to be filled or emptied; inputs of a record that are tried with one another."""
+UNLOADED, LOADS, STALLED = 4, (-0.9, -0.5, 0.0, 0.5, 0.9), 1e-3
+"""Servos of one rate each way that a load is tried with; shares of their rates by which half the load's range changes them; and the
+share of a rate that the heaviest load leaves."""
 LEAST = 1e-300  # a difference that no quotient by it leaves without a number
 LEAST_FLOW = 1e-3  # of the mean flow: what stands still takes for ever
 
@@ -177,6 +190,47 @@ def _filled(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     return filled(x, flow, np.array([abs(p[0]), *p[1:4], level_before(x), level_before(flow)]), clock.lead)
 
 
+def _loaded(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+    """An actuator at one input whose rates up and down change with another, the one p[-1] counted from 1, from its level p[-2] on."""
+    from estimators.diagnosis.effects.recursion_kernels import servo_mean
+
+    x, load = np.ascontiguousarray(U[:, channel]), U[:, int(p[-1]) - 1] - p[-2]
+    if abs(p[2]) > SLOWEST * clock.length:
+        return np.full(len(x), np.inf)
+    up, down = (
+        np.maximum(abs(rate) + slope * load, STALLED * abs(rate))
+        for rate, slope in ((p[0], p[3]), (p[1], p[4]))
+    )
+    return servo_mean(x, up, down, abs(float(p[2])), level_before(x))
+
+
+def _loads(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """The servos of every input that come nearest, loaded by every other input: it may help one way and hinder the other."""
+    from estimators.diagnosis.model.structure import Part
+
+    s = base.structure
+    if s.layout != "tf" or not 1 < len(s.inputs) <= MOST_FLOWS:
+        return
+    for j in s.inputs:
+        su, alone = (
+            float(np.std(channel.u[:, j])),
+            profile(channel, base, Part(SERVO, j), servos(channel.u[:, j])),
+        )
+        near = [q[-3:] for _, q in alone[:UNLOADED]]
+        for k in (k for k in s.inputs if k != j):
+            load, part = channel.u[:, k], Part(LOADED, j)
+            middle, half = 0.5 * float(load.max() + load.min()), 0.5 * float(np.ptp(load)) + LEAST
+            shapes = (
+                [*q, a * q[0] / half, b * q[1] / half, middle, k + 1.0]
+                for q in near
+                for a, b in product(LOADS, LOADS)
+            )
+            tried = profile(channel, base, part, shapes)
+            if tried and firm(base, tried[0][0]):
+                steps = [su, su, 1.0, su / half, su / half, 0.0, 0.0]
+                yield from lean(channel, ended(channel, base, part, (q for _, q in tried[:BEGUN]), steps))
+
+
 def _warmings(rates: list[float], u: Array) -> Iterator[list[float]]:
     power, n = float(np.mean(u**2)) + 1e-300, len(u)
     for rate, share, heat, m in product(rates, WARM, HEATS, SLOW):
@@ -235,6 +289,13 @@ FILLED = Effect(
     parameters={"rate": "1/sample", "fill": "1/(u sample)", "bring": "u", "carry": "1", "flow": "1"},
     apply=lambda x, p, clock: _filled(x[:, None], 0, np.array([*p[:4], 1.0]), clock), signal=_filled, search=_capacities,
 )  # fmt: skip
+LOADED = Effect(
+    key="rate_loaded", cause="rate_limiter", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=60, reversing=True, family="rates",
+    sentence="the actuator moves no faster than one rate up and another down, and a load, another input, changes both",
+    parameters={"up": "u/sample", "down": "u/sample", "lag": "sample", "up_by_load": "1/sample", "down_by_load": "1/sample",
+                "level": "u", "load": "1"},
+    apply=lambda x, p, clock: _loaded(np.column_stack((x, x)), 0, np.array([*p[:6], 2.0]), clock), signal=_loaded, search=_loads,
+)  # fmt: skip
 WARMED = Effect(
     key="loss_heat", cause="slow_hidden_state", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=60, alone=True, family="heat",
     sentence="the loss changes with a slow state that its own power feeds: oil, a winding that warms",
@@ -270,5 +331,6 @@ PROCESS = (
              lambda s: _shapes(s, [1.0, 0.5], [1.0, 1.5], sizes=[_outflows(s), 1.0 / (abs(float(np.mean(s.u))) + s.su)])),
     THROUGH,
     FILLED,
+    LOADED,
     WARMED,
 )  # fmt: skip

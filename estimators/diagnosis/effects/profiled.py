@@ -58,7 +58,7 @@ integrator, which fits as well."""
 def _servo(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.recursion_kernels import servo_mean
 
-    up, down, lag = (abs(float(v)) for v in p)
+    up, down, lag = np.abs(p[:1]), np.abs(p[1:2]), abs(float(p[2]))
     if lag > SLOWEST * clock.length:
         return np.full(len(x), np.inf)
     return servo_mean(np.ascontiguousarray(x), up, down, lag, level_before(x))
@@ -160,13 +160,18 @@ def lean(channel: Any, fits: Iterable[Any]) -> Iterator[Any]:
             yield f
 
 
+def servos(u: Array) -> list[list[float]]:
+    """Rates up and down and lags of actuators that an input may run into."""
+    wide = float(np.ptp(u))
+    return [[wide / m, q * wide / m, lag] for m in PACES for q in RATIOS for lag in LAGS]
+
+
 def _servos(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.model.structure import Part
 
     for j in base.structure.inputs if base.structure.layout == "tf" else ():
-        part, wide = Part(SERVO, j), float(np.ptp(channel.u[:, j]))
-        grid = ([wide / m, q * wide / m, lag] for m in PACES for q in RATIOS for lag in LAGS)
-        tried = profile(channel, base, part, grid)
+        part = Part(SERVO, j)
+        tried = profile(channel, base, part, servos(channel.u[:, j]))
         if tried and firm(base, tried[0][0]):
             su = float(np.std(channel.u[:, j]))
             starts = (p for _, p in tried[:BEGUN])

@@ -105,13 +105,14 @@ def sticky(signal, stays, left, start):  # pragma: no cover - compiled
 @compiled
 def servo_mean(signal, up, down, lag, start):  # pragma: no cover - compiled
     """Mean over each sample interval of an actuator that nears a held command as a first-order lag, but no faster than `up`
-    and `down` per sample; it stands at `start` before the record."""
+    and `down` per sample, (1,) or of each sample; it stands at `start` before the record."""
     out = np.empty_like(signal)
     v = start
     whole = np.exp(-1.0 / max(lag, 1e-300))
     for k in range(signal.shape[0]):
         side = 1.0 if signal[k] > v else -1.0
-        rate = max(up if signal[k] > v else down, 1e-300)
+        most = up if signal[k] > v else down
+        rate = max(most[k] if len(most) > 1 else most[0], 1e-300)
         gap = abs(signal[k] - v)
         # at its full rate for a part of the interval, until the lag asks for less
         full = min(max(gap / rate - lag, 0.0), 1.0)

@@ -30,7 +30,7 @@ from oed.data import Record
 NONE = "none"
 UNCLAIMED = "no cause found that holds on unused data"
 NOTHING = "nothing is missing from the linear model that data not used could show"
-ANSWERS = "the input answers the noise of its own sample"
+ANSWERS = "the input answers the noise"
 ECHO = f"{ANSWERS}: no cause can be told from the controller's answer"
 MINGLED = (
     "input and noise go together, as in a loop or in signals filtered by later samples: no cause can be told"

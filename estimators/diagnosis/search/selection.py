@@ -1,5 +1,6 @@
 """Attribution: which effects, one or several, explain what the linear model leaves."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,7 +16,7 @@ from estimators.diagnosis.model.structure import Structure
 from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
-from estimators.diagnosis.share.feedback import MATTERS, between_jumps, wald
+from estimators.diagnosis.share.feedback import MATTERS, beside, between_jumps, wald
 from estimators.residual.algebra import thin_svd, unit
 
 Array = NDArray[Any]
@@ -86,19 +87,20 @@ SHIFTS = 40
 a sweep, is what chance explains."""
 
 
-def feedback_test(u: Array, e: Array, lags: int = 5, memory: int = 12) -> float:
+def feedback_test(u: Array, e: Array, lags: int = 5, memory: int = 12, more: Sequence[Array] = ()) -> float:
     """Likelihood-ratio p-value of 'the input u (N,) does not follow the noise': past innovations e (N,) help to predict it.
 
-    Innovations at lags 0 to `lags`, beside `memory` past inputs that predict first; the larger p-value of equal and of unequal
-    variances.
+    Innovations at lags 1 to `lags`, beside `memory` past inputs and whatever columns `more` tell of it; the larger p-value of
+    equal and of unequal variances.
     """
     u, e, n = unit(u), unit(e), len(u)
-    own = [np.concatenate((np.zeros(i), u[: n - i])) for i in range(1, memory + 1)] + [np.ones(n)]
-    past = [np.concatenate((np.zeros(i), e[: n - i])) for i in range(lags + 1)]
+    own = [np.concatenate((np.zeros(i), u[: n - i])) for i in range(1, memory + 1)]
+    own += [*more, np.ones(n)]
+    past = [np.concatenate((np.zeros(i), e[: n - i])) for i in range(1, lags + 1)]
     X0, X1 = np.stack(own, axis=1)[memory:], np.stack(own + past, axis=1)[memory:]
     target = u[memory:]
     rows = between_jumps(X0, target, 1e-7 * float(np.std(u)))
-    Q, E, count = _basis(X0[rows]), X1[:, X0.shape[1] :], lags + 1
+    Q, E, count = _basis(X0[rows]), X1[:, X0.shape[1] :], lags
     r0 = target[rows] - Q @ (Q.T @ target[rows])
     rss0, chance = float(r0 @ r0), count / len(r0)
 
@@ -370,6 +372,10 @@ def _follows_input(u: Array, e: Array, lags: int = 20) -> bool:
     return bool(chi2.sf(gained(n, float(e @ e), float(r @ r)), 2 * lags) < 1e-8)
 
 
+FIRST = 0.01
+"""Level from which on an input's own past is given what bends and other inputs tell of it: where it follows nothing without, it does not with."""
+
+
 def feedback_of(channel: Channel, final: Fit) -> float:
     """p-value of 'no input follows the noise' by the innovations of a model; 1 where they are model error, not noise."""
     if channel.step > 0:
@@ -377,4 +383,9 @@ def feedback_of(channel: Channel, final: Fit) -> float:
     e, inputs = innovations(final.residual, final.noise), final.structure.inputs
     if any(_follows_input(channel.u[:, j], e) for j in inputs):
         return 1.0  # the input would seem to follow it
-    return min(1.0, min(feedback_test(channel.u[:, j], e) * len(inputs) for j in inputs))
+    alone = {j: feedback_test(channel.u[:, j], e) for j in inputs}
+    p = (
+        max(one, feedback_test(channel.u[:, j], e, more=beside(channel.u, j).T)) if one < FIRST else one
+        for j, one in alone.items()
+    )
+    return min(1.0, min(p) * len(inputs))

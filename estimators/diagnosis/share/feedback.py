@@ -7,26 +7,31 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from estimators.diagnosis.share.signals import leaky
 from estimators.residual.algebra import decomposed
 from oed.data import Record
 
 Array = NDArray[np.float64]
+Design = tuple[Array, Array, Array]
 
 ORDER = 10
 """Of the autoregressions that whiten: a noise that needs more is slow, and slow noise is no innovation."""
-LEADS = 20
+LATER = range(1, 21)
 """Samples by which an input may answer the noise."""
 PAST = 30
 """Samples of its own past from which an input is predicted."""
 MATTERS = 0.02
 """Share of an input's innovations that the noise must explain: a weaker loop echoes less noise than a block can tell."""
-AT_ONCE = 12, range(6)
-"""Samples of its own past from which an input is predicted, and by how many it may answer the noise, its own sample among them."""
-ANSWERS = 0.1
-"""Share of what that past leaves between the jumps of an input's reference that this noise must explain: of thirty rigs with a loop or
-without one, .46 or more and .013 at most."""
+STILL = 12, range(1, 6)
+"""Samples of its own past from which an input is predicted where its reference stands still, and by how many it may answer the noise.
+Its own sample is none of them: there an output that hears its input at once looks the same, as means over a sample do."""
+ANSWERS = 0.05
+"""Share of what that past leaves between the jumps of an input's reference that this noise must explain: of records with a loop or
+without one, .068 or more and .02 at most, where weather drives the output within the sample."""
 OF_INPUT = 1e-3
 """Share of an input itself that answers the noise where a loop is told by it alone: loops have .016 and more, filtered records 1e-4."""
+AGO, SLOW = (1, 2, 3, 4, 6, 8, 12, 16), (10.0, 30.0, 100.0)
+"""Samples ago of bends, and time constants in samples of slow means: half octaves and half decades of what a past holds."""
 ALPHA = 1e-4
 """False-alarm rate: with feedback only what improves the one-step prediction counts, a hard demand elsewhere."""
 MOST_LEVER = 0.99
@@ -60,11 +65,19 @@ def has_feedback(
     records: Sequence[Record], residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]
 ) -> bool:
     """Whether an input answers the noise, surely and by a share of it that matters."""
-    clean, count = _clean(residual, uses), records[0].n_inputs
-    designs = _designs(records, clean)
-    if max(_gain(*d) for d in designs) > MATTERS and min(wald(*d) for d in designs) * count < ALPHA:
-        return True
-    return any(_at_once([r.u[:, j] for r in records], clean, ALPHA / count) for j in range(count))
+    clean, alpha = _clean(residual, uses), ALPHA / records[0].n_inputs
+
+    def later(own: Array, lead: Array, target: Array) -> bool:
+        return _gain(own, lead, target) > MATTERS and wald(own, lead, target) < alpha
+
+    def still(own: Array, lead: Array, target: Array) -> bool:
+        return _still(own, lead, target, alpha)
+
+    return any(
+        all(told(*d) for d in both)
+        for told, reach in ((later, (PAST, LATER)), (still, STILL))
+        for both in zip(*(_designs(records, clean, *reach, bends) for bends in (False, True)), strict=True)
+    )
 
 
 def is_answer(
@@ -75,19 +88,18 @@ def is_answer(
     Of an input whose past leaves next to nothing of it, noise may foretell even that for another reason: who filtered both
     signals, with samples of later times, gave each some of the other's future.
     """
-    clean, count = _clean(residual, uses), records[0].n_inputs
-    at_once = [_design([r.u[:, j] for r in records], clean, *AT_ONCE) for j in range(count)]
+    clean = _clean(residual, uses)
     return any(
         _left(own, u) - _left(np.hstack((own, lead)), u) > OF_INPUT * float(u @ u)
-        for own, lead, u in (*at_once, *_designs(records, clean))
+        for reach in (STILL, (PAST, LATER))
+        for own, lead, u in _designs(records, clean, *reach, True)
     )
 
 
-def _at_once(inputs: Sequence[Array], noises: Sequence[Array], alpha: float) -> bool:
-    """Whether an input answers the noise of its own sample where its reference stands still: there it does nothing else."""
-    own, lead, target = _design(inputs, noises, *AT_ONCE)
+def _still(own: Array, lead: Array, target: Array, alpha: float) -> bool:
+    """Whether an input answers the noise where its reference stands still: there it does nothing else."""
     rounding = 1e-7 * float(np.std(target))
-    rows = between_jumps(own, target, rounding)
+    rows = between_jumps(own[:, : STILL[0]], target, rounding)
     design = own[rows], lead[rows], target[rows]
     moves = _left(own[rows], target[rows]) > rounding**2 * rows.sum()
     return moves and _gain(*design) > ANSWERS and wald(*design) < alpha
@@ -119,14 +131,21 @@ def answered(
     Granger's test: past whitened residuals help to predict an input beyond the input's own past. An input may be
     predictable, as narrow-band ones are: only what its own past does not tell counts.
     """
-    designs = _designs(records, _clean(residual, uses))
-    return max(_gain(*d) for d in designs) - LEADS / len(designs[0][-1])
+    designs = _designs(records, _clean(residual, uses), PAST, LATER)
+    return max(_gain(*d) for d in designs) - len(LATER) / len(designs[0][-1])
 
 
-def _designs(records: Sequence[Record], clean: Sequence[Array]) -> list[tuple[Array, Array, Array]]:
-    """Of every input what its test is made of, beside the whitened noise of each record."""
-    leads = range(1, LEADS + 1)
-    return [_design([r.u[:, j] for r in records], clean, PAST, leads) for j in range(records[0].n_inputs)]
+def beside(inputs: Array, j: int) -> Array:
+    """(N, p) what may tell of input j of (N, nu) beyond lags of its own: bends and slow means of all, and lags of the others.
+
+    A model's error is a bent function of past inputs: where an input may be told from such a one, the error tells of it with no loop.
+    """
+    size = inputs.std(axis=0)
+    x = (inputs - inputs.mean(axis=0)) / np.where(size > 0, size, 1.0)
+    columns = [_late(v**power - np.mean(v**power), i) for v in x.T for power in (2, 3) for i in AGO]
+    columns += [_late(leaky(v, tau), 1) for v in x.T for tau in SLOW]
+    columns += [_late(x[:, k], i) for k in range(x.shape[1]) if k != j for i in range(1, STILL[0] + 1)]
+    return np.stack(columns, axis=1)
 
 
 def _clean(residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]) -> list[Array]:
@@ -135,17 +154,25 @@ def _clean(residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]) -> list
     return [whitened(noise, np.where(c, e, 0.0)) * c for e, c in zip(residual, uses, strict=True)]
 
 
-def _design(
-    inputs: Sequence[Array], noises: Sequence[Array], past: int, leads: range
-) -> tuple[Array, Array, Array]:
-    """An input's own past (n, past), the noise so many samples before (n, leads) and the input (n,), of all records."""
-    own, lead, target = [], [], []
-    for u, e in zip(inputs, noises, strict=True):
-        x = u - u.mean()
-        own.append(np.stack([_late(x, i) for i in range(1, past + 1)], axis=1)[past:])
-        lead.append(np.stack([_late(e, i) for i in leads], axis=1)[past:])
-        target.append(x[past:])
-    return np.concatenate(own), np.concatenate(lead), np.concatenate(target)
+def _designs(
+    records: Sequence[Record], clean: Sequence[Array], past: int, leads: range, bends: bool = False
+) -> list[Design]:
+    """Of every input, over all records, its own past (n, past), the noise so many samples before (n, leads) and the input (n,).
+
+    With `bends` what its bends and the other inputs tell of it goes with its own past.
+    """
+    out = []
+    for j in range(records[0].n_inputs):
+        rows = []
+        for r, e in zip(records, clean, strict=True):
+            x = r.u[:, j] - r.u[:, j].mean()
+            own = np.stack([_late(x, i) for i in range(1, past + 1)], axis=1)
+            own = np.hstack((own, beside(r.u, j))) if bends else own
+            lead = np.stack([_late(e, i) for i in leads], axis=1)
+            rows.append((own[past:], lead[past:], x[past:]))
+        own, lead, target = (np.concatenate(part) for part in zip(*rows, strict=True))
+        out.append((own, lead, target))
+    return out
 
 
 def _gain(own: Array, lead: Array, target: Array) -> float:

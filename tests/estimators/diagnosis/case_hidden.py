@@ -163,6 +163,16 @@ def on_change(u, a):
     return np.array(sent[1:])
 
 
+def jack(u, a):
+    """A jack that a load slows on its way up and hastens on its way down; without it, one that is always quick enough."""
+    x, at, within = np.empty(len(u)), u[0, 0], np.linspace(0.005, 1.0, 200)
+    for k, (command, load) in enumerate(u):
+        up, down = (max((1.0 + side * 0.3 * load) * 0.3, 0.03) if a else 100.0 for side in (-1.0, 1.0))
+        path = at + np.clip(command - at, -down * within, up * within)
+        x[k], at = path.mean(), path[-1]
+    return _lag(np.concatenate((x[:1], x[:-1])), 0.6)
+
+
 ALL_CLASSES = CLASSES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
@@ -172,11 +182,12 @@ ALL_CLASSES = CLASSES | {
     "output_ratio": (gauge, 2, {"mean": 4.0, "size": 1.2}), "delay_periodic": (tape, 2, {}),
     "plays": (ceramic, 2, {}), "plays_output": (soil, 2, {}), "loss_change": (vented, 2, {}), "interleaved": (interleaved, 2, {}),
     "reported_on_change": (on_change, 2, {}), "integral_curve of two ways": (swung, 2, {}),
+    "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
-    ("reported_on_change", "refreshed"), ("reported_on_change", "plays_output"),
+    ("rate_loaded", "product_of_inputs"), ("rate_loaded", "capacity_filled"), ("reported_on_change", "refreshed"), ("reported_on_change", "plays_output"),
     ("rate_in_loop", "wind_up"), ("rate_of_loop", "wind_up"), ("wind_up", "rate_in_loop"), ("rate_limit_servo", "rate_in_loop"),
     ("gain_of_angle", "gain_periodic"), ("gain_periodic", "gain_of_angle"), ("gain_fatigue", "gain_heat"), ("gain_heat", "gain_fatigue"),
     ("loss_heat", "loss_cubic"), ("loss_cubic", "loss_heat"), ("capacity_filled", "product_of_inputs"), ("bilinear", "capacity_filled"),

@@ -100,7 +100,9 @@ def test_effects_of_two_inputs_are_named_and_removed_and_linear_records_are_left
     assert diagnose(drawn(1, 0.0, 0.05, 0.8)).nature == "noise"
 
 
-@pytest.mark.parametrize("key, q", [("stiction", [1.5, 0.4]), ("backlash_input", [1.2])])
+@pytest.mark.parametrize(
+    "key, q", [("stiction", [1.5, 0.4]), ("backlash_input", [1.2]), ("plays", [1.2, 0.5, 0.2, 0.1, 0.4])]
+)
 def test_where_a_stem_stood_before_a_record_on_a_level_is_fitted(key, q):
     """From the middle of its gap, as from the command itself, the record's first rest would be off by most of the gap."""
     rng, e = np.random.default_rng(5), named(key)
@@ -111,7 +113,9 @@ def test_where_a_stem_stood_before_a_record_on_a_level_is_fitted(key, q):
     s = Structure(1).adding(Part(OFFSET)).adding(Part(INITIAL)).adding(Part(e))
     p = np.array([-0.8, 0.2, 0.0, 8.0, *truth])
     stem = e.apply(u, truth, channel.clock)
-    assert stem[0] == pytest.approx(40.0 - 0.6 * q[0])
+    other = e.apply(u, np.array([*q, 0.6]), channel.clock)
+    assert stem[0] == pytest.approx(other[0])  # the plant was at rest with it
+    assert np.ptp(stem - other) > 0.1 * q[0]
     p[3] = 0.8 * stem[0]
     y = simulate(s, p, channel.u, channel.clock) + NOISE * rng.standard_normal(N)
     start = p.copy()

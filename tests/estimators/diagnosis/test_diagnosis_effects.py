@@ -122,7 +122,7 @@ def test_lag_delay_and_hinges_agree_with_casadi():
 def test_a_limited_servo_agrees_with_casadi_and_with_its_differential_equation(lag):
     u, v, fine = np.repeat(np.random.default_rng(4).standard_normal(20), 3), 0.2, []
     after, mean = terms.servo_step().mapaccum(60)(0.2, u[None, :], 0.31, 0.17, lag)
-    ours = servo_mean(u, 0.31, 0.17, lag, 0.2)
+    ours = servo_mean(u, np.array([0.31]), np.array([0.17]), lag, 0.2)
     np.testing.assert_allclose(ours, np.array(mean).ravel(), atol=1e-12)
     for value in u:  # Euler steps of v' = (u - v)/lag within -0.17 and 0.31
         x, v = v, np.empty(2000)

@@ -242,3 +242,16 @@ def test_an_input_that_answers_its_own_sample_is_told_between_jumps_of_a_referen
     r, e = np.repeat(rng.choice([-1.0, 1.0], 400), hold)[:800], rng.standard_normal(800)
     record = Record(r - gain * e, np.zeros(800))
     assert has_feedback([record], [e], [np.ones(800, dtype=bool)]) == (gain > 0.0)
+
+
+def test_what_bends_of_another_input_tell_of_an_input_is_no_answer() -> None:
+    """The linear model's error holds the other's square, which foretells this one; one that hears the noise as well is told still."""
+    rng, n = np.random.default_rng(0), 2000
+    first = lfilter([1.0], [1.0, -0.8], rng.standard_normal(n))
+    told = 0.3 * np.concatenate((np.zeros(2), first[:-2] ** 2)) + rng.standard_normal(n)
+    error = lfilter([0.3], [1.0, -0.7], first**2 - np.mean(first**2))
+    noise, uses = rng.standard_normal(n), [np.ones(n, dtype=bool)]
+    record = Record(np.stack((first, told), axis=1), np.zeros(n))
+    assert not has_feedback([record], [error + 0.1 * noise], uses)
+    heard = record.u + 0.5 * np.concatenate(([0.0], noise[:-1]))[:, None] * [0.0, 1.0]
+    assert has_feedback([record.replace(u=heard)], [noise], uses)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.effect import Clock, Effect
+from estimators.diagnosis.effects.input import aside
 from estimators.diagnosis.effects.loops import play_widths
 from estimators.diagnosis.effects.path import curve_of_charge
 from estimators.diagnosis.effects.process import Passing
@@ -22,16 +23,12 @@ SAMPLES = 64
 SIZES = (0.01, 0.1, 1.0, 10.0)
 
 
-def _stood(w: Wiring, x: Any, p: Array, start: int) -> Any:
-    """State of what has a gap of half width p[0]; p[start], where it has one, is the share of it that it stood off."""
-    off = float(np.clip(p[start], -1.0, 1.0)) * abs(p[0]) if len(p) > start else 0.0
-    return w.state((w.value(x) if len(p) > start else 0.0) + off)
-
-
-def _play(w: Wiring, x: Any, p: Array) -> Any:
-    s = _stood(w, x, p, 1)
-    s.after = terms.play_step()(s.x, x, abs(p[0]))
-    return s.after
+def _play(w: Wiring, x: Any, half: float, stood: float | None = None) -> Any:
+    """A play of half a width from where it stood aside of its first command; at the output, without such, from zero."""
+    off = 0.0 if stood is None else aside(half, stood)
+    s = w.state(off if stood is None else w.value(x) + off)
+    s.after = terms.play_step()(s.x, x, half)
+    return s.after - off
 
 
 def _reported(w: Wiring, x: Any, p: Array) -> Any:
@@ -41,12 +38,7 @@ def _reported(w: Wiring, x: Any, p: Array) -> Any:
 
 
 def _side_by_side(w: Wiring, x: Any, p: Array) -> Any:
-    out = x
-    for weight, half in zip(p[1:], play_widths(p[0]), strict=True):
-        s = w.state(w.value(x))
-        s.after = terms.play_step()(s.x, x, half)
-        out += weight * s.after
-    return out
+    return x + sum(a * _play(w, x, half, p[-1]) for a, half in zip(p[1:-1], play_widths(p[0]), strict=True))
 
 
 def _servo(which: int) -> Callable[[Wiring, Any, Array], Any]:
@@ -142,10 +134,12 @@ def _switched(w: Wiring, x: Any, p: Array) -> Any:
 
 
 def _stiction(w: Wiring, x: Any, p: Array) -> Any:
-    s, half = _stood(w, x, p, 2), abs(p[0])
+    half = abs(p[0])
+    off = aside(half, p[2])
+    s = w.state(w.value(x) + off)
     left, gap = half * float(np.clip(p[1], 0.0, 1.0)), x - s.x
     s.after = w.ca.if_else(gap > half, x - left, w.ca.if_else(gap < -half, x + left, s.x))
-    return s.after
+    return s.after - off
 
 
 def _bouc_wen(w: Wiring, x: Any, width: float) -> Any:
@@ -202,7 +196,7 @@ def _line_from_origin(w: Wiring, x: Any, p: Array) -> Any:
 
 TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "plays": _side_by_side, "plays_output": _side_by_side,
-    "backlash_input": _play, "backlash_sampled": _play, "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
+    "backlash_input": lambda w, x, p: _play(w, x, abs(p[0]), p[1]), "backlash_sampled": lambda w, x, p: _play(w, x, abs(p[0])), "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
     "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "rate_in_loop": _steered(0), "rate_of_loop": _steered(1),
     "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "loss_heat": _warmed, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
