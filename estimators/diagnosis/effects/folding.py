@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.output import mended
+from estimators.diagnosis.effects.profiled import of_order
 from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
@@ -324,4 +326,62 @@ REPORTED = Effect(
     parameters={"least_step": "y", "start": "y"}, search=_reports,
 )  # fmt: skip
 
-FOLDING = (MAGNITUDE, SQUARED, RECTIFIED, WRAPPED, REPORTED)
+CHANGES = (-0.6, -0.3, 0.3, 0.6)
+"""Relative changes of a sensor's rate per standard deviation of what it reads, that are tried."""
+
+
+def _centred(x: Array, p: Array) -> tuple[Array, float, float]:
+    return np.ascontiguousarray(x - p[2]), abs(float(p[0])), float(p[1])
+
+
+def _paced(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.recursion_kernels import paced
+
+    return paced(*_centred(x, p)) + p[2]
+
+
+def _unpaced(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
+    from estimators.diagnosis.effects.recursion_kernels import unpaced
+
+    x, through = unpaced(*_centred(channel.y, np.array(shape)))
+    return x + shape[2], through
+
+
+def _paces(channel: Any) -> list[list[float]]:
+    size, level = float(np.std(channel.y)), float(np.mean(channel.y))
+    return [[rate, change / size, level] for rate in SENSED for change in CHANGES]
+
+
+def _closer(channel: Any, best: list[float]) -> list[list[float]]:
+    factors, more = (0.7, 1.0, 1.4), 0.15 / float(np.std(channel.y))
+    return [[best[0] * f, best[1] + d, best[2]] for f in factors for d in (-more, 0.0, more)]
+
+
+def _sensed(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """With all of the linear model's poles before the sensor, and with one less: it was one of them."""
+    from estimators.diagnosis.model.linear import fit_linear, plant_scales
+
+    search = mended(
+        lambda: PACED, _paces, _closer, lambda c: [0.2, 1.0 / float(np.std(c.y)), 0.0], _unpaced, fitted=True
+    )
+    s = base.structure
+    if s.layout != "tf" or s.effects:
+        return
+    yield from search(channel, base, others)
+    if s.order > 1:
+        few, p, scales = of_order(base, s.order - 1, min(s.taps, s.order - 1))
+        p[: few.plant_size] = fit_linear(channel, few, rough=True).p[: few.plant_size]
+        scales[: few.plant_size] = plant_scales(few, p)
+        yield from search(channel, replace(base, structure=few, p=p, scales=scales), others)
+
+
+SENSED = (0.05, 0.1, 0.2, 0.4, 0.8)
+"""Rates per sample of a sensor that lags, at its mean reading, that are tried."""
+PACED = Effect(
+    key="sensor_paced", cause="level_dependent_lag", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, trials=20,
+    sentence="the sensor lags, and is the quicker or the slower the more it reads: its rate goes with the level", apply=_paced,
+    parameters={"rate": "1/sample", "change": "1/y", "level": "y"},
+    search=lambda channel, base, others: _sensed(channel, base, others),
+)  # fmt: skip
+
+FOLDING = (MAGNITUDE, SQUARED, RECTIFIED, WRAPPED, REPORTED, PACED)

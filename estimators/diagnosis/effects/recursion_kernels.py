@@ -23,6 +23,9 @@ def compiled(function):
         return njit(function)
 
 
+LEAST_PACE = 0.02  # of a rate that changes with its signal: one that has stopped would hold for ever
+
+
 @compiled
 def play(signal, half_width, start=0.0):  # pragma: no cover - compiled
     """Output of a play (backlash) operator that stands at `start` before the record."""
@@ -48,6 +51,39 @@ def reported(signal, least, start):  # pragma: no cover - compiled
             last = signal[k]
         out[k] = last
     return out
+
+
+@compiled
+def paced(signal, rate, change):  # pragma: no cover - compiled
+    """A lag that follows the signal at a rate that changes with it: `LEAST_PACE` of the rate at least."""
+    out = np.empty_like(signal)
+    y = signal[0]
+    for k in range(signal.shape[0]):
+        y = signal[k] + (y - signal[k]) * np.exp(-rate * max(1.0 + change * signal[k], LEAST_PACE))
+        out[k] = y
+    return out
+
+
+@compiled
+def unpaced(signal, rate, change):  # pragma: no cover - compiled
+    """The signal that such a lag has followed, by Newton's steps, and how much of its error the lag lets through.
+
+    Where it hardly moves nothing says what it follows: no further beyond what it shows than half of its span.
+    """
+    x, through = signal.copy(), np.ones_like(signal)
+    low, high = np.min(signal), np.max(signal)
+    more = 0.5 * (high - low)
+    for k in range(1, signal.shape[0]):
+        before = signal[k - 1]
+        guess = x[k - 1]
+        for _ in range(8):
+            pace = 1.0 + change * guess
+            left = np.exp(-rate * max(pace, LEAST_PACE))
+            slope = 1.0 - left + (guess - before) * left * (rate * change if pace > LEAST_PACE else 0.0)
+            guess -= (guess + (before - guess) * left - signal[k]) / max(slope, 1e-3)
+            guess = min(max(guess, low - more), high + more)
+        x[k], through[k] = guess, 1.0 - left
+    return x, through
 
 
 @compiled

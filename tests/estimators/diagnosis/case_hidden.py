@@ -163,6 +163,15 @@ def on_change(u, a):
     return np.array(sent[1:])
 
 
+def cups(u, a):
+    """Cups in a duct: they follow the faster, the stronger the wind."""
+    wind, y = _sensor(u, u[0], 0.6), np.empty(len(u))
+    y[0] = wind[0]
+    for k in range(1, len(u)):
+        y[k] = wind[k] + (y[k - 1] - wind[k]) * np.exp(-0.25 * max(1.0 + 0.3 * a * wind[k], 0.02))
+    return y
+
+
 def jack(u, a):
     """A jack that a load slows on its way up and hastens on its way down; without it, one that is always quick enough."""
     x, at, within = np.empty(len(u)), u[0, 0], np.linspace(0.005, 1.0, 200)
@@ -182,11 +191,12 @@ ALL_CLASSES = CLASSES | {
     "output_ratio": (gauge, 2, {"mean": 4.0, "size": 1.2}), "delay_periodic": (tape, 2, {}),
     "plays": (ceramic, 2, {}), "plays_output": (soil, 2, {}), "loss_change": (vented, 2, {}), "interleaved": (interleaved, 2, {}),
     "reported_on_change": (on_change, 2, {}), "integral_curve of two ways": (swung, 2, {}),
-    "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
+    "sensor_paced": (cups, 2, {}), "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
+    ("sensor_paced", "rise_and_fall"), ("sensor_paced", "output_ratio"), ("rise_and_fall", "sensor_paced"),
     ("rate_loaded", "product_of_inputs"), ("rate_loaded", "capacity_filled"), ("reported_on_change", "refreshed"), ("reported_on_change", "plays_output"),
     ("rate_in_loop", "wind_up"), ("rate_of_loop", "wind_up"), ("wind_up", "rate_in_loop"), ("rate_limit_servo", "rate_in_loop"),
     ("gain_of_angle", "gain_periodic"), ("gain_periodic", "gain_of_angle"), ("gain_fatigue", "gain_heat"), ("gain_heat", "gain_fatigue"),

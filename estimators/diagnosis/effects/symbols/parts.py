@@ -12,7 +12,7 @@ from estimators.diagnosis.effects.input import aside
 from estimators.diagnosis.effects.loops import play_widths
 from estimators.diagnosis.effects.path import curve_of_charge
 from estimators.diagnosis.effects.process import Passing
-from estimators.diagnosis.effects.recursion_kernels import WITHIN, warm_rest
+from estimators.diagnosis.effects.recursion_kernels import LEAST_PACE, WITHIN, warm_rest
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
@@ -35,6 +35,13 @@ def _reported(w: Wiring, x: Any, p: Array) -> Any:
     s = w.state(w.value(x) + p[1])
     s.after = w.ca.if_else(w.ca.fabs(x - s.x) > abs(p[0]), x, s.x)
     return s.after
+
+
+def _paced(w: Wiring, x: Any, p: Array) -> Any:
+    d = x - p[2]
+    s = w.state(w.value(x) - p[2])
+    s.after = d + (s.x - d) * w.ca.exp(-abs(p[0]) * w.ca.fmax(1.0 + p[1] * d, LEAST_PACE))
+    return s.after + p[2]
 
 
 def _side_by_side(w: Wiring, x: Any, p: Array) -> Any:
@@ -200,7 +207,7 @@ TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "rate_in_loop": _steered(0), "rate_of_loop": _steered(1),
     "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "loss_heat": _warmed, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
-    "output_lines": _line_from_origin, "reported_on_change": _reported,
+    "output_lines": _line_from_origin, "reported_on_change": _reported, "sensor_paced": _paced,
 }  # fmt: skip
 """Of the catalogue's effects that are no map of one sample and its time."""
 
