@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from estimators.diagnosis.effects.recursion_kernels import compiled
+from estimators.diagnosis.effects.kernels.recursion_kernels import compiled
 
 
 @compiled

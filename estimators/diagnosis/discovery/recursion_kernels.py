@@ -9,7 +9,7 @@ and filters rows of A. The plain twin is in the tests.
 
 import numpy as np
 
-from estimators.diagnosis.effects.recursion_kernels import compiled
+from estimators.diagnosis.effects.kernels.recursion_kernels import compiled
 
 
 @compiled

@@ -143,15 +143,10 @@ def _tone_fits(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
     yield from _hidden(channel, base)
 
 
-def _sweeping(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """A sinusoid whose frequency changes steadily, also past half the sampling rate: the residual is mixed down by sweeps of
-    many rates, and the highest line of all spectra is taken."""
-    from estimators.diagnosis.model.fitting import fit
-    from estimators.diagnosis.model.structure import Part
-
+def swept_line(channel: Any, base: Any) -> tuple[float, float]:
+    """Frequency at the clock's zero and rate of the line that is highest when the residual is mixed down by sweeps of many rates, also
+    past half the sampling rate."""
     n, k = len(channel), channel.clock.k - channel.clock.k[0]
-    if n < 100 or base.structure.effects:
-        return
     r = np.where(channel.keep, base.residual, 0.0)
     r = np.convolve(r - r.mean(), np.concatenate(([1.0], base.noise)))[:n]
     fast = 2 << n.bit_length()  # at least twice the record, a power of two
@@ -164,16 +159,30 @@ def _sweeping(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
     step = TURNED / n**2  # of a real signal, a rate and its negative are one
     rate = max(map(line, np.arange(step, np.pi / n, step)))[2]
     _, w, rate = max(map(line, rate + step * np.linspace(-1.0, 1.0, 2 * CLOSER + 1)))
-    size = float(np.std(base.residual)) + 1e-300
-    start = w - rate * channel.clock.k[0]
-    turn = start * channel.clock.k + 0.5 * rate * channel.clock.k**2
-    c = np.linalg.lstsq(np.stack([np.cos(turn), np.sin(turn)], axis=1), base.residual, rcond=None)[0]
-    p = np.concatenate((base.p, [start, rate], c))
+    return w - rate * channel.clock.k[0], rate
+
+
+def _sweeping(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """A sinusoid whose frequency changes steadily."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.structure import Part
+
+    n = len(channel)
+    if n < 100 or base.structure.effects:
+        return
+    line, size = swept_line(channel, base), float(np.std(base.residual)) + 1e-300
+    turns = turning(channel.clock.k, *line)
+    p = np.concatenate((base.p, line, np.linalg.lstsq(turns, base.residual, rcond=None)[0]))
     scales = np.concatenate((base.scales, [1.0 / n, 1.0 / n**2, size, size]))
     yield fit(channel, base.structure.adding(Part(SWEEP)), p, scales, noise=base.noise, iterations=25)
 
 
-def _swept(y: Array, p: Array, clock: Clock) -> Array:
+def turning(k: Array, frequency: float, rate: float) -> Array:
+    turn = frequency * k + 0.5 * rate * k**2
+    return np.stack((np.cos(turn), np.sin(turn)), axis=1)
+
+
+def swept(y: Array, p: Array, clock: Clock) -> Array:
     turn = p[0] * clock.k + 0.5 * p[1] * clock.k**2
     return y + p[2] * np.cos(turn) + p[3] * np.sin(turn)
 
@@ -194,7 +203,7 @@ TONES = _added(
 
 SWEEP = _added(
     "sweep", "periodic_disturbance", "a sinusoid of steadily changing frequency is added", per_sample=True, trials=20.0,
-    parameters={"frequency": "rad/sample", "rate": "rad/sample^2", "cosine": "y", "sine": "y"}, apply=_swept, search=_sweeping,
+    parameters={"frequency": "rad/sample", "rate": "rad/sample^2", "cosine": "y", "sine": "y"}, apply=swept, search=_sweeping,
 )  # fmt: skip
 
 ADDED = (

@@ -1,4 +1,4 @@
-"""Sensors that fold their signal: magnitudes, squares, rectifiers, angles of one turn; and one that reports its changes only.
+"""Sensors that fold their signal: magnitudes, squares, rectifiers, angles of one turn.
 
 A linear model has no gain through an even curve, and its residual shows nothing of what is behind it: the signal is
 unfolded (signs of segments, turns counted), or dynamics are drawn at random and the signs follow from them in turn.
@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
-from estimators.diagnosis.effects.output import mended
-from estimators.diagnosis.effects.profiled import of_order
 from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
@@ -276,112 +274,4 @@ WRAPPED = Effect(
     curve=lambda x, p: p[2] + (x + p[1] - p[2]) - p[0] * np.floor((x + p[1] - p[2]) / p[0] + 0.5),
 )  # fmt: skip
 
-STILL, REPORTS = 0.4, 20
-"""Share of the samples in which the reading stands, and moves at least, of a sensor that reports changes only."""
-CLEAR_OF = 6.0
-"""Of the spread of the steps from sample to sample, from which on one is a report: the others are noise, or none."""
-LEAST_STEPS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.35)
-"""Quantiles of the reports' steps at which the least change that is reported may lie: most are larger, as the signal moves on."""
-
-
-def _reported(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import reported
-
-    return reported(np.ascontiguousarray(x), abs(float(p[0])), float(x[0] + p[1]))
-
-
-def _reports(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """A linear model of the samples that were reported, which are the signal itself, and the least step that leaves least."""
-    from estimators.diagnosis.model.fitting import fit
-    from estimators.diagnosis.model.simulation import simulate
-    from estimators.diagnosis.model.structure import Part
-
-    s, keep = base.structure, channel.keep
-    if s.layout != "tf" or s.effects or not keep.all():
-        return
-    steps = np.abs(np.diff(channel.y))
-    moved = steps > CLEAR_OF * 1.4826 * np.median(steps)
-    if not (REPORTS <= moved.sum() <= (1.0 - STILL) * len(steps)):
-        return
-    seen = np.concatenate(([True], moved))
-    f = fit(replace(channel, keep=seen), s, base.p, base.scales, iterations=40, colour=False)
-    new = s.adding(Part(REPORTED, s.inputs[0]))
-
-    def left(p: Array) -> float:
-        return float(np.sum((channel.y - simulate(new, p, channel.u, channel.clock)) ** 2))
-
-    first = int(np.argmax(moved)) + 1
-    off = float(np.mean(channel.y[:first])) - float(simulate(s, f.p, channel.u, channel.clock)[0])
-    found = [np.append(f.p, [size, off]) for size in np.quantile(steps[moved], LEAST_STEPS)]
-    best = min(found, key=left)
-    near = [np.append(f.p, [best[-2] * factor, off]) for factor in np.linspace(0.85, 1.15, 31)]
-    best = min(near, key=left)
-    scales = np.append(f.scales, [0.05 * best[-2], 0.05 * best[-2]])
-    yield fit(channel, new, best, scales, noise=base.noise, iterations=10)
-
-
-REPORTED = Effect(
-    key="reported_on_change", cause="report_on_change", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, trials=12,
-    sentence="the sensor reports a change of more than a least step only, and stands in between", apply=_reported,
-    parameters={"least_step": "y", "start": "y"}, search=_reports,
-)  # fmt: skip
-
-CHANGES = (-0.6, -0.3, 0.3, 0.6)
-"""Relative changes of a sensor's rate per standard deviation of what it reads, that are tried."""
-
-
-def _centred(x: Array, p: Array) -> tuple[Array, float, float]:
-    return np.ascontiguousarray(x - p[2]), abs(float(p[0])), float(p[1])
-
-
-def _paced(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import paced
-
-    return paced(*_centred(x, p)) + p[2]
-
-
-def _unpaced(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
-    from estimators.diagnosis.effects.recursion_kernels import unpaced
-
-    x, through = unpaced(*_centred(channel.y, np.array(shape)))
-    return x + shape[2], through
-
-
-def _paces(channel: Any) -> list[list[float]]:
-    size, level = float(np.std(channel.y)), float(np.mean(channel.y))
-    return [[rate, change / size, level] for rate in SENSED for change in CHANGES]
-
-
-def _closer(channel: Any, best: list[float]) -> list[list[float]]:
-    factors, more = (0.7, 1.0, 1.4), 0.15 / float(np.std(channel.y))
-    return [[best[0] * f, best[1] + d, best[2]] for f in factors for d in (-more, 0.0, more)]
-
-
-def _sensed(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """With all of the linear model's poles before the sensor, and with one less: it was one of them."""
-    from estimators.diagnosis.model.linear import fit_linear, plant_scales
-
-    search = mended(
-        lambda: PACED, _paces, _closer, lambda c: [0.2, 1.0 / float(np.std(c.y)), 0.0], _unpaced, fitted=True
-    )
-    s = base.structure
-    if s.layout != "tf" or s.effects:
-        return
-    yield from search(channel, base, others)
-    if s.order > 1:
-        few, p, scales = of_order(base, s.order - 1, min(s.taps, s.order - 1))
-        p[: few.plant_size] = fit_linear(channel, few, rough=True).p[: few.plant_size]
-        scales[: few.plant_size] = plant_scales(few, p)
-        yield from search(channel, replace(base, structure=few, p=p, scales=scales), others)
-
-
-SENSED = (0.05, 0.1, 0.2, 0.4, 0.8)
-"""Rates per sample of a sensor that lags, at its mean reading, that are tried."""
-PACED = Effect(
-    key="sensor_paced", cause="level_dependent_lag", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, trials=20,
-    sentence="the sensor lags, and is the quicker or the slower the more it reads: its rate goes with the level", apply=_paced,
-    parameters={"rate": "1/sample", "change": "1/y", "level": "y"},
-    search=lambda channel, base, others: _sensed(channel, base, others),
-)  # fmt: skip
-
-FOLDING = (MAGNITUDE, SQUARED, RECTIFIED, WRAPPED, REPORTED, PACED)
+FOLDING = (MAGNITUDE, SQUARED, RECTIFIED, WRAPPED)

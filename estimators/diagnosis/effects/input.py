@@ -66,7 +66,7 @@ LEAST = 1e-100
 
 def broken_line(x: Array, p: Array) -> Array:
     """Slopes and corners in turn: a broken line through the origin, of slope 1 at the far left."""
-    from estimators.diagnosis.effects.recursion_kernels import hinges
+    from estimators.diagnosis.effects.kernels.recursion_kernels import hinges
 
     c = np.ascontiguousarray(p)
     return hinges(np.ascontiguousarray(x), c) - hinges(np.zeros(1), c)[0]
@@ -90,20 +90,20 @@ def sigmoid(x: Any, p: Array, clock: Clock) -> Any:
 
 
 def _hinges(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import hinges
+    from estimators.diagnosis.effects.kernels.recursion_kernels import hinges
 
     return hinges(np.ascontiguousarray(x), np.ascontiguousarray(p))
 
 
 def _rate_limited(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import servo_mean
+    from estimators.diagnosis.effects.kernels.recursion_kernels import servo_mean
 
     rate = np.abs(p[:1])
     return servo_mean(np.ascontiguousarray(x), rate, rate, 0.0, level_before(x))
 
 
 def _rate_limited_samples(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import rate_limited
+    from estimators.diagnosis.effects.kernels.recursion_kernels import rate_limited
 
     return rate_limited(np.ascontiguousarray(x), abs(p[0]), level_before(x))
 
@@ -114,7 +114,7 @@ def _play(x: Array, p: Array, clock: Clock) -> Array:
 
 def moved(x: Array, half: float, stood: float) -> Array:
     """What a play hands on, from where it stood: the plant behind it was at rest there, as it is before a test record."""
-    from estimators.diagnosis.effects.recursion_kernels import play
+    from estimators.diagnosis.effects.kernels.recursion_kernels import play
 
     off = aside(half, stood)
     return play(np.ascontiguousarray(x), half, level_before(x) + off) - off
@@ -127,7 +127,7 @@ def aside(half: float, stood: float) -> float:
 
 
 def _hysteretic(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.plant_kernels import bouc_wen
+    from estimators.diagnosis.effects.kernels.plant_kernels import bouc_wen
 
     share = float(np.clip(p[0], -2.0, 1.0))
     return (1.0 - share) * x + share * bouc_wen(np.ascontiguousarray(x), abs(p[1]))
@@ -135,14 +135,14 @@ def _hysteretic(x: Array, p: Array, clock: Clock) -> Array:
 
 def _relay(x: Array, p: Array, clock: Clock) -> Array:
     """A relay about a level; on a scale of its input, for the plant's gain to be one of inputs."""
-    from estimators.diagnosis.effects.recursion_kernels import relay
+    from estimators.diagnosis.effects.kernels.recursion_kernels import relay
 
     return float(np.std(x)) * relay(np.ascontiguousarray(x - p[1]), abs(p[0]))
 
 
 def _rate_driven(x: Array, p: Array, clock: Clock) -> Array:
     """Where the input is a velocity: a share of it acts through a hysteretic element of the way that it has made."""
-    from estimators.diagnosis.effects.plant_kernels import bouc_wen
+    from estimators.diagnosis.effects.kernels.plant_kernels import bouc_wen
 
     way = np.ascontiguousarray(np.cumsum(x))
     width = max(abs(p[1]), LEAST)

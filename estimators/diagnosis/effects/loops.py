@@ -59,7 +59,7 @@ PUSHES = (-0.6, -0.3, -0.15, 0.15, 0.3, 0.6)
 
 
 def _wound_up(x: Array, p: Array) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import wound_up
+    from estimators.diagnosis.effects.kernels.recursion_kernels import wound_up
 
     pace, proportional, integral = (abs(float(v)) for v in p[:3])
     return wound_up(x, pace, proportional, integral, float(p[3]), float(p[4]), level_before(x))
@@ -67,7 +67,7 @@ def _wound_up(x: Array, p: Array) -> Array:
 
 def _steered(which: int) -> Any:
     def run(x: Array, p: Array) -> Array:
-        from estimators.diagnosis.effects.recursion_kernels import steered_loop
+        from estimators.diagnosis.effects.kernels.recursion_kernels import steered_loop
 
         return steered_loop(x, np.maximum(np.abs(p), 1e-300), level_before(x), which)
 
@@ -75,7 +75,7 @@ def _steered(which: int) -> Any:
 
 
 def _switched(x: Array, p: Array) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import switched
+    from estimators.diagnosis.effects.kernels.recursion_kernels import switched
 
     low, high = sorted((float(p[3]), float(p[4])))
     if not high - low > LEAST_GAP * float(np.ptp(x)):
@@ -265,7 +265,7 @@ def _hysteretic(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
 
 def _unplayed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
     """The output before its hysteresis, and how much larger an error of it is behind: by the weights of the plays that move."""
-    from estimators.diagnosis.effects.recursion_kernels import play, unplayed
+    from estimators.diagnosis.effects.kernels.recursion_kernels import play, unplayed
 
     widths, weights = play_widths(shape[0]), np.array(shape[1:-1])
     x = unplayed(np.ascontiguousarray(channel.y), widths, weights)
@@ -275,7 +275,7 @@ def _unplayed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array
 
 def _sticky(x: Array, p: Array, clock: Clock) -> Array:
     """A stem that stays until its command is half a width off, then jumps to within a share of that."""
-    from estimators.diagnosis.effects.recursion_kernels import sticky
+    from estimators.diagnosis.effects.kernels.recursion_kernels import sticky
 
     half = abs(p[0])
     left = half * float(np.clip(p[1], 0.0, 1.0))

@@ -37,7 +37,7 @@ def _upsampled(x: Array, by: int) -> Array:
 
 
 def _play(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import play
+    from estimators.diagnosis.effects.kernels.recursion_kernels import play
 
     return play(np.ascontiguousarray(x), abs(p[0]))
 

@@ -272,7 +272,7 @@ def _coefficient(
 
 
 def _tired(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import used_up
+    from estimators.diagnosis.effects.kernels.recursion_kernels import used_up
 
     use, recovery = abs(float(p[0])), abs(float(p[1])) + 1e-300
     return used_up(np.ascontiguousarray(x), use, recovery, level_before(x))
@@ -292,7 +292,7 @@ def _with_use(s: Sizes) -> Grid:
 
 
 def _slowing(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import lagged
+    from estimators.diagnosis.effects.kernels.recursion_kernels import lagged
 
     times = np.abs(p[0]) - p[1] * np.expm1(-np.maximum(clock.turn, 0.0) / max(abs(float(p[2])), SOONEST))
     return lagged(np.ascontiguousarray(x), times) if times.min() >= 0.0 else np.full(len(x), np.inf)

@@ -16,17 +16,7 @@ from scipy.optimize import brentq
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
 from estimators.diagnosis.effects.input import kept
 from estimators.diagnosis.effects.loops import PACES, slowest_rate
-from estimators.diagnosis.effects.profiled import (
-    BEGUN,
-    SERVO,
-    SLOWEST,
-    ended,
-    firm,
-    lean,
-    profile,
-    quick_behind,
-    servos,
-)
+from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, lean, profile, quick_behind
 from estimators.residual.algebra import powers_of_two
 
 Array = NDArray[Any]
@@ -47,6 +37,13 @@ CONTENTS = (-0.6, 0.5, 1.5, 4.0, 10.0)
 """Relative changes over the record of what a capacity had at its start."""
 FILLS, MOST_FLOWS = 0.5, 3
 """Of all that flows, what must be net for something to be filled or emptied; inputs of a record that are tried with one another."""
+ACROSS = tuple(1.5 ** np.arange(1, 11))
+"""Samples that a limited actuator takes across its input's range, that are tried: quicker ones are hardly limited."""
+RATIOS, NEARING = (0.5, 0.7, 1.0, 1.4, 2.0), (0.0, 1.5)
+"""Of the rate down to the rate up, and lags in samples, that are tried."""
+SLOWEST = 0.1
+"""Of the record, the longest lag of an actuator that nears its command: of a slower one a limited rate is a saturated input before an
+integrator, which fits as well."""
 UNLOADED, LOADS, STALLED = 4, (-0.9, -0.5, 0.0, 0.5, 0.9), 1e-3
 """Servos of one rate each way that a load is tried with; shares of their rates by which half the load's range changes them; and the
 share of a rate that the heaviest load leaves."""
@@ -172,7 +169,7 @@ def _through_flow(x: Array, p: Array, clock: Clock) -> Array:
 
 
 def _warming(x: Array, p: Array) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import warmed
+    from estimators.diagnosis.effects.kernels.recursion_kernels import warmed
 
     rate, share, heat, pace = abs(float(p[0])), float(p[1]), abs(float(p[2])), abs(float(p[3]))
     if not (0.0 < rate < FASTEST and pace < SLOWER * rate and -1.0 < share < MOST_WARM):
@@ -182,7 +179,7 @@ def _warming(x: Array, p: Array) -> Array:
 
 def _filled(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     """A capacity at one input that another, the one p[-1] counted from 1, fills or empties."""
-    from estimators.diagnosis.effects.recursion_kernels import filled
+    from estimators.diagnosis.effects.kernels.recursion_kernels import filled
 
     if not 0.0 < abs(p[0]) < FASTEST:
         return np.full(len(U), np.inf)
@@ -190,9 +187,36 @@ def _filled(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     return filled(x, flow, np.array([abs(p[0]), *p[1:4], level_before(x), level_before(flow)]), clock.lead)
 
 
+def _servo(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.kernels.recursion_kernels import servo_mean
+
+    up, down, lag = np.abs(p[:1]), np.abs(p[1:2]), abs(float(p[2]))
+    if lag > SLOWEST * clock.length:
+        return np.full(len(x), np.inf)
+    return servo_mean(np.ascontiguousarray(x), up, down, lag, level_before(x))
+
+
+def _moving_at(u: Array) -> list[list[float]]:
+    """Rates up and down and lags of actuators that an input may run into."""
+    wide = float(np.ptp(u))
+    return [[wide / m, q * wide / m, lag] for m in ACROSS for q in RATIOS for lag in NEARING]
+
+
+def _servos(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    from estimators.diagnosis.model.structure import Part
+
+    for j in base.structure.inputs if base.structure.layout == "tf" else ():
+        part = Part(SERVO, j)
+        tried = profile(channel, base, part, _moving_at(channel.u[:, j]))
+        if tried and firm(base, tried[0][0]):
+            su = float(np.std(channel.u[:, j]))
+            starts = (p for _, p in tried[:BEGUN])
+            yield from lean(channel, ended(channel, base, part, starts, [su, su, 1.0]))
+
+
 def _loaded(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     """An actuator at one input whose rates up and down change with another, the one p[-1] counted from 1, from its level p[-2] on."""
-    from estimators.diagnosis.effects.recursion_kernels import servo_mean
+    from estimators.diagnosis.effects.kernels.recursion_kernels import servo_mean
 
     x, load = np.ascontiguousarray(U[:, channel]), U[:, int(p[-1]) - 1] - p[-2]
     if abs(p[2]) > SLOWEST * clock.length:
@@ -214,7 +238,7 @@ def _loads(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     for j in s.inputs:
         su, alone = (
             float(np.std(channel.u[:, j])),
-            profile(channel, base, Part(SERVO, j), servos(channel.u[:, j])),
+            profile(channel, base, Part(SERVO, j), _moving_at(channel.u[:, j])),
         )
         near = [q[-3:] for _, q in alone[:UNLOADED]]
         for k in (k for k in s.inputs if k != j):
@@ -283,6 +307,12 @@ def _capacities(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
             yield from _profiled(channel, base, Part(FILLED, j), _fillings(slowest, u, flow, i), sizes)
 
 
+SERVO = Effect(
+    key="rate_limit_servo", cause="rate_limiter", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=20, reversing=True, family="rates",
+    sentence="the actuator nears its command with a lag, and moves no faster than one rate up and another down",
+    parameters={"up": "u/sample", "down": "u/sample", "lag": "sample"}, apply=_servo, search=_servos,
+)  # fmt: skip
+
 FILLED = Effect(
     key="capacity_filled", cause="filling_capacity", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=100, alone=True,
     sentence="a flow fills what the input acts on, or empties it: the time constant follows the flow's integral since the record began",
@@ -330,6 +360,7 @@ PROCESS = (
              {"k": "u^0.5", "widening": "1/u"},
              lambda s: _shapes(s, [1.0, 0.5], [1.0, 1.5], sizes=[_outflows(s), 1.0 / (abs(float(np.mean(s.u))) + s.su)])),
     THROUGH,
+    SERVO,
     FILLED,
     LOADED,
     WARMED,

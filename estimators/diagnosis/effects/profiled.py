@@ -12,19 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, lfilter
 
-from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before, numbered
+from estimators.diagnosis.effects.added import swept, swept_line, turning
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
 from estimators.diagnosis.effects.input import after
 
 Array = NDArray[Any]
 FIRM = 60.0
 """Likelihood ratio of the best shape of a grid, against the linear model, below which nothing is fitted: chance over some
 hundred shapes of three parameters reaches 25 in white noise, twice that in a coloured one."""
-PACES = tuple(1.5 ** np.arange(1, 11))
-"""Samples that a limited actuator takes across its input's range, that are tried: quicker ones are hardly limited."""
-RATIOS, LAGS = (0.5, 0.7, 1.0, 1.4, 2.0), (0.0, 1.5)
-"""Of the rate down to the rate up, and lags in samples, that are tried."""
 BEGUN, ENDED = 6, 2
 """Shapes that a few steps are made from, and those of them that are fitted to the end."""
+MOST_GROWTH = 6.0
+"""Power of its frequency that the size of a disturbance may go with: what is out of balance has 2."""
 FINEST = 30.0
 """Steps across the input's range: finer ones leave a hundredth of it as an error."""
 CROSSED = 0.02
@@ -48,20 +47,6 @@ WAVES, WAVED, REPEATS = 12, 20.0, 3.0
 """Harmonics of a periodic gain, what each must gain of Schwarz's criterion, and its turns in a record: less would be any function of time."""
 QUICK = 0.2
 """Pole of the filter behind a process or a loop that its shapes are tried with."""
-
-
-SLOWEST = 0.1
-"""Of the record, the longest lag of an actuator that nears its command: of a slower one a limited rate is a saturated input before an
-integrator, which fits as well."""
-
-
-def _servo(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.recursion_kernels import servo_mean
-
-    up, down, lag = np.abs(p[:1]), np.abs(p[1:2]), abs(float(p[2]))
-    if lag > SLOWEST * clock.length:
-        return np.full(len(x), np.inf)
-    return servo_mean(np.ascontiguousarray(x), up, down, lag, level_before(x))
 
 
 def _stairs(x: Any, p: Array, clock: Clock) -> Any:
@@ -158,24 +143,6 @@ def lean(channel: Any, fits: Iterable[Any]) -> Iterator[Any]:
                 break
             f = less
             yield f
-
-
-def servos(u: Array) -> list[list[float]]:
-    """Rates up and down and lags of actuators that an input may run into."""
-    wide = float(np.ptp(u))
-    return [[wide / m, q * wide / m, lag] for m in PACES for q in RATIOS for lag in LAGS]
-
-
-def _servos(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    from estimators.diagnosis.model.structure import Part
-
-    for j in base.structure.inputs if base.structure.layout == "tf" else ():
-        part = Part(SERVO, j)
-        tried = profile(channel, base, part, servos(channel.u[:, j]))
-        if tried and firm(base, tried[0][0]):
-            su = float(np.std(channel.u[:, j]))
-            starts = (p for _, p in tried[:BEGUN])
-            yield from lean(channel, ended(channel, base, part, starts, [su, su, 1.0]))
 
 
 def through(base: Any, j: int, x: Array) -> Array:
@@ -321,6 +288,33 @@ def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         yield from ended(channel, bare, Part(PULSE, j), [start], [su, 1.0, 1.0])
 
 
+def _running_up(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """The same behind the plant, whose resonances it passes: of the linear model, and of poles made for it."""
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import renewed
+
+    s, n = base.structure, len(channel)
+    if n < 100 or s.effects or s.layout != "tf":
+        return
+    line = swept_line(channel, base)
+    turns, r = (
+        turning(channel.clock.k, *line),
+        np.convolve(base.residual, np.concatenate(([1.0], base.noise)))[:n],
+    )
+    for j in s.inputs:
+        X, part, su = through(base, j, turns), Part(SWEEP_INPUT, j), float(np.std(channel.u[:, j]))
+        first = np.concatenate((base.p, line, np.linalg.lstsq(X, r, rcond=None)[0], [0.0]))
+        starts = [first, *renewed(channel, s.adding(part), first)]
+        yield from ended(channel, base, part, starts, [1.0 / n, 1.0 / n**2, su, su, 1.0])
+
+
+def _run_up(x: Any, p: Array, clock: Clock) -> Any:
+    """Its size a power of its frequency: 2 for what is out of balance, 0 for what is pushed."""
+    power = min(max(float(p[4]), -MOST_GROWTH), MOST_GROWTH)
+    grown = np.exp(power * np.log(np.abs(1.0 + p[1] * clock.k / p[0]) + 1e-6))
+    return x + grown * swept(0.0 * x, p, clock)
+
+
 def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """A staircase is its input less a sawtooth, whose first harmonic over the input's levels tells step and level: the step of
     most in common with the residual is taken, then both are moved as long as the error falls, as they have no derivative."""
@@ -376,12 +370,6 @@ def _moved(channel: Any, base: Any, part: Any, shape: tuple[float, float]) -> It
         shape = abs(float(f.p[-2])), float(f.p[-1])
 
 
-SERVO = Effect(
-    key="rate_limit_servo", cause="rate_limiter", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=20, reversing=True, family="rates",
-    sentence="the actuator nears its command with a lag, and moves no faster than one rate up and another down",
-    parameters={"up": "u/sample", "down": "u/sample", "lag": "sample"}, apply=_servo, search=_servos,
-)  # fmt: skip
-
 STAIRS = Effect(
     key="input_staircase", cause="input_quantisation", nature=Nature.INPUT_STATIC, slot=Slot.INPUT, trials=300,
     sentence="the input acts in whole steps: a staircase", parameters={"step": "u", "level": "u"}, apply=_stairs, search=_edges,
@@ -395,6 +383,12 @@ SWAY = Effect(
     shape=lambda size, order: [("frequency", "rad/sample"), *(numbered(WAVE, size) if size > 1 else WAVE.items())],
 )  # fmt: skip
 
+SWEEP_INPUT = Effect(
+    key="sweep_input", cause="periodic_disturbance", nature=Nature.ADDED, slot=Slot.INPUT, per_sample=True, trials=40.0,
+    sentence="a sinusoid of steadily changing frequency, a machine that runs up, acts beside the input", apply=_run_up, search=_running_up,
+    parameters={"frequency": "rad/sample", "rate": "rad/sample^2", "cosine": "u", "sine": "u", "growth": "1"},
+)  # fmt: skip
+
 PULSE = Effect(
     key="pulse_input", cause="step_disturbance", nature=Nature.ADDED, slot=Slot.INPUT, trials=1.0, per_sample=True, family="steps",
     sentence="a disturbance enters at the plant input and passes",
@@ -402,4 +396,4 @@ PULSE = Effect(
     parameters={"size": "u", "start": "sample", "end": "sample"},
 )  # fmt: skip
 
-PROFILED = (SERVO, STAIRS, SWAY, PULSE)
+PROFILED = (STAIRS, SWAY, PULSE, SWEEP_INPUT)

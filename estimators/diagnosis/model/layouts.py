@@ -113,7 +113,7 @@ def states(layout: str, rates: Array, u: Array, inside: Inside = NOTHING, x0: Ar
 
     `rates` logarithms of the rates, then for every further input the (order,) column by which it enters.
     """
-    from estimators.diagnosis.effects.plant_kernels import (
+    from estimators.diagnosis.effects.kernels.plant_kernels import (
         MOST_FORCES,
         Elements,
         pointer,
@@ -141,7 +141,7 @@ def states(layout: str, rates: Array, u: Array, inside: Inside = NOTHING, x0: Ar
 @lru_cache(maxsize=64)
 def held_plant(layout: str, rates: tuple[float, ...], steps: int) -> Any:
     """Transition and held responses over one step; kept, since most derivatives are by other parameters."""
-    from estimators.diagnosis.effects.plant_kernels import Held, held_response
+    from estimators.diagnosis.effects.kernels.plant_kernels import Held, held_response
 
     A, B, E, position, velocity = layout_matrices(layout, np.array(rates))
     further = np.array(rates[LAYOUTS[layout][1] :]).reshape(-1, len(A))

@@ -52,7 +52,7 @@ def tanks(channel: Channel, base: Fit) -> Fit | None:
         found.append(plain)
     plain = min(found, key=lambda f: f.deviance)
     if np.sum(plain.residual**2) < np.sum(base.residual**2):  # else these are no tanks
-        from estimators.diagnosis.effects.recursion_kernels import tank_levels
+        from estimators.diagnosis.effects.kernels.recursion_kernels import tank_levels
 
         q = plain.p
         with np.errstate(over="ignore"):  # a rate beyond every number is a tank that empties at once

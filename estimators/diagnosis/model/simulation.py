@@ -46,7 +46,7 @@ def _plant(s: Structure, p: Array, U: Array, clock: Clock, rest: bool, start: Ar
             return None
         return transferred(s, p, U, rest)
     if s.layout == "tanks":
-        from estimators.diagnosis.effects.recursion_kernels import tank_levels
+        from estimators.diagnosis.effects.kernels.recursion_kernels import tank_levels
 
         a, b, k1, k2, k3, brim, share, level = p[:8]
         flow = np.array([*np.exp(np.clip([a, k1, k2, k3], -40, 40)), b, brim, share])[[0, 4, 1, 2, 3, 5, 6]]
@@ -223,7 +223,7 @@ def _played(s: Structure, p: Array, U: Array, width: Array) -> Array | None:
     """Output of the linear part through a play that follows it between the samples; None where it is not known there."""
     if s.layout != "tf" or any(part.effect.slot in (Slot.PATH, Slot.START) for part in s.parts):
         return None
-    from estimators.diagnosis.effects.recursion_kernels import play
+    from estimators.diagnosis.effects.kernels.recursion_kernels import play
     from estimators.diagnosis.model.intersample import between_samples
 
     b = p[s.order : s.plant_size].reshape(len(s.inputs), s.taps)

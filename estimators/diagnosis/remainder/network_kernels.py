@@ -5,7 +5,7 @@ x(k+1) = A x + B w + E tanh(F [x, w] + g),  y = C x + D w + K tanh(F [x, w] + g)
 
 import numpy as np
 
-from estimators.diagnosis.effects.recursion_kernels import compiled
+from estimators.diagnosis.effects.kernels.recursion_kernels import compiled
 
 
 @compiled

@@ -27,7 +27,7 @@ PLAIN = {
     "relay_feedback.share": "share of the level it adds while on", "relay_feedback.rate": "rate of the level", "spring": "stiffness",
     "fill": "filling per flow", "bring": "level that the flow brings", "carry": "share of the level that the flow takes along",
     "up_by_load": "change of the rate upwards per unit of load", "down_by_load": "change of the rate downwards per unit of load",
-    "sensor_paced.rate": "rate at the level", "sensor_paced.change": "relative change of the rate per unit of what it reads",
+    "growth": "power of its frequency that its size goes with", "sensor_paced.rate": "rate at the level", "sensor_paced.change": "relative change of the rate per unit of what it reads",
     "sensor_paced.level": "level at which the rate is stated", "rate_loaded.level": "load at which the rates are stated", "load": "number of the input that is the load",
     "flow": "number of the input that is the flow", "loss_heat.share": "relative change of the loss when hot", "heat": "warming per squared level",
     "gain_heat.share": "relative change of the gain per squared input", "stiffness_heat.share": "relative change of the stiffness per squared input",

@@ -11,6 +11,7 @@ from estimators.diagnosis.effects import Clock, Effect, Nature, Slot, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.input import LINES, SANDWICH
 from estimators.diagnosis.effects.path import INITIAL, OUTFLOW
+from estimators.diagnosis.ladder.steps import ROUNDING
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations, leaving
 from estimators.diagnosis.model.forces import balanced_fit, force_balance
 from estimators.diagnosis.model.linear import begun_linear, fit_linear
@@ -289,8 +290,8 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
         spread = float(np.sqrt(np.mean(found.final.residual[channel.keep] ** 2)))
         still = _enough(wild & wild_samples(y - simulated, keep), n).any()
         expected = at_extremes(wild, channel.u, simulated) or _reversing(found, wild, simulated)
-        if not still or size < 4.0 * spread or expected:
-            # they stood out from a model error only
+        if not still or size < max(4.0 * spread, ROUNDING * float(np.max(np.abs(y)))) or expected:
+            # they stood out from a model error only, or by what rounding leaves
             channel = replace(channel, keep=keep)
             return Examined(
                 channel, _simulating(channel, _refitted(channel, found), setting), signatures, naive

@@ -385,7 +385,7 @@ def feedback_of(channel: Channel, final: Fit) -> float:
         return 1.0  # the input would seem to follow it
     alone = {j: feedback_test(channel.u[:, j], e) for j in inputs}
     p = (
-        max(one, feedback_test(channel.u[:, j], e, more=beside(channel.u, j).T)) if one < FIRST else one
+        max(one, feedback_test(channel.u[:, j], e, more=list(beside(channel.u, j).T))) if one < FIRST else one
         for j, one in alone.items()
     )
     return min(1.0, min(p) * len(inputs))

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from estimators.diagnosis.share.signals import leaky
 from estimators.residual.algebra import decomposed
 from oed.data import Record
 
@@ -143,7 +142,8 @@ def beside(inputs: Array, j: int) -> Array:
     size = inputs.std(axis=0)
     x = (inputs - inputs.mean(axis=0)) / np.where(size > 0, size, 1.0)
     columns = [_late(v**power - np.mean(v**power), i) for v in x.T for power in (2, 3) for i in AGO]
-    columns += [_late(leaky(v, tau), 1) for v in x.T for tau in SLOW]
+    poles = np.exp(-1.0 / np.array(SLOW))
+    columns += [_late(np.asarray(lfilter([1.0 - z], [1.0, -z], v)), 1) for v in x.T for z in poles]
     columns += [_late(x[:, k], i) for k in range(x.shape[1]) if k != j for i in range(1, STILL[0] + 1)]
     return np.stack(columns, axis=1)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import lfilter
 
 from tests.estimators.diagnosis.case_classes import CLASSES, FINE, LOOKALIKES, _lag, _linear, _read, _sensor
 
@@ -172,6 +173,20 @@ def cups(u, a):
     return y
 
 
+def beside_a_machine(u, a):
+    """A table on springs, beside a machine that is out of balance and runs up through its resonance."""
+    k = np.arange(len(u))
+    turn = 0.12 * k + 0.5 * 4e-4 * k**2
+    pushed = u + a * 0.5 * (1.0 + 4e-4 * k / 0.12) ** 2 * np.cos(turn + 1.0)
+    return lfilter([0.0, 0.08], [1.0, -1.85, 0.93], pushed)
+
+
+def polarised(u, a):
+    """A component of an angle that turns by nearly a quarter each way; without it, the angle."""
+    x = _sensor(u, u[0], 0.7)
+    return np.sin(0.9 * a * x - 0.4) / (0.9 * a) if a else x
+
+
 def jack(u, a):
     """A jack that a load slows on its way up and hastens on its way down; without it, one that is always quick enough."""
     x, at, within = np.empty(len(u)), u[0, 0], np.linspace(0.005, 1.0, 200)
@@ -191,12 +206,12 @@ ALL_CLASSES = CLASSES | {
     "output_ratio": (gauge, 2, {"mean": 4.0, "size": 1.2}), "delay_periodic": (tape, 2, {}),
     "plays": (ceramic, 2, {}), "plays_output": (soil, 2, {}), "loss_change": (vented, 2, {}), "interleaved": (interleaved, 2, {}),
     "reported_on_change": (on_change, 2, {}), "integral_curve of two ways": (swung, 2, {}),
-    "sensor_paced": (cups, 2, {}), "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
+    "sweep_input": (beside_a_machine, 2, {}), "sensor_paced": (cups, 2, {}), "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
-    ("sensor_paced", "rise_and_fall"), ("sensor_paced", "output_ratio"), ("rise_and_fall", "sensor_paced"),
+    ("sweep_input", "gain_periodic"), ("sweep_input", "delay_periodic"), ("sensor_paced", "rise_and_fall"), ("sensor_paced", "output_ratio"), ("rise_and_fall", "sensor_paced"),
     ("rate_loaded", "product_of_inputs"), ("rate_loaded", "capacity_filled"), ("reported_on_change", "refreshed"), ("reported_on_change", "plays_output"),
     ("rate_in_loop", "wind_up"), ("rate_of_loop", "wind_up"), ("wind_up", "rate_in_loop"), ("rate_limit_servo", "rate_in_loop"),
     ("gain_of_angle", "gain_periodic"), ("gain_periodic", "gain_of_angle"), ("gain_fatigue", "gain_heat"), ("gain_heat", "gain_fatigue"),

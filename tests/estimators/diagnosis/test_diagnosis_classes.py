@@ -11,9 +11,9 @@ from scipy.signal import lfilter
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.kernels.recursion_kernels import relay
 from estimators.diagnosis.effects.loops import slowest_rate
 from estimators.diagnosis.effects.path import INITIAL
-from estimators.diagnosis.effects.recursion_kernels import relay
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, ss2tf
 
-from estimators.diagnosis.effects import CATALOGUE, Clock, named, plant_kernels
-from estimators.diagnosis.effects.plant_kernels import Elements, Held, bouc_wen, held_response
-from estimators.diagnosis.effects.recursion_kernels import (
+from estimators.diagnosis.effects import CATALOGUE, Clock, named
+from estimators.diagnosis.effects.kernels import plant_kernels
+from estimators.diagnosis.effects.kernels.plant_kernels import Elements, Held, bouc_wen, held_response
+from estimators.diagnosis.effects.kernels.recursion_kernels import (
     hinges,
     play,
     rate_limited,

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects import Clock, named
-from estimators.diagnosis.effects.recursion_kernels import play
+from estimators.diagnosis.effects.kernels.recursion_kernels import play
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.effect import Clock, Effect
 from estimators.diagnosis.effects.input import aside
+from estimators.diagnosis.effects.kernels.recursion_kernels import LEAST_PACE, WITHIN, warm_rest
 from estimators.diagnosis.effects.loops import play_widths
 from estimators.diagnosis.effects.path import curve_of_charge
 from estimators.diagnosis.effects.process import Passing
-from estimators.diagnosis.effects.recursion_kernels import LEAST_PACE, WITHIN, warm_rest
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
@@ -217,7 +217,7 @@ def _tones(w: Wiring, y: Any, p: Array, k: Any) -> Any:
 
 
 def _process(w: Wiring, x: Any, p: Array, passing: Passing) -> Any:
-    from estimators.diagnosis.effects.plant_kernels import Elements
+    from estimators.diagnosis.effects.kernels.plant_kernels import Elements
     from estimators.diagnosis.model.layouts import STEPS, held_plant
 
     s = w.state(passing.start(w.value(x), p))
@@ -279,7 +279,7 @@ def blocked(w: Wiring, part: Any, x: Any, p: Array) -> Any:
 
 def inside_plant(w: Wiring, s: Any, p: Array, u: Any) -> Any:
     """Output of a physical layout with the effects inside it, driven by u."""
-    from estimators.diagnosis.effects.plant_kernels import Elements
+    from estimators.diagnosis.effects.kernels.plant_kernels import Elements
     from estimators.diagnosis.model.layouts import LAYOUTS, held_plant
 
     if len(s.inputs) > 1:

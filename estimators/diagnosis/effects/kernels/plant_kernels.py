@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba import cfunc, types
 from numba.extending import intrinsic
 
-from estimators.diagnosis.effects.recursion_kernels import compiled
+from estimators.diagnosis.effects.kernels.recursion_kernels import compiled
 
 MOST_FORCES = 2
 """Forces of a model at the same time; a compiled recursion takes each as an argument."""

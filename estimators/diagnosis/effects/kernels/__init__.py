@@ -1,0 +1,1 @@
+"""Compiled recursions of the effects: those inside a plant, and those of an actuator or a sensor."""

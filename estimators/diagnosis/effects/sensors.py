@@ -1,0 +1,167 @@
+"""Sensors that report changes only, that lag by the level of what they read, or that read a sine of it."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.output import mended
+from estimators.diagnosis.effects.profiled import of_order
+
+Array = NDArray[Any]
+STILL, REPORTS = 0.4, 20
+"""Share of the samples in which the reading stands, and moves at least, of a sensor that reports changes only."""
+CLEAR_OF = 6.0
+"""Of the spread of the steps from sample to sample, from which on one is a report: the others are noise, or none."""
+LEAST_STEPS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.35)
+"""Quantiles of the reports' steps at which the least change that is reported may lie: most are larger, as the signal moves on."""
+
+
+def _reported(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.kernels.recursion_kernels import reported
+
+    return reported(np.ascontiguousarray(x), abs(float(p[0])), float(x[0] + p[1]))
+
+
+def _reports(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """A linear model of the samples that were reported, which are the signal itself, and the least step that leaves least."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.simulation import simulate
+    from estimators.diagnosis.model.structure import Part
+
+    s, keep = base.structure, channel.keep
+    if s.layout != "tf" or s.effects or not keep.all():
+        return
+    steps = np.abs(np.diff(channel.y))
+    moved = steps > CLEAR_OF * 1.4826 * np.median(steps)
+    if not (REPORTS <= moved.sum() <= (1.0 - STILL) * len(steps)):
+        return
+    seen = np.concatenate(([True], moved))
+    f = fit(replace(channel, keep=seen), s, base.p, base.scales, iterations=40, colour=False)
+    new = s.adding(Part(REPORTED, s.inputs[0]))
+
+    def left(p: Array) -> float:
+        return float(np.sum((channel.y - simulate(new, p, channel.u, channel.clock)) ** 2))
+
+    first = int(np.argmax(moved)) + 1
+    off = float(np.mean(channel.y[:first])) - float(simulate(s, f.p, channel.u, channel.clock)[0])
+    found = [np.append(f.p, [size, off]) for size in np.quantile(steps[moved], LEAST_STEPS)]
+    best = min(found, key=left)
+    near = [np.append(f.p, [best[-2] * factor, off]) for factor in np.linspace(0.85, 1.15, 31)]
+    best = min(near, key=left)
+    scales = np.append(f.scales, [0.05 * best[-2], 0.05 * best[-2]])
+    yield fit(channel, new, best, scales, noise=base.noise, iterations=10)
+
+
+REPORTED = Effect(
+    key="reported_on_change", cause="report_on_change", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, trials=12,
+    sentence="the sensor reports a change of more than a least step only, and stands in between", apply=_reported,
+    parameters={"least_step": "y", "start": "y"}, search=_reports,
+)  # fmt: skip
+
+CHANGES = (-0.6, -0.3, 0.3, 0.6)
+"""Relative changes of a sensor's rate per standard deviation of what it reads, that are tried."""
+
+
+def _centred(x: Array, p: Array) -> tuple[Array, float, float]:
+    return np.ascontiguousarray(x - p[2]), abs(float(p[0])), float(p[1])
+
+
+def _paced(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.kernels.recursion_kernels import paced
+
+    return paced(*_centred(x, p)) + p[2]
+
+
+def _unpaced(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
+    from estimators.diagnosis.effects.kernels.recursion_kernels import unpaced
+
+    x, through = unpaced(*_centred(channel.y, np.array(shape)))
+    return x + shape[2], through
+
+
+def _paces(channel: Any) -> list[list[float]]:
+    size, level = float(np.std(channel.y)), float(np.mean(channel.y))
+    return [[rate, change / size, level] for rate in SENSED for change in CHANGES]
+
+
+def _closer(channel: Any, best: list[float]) -> list[list[float]]:
+    factors, more = (0.7, 1.0, 1.4), 0.15 / float(np.std(channel.y))
+    return [[best[0] * f, best[1] + d, best[2]] for f in factors for d in (-more, 0.0, more)]
+
+
+def _sensed(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """With all of the linear model's poles before the sensor, and with one less: it was one of them."""
+    from estimators.diagnosis.model.linear import fit_linear, plant_scales
+
+    search = mended(
+        lambda: PACED, _paces, _closer, lambda c: [0.2, 1.0 / float(np.std(c.y)), 0.0], _unpaced, fitted=True
+    )
+    s = base.structure
+    if s.layout != "tf" or s.effects:
+        return
+    yield from search(channel, base, others)
+    if s.order > 1:
+        few, p, scales = of_order(base, s.order - 1, min(s.taps, s.order - 1))
+        p[: few.plant_size] = fit_linear(channel, few, rough=True).p[: few.plant_size]
+        scales[: few.plant_size] = plant_scales(few, p)
+        yield from search(channel, replace(base, structure=few, p=p, scales=scales), others)
+
+
+SENSED = (0.05, 0.1, 0.2, 0.4, 0.8)
+"""Rates per sample of a sensor that lags, at its mean reading, that are tried."""
+PACED = Effect(
+    key="sensor_paced", cause="level_dependent_lag", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, trials=20,
+    sentence="the sensor lags, and is the quicker or the slower the more it reads: its rate goes with the level", apply=_paced,
+    parameters={"rate": "1/sample", "change": "1/y", "level": "y"},
+    search=lambda channel, base, others: _sensed(channel, base, others),
+)  # fmt: skip
+
+SPANS = (1.0, 1.05, 1.15, 1.4, 2.0)
+"""Of half the span that a sensor shows, the amplitude of its sine; its middle lies where the span leaves room for it."""
+
+
+def _sine(x: Array, p: Array) -> Array:
+    size = abs(float(p[0])) + 1e-300
+    return size * (np.sin((x - p[1]) / size) + np.sin(p[1] / size))
+
+
+def _sines(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Of sines that hold all readings, the arc of each, which is linear in the inputs; the best are fitted."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.simulation import simulate
+    from estimators.diagnosis.model.structure import Part
+
+    s, found = base.structure, []
+    at = next(
+        (sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect.key == "offset"), None
+    )
+    if s.layout != "tf" or s.effects or at is None or not channel.keep.all():
+        return
+    new = s.adding(Part(SINE))
+    low, high = float(channel.y.min()), float(channel.y.max())
+    for share, side in ((f, d) for f in SPANS for d in (-1.0, 0.0, 1.0) if d == 0.0 or f > 1.0):
+        size = 0.5 * share * (high - low)
+        middle = 0.5 * (high + low) + side * (size - 0.5 * (high - low))
+        arc = size * np.arcsin(np.clip((channel.y - middle) / size, -1.0, 1.0))
+        p = fit_linear(replace(channel, y=arc), s, rough=True).p
+        centre = -p[at]
+        p[at] = middle - size * np.sin(centre / size)
+        p = np.concatenate((p, [size, centre]))
+        found.append((float(np.sum((channel.y - simulate(new, p, channel.u, channel.clock)) ** 2)), p))
+    sizes = np.concatenate((base.scales, [float(np.std(channel.y))] * 2))
+    for _, p in sorted(found, key=lambda entry: entry[0])[:2]:
+        yield fit(channel, new, p, sizes, noise=base.noise, iterations=30)
+
+
+SINE = Effect(
+    key="output_sine", cause="output_nonlinearity", nature=Nature.OUTPUT_STATIC, slot=Slot.OUTPUT, trials=12,
+    sentence="the sensor reads a sine of its signal: an angle's component, light through a polariser", apply=lambda x, p, clock: _sine(x, p),
+    parameters={"amplitude": "y", "centre": "y"}, curve=_sine, search=_sines,
+)  # fmt: skip
+
+SENSORS = (SINE, REPORTED, PACED)
