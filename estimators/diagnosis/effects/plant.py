@@ -203,6 +203,9 @@ LAGS = ((0.03, 0.3), (0.1, 1.0), (0.7, -0.6))
 """Lags at the start of a record and by how much they grow, over the slowest time constant, that are tried."""
 CHANGES = (-0.25, 0.3, 0.8)  # relative changes of a coefficient over the record that are tried
 USES = (0.3, 1.0, 3.0)  # share of a gain that the mean input uses up, of what is left of it, that are tried
+WEARS, MOST_WORN = (1.0, 5.0, 25.0), 4.0
+"""What all that passes in a record adds to a resistance of 1, that is tried; the largest power of it that a gain falls with: a cake
+under a given pressure has a half, a given flow through it 1, more is nearly exponential."""
 MEMORIES = (0.05, 0.2)  # of the record: time constants of a slow state that are tried
 
 
@@ -278,6 +281,18 @@ def _tired(x: Array, p: Array, clock: Clock) -> Array:
     return used_up(np.ascontiguousarray(x), use, recovery, level_before(x))
 
 
+def _worn(x: Array, p: Array, clock: Clock) -> Array:
+    """What has passed, in the middle of each sample, counted from the record on: an experiment begins with what is clean."""
+    through = np.where(np.arange(len(x)) < clock.lead, 0.0, np.abs(x))
+    passed = np.cumsum(through) - 0.5 * through
+    return x * (1.0 + abs(float(p[0])) * passed) ** -float(np.clip(p[1], 0.0, MOST_WORN))
+
+
+def _with_wear(s: Sizes) -> Grid:
+    total = float(np.sum(np.abs(s.u))) + 1e-300
+    return [[f / total, power] for f in WEARS for power in (0.5, 1.0)], [1.0 / total, 0.5]
+
+
 def _warmed(x: Array, p: Array, clock: Clock) -> Array:
     warm = leaky(x**2, p[1])
     return x * (1.0 + p[0] * warm) if np.all(np.isfinite(warm)) else warm
@@ -326,6 +341,12 @@ SLOWING = Effect(
     parameters={"lag": "sample", "growth": "sample", "memory": "record"},
 )  # fmt: skip
 
+WORN = Effect(
+    key="gain_worn", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_worn,
+    sentence="the gain falls with all that has passed since the record began: a filter that clogs, a catalyst, a tool",
+    starts=_with_wear, parameters={"wear": "1/(u sample)", "power": "1"},
+)  # fmt: skip
+
 MODULATED = (
     _coefficient("inertia_drift", "parameter_drift", Nature.TIME, "the inertia changes steadily with time", _inertia_by, _time,
                  _inertias, {"slope": "1/record", "damping": "sample"}),
@@ -342,6 +363,7 @@ MODULATED = (
     Effect(key="gain_fatigue", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_tired,
            sentence="the gain is used up by the input and recovers slowly: fatigue, a depleted store", starts=_with_use,
            parameters={"use": "1/(u sample)", "recovery": "1/sample"}),
+    WORN,
     Effect(key="gain_heat", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10,
            apply=_warmed,
            sentence="the gain follows a slow state that the squared input feeds: heat", starts=_with_heat,

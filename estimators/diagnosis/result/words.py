@@ -14,7 +14,7 @@ PLAIN = {
     "slope_": "slope of the curve", "log_speed": "factor of speed", "left": "share of the half width left after a jump",
     "log_damping": "factor of damping", "log_loss": "factor of loss", "per_angle": "radians per integral of the speed",
     "way": "travel that turns it over", "b": "numerator coefficient", "f": "denominator coefficient", "x": "starting state",
-    "use": "use by the input", "change": "relative change", "start": "time of the start",
+    "wear": "resistance per unit that has passed", "power": "power of the resistance that the gain falls with", "use": "use by the input", "change": "relative change", "start": "time of the start",
     "end": "time of the end", "behind": "lag behind the actuator", "plant": "pole of its plant", "input_kink.c": "steepness c at zero",
     "output_absolute.c": "half the difference of the gains, c", "outflow_root.k": "outflow coefficient k", "vessel.k": "outflow coefficient k",
     "reported_on_change.start": "reading at the start, off the signal", "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects import Nature, named
 from estimators.diagnosis.effects.folding import RECTIFIED
 from estimators.diagnosis.effects.path import STORE_CURVE
-from estimators.diagnosis.effects.plant import MOVING, SWINGS
+from estimators.diagnosis.effects.plant import MOVING, SWINGS, WORN
 from estimators.diagnosis.effects.process import FILLED, THROUGH, at_once
 from estimators.diagnosis.model.errors import parameters_of
 from estimators.diagnosis.model.fitting import Channel, Fit
@@ -95,7 +95,7 @@ def scaled_runs(f: Fit, c: Channel) -> list[Array]:
     """Runs of a fit on the inputs at no size about their mean, at a SMALL one, reversed and whole."""
     middle = np.mean(c.u, axis=0)
     if any(
-        part.effect in (STORE_CURVE, FILLED) for part in f.structure.parts
+        part.effect in (STORE_CURVE, FILLED, WORN) for part in f.structure.parts
     ):  # it bends along the way that the mean input takes it
         middle = 0.0 * middle
     return [

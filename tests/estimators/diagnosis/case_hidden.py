@@ -187,6 +187,12 @@ def polarised(u, a):
     return np.sin(0.9 * a * x - 0.4) / (0.9 * a) if a else x
 
 
+def cake(u, a):
+    """A filter whose cake grows with what has passed: its resistance goes with the root of the pressure's integral."""
+    x = np.concatenate((u[:1], u[:-1]))
+    return _lag(x / np.sqrt(1.0 + 20.0 * a * np.cumsum(np.abs(x)) / np.sum(np.abs(x))), 0.7)
+
+
 def jack(u, a):
     """A jack that a load slows on its way up and hastens on its way down; without it, one that is always quick enough."""
     x, at, within = np.empty(len(u)), u[0, 0], np.linspace(0.005, 1.0, 200)

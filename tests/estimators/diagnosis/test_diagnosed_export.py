@@ -63,6 +63,7 @@ NAMED = {
     "paced": ("tf", [("sensor_paced", [0.3, 0.4, 0.2])], {"rest": False}),
     "run up": ("tf", [("sweep_input", [0.2, 0.001, 0.3, 0.2, 1.5])], {}),
     "sine": ("tf", [("output_sine", [0.9, 0.3])], {}),
+    "worn": ("tf", [("gain_worn", [0.02, 0.6])], {"rest": False}),
     "on change": ("tf", [("reported_on_change", [0.3, 0.1])], {"rest": False}),
     "store": ("tf", [("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 0.0])], {"rest": False}),
     "time": ("tf", [("gain_drift", [0.3]), ("drift", [0.1, 0.2]), ("tones", [0.2, 0.3, 0.1]), ("sweep", [0.1, 0.01, 0.2, 0.1])],

@@ -12,6 +12,7 @@ from estimators.diagnosis.effects.input import aside
 from estimators.diagnosis.effects.kernels.recursion_kernels import LEAST_PACE, WITHIN, warm_rest
 from estimators.diagnosis.effects.loops import play_widths
 from estimators.diagnosis.effects.path import curve_of_charge
+from estimators.diagnosis.effects.plant import MOST_WORN
 from estimators.diagnosis.effects.process import Passing
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
@@ -110,6 +111,13 @@ def _used_up(w: Wiring, x: Any, p: Array) -> Any:
     return x * (rest + (s.x - rest) * (1.0 - stays) / rate)
 
 
+def _worn(w: Wiring, x: Any, p: Array) -> Any:
+    passed = w.state()
+    through = w.ca.if_else(w.k > -0.5, w.ca.fabs(x), 0.0)
+    passed.after = passed.x + through
+    return x * (1.0 + abs(float(p[0])) * (passed.x + 0.5 * through)) ** -float(np.clip(p[1], 0.0, MOST_WORN))
+
+
 def _warmed(w: Wiring, x: Any, p: Array) -> Any:
     rate, share, heat, pace = abs(float(p[0])), float(p[1]), abs(float(p[2])), abs(float(p[3]))
     s = w.state(warm_rest(w.value(x), share, heat))
@@ -205,7 +213,7 @@ TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "plays": _side_by_side, "plays_output": _side_by_side,
     "backlash_input": lambda w, x, p: _play(w, x, abs(p[0]), p[1]), "backlash_sampled": lambda w, x, p: _play(w, x, abs(p[0])), "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
     "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "rate_in_loop": _steered(0), "rate_of_loop": _steered(1),
-    "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "loss_heat": _warmed, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
+    "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "gain_worn": _worn, "loss_heat": _warmed, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
     "output_lines": _line_from_origin, "reported_on_change": _reported, "sensor_paced": _paced,
 }  # fmt: skip
