@@ -125,6 +125,15 @@ def test_where_a_stem_stood_before_a_record_on_a_level_is_fitted(key, q):
     assert error(f) < 1.1 * NOISE
 
 
+def test_a_sensor_that_is_slow_at_low_levels_begins_a_record_at_rest():
+    """It had been led there from zero, where it hardly moves: the first samples of a test record were off by a tenth."""
+    n, lead, level = 300, 200, 5.7
+    s = Structure(1).adding(Part(named("sensor_paced")))
+    p, clock = np.array([-0.8, 0.2, 0.17, 0.17, level]), Clock(np.arange(float(n)) - lead, n - lead, lead)
+    y = simulate(s, p, np.full((n, 1), level), clock)
+    np.testing.assert_allclose(y[lead:], level, atol=1e-6)
+
+
 def test_relay_is_its_definition():
     x, state, expected = np.cumsum(np.random.default_rng(2).standard_normal(300)), -1.0, []
     for value in x:
