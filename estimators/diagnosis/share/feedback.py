@@ -72,11 +72,11 @@ def has_feedback(
     def still(own: Array, lead: Array, target: Array) -> bool:
         return _still(own, lead, target, alpha)
 
-    return any(
-        all(told(*d) for d in both)
-        for told, reach in ((later, (PAST, LATER)), (still, STILL))
-        for both in zip(*(_designs(records, clean, *reach, bends) for bends in (False, True)), strict=True)
-    )
+    for told, reach in ((later, (PAST, LATER)), (still, STILL)):
+        which = [j for j, d in enumerate(_designs(records, clean, *reach)) if told(*d)]
+        if which and any(told(*_designs(records, clean, *reach, True)[j]) for j in which):
+            return True
+    return False
 
 
 def is_answer(
