@@ -83,7 +83,9 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
             break
         needed = 2.0 * n.fit.n * float(np.log(max(spread(n.fit) / max(told * least, 1e-300), 1.0)))
         more = second(bench.channel, n.fit, menu, coloured=False, needed=needed)
-        pairs += judged(more[:SECOND], told, (*kept, *singles, *pairs))
+        # a noise model may foretell what simulates worse than without a second effect
+        able = [f for f in more if spread(f) <= HALF * spread(n.fit)]
+        pairs += judged(able[:SECOND], told, (*kept, *singles, *pairs))
     options = sorted(
         (n for n in (*kept, *singles, *pairs) if n.step is not None and bench.starts(n)),
         key=lambda n: n.step_error(bench),
