@@ -202,36 +202,67 @@ def _delays(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         yield fit(channel, replace(s, delay=0).adding(part), p, scales, noise=base.noise, iterations=20)
 
 
+BANK = (300.0, 100.0, 30.0, 10.0, 3.0)
+"""Rates, per record, of the lags that a mixture of stands for any linear part: slower ones hardly differ from what is added."""
+
+
+def banked(x: Array) -> Array:
+    """(N, T, lags) signals (N, T) through each lag of a bank."""
+    from scipy.signal import lfilter
+
+    poles = np.exp(-np.array(BANK) / len(x))
+    return np.stack([lfilter([0.0, 1.0 - z], [1.0, -z], x, axis=0) for z in poles], axis=2)
+
+
 def _changed_gain(channel: Any, base: Any, j: int) -> Any:
-    """A gain that changes, from linear fits with one numerator before and one after: the poles of one linear model
-    for the whole record may be far off, and with them the time at which its score is best."""
+    """The gain of an input that changes, from linear fits with one numerator before and one after: the poles of one linear model
+    for the whole record may be far off, and with them the time at which its score is best; a mixture of lags has another."""
     from estimators.diagnosis.model.linear import fit_linear, prefiltered_error
     from estimators.diagnosis.model.structure import Part
     from estimators.diagnosis.search.starts import Start
 
     s = base.structure
-    if s.layout != "tf" or s.effects or len(s.inputs) != 1:
+    if s.layout != "tf" or s.effects:
         return None
-    k, n = channel.clock.k, len(channel)
+    k, n, m = channel.clock.k, len(channel), len(s.inputs)
     y = channel.y - np.mean(channel.y[channel.keep]) if s.parts else channel.y
+    seen = channel.keep.copy()
+    seen[: s.order + s.delay] = False
+
+    def later(time: float) -> Array:
+        return channel.u[:, j] * (k >= time)
 
     def inputs(time: float) -> Array:
-        return np.stack([channel.u[:, j], channel.u[:, j] * (k >= time)], axis=1)
+        return np.column_stack((channel.u[:, list(s.inputs)], later(time)))
 
-    den = np.concatenate(([1.0], base.p[: s.order]))
-    rows = channel.keep.copy()
-    rows[: s.order + s.delay] = False
+    def filtered(time: float) -> float:
+        return prefiltered_error(y, inputs(time), np.concatenate(([1.0], base.p[: s.order])), s, seen)
 
-    def squares(time: float) -> float:
-        return prefiltered_error(y, inputs(time), den, s, rows)
+    known = banked(np.column_stack((channel.u[:, list(s.inputs)], np.ones(n)))).reshape(n, -1)
+    Z = np.linalg.qr(np.column_stack((known, np.ones(n)))[seen])[0]
+    rest = channel.y[seen] - Z @ (Z.T @ channel.y[seen])
 
-    time = float(min(k[0] + np.linspace(0.06, 0.94, 23) * n, key=squares))
-    time = float(min(time + np.linspace(-0.035, 0.035, 15) * n, key=squares))
-    two = replace(channel, u=inputs(time))
-    f = fit_linear(two, replace(s, inputs=(0, 1)), extra=[base.p[: s.order]])
-    b = f.p[s.order : s.order + 2 * s.taps].reshape(2, s.taps)
-    change = float(b[0] @ b[1]) / (float(b[0] @ b[0]) + 1e-300)
-    p = np.concatenate((f.p[: s.order], b[0], f.p[s.order + 2 * s.taps :], [change, time]))
+    def mixed(time: float) -> float:
+        D = banked(later(time)[:, None])[seen, 0]
+        D = np.linalg.qr(D - Z @ (Z.T @ D))[0]
+        return -float(np.sum((D.T @ rest) ** 2))
+
+    def started(squares: Callable[[float], float]) -> tuple[float, Array]:
+        time = float(min(k[0] + np.linspace(0.06, 0.94, 23) * n, key=squares))
+        time = float(min(time + np.linspace(-0.035, 0.035, 15) * n, key=squares))
+        f = fit_linear(
+            replace(channel, u=inputs(time)),
+            replace(s, inputs=tuple(range(m + 1))),
+            extra=[base.p[: s.order]],
+        )
+        end = s.order + (m + 1) * s.taps
+        *rows, more = f.p[s.order : end].reshape(m + 1, s.taps)
+        own = rows[s.inputs.index(j)]
+        change = float(own @ more) / (float(own @ own) + 1e-300)
+        p = np.concatenate((f.p[: s.order], *rows, f.p[end:], [change, time]))
+        return float(np.sum(f.residual**2)), p
+
+    _, p = min(map(started, (filtered, mixed)), key=lambda entry: entry[0])
     return Start(s.adding(Part(GAIN_CHANGE, j)), p, np.concatenate((base.scales, [1.0, 1.0])), 0.0)
 
 

@@ -14,7 +14,7 @@ from scipy.signal import find_peaks, lfilter
 
 from estimators.diagnosis.effects.added import swept, swept_line, turning
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
-from estimators.diagnosis.effects.input import after
+from estimators.diagnosis.effects.input import BANK, after, banked
 
 Array = NDArray[Any]
 FIRM = 60.0
@@ -37,8 +37,6 @@ WHOLE = (0.85, 1.15, 61)
 """Steps that are tried with a level at zero, over the one found: from, to, how many."""
 SHORT = 3
 """Poles of the model that a passing disturbance is put into: more of them would follow it."""
-BANK = (300.0, 100.0, 30.0, 10.0, 3.0)
-"""Rates, per record, of the lags that a mixture of stands for any linear part: slower ones hardly differ from what is added."""
 TIMES = 48
 """Of a record, at any two of which a disturbance may begin and end: what lasts no two of them is an impulse."""
 LEAST_TURNS = 1.2
@@ -242,12 +240,6 @@ def _waved(channel: Any, f: Any) -> Iterator[Any]:
         yield (f := g)
 
 
-def _banked(x: Array) -> Array:
-    """(N, T, lags) signals (N, T) through each lag of a bank."""
-    poles = np.exp(-np.array(BANK) / len(x))
-    return np.stack([lfilter([0.0, 1.0 - z], [1.0, -z], x, axis=0) for z in poles], axis=2)
-
-
 def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """A pulse between the two times at which it explains most, where any mixture of lags stands for the linear part: poles of the
     linear model have bent to follow it."""
@@ -259,9 +251,9 @@ def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         return
     times = channel.clock.k[0] + np.linspace(0.03, 0.97, TIMES) * n
     steps = np.stack([after(channel.clock, t) for t in times], axis=1)
-    known = _banked(np.column_stack((channel.u[:, list(s.inputs)], np.ones(n)))).reshape(n, -1)
+    known = banked(np.column_stack((channel.u[:, list(s.inputs)], np.ones(n)))).reshape(n, -1)
     Z = np.linalg.qr(np.column_stack((known, np.ones(n)))[keep])[0]
-    D, r = (x[keep] - Z @ (Z.T @ x[keep]) for x in (_banked(steps).reshape(n, -1), channel.y))
+    D, r = (x[keep] - Z @ (Z.T @ x[keep]) for x in (banked(steps).reshape(n, -1), channel.y))
     shape = (TIMES, len(BANK)) * 2
     common, products = (r @ D).reshape(shape[:2]), (D.T @ D).reshape(shape)
     own = products[np.arange(TIMES), :, np.arange(TIMES)]

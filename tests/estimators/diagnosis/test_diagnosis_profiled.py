@@ -198,3 +198,18 @@ def test_a_gain_that_is_filled_and_emptied_has_harmonics():
     assert sizes[0] > 4
     assert len(best.p[best.structure.slices()[-1]]) == 1 + 2 * sizes[0]
     assert np.std(best.residual) < 2.5 * 0.01 * np.std(y)  # noise, and the edge of the sawtooth
+
+
+@pytest.mark.slow
+def test_the_gain_of_one_of_two_inputs_changes_on_a_level():
+    """The poles of one linear model for the whole record had become slow to follow it, and with them no time was found; of two
+    inputs none was looked for: a furnace had "coloured noise"."""
+    rng, n = np.random.default_rng(3), 900
+    u = 45.0 + np.repeat(rng.normal(0.0, 9.0, (n // 15, 2)), 15, axis=0)
+    u[:20] = 45.0
+    through = np.column_stack((u[:, 0], u[:, 1] * (1.0 - 0.33 * (np.arange(n) >= 400)))) @ [4.4, 4.2]
+    y = lfilter([0.0, 0.05], [1.0, -0.95], through, zi=[0.95 * through[0]])[0]
+    found = diagnose(Record(u, 150.0 + y + rng.standard_normal(n)))
+    assert found.effect == "parameter_change"
+    assert found.parameters["gain_change.change"][0] == pytest.approx(-0.33, abs=0.01)
+    assert found.parameters["gain_change.time"][0] == pytest.approx(400.0, abs=3.0)
