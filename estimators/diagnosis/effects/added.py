@@ -178,11 +178,13 @@ def _sweeping(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
 
 
 def turning(k: Array, frequency: float, rate: float) -> Array:
+    """(N, 2) cosine and sine of a frequency that changes at a rate."""
     turn = frequency * k + 0.5 * rate * k**2
     return np.stack((np.cos(turn), np.sin(turn)), axis=1)
 
 
 def swept(y: Array, p: Array, clock: Clock) -> Array:
+    """(N,) a signal with a sinusoid of steadily changing frequency added."""
     turn = p[0] * clock.k + 0.5 * p[1] * clock.k**2
     return y + p[2] * np.cos(turn) + p[3] * np.sin(turn)
 

@@ -71,8 +71,11 @@ def _centred(x: Array, p: Array) -> tuple[Array, float, float]:
 
 
 def _paced(x: Array, p: Array, clock: Clock) -> Array:
+    """What came before the record was its rest, not the way there from zero, where it may hardly move."""
     from estimators.diagnosis.effects.kernels.recursion_kernels import paced
 
+    if 0 < clock.lead < len(x):
+        x = np.concatenate((np.full(clock.lead, x[clock.lead - 1]), x[clock.lead :]))
     return paced(*_centred(x, p)) + p[2]
 
 

@@ -214,10 +214,6 @@ def simulate(
         if part.effect.signal is not None:
             y = part.effect.signal(np.column_stack((u, y)), u.shape[1], p[sl], clock)
             continue
-        if part.effect.memory and 0 < clock.lead < len(
-            y
-        ):  # what came before the record was its rest, not the way there
-            y = np.concatenate((np.full(clock.lead, y[clock.lead - 1]), y[clock.lead :]))
         played = _played(s, p, U, p[sl]) if part.effect.between and not k else None
         y = part.apply(y, p[sl], clock) if played is None else played
     return y[settle : settle + n]
