@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -143,6 +144,7 @@ def _tone_fits(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
     yield from _hidden(channel, base)
 
 
+@lru_cache(maxsize=1)  # asked of a record and a model for what is added and for what acts beside the input
 def swept_line(channel: Any, base: Any) -> tuple[float, float]:
     """Frequency at the clock's zero and rate of the line that is highest when the residual is mixed down by sweeps of many rates, also
     past half the sampling rate."""

@@ -214,6 +214,12 @@ def banked(x: Array) -> Array:
     return np.stack([lfilter([0.0, 1.0 - z], [1.0, -z], x, axis=0) for z in poles], axis=2)
 
 
+def any_linear(u: Array, rows: NDArray[np.bool_]) -> Array:
+    """(M, r) orthonormal directions, on some rows, of what a bank makes of inputs (N, m) and of a level they had stood on."""
+    known = banked(np.column_stack((u, np.ones(len(u))))).reshape(len(u), -1)
+    return np.asarray(np.linalg.qr(np.column_stack((known, np.ones(len(u))))[rows])[0])
+
+
 def _changed_gain(channel: Any, base: Any, j: int) -> Any:
     """The gain of an input that changes, from linear fits with one numerator before and one after: the poles of one linear model
     for the whole record may be far off, and with them the time at which its score is best; a mixture of lags has another."""
@@ -238,8 +244,7 @@ def _changed_gain(channel: Any, base: Any, j: int) -> Any:
     def filtered(time: float) -> float:
         return prefiltered_error(y, inputs(time), np.concatenate(([1.0], base.p[: s.order])), s, seen)
 
-    known = banked(np.column_stack((channel.u[:, list(s.inputs)], np.ones(n)))).reshape(n, -1)
-    Z = np.linalg.qr(np.column_stack((known, np.ones(n)))[seen])[0]
+    Z = any_linear(channel.u[:, list(s.inputs)], seen)
     rest = channel.y[seen] - Z @ (Z.T @ channel.y[seen])
 
     def mixed(time: float) -> float:

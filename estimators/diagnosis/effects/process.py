@@ -6,6 +6,7 @@ process of any order may follow or, as a lag of the actuator, come before.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -196,22 +197,25 @@ def _servo(x: Array, p: Array, clock: Clock) -> Array:
     return servo_mean(np.ascontiguousarray(x), up, down, lag, level_before(x))
 
 
-def _moving_at(u: Array) -> list[list[float]]:
-    """Rates up and down and lags of actuators that an input may run into."""
-    wide = float(np.ptp(u))
-    return [[wide / m, q * wide / m, lag] for m in ACROSS for q in RATIOS for lag in NEARING]
+@lru_cache(maxsize=MOST_FLOWS)  # of each input, for what is loaded too
+def _unloaded(channel: Any, base: Any, j: int) -> list[tuple[float, Array]]:
+    """The rates up and down and the lags of an actuator that an input may run into, the best first."""
+    from estimators.diagnosis.model.structure import Part
+
+    wide = float(np.ptp(channel.u[:, j]))
+    shapes = [[wide / m, q * wide / m, lag] for m in ACROSS for q in RATIOS for lag in NEARING]
+    return profile(channel, base, Part(SERVO, j), shapes)
 
 
 def _servos(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.model.structure import Part
 
     for j in base.structure.inputs if base.structure.layout == "tf" else ():
-        part = Part(SERVO, j)
-        tried = profile(channel, base, part, _moving_at(channel.u[:, j]))
+        tried = _unloaded(channel, base, j)
         if tried and firm(base, tried[0][0]):
             su = float(np.std(channel.u[:, j]))
             starts = (p for _, p in tried[:BEGUN])
-            yield from lean(channel, ended(channel, base, part, starts, [su, su, 1.0]))
+            yield from lean(channel, ended(channel, base, Part(SERVO, j), starts, [su, su, 1.0]))
 
 
 def _loaded(U: Array, channel: int, p: Array, clock: Clock) -> Array:
@@ -236,11 +240,8 @@ def _loads(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     if s.layout != "tf" or not 1 < len(s.inputs) <= MOST_FLOWS:
         return
     for j in s.inputs:
-        su, alone = (
-            float(np.std(channel.u[:, j])),
-            profile(channel, base, Part(SERVO, j), _moving_at(channel.u[:, j])),
-        )
-        near = [q[-3:] for _, q in alone[:UNLOADED]]
+        su = float(np.std(channel.u[:, j]))
+        near = [q[-3:] for _, q in _unloaded(channel, base, j)[:UNLOADED]]
         for k in (k for k in s.inputs if k != j):
             load, part = channel.u[:, k], Part(LOADED, j)
             middle, half = 0.5 * float(load.max() + load.min()), 0.5 * float(np.ptp(load)) + LEAST

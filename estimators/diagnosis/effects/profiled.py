@@ -14,7 +14,7 @@ from scipy.signal import find_peaks, lfilter
 
 from estimators.diagnosis.effects.added import swept, swept_line, turning
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
-from estimators.diagnosis.effects.input import BANK, after, banked
+from estimators.diagnosis.effects.input import BANK, after, any_linear, banked
 
 Array = NDArray[Any]
 FIRM = 60.0
@@ -251,8 +251,7 @@ def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         return
     times = channel.clock.k[0] + np.linspace(0.03, 0.97, TIMES) * n
     steps = np.stack([after(channel.clock, t) for t in times], axis=1)
-    known = banked(np.column_stack((channel.u[:, list(s.inputs)], np.ones(n)))).reshape(n, -1)
-    Z = np.linalg.qr(np.column_stack((known, np.ones(n)))[keep])[0]
+    Z = any_linear(channel.u[:, list(s.inputs)], keep)
     D, r = (x[keep] - Z @ (Z.T @ x[keep]) for x in (banked(steps).reshape(n, -1), channel.y))
     shape = (TIMES, len(BANK)) * 2
     common, products = (r @ D).reshape(shape[:2]), (D.T @ D).reshape(shape)

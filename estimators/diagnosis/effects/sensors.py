@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.output import mended
 from estimators.diagnosis.effects.profiled import of_order
@@ -66,6 +67,10 @@ CHANGES = (-0.6, -0.3, 0.3, 0.6)
 """Relative changes of a sensor's rate per standard deviation of what it reads, that are tried."""
 
 
+SENSED = (0.05, 0.1, 0.2, 0.4, 0.8)
+"""Rates per sample of a sensor that lags, at its mean reading, that are tried."""
+
+
 def _centred(x: Array, p: Array) -> tuple[Array, float, float]:
     return np.ascontiguousarray(x - p[2]), abs(float(p[0])), float(p[1])
 
@@ -114,13 +119,11 @@ def _sensed(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         yield from search(channel, replace(base, structure=few, p=p, scales=scales), others)
 
 
-SENSED = (0.05, 0.1, 0.2, 0.4, 0.8)
-"""Rates per sample of a sensor that lags, at its mean reading, that are tried."""
 PACED = Effect(
     key="sensor_paced", cause="level_dependent_lag", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, trials=20,
     sentence="the sensor lags, and is the quicker or the slower the more it reads: its rate goes with the level", apply=_paced,
     parameters={"rate": "1/sample", "change": "1/y", "level": "y"},
-    search=lambda channel, base, others: _sensed(channel, base, others),
+    search=_sensed,
 )  # fmt: skip
 
 SPANS = (1.0, 1.05, 1.15, 1.4, 2.0)
@@ -140,9 +143,7 @@ def _sines(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.model.structure import Part
 
     s, found = base.structure, []
-    at = next(
-        (sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect.key == "offset"), None
-    )
+    at = next((sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET), None)
     if s.layout != "tf" or s.effects or at is None or not channel.keep.all():
         return
     new = s.adding(Part(SINE))

@@ -73,9 +73,9 @@ def has_feedback(
         return _still(own, lead, target, alpha)
 
     for told, reach in ((later, (PAST, LATER)), (still, STILL)):
-        which = [j for j, d in enumerate(_designs(records, clean, *reach)) if told(*d)]
-        if which and any(told(*_designs(records, clean, *reach, True)[j]) for j in which):
-            return True
+        for j in range(records[0].n_inputs):
+            if all(told(*_design(records, clean, j, *reach, bends)) for bends in (False, True)):
+                return True
     return False
 
 
@@ -91,7 +91,7 @@ def is_answer(
     return any(
         _left(own, u) - _left(np.hstack((own, lead)), u) > OF_INPUT * float(u @ u)
         for reach in (STILL, (PAST, LATER))
-        for own, lead, u in _designs(records, clean, *reach, True)
+        for own, lead, u in (_design(records, clean, j, *reach, True) for j in range(records[0].n_inputs))
     )
 
 
@@ -130,7 +130,8 @@ def answered(
     Granger's test: past whitened residuals help to predict an input beyond the input's own past. An input may be
     predictable, as narrow-band ones are: only what its own past does not tell counts.
     """
-    designs = _designs(records, _clean(residual, uses), PAST, LATER)
+    clean = _clean(residual, uses)
+    designs = [_design(records, clean, j, PAST, LATER) for j in range(records[0].n_inputs)]
     return max(_gain(*d) for d in designs) - len(LATER) / len(designs[0][-1])
 
 
@@ -154,25 +155,22 @@ def _clean(residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]) -> list
     return [whitened(noise, np.where(c, e, 0.0)) * c for e, c in zip(residual, uses, strict=True)]
 
 
-def _designs(
-    records: Sequence[Record], clean: Sequence[Array], past: int, leads: range, bends: bool = False
-) -> list[Design]:
-    """Of every input, over all records, its own past (n, past), the noise so many samples before (n, leads) and the input (n,).
+def _design(
+    records: Sequence[Record], clean: Sequence[Array], j: int, past: int, leads: range, bends: bool = False
+) -> Design:
+    """Of an input, over all records, its own past (n, past), the noise so many samples before (n, leads) and the input (n,).
 
     With `bends` what its bends and the other inputs tell of it goes with its own past.
     """
-    out = []
-    for j in range(records[0].n_inputs):
-        rows = []
-        for r, e in zip(records, clean, strict=True):
-            x = r.u[:, j] - r.u[:, j].mean()
-            own = np.stack([_late(x, i) for i in range(1, past + 1)], axis=1)
-            own = np.hstack((own, beside(r.u, j))) if bends else own
-            lead = np.stack([_late(e, i) for i in leads], axis=1)
-            rows.append((own[past:], lead[past:], x[past:]))
-        own, lead, target = (np.concatenate(part) for part in zip(*rows, strict=True))
-        out.append((own, lead, target))
-    return out
+    rows = []
+    for r, e in zip(records, clean, strict=True):
+        x = r.u[:, j] - r.u[:, j].mean()
+        own = np.stack([_late(x, i) for i in range(1, past + 1)], axis=1)
+        own = np.hstack((own, beside(r.u, j))) if bends else own
+        lead = np.stack([_late(e, i) for i in leads], axis=1)
+        rows.append((own[past:], lead[past:], x[past:]))
+    own, lead, target = (np.concatenate(part) for part in zip(*rows, strict=True))
+    return own, lead, target
 
 
 def _gain(own: Array, lead: Array, target: Array) -> float:

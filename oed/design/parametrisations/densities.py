@@ -111,9 +111,11 @@ class Pricing:
 
     def cut(self, panels: Panels, one: Density) -> Panels:
         """Panels with edges where the density jumps."""
-        if panels.B is not None:
-            return panels
-        edges = np.union1d(panels.edges, self.jumps(panels, one))
+        return panels if panels.B is not None else self.cut_at(panels, self.jumps(panels, one))
+
+    def cut_at(self, panels: Panels, jumps: NDArray[np.float64]) -> Panels:
+        """Panels with more edges."""
+        edges = np.union1d(panels.edges, jumps)
         edges = edges[np.concatenate([[True], np.diff(edges) > 1e-15])]
         return Panels.on(self.masks, edges) if len(edges) > len(panels.edges) else panels
 

@@ -129,7 +129,7 @@ def responded(
 def answer(pricing: Pricing, panels: Panels, one: Density) -> Response:
     """What the density of a price answers to changes of it."""
     jumps = pricing.jumps(panels, one)
-    panels = pricing.cut(panels, one)
+    panels = pricing.cut_at(panels, jumps)
     phi = pricing.at(panels, one)[0]
     step = BESIDE * pricing.problem.length_scale(jumps)
     # Among the nodes, which there always are.
