@@ -79,13 +79,11 @@ def discover(
     scales = scales_of(records, baseline.y_model, np.maximum(delays - 1, 0).astype(int))
     pieces = pieces_of(records, [np.ones(r.y.shape, bool) for r in records], scales)
     smooth = [(y - scales.y) / scales.sy for y in baseline.y_model]
-    zeros = {f"y{i}": float(-scales.y[i] / scales.sy[i]) for i in range(records[0].n_outputs)}
-    zeros |= {f"u{j}": float(-scales.u[j] / scales.su[j]) for j in range(records[0].n_inputs)}
     judge = _Judge(records, baseline, scales, pieces, skip)
     own = tuple(m.shared[0] for m in baseline.outputs)
     most = max(SEARCHED // len(pieces), 1)
     short = [Piece(q.d[:most], q.y[:most], q.weight[:most]) for q in pieces]
-    front = _front(greedy_search(short, scales, [y[:most] for y in smooth], zeros, budget, own))
+    front = _front(greedy_search(short, scales, [y[:most] for y in smooth], scales.zeros, budget, own))
     again = (fit(f.form, f.theta, f.starts, pieces, iterations=budget.rounds) for f in front)
     front = [f for f in again if f is not None and forgets(f, pieces) and bends(f, pieces, 0)]
     whole, alike, gain, considered = _chosen(_pruned(front, pieces, budget.rounds), judge)

@@ -115,7 +115,7 @@ def candidates(
     y, v, u = [f"y{i}" for i in range(ny)], [f"v{i}" for i in range(ny)], [f"u{j}" for j in range(nu)]
     linear = lambda name: Factor(Kind.LINEAR, name, zeros.get(name, 0.0))
     out = []
-    for name in [*y, *v, *u]:
+    for name in [*y, *v, *u, *(d.name for d in form.differences)]:
         x = signals[name]
         single = _functions(name, x, zeros.get(name, 0.0), float(x[0]) if name[0] != "v" else 0.0)
         out += [Candidate((Term((f,)),)) for f in single]
@@ -150,6 +150,10 @@ def candidates(
         if zero < low:
             root = Factor(Kind.ROOT, name, zero)
             out += [Candidate((Term((root, linear(b))),)) for b in u]
+    for d in (d for d in form.differences if d.first[0] != "v"):  # through an opening
+        for b in (b for b in u if b not in (d.first, d.second)):
+            flow = Factor(Kind.SIGNED_ROOT, d.name, zeros[d.name]), Factor(Kind.LINEAR, d.name, zeros[d.name])
+            out += [Candidate((Term((f, linear(b))),)) for f in flow]
     out += _slow(names, signals, zeros, samples, y, u, v)
     two_levels = {name for name in u if switched(signals[name])}
     return [

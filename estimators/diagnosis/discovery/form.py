@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -26,6 +27,25 @@ class Factor:
     p: float = 0.0
     q: float = 1.0
     free: tuple[bool, bool] = (False, False)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A signal of terms: one signal less another, `weights` times each in their scales; inside terms within `bounds`."""
+
+    first: str
+    second: str
+    weights: tuple[float, float]
+    bounds: tuple[float, float]
+
+    @property
+    def name(self) -> str:
+        """What terms call it."""
+        return f"{self.first}-{self.second}"
+
+    def of(self, signals: Mapping[str, Array]) -> Array:
+        """(N,) its values."""
+        return self.weights[0] * signals[self.first] - self.weights[1] * signals[self.second]
 
 
 @dataclass(frozen=True)
@@ -58,6 +78,25 @@ class Form:
     terms: tuple[Term, ...] = ()
     feedthrough: bool = False
     bounds: tuple[tuple[float, float], ...] = ()  # of y, v, u, du of all channels inside terms; () for none
+    differences: tuple[Difference, ...] = ()
+
+    @classmethod
+    def of(cls, written: Mapping[str, Any]) -> Form:
+        """The form whose `dataclasses.asdict` went through JSON."""
+
+        def deep(x: Any) -> Any:
+            return tuple(map(deep, x)) if isinstance(x, list) else x
+
+        def flat(d: Mapping[str, Any]) -> dict[str, Any]:
+            return {k: deep(v) for k, v in d.items()}
+
+        def term(t: Mapping[str, Any]) -> Term:
+            rest = {k: v for k, v in t.items() if k != "factors"}
+            return Term(tuple(Factor(**flat(f)) for f in t["factors"]), **rest)
+
+        terms = tuple(map(term, written["terms"]))
+        differences = tuple(Difference(**flat(d)) for d in written.get("differences", ()))
+        return cls(**flat(written) | {"terms": terms, "differences": differences})
 
     def taps(self, term: Term) -> int:
         """Number of coefficients of a term."""
@@ -107,8 +146,11 @@ class Assembly:
             [f"y{i}" for i in range(ny)] + [f"v{i}" for i in range(ny)] + [f"u{j}" for j in range(nu)]
         )
         self.signals += [f"du{j}" for j in range(nu)] + [f"s{m}" for m in range(len(slow))]
+        self.signals += [d.name for d in form.differences]
         self.bounds = np.tile([-np.inf, np.inf], (len(self.signals), 1))
         self.bounds[: len(form.bounds)] = np.array(form.bounds).reshape(-1, 2)
+        for d in form.differences:
+            self.bounds[self.signals.index(d.name)] = d.bounds
         n, ns, nt = nx + ny + len(slow), len(self.signals), len(form.terms)
         nd = 1 + 2 * nu  # constant, inputs, their changes
         self.shapes = [(n, n), (n, nd), (n, nt), (ns, n), (ns, nd), (ny, n), (ny, nd), (ny, nt)]
@@ -166,6 +208,15 @@ class Assembly:
             T[2 * ny + nu + j, 1 + nu + j] = 1.0
         for m in range(slow):
             S[2 * ny + 2 * nu + m, nx + ny + m] = 1.0
+        for difference in self.form.differences:
+            row = self.signals.index(difference.name)
+            for name, weight in zip((difference.first, difference.second), difference.weights, strict=True):
+                own, signed = self.signals.index(name), weight if name == difference.first else -weight
+                S[row] += signed * S[own]
+                T[row] += signed * T[own]
+                self._linear += [
+                    (p, m, row, j, signed * v) for p, m, i, j, v in self._linear if (m, i) == (4, own)
+                ]
 
     def _terms(self) -> None:
         form = self.form

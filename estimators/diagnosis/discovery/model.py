@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.discovery.dictionary import values
 from estimators.diagnosis.discovery.fitting import Piece
-from estimators.diagnosis.discovery.form import LAST, Assembly, Factor, Form, Term
+from estimators.diagnosis.discovery.form import LAST, Assembly, Form, Term
 from estimators.diagnosis.discovery.starts import Scales, drive
 from estimators.diagnosis.discovery.uncertainty import error_of
 from estimators.diagnosis.discovery.validation import STILL, StartPrior, expected_state, free_run
@@ -197,7 +197,7 @@ class DiscoveredModel:
     @cached_property
     def axes(self) -> dict[str, Axis]:
         terms = [t for t, _ in self.resolved()]
-        return signal_axes(terms, self.scales, self.names)
+        return signal_axes(self.form, terms, self.scales, self.names)
 
     def _poles(self, chain: int) -> Array:
         """Poles of a chain, per sample, its forces of the output taken at their mean slopes over the record's range."""
@@ -351,7 +351,7 @@ class DiscoveredModel:
                 "theta": self.theta.tolist(),
                 "covariance": self.covariance.tolist(),
                 "prior": {k: np.asarray(v).tolist() for k, v in vars(self.prior).items()},
-                "scales": {k: np.asarray(v).tolist() for k, v in vars(s).items()},
+                "scales": {k: np.asarray(v).tolist() for k, v in vars(s).items() if k != "differences"},
                 "names": dict(self.names),
                 "ranges": dict(self.ranges),
             }
@@ -361,35 +361,21 @@ class DiscoveredModel:
     def from_json(cls, text: str) -> DiscoveredModel:
         """The model that `to_json` wrote."""
         d = json.loads(text)
-        f = d["form"]
-        terms = tuple(
-            Term(tuple(Factor(**(q | {"free": tuple(q["free"])})) for q in t["factors"]), **{k: v for k, v in t.items() if k != "factors"})
-            for t in f["terms"]
-        )  # fmt: skip
-        form = Form(
-            tuple(f["orders"]),
-            f["inputs"],
-            tuple(f["paces"]),
-            tuple(f["steps"]),
-            terms,
-            f["feedthrough"],
-            tuple(tuple(b) for b in f["bounds"]),
-        )
         s = d["scales"]
-        arrays = {k: np.array(s[k]) for k in ("u", "su", "y", "sy", "delay")}
+        u, su, y, sy, delay = (np.array(s[k]) for k in ("u", "su", "y", "sy", "delay"))
         scales = Scales(
-            **arrays,
+            u, su, y, sy, delay=delay,
             paces=tuple(s["paces"]),
             steps=tuple(s["steps"]),
             dt=s["dt"],
             bounds=tuple(tuple(b) for b in s["bounds"]),
-        )
+        )  # fmt: skip
         start = d["prior"]
         arrays = {k: np.array(start[k]) for k in ("mean", "covariance", "correlation")}
         prior = StartPrior(arrays["mean"], arrays["covariance"], start["mse"], arrays["correlation"])
         pairs = lambda key: {k: tuple(v) for k, v in d[key].items()}
         return cls(
-            form,
+            Form.of(d["form"]),
             np.array(d["theta"]),
             scales,
             np.array(d["covariance"]),

@@ -72,7 +72,7 @@ def _measured(asm: Assembly, own: dict[str, Array], piece: Piece, y: Array) -> d
         better = own[f"y{i}"] + gaussian_filter1d(e, SMOOTH / pace, mode="nearest")
         out[f"y{i}"] = better
         out[f"v{i}"] = np.diff(better, prepend=better[:1]) / asm.form.steps[i]
-    return out
+    return out | {d.name: d.of(out) for d in asm.form.differences}
 
 
 def _parts(fitted: Fitted, pieces: Sequence[Piece], samples: int) -> list[_Part]:

@@ -80,7 +80,8 @@ def _ranked(
     found = [
         s
         for s in screen(fitted, pieces, zeros)
-        if s.slot != "output" or not any(f.signal in late[s.chain] for f in s.candidate.terms[-1].factors)
+        if s.slot != "output"
+        or not any(n in late[s.chain] for f in s.candidate.terms[-1].factors for n in f.signal.split("-"))
     ]
     n = fitted.count
 

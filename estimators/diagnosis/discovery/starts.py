@@ -1,7 +1,8 @@
 """Linear starts of a form: scaled signals, and chains by iterated filtering (Steiglitz-McBride) in the delta operator."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,13 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit
-from estimators.diagnosis.discovery.form import Form
+from estimators.diagnosis.discovery.form import Difference, Form
 from oed.data import Record
 
 Array = NDArray[Any]
 MARGIN = 0.25  # of a signal's span: how far beyond the data a term follows it
 SLOWEST, FASTEST = 0.01, 1.0  # pace of the delta operator: what one sample may change
+MINOR = 0.1  # of two signals, or of their difference, over the larger: below it the difference is one of them, or nothing
 ROUNDS = 4  # of filtering by the last denominator: more change nothing that the fit does not
 
 
@@ -34,6 +36,28 @@ class Scales:
     delay: Array
     dt: float
     bounds: tuple[tuple[float, float], ...]
+    differences: tuple[Difference, ...] = ()
+
+    @property
+    def centres(self) -> dict[str, tuple[float, float]]:
+        """Centre and scale of y, v, u and du of all channels in the user's units."""
+        out = {f"y{i}": (c, s) for i, (c, s) in enumerate(zip(self.y, self.sy))}
+        out |= {f"v{i}": (0.0, s * step / self.dt) for i, (s, step) in enumerate(zip(self.sy, self.steps))}
+        out |= {f"u{j}": (c, s) for j, (c, s) in enumerate(zip(self.u, self.su))}
+        out |= {f"du{j}": (0.0, s / self.dt) for j, s in enumerate(self.su)}
+        return {name: (float(c), float(s)) for name, (c, s) in out.items()}
+
+    def centre(self, d: Difference) -> tuple[float, float]:
+        """Centre and scale of a difference."""
+        (a, s), (b, _) = self.centres[d.first], self.centres[d.second]
+        return a - b, s / d.weights[0]
+
+    @property
+    def zeros(self) -> dict[str, float]:
+        """Where the user's zero of every y, u and difference lies in the scales."""
+        placed = {n: c for n, c in self.centres.items() if n[0] in "yu"}
+        placed |= {d.name: self.centre(d) for d in self.differences}
+        return {n: -c / s for n, (c, s) in placed.items()}
 
 
 def scales_of(records: Sequence[Record], smooth: Sequence[Array], delay: Array) -> Scales:
@@ -46,23 +70,44 @@ def scales_of(records: Sequence[Record], smooth: Sequence[Array], delay: Array) 
     early = Scales(
         u.mean(axis=0), su, y.mean(axis=0), sy, tuple(paces), tuple(change), delay, records[0].dt, ()
     )
-    return replace(early, bounds=_bounds(early, records, smooth))
+    seen = dict(zip(early.centres, _covered(early, records, smooth).T, strict=True))
+    bounds = tuple(_bounds(x, 1.0 if name[0] == "v" else 0.0) for name, x in seen.items())
+    return replace(early, bounds=bounds, differences=_differences(early, records[0], seen))
 
 
-def _bounds(
-    scales: Scales, records: Sequence[Record], smooth: Sequence[Array]
-) -> tuple[tuple[float, float], ...]:
-    """Where y, v, u, du may go inside a term: the range that the records cover and a margin."""
-    nu, ny = len(scales.u), len(scales.y)
+def _covered(scales: Scales, records: Sequence[Record], smooth: Sequence[Array]) -> Array:
+    """(N, 2 ny + 2 nu) the signals y, v, u, du along the records."""
     columns = []
     for r, s in zip(records, smooth):
         d = drive(r.u, scales)
         y = (np.nan_to_num(r.y, nan=0.0) - scales.y) / scales.sy
         v = np.diff((s - scales.y) / scales.sy, axis=0, prepend=np.nan) / np.array(scales.steps)
-        columns.append(np.hstack([y, np.nan_to_num(v), d[:, 1 : 1 + 2 * nu]]))
-    low, high = np.vstack(columns).min(axis=0), np.vstack(columns).max(axis=0)
-    margin = MARGIN * (high - low) + np.r_[np.zeros(ny), np.ones(ny), np.zeros(2 * nu)]
-    return tuple(zip((low - margin).tolist(), (high + margin).tolist()))
+        columns.append(np.hstack([y, np.nan_to_num(v), d[:, 1:]]))
+    return np.vstack(columns)
+
+
+def _bounds(x: Array, further: float) -> tuple[float, float]:
+    """Where a signal may go inside a term: the range that the records cover and a margin."""
+    low, high = float(x.min()), float(x.max())
+    margin = MARGIN * (high - low) + further
+    return low - margin, high + margin
+
+
+def _differences(scales: Scales, record: Record, seen: Mapping[str, Array]) -> tuple[Difference, ...]:
+    """Of two signals of one unit, and of two outputs also where none is given: what drives a flow, a spring, an exchange."""
+    units = {f"{kind}{i}": (kind, unit) for kind in "yv" for i, unit in enumerate(record.output_units)}
+    units |= {f"u{j}": ("y", unit) for j, unit in enumerate(record.input_units)}
+    out = []
+    for a, b in combinations(units, 2):
+        if units[a] != units[b] or (not units[a][1] and "u" in (a[0], b[0])):
+            continue
+        size = [scales.centres[n][1] for n in (a, b)]
+        spread = float(np.std(size[0] * seen[a] - size[1] * seen[b]))
+        if min(size) < MINOR * max(spread, *size) or spread < MINOR * min(size):
+            continue
+        d = Difference(a, b, (size[0] / spread, size[1] / spread), (0.0, 0.0))
+        out.append(replace(d, bounds=_bounds(d.of(seen), 1.0 if a[0] == "v" else 0.0)))
+    return tuple(out)
 
 
 def drive(u: Array, scales: Scales) -> Array:
@@ -158,7 +203,7 @@ def linear_fit(
 ) -> Fitted | None:
     """Chains of these orders fitted by simulation error, from smooth outputs (scaled) as the start."""
     nu = (pieces[0].d.shape[1] - 1) // 2
-    form = Form(orders, nu, scales.paces, scales.steps, feedthrough=feedthrough, bounds=scales.bounds)
+    form = Form(orders, nu, scales.paces, scales.steps, (), feedthrough, scales.bounds, scales.differences)
     parts = []
     for i, n in enumerate(orders):
         parts += [chain_start(n, scales.paces[i], pieces, i, outputs), np.zeros(nu * feedthrough)]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.discovery.dictionary import Kind
-from estimators.diagnosis.discovery.form import Factor, Term
+from estimators.diagnosis.discovery.form import Factor, Form, Term
 
 Array = NDArray[Any]
 # power of a signal's scale in a factor's value
@@ -36,20 +36,19 @@ class Axis:
     unit: str
 
 
-def signal_axes(terms: Sequence[Term], scales, names: Mapping[str, tuple[str, str]]) -> dict[str, Axis]:
+def signal_axes(
+    form: Form, terms: Sequence[Term], scales, names: Mapping[str, tuple[str, str]]
+) -> dict[str, Axis]:
     """Axis of every signal; `names` gives label and unit of y0, u0, ...."""
     axes: dict[str, Axis] = {}
-    per = lambda unit: f"{unit}/s" if unit else "1/s"
-    for i in range(len(scales.y)):
-        label, unit = names[f"y{i}"]
-        axes[f"y{i}"] = Axis(label, float(scales.y[i]), float(scales.sy[i]), unit)
-        axes[f"v{i}"] = Axis(
-            f"rate({label})", 0.0, float(scales.sy[i] * scales.steps[i] / scales.dt), per(unit)
-        )
-    for j in range(len(scales.u)):
-        label, unit = names[f"u{j}"]
-        axes[f"u{j}"] = Axis(label, float(scales.u[j]), float(scales.su[j]), unit)
-        axes[f"du{j}"] = Axis(f"rate({label})", 0.0, float(scales.su[j] / scales.dt), per(unit))
+    for name, (centre, scale) in scales.centres.items():
+        label, unit = names[("y" if name[0] in "yv" else "u") + name.lstrip("yvdu")]
+        if name[0] in "vd":
+            label, unit = f"rate({label})", f"{unit or '1'}/s"
+        axes[name] = Axis(label, centre, scale, unit)
+    for d in form.differences:
+        first, second, (centre, scale) = axes[d.first], axes[d.second], scales.centre(d)
+        axes[d.name] = Axis(f"({first.label} - {second.label})", centre, scale, first.unit)
     number = 0
     for t in terms:
         if t.slot == "slow":
@@ -83,15 +82,19 @@ def term_text(term: Term, axes: Mapping[str, Axis]) -> str:
     return " * ".join(factor_text(f, axes[f.signal]) for f in term.factors)
 
 
-def _letters(term: Term, drivers: Mapping[str, str]) -> set[str]:
-    return {drivers.get(f.signal, f.signal[: 2 if f.signal.startswith("du") else 1]) for f in term.factors}
+def _side(f: Factor) -> str:
+    """The kind of a factor's signal: y, v, u, d for an input's rate, s for a slow state, m for a difference."""
+    return "m" if "-" in f.signal else f.signal[0]
+
+
+def _letters(term: Term) -> set[str]:
+    """The kinds of the signals of a term, those of a difference too."""
+    return {n[0] for f in term.factors for n in f.signal.split("-")}
 
 
 def nature(term: Term) -> str:
     """Where a term of one kind of signal sits; memory or feedback makes it dynamic."""
-    letters = _letters(term, {})
-    if "t" in letters:
-        return "time variation"
+    letters = _letters(term)
     if letters == {"u"}:
         return "static input nonlinearity"
     if term.slot == "output" and {f.signal for f in term.factors} == {f"y{term.chain}"}:
@@ -123,11 +126,11 @@ NARROW = 0.3
 
 def _couples(term: Term) -> bool:
     """Whether a force on one axis comes from rates and positions of others: centrifugal, Coriolis, an inertia they change."""
-    others = {f.signal[1:] for f in term.factors if f.signal[0] in "yv"} - {str(term.chain)}
-    rates = [f.kind for f in term.factors if f.signal[0] == "v"]
+    others = {f.signal[1:] for f in term.factors if _side(f) in "yv"} - {str(term.chain)}
+    rates = [f.kind for f in term.factors if _side(f) == "v"]
     moving = bool(rates) and all(k in (Kind.LINEAR, Kind.SQUARE) for k in rates)
     bent = len(term.factors) > 1 or rates == [Kind.SQUARE]
-    return term.slot == "force" and bool(others) and moving and bent and _letters(term, {}) <= {"y", "v"}
+    return term.slot == "force" and bool(others) and moving and bent and _letters(term) <= {"y", "v"}
 
 
 def same_as(term: Term, swings: bool = True) -> str:
@@ -136,12 +139,14 @@ def same_as(term: Term, swings: bool = True) -> str:
         return "coriolis_coupling"
     if len(term.factors) == 2:
         plain = all(f.kind == Kind.LINEAR for f in term.factors)
-        kinds = sorted(f.signal[0] for f in term.factors)
         several = len({f.signal for f in term.factors}) > 1
+        kinds = "".join(sorted(map(_side, term.factors)))
+        if kinds == "mu":
+            kinds = "".join(sorted("u" + ("y" if "y" in _letters(term) else "u")))
         names = {"uy": "bilinear", "uu": "product_of_inputs" if several else ""}
-        return names.get("".join(kinds), "") if plain else ""
+        return names.get(kinds, "") if plain else ""
     f = term.factors[0]
-    side = f.signal[0] if not f.signal.startswith("du") else "d"
+    side = _side(f)
     found = SAME.get((term.slot, side, f.kind)) or WHOLE.get((term.slot, side), "")
     flat = f.kind == Kind.SIGN or (f.kind == Kind.TANH and abs(f.q) < NARROW)
     if term.slot == "output" and f.signal != f"y{term.chain}":
@@ -173,7 +178,7 @@ def lagged(term: Term, slow: Sequence[Term]) -> Term | None:
     if len(term.factors) > 1 or term.slot != "force" or f.signal[0] != "s" or f.kind != Kind.LINEAR:
         return None
     driver = slow[int(f.signal[1:])]
-    return driver if _letters(driver, {}) == {"u"} else None
+    return driver if _letters(driver) == {"u"} else None
 
 
 OF_RATE: Mapping[str, tuple[Callable[[Array], Array], ...]] = {
@@ -194,8 +199,13 @@ def named_by_shape(rate: Array, force: Array) -> str:
     return min(OF_RATE, key=lambda name: min(left(shape) for shape in OF_RATE[name]))
 
 
+BETWEEN = "flow or force that the difference of two signals drives (a valve, a flap, a spring or an exchange between them)"
+
+
 def _single(term: Term, f: Factor) -> str:
-    side = "d" if f.signal.startswith("du") else f.signal[0]
+    side = _side(f)
+    if side == "m":
+        return BETWEEN if term.slot != "output" else "the reading depends on the difference of two signals"
     if side == "u":
         return "static curve of the input (actuator nonlinearity, input nonlinearity)"
     if side == "d":
@@ -238,12 +248,14 @@ def meaning(term: Term) -> str:
         return coupling
     if len(term.factors) == 1:
         return _single(term, term.factors[0])
-    sides = ["d" if f.signal.startswith("du") else f.signal[0] for f in term.factors]
-    chains = {f.signal[1:] for f in term.factors if f.signal[0] in "yv"}
-    if "t" in sides:
-        return "time variation of a coefficient"
+    sides = [*map(_side, term.factors)]
+    chains = {f.signal[1:] for f in term.factors if _side(f) in "yv"}
     if "s" in sides:
         return "a slow hidden state changes a coefficient"
+    if "m" in sides:
+        if same_as(term) == "bilinear":
+            return CARRIED
+        return "flow through an opening that another signal sets (a valve between the two)"
     if len(chains) > 1:
         return coupling
     pair = "".join(sorted(sides))

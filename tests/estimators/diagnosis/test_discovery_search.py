@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict, replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline import Options, best_linear
-from estimators.diagnosis.discovery import answer, discover, search
+from estimators.diagnosis.discovery import DiscoveredModel, answer, discover, search
 from estimators.diagnosis.discovery.dictionary import Kind
-from estimators.diagnosis.discovery.form import FREE, LAST, Factor, Term
-from estimators.diagnosis.discovery.starts import linear_fit, pieces_of, scales_of
-from estimators.diagnosis.discovery.wording import CARRIED
+from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Factor, Form, Term
+from estimators.diagnosis.discovery.starts import drive, linear_fit, pieces_of, scales_of
+from estimators.diagnosis.discovery.wording import BETWEEN, CARRIED
 from oed.data import Record
 
 
@@ -30,15 +33,81 @@ def ventilated(seed: int, n: int = 900) -> Record:
     return Record(np.stack((flow, supply, outside), axis=1), y + 0.02 * rng.standard_normal(n))
 
 
-def test_a_product_with_a_difference_is_found() -> None:
+@pytest.mark.parametrize("units", [("", "", ""), ("kg/s", "degC", "degC")])
+def test_a_product_with_a_difference_is_found(units: tuple[str, ...]) -> None:
     """Flow times the difference of two temperatures: chains of four states mimicked it and crowded the short one out, and neither
-    product explains much without the other; the room had no answer."""
-    record = ventilated(1)
+    product explains much without the other; the room had no answer. Where both have one unit it is one term."""
+    record = replace(ventilated(1), input_units=units, output_units=units[1:2])
     found = discover([record], best_linear([record], Options()), "quick")
     assert found.rmse_unused[0] < 0.03
-    assert [t.same_as for t in found.terms[:2]] == ["bilinear", "bilinear"]
+    assert {t.same_as for t in found.terms[: 1 if units[1] else 2]} == {"bilinear"}
     assert CARRIED in {t.meaning for t in found.terms[:2]}
     assert found.nature == "dynamic nonlinearity"
+
+
+def tanks(seed: int, n: int = 900) -> Record:
+    """Two tanks beside each other; a flap lets water from the first into the second, and none back."""
+    rng = np.random.default_rng(seed)
+    u = np.stack((steps(rng, n, 0.0, 2.0), steps(rng, n, 0.0, 2.0)), axis=1)
+    y = np.full((n, 2), 20.0)
+    for k in range(n - 1):
+        over = 0.05 * max(y[k, 0] - y[k, 1], 0.0)
+        y[k + 1] = y[k] + u[k] * (0.5, 0.4) - 0.02 * y[k] + np.array((-over, over))
+    return Record(
+        u, y + 0.05 * rng.standard_normal(y.shape), 2.0, input_units=("V", "V"), output_units=("cm", "cm")
+    )
+
+
+def test_what_a_difference_drives_is_found() -> None:
+    """Neither level bends the flow through a flap between two tanks, their difference does."""
+    record, other = tanks(1), tanks(2)
+    base = best_linear([record], Options())
+    found = discover([record], base, "quick")
+    assert np.all(found.rmse_unused < 0.2 * base.rmse_unused)
+    assert {t.meaning for t in found.terms} == {BETWEEN}
+    assert "(y1 - y2)" in found.equation
+    assert found.model is not None
+    again = DiscoveredModel.from_json(found.model.to_json())
+    error = found.model.simulate(other, 60) - other.y
+    assert np.sqrt(np.mean(error[60:] ** 2)) < 0.1  # of which noise .05
+    assert np.array_equal(again.simulate(other, 20), found.model.simulate(other, 20))
+
+
+def test_differences_are_of_one_unit_and_of_signals_of_one_size() -> None:
+    record = tanks(1)
+    names = lambda r: [d.name for d in scales_of([r], [r.y], np.zeros(2, int)).differences]
+    assert names(record) == ["y0-y1", "v0-v1", "u0-u1"]
+    assert names(replace(record, output_units=("cm", "mbar"))) == ["u0-u1"]
+    assert "y0-u1" in names(replace(record, input_units=("V", "cm")))
+    assert names(replace(record, y=record.y * (1.0, 1e-3))) == ["u0-u1"]
+
+
+def test_a_difference_is_the_difference_of_its_signals_with_exact_sensitivities() -> None:
+    """In the user's units, where an input acts at once too: that part of an output is a parameter."""
+    record = replace(tanks(1), output_units=("V", "V"))
+    scales = scales_of([record], [record.y], np.zeros(2, int))
+    terms = tuple(
+        Term((Factor(Kind.TANH, d.name, 0.1, 0.8, (True, True)),), chain=i % 2)
+        for i, d in enumerate(scales.differences)
+    )
+    form = Form((2, 1), 2, scales.paces, scales.steps, terms, True, scales.bounds, scales.differences)
+    assert Form.of(json.loads(json.dumps(asdict(form)))) == form
+    asm, d = Assembly(form), drive(record.u[:60], scales)
+    theta = 0.1 + 0.2 * np.random.default_rng(3).random(form.parameters)
+    run = lambda p: asm.fill(p).sensitivities(x, np.zeros((len(x), len(p))), d)
+    x = np.linspace(0.1, 0.3, len(asm.base[0]))
+    got = run(theta)
+    own = dict(zip(asm.signals, got.signals.T, strict=True))
+    users = {n: c + s * own[n] for n, (c, s) in scales.centres.items()}
+    for difference in scales.differences:
+        centre, size = scales.centre(difference)
+        assert centre + size * own[difference.name] == pytest.approx(
+            users[difference.first] - users[difference.second], rel=1e-9
+        )
+    for p in range(len(theta)):
+        step = 1e-6 * np.eye(len(theta))[p]
+        slope = (run(theta + step).y - run(theta - step).y) / 2e-6
+        assert np.allclose(got.dy[:, :, p], slope, rtol=1e-5, atol=1e-6), p
 
 
 @pytest.mark.parametrize(("order", "along"), [(1, FREE), (1, LAST), (1, 0), (2, FREE), (2, 0), (3, FREE)])
