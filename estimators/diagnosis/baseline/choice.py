@@ -31,7 +31,8 @@ OPEN = 1.0
 """Variance of a run on the inputs asked for, of the error seen on unused blocks, from which on it tells models apart: five blocks
 know a variance to a half, and what is left out for less of it was mostly right."""
 WORSE = 0.02
-"""A simpler model may cost at most so much of the least error, however uncertain that is."""
+"""A simpler model may cost at most so much of the least error, however uncertain that is, and so much again for each further halving of
+the parameters: what many of them gain on the blocks of one day they lose on the next."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +190,8 @@ def simplest(trials: Iterable[Trial]) -> Trial:
     def as_good(t: Trial) -> bool:
         d = t.charged - best.charged
         error = d.std() / np.sqrt(max(len(d) - 1, 1))
-        few, most = (((1.0 + share) ** 2 - 1.0) * best.charged.mean() for share in (NOTHING, WORSE))
+        halvings = max(1.0, float(np.log2(best.candidate.size / t.candidate.size)))
+        few, most = (((1.0 + x) ** 2 - 1.0) * best.charged.mean() for x in (NOTHING, WORSE * halvings))
         return d.mean() <= min(max(error, few), most)
 
     return min((t for t in known if as_good(t)), key=lambda t: (t.candidate.size, t.rmse))

@@ -6,7 +6,8 @@ found.model.simulate(other, 20)           # (N, ny)
 """
 
 from estimators.diagnosis.discovery.answer import BUDGETS, Discovery, discover
-from estimators.diagnosis.discovery.model import Curve, DiscoveredModel, FoundTerm
+from estimators.diagnosis.discovery.found import Curve, FoundTerm
+from estimators.diagnosis.discovery.model import DiscoveredModel
 from estimators.diagnosis.discovery.search import Budget
 
 __all__ = ["BUDGETS", "Budget", "Curve", "DiscoveredModel", "Discovery", "FoundTerm", "discover"]

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit, forgets, run_piece
 from estimators.diagnosis.discovery.form import Assembly
-from estimators.diagnosis.discovery.model import DiscoveredModel, FoundTerm, leading_nature, strongest_first
+from estimators.diagnosis.discovery.found import FoundTerm, leading_nature, strongest_first
+from estimators.diagnosis.discovery.model import DiscoveredModel
 from estimators.diagnosis.discovery.search import Budget, acting, bends, complexity, greedy_search
 from estimators.diagnosis.discovery.starts import Scales, pieces_of, scales_of
 from estimators.diagnosis.discovery.uncertainty import beyond_linear, covariance, pruned

@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.discovery.dictionary import values
 from estimators.diagnosis.discovery.fitting import Piece
-from estimators.diagnosis.discovery.form import LAST, Assembly, Form, Term
+from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Form, Term
+from estimators.diagnosis.discovery.found import Curve, FoundTerm
 from estimators.diagnosis.discovery.starts import Scales, drive
 from estimators.diagnosis.discovery.uncertainty import error_of
 from estimators.diagnosis.discovery.validation import STILL, StartPrior, expected_state, free_run
 from estimators.diagnosis.discovery.wording import (
     CARRIED,
+    COEFFICIENTS,
+    DAMPS,
     DEGREE,
     LAGGED,
     Axis,
@@ -29,6 +32,7 @@ from estimators.diagnosis.discovery.wording import (
     nature,
     same_as,
     signal_axes,
+    sum_of_rates,
     summed,
     term_text,
 )
@@ -39,61 +43,8 @@ Array = NDArray[Any]
 GRID = 41  # points of a curve
 EDGE = 0.005  # quantile of the training signal where a curve ends
 BAND = 1.96
-MOST = 0.6  # of the terms' weight, that one nature must have to be the equation's
+SURE = 2.0  # standard errors beyond which a tap of a force is there
 UNTOLD = 2.0  # relative error of forces in units of an input, of that in others, from which on it is most of it the input's own
-
-
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """A term along its first signal: grid and values (GRID,) in the user's units, half width of the 95 % band."""
-
-    signal: str
-    unit: str
-    grid: Array
-    value: Array
-    band: Array
-    value_unit: str
-
-
-@dataclass(frozen=True, eq=False)
-class FoundTerm:
-    """One term: its text with coefficient, nature, meaning, the catalogue's name, parameters (value, error, unit)."""
-
-    text: str
-    slot: str
-    output: int
-    nature: str
-    meaning: str
-    same_as: str
-    parameters: dict[str, tuple[float, float, str]]
-    curve: Curve
-    # squares of the outputs (in their spreads) that its curve moves beyond a linear model, by term
-    weight: float = 0.0
-
-
-def strongest_first(terms: Sequence[FoundTerm], bent: Array) -> list[FoundTerm]:
-    """Terms with their weights, the heaviest first; `bent` (samples, terms) is what each moves beyond a linear model.
-
-    Terms of the same signal and meaning are one curve and share its weight: two may nearly cancel.
-    """
-    out = []
-    for t in terms:
-        alike = [
-            i
-            for i, q in enumerate(terms)
-            if (q.slot, q.output, q.meaning, q.curve.signal) == (t.slot, t.output, t.meaning, t.curve.signal)
-        ]
-        power = float(np.sum(np.sum(bent[:, alike], axis=1) ** 2))
-        out.append(replace(t, weight=power / len(alike)))
-    return sorted(out, key=lambda t: -t.weight)
-
-
-def leading_nature(terms: Sequence[FoundTerm]) -> str:
-    """The nature that has most of the terms' weight; where none has, several places act at once, which is dynamic."""
-    total = sum(t.weight for t in terms)
-    natures = {t.nature: sum(q.weight for q in terms if q.nature == t.nature) for t in terms}
-    top = max(natures, key=lambda n: natures[n])
-    return top if natures[top] >= MOST * total else "dynamic nonlinearity"
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,24 +118,32 @@ class DiscoveredModel:
         )
         return float(error[0]) / max(k, 1e-300)
 
-    def _coefficient(self, number: int, theta: Array, j: int | None) -> float:
-        """Of a force and its scaled signals, in the units of input j or of the highest derivative."""
+    def _coefficient(self, number: int, theta: Array, j: int | None, rate: int = 0) -> float:
+        """Of a force, or of its derivative by so many seconds, in its scaled signals and the units of input j or of the highest
+        derivative."""
         term, block = self.form.terms[number], self.form.blocks[number]
         taps = theta[block][: self.form.taps(term)]
+        own = float(taps[-1 - rate]) * (self.scales.dt / self.form.paces[term.chain]) ** rate
         if j is None:
-            return float(taps[-1]) * self._highest(term.chain)
+            return own * self._highest(term.chain)
         b = theta[self.assembly.betas[term.chain][j]]
-        last = term.along == LAST or abs(b[-1]) > 1e-2 * np.linalg.norm(b)
-        share = float(taps[-1] / b[-1]) if last else float(taps @ b / (b @ b))
-        return share * float(self.scales.su[j])
+        if not self._static(term, j):
+            own = 0.0 if rate else float(taps @ b)
+        return own * float(self.scales.su[j]) / float(b[-1] if self._static(term, j) else b @ b)
+
+    def _static(self, term: Term, j: int) -> bool:
+        """Whether input j, in whose units a force is given, acts on the highest derivative itself, as the force does."""
+        b = self.theta[self.assembly.betas[term.chain][j]]
+        return term.along == LAST or abs(b[-1]) > 1e-2 * float(np.linalg.norm(b))
 
     def _highest(self, chain: int) -> float:
         """The highest derivative of an output, in its unit and seconds, of a force of one."""
         pace = self.form.paces[chain] / self.scales.dt
         return float(self.scales.sy[chain]) * pace ** self.form.orders[chain]
 
-    def amplitude(self, number: int, theta: Array) -> float:
-        """Coefficient of a term in the user's units: of its input for a force, of the output for a map."""
+    def amplitude(self, number: int, theta: Array, rate: int = 0) -> float:
+        """Coefficient of a term, or of its derivative by so many seconds, in the user's units: of its input for a force, of the
+        output for a map."""
         term, taps = self.resolved(theta)[number]
         axes = self.axes
         size = float(np.prod([axes[f.signal].scale ** -DEGREE[f.kind] for f in term.factors]))
@@ -192,7 +151,18 @@ class DiscoveredModel:
             return float(taps[0]) * size * float(self.scales.sy[term.chain])
         if term.along >= 0:
             return float(taps[0]) * size * float(self.scales.su[term.along])
-        return size * self._coefficient(number, theta, self._drivers[term.chain])
+        return size * self._coefficient(number, theta, self._drivers[term.chain], rate)
+
+    def _sure(self, number: int, rate: int = 0) -> tuple[float, float]:
+        """An `amplitude` and its standard error."""
+        amplitude = lambda theta: np.array([self.amplitude(number, theta, rate)])
+        return float(amplitude(self.theta)[0]), float(error_of(amplitude, self.theta, self.covariance)[0])
+
+    def _rates(self, number: int, term: Term) -> dict[int, tuple[float, float]]:
+        """Amplitudes with their errors of the derivatives by which a force with taps of its own surely acts too."""
+        many = self.form.taps(term) if self._free(term) and term.along == FREE else 1
+        found = {m: self._sure(number, m) for m in range(1, many)}
+        return {m: (k, e) for m, (k, e) in found.items() if abs(k) > SURE * e}
 
     @cached_property
     def axes(self) -> dict[str, Axis]:
@@ -239,24 +209,31 @@ class DiscoveredModel:
         for number, (term, _) in enumerate(self.resolved()):
             if term.slot == "slow":
                 continue
-            k = self.amplitude(number, self.theta)
-            amplitude = lambda theta, n=number: np.array([self.amplitude(n, theta)])
-            error = float(error_of(amplitude, self.theta, self.covariance)[0])
-            unit = self._unit(term)
-            text = f"{k:.3g} +- {error:.2g} * {term_text(term, self.axes)}"
+            (k, error), rates, unit = self._sure(number), self._rates(number, term), self._unit(term)
+            taps = {0: (k, error)} | rates
+            curve, swings = self._curve(number, term, unit), self._swings(term.chain)
+            damps = 1 in rates and self._damps(term, curve, rates[1][0] / k)
             out.append(
                 FoundTerm(
-                    text,
+                    sum_of_rates(term_text(term, self.axes), taps),
                     term.slot,
                     term.chain,
                     nature(term),
-                    meaning(term),
-                    same_as(term, self._swings(term.chain)),
-                    self._parameters(number, term, k, error, unit),
-                    self._curve(number, term, unit),
+                    DAMPS if damps else meaning(term),
+                    "position_damping" if damps else same_as(term, swings),
+                    self._parameters(number, term, taps, unit),
+                    curve,
                 )
             )
         return self._renamed(out)
+
+    def _damps(self, term: Term, curve: Curve, seconds: float) -> bool:
+        """Whether a force that is a curve of its own output and, so many times, the curve's rate is mostly the latter."""
+        if [f.signal for f in term.factors] != [f"y{term.chain}"]:
+            return False
+        slope = np.gradient(curve.value, curve.grid)
+        moved = abs(seconds) * np.sqrt(np.mean(slope**2)) * self.axes[f"v{term.chain}"].scale
+        return bool(moved > np.std(curve.value))
 
     def _renamed(self, found: list[FoundTerm]) -> list[FoundTerm]:
         """The terms; of several that are one curve of a rate, each with the name of the whole curve's shape."""
@@ -294,8 +271,8 @@ class DiscoveredModel:
         inner = np.abs(curve.grid - curve.grid.mean()) < 0.25 * np.ptp(curve.grid)
         return float(slope[~inner].mean()) < float(slope[inner].mean())
 
-    def _parameters(self, number: int, term: Term, k: float, error: float, unit: str):
-        out = {"coefficient": (k, error, unit)}
+    def _parameters(self, number: int, term: Term, taps: Mapping[int, tuple[float, float]], unit: str):
+        out = {COEFFICIENTS[m]: (*k, f"{unit} s{f'^{m}' * (m > 1)}" if m else unit) for m, k in taps.items()}
         at = self.form.blocks[number].start + self.form.taps(term)
         for f in term.factors:
             axis = self.axes[f.signal]

@@ -170,7 +170,11 @@ def _window_state(
 def predicted(
     fitted: Fitted, pieces: Sequence[Piece], blocks: Sequence[Block], window: int, carried: bool
 ) -> dict[Block, Array]:
-    """Every block (rows, ny) from a start of its own, about the state `carried` on from the record's run or not."""
+    """Every block (rows, ny) from a start of its own, about the state `carried` on from the record's run or not.
+
+    Without a window, as where a record begins at rest, nothing else says where a later block starts: the linear model is carried too.
+    """
+    carried = carried or not window
     asm, prior = Assembly(fitted.form), start_prior(fitted, pieces)
     out = {}
     for b in blocks:

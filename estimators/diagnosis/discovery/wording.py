@@ -23,6 +23,8 @@ TEXT = {
     Kind.COS: "cos({k} {b})", Kind.EXP: "exp({b}/{q})", Kind.ROOT: "sqrt({s})", Kind.LOG: "log({s})",
     Kind.INVERSE: "1/{b}", Kind.SIGNED_ROOT: "sign({s}) sqrt|{s}|", Kind.BELL: "exp(-({b}/{q})^2)",
 }  # fmt: skip
+COEFFICIENTS = ("coefficient", "coefficient of the rate", *(f"coefficient of rate {m}" for m in range(2, 6)))
+"""Of a force and of its derivatives."""
 NEAR_ZERO = 1e-3  # of a signal's scale: an offset below it is none
 
 
@@ -75,6 +77,17 @@ def factor_text(f: Factor, axis: Axis) -> str:
 def summed(terms: Sequence[str]) -> str:
     """Terms one after another, each with its own sign."""
     return " + ".join(terms).replace(" + -", " - ")
+
+
+def sum_of_rates(text: str, taps: Mapping[int, tuple[float, float]]) -> str:
+    """A term with its coefficient and error, and those of its derivatives, by how often it is derived; itself only where it is sure
+    or nothing else is."""
+    (k, error), further = taps[0], {m: t for m, t in taps.items() if m}
+    parts = [] if further and abs(k) < 2.0 * error else [f"{k:.3g} +- {error:.2g} * {text}"]
+    for m, (k, error) in further.items():
+        power = f"^{m}" if m > 1 else ""
+        parts.append(f"{k:.3g} +- {error:.2g} s{power} * d{power}/dt{power}[{text}]")
+    return summed(parts)
 
 
 def term_text(term: Term, axes: Mapping[str, Axis]) -> str:
@@ -199,6 +212,7 @@ def named_by_shape(rate: Array, force: Array) -> str:
     return min(OF_RATE, key=lambda name: min(left(shape) for shape in OF_RATE[name]))
 
 
+DAMPS = "damping or time constant that depends on the level (the rate of a curve of the output)"
 BETWEEN = "flow or force that the difference of two signals drives (a valve, a flap, a spring or an exchange between them)"
 
 

@@ -1,4 +1,5 @@
-"""Hidden loops between the input and the linear part: an actuator of limited stroke or speed, a relay; loops of hysteresis, and a stem that sticks.
+"""Hidden loops between the input and the linear part: an actuator of limited stroke or speed, a relay; loops of hysteresis, a stem that
+sticks, a drive that scans its command.
 
 The former replace the slowest dynamics, so that the linear model is no guide to them: their shapes are profiled with a gain and a
 short filter behind them.
@@ -341,4 +342,53 @@ PLAYED = Effect(
                   lambda c: _units(float(np.std(c.y))), _unplayed),
 )  # fmt: skip
 
-LOOPS = (STICTION, WINDUP, STEERED, STEERING, RELAY, SIDE_BY_SIDE, PLAYED)
+SCANS = 40
+"""Samples between scans of a drive, at most: where they are further apart the record shows it by itself."""
+
+
+def _scanned(x: Array, p: Array, clock: Clock) -> Array:
+    """What was taken over at the last scan, every p[0] samples, one of them at sample p[1]; all whole numbers."""
+    every = round(float(p[0]))
+    if not 2 <= every <= SCANS:
+        return np.full(len(x), np.inf)
+    k = np.rint(clock.k).astype(np.int64)
+    taken = np.arange(len(x)) - (k - round(float(p[1]))) % every
+    return np.where(taken < 0, level_before(x), x[np.maximum(taken, 0)])
+
+
+def _scans(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """What a drive's age makes of the linear model's output, its mean left to the delay, against the residual, for every scan."""
+    from estimators.diagnosis.model.simulation import simulate
+    from estimators.diagnosis.model.structure import Part
+
+    s = base.structure
+    for j in s.inputs if s.layout == "tf" and not s.effects else ():
+        part, u = Part(SCANNED, j), channel.u.copy()
+
+        def ran(x: Array, j: int = j, u: Array = u) -> Array:
+            return simulate(s, base.p, np.column_stack((*u.T[:j], x, *u.T[j + 1 :])), channel.clock)[
+                channel.keep
+            ]
+
+        scores, e = [], base.residual[channel.keep]
+        for every in range(2, min(SCANS, len(u) // SCANS) + 1):
+            held = [_scanned(u[:, j], np.array([every, phase]), channel.clock) for phase in range(every)]
+            mean = ran(np.mean(held, axis=0))
+            for phase, x in enumerate(held):
+                d = ran(x) - mean
+                scores.append(
+                    (-(float(e @ d) ** 2) / max(float(d @ d), 1e-300), [float(every), float(phase)])
+                )
+        shapes = [shape for _, shape in sorted(scores, key=lambda score: score[0])[:BEGUN]]
+        found = profile(channel, base, part, shapes)
+        if found and firm(base, found[0][0]):
+            yield from ended(channel, base, part, [p for _, p in found], [0.0, 0.0])
+
+
+SCANNED = Effect(
+    key="input_scanned", cause="held_between_scans", nature=Nature.SAMPLING, slot=Slot.INPUT, trials=SCANS**2 / 2, search=_scans,
+    sentence="the input is taken over at scans of their own only, every so many samples, and kept until the next",
+    parameters={"period": "sample", "phase": "sample"}, apply=_scanned,
+)  # fmt: skip
+
+LOOPS = (SCANNED, STICTION, WINDUP, STEERED, STEERING, RELAY, SIDE_BY_SIDE, PLAYED)

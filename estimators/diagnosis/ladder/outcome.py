@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimators.diagnosis.discovery import Discovery
-from estimators.diagnosis.discovery.model import leading_nature
+from estimators.diagnosis.discovery.found import leading_nature
 from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.ladder.claims import Named
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step

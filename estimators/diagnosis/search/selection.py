@@ -16,7 +16,7 @@ from estimators.diagnosis.model.structure import Structure
 from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
-from estimators.diagnosis.share.feedback import MATTERS, beside, between_jumps, wald
+from estimators.diagnosis.share.feedback import MATTERS, beside, between_jumps, filtered, wald
 from estimators.residual.algebra import thin_svd, unit
 
 Array = NDArray[Any]
@@ -383,9 +383,9 @@ def feedback_of(channel: Channel, final: Fit) -> float:
     e, inputs = innovations(final.residual, final.noise), final.structure.inputs
     if any(_follows_input(channel.u[:, j], e) for j in inputs):
         return 1.0  # the input would seem to follow it
-    alone = {j: feedback_test(channel.u[:, j], e) for j in inputs}
+    alone = {j: feedback_test(channel.u[:, j], e) for j in inputs if not filtered(channel.u[:, j])}
     p = (
         max(one, feedback_test(channel.u[:, j], e, more=list(beside(channel.u, j).T))) if one < FIRST else one
         for j, one in alone.items()
     )
-    return min(1.0, min(p) * len(inputs))
+    return min(1.0, min(p, default=1.0) * len(inputs))

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
+from scipy.signal.windows import blackmanharris
+from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
 from estimators.residual.algebra import decomposed
@@ -31,6 +33,10 @@ OF_INPUT = 1e-3
 """Share of an input itself that answers the noise where a loop is told by it alone: loops have .016 and more, filtered records 1e-4."""
 AGO, SLOW = (1, 2, 3, 4, 6, 8, 12, 16), (10.0, 30.0, 100.0)
 """Samples ago of bends, and time constants in samples of slow means: half octaves and half decades of what a past holds."""
+ALIKE, APART = (1, 4, 16), 30
+"""Most alike moments of an input's past whose next sample foretells it, and samples by which these lie off the present at least."""
+BAND, EMPTY = 0.9, 1e-8
+"""Share of the band above which an input that holds less than this share of its mean power there was filtered: no loop's noise ends so."""
 ALPHA = 1e-4
 """False-alarm rate: with feedback only what improves the one-step prediction counts, a hard demand elsewhere."""
 MOST_LEVER = 0.99
@@ -72,8 +78,9 @@ def has_feedback(
     def still(own: Array, lead: Array, target: Array) -> bool:
         return _still(own, lead, target, alpha)
 
+    heard = [j for j in range(records[0].n_inputs) if not any(filtered(r.u[:, j]) for r in records)]
     for told, reach in ((later, (PAST, LATER)), (still, STILL)):
-        for j in range(records[0].n_inputs):
+        for j in heard:
             if all(told(*_design(records, clean, j, *reach, bends)) for bends in (False, True)):
                 return True
     return False
@@ -135,10 +142,21 @@ def answered(
     return max(_gain(*d) for d in designs) - len(LATER) / len(designs[0][-1])
 
 
+def filtered(x: Array) -> bool:
+    """Whether nothing is left of an input (N,) near half the sampling rate.
+
+    Who filters a record so, with samples of later times, gives each signal some of the other's future.
+    """
+    power = np.abs(np.fft.rfft((x - x.mean()) * blackmanharris(len(x)))) ** 2
+    return bool(np.mean(power[int(BAND * len(power)) :]) < EMPTY * np.mean(power))
+
+
 def beside(inputs: Array, j: int) -> Array:
-    """(N, p) what may tell of input j of (N, nu) beyond lags of its own: bends and slow means of all, and lags of the others.
+    """(N, p) what may tell of input j of (N, nu) beyond lags of its own: bends and slow means of all, lags of the others, and what
+    came next where the inputs went as now.
 
     A model's error is a bent function of past inputs: where an input may be told from such a one, the error tells of it with no loop.
+    So is when a wave that a generator makes turns the next time.
     """
     size = inputs.std(axis=0)
     x = (inputs - inputs.mean(axis=0)) / np.where(size > 0, size, 1.0)
@@ -146,7 +164,20 @@ def beside(inputs: Array, j: int) -> Array:
     poles = np.exp(-1.0 / np.array(SLOW))
     columns += [_late(np.asarray(lfilter([1.0 - z], [1.0, -z], v)), 1) for v in x.T for z in poles]
     columns += [_late(x[:, k], i) for k in range(x.shape[1]) if k != j for i in range(1, STILL[0] + 1)]
-    return np.stack(columns, axis=1)
+    return np.column_stack((*columns, _again(x, j)))
+
+
+def _again(x: Array, j: int) -> Array:
+    """(N, ALIKE) means of input j of (N, nu) after the moments at which the inputs' past was most like the present one."""
+    n, many = len(x), ALIKE[-1]
+    past = np.stack([_late(v, i) for v in x.T for i in AGO], axis=1)
+    near = cKDTree(past).query(past, k=min(n, many + 2 * APART))[1].reshape(n, -1)
+    apart = np.abs(near - np.arange(n)[:, None]) > APART
+    rank = np.cumsum(apart, axis=1)
+    means = [
+        np.where(apart & (rank <= k), x[near, j], 0.0).sum(axis=1) / np.clip(rank[:, -1], 1, k) for k in ALIKE
+    ]
+    return np.stack(means, axis=1)
 
 
 def _clean(residual: Sequence[Array], uses: Sequence[NDArray[np.bool_]]) -> list[Array]:

@@ -203,6 +203,12 @@ def jack(u, a):
     return _lag(np.concatenate((x[:1], x[:-1])), 0.6)
 
 
+def scanned(u, a):
+    """A belt behind a drive that takes its set point over at every fifth sample; without it, at every one."""
+    k = np.arange(len(u))
+    return lfilter([0.0, 0.12], [1.0, -1.5, 0.62], u[np.maximum(k - (k - 2) % 5, 0)] if a else u)
+
+
 ALL_CLASSES = CLASSES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
@@ -213,10 +219,12 @@ ALL_CLASSES = CLASSES | {
     "plays": (ceramic, 2, {}), "plays_output": (soil, 2, {}), "loss_change": (vented, 2, {}), "interleaved": (interleaved, 2, {}),
     "reported_on_change": (on_change, 2, {}), "integral_curve of two ways": (swung, 2, {}),
     "sweep_input": (beside_a_machine, 2, {}), "sensor_paced": (cups, 2, {}), "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
+    "input_scanned": (scanned, 2, {}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
+    ("input_scanned", "gain_periodic"), ("input_scanned", "delay_periodic"), ("gain_periodic", "input_scanned"), ("refreshed", "input_scanned"),
     ("sweep_input", "gain_periodic"), ("sweep_input", "delay_periodic"), ("sensor_paced", "rise_and_fall"), ("sensor_paced", "output_ratio"), ("rise_and_fall", "sensor_paced"),
     ("rate_loaded", "product_of_inputs"), ("rate_loaded", "capacity_filled"), ("reported_on_change", "refreshed"), ("reported_on_change", "plays_output"),
     ("rate_in_loop", "wind_up"), ("rate_of_loop", "wind_up"), ("wind_up", "rate_in_loop"), ("rate_limit_servo", "rate_in_loop"),

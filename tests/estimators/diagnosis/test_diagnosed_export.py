@@ -62,6 +62,7 @@ NAMED = {
     "paths": ("tf", [("mode", [0.2, 0.1, -1.2, 0.8], {"size": 2}), ("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 4.0])], {}),
     "paced": ("tf", [("sensor_paced", [0.3, 0.4, 0.2])], {"rest": False}),
     "run up": ("tf", [("sweep_input", [0.2, 0.001, 0.3, 0.2, 1.5])], {}),
+    "scans": ("tf", [("input_scanned", [3.0, 1.0])], {"rest": False}),
     "sine": ("tf", [("output_sine", [0.9, 0.3])], {}),
     "worn": ("tf", [("gain_worn", [0.02, 0.6])], {"rest": False}),
     "on change": ("tf", [("reported_on_change", [0.3, 0.1])], {"rest": False}),

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.baseline import best_linear
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.discovery import Curve, FoundTerm, discover
-from estimators.diagnosis.discovery.model import leading_nature, strongest_first
+from estimators.diagnosis.discovery.found import leading_nature, strongest_first
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL

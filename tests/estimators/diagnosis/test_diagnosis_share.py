@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from estimators.diagnosis.baseline import best_linear
 from estimators.diagnosis.search.selection import feedback_test
 from estimators.diagnosis.share import explainable_share
-from estimators.diagnosis.share.feedback import has_feedback, is_answer
+from estimators.diagnosis.share.feedback import filtered, has_feedback, is_answer
 from estimators.diagnosis.share.news import FREE, NEWS, Predictor
 from oed.data import Record
 
@@ -223,13 +223,31 @@ def test_an_input_logged_behind_its_filter_is_no_closed_loop():
     rng, uses = np.random.default_rng(1), [np.ones(2000, dtype=bool)]
     played, noise = rng.standard_normal(2000), 0.1 * rng.standard_normal(2000)
     heard = noise + 0.3 * played
-    filtered = Record(u=lfilter(*butter(6, 0.2), played), y=heard, dt=1.0)
-    assert has_feedback([filtered], [heard], uses)
-    assert not is_answer([filtered], [heard], uses)
+    behind = Record(u=lfilter(*butter(6, 0.2), played), y=heard, dt=1.0)
+    assert filtered(behind.u[:, 0])
+    assert not has_feedback([behind], [heard], uses)
+    assert not is_answer([behind], [heard], uses)
     steps = np.repeat(rng.choice([-1.0, 1.0], 200), 10)
     loop = Record(u=steps - 0.5 * np.concatenate(([0.0], noise[:-1])), y=noise, dt=1.0)
+    assert not filtered(loop.u[:, 0])
     assert has_feedback([loop], [noise], uses)
     assert is_answer([loop], [noise], uses)
+
+
+@pytest.mark.parametrize("deaf", [True, False])
+def test_a_wave_that_a_generator_makes_answers_nothing(deaf: bool) -> None:
+    """Triangles turn where they were turned before: lags foretell no turn, an error that bends with the input does, and was taken for
+    noise that a controller hears. What hears it is told still."""
+    rng, n = np.random.default_rng(4), 3000
+    heights, lengths = rng.choice([0.5, 1.0, 1.5], 150), rng.choice([14, 20], 150)
+    wave = np.concatenate(
+        [h * np.interp(np.arange(k) / k, (0, 0.25, 0.75, 1), (0, 1, -1, 0)) for h, k in zip(heights, lengths)]
+    )
+    u, noise = np.resize(np.repeat(wave, 1), n), 0.3 * rng.standard_normal(n)
+    bent = lfilter([0.0, 0.3], [1.0, -0.6], np.tanh(2.0 * u) ** 3) + 0.01 * noise
+    error = bent - np.mean(bent) + (0.0 if deaf else noise)
+    heard = Record(u - (0.0 if deaf else 0.4) * np.concatenate(([0.0], noise[:-1])), np.zeros(n))
+    assert has_feedback([heard], [error], [np.ones(n, dtype=bool)]) is not deaf
 
 
 @pytest.mark.parametrize("hold", [2, 3, 20])

@@ -14,7 +14,7 @@ from estimators.diagnosis.discovery import DiscoveredModel, answer, discover, se
 from estimators.diagnosis.discovery.dictionary import Kind
 from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Factor, Form, Term
 from estimators.diagnosis.discovery.starts import drive, linear_fit, pieces_of, scales_of
-from estimators.diagnosis.discovery.wording import BETWEEN, CARRIED
+from estimators.diagnosis.discovery.wording import BETWEEN, CARRIED, DEGREE
 from oed.data import Record
 
 
@@ -148,3 +148,47 @@ def test_what_no_window_shows_is_carried_on(monkeypatch) -> None:
     found = discover([record], base, "quick")
     assert found.found
     assert found.rmse_unused[0] < 0.05
+
+
+def closer(seed: int, n: int = 900) -> Record:
+    """A door with a spring, damped the more the nearer it is to its frame."""
+    rng = np.random.default_rng(seed)
+    u = steps(rng, n, 0.0, 1.0)
+    x = v = 0.0
+    y = np.zeros(n)
+    for k in range(n):
+        y[k] = x
+        for _ in range(20):
+            v += 0.01 * (9.0 * (u[k] - x) - (1.5 + 12.0 * np.exp(-x / 0.2)) * v)
+            x += 0.01 * v
+    return Record(u, y + 0.005 * rng.standard_normal(n), 0.2, input_units=("Nm",), output_units=("rad",))
+
+
+def test_a_record_that_begins_at_rest_vouches_for_terms_without_a_window() -> None:
+    """Its later blocks have no window that would say where they start: judged from rest there, a door's closer was ten times worse
+    than in any run, and gave way to a regression."""
+    record = closer(1)
+    base = best_linear([record], Options(deviations=True))
+    assert base.blocks.window == 0
+    found = discover([record], base, "quick", 0)
+    assert found.rmse_unused[0] < 0.008 < 0.3 * base.rmse_unused[0]
+
+
+def test_the_equation_of_a_force_with_a_rate_is_whole() -> None:
+    """A curve of the output whose rate acts is damping; what was printed was the curve alone, a twentieth of the force."""
+    record = closer(1)
+    found = discover([record], best_linear([record], Options(deviations=True)), "quick", 0)
+    top = found.terms[0]
+    assert top.same_as == "position_damping"
+    assert "d/dt[" in top.text
+    assert top.parameters["coefficient of the rate"][2] == "Nm s"
+    model = found.model
+    assert model is not None
+    (term, number) = next((t, i) for i, t in enumerate(model.form.terms) if t.slot == "force")
+    taps, b = model.theta[model.form.blocks[number]], model.theta[model.assembly.betas[0][0]]
+    seconds = model.scales.dt / model.form.paces[0]
+    gains = [taps[1] / b[1], taps[0] / b[1] * seconds]
+    assert [model.amplitude(number, model.theta, m) for m in (0, 1)] == pytest.approx(
+        [g * model.scales.su[0] * model.axes["y0"].scale ** -DEGREE[term.factors[0].kind] for g in gains],
+        rel=1e-9,
+    )

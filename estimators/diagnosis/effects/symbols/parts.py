@@ -224,6 +224,18 @@ def _tones(w: Wiring, y: Any, p: Array, k: Any) -> Any:
     return y + sum(a * np.cos(f * k) + b * np.sin(f * k) for f, a, b in p.reshape(-1, 3))
 
 
+def _scanned(w: Wiring, x: Any, p: Array, k: Any) -> Any:
+    every, phase = round(float(p[0])), round(float(p[1]))
+    s = w.state(w.value(x))
+    since = k - phase - every * w.ca.floor((k - phase) / every)
+    s.after = w.ca.if_else(since < 0.5, x, s.x)
+    return s.after
+
+
+TIMED: Mapping[str, Callable[[Wiring, Any, Array, Any], Any]] = {"tones": _tones, "input_scanned": _scanned}
+"""Of those that know the time, too."""
+
+
 def _process(w: Wiring, x: Any, p: Array, passing: Passing) -> Any:
     from estimators.diagnosis.effects.kernels.plant_kernels import Elements
     from estimators.diagnosis.model.layouts import STEPS, held_plant
@@ -264,14 +276,14 @@ def acted(w: Wiring, part: Any, x: Any, p: Array, k: Any, length: int) -> Any:
     if isinstance(effect.apply, Passing):
         return _process(w, x, q, effect.apply)
     known = effect in _known()
-    if known and effect.key == "tones":
-        return _tones(w, x, q, k)
+    if known and effect.key in TIMED:
+        return TIMED[effect.key](w, x, q, k)
     return TWINS[effect.key](w, x, q) if known else _map(w, effect, x, q, k, length)
 
 
 def _known() -> tuple[Effect, ...]:
     """The catalogue's own: an effect of the same key from elsewhere may be another one."""
-    return tuple(named(key) for key in (*TWINS, "tones"))
+    return tuple(named(key) for key in (*TWINS, *TIMED))
 
 
 def blocked(w: Wiring, part: Any, x: Any, p: Array) -> Any:
