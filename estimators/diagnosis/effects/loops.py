@@ -1,5 +1,6 @@
-"""Hidden loops between the input and the linear part: an actuator of limited stroke or speed, a relay; loops of hysteresis, a stem that
-sticks, a drive that scans its command.
+"""Hidden loops between the input and the linear part: an actuator of limited stroke or speed, a relay, hysteresis.
+
+Beside them a stem that sticks and a drive that scans its command.
 
 The former replace the slowest dynamics, so that the linear model is no guide to them: their shapes are profiled with a gain and a
 short filter behind them.
