@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.baseline.baseline import Baseline, Options, OutputModel
 from estimators.diagnosis.baseline.blocks import Block, Blocks, blocks_of
 from estimators.diagnosis.baseline.choice import SLOW, Trial, batch_squares, simplest, tried
-from estimators.diagnosis.baseline.disturbances import foretold, noise_model, tones, waves
+from estimators.diagnosis.baseline.disturbances import foretold, noise_model, recurring, tones, waves
 from estimators.diagnosis.baseline.linear_model import Prior, rest_level, unmoved
 from estimators.diagnosis.baseline.search import LONG as TAPS
 from estimators.diagnosis.baseline.search import ORDERS, REFINED, Search
@@ -248,7 +248,9 @@ def _without_tones(search: Search, trial: Trial) -> tuple[list[float], Sequence[
     lines, clean = [], []
     for k, r in enumerate(records):
         run = model.free_run(search.prior, r.u, r.y[:, i], 0)
-        y, found = r.y.copy(), [w for w in tones(r.y[:, i], run, r.u) if w > slowest]
+        own = [b.rows for b in search.blocks.blocks if b.record == k]
+        found = tones(r.y[:, i], run, r.u) or (recurring(r.y[:, i] - run, own) if len(own) > 2 else [])
+        y, found = r.y.copy(), [w for w in found if w > slowest]
         for b in search.blocks.blocks:
             if found and b.record == k:
                 y[b.rows, i] -= foretold(r.y[:, i] - run, waves(found, len(r)), slice(1, None), b.rows)

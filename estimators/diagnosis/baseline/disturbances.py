@@ -22,6 +22,8 @@ AROUND = 41
 """Bins whose median is the background: wide beside a line (4 bins), narrow beside a resonance."""
 NARROW = 0.1
 """Largest power a few bins aside, of a line's own; Hann's window leaves 0.01 there, a resonance more than a half."""
+PEAKS, FORETOLD = 12, 0.3
+"""Highest places of a spectrum that are tried as waves, and the share of what the others leave by which each must foretell all parts held out."""
 MOST_LAGS = 20
 """Lags of the one-step noise model, chosen by Schwarz's criterion up to here."""
 
@@ -93,6 +95,30 @@ def tones(y: Array, run: Array, U: Array) -> list[float]:
             break
         found.append(omega)
         left = float(np.sum(rest**2))
+    return found
+
+
+def recurring(e: Array, held_out: Sequence[slice]) -> list[float]:
+    """Angular frequencies of waves of a residual (N,) that foretell it in every part held out, when fitted to the others.
+
+    Where noise is slow, or turns are few, no line stands out of the spectrum, as that of a day in ten days of a building.
+    """
+    found: list[float] = []
+    tried = np.argsort(_periodogram(np.where(np.isfinite(e), e, 0.0)))[::-1][:PEAKS]
+    bins = np.unique(np.round([j + d for j in tried for d in np.linspace(-0.5, 0.5, 9)], 6))
+
+    def left(omegas: list[float]) -> Array:
+        W = waves(omegas, len(e))
+        rest = [e[part] - foretold(e, W, slice(0, W.shape[1]), part) for part in held_out]
+        return np.array([np.nansum(x**2) for x in rest])
+
+    best = left([])
+    while len(found) < MOST_TONES:
+        trials = [(left([*found, w]), w) for w in 2.0 * np.pi * bins / len(e) if 0.0 < w < np.pi]
+        now, omega = min(trials, key=lambda trial: float(trial[0].sum()), default=(best, 0.0))
+        if not (np.all(now < best) and now.sum() < (1.0 - FORETOLD) * best.sum()):
+            break
+        found, best = [*found, float(omega)], now
     return found
 
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import lfilter, lfiltic
 
 from estimators.diagnosis.baseline import Options, best_linear, blocks_of
-from estimators.diagnosis.baseline.disturbances import noise_model, tones
+from estimators.diagnosis.baseline.disturbances import noise_model, recurring, tones
 from estimators.diagnosis.baseline.linear_kernels import continued
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.residual.algebra import stable
@@ -334,6 +334,22 @@ def test_measured_records_against_ten_lag_arx_and_the_mean(meta):
         with np.errstate(over="ignore", invalid="ignore"):
             theirs = (test.y[:, 0] - ten_lags(train, test, skip))[skip:]
         assert excess(ours, theirs) < 2.0
+
+
+def test_a_day_recurs_in_slow_noise_where_no_line_stands_out():
+    """Ten days of a building whose windows are open ten hours of each: no line was told, and light poles followed the days. Noise alone
+    that is as slow has no wave that foretells every fifth of it."""
+    n, days, false = 1500, 0, 0
+    parts = [slice(300 * i, 300 * (i + 1)) for i in range(5)]
+    day = lfilter([0.03], [1.0, -0.97], np.where((np.arange(n) + 30) % 144 < 60, 1.0, 0.0))
+    day = (day - day.mean()) / day.std()
+    for seed in range(20):
+        e = lfilter([1.0], [1.0, -0.97], np.random.default_rng(seed).standard_normal(n + 500))[500:]
+        e /= e.std()
+        days += any(abs(2 * np.pi / w - 144) < 2 for w in recurring(0.7 * e + day, parts))
+        false += any(w > 2 * np.pi / 300 for w in recurring(e, parts))
+    assert days >= 18
+    assert false <= 1
 
 
 def test_two_light_modes_beside_each_other_are_dynamics_and_no_tones():
