@@ -23,7 +23,11 @@ TEXT = {
     Kind.COS: "cos({k} {b})", Kind.EXP: "exp({b}/{q})", Kind.ROOT: "sqrt({s})", Kind.LOG: "log({s})",
     Kind.INVERSE: "1/{b}", Kind.SIGNED_ROOT: "sign({s}) sqrt|{s}|", Kind.BELL: "exp(-({b}/{q})^2)",
 }  # fmt: skip
-COEFFICIENTS = ("coefficient", "coefficient of the rate", *(f"coefficient of rate {m}" for m in range(2, 6)))
+COEFFICIENTS = (
+    "coefficient",
+    "coefficient of the rate",
+    *(f"coefficient of the {which} derivative" for which in ("second", "third", "fourth", "fifth")),
+)
 """Of a force and of its derivatives."""
 NEAR_ZERO = 1e-3  # of a signal's scale: an offset below it is none
 

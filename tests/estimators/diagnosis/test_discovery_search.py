@@ -14,7 +14,7 @@ from estimators.diagnosis.discovery import DiscoveredModel, answer, discover, se
 from estimators.diagnosis.discovery.dictionary import Kind
 from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Factor, Form, Term
 from estimators.diagnosis.discovery.starts import drive, linear_fit, pieces_of, scales_of
-from estimators.diagnosis.discovery.wording import BETWEEN, CARRIED, DEGREE
+from estimators.diagnosis.discovery.wording import BETWEEN, CARRIED, DEGREE, sum_of_rates
 from oed.data import Record
 
 
@@ -177,18 +177,21 @@ def test_a_record_that_begins_at_rest_vouches_for_terms_without_a_window() -> No
 def test_the_equation_of_a_force_with_a_rate_is_whole() -> None:
     """A curve of the output whose rate acts is damping; what was printed was the curve alone, a twentieth of the force."""
     record = closer(1)
-    found = discover([record], best_linear([record], Options(deviations=True)), "quick", 0)
-    top = found.terms[0]
-    assert top.same_as == "position_damping"
-    assert "d/dt[" in top.text
-    assert top.parameters["coefficient of the rate"][2] == "Nm s"
-    model = found.model
+    model = discover([record], best_linear([record], Options(deviations=True)), "quick", 0).model
     assert model is not None
-    (term, number) = next((t, i) for i, t in enumerate(model.form.terms) if t.slot == "force")
+    number, term = next((i, t) for i, t in enumerate(model.form.terms) if t.slot == "force")
+    found = model.found()[number]
+    assert "d/dt[" in found.text
+    assert found.parameters["coefficient of the rate"][2] == "Nm s"
     taps, b = model.theta[model.form.blocks[number]], model.theta[model.assembly.betas[0][0]]
-    seconds = model.scales.dt / model.form.paces[0]
-    gains = [taps[1] / b[1], taps[0] / b[1] * seconds]
-    assert [model.amplitude(number, model.theta, m) for m in (0, 1)] == pytest.approx(
-        [g * model.scales.su[0] * model.axes["y0"].scale ** -DEGREE[term.factors[0].kind] for g in gains],
-        rel=1e-9,
+    unit = model.scales.su[0] * model.axes["y0"].scale ** -DEGREE[term.factors[0].kind]
+    gains = [taps[1] / b[1] * unit, taps[0] / b[1] * unit * model.scales.dt / model.form.paces[0]]
+    for rate, gain in enumerate(gains):
+        assert model.amplitude(number, model.theta, rate) == pytest.approx(gain, rel=1e-9)
+    assert model._damps(term, found.curve, 100.0)
+    assert not model._damps(term, found.curve, 0.01)
+    # where the curve itself is not sure, its rate is all that is said
+    assert (
+        sum_of_rates("y^2", {0: (0.1, 0.2), 1: (-3.0, 0.1), 2: (1.0, 0.2)})
+        == "-3 +- 0.1 s * d/dt[y^2] + 1 +- 0.2 s^2 * d^2/dt^2[y^2]"
     )
