@@ -24,6 +24,8 @@ WORSE = 1.1
 """One-step error, of the best linear model's on unused blocks, up to which a fit, which has seen them, is as good."""
 TWICE = 2.0
 """Squared error of the named model on unused blocks, up to which a regression explains as much: it has many more columns."""
+WHOLE = 0.1
+"""Of the linear model's error on unused blocks, below which what a named model leaves may be noise alone."""
 RESTORING = {"duffing", "pendulum", "position_periodic_force"}
 """Names of one place, a force of the position: a record that turns by a part of a circle tells no sine from another spring."""
 SOME = 0.1
@@ -115,9 +117,11 @@ class Outcome:
 
     def gainsaid(self, nature: str) -> bool:
         """Whether causes of another nature, without any model of them, explain as much as the named model does, and surely more
-        than those of this one do: a cousin of the truth bends until it fits, a regression of its place alone does not.
+        than those of this one do: a cousin of the truth bends until it fits, a regression of its place alone does not. But it does
+        not bend until a tenth of the error is left and nothing of that can be explained.
         """
-        return self.behind(nature) and 1.0 - self.share.natures[0].share <= TWICE * self.kept**2
+        whole = self.kept < WHOLE and not self.left.explainable
+        return not whole and self.behind(nature) and 1.0 - self.share.natures[0].share <= TWICE * self.kept**2
 
     @property
     def discovered(self) -> str:

@@ -181,16 +181,25 @@ def test_the_nature_that_the_residual_shows_leads_where_the_terms_have_it() -> N
 
 
 @pytest.mark.parametrize(
-    ("own", "best", "left", "feedback", "told"),
+    ("own", "best", "left", "feedback", "more", "told"),
     [
-        (0.33, 0.966, 0.02, False, True),  # a dead zone and a mode for a meter that rectifies
-        (0.93, 0.966, 0.02, False, False),  # its own nature explains as much
-        (0.33, 0.80, 0.02, False, False),  # the named model explains far more than any regression
-        (0.33, 0.966, 0.02, True, False),  # in a loop the shares are those of one-step predictions
+        (0.33, 0.966, 0.02, False, False, True),  # a dead zone and a mode for a meter that rectifies
+        (0.93, 0.966, 0.02, False, False, False),  # its own nature explains as much
+        (0.33, 0.80, 0.02, False, False, False),  # the named model explains far more than any regression
+        (0.33, 0.966, 0.02, True, False, False),  # in a loop the shares are those of one-step predictions
+        (0.33, 0.993, 0.006, False, True, True),
+        (
+            0.33,
+            0.993,
+            0.006,
+            False,
+            False,
+            False,
+        ),  # a thermistor: a thirteenth of the error is left, and it is noise
     ],
 )
 def test_a_name_is_not_given_where_causes_of_another_place_explain_as_much(
-    own, best, left, feedback, told
+    own, best, left, feedback, more, told
 ) -> None:
     natures = [
         Evidence("a", best, best - 0.02, best + 0.02, ""),
@@ -202,7 +211,8 @@ def test_a_name_is_not_given_where_causes_of_another_place_explain_as_much(
         for k, v in ((Kind.LINEAR, 1.0), (Kind.NAMED, left**0.5))
     ]
     none: Any = None
-    o = Outcome(0, none, none, SimpleNamespace(rungs=rungs), share, none, none)  # type: ignore[arg-type]
+    rest: Any = SimpleNamespace(explainable=more)
+    o = Outcome(0, none, none, SimpleNamespace(rungs=rungs), share, rest, none)  # type: ignore[arg-type]
     assert o.gainsaid("b") is told
     assert o.behind("b") is (own < 0.9 and not feedback)  # whatever the named model explains
     assert not o.gainsaid("a")
