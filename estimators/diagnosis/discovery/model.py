@@ -24,6 +24,7 @@ from estimators.diagnosis.discovery.wording import (
     DAMPS,
     DEGREE,
     LAGGED,
+    SURE,
     Axis,
     carried,
     lagged,
@@ -43,7 +44,6 @@ Array = NDArray[Any]
 GRID = 41  # points of a curve
 EDGE = 0.005  # quantile of the training signal where a curve ends
 BAND = 1.96
-SURE = 2.0  # standard errors beyond which a tap of a force is there
 UNTOLD = 2.0  # relative error of forces in units of an input, of that in others, from which on it is most of it the input's own
 
 
@@ -127,9 +127,9 @@ class DiscoveredModel:
         if j is None:
             return own * self._highest(term.chain)
         b = theta[self.assembly.betas[term.chain][j]]
-        if not self._static(term, j):
-            own = 0.0 if rate else float(taps @ b)
-        return own * float(self.scales.su[j]) / float(b[-1] if self._static(term, j) else b @ b)
+        if self._static(term, j):
+            return own * float(self.scales.su[j]) / float(b[-1])
+        return 0.0 if rate else float(taps @ b) * float(self.scales.su[j]) / float(b @ b)
 
     def _static(self, term: Term, j: int) -> bool:
         """Whether input j, in whose units a force is given, acts on the highest derivative itself, as the force does."""

@@ -29,6 +29,7 @@ COEFFICIENTS = (
     *(f"coefficient of the {which} derivative" for which in ("second", "third", "fourth", "fifth")),
 )
 """Of a force and of its derivatives."""
+SURE = 2.0  # standard errors beyond which a tap of a force is there
 NEAR_ZERO = 1e-3  # of a signal's scale: an offset below it is none
 
 
@@ -87,7 +88,7 @@ def sum_of_rates(text: str, taps: Mapping[int, tuple[float, float]]) -> str:
     """A term with its coefficient and error, and those of its derivatives, by how often it is derived; itself only where it is sure
     or nothing else is."""
     (k, error), further = taps[0], {m: t for m, t in taps.items() if m}
-    parts = [] if further and abs(k) < 2.0 * error else [f"{k:.3g} +- {error:.2g} * {text}"]
+    parts = [] if further and abs(k) < SURE * error else [f"{k:.3g} +- {error:.2g} * {text}"]
     for m, (k, error) in further.items():
         power = f"^{m}" if m > 1 else ""
         parts.append(f"{k:.3g} +- {error:.2g} s{power} * d{power}/dt{power}[{text}]")

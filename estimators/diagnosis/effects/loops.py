@@ -364,7 +364,7 @@ def _scans(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 
     s = base.structure
     for j in s.inputs if s.layout == "tf" and not s.effects else ():
-        part, u = Part(SCANNED, j), channel.u.copy()
+        part, u = Part(SCANNED, j), channel.u
 
         def ran(x: Array, j: int = j, u: Array = u) -> Array:
             return simulate(s, base.p, np.column_stack((*u.T[:j], x, *u.T[j + 1 :])), channel.clock)[
