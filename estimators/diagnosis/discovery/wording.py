@@ -151,6 +151,14 @@ def _couples(term: Term) -> bool:
     return term.slot == "force" and bool(others) and moving and bent and _letters(term) <= {"y", "v"}
 
 
+DELAYED = "flow_dependent_delay"
+
+
+def _delays(term: Term) -> bool:
+    """Whether an input times the rate of what is read is read with it: the first order of a delay that goes with the input."""
+    return term.slot == "output" and {f.signal for f in term.factors if _side(f) == "v"} == {f"v{term.chain}"}
+
+
 def same_as(term: Term, swings: bool = True) -> str:
     """The catalogue's name for a term that says the same in a chain that can swing or not, or nothing."""
     if _couples(term):
@@ -161,7 +169,11 @@ def same_as(term: Term, swings: bool = True) -> str:
         kinds = "".join(sorted(map(_side, term.factors)))
         if kinds == "mu":
             kinds = "".join(sorted("u" + ("y" if "y" in _letters(term) else "u")))
-        names = {"uy": "bilinear", "uu": "product_of_inputs" if several else ""}
+        names = {
+            "uy": "bilinear",
+            "uu": "product_of_inputs" if several else "",
+            "uv": DELAYED if _delays(term) else "",
+        }
         return names.get(kinds, "") if plain else ""
     f = term.factors[0]
     side = _side(f)
@@ -278,6 +290,8 @@ def meaning(term: Term) -> str:
     if len(chains) > 1:
         return coupling
     pair = "".join(sorted(sides))
+    if pair == "uv" and _delays(term):
+        return "a delay that the input sets (the rate of what is read, times the input)"
     return {
         "uy": "output-dependent gain (input times output; state-dependent gain or time constant)",
         "uv": "the input acts differently with speed and direction (product of input and rate)",

@@ -48,6 +48,9 @@ integrator, which fits as well."""
 UNLOADED, LOADS, STALLED = 4, (-0.9, -0.5, 0.0, 0.5, 0.9), 1e-3
 """Servos of one rate each way that a load is tried with; shares of their rates by which half the load's range changes them; and the
 share of a rate that the heaviest load leaves."""
+BUMPS = ((3.0, 0.0, 0.4), (3.0, -0.7, 0.4), (3.0, 0.7, 0.4), (2.0, -1.5, 2.0), (2.0, 1.5, 2.0))
+"""Of a capacity that depends on the level: how much more it is at most, where, and how wide that is, in standard deviations of the input."""
+THINNEST = -0.95  # of a capacity, what its level may take away
 LEAST = 1e-300  # a difference that no quotient by it leaves without a number
 LEAST_FLOW = 1e-3  # of the mean flow: what stands still takes for ever
 
@@ -145,6 +148,13 @@ def _shapes(s: Sizes, *shapes: list[float], sizes: list[float]) -> Grid:
 
 def _losses(s: Sizes, power: int) -> float:
     return s.su / (abs(float(np.mean(s.u))) + s.su) ** power
+
+
+def _bumps(s: Sizes) -> Grid:
+    """Capacities that change in the middle of the range, or beyond an end of it, where the middle shows their flank."""
+    mean = float(np.mean(s.u))
+    shapes = [[more, mean + at * s.su, width * s.su] for more, at, width in BUMPS]
+    return _shapes(s, *shapes, sizes=[1.0, 1.0, 1.0])[0], [max(s.rates), 1.0, s.su, s.su]
 
 
 def _outflows(s: Sizes) -> float:
@@ -360,6 +370,10 @@ PROCESS = (
              lambda p, v, u, q, s, c: u - p - (u - c[0] * np.sqrt(np.maximum(p, 0.0))) / (1.0 + (c[1] * p) ** 2),
              {"k": "u^0.5", "widening": "1/u"},
              lambda s: _shapes(s, [1.0, 0.5], [1.0, 1.5], sizes=[_outflows(s), 1.0 / (abs(float(np.mean(s.u))) + s.su)])),
+    _process("capacity_bump", "level_dependent_time_constant",
+             "what it holds takes another capacity near one level: heat that melts, a vessel that widens, iron that saturates",
+             lambda p, v, u, q, s, c: (u - p) * (1.0 - 1.0 / (1.0 + np.maximum(c[0], THINNEST) * np.exp(-(((p - c[1]) / c[2]) ** 2)))),
+             {"more": "1", "level": "u", "width": "u"}, _bumps),
     THROUGH,
     SERVO,
     FILLED,

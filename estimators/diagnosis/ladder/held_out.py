@@ -51,6 +51,14 @@ class HeldOut:
         """Whether the record bears what is claimed of the system: its errors are less with it, and less than a constant's."""
         return self.untried or (self.borne.low > 0.0 and not self.lost)
 
+    @property
+    def misread(self) -> bool:
+        """Whether faults of the samples explain more than all that is claimed of the system: the linear model that knows of them, on the
+        way from the one that does not."""
+        known = [r["rmse_test"] for r in self.rungs if r["step"] == Kind.LINEAR.value and r["adds"]]
+        before, after = self.rmse_before.value, self.rmse_after.value
+        return any(before**2 - error**2 > error**2 - after**2 for error in known)
+
 
 def removed(before: Array, after: Array, floor: tuple[float, int], policy: Policy) -> ErrorFigure:
     """(before - after)/(before - floor) with its interval; NaN where there is hardly anything to remove.

@@ -1,7 +1,7 @@
 """The verdict: what is claimed of the system, what is said of the data, and the sentences for both.
 
-Two headlines that never compete: a finding about the record (rounding, held samples, outliers, feedback) is no answer to
-what the linear model lacks, and takes the first place only where nothing of the system is claimed.
+Two headlines: a finding about the record (rounding, held samples, outliers, feedback) is no answer to what the linear model lacks, and
+takes the first place only where nothing of the system is claimed, or less of the error than reading the record rightly removes.
 """
 
 from collections.abc import Sequence
@@ -86,12 +86,15 @@ def verdict(
     )
     # beside a claim that the record refuses, what unused blocks have shown is in that noise
     heard = zip(outcomes, rests, strict=True) if first or not withdrawn else ()
+    faults = [f for f in data if held.misread and f.key != "feedback"]
     found = [
+        *faults,
         *first,
-        *data,
+        *(f for f in data if f not in faults),
         *(f for o, rest in heard for f in _noise(o, rest, effects, on_output(o, several))),
     ]
     chosen = list(dict.fromkeys(f.cause for f in found))
+    heads = [headline(f, outcomes, effects, record, held.bears) for f in (*faults[:1], *first[:1])]
     errors = f"error on fresh data {held.rmse_before.value:.3g} -> {held.rmse_after.value:.3g} {in_units('y', record)}"
     bare = all(o.ladder.chosen.linear for o in outcomes)  # else a model of no cause that holds is the answer
     echo = (
@@ -114,7 +117,7 @@ def verdict(
         "confusable": _confusable(outcomes, chosen),
         "remaining": "; ".join(x.sentence + on_output(o, several) for o, rest in zip(outcomes, rests, strict=True) for x in rest[:3]),
         "refinements": tuple(dict.fromkeys(effects[key].cause for o in outcomes for key, _ in o.named.dropped)),
-        "system": f"{headline(first[0], outcomes, effects, record, held.bears) if first else UNCLAIMED if withdrawn else echo}; {errors}",
+        "system": f"{'; beside that, '.join(heads) if first else UNCLAIMED if withdrawn else echo}; {errors}",
         "equation": "; ".join(equations(outcomes)),
         "floor_is_bound": any(map(bool, rests)) or any(_absorbing(o) for o in outcomes),
         "data": tuple(f.sentence for f in data), "explainable": _explainable(every),

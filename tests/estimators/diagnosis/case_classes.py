@@ -184,6 +184,11 @@ def vessel(u, a):
     return _sensor(_process(lambda x, v: 0.1 * (v - root(x)) / area(x), u, start), start)
 
 
+def melting(u, a):
+    capacity = lambda x: 1.0 + 4.0 * a * np.exp(-(((x - 3.8) / 0.6) ** 2))
+    return _linear(_process(lambda x, v: 0.12 * (v - x) / capacity(x), u, u[0]))
+
+
 def through_flow(u, a):
     if not a:
         return _linear(u)
@@ -366,6 +371,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "magnitude": (magnitude, 2, {}), "squared": (squared, 2, {}), "rectified": (rectified, 2, {}),
     "wrapped": (wrapped, 3, {}), "rise_and_fall": (rise_and_fall, 3, _LEVEL), "orifices": (orifice, 3, _LEVEL),
     "loss_cubic": (loss, 2, _LEVEL), "outflow_root": (outflow, 2, _LEVEL), "vessel": (vessel, 2, _LEVEL),
+    "capacity_bump": (melting, 3, _LEVEL),
     "through_flow": (through_flow, 2, {"mean": 4.0, "size": 1.2}), "pendulum": (pendulum, 2, {"size": 0.4}),
     "pendulum_pivot": (pivot, 3, {"size": 0.8}), "position_periodic": (eccentric, 2, {"mean": 3.0, "size": 0.6}),
     "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "stiffness_squared": (electrostatic, 2, {"mean": 3.0, "size": 0.8}),
@@ -384,7 +390,7 @@ LOOKALIKES = {
     # effect: a record that looks like it and is not
     "input_exponential": "rise_and_fall", "input_tanh": "input_kink", "relay": "hysteresis_rate", "magnitude": "squared",
     "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifices": "vessel",
-    "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
+    "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "capacity_bump": "loss_cubic", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
     "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",
     "stiffness_squared": "stiffness_drift", "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction", "clearance_sprung": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",

@@ -212,6 +212,23 @@ def test_a_claim_is_borne_by_no_run_that_is_worse_than_a_constant() -> None:
     assert list(_worse_than_constant(0.64 * y, every, figures, Setting().policy)) == ["linear model", ANSWER]
 
 
+@pytest.mark.parametrize(
+    ("known", "after", "misread"), [(0.053, 0.040, True), (0.22, 0.04, False), (None, 0.04, False)]
+)
+def test_what_a_sensor_does_to_most_of_the_error_is_said_first(known, after, misread):
+    """An analyser read anew every 12 samples: .227 as the linear model has it, .053 as it is read, .040 with an offset too, which was
+    said to be what is missing."""
+    rungs = [{"step": "linear", "adds": [], "rmse_test": 0.1}] + [
+        {"step": "linear", "adds": ["held"], "rmse_test": known}
+    ] * (known is not None)
+    told = {
+        "rungs": rungs,
+        "rmse_before": ErrorFigure(0.227, 0.2, 0.25),
+        "rmse_after": ErrorFigure(after, 0.03, 0.05),
+    }
+    assert HeldOut(**{f.name: told.get(f.name) for f in fields(HeldOut)}).misread is misread  # type: ignore[arg-type]
+
+
 def test_a_claim_is_borne_by_no_gain_that_its_model_has_without_it(rng) -> None:
     """Poles that came with a cause may have all of its gain on the test record."""
     y = rng.standard_normal(400)

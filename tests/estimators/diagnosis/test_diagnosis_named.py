@@ -104,6 +104,11 @@ def test_terms_get_names_of_the_catalogue_where_they_say_the_same() -> None:
     pairs = {("u0", "u1"): "product_of_inputs", ("u0", "y0"): "bilinear", ("u0", "u0"): "", ("u0", "v0"): ""}
     for (a, b), name in pairs.items():
         assert same_as(Term((Factor(Kind.LINEAR, a, 0.0), Factor(Kind.LINEAR, b, 0.0)), "force")) == name
+    moved = Factor(Kind.LINEAR, "u0", 0.0), Factor(Kind.LINEAR, "v0", 0.0)
+    assert (
+        same_as(Term(moved, "output")) == "flow_dependent_delay"
+    )  # y(t - d(u)) = y - d(u) y' to first order
+    assert same_as(Term((moved[0], Factor(Kind.LINEAR, "v1", 0.0)), "output")) == ""
     found = {
         said(k, s, slot) for k in range(16) for s in ("y0", "v0", "u0", "du0") for slot in ("force", "output")
     }
