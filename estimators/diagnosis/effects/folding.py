@@ -274,4 +274,56 @@ WRAPPED = Effect(
     curve=lambda x, p: p[2] + (x + p[1] - p[2]) - p[0] * np.floor((x + p[1] - p[2]) / p[0] + 0.5),
 )  # fmt: skip
 
-FOLDING = (MAGNITUDE, SQUARED, RECTIFIED, WRAPPED)
+CUT, GAP = (0.02, 0.6), 2.0
+"""Share of the samples that a sensor may have cut off; and how far the least that it shows lies above what it reads there, in standard
+deviations of that."""
+FINE = 200  # part of a record that may lie in the gap all the same, as noise
+
+
+def _blank(y: Array) -> tuple[NDArray[np.bool_], float] | None:
+    """The samples that a sensor reads below its least level, and what it reads there; None without a gap above them."""
+    ordered, few = np.sort(y), max(1, len(y) // FINE)
+    first, last = (int(f * len(y)) for f in CUT)
+    wide = ordered[first + few : last + few] - ordered[first:last]
+    at = first + int(np.argmax(wide)) if len(wide) else 0
+    low = y <= ordered[at]
+    clear = len(wide) and ordered[at + few] - ordered[at] > GAP * float(np.std(y[low]))
+    return (low, float(y[low].mean())) if clear else None
+
+
+def _level(x: Array, y: Array, reading: float) -> float:
+    """The level of a signal below which a reading is nearer to what is read than the signal is, in all."""
+    order = np.argsort(x)
+    gained = np.cumsum(((y - x) ** 2 - (y - reading) ** 2)[order])
+    at = int(np.argmax(gained[:-1]))
+    return float(x[order[at : at + 2]].mean())
+
+
+def _cutting(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """A linear model of what is not cut off, then the level from which on it is, where the record is nearest to the two of them."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.simulation import simulate
+    from estimators.diagnosis.model.structure import Part
+
+    s, y = base.structure, channel.y
+    if s.layout != "tf" or s.effects or not channel.keep.all() or (found := _blank(y)) is None:
+        return
+    low, reading = found
+    f = fit_linear(replace(channel, keep=~low), s)
+    new, p = s.adding(Part(CUTOFF, s.inputs[0])), np.append(f.p, [0.0, reading])
+    scales = np.append(f.scales, [float(np.std(y))] * 2)
+    for _ in range(COUNTS):  # the level has no derivative
+        x = simulate(s, p[:-2], channel.u, channel.clock)
+        p[-2] = _level(x, y, p[-1])
+        p = fit(channel, new, p, scales, noise=base.noise, iterations=10, colour=False).p
+    yield fit(channel, new, p, scales, noise=base.noise, iterations=30)
+
+
+CUTOFF = Effect(
+    key="output_cutoff", cause="output_nonlinearity", nature=Nature.OUTPUT_STATIC, slot=Slot.OUTPUT, trials=12,
+    sentence="the sensor reads one value for all that is below a level: a cut-off of low flows, a speed too slow to be counted",
+    apply=lambda x, p, c: p[1] + (x - p[1]) * (x > p[0]), parameters={"level": "y", "reading": "y"}, search=_cutting,
+)  # fmt: skip
+
+FOLDING = (MAGNITUDE, SQUARED, RECTIFIED, WRAPPED, CUTOFF)

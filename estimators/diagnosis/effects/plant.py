@@ -206,6 +206,8 @@ USES = (0.3, 1.0, 3.0)  # share of a gain that the mean input uses up, of what i
 WEARS, MOST_WORN = (1.0, 5.0, 25.0), 4.0
 """What all that passes in a record adds to a resistance of 1, that is tried; the largest power of it that a gain falls with: a cake
 under a given pressure has a half, a given flow through it 1, more is nearly exponential."""
+EXCESSES, AGEING = (-0.5, 0.6, 2.0), (0.05, 0.15, 0.4)
+"""What a gain that settles has more of itself at the record's start than at the end, and its time constants in records, that are tried."""
 MEMORIES = (0.05, 0.2)  # of the record: time constants of a slow state that are tried
 
 
@@ -288,6 +290,10 @@ def _worn(x: Array, p: Array, clock: Clock) -> Array:
     return x * (1.0 + abs(float(p[0])) * passed) ** -float(np.clip(p[1], 0.0, MOST_WORN))
 
 
+def _settling(x: Array, p: Array, clock: Clock) -> Array:
+    return x * (1.0 + p[0] * np.exp(-np.maximum(clock.turn, 0.0) / max(abs(float(p[1])), SOONEST)))
+
+
 def _with_wear(s: Sizes) -> Grid:
     total = float(np.sum(np.abs(s.u))) + 1e-300
     return [[f / total, power] for f in WEARS for power in (0.5, 1.0)], [1.0 / total, 0.5]
@@ -341,6 +347,11 @@ SLOWING = Effect(
     parameters={"lag": "sample", "growth": "sample", "memory": "record"},
 )  # fmt: skip
 
+SETTLES = Effect(
+    key="gain_settles", cause="gain_drift", family="drifts", nature=Nature.TIME, slot=Slot.INPUT, trials=10, apply=_settling,
+    sentence="the gain falls with time, or grows, and nears an end: a catalyst, a lamp that runs in",
+    starts=lambda s: ([[more, m] for more in EXCESSES for m in AGEING], [1.0, 0.1]), parameters={"more": "1", "memory": "record"},
+)  # fmt: skip
 WORN = Effect(
     key="gain_worn", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_worn,
     sentence="the gain falls with all that has passed since the record began: a filter that clogs, a catalyst, a tool",
@@ -363,6 +374,7 @@ MODULATED = (
     Effect(key="gain_fatigue", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_tired,
            sentence="the gain is used up by the input and recovers slowly: fatigue, a depleted store", starts=_with_use,
            parameters={"use": "1/(u sample)", "recovery": "1/sample"}),
+    SETTLES,
     WORN,
     Effect(key="gain_heat", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10,
            apply=_warmed,

@@ -22,6 +22,7 @@ PLAIN = {
     "relay_feedback.low": "lower level", "relay_feedback.high": "upper level", "gain_heat.time": "time constant",
     "rise_and_fall.asymmetry": "relative excess of the rate when it rises", "orifices.asymmetry": "relative excess of the rate when it rises",
     "orifices.rate": "rate at twenty times the laminar difference",
+    "gain_settles.more": "excess of the gain at the start, over that in the end", "reading": "what it reads there",
     "capacity_bump.more": "capacity at the level, over that elsewhere less 1", "smooth": "difference below which the flow is laminar", "widening": "widening per level", "angle": "radians per unit of position",
     "excess": "excess of the friction at rest", "speed": "Stribeck speed", "push": "what it adds while on", "pace": "rate of the slow state",
     "relay_feedback.share": "share of the level it adds while on", "relay_feedback.rate": "rate of the level", "spring": "stiffness",

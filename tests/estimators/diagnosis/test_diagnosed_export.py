@@ -72,6 +72,8 @@ NAMED = {
     "step": ("tf", [("step_input", [0.5, 40.3])], {"clock": (-30.0, 0.5, 300)}),
     "process": ("tf", [("orifices", [0.3, 1.5, 0.05])], {}),
     "vessel": ("tf", [("vessel", [0.3, 1.0, 0.4])], {"rest": False}),
+    "cut-off": ("tf", [("output_cutoff", [0.1, -0.2])], {}),
+    "settling": ("tf", [("gain_settles", [0.6, 0.2])], {"clock": (-30.0, 0.5, 300)}),
     "capacity": ("tf", [("capacity_bump", [0.3, 2.0, 0.4, 0.5])], {"rest": False}),
     "linear inside": ("driven", [], {"delay": 2}),
     "springs": ("oscillator", [("stiffness_cubic", [0.1]), ("drag", [0.2])], {"rest": False}),
