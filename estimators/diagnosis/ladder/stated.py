@@ -88,7 +88,11 @@ def _moving(search: Search, n: int, *, level: bool) -> Contradiction | None:
     then = first and free.of_form(form, first.models[-1])
     if not (first and then):
         return None
-    model, noise = then.models[-1], first.noise
+    model = then.models[-1]
+    back = still.of_form(
+        replace(form, offset=False), replace(model, constant=0.0)
+    )  # else another minimum seems to be a start
+    noise = min(first.noise, np.inf if back is None else back.noise)
     if level:
         off = model.level(np.zeros(search.inputs))
         there = replace(still, records=[r.replace(y=r.y - off) for r in search.records])

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from estimators.diagnosis.baseline.search import Search
 from estimators.diagnosis.ladder.stated import lacking, settling, starts_moving
 from estimators.diagnosis.ladder.steps import climb
 from estimators.diagnosis.loop import diagnose
@@ -63,6 +64,19 @@ def test_records_at_rest_are_believed(den, colour, seed):
     r = record(den, colour=colour, seed=seed)
     options = Options(deviations=True)
     assert starts_moving([r], 0, best_linear([r], options), 2, options) is None
+
+
+def test_a_better_minimum_is_no_start(monkeypatch):
+    """Beside a heat pump's defrosts the model at rest had ended in a poor minimum, and a state at the start had taken "14 % of the error"."""
+    of_form, r, options = Search.of_form, record(), Options(deviations=True)
+
+    def poor(self: Search, form, *near):
+        found = of_form(self, form, *near)
+        return found if near or found is None else replace(found, noise=1.4 * found.noise)
+
+    base = best_linear([r], options)
+    monkeypatch.setattr(Search, "of_form", poor)
+    assert starts_moving([r], 0, base, 2, options) is None
 
 
 def test_a_record_that_starts_in_a_state_is_fitted_and_told():
