@@ -153,8 +153,8 @@ def _losses(s: Sizes, power: int) -> float:
 def _bumps(s: Sizes) -> Grid:
     """Capacities that change in the middle of the range, or beyond an end of it, where the middle shows their flank."""
     mean = float(np.mean(s.u))
-    shapes = [[more, mean + at * s.su, width * s.su] for more, at, width in BUMPS]
-    return _shapes(s, *shapes, sizes=[1.0, 1.0, 1.0])[0], [max(s.rates), 1.0, s.su, s.su]
+    grid = [[rate, more, mean + at * s.su, width * s.su] for rate in s.rates for more, at, width in BUMPS]
+    return grid, [max(s.rates), 1.0, s.su, s.su]
 
 
 def _outflows(s: Sizes) -> float:

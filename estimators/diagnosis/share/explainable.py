@@ -96,7 +96,7 @@ def _taken(target: Array, left: Array) -> float:
 
 
 def _interval(target: Array, left: Array) -> tuple[float, float, float]:
-    """The same with a 95 % interval, of squares that have a memory: it holds in .90 to .97 of records with inputs of their own, the least
+    """The same with a 95 % interval, of squares that have a memory: it holds in .90 to .95 of records with inputs of their own, the least
     where nothing is explainable and the noise is slow (a pole of .9, 600 samples)."""
     share = _taken(target, left)
     if not (base := float(np.mean(target**2))):
