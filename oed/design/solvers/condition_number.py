@@ -51,7 +51,7 @@ SPENT = (1e-5, 1e-3)
 """Shares of a multiplier's largest eigenvalue below which the others are what an interior point leaves of zero: both are tried."""
 PATIENCE = 2
 """Rounds that gain no fifth of the gap after which rounding of the programme holds it up."""
-CENTRED = 0.1
+CENTRED = 0.03
 """Share of the gap to which the next weights are found: multipliers at a vertex of their set jump from round to round."""
 SHARED = 1e-4
 """Share of an entry of the plant in what a multiplier weighs below which it has none."""

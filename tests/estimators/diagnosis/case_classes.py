@@ -11,74 +11,33 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter
 
-__all__ = ["CLASSES", "LOOKALIKES", "excitation"]
+from tests.estimators.diagnosis.case_parts import (
+    FINE,
+    lag,
+    linear,
+    process,
+    read,
+    sensor,
+    swing,
+)
 
-FINE = 25  # Euler steps per sample
-PLANT = ([0.0, 0.12, 0.08], np.real(np.poly([0.85 * np.exp(0.25j), 0.85 * np.exp(-0.25j)])))
-
-
-def excitation(
-    rng: np.random.Generator, n: int, mean: float = 0.0, size: float = 1.0, hold: int = 7, inputs: int = 1
-) -> np.ndarray:
-    """Held levels about a mean, at rest on it for the first 15 samples; (n, inputs) where there are several."""
-    if inputs > 1:
-        return np.stack([excitation(rng, n, mean, size, hold) for _ in range(inputs)], axis=1)
-    levels = rng.uniform(-1.7, 1.7, n)
-    u = np.repeat(levels, rng.integers(max(hold // 2, 1), 2 * hold, n))[:n]
-    u[:15] = 0.0
-    return mean + size * u
-
-
-def _linear(u: np.ndarray, poles: tuple[float, ...] = ()) -> np.ndarray:
-    den = np.convolve(PLANT[1], np.poly(poles)) if poles else PLANT[1]
-    return np.asarray(lfilter(PLANT[0], den, u - u[0])) + u[0] * np.sum(PLANT[0]) / np.sum(den)
-
-
-def _lag(u: np.ndarray, pole: float) -> np.ndarray:
-    return u[0] + np.asarray(lfilter([1 - pole], [1, -pole], u - u[0]))
-
-
-def _sensor(x: np.ndarray, start: float, pole: float = 0.5) -> np.ndarray:
-    """What is read at the start of each sample of a state given at the ends, behind a lag."""
-    return _lag(np.concatenate(([start], x[:-1])), pole)
-
-
-def _process(slope: Callable[[float, float], float], u: np.ndarray, x: float) -> np.ndarray:
-    """State at the end of each sample of x' = slope(x, u)."""
-    out = np.empty(len(u))
-    for k, value in enumerate(u):
-        for _ in range(FINE):
-            x += slope(x, value) / FINE
-        out[k] = x
-    return out
-
-
-def _swing(force: Callable[[float, float, float, float], float], u: np.ndarray) -> np.ndarray:
-    """Position at the start of each sample of x'' = force(x, v, u, t), from rest."""
-    x = v = 0.0
-    out = np.empty(len(u))
-    for k, value in enumerate(u):
-        out[k] = x
-        for i in range(FINE):
-            v += force(x, v, value, k + i / FINE) / FINE
-            x += v / FINE
-    return out
+__all__ = ["CLASSES", "LOOKALIKES"]
 
 
 def exponential(u, a):
-    return _linear(np.expm1(4.0 * a * _lag(u, 0.6)) / (4.0 * a) if a else _lag(u, 0.6))
+    return linear(np.expm1(4.0 * a * lag(u, 0.6)) / (4.0 * a) if a else lag(u, 0.6))
 
 
 def power(u, a):
-    return _linear(np.sign(u) * np.abs(u) ** (1.0 + a))
+    return linear(np.sign(u) * np.abs(u) ** (1.0 + a))
 
 
 def saturating(u, a):
-    return _linear(np.tanh(1.2 * a * (u - 0.3)) / 1.2 / a if a else u)
+    return linear(np.tanh(1.2 * a * (u - 0.3)) / 1.2 / a if a else u)
 
 
 def kink(u, a):
-    return _linear(u + a * np.tanh(6.0 * u))
+    return linear(u + a * np.tanh(6.0 * u))
 
 
 def relay(u, a):
@@ -86,7 +45,7 @@ def relay(u, a):
     for k, value in enumerate(u):
         state = 1.0 if value > 0.4 else -1.0 if value < -0.4 else state
         out[k] = state
-    return _linear(a * out + (1 - a) * u)
+    return linear(a * out + (1 - a) * u)
 
 
 def stuck(u, a):
@@ -95,12 +54,12 @@ def stuck(u, a):
         if abs(command - stem) > 0.5 * a:
             stem = command - 0.2 * a * np.sign(command - stem)
         out[k] = stem
-    return _linear(out)
+    return linear(out)
 
 
 def loose(u, a):
     """A mass that a spring pulls after the drive across a gap."""
-    return _swing(
+    return swing(
         lambda x, v, f, t: (
             0.2 * (d := f - x) * (abs(d) > 0.4 * a) - 0.08 * a * np.sign(d) * (abs(d) > 0.4 * a) - 0.15 * v
         ),
@@ -111,7 +70,7 @@ def loose(u, a):
 def sprung(u, a):
     """A mass on a spring of its own, which a servo moves by another spring across a gap."""
     gap = lambda d: d - min(max(d, -0.5 * a), 0.5 * a)
-    return _swing(lambda x, v, f, t: 0.3 * gap(f - x) - 0.05 * x - 0.2 * v, _lag(_lag(u, 0.5), 0.6))
+    return swing(lambda x, v, f, t: 0.3 * gap(f - x) - 0.05 * x - 0.2 * v, lag(lag(u, 0.5), 0.6))
 
 
 def dragged(u, a):
@@ -121,99 +80,99 @@ def dragged(u, a):
             d = value / (4 * FINE)
             z += (d - abs(d) * (z + np.sign(d) * abs(z)) / (2 * 1.5)) if d else 0.0
         out[k] = value + a * z / 1.5
-    return _linear(out)
+    return linear(out)
 
 
 def sigmoid(u, a):
-    x = _linear(u)
+    x = linear(u)
     return np.tanh(a * (x - 0.5) / np.std(x)) if a else x
 
 
 def logarithm(u, a):
-    x = _linear(u) / 3.0
+    x = linear(u) / 3.0
     return np.expm1(-a * x) / -a if a else x
 
 
 def magnitude(u, a):
-    x = _linear(u)
+    x = linear(u)
     return np.abs(x) if a else x
 
 
 def squared(u, a):
-    x = _linear(u)
+    x = linear(u)
     return x**2 if a else x
 
 
 def rectified(u, a):
-    x = _linear(u)
+    x = linear(u)
     return np.maximum(x, 0.0) if a else x
 
 
 def wrapped(u, a):
-    x = 45.0 * _linear(u)
+    x = 45.0 * linear(u)
     fine = np.interp(np.arange((len(x) - 1) * FINE + 1) / FINE, np.arange(len(x)), x)
     turned = (fine + 40.0 + 180.0) % 360.0 - 180.0 if a else fine
-    return _lag(turned, 0.5 ** (1.0 / FINE))[::FINE]
+    return lag(turned, 0.5 ** (1.0 / FINE))[::FINE]
 
 
 def rise_and_fall(u, a):
-    return _linear(_process(lambda x, v: (0.04 + 0.12 * a * (v > x)) * (v - x), u, u[0]))
+    return linear(process(lambda x, v: (0.04 + 0.12 * a * (v > x)) * (v - x), u, u[0]))
 
 
 def orifice(u, a):
     rate = lambda d: (0.05 + 0.1 * a * (d > 0)) * (d / np.sqrt(abs(d) + 0.05) if a else d)
-    return _linear(_process(lambda x, v: rate(v - x), u, u[0]))
+    return linear(process(lambda x, v: rate(v - x), u, u[0]))
 
 
 def loss(u, a):
     x0 = np.roots([0.02 * a, 0.0, 1.0, -u[0]]) if a else np.array([u[0] + 0j])
     start = float(x0[np.argmin(np.abs(x0.imag))].real)
-    return _sensor(_process(lambda x, v: 0.05 * (v - x - 0.02 * a * x**3), u, start), start)
+    return sensor(process(lambda x, v: 0.05 * (v - x - 0.02 * a * x**3), u, start), start)
 
 
 def outflow(u, a):
     root = lambda x: np.sqrt(max(x, 0.0)) * 2.0 if a else x
     start = (u[0] / 2.0) ** 2 if a else u[0]
-    return _sensor(_process(lambda x, v: 0.05 * (v - root(x)), u, start), start)
+    return sensor(process(lambda x, v: 0.05 * (v - root(x)), u, start), start)
 
 
 def vessel(u, a):
     area = lambda x: 1.0 + (0.4 * a * x) ** 2
     root = lambda x: np.sqrt(max(x, 0.0)) * 2.0 if a else x
     start = (u[0] / 2.0) ** 2 if a else u[0]
-    return _sensor(_process(lambda x, v: 0.1 * (v - root(x)) / area(x), u, start), start)
+    return sensor(process(lambda x, v: 0.1 * (v - root(x)) / area(x), u, start), start)
 
 
 def melting(u, a):
     capacity = lambda x: 1.0 + 4.0 * a * np.exp(-(((x - 3.8) / 0.6) ** 2))
-    return _linear(_process(lambda x, v: 0.12 * (v - x) / capacity(x), u, u[0]))
+    return linear(process(lambda x, v: 0.12 * (v - x) / capacity(x), u, u[0]))
 
 
 def through_flow(u, a):
     if not a:
-        return _linear(u)
-    heated = _process(lambda x, v: 0.03 * (1.0 - v * x), u, 1.0 / u[0])
+        return linear(u)
+    heated = process(lambda x, v: 0.03 * (1.0 - v * x), u, 1.0 / u[0])
     through, k = np.cumsum(u), np.arange(len(u))
     entered = np.interp(through - 12.0, through, k, left=-1.0)
     left = np.interp(entered, np.arange(-1, len(u)), np.concatenate((heated[:1], heated)))
-    return _sensor(left, left[0], 0.6)
+    return sensor(left, left[0], 0.6)
 
 
 def pendulum_of_two(u, a):
     pull = lambda x: np.sin(0.7 * a * x) / 0.7 / a if a else x
-    return _swing(lambda x, v, f, t: 0.06 * (f[0] + 0.6 * f[1] - pull(x)) - 0.05 * v, u)
+    return swing(lambda x, v, f, t: 0.06 * (f[0] + 0.6 * f[1] - pull(x)) - 0.05 * v, u)
 
 
 def pendulum(u, a):
     pull = lambda x: np.sin(0.7 * a * x) / 0.7 / a if a else x
-    return _swing(lambda x, v, f, t: 0.06 * (f - pull(x)) - 0.05 * v, u)
+    return swing(lambda x, v, f, t: 0.06 * (f - pull(x)) - 0.05 * v, u)
 
 
 def pivot(u, a):
-    moved = _lag(u, 0.7)
+    moved = lag(u, 0.7)
     push = np.concatenate(([0.0], np.diff(moved))) * 5.0
     pull = lambda x: np.sin(0.7 * a * x) / 0.7 / a if a else x
-    return _swing(lambda x, v, f, t: 0.06 * (f * (np.cos(0.7 * x) if a else 1.0) - pull(x)) - 0.05 * v, push)
+    return swing(lambda x, v, f, t: 0.06 * (f * (np.cos(0.7 * x) if a else 1.0) - pull(x)) - 0.05 * v, push)
 
 
 def eccentric(u, a):
@@ -231,21 +190,21 @@ def eccentric_of_two(u, a):
 
 
 def filling(u, a):
-    return _swing(lambda x, v, f, t: (0.06 * (f - x) - 0.03 * v) / (1.0 + a * t / 700.0), u)
+    return swing(lambda x, v, f, t: (0.06 * (f - x) - 0.03 * v) / (1.0 + a * t / 700.0), u)
 
 
 def softening(u, a):
-    return _swing(lambda x, v, f, t: 0.06 * (f - (1.0 - 0.5 * a * t / 700.0) * x) - 0.03 * v, u)
+    return swing(lambda x, v, f, t: 0.06 * (f - (1.0 - 0.5 * a * t / 700.0) * x) - 0.03 * v, u)
 
 
 def electrostatic(u, a):
     """A mass on a spring that the voltage softens, beside the force that it exerts."""
-    return _swing(lambda x, v, f, t: 0.06 * (f - (1.0 - 0.035 * a * f * f) * x) - 0.03 * v, u)
+    return swing(lambda x, v, f, t: 0.06 * (f - (1.0 - 0.035 * a * f * f) * x) - 0.03 * v, u)
 
 
 def fouled(u, a):
     """A process behind which a probe lags ever more."""
-    x, z, out = _lag(u, 0.8), u[0], np.empty(len(u))
+    x, z, out = lag(u, 0.8), u[0], np.empty(len(u))
     for k, value in enumerate(x):
         out[k] = z
         z += (value - z) * (1.0 - np.exp(-1.0 / (3.0 + 12.0 * a * (1.0 - np.exp(-k / 300.0)))))
@@ -254,7 +213,7 @@ def fouled(u, a):
 
 def heated_gain(u, a):
     warm = np.asarray(lfilter([1 / 60.0], [1, -1 + 1 / 60.0], u**2))
-    return _linear(u * (1.0 + 0.4 * a * warm))
+    return linear(u * (1.0 + 0.4 * a * warm))
 
 
 def steered(u, a):
@@ -265,7 +224,7 @@ def steered(u, a):
             speed = 0.5 * (value - x)
             x += (min(max(speed, -0.25), 0.15) if a else speed) / FINE
             out[k] += x / FINE
-    return _linear(out)
+    return linear(out)
 
 
 def wound_up(u, a):
@@ -293,80 +252,72 @@ def thermostat(u, a):
 
 
 def stairs(u, a):
-    return _linear(0.8 * np.round((u - 0.1) / 0.8) if a else u)
+    return linear(0.8 * np.round((u - 0.1) / 0.8) if a else u)
 
 
 def swaying(u, a):
-    return _linear(u * (1.0 + 0.5 * a * np.cos(0.05 * np.arange(len(u)) + 1.0)))
+    return linear(u * (1.0 + 0.5 * a * np.cos(0.05 * np.arange(len(u)) + 1.0)))
 
 
 def breathing(u, a):
-    return _swing(lambda x, v, f, t: 0.06 * (f - (1.0 + 0.4 * a * np.cos(0.05 * t + 1.0)) * x) - 0.05 * v, u)
+    return swing(lambda x, v, f, t: 0.06 * (f - (1.0 + 0.4 * a * np.cos(0.05 * t + 1.0)) * x) - 0.05 * v, u)
 
 
 def modulated_flow(u, a):
     """The second input is a valve in the way of the first."""
     flow = u[:, 0] * u[:, 1]
-    return _linear(u[:, 0]) - 0.5 * _linear(u[:, 1]) + a * 0.5 * _linear(_lag(flow, 0.6))
+    return linear(u[:, 0]) - 0.5 * linear(u[:, 1]) + a * 0.5 * linear(lag(flow, 0.6))
 
 
 def carried_off(u, a):
     """The second input also carries off what the first has filled in: it multiplies the state."""
     slope = lambda x, v: 0.08 * (v[0] - 0.5 * v[1] - x - 0.5 * a * v[1] * x)
     start = (u[0, 0] - 0.5 * u[0, 1]) / (1.0 + 0.5 * a * u[0, 1])
-    return _sensor(_process(slope, u, start), start)
+    return sensor(process(slope, u, start), start)
 
 
 def pushed_twice(u, a):
     """Two forces on one mass whose spring hardens."""
-    return _swing(lambda x, v, f, t: 0.06 * (f[0] - 0.7 * f[1] - x - 0.3 * a * x**3) - 0.03 * v, u)
+    return swing(lambda x, v, f, t: 0.06 * (f[0] - 0.7 * f[1] - x - 0.3 * a * x**3) - 0.03 * v, u)
 
 
 def store(u, a):
     charge = np.concatenate(([0.0], np.cumsum(u)[:-1])) / 700.0
     curve = -0.5 * charge + a * (0.3 * np.expm1(-10.0 * charge) - 0.2 * np.exp(15.0 * (charge - 1.0)))
-    return curve - 0.05 * _lag(u, 0.9)
-
-
-def _read(u, at):
-    """The continuous output of a linear plant at any time, by filtering an input held on a fine grid."""
-    fine = np.repeat(u, FINE)
-    den = np.poly(np.exp(np.log(np.roots(PLANT[1]).astype(complex)) / FINE)).real
-    y = lfilter([np.sum(den)], den, fine - u[0]) + u[0]
-    return np.interp(at * FINE, np.arange(len(y)), y)
+    return curve - 0.05 * lag(u, 0.9)
 
 
 def clock_drift(u, a):
-    return _read(u, np.arange(len(u)) * (1.0 - 0.005 * a))
+    return read(u, np.arange(len(u)) * (1.0 - 0.005 * a))
 
 
 def warming_clock(u, a):
     k = np.arange(len(u))
-    return _read(u, k - 3.0 * a * (1.0 - np.exp(-(k + 30.0) / 150.0)))
+    return read(u, k - 3.0 * a * (1.0 - np.exp(-(k + 30.0) / 150.0)))
 
 
 def lost_samples(u, a):
     k = np.arange(len(u))
-    return _read(u, k - 2.0 * a * (k > 300))
+    return read(u, k - 2.0 * a * (k > 300))
 
 
 def refreshed(u, a):
     k = np.arange(len(u))
-    return _read(u, np.maximum(np.floor((k - 0.7) / 3.37) * 3.37 + 0.7, 0.0) if a else k)
+    return read(u, np.maximum(np.floor((k - 0.7) / 3.37) * 3.37 + 0.7, 0.0) if a else k)
 
 
 def cut_off(u, a):
-    y = _linear(u)
+    y = linear(u)
     return np.where(y > 3.5, y, 0.0) if a else y
 
 
 def running_in(u, a):
-    return _linear(u * (1.0 + 0.8 * a * np.exp(-np.arange(len(u)) / 120.0)))
+    return linear(u * (1.0 + 0.8 * a * np.exp(-np.arange(len(u)) / 120.0)))
 
 
 def sweep(u, a):
     k = np.arange(len(u))
-    return _linear(u) + 0.3 * a * np.cos(0.3 * k + 0.5 * 0.002 * k**2 + 0.4)
+    return linear(u) + 0.3 * a * np.cos(0.3 * k + 0.5 * 0.002 * k**2 + 0.4)
 
 
 _Maker = Callable[[np.ndarray, float], np.ndarray]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from tests.estimators.diagnosis.case_classes import CLASSES, FINE, LOOKALIKES, _lag, _linear, _read, _sensor
+from tests.estimators.diagnosis.case_classes import CLASSES, LOOKALIKES
+from tests.estimators.diagnosis.case_parts import FINE, lag, linear, read, sensor
 
 __all__ = ["ALL_CLASSES", "ALL_LOOKALIKES"]
 
@@ -42,7 +43,7 @@ def rollers(u, a):
             v += 0.5 / FINE * (value - v)
             angle += 0.12 * v / FINE
             out[k] += v * (1.0 + 0.3 * a * np.sin(angle)) / FINE
-    return _sensor(out, u[0], 0.6)
+    return sensor(out, u[0], 0.6)
 
 
 def tired(u, a):
@@ -52,7 +53,7 @@ def tired(u, a):
         for _ in range(FINE):
             out[k] += value * fresh / FINE
             fresh += 0.01 / FINE * (1.0 - fresh - 2.0 * a * abs(value) * fresh)
-    return _linear(out)
+    return linear(out)
 
 
 def thickened(u, a):
@@ -64,7 +65,7 @@ def thickened(u, a):
             friction = x / (1.0 + a * 0.02 * oil)
             x += 0.15 / FINE * (value - friction)
             oil += 0.01 / FINE * (friction * x - oil)
-    return _lag(out, 0.4)
+    return lag(out, 0.4)
 
 
 def vat(u, a):
@@ -83,25 +84,25 @@ def vat(u, a):
                 / content
             )
             content += a * 0.003 * flow[k] / FINE
-    return _lag(out, 0.4)
+    return lag(out, 0.4)
 
 
 def ageing(u, a):
     """A bed whose activity falls off, heated and fed about levels of their own."""
     fed = 0.6 * u[:, 0] + 0.4 * u[:, 1]
-    return _sensor(fed, fed[0], 0.7) * np.exp(-0.6 * a * np.arange(len(u)) / len(u))
+    return sensor(fed, fed[0], 0.7) * np.exp(-0.6 * a * np.arange(len(u)) / len(u))
 
 
 def belt(u, a):
     """Bulk that a belt of logged speed brings to the scale; without it, the scale stands where it falls."""
     fed = u[:, 0] + 0.1 * u[:, 1]
     k, way = np.arange(len(u), dtype=float), np.cumsum(u[:, 1])
-    return np.interp(np.interp(way - 12.0 * a, way, k), k, _sensor(fed, fed[0], 0.7))
+    return np.interp(np.interp(way - 12.0 * a, way, k), k, sensor(fed, fed[0], 0.7))
 
 
 def gauge(u, a):
     """A gauge that flattens off as a ratio."""
-    x = _sensor(u, u[0], 0.7)
+    x = sensor(u, u[0], 0.7)
     return x / (1.0 + 0.5 * a * np.abs(x))
 
 
@@ -117,19 +118,19 @@ def _plays(x):
 
 def soil(u, a):
     """A retention that dries on another way than it wets."""
-    x = _sensor(u, u[0], 0.7)
+    x = sensor(u, u[0], 0.7)
     return 0.4 * x + 0.6 * ((1.0 - a) * x + a * _plays(x))
 
 
 def ceramic(u, a):
     """An actuator of ceramic, before the mass that it moves."""
-    return _sensor(0.4 * u + 0.6 * ((1.0 - a) * u + a * _plays(u)), u[0], 0.7)
+    return sensor(0.4 * u + 0.6 * ((1.0 - a) * u + a * _plays(u)), u[0], 0.7)
 
 
 def tape(u, a):
     """A reading whose time base swings by two samples."""
     k = np.arange(len(u))
-    return _read(u, np.maximum(k - 2.0 * a * np.cos(0.06 * k + 0.5), 0.0))
+    return read(u, np.maximum(k - 2.0 * a * np.cos(0.06 * k + 0.5), 0.0))
 
 
 def vented(u, a):
@@ -139,12 +140,12 @@ def vented(u, a):
     for k in range(1, len(u)):
         loss = 0.08 * (1.0 + 0.4 * a * (k > 310))
         x[k] = x[k - 1] * np.exp(-loss) + (1.0 - np.exp(-loss)) * 0.08 / loss * u[k - 1]
-    return _lag(x, 0.6)
+    return lag(x, 0.6)
 
 
 def interleaved(u, a):
     k = np.arange(len(u))
-    return _read(u, k + 0.2 * a * (1 - 2 * (k % 2)))
+    return read(u, k + 0.2 * a * (1 - 2 * (k % 2)))
 
 
 def swung(u, a):
@@ -152,12 +153,12 @@ def swung(u, a):
     charge = np.concatenate(([0.0], np.cumsum(u)[:-1]))
     charge = (charge - charge.min()) / np.ptp(charge)
     curve = 0.5 * charge + a * (0.3 * np.expm1(-10.0 * charge) + 0.2 * np.exp(15.0 * (charge - 1.0)))
-    return curve + 0.05 * _lag(np.concatenate((u[:1], u[:-1])), 0.9)
+    return curve + 0.05 * lag(np.concatenate((u[:1], u[:-1])), 0.9)
 
 
 def on_change(u, a):
     """A wireless sensor: it sends a change of more than a fifth of the signal's spread."""
-    y = _linear(u)
+    y = linear(u)
     sent = [y[0] + 0.1 * a * y.std()]
     for now in y:
         sent.append(now if abs(now - sent[-1]) > 0.2 * a * y.std() else sent[-1])
@@ -166,7 +167,7 @@ def on_change(u, a):
 
 def cups(u, a):
     """Cups in a duct: they follow the faster, the stronger the wind."""
-    wind, y = _sensor(u, u[0], 0.6), np.empty(len(u))
+    wind, y = sensor(u, u[0], 0.6), np.empty(len(u))
     y[0] = wind[0]
     for k in range(1, len(u)):
         y[k] = wind[k] + (y[k - 1] - wind[k]) * np.exp(-0.25 * max(1.0 + 0.3 * a * wind[k], 0.02))
@@ -183,14 +184,14 @@ def beside_a_machine(u, a):
 
 def polarised(u, a):
     """A component of an angle that turns by nearly a quarter each way; without it, the angle."""
-    x = _sensor(u, u[0], 0.7)
+    x = sensor(u, u[0], 0.7)
     return np.sin(0.9 * a * x - 0.4) / (0.9 * a) if a else x
 
 
 def cake(u, a):
     """A filter whose cake grows with what has passed: its resistance goes with the root of the pressure's integral."""
     x = np.concatenate((u[:1], u[:-1]))
-    return _lag(x / np.sqrt(1.0 + 20.0 * a * np.cumsum(np.abs(x)) / np.sum(np.abs(x))), 0.7)
+    return lag(x / np.sqrt(1.0 + 20.0 * a * np.cumsum(np.abs(x)) / np.sum(np.abs(x))), 0.7)
 
 
 def jack(u, a):
@@ -200,7 +201,7 @@ def jack(u, a):
         up, down = (max((1.0 + side * 0.3 * load) * 0.3, 0.03) if a else 100.0 for side in (-1.0, 1.0))
         path = at + np.clip(command - at, -down * within, up * within)
         x[k], at = path.mean(), path[-1]
-    return _lag(np.concatenate((x[:1], x[:-1])), 0.6)
+    return lag(np.concatenate((x[:1], x[:-1])), 0.6)
 
 
 def scanned(u, a):

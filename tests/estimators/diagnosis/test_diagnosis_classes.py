@@ -23,8 +23,8 @@ from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.free_runs import Start, free_run, lead_in
 from estimators.diagnosis.search.selection import significance
 from oed.data import Record
-from tests.estimators.diagnosis.case_classes import excitation
 from tests.estimators.diagnosis.case_hidden import ALL_CLASSES, ALL_LOOKALIKES
+from tests.estimators.diagnosis.case_parts import excitation
 
 NOISE = 0.01  # of the output's standard deviation
 N = 700

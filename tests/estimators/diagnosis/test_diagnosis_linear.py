@@ -16,8 +16,9 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.search.free_runs import Start, free_run
 from oed.data import Record
-from tests.estimators.diagnosis.case_classes import CLASSES, excitation
+from tests.estimators.diagnosis.case_classes import CLASSES
 from tests.estimators.diagnosis.case_linear import linear_case
+from tests.estimators.diagnosis.case_parts import excitation
 
 PARTS = (([0.0, 0.03, 0.02], [1.0, -1.86, 0.89]), ([0.0, 0.0, 0.0, 0.3], [1.0, -0.7]))
 """A slow resonance of the first input, a fast lag behind a delay of the second."""

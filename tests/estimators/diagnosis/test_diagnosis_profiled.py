@@ -18,7 +18,8 @@ from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.named import LEFT
 from estimators.diagnosis.search.selection import significance
 from oed.data import Record
-from tests.estimators.diagnosis.case_classes import CLASSES, PLANT, excitation
+from tests.estimators.diagnosis.case_classes import CLASSES
+from tests.estimators.diagnosis.case_parts import PLANT, excitation
 
 PROFILED = (
     "rate_limit_servo", "input_staircase", "gain_periodic", "stiffness_periodic", "pulse_input", "clearance_sprung", "lag_drift",
