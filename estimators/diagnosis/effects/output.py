@@ -139,10 +139,9 @@ NOTHING = 1.02  # of the linear model's squared error, that the best shape may l
 
 def read_at(y: Array, at: Array) -> Array:
     """Values between the samples by a cubic spline; the first and the last value beyond the ends."""
-    from scipy.interpolate import CubicSpline
+    from estimators.diagnosis.effects.kernels.spline_kernels import read_between
 
-    k = np.arange(len(y), dtype=float)
-    return np.asarray(CubicSpline(k, y)(np.clip(at, 0.0, k[-1])))
+    return read_between(np.ascontiguousarray(y, dtype=float), np.ascontiguousarray(at, dtype=float))
 
 
 def _jumped(y: Array, p: Array, clock: Clock) -> Array:

@@ -55,9 +55,11 @@ def _stairs(x: Any, p: Array, clock: Clock) -> Any:
 def _swaying(x: Any, p: Array, clock: Clock) -> Any:
     if not LEAST_TURNS <= abs(p[0]) * clock.length / (2.0 * np.pi) <= 0.5 * clock.length:
         return 0.0 * x + np.inf
-    turns = [(h + 1.0) * p[0] * clock.k for h in range(len(p) // 2)]
-    waves = (a * np.cos(w) + b * np.sin(w) for a, b, w in zip(p[1::2], p[2::2], turns, strict=True))
-    return x * (1.0 + sum(waves))
+    first, wave, sway = (np.cos(p[0] * clock.k), np.sin(p[0] * clock.k)), (1.0, 0.0), 0.0
+    for a, b in zip(p[1::2], p[2::2], strict=True):  # each harmonic is the one before, turned once more
+        wave = wave[0] * first[0] - wave[1] * first[1], wave[0] * first[1] + wave[1] * first[0]
+        sway = sway + a * wave[0] + b * wave[1]
+    return x * (1.0 + sway)
 
 
 def profile(

@@ -1,4 +1,4 @@
-"""Sensors that report changes only, that lag by the level of what they read, or that read a sine of it."""
+"""Sensors that report changes only, lag by the level of what they read, read a sine of it, show it in steps, or take turns."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.output import mended
-from estimators.diagnosis.effects.profiled import of_order
+from estimators.diagnosis.effects.profiled import FINEST, firm, of_order
 
 Array = NDArray[Any]
 STILL, REPORTS = 0.4, 20
@@ -168,4 +168,108 @@ SINE = Effect(
     parameters={"amplitude": "y", "centre": "y"}, curve=_sine, search=_sines,
 )  # fmt: skip
 
-SENSORS = (SINE, REPORTED, PACED)
+GATHERED = 0.6
+"""Resultant of the readings' phases in a step, from which on they lie on levels: with noise of a sixth of a step it is that, and that
+of readings that lie anywhere is near none."""
+FLATTER = (0.3, 0.1, 0.03)
+"""Widths of the risers, in steps, that a plant behind a staircase is fitted with one after the other: what is flat has no derivative."""
+RISER = 0.004
+"""Width of a riser that stands for an edge: what it leaves, .03 of a step, is under the noise that keeps the levels from being exact."""
+
+
+def _treads(x: Any, p: Array, riser: float = RISER) -> Any:
+    step = abs(float(p[0])) + 1e-300
+    z = (x - p[1]) / step
+    return p[1] + step * (
+        np.floor(z) + 0.5 + 0.5 * np.tanh((z - np.floor(z) - 0.5) / riser) / np.tanh(0.5 / riser)
+    )
+
+
+def _levels(y: Array) -> tuple[float, float] | None:
+    """Step of the levels that readings gather on, and one of the levels; None where they lie anywhere."""
+    wide = float(np.ptp(y)) + 1e-300
+    waves = np.arange(2.0, FINEST, 0.1) / wide
+    resultant = np.exp(2j * np.pi * np.outer(waves, y)).mean(axis=1)
+    at = int(np.argmax(np.abs(resultant)))
+    if abs(resultant[at]) < GATHERED:
+        return None
+    step, level = 1.0 / float(waves[at]), float(np.angle(resultant[at])) / (2.0 * np.pi * float(waves[at]))
+    return step, level + step * round((float(np.mean(y)) - level) / step)
+
+
+def _stepped(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """From the levels that the readings gather on, with ever steeper risers."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.structure import Part
+
+    s = base.structure
+    if (
+        s.layout != "tf"
+        or s.effects
+        or channel.step > 0
+        or (found := _levels(channel.y[channel.keep])) is None
+    ):
+        return
+    p, scales = np.append(base.p, found), np.append(base.scales, [found[0]] * 2)
+    for width in FLATTER:
+        flatter = replace(TREADS, apply=lambda x, p, clock, width=width: _treads(x, p, width))
+        p = fit(channel, s.adding(Part(flatter)), p, scales, noise=base.noise, iterations=15, colour=False).p
+    yield fit(channel, s.adding(Part(TREADS)), p, scales, noise=base.noise, iterations=10)
+
+
+TREADS = Effect(
+    key="output_staircase", cause="quantisation", nature=Nature.SAMPLING, slot=Slot.OUTPUT, trials=300,
+    sentence="the sensor shows what it reads in whole steps, and noise comes on top", apply=lambda x, p, clock: _treads(x, p),
+    parameters={"step": "y", "level": "y"}, curve=_treads, search=_stepped,
+)  # fmt: skip
+
+LONGEST = 24
+"""Samples of the longest cycle of sensors that take turns: of a longer one too few samples are of any."""
+TOP = float(np.cos(np.pi / LONGEST))  # between that of a wave and the samples next to it
+
+
+def _turn(p: Array, clock: Clock) -> Any:
+    """1 in the samples whose turn it is, else 0: where a wave of the cycle's length has its top."""
+    return 1.0 * (np.cos(2.0 * np.pi * (clock.k - p[1]) / p[0]) > TOP)
+
+
+def _turned(x: Any, p: Array, clock: Clock) -> Any:
+    return x + _turn(p, clock) * ((p[2] - 1.0) * x + p[3])
+
+
+def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Of all cycles and places in them, where a line through the output explains most of the residual; the others tell the plant."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.simulation import simulate
+    from estimators.diagnosis.model.structure import Part
+
+    def line(x: Array, y: Array, on: Array) -> tuple[Array, float]:
+        """Offset and slope, and the sum of squares that they explain."""
+        D = np.column_stack((np.ones(on.sum()), x[on]))
+        told = np.linalg.lstsq(D, y[on], rcond=None)[0]
+        return told, float(np.sum((D @ told) ** 2))
+
+    s, keep, clock = base.structure, channel.keep, channel.clock
+    if s.layout != "tf" or s.effects:
+        return
+    places = [np.array([c, i]) for c in range(2, LONGEST + 1) for i in range(c)]
+    x, squares = channel.y - base.residual, float(np.sum(base.residual**2))
+    told = [line(x, base.residual, keep & (_turn(p, clock) > 0.0))[1] for p in places]
+    best = int(np.argmax(told))
+    if not firm(base, squares - told[best]):
+        return
+    on = _turn(places[best], clock) > 0.0
+    f = fit(replace(channel, keep=keep & ~on), s, base.p, base.scales, iterations=20, colour=False)
+    (offset, gain), _ = line(simulate(s, f.p, channel.u, clock), channel.y, keep & on)
+    p = np.concatenate((f.p, places[best], [gain, offset]))
+    scales = np.concatenate((f.scales, [0.0, 0.0, 1.0, float(np.std(channel.y))]))
+    yield fit(channel, s.adding(Part(TURNS)), p, scales, noise=base.noise, iterations=20)
+
+
+TURNS = Effect(
+    key="multiplexed", cause="multiplexed_sensor", nature=Nature.SAMPLING, slot=Slot.OUTPUT, trials=300,
+    sentence="one sample of every cycle is read otherwise than the rest: a scanner, or converters in turn, one of another gain or zero",
+    parameters={"cycle": "sample", "place": "sample", "gain": "1", "zero": "y"}, apply=_turned, search=_turns,
+)  # fmt: skip
+
+SENSORS = (SINE, REPORTED, PACED, TREADS, TURNS)

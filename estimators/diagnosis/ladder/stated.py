@@ -98,6 +98,9 @@ def _moving(search: Search, n: int, *, level: bool) -> Contradiction | None:
         there = replace(still, records=[r.replace(y=r.y - off) for r in search.records])
         rest = there.of_form(replace(form, offset=False), replace(model, constant=0.0))
         noise = min(noise, np.inf if rest is None else rest.noise)
+    else:  # a state of a pole that forgets nothing is a level, as means of few samples at rest leave it
+        constant = still.of_form(replace(form, offset=True), first.models[-1])
+        noise = min(noise, np.inf if constant is None else constant.noise)
     prior = replace(free.prior, noise=then.noise)
     left = [r.y[:, i] - model.free_run(prior, r.u, r.y[:, i], min(SET, len(r))) for r in search.records]
     samples = effective_samples(np.concatenate([e[np.isfinite(e)] for e in left]))

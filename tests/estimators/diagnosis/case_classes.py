@@ -311,6 +311,16 @@ def cut_off(u, a):
     return np.where(y > 3.5, y, 0.0) if a else y
 
 
+def shown_in_steps(u, a):
+    y = linear(u)
+    return 1.5 * np.round(y / 1.5) if a else y
+
+
+def in_turns(u, a):
+    y = linear(u)
+    return y - a * (np.arange(len(u)) % 5 == 2) * (0.25 * y + 0.3)
+
+
 def running_in(u, a):
     return linear(u * (1.0 + 0.8 * a * np.exp(-np.arange(len(u)) / 120.0)))
 
@@ -332,6 +342,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "wrapped": (wrapped, 3, {}), "rise_and_fall": (rise_and_fall, 3, _LEVEL), "orifices": (orifice, 3, _LEVEL),
     "loss_cubic": (loss, 2, _LEVEL), "outflow_root": (outflow, 2, _LEVEL), "vessel": (vessel, 2, _LEVEL),
     "capacity_bump": (melting, 3, _LEVEL), "output_cutoff": (cut_off, 2, {"mean": 2.0, "size": 1.0}), "gain_settles": (running_in, 2, {}),
+    "output_staircase": (shown_in_steps, 2, {}), "multiplexed": (in_turns, 2, {}),
     "through_flow": (through_flow, 2, {"mean": 4.0, "size": 1.2}), "pendulum": (pendulum, 2, {"size": 0.4}),
     "pendulum_pivot": (pivot, 3, {"size": 0.8}), "position_periodic": (eccentric, 2, {"mean": 3.0, "size": 0.6}),
     "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "stiffness_squared": (electrostatic, 2, {"mean": 3.0, "size": 0.8}),
@@ -350,7 +361,7 @@ LOOKALIKES = {
     # effect: a record that looks like it and is not
     "input_exponential": "rise_and_fall", "input_tanh": "input_kink", "relay": "hysteresis_rate", "magnitude": "squared",
     "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifices": "vessel",
-    "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "capacity_bump": "loss_cubic", "output_cutoff": "magnitude", "gain_settles": "stiffness_drift", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
+    "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "capacity_bump": "loss_cubic", "output_cutoff": "magnitude", "gain_settles": "stiffness_drift", "output_staircase": "wrapped", "multiplexed": "gain_periodic", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
     "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",
     "stiffness_squared": "stiffness_drift", "gain_heat": "input_kink", "stiction": "relay", "clearance": "stiction", "clearance_sprung": "stiction",
     "product_of_inputs": "bilinear", "stiffness_cubic": "bilinear", "bilinear": "product_of_inputs",

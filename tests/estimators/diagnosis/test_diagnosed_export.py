@@ -60,6 +60,8 @@ NAMED = {
     "sandwich": ("tf", [("sandwich", [-0.5, 0.5, 0.2], {"first": 1})], {}),
     "block with zeros": ("tf", [("input_cubic", [-0.4, 0.3, 0.05], {"first": 1, "free": True})], {}),
     "paths": ("tf", [("mode", [0.2, 0.1, -1.2, 0.8], {"size": 2}), ("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 4.0])], {}),
+    "treads": ("tf", [("output_staircase", [0.4, 0.1])], {}),
+    "turns": ("tf", [("multiplexed", [4.0, 1.0, 0.7, 0.2])], {"clock": (-3.0, 1.0, 300)}),
     "paced": ("tf", [("sensor_paced", [0.3, 0.4, 0.2])], {"rest": False}),
     "run up": ("tf", [("sweep_input", [0.2, 0.001, 0.3, 0.2, 1.5])], {}),
     "scans": ("tf", [("input_scanned", [3.0, 1.0])], {"rest": False}),

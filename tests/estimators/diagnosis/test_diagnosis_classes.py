@@ -6,12 +6,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.kernels.recursion_kernels import relay
+from estimators.diagnosis.effects.kernels.spline_kernels import read_between
 from estimators.diagnosis.effects.loops import slowest_rate
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.loop import diagnose
@@ -141,6 +143,33 @@ def test_relay_is_its_definition():
         expected.append(state)
     assert len(set(expected)) == 2
     np.testing.assert_array_equal(relay(x, 0.8), expected)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 40])
+def test_values_between_samples_are_those_of_scipys_spline(rng, n):
+    y, at = rng.standard_normal(n), rng.uniform(-1.0, n + 1.0, 200)
+    there = CubicSpline(np.arange(n), y)(np.clip(at, 0.0, n - 1.0))
+    assert read_between(y, at) == pytest.approx(there, abs=1e-13)
+    assert np.isnan(read_between(y, np.array([np.nan]))).all()
+
+
+def test_a_stem_in_a_loop_is_found_between_the_widths_of_a_coarse_grid():
+    """A valve that sticks, in a loop: with a width a few hundredths off it jumps at other times ever after."""
+    rng, n = np.random.default_rng(2), 1500
+    goal = np.repeat(rng.uniform(-8.0, 8.0, n // 50), 50)
+    u, y, stem = np.zeros(n), np.zeros(n), 0.0
+    noise, sums, x1, x2 = 0.4 * rng.standard_normal(n), 0.0, 0.0, 0.0
+    for k in range(n):
+        y[k] = x2 + noise[k]
+        sums += 0.06 * (goal[k] - y[k])
+        u[k] = 0.5 * (goal[k] - y[k]) + sums
+        stem = u[k] if abs(u[k] - stem) > 9.5 else stem
+        x1, x2 = x1 + 0.45 * (stem - x1), x2 + 0.17 * (0.72 * x1 - x2)
+    channel = Channel(u[:, None], y, Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
+    f = fit_linear(channel, Structure(1, delay=8))
+    found = list(named("stiction").search(channel, f, ()))
+    assert min(np.sqrt(np.mean(g.residual**2)) for g in found) < 0.6
+    assert min(abs(g.p[-3] - 9.5) for g in found) < 0.3
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.3, 0.63, 0.9])

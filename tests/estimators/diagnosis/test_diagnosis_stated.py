@@ -145,3 +145,14 @@ def test_a_level_that_few_samples_at_rest_leave_is_part_of_the_linear_model():
     assert found.effect in ("none", "coloured_noise")
     assert found.rmse_before.value < 1.1 * 0.05
     assert found.rmse_after == found.rmse_before
+
+
+def test_a_level_is_no_start_though_a_slow_pole_would_hold_it():
+    """Deviations from the mean of fifteen samples of slow noise, of two poles where three are stated: the third would hold the level."""
+    rng = np.random.default_rng(3)
+    u = np.concatenate((np.zeros(15), np.repeat(rng.choice([-1.0, 1.0], 110), 11)))
+    noise = lfilter([1.0], [1.0, -0.8], rng.standard_normal(len(u))) * 0.6
+    y = lfilter([0.0, 0.2, 0.1], LIGHT, u)
+    r = Record(u, y + 0.05 * np.std(y) * noise - 0.1 * np.std(y))
+    options = Options(deviations=True)
+    assert starts_moving([r], 0, best_linear([r], options), 3, options) is None

@@ -1,0 +1,14 @@
+"""Hidden loops between the input and the linear part, and what remembers there."""
+
+from estimators.diagnosis.effects.loops.limited import PACES, RELAY, STEERED, STEERING, WINDUP, slowest_rate
+from estimators.diagnosis.effects.loops.remembering import (
+    PLAYED,
+    SCANNED,
+    SIDE_BY_SIDE,
+    STICTION,
+    play_widths,
+)
+
+__all__ = ["LOOPS", "PACES", "play_widths", "slowest_rate"]
+
+LOOPS = (SCANNED, STICTION, WINDUP, STEERED, STEERING, RELAY, SIDE_BY_SIDE, PLAYED)

@@ -1,0 +1,229 @@
+"""What remembers where it stood: a stem that sticks, plays side by side, a drive that scans its command."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
+from estimators.diagnosis.effects.input import aside, moved
+from estimators.diagnosis.effects.loops.limited import PACES, slowest_rate
+from estimators.diagnosis.effects.output import mended
+from estimators.diagnosis.effects.profiled import BEGUN, ended, entering, firm, profile
+
+Array = NDArray[Any]
+STUCK, LEFT = np.linspace(0.1, 2.0, 234), np.linspace(0.0, 0.9, 7)
+"""Of a stem that sticks, half widths in standard deviations of its command, and shares of them that a jump leaves, that are looked at:
+a hundredth off, and in a loop it jumps at other times ever after; and what sticks there swings its command by little more than the width."""
+PROMISING = 60
+"""Of them, those that have poles of their own made."""
+RIDGE = 1e-9  # of lags of one stem that are nearly alike
+CLOSER, HALVED, NEAREST = (-1.0, -0.5, 0.0, 0.5, 1.0), 6, 2
+"""Steps about the best of them, how often they are halved, and how many are kept."""
+STOOD = (-1.0, -0.5, 0.5, 1.0)  # where in its gap the stem stood before the record
+
+PLAYS = 4
+"""Plays side by side (Prandtl and Ishlinskii): half widths of a quarter, a half, three quarters and all of the largest, which is
+free; a loop of as many corners each way is as round as noise lets it be seen."""
+
+
+def play_widths(largest: float) -> Array:
+    """(PLAYS,) half widths of the plays side by side."""
+    return abs(largest) * np.arange(1, PLAYS + 1) / PLAYS
+
+
+def plays(x: Array, p: Array, clock: Clock) -> Array:
+    """A signal and, by their weights, its plays of up to p[0] half width, which stood at the last parameter's share of it."""
+    x = np.ascontiguousarray(x)
+    return x + sum(w * moved(x, r, p[-1]) for w, r in zip(p[1:-1], play_widths(p[0]), strict=True))
+
+
+REACHES, SHARES = (0.5, 1.0, 2.0, 4.0), (0.7, 3.0)
+"""Of a signal's standard deviation, the widest play, and of what acts directly, what acts through plays, from which shapes go on:
+a play as wide as the signal is long never moves, and what is narrower than noise is none."""
+
+
+def looped(size: float) -> list[list[float]]:
+    """Shapes of plays side by side for a signal of a size."""
+    return [[w * size / (1.0 + a), *(PLAYS * [a / PLAYS]), 0.0] for w in REACHES for a in SHARES]
+
+
+PLAYED_BY = {"width": "{}"} | {f"weight{i}": "1" for i in range(1, PLAYS + 1)} | {"start": "1"}
+"""Units of the parameters of plays side by side; at the start they stand at -1 of their half widths if led there from below, at 1 if from above."""
+
+
+def _units(size: float) -> list[float]:
+    return [size, *(PLAYS * [1.0]), 1.0]
+
+
+def _hysteretic(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Plays side by side with a linear part made for them: the linear model's poles hold their lag."""
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import renewed
+
+    if base.structure.layout != "tf" or base.structure.effects:
+        return
+    for j, u in entering(channel, base):
+        part, size = Part(SIDE_BY_SIDE, j), float(np.std(u))
+        starts = [np.concatenate((base.p, shape)) for shape in looped(2.0 * size)]
+        every = [q for p in starts for q in (p, *renewed(channel, base.structure.adding(part), p))]
+        yield from ended(channel, base, part, every, _units(size))
+
+
+def _unplayed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
+    """The output before its hysteresis, and how much larger an error of it is behind: by the weights of the plays that move."""
+    from estimators.diagnosis.effects.kernels.recursion_kernels import play, unplayed
+
+    widths, weights = play_widths(shape[0]), np.array(shape[1:-1])
+    x = unplayed(np.ascontiguousarray(channel.y), widths, weights)
+    moves = [np.diff(play(x, r, x[0]), prepend=x[0]) != 0.0 for r in widths]
+    return x, 1.0 + weights @ np.array(moves)
+
+
+def _sticky(x: Array, p: Array, clock: Clock) -> Array:
+    """A stem that stays until its command is half a width off, then jumps to within a share of that."""
+    from estimators.diagnosis.effects.kernels.recursion_kernels import sticky
+
+    half = abs(p[0])
+    left = half * float(np.clip(p[1], 0.0, 1.0))
+    off = aside(half, p[2])
+    return sticky(np.ascontiguousarray(x), half, left, level_before(x) + off) - off
+
+
+def _promising(channel: Any, base: Any, j: int, delay: int) -> list[tuple[float, float, float]]:
+    """Shapes of the stem that, through a few lags, explain most of what the linear model leaves."""
+    from estimators.diagnosis.search.free_runs import denominator
+
+    u, keep = channel.u[:, j], channel.keep
+    su, late = float(np.std(u)), np.concatenate((np.zeros(delay), np.ones(len(u) - delay)))
+    slowest = slowest_rate(denominator(base), len(channel))
+    Q = np.linalg.qr(np.column_stack((np.ones(len(u)), channel.y - base.residual))[keep])[0]
+    r, found = base.residual[keep] - Q @ (Q.T @ base.residual[keep]), []
+    for left in LEFT:
+        stems = np.stack([_sticky(u, np.array([w * su, left, 0.0]), channel.clock) for w in STUCK], axis=1)
+        stems = late[:, None] * np.roll(stems, delay, axis=0)
+        lags = [
+            lfilter([1.0 - z], [1.0, -z], stems, axis=0)[keep] for z in np.exp(-slowest * np.array(PACES))
+        ]
+        Z = np.stack([x - Q @ (Q.T @ x) for x in lags])  # (lags, N, widths)
+        gram, cross = np.einsum("anw,bnw->wab", Z, Z), np.einsum("anw,n->wa", Z, r)
+        size = np.trace(gram, axis1=1, axis2=2)[:, None, None]
+        gram += (RIDGE * size + 1e-300) * np.eye(len(Z))
+        told = np.sum(cross * np.linalg.solve(gram, cross[..., None])[..., 0], axis=1)
+        found += [(-float(t), (float(w), float(left), 0.0)) for t, w in zip(told, STUCK, strict=True)]
+    return [shape for _, shape in sorted(found)[:PROMISING]]
+
+
+def _sticking(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Widths and shares on a grid, then ever closer to the best, each with poles of its own: the error jumps with every sample in
+    which the stem does, so that no derivative leads there, and the linear model's poles stand for the stem too."""
+    from estimators.diagnosis.model.linear import fresh_poles, relinearised
+    from estimators.diagnosis.model.simulation import acted, simulate
+    from estimators.diagnosis.model.structure import Part, stable_polynomial
+
+    s, order = base.structure, base.structure.order
+    ways = [
+        (j, delay) for j in s.inputs for delay in sorted({0, s.delay})
+    ]  # what sticks looks late to a linear model
+    for j, delay in ways if s.layout == "tf" and order else ():
+        su, part = float(np.std(channel.u[:, j])), Part(STICTION, j)
+        new = replace(s, delay=delay).adding(part)
+
+        def tried(shape: tuple[float, float, float], new: Any = new, su: float = su) -> tuple[float, Array]:
+            width, left, start = shape
+            p = np.concatenate((base.p, [abs(width) * su, min(max(left, 0.0), 1.0), start]))
+            if (U := acted(new, p, channel.u, channel.clock)) is not None:
+                p[:order] = fresh_poles(channel.y, U, replace(new, parts=()), channel.keep)
+                if stable_polynomial(p[:order]) and (q := relinearised(channel, new, p)) is not None:
+                    error = channel.y - simulate(new, q, channel.u, channel.clock)
+                    return float(np.sum(error[channel.keep] ** 2)), q
+            return np.inf, p
+
+        def best(
+            shapes: Any, so_far: list[tuple[float, Array]], tried: Any = tried
+        ) -> list[tuple[float, Array]]:
+            return sorted([*so_far, *map(tried, shapes)], key=lambda entry: entry[0])[:NEAREST]
+
+        found = best(_promising(channel, base, j, delay), [])
+        step = np.array([STUCK[1] - STUCK[0], LEFT[1] - LEFT[0]])
+        around = [(a, b) for a in CLOSER for b in CLOSER if a or b]
+        for size in 0.5 ** np.arange(HALVED) if firm(base, found[0][0]) else ():
+            near = [(p[-3] / su, p[-2]) + size * step * d for _, p in found for d in around]
+            found = best(((w, left, 0.0) for w, left in near), found)
+        if firm(base, found[0][0]):
+            found = best(((found[0][1][-3] / su, found[0][1][-2], at) for at in STOOD), found)
+            bare = replace(base, structure=replace(s, delay=delay))
+            yield from ended(channel, bare, part, [p for _, p in found], [su, 1.0, 1.0])
+
+
+STICTION = Effect(
+    key="stiction", cause="stiction", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=12, reversing=True, search=_sticking,
+    sentence="the actuator sticks until its command is far enough off, then jumps",
+    parameters={"half_width": "u", "left": "1", "start": "1"}, apply=_sticky,
+)  # fmt: skip
+
+SIDE_BY_SIDE = Effect(
+    key="plays", cause="hysteresis", nature=Nature.DYNAMIC, slot=Slot.INPUT, reversing=True, trials=40, apply=plays, search=_hysteretic,
+    sentence="the input acts with hysteresis: directly, and through plays of four widths side by side",
+    parameters={k: v.format("u") for k, v in PLAYED_BY.items()},
+)  # fmt: skip
+PLAYED = Effect(
+    key="plays_output", cause="hysteresis", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, reversing=True, trials=40,
+    sentence="the output has hysteresis: it is read directly, and through plays of four widths side by side",
+    parameters={k: v.format("y") for k, v in PLAYED_BY.items()}, apply=plays,
+    search=mended(lambda: PLAYED, lambda c: looped(float(np.std(c.y))),
+                  lambda c, best: [[best[0] * f, *(np.array(best[1:]) * g)] for f in (0.7, 1.0, 1.4) for g in (0.6, 1.6)],
+                  lambda c: _units(float(np.std(c.y))), _unplayed),
+)  # fmt: skip
+
+SCANS = 40
+"""Samples between scans of a drive, at most: where they are further apart the record shows it by itself."""
+
+
+def _scanned(x: Array, p: Array, clock: Clock) -> Array:
+    """What was taken over at the last scan, every p[0] samples, one of them at sample p[1]; all whole numbers."""
+    every = round(float(p[0]))
+    if not 2 <= every <= SCANS:
+        return np.full(len(x), np.inf)
+    k = np.rint(clock.k).astype(np.int64)
+    taken = np.arange(len(x)) - (k - round(float(p[1]))) % every
+    return np.where(taken < 0, level_before(x), x[np.maximum(taken, 0)])
+
+
+def _scans(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """What a drive's age makes of the linear model's output, its mean left to the delay, against the residual, for every scan."""
+    from estimators.diagnosis.model.simulation import simulate
+    from estimators.diagnosis.model.structure import Part
+
+    s = base.structure
+    for j in s.inputs if s.layout == "tf" and not s.effects else ():
+        part, u = Part(SCANNED, j), channel.u
+
+        def ran(x: Array, j: int = j, u: Array = u) -> Array:
+            return simulate(s, base.p, np.column_stack((*u.T[:j], x, *u.T[j + 1 :])), channel.clock)[
+                channel.keep
+            ]
+
+        scores, e = [], base.residual[channel.keep]
+        for every in range(2, min(SCANS, len(u) // SCANS) + 1):
+            held = [_scanned(u[:, j], np.array([every, phase]), channel.clock) for phase in range(every)]
+            mean = ran(np.mean(held, axis=0))
+            for phase, x in enumerate(held):
+                d = ran(x) - mean
+                scores.append(
+                    (-(float(e @ d) ** 2) / max(float(d @ d), 1e-300), [float(every), float(phase)])
+                )
+        shapes = [shape for _, shape in sorted(scores, key=lambda score: score[0])[:BEGUN]]
+        found = profile(channel, base, part, shapes)
+        if found and firm(base, found[0][0]):
+            yield from ended(channel, base, part, [p for _, p in found], [0.0, 0.0])
+
+
+SCANNED = Effect(
+    key="input_scanned", cause="held_between_scans", nature=Nature.SAMPLING, slot=Slot.INPUT, trials=SCANS**2 / 2, search=_scans,
+    sentence="the input is taken over at scans of their own only, every so many samples, and kept until the next",
+    parameters={"period": "sample", "phase": "sample"}, apply=_scanned,
+)  # fmt: skip
