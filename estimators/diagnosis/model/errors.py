@@ -62,6 +62,7 @@ def spread(f: Fit) -> Spread:
     C = C * np.outer(wider, wider)
     lost = np.any(np.abs(vectors[:, null]) > LEANS, axis=1) & (f.scales != 0.0)
     C[lost, lost] = np.inf
+    C[f.scales == 0.0], C[:, f.scales == 0.0] = 0.0, 0.0  # what is held has none, nor a rounding's
     return Spread(C, H / np.outer(norms, norms))
 
 

@@ -18,7 +18,7 @@ PLAIN = {
     "end": "time of the end", "behind": "lag behind the actuator", "plant": "pole of its plant", "input_kink.c": "steepness c at zero",
     "output_absolute.c": "half the difference of the gains, c", "outflow_root.k": "outflow coefficient k", "vessel.k": "outflow coefficient k",
     "reported_on_change.start": "reading at the start, off the signal", "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start",
-    "plays.start": "place in the plays at the start", "plays_output.start": "place in the plays at the start",
+    "plays.start": "place in the plays at the start", "plays_output.start": "place in the plays at the start", "multiplexed.place": "place in the cycle",
     "relay_feedback.low": "lower level", "relay_feedback.high": "upper level", "gain_heat.time": "time constant",
     "rise_and_fall.asymmetry": "relative excess of the rate when it rises", "orifices.asymmetry": "relative excess of the rate when it rises",
     "orifices.rate": "rate at twenty times the laminar difference",
@@ -95,6 +95,8 @@ def in_seconds(value: float, error: float, unit: str, record: Record | None) -> 
 
 
 def spoken(value: float, error: float, unit: str, record: Record | None) -> str:
-    """A parameter's value, standard error and unit."""
+    """A parameter's value, standard error and unit; without an error where it was one of a few that were tried."""
     value, error, unit = in_seconds(value, error, unit, record)
+    if error == 0.0:
+        return f"{value:.4g} {unit} (chosen, not fitted)"
     return f"{stated(value, error)} {unit}"
