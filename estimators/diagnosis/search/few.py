@@ -48,7 +48,10 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
 
     first = steps(a.final, a.rivals)
     kept = [first] if bench.starts(first) else []
-    if kept and not len(a.final.noise) and not _loose(first):
+    refused = first.step is None and bool(
+        a.final.structure.effects
+    )  # by unused blocks: another may hold on them
+    if kept and not refused and not len(a.final.noise) and not _loose(first):
         return first
 
     linear = bench.base.unused[0][:, bench.output]
@@ -67,10 +70,12 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
         return sorted(found, key=lambda n: n.step_error(bench))
 
     # what is only added has a search of its own, and fits any one record; but a trend has no time or frequency to choose, and a
-    # step leaves little of a record that it is in only
+    # step leaves little of a record that it is in only, or of unused blocks, where noise is more than little of what the record shows
     lasting = lambda e: e.nature is not Nature.ADDED
     steady = lambda e: lasting(e) or not e.per_sample
-    stepped = lambda f: f.structure.effects[-1].effect.timed and spread(f) ** 2 < LEFT * spread(a.base) ** 2
+    little = lambda f: spread(f) ** 2 < LEFT * spread(a.base) ** 2
+    rarely = lambda f: bench.error(bench.unused(f)) ** 2 < LEFT * bench.error(linear) ** 2
+    stepped = lambda f: f.structure.effects[-1].effect.timed and (little(f) or rarely(f))
     alone = [f for f in a.alternatives if steady(f.structure.effects[-1].effect) or stepped(f)][:TRIED]
     singles = judged(alone, HALF, kept)
     few = max(1, round(PAIRED * min(1.0, FULL / len(bench.channel))))  # longer records tell more apart
