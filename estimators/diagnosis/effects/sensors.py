@@ -180,9 +180,8 @@ RISER = 0.004
 def _treads(x: Any, p: Array, riser: float = RISER) -> Any:
     step = abs(float(p[0])) + 1e-300
     z = (x - p[1]) / step
-    return p[1] + step * (
-        np.floor(z) + 0.5 + 0.5 * np.tanh((z - np.floor(z) - 0.5) / riser) / np.tanh(0.5 / riser)
-    )
+    below = np.floor(z)
+    return p[1] + step * (below + 0.5 + 0.5 * np.tanh((z - below - 0.5) / riser) / np.tanh(0.5 / riser))
 
 
 def _levels(y: Array) -> tuple[float, float] | None:

@@ -48,9 +48,8 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
 
     first = steps(a.final, a.rivals)
     kept = [first] if bench.starts(first) else []
-    refused = first.step is None and bool(
-        a.final.structure.effects
-    )  # by unused blocks: another may hold on them
+    # what unused blocks refuse may hide another that holds on them
+    refused = first.step is None and bool(a.final.structure.effects)
     if kept and not refused and not len(a.final.noise) and not _loose(first):
         return first
 
@@ -73,9 +72,9 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     # step leaves little of a record that it is in only, or of unused blocks, where noise is more than little of what the record shows
     lasting = lambda e: e.nature is not Nature.ADDED
     steady = lambda e: lasting(e) or not e.per_sample
-    little = lambda f: spread(f) ** 2 < LEFT * spread(a.base) ** 2
-    rarely = lambda f: bench.error(bench.unused(f)) ** 2 < LEFT * bench.error(linear) ** 2
-    stepped = lambda f: f.structure.effects[-1].effect.timed and (little(f) or rarely(f))
+    of_record = lambda f: spread(f) ** 2 < LEFT * spread(a.base) ** 2
+    of_blocks = lambda f: bench.error(bench.unused(f)) ** 2 < LEFT * bench.error(linear) ** 2
+    stepped = lambda f: f.structure.effects[-1].effect.timed and (of_record(f) or of_blocks(f))
     alone = [f for f in a.alternatives if steady(f.structure.effects[-1].effect) or stepped(f)][:TRIED]
     singles = judged(alone, HALF, kept)
     few = max(1, round(PAIRED * min(1.0, FULL / len(bench.channel))))  # longer records tell more apart

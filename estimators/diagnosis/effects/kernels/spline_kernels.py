@@ -13,16 +13,15 @@ def read_between(y, at):  # pragma: no cover - compiled
         for i in range(1, n - 1):
             bend[i] = y[i + 1] - 2.0 * y[i] + y[i - 1]
         # the first and the last cubic are those beside them: there the bend is the second difference itself
-        first, last = bend[1], bend[n - 2]
-        pivot = np.zeros(n)
+        pivot, last = np.zeros(n), bend[n - 2]
         for i in range(2, n - 2):
-            row = 6.0 * bend[i] - (first if i == 2 else 0.0) - (last if i == n - 3 else 0.0)
-            pivot[i] = 1.0 / (4.0 - (pivot[i - 1] if i > 2 else 0.0))
-            bend[i] = (row - (bend[i - 1] if i > 2 else 0.0)) * pivot[i]
+            row = 6.0 * bend[i] - bend[i - 1] - (last if i == n - 3 else 0.0)
+            pivot[i] = 1.0 / (4.0 - pivot[i - 1])
+            bend[i] = row * pivot[i]
         for i in range(n - 4, 1, -1):
             bend[i] -= pivot[i] * bend[i + 1]
-        bend[0] = 2.0 * bend[1] - bend[2] if n > 3 else first
-        bend[n - 1] = 2.0 * bend[n - 2] - bend[n - 3] if n > 3 else first
+        bend[0] = 2.0 * bend[1] - bend[2] if n > 3 else last
+        bend[n - 1] = 2.0 * bend[n - 2] - bend[n - 3] if n > 3 else last
     out = np.empty(at.shape[0])
     for k in range(at.shape[0]):
         t = min(max(at[k], 0.0), n - 1.0)

@@ -98,13 +98,12 @@ def _promising(channel: Any, base: Any, j: int, delay: int) -> list[tuple[float,
     from estimators.diagnosis.search.free_runs import denominator
 
     u, keep = channel.u[:, j], channel.keep
-    su, late = float(np.std(u)), np.concatenate((np.zeros(delay), np.ones(len(u) - delay)))
-    slowest = slowest_rate(denominator(base), len(channel))
+    su, slowest = float(np.std(u)), slowest_rate(denominator(base), len(channel))
     Q = np.linalg.qr(np.column_stack((np.ones(len(u)), channel.y - base.residual))[keep])[0]
     r, found = base.residual[keep] - Q @ (Q.T @ base.residual[keep]), []
     for left in LEFT:
         stems = np.stack([_sticky(u, np.array([w * su, left, 0.0]), channel.clock) for w in STUCK], axis=1)
-        stems = late[:, None] * np.roll(stems, delay, axis=0)
+        stems = np.concatenate((np.zeros((delay, len(STUCK))), stems[: len(u) - delay]))
         lags = [
             lfilter([1.0 - z], [1.0, -z], stems, axis=0)[keep] for z in np.exp(-slowest * np.array(PACES))
         ]
