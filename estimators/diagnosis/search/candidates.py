@@ -136,12 +136,14 @@ def _wanted(menu: Menu, s: Structure) -> list[Effect]:
 
 
 def _chosen(tasks: list[_Task], top: int, explained: bool) -> list[Effect]:
-    """The effects to fit, of tasks that are in the order of their promise: the `top` ones, and those whose score is blind."""
+    """The effects to fit, of tasks in the order of their promise: the `top` ones, and those of which a score from the linear model says
+    little: curves that stand in `BLIND`, and what has a start that the linear model does not lead to."""
     chosen: list[Effect] = []
     wide = bool(tasks) and tasks[0].promise > LEAST_PROMISE and not explained
+    blind = lambda e: e.key in BLIND or e.more is not None
     for task in tasks:
         promising = not top or (len(chosen) < top and task.promise > LEAST_PROMISE)
-        if task.effect not in chosen and (promising or (wide and task.effect.key in BLIND)):
+        if task.effect not in chosen and (promising or (wide and blind(task.effect))):
             chosen.append(task.effect)
     return chosen
 
