@@ -115,6 +115,8 @@ def _left_open(
     if trial.slow and np.isfinite(error):
         state = float(np.mean([last.unset(prior, error, len(u), blocks.window) for u in asked]))
     runs = run_spread(folds, asked, seen)
+    if np.isfinite(error) and not runs + state > OPEN * error:
+        runs = max(runs, error * unseen(last, asked, seen))
     if not runs + state > OPEN * error:
         return 0.0
     beyond = max(0.0, runs - run_spread(folds, seen, seen)) + state
@@ -155,6 +157,39 @@ def run_spread(models: Sequence[LinearModel], inputs: Sequence[Array], seen: Seq
         ]
         found.append(jackknife(np.array(runs).sum(axis=1)).mean())
     return float(np.mean(found))
+
+
+def unseen(model: LinearModel, inputs: Sequence[Array], seen: Sequence[Array]) -> float:
+    """Mean variance of the model's runs on inputs (N, nu), in that of white noise on its runs on those seen by its fit.
+
+    Fits without one block or another end in the same valley, where the records leave a direction of the parameters open; the
+    curvature of the error tells of it.
+    """
+    level = np.concatenate(list(seen)).mean(axis=0)
+    shown = np.concatenate([_sensitivities(model, u - level) for u in seen])
+    wanted = np.concatenate([_sensitivities(model, u - level) for u in inputs])
+    size = np.linalg.norm(shown, axis=0) + 1e-300
+    _, values, rows = np.linalg.svd(shown / size, full_matrices=False)
+    known = np.maximum(values, UNKNOWN * values[:1])
+    return float(np.sum(((wanted / size) @ rows.T / known) ** 2)) / len(wanted)
+
+
+UNKNOWN = 1e-6
+"""Share of the largest singular value, below which a direction of the parameters has left no trace: its derivatives are rounding."""
+
+
+def _sensitivities(model: LinearModel, drive: Array) -> Array:
+    """Derivatives (N, parameters) of a model's run on inputs (N, nu) from rest."""
+    drive = np.nan_to_num(drive)
+    one = np.ones(1)
+    bent = [lfilter(one, model.den, x) for x in drive.T]
+    run = sum(lfilter(b, model.den, x) for b, x in zip(model.num, drive.T, strict=True))
+    sources = [(-lfilter(one, model.den, run), k) for k in range(1, len(model.den))]
+    sources += [(x, k) for b, x in zip(model.num, bent, strict=True) for k in np.flatnonzero(b)]
+    out = np.zeros((len(drive), len(sources)))
+    for column, (x, k) in zip(out.T, sources, strict=True):
+        column[k:] = x[: len(x) - k]
+    return out
 
 
 def jackknife(estimates: Array) -> Array:

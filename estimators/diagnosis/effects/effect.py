@@ -236,8 +236,8 @@ class Effect:
         (x, parameters) -> the characteristic that is drawn; a static map's and a force's are known without.
     against : {"", "position", "velocity"}
         What the curve of a plant's effect is drawn over; empty where it has none.
-    memory : bool
-        Whether an effect at the output is more than a static curve.
+    memory, linear : bool
+        Whether an effect at the output is more than a static curve, and whether it is linear in what it is given.
     between : bool
         Whether at the output it follows the signal between the samples.
     ahead : bool
@@ -284,6 +284,7 @@ class Effect:
     curve: Callable[[Array, Array], Array] | None = None
     against: str = ""
     memory: bool = False
+    linear: bool = False
     between: bool = False
     ahead: bool = False
     settles: bool = False

@@ -63,6 +63,9 @@ def zones(x: Array, shares: tuple[float, ...]) -> list[list[float]]:
 LEAST = 1e-100
 """Of a width or a sharpness, by which is divided: far below any in a unit in which signals may be, of which 1e-50 is the smallest."""
 
+ARCS = (0.5, 0.8, 1.2, 1.8)
+"""Radians of a sine to a standard deviation of the input: with fewer it is a parabola, with more it turns back and forth."""
+
 
 def broken_line(x: Array, p: Array) -> Array:
     """Slopes and corners in turn: a broken line through the origin, of slope 1 at the far left."""
@@ -87,6 +90,19 @@ def sigmoid(x: Any, p: Array, clock: Clock) -> Any:
     if abs(p[0]) < LEAST:
         return x
     return (np.tanh(p[0] * (x - p[1])) + np.tanh(p[0] * p[1])) / p[0]
+
+
+def _over_the_top(x: Any, p: Array, clock: Clock) -> Any:
+    """sin(c (x - centre))/c from its value at zero, the identity for small c."""
+    if abs(p[0]) < LEAST:
+        return x
+    return (np.sin(p[0] * (x - p[1])) + np.sin(p[0] * p[1])) / p[0]
+
+
+def _arcs(s: Sizes) -> Grid:
+    """Sines of which the input's spread is a share of a quarter turn or more, rising, falling or at the top in its middle."""
+    middle, turns = float(np.mean(s.u)), [f / s.su for f in ARCS]
+    return [[c, middle + side / c] for c in turns for side in (-1.3, -0.7, 0.0, 0.7, 1.3)], [1.0 / s.su, s.su]
 
 
 def _hinges(x: Array, p: Array, clock: Clock) -> Array:
@@ -348,6 +364,8 @@ INPUT = (
     _static("input_tanh", "input_saturation", "the input saturates smoothly: tanh(c (u - centre))/c",
             parameters={"c": "1/u", "centre": "u"}, trials=8, apply=sigmoid,
             starts=lambda s: ([[f / s.su, m] for f in (0.4, 1.2) for m in s.centres(s.u)], [1 / s.su, s.su])),
+    _static("input_sine", "hammerstein", "the input acts through a sine: sin(c (u - centre))/c, light through a modulator, a crank's angle",
+            parameters={"c": "1/u", "centre": "u"}, trials=12, apply=_over_the_top, starts=_arcs),
     LINES,
     _moving("rate_limit", "rate_limiter", "the actuator cannot move faster than the rate", trials=6, reversing=True,
             parameters={"rate": "u/sample"}, family="rates", apply=_rate_limited, starts=_rates),

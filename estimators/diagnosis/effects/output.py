@@ -82,7 +82,7 @@ def _backlash(key: str, sentence: str, **fields: Any) -> Effect:
 
 OUTPUT = (
     Effect(key="lag", cause="sensor_lag", nature=Nature.LINEAR, slot=Slot.OUTPUT, sentence="one more first-order lag",
-           parameters={"pole": "1"}, trials=3, apply=_lag, memory=True,
+           parameters={"pole": "1"}, trials=3, apply=_lag, memory=True, linear=True,
            starts=lambda s: ([[v] for v in (0.2, 0.4, 0.6, 0.75, 0.85, 0.92)], [1.0])),
     _sensor("output_quadratic", "the sensor reads y + c2 y^2", {"c2": "1/y"}, 1, amplitude=0,
             apply=lambda x, p, c: x * (1.0 + p[0] * x), starts=lambda s: ([[0.03 / s.sy]], [1 / s.sy])),
@@ -264,7 +264,7 @@ def mended(
 
 
 DRIFT = Effect(
-    key="clock_drift", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=12,
+    key="clock_drift", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, linear=True, ahead=True, trials=12,
     sentence="the clock of the output runs off from that of the input", parameters={"drift": "1"},
     apply=lambda y, p, clock: read_at(y, np.arange(len(y)) + p[0] * clock.k),
     search=mended(lambda: DRIFT, lambda c: [[sign * d / len(c)] for d in SHIFTS for sign in (1.0, -1.0)],
@@ -272,14 +272,14 @@ DRIFT = Effect(
 )  # fmt: skip
 SKEWS = (0.05, 0.15, 0.3, 0.45)  # samples by which every other one is early, the rest late
 INTERLEAVED = Effect(
-    key="interleaved", cause="interleaved_samples", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=4,
+    key="interleaved", cause="interleaved_samples", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, linear=True, ahead=True, trials=4,
     sentence="every other sample is read early and the rest late, as two converters in turn do", parameters={"skew": "sample"},
     apply=lambda y, p, clock: read_at(y, np.arange(len(y)) + p[0] * (1.0 - 2.0 * (np.round(clock.k) % 2))),
     search=mended(lambda: INTERLEAVED, lambda c: [[sign * d] for d in SKEWS for sign in (1.0, -1.0)],
                    lambda c, best: [[best[0] * f] for f in (0.8, 1.2)], lambda c: [0.1]),
 )  # fmt: skip
 WARMING = Effect(
-    key="clock_settles", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=30,
+    key="clock_settles", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, linear=True, ahead=True, trials=30,
     sentence="the clock of the output runs off from that of the input, ever less: as its logger warms up",
     parameters={"samples": "sample", "memory": "record"}, apply=_warming,
     search=mended(lambda: WARMING, lambda c: [[sign * d, t] for d in SHIFTS for t in PACES for sign in (1.0, -1.0)],
@@ -300,7 +300,7 @@ CONVEYED = Effect(
                    lambda c: [float(np.mean(np.abs(c.u))), 0.0], _unconveyed, late=False),
 )  # fmt: skip
 LOST = Effect(
-    key="lost_samples", cause="lost_samples", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=0.1,
+    key="lost_samples", cause="lost_samples", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, linear=True, ahead=True, trials=0.1,
     per_sample=True, sentence="samples of the output are lost, or come twice, and what follows is out of step",
     parameters={"samples": "1", "time": "sample"}, apply=_jumped,
     search=mended(lambda: LOST, lambda c: [[sign * d, t * len(c)] for t in np.linspace(0.08, 0.92, TIMES) for d in JUMPS[:2]
@@ -384,7 +384,7 @@ def _ages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 
 
 REFRESHED = Effect(
-    key="refreshed", cause="held_between_refreshes", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, trials=2000,
+    key="refreshed", cause="held_between_refreshes", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, linear=True, trials=2000,
     sentence="the sensor is refreshed at a rate of its own: every sample reads its last value, which ages until the next",
     parameters={"period": "sample", "phase": "sample"}, apply=_refreshed, search=_ages,
 )  # fmt: skip

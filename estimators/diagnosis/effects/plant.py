@@ -234,6 +234,10 @@ def _stiffness_by(p, v, u, q, s, c):
     return c[0] * s * p
 
 
+def _spring_by(p, v, u, q, s, c):
+    return c[0] * s * (p - u)
+
+
 def _damping_by(p, v, u, q, s, c):
     return c[0] * s * v
 
@@ -342,7 +346,7 @@ def _inertias(s: Sizes) -> Grid:
 
 
 SLOWING = Effect(
-    key="lag_drift", cause="parameter_drift", family="drifts", nature=Nature.TIME, slot=Slot.OUTPUT, memory=True, trials=10,
+    key="lag_drift", cause="parameter_drift", family="drifts", nature=Nature.TIME, slot=Slot.OUTPUT, memory=True, linear=True, trials=10,
     sentence="one lag grows with time, or shrinks, and nears an end: a sensor that is fouled", apply=_slowing, search=_slowings,
     parameters={"lag": "sample", "growth": "sample", "memory": "record"},
 )  # fmt: skip
@@ -363,6 +367,8 @@ MODULATED = (
                  _inertias, {"slope": "1/record", "damping": "sample"}),
     _coefficient("stiffness_drift", "parameter_drift", Nature.TIME, "the stiffness changes steadily with time", _stiffness_by,
                  _time, _with_time, {"slope": "1/record"}),
+    _coefficient("resonance_drift", "parameter_drift", Nature.TIME, "the stiffness that it is driven through changes steadily with time: "
+                 "the resonance moves, the gain stays", _spring_by, _time, _with_time, {"slope": "1/record"}),
     _coefficient("damping_drift", "parameter_drift", Nature.TIME, "the damping changes steadily with time", _damping_by, _time,
                  lambda s: ([[f * s.damping] for f in CHANGES], [s.damping]), {"slope": "sample/record"}),
     _coefficient("stiffness_heat", "slow_hidden_state", Nature.DYNAMIC,

@@ -229,17 +229,23 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 
 
 def _waved(channel: Any, f: Any) -> Iterator[Any]:
-    """A periodic gain, and one harmonic after the other for as long as Schwarz's criterion falls: what is filled and emptied is no sine."""
+    """A periodic gain, and one harmonic after the other until two of them gain too little: what is filled and emptied is no sine, and
+    what is switched has every other one only."""
     from estimators.diagnosis.model.fitting import fit
 
     yield f
     turns = abs(f.p[f.structure.slices()[-1].start]) * len(channel) / (2.0 * np.pi)
+    best, missed = f, 0
     for size in range(2, WAVES + 1 if turns >= REPEATS else 2):
         s = replace(f.structure, parts=(*f.structure.parts[:-1], replace(f.structure.parts[-1], size=size)))
-        g = fit(channel, s, np.append(f.p, [0, 0]), np.append(f.scales, [1, 1]), noise=f.noise, iterations=10)
-        if g.criterion > f.criterion - WAVED:
+        f = fit(channel, s, np.append(f.p, [0, 0]), np.append(f.scales, [1, 1]), noise=f.noise, iterations=10)
+        if f.criterion <= best.criterion - WAVED:
+            best, missed = f, 0
+            yield best
+        elif missed:
             return
-        yield (f := g)
+        else:
+            missed = 1
 
 
 def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:

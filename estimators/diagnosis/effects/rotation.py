@@ -7,16 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
-from estimators.diagnosis.effects.output import in_step, read_at
 from estimators.diagnosis.effects.plant import MOVING
 from estimators.diagnosis.effects.profiled import (
     FIRM,
     ended,
     entering,
-    gained,
     in_common,
     lean,
     left_over,
@@ -41,8 +38,6 @@ LEAST_TURNS = 3  # in a record, for its force to repeat
 PEAK = 25.0  # times the mean power over all angles: by chance in one record of millions
 CHUNK = 250  # rates at a time, whose responses fill some megabytes
 TRIED = 2  # rates whose neighbourhood is looked at
-STEEP = 0.8  # samples per sample by which a time base may swing at first: beyond one it would turn back
-FINER = 4  # frequencies per line of a record, among which a swing's is looked for
 WINDOWS = (0.04, 0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0)
 """Growing shares of the record, each by half: a phase that is kept at first is kept to the end, and what nearly stands still on top
 is lost within a turn or two where the parameters are a little off."""
@@ -302,48 +297,6 @@ REVOLVING = Effect(
 )  # fmt: skip
 
 
-def _mistimed(y: Array, p: Array, clock: Clock) -> Array:
-    """The values a while before or after the samples, which swings about none."""
-    return read_at(y, np.arange(len(y)) + p[1] * np.cos(p[0] * clock.k) + p[2] * np.sin(p[0] * clock.k))
-
-
-def _timings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Where the time base swings, the residual is the swing times the output's rate: a line in their product."""
-    from estimators.diagnosis.model.linear import fresh_poles, relinearised
-    from estimators.diagnosis.model.structure import Part, stable_polynomial
-
-    s, n, k = base.structure, len(channel), channel.clock.k
-    if s.layout != "tf" or s.effects or not channel.keep.all():
-        return
-    r, part, starts = base.residual, Part(SWUNG, s.inputs[0]), []
-    rate = np.gradient(channel.y - r)
-    common = np.abs(np.fft.rfft(r * rate, FINER * n))
-    common[: LEAST_TURNS * FINER] = 0.0
-    for top in np.argsort(-common * (common == maximum_filter1d(common, 2 * FINER + 1)))[:FEW]:
-        w = 2.0 * np.pi * top / (FINER * n)
-        D = rate[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1)
-        c = np.linalg.lstsq(D, r, rcond=None)[0]
-        if gained(base.n, float(r @ r), float(np.sum((r - D @ c) ** 2))) < FIRM:
-            break
-        shape = np.array([w, *(c * min(1.0, STEEP / (w * np.hypot(*c))))])
-        starts.append(np.concatenate((base.p, shape)))
-        there, bare = in_step(SWUNG, list(shape), channel), np.zeros(s.size)
-        if there is None:
-            continue
-        bare[: s.order] = fresh_poles(there[0], channel.u[:, list(s.inputs)], s, channel.keep)
-        again = replace(channel, y=there[0])
-        if stable_polynomial(bare[: s.order]) and (q := relinearised(again, s, bare)) is not None:
-            starts.append(np.concatenate((q, shape)))
-    yield from ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0])
-
-
-SWUNG = Effect(
-    key="delay_periodic", cause="periodic_delay", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, ahead=True, trials=300,
-    sentence="the time base of the output swings periodically: it is read by b cos(w t) + c sin(w t) late or early",
-    parameters={"frequency": "rad/sample", "cosine": "sample", "sine": "sample"}, apply=_mistimed, search=_timings,
-)  # fmt: skip
-
-
 def _breath(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     return p[1] * np.cos(p[0] * clock.k) + p[2] * np.sin(p[0] * clock.k)
 
@@ -376,4 +329,4 @@ BREATH = Effect(
     parameters={"frequency": "rad/sample", "cosine": "1", "sine": "1"},
 )  # fmt: skip
 
-ROTATION = (PENDULUM, PIVOT, POSITION, REVOLVING, SWUNG, BREATH)
+ROTATION = (PENDULUM, PIVOT, POSITION, REVOLVING, BREATH)

@@ -1,16 +1,18 @@
-"""Sensors that report changes only, lag by the level of what they read, read a sine of it, show it in steps, or take turns."""
+"""Sensors that report changes only, lag by what they read, show a sine or steps of it, take turns, or have a clock that swings or slips."""
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
-from estimators.diagnosis.effects.output import mended
-from estimators.diagnosis.effects.profiled import FINEST, firm, of_order
+from estimators.diagnosis.effects.output import in_step, mended, read_at
+from estimators.diagnosis.effects.profiled import FINEST, ended, firm, of_order, profile
 
 Array = NDArray[Any]
 STILL, REPORTS = 0.4, 20
@@ -271,4 +273,113 @@ TURNS = Effect(
     parameters={"cycle": "sample", "place": "sample", "gain": "1", "zero": "y"}, apply=_turned, search=_turns,
 )  # fmt: skip
 
-SENSORS = (SINE, REPORTED, PACED, TREADS, TURNS)
+SWINGS_TRIED, LEAST_SWINGS, FINER = 4, 3, 4
+"""Frequencies of a time base that are fitted; its fewest turns in a record; frequencies per line of a record among which they are looked for."""
+ROUNDS = 6  # of them about the best, the steps half as wide each time: to a thousandth of a period
+STEEP = 0.8  # samples per sample by which a time base may swing at first: beyond one it would turn back
+SLIPS, PLACES, PERIODS = (0.7, 1.0, 1.4), (-0.06, 0.0, 0.06), (-0.5, -0.25, 0.0, 0.25, 0.5)
+"""Of a clock that slips, beside what its first harmonic tells: sizes, places in a period, and periods by how much of one the last is off."""
+
+
+def _mistimed(y: Array, p: Array, clock: Clock) -> Array:
+    """The values a while before or after the samples, which swings about none."""
+    return read_at(y, np.arange(len(y)) + p[1] * np.cos(p[0] * clock.k) + p[2] * np.sin(p[0] * clock.k))
+
+
+def _slipped(y: Array, p: Array, clock: Clock) -> Array:
+    """The values ever longer before the samples, until the clock is set right, once in a period."""
+    if not 2.0 < p[0] < clock.length / LEAST_SWINGS:
+        return np.full(len(y), np.inf)
+    turns = clock.k / p[0] + p[1]
+    return read_at(y, np.arange(len(y)) - p[2] * (turns - np.floor(turns)))
+
+
+def _swings(channel: Any, base: Any) -> Iterator[tuple[float, Array]]:
+    """Where the time base swings, the residual is the swing times the output's rate, a line in their product: its frequency and its
+    cosine and sine parts."""
+    r, n, k = base.residual, len(channel), channel.clock.k
+    rate = np.gradient(channel.y - r)
+    common = np.abs(np.fft.rfft(r * rate, FINER * n))
+    common[: LEAST_SWINGS * FINER] = 0.0
+    for top in np.argsort(-common * (common == maximum_filter1d(common, 2 * FINER + 1)))[:SWINGS_TRIED]:
+        w = 2.0 * np.pi * top / (FINER * n)
+        D = rate[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1)
+        c = np.linalg.lstsq(D, r, rcond=None)[0]
+        if not firm(base, float(np.sum((r - D @ c) ** 2))):
+            return
+        yield w, c
+
+
+def _read_in_time(e: Effect, channel: Any, base: Any, shape: Array) -> Array | None:
+    """The linear model's parameters made for the output as its clock should have read it, and a shape of the clock."""
+    from estimators.diagnosis.model.linear import fresh_poles, relinearised
+    from estimators.diagnosis.model.structure import stable_polynomial
+
+    s, there = base.structure, in_step(e, list(shape), channel)
+    if there is None:
+        return None
+    bare, again = np.zeros(s.size), replace(channel, y=there[0])
+    bare[: s.order] = fresh_poles(there[0], channel.u[:, list(s.inputs)], s, channel.keep)
+    q = relinearised(again, s, bare) if stable_polynomial(bare[: s.order]) else None
+    return None if q is None else np.concatenate((q, shape))
+
+
+def _timings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """A time base that swings, with the linear model's poles and with those made for the output read in time."""
+    from estimators.diagnosis.model.structure import Part
+
+    s, n = base.structure, len(channel)
+    if s.layout != "tf" or s.effects or not channel.keep.all():
+        return
+    starts: list[Array | None] = []
+    for w, c in _swings(channel, base):
+        shape = np.array([w, *(c * min(1.0, STEEP / (w * np.hypot(*c))))])
+        starts += [np.concatenate((base.p, shape)), _read_in_time(SWUNG, channel, base, shape)]
+    begun = (p for p in starts if p is not None)
+    yield from ended(channel, base, Part(SWUNG, s.inputs[0]), begun, [1.0 / n, 1.0, 1.0])
+
+
+def _slippings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """A clock that slips, from the first harmonic of its sawtooth, which falls behind or runs ahead; as it has edges, size, place and
+    period are tried before poles are made for it."""
+    from estimators.diagnosis.model.structure import Part
+
+    s, n = base.structure, len(channel)
+    if s.layout != "tf" or s.effects or not channel.keep.all():
+        return
+    part, found = Part(SLIPPED, s.inputs[0]), []
+    for w, c in _swings(channel, base):
+        for side in (1.0, -1.0):
+            size, place = (
+                side * np.pi * np.hypot(*c),
+                float(np.arctan2(side * c[0], side * c[1])) / (2.0 * np.pi),
+            )
+            best = np.array([2.0 * np.pi / w, place, size])
+            for fine in 0.5 ** np.arange(ROUNDS):
+                p = _read_in_time(SLIPPED, channel, base, best)
+                shapes = [
+                    [best[0] / (1.0 + fine * late * best[0] / n), best[1] + fine * (off - 0.5 * late), best[2] * f**fine]
+                    for late, off, f in product(PERIODS, PLACES, SLIPS)
+                ]  # fmt: skip
+                tried = profile(channel, base, part, shapes, p)
+                if not tried:
+                    break
+                best, left, p = tried[0][1][-3:], *tried[0]
+                found.append((left, p))
+    found = [(left, p) for left, p in sorted(found, key=lambda entry: entry[0])[:2] if firm(base, left)]
+    yield from ended(channel, base, part, (p for _, p in found), [0.0, 0.0, 1.0])
+
+
+SWUNG = Effect(
+    key="delay_periodic", cause="periodic_delay", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, linear=True, ahead=True, trials=300,
+    sentence="the time base of the output swings periodically: it is read by b cos(w t) + c sin(w t) late or early",
+    parameters={"frequency": "rad/sample", "cosine": "sample", "sine": "sample"}, apply=_mistimed, search=_timings,
+)  # fmt: skip
+
+SLIPPED = Effect(
+    key="clock_slips", cause="periodic_delay", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, linear=True, ahead=True, trials=300,
+    sentence="the clock of the output falls behind, or runs ahead, and is set right once in every period",
+    parameters={"period": "sample", "place": "1", "slip": "sample"}, apply=_slipped, search=_slippings,
+)  # fmt: skip
+
+SENSORS = (SINE, REPORTED, PACED, TREADS, TURNS, SWUNG, SLIPPED)

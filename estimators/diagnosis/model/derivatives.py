@@ -1,7 +1,8 @@
 """Exact derivatives of a structure's output by the parameters that it is rational or linear in."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Slot
 from estimators.diagnosis.model.layouts import LAYOUTS
-from estimators.diagnosis.model.simulation import acted, plant_states, transferred
+from estimators.diagnosis.model.simulation import acted, plant_states, read_ahead, transferred
 from estimators.diagnosis.model.structure import Structure
 
 Array = NDArray[Any]
@@ -20,26 +21,29 @@ OFFSET = "offset"  # key of the effect; its module imports this one
 def exact_columns(s: Structure, p: Array, u: Array, clock: Clock) -> Columns:
     """Derivatives of the simulated output that need no finite difference.
 
-    A constant that is added gives ones; what else is exact, the plant's own parameters, has the slope of the static curves at
-    the output as a factor. Shapes: p (s.size,), u (N, nu). The finite differences of the fit are the twin that the tests
-    compare with.
+    A constant that is added gives ones; what else is exact, the plant's own parameters, passes what acts at the output: it has
+    the slope of static curves as a factor, and what is linear acts on it as on the output. Shapes: p (s.size,), u (N, nu). The
+    finite differences of the fit are the twin that the tests compare with.
     """
     for part, sl in zip(s.parts, s.slices(), strict=True):
         if part.key == OFFSET:
             yield sl.start, np.ones(len(u))
     curved = [q for q in s.parts if q.effect.slot is Slot.OUTPUT]
-    if s.layout == "tanks" or any(q.effect.memory for q in curved):
+    if s.layout == "tanks" or any(q.effect.memory and not q.effect.linear for q in curved):
         return
     if curved and any(q.effect.slot is Slot.PATH for q in s.parts):  # the curve acts on the paths' sum
         return
+    n, (u, clock) = len(u), read_ahead(s, u, clock)
     U = acted(s, p, u, clock)
     if U is None:
         return
     linear, columns = (_of_transfer if s.layout == "tf" else _of_layout)(s, p, U, clock)
     if linear is not None:
-        slope = _slope(s, p, linear, clock)
+        stages = _stages(s, p, linear, clock)
         for i, column in columns:
-            yield i, column if slope is None else column * slope
+            for stage in stages:
+                column = stage(column)
+            yield i, column[:n]
 
 
 def _of_layout(s: Structure, p: Array, U: Array, clock: Clock) -> tuple[Array | None, Columns]:
@@ -66,14 +70,18 @@ def _of_transfer(s: Structure, p: Array, U: Array, clock: Clock) -> tuple[Array 
     return linear, zip(at, rows, strict=True)
 
 
-def _slope(s: Structure, p: Array, x: Array, clock: Clock) -> Array | None:
-    """Slope of the static curves at the output, one after the other; None where there are none."""
-    total, step = None, 0.0
+def _stages(s: Structure, p: Array, x: Array, clock: Clock) -> list[Callable[[Array], Array]]:
+    """What acts at the output, on small changes (N,) of what the linear part puts out, x (N,), one after the other."""
+    stages: list[Callable[[Array], Array]] = []
+    step = 0.0
     for part, sl in s.placed[2]:
-        if part.effect.slot is Slot.OUTPUT:
-            step = step or 1e-6 * (float(np.std(x)) + 1e-300)
-            y = part.apply(x, p[sl], clock)
-            slope = (part.apply(x + step, p[sl], clock) - y) / step
-            total = slope if total is None else total * slope
-            x = y
-    return total
+        if part.effect.slot is not Slot.OUTPUT:
+            continue
+        step = step or 1e-6 * (float(np.std(x)) + 1e-300)
+        y = part.apply(x, p[sl], clock)
+        if part.effect.linear:
+            stages.append(lambda d, part=part, q=p[sl]: part.apply(d, q, clock))
+        else:
+            stages.append(partial(np.multiply, (part.apply(x + step, p[sl], clock) - y) / step))
+        x = y
+    return stages

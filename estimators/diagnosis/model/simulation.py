@@ -171,6 +171,14 @@ def _acted(s: Structure, p: Array, u: Array, clock: Clock, rest: bool) -> Array 
     return U
 
 
+def read_ahead(s: Structure, u: Array, clock: Clock) -> tuple[Array, Clock]:
+    """The inputs (N, nu) held beyond the end of a record, and the clock, where an effect reads the output later than the clock says."""
+    if not s.ahead:
+        return u, clock
+    later = np.concatenate((clock.k, clock.k[-1] + 1.0 + np.arange(AHEAD)))
+    return np.concatenate((u, np.repeat(u[-1:], AHEAD, axis=0))), Clock(later, clock.length, clock.lead)
+
+
 def simulate(
     s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False, start: Array | None = None
 ) -> Array:
@@ -186,11 +194,7 @@ def simulate(
         clock = Clock(
             np.concatenate((np.full(settle, clock.k[0]), clock.k)), clock.length, settle + clock.lead
         )
-    if s.ahead:
-        u = np.concatenate((u, np.repeat(u[-1:], AHEAD, axis=0)))
-        clock = Clock(
-            np.concatenate((clock.k, clock.k[-1] + 1.0 + np.arange(AHEAD))), clock.length, clock.lead
-        )
+    u, clock = read_ahead(s, u, clock)
     U = acted(s, p, u, clock, rest=rest)
     if U is None:
         return np.full(n, np.inf)

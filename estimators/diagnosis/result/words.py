@@ -19,6 +19,7 @@ PLAIN = {
     "output_absolute.c": "half the difference of the gains, c", "outflow_root.k": "outflow coefficient k", "vessel.k": "outflow coefficient k",
     "reported_on_change.start": "reading at the start, off the signal", "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start",
     "plays.start": "place in the plays at the start", "plays_output.start": "place in the plays at the start", "multiplexed.place": "place in the cycle",
+    "clock_slips.place": "place in the period at the start", "slip": "what it is late by in the end",
     "relay_feedback.low": "lower level", "relay_feedback.high": "upper level", "gain_heat.time": "time constant",
     "rise_and_fall.asymmetry": "relative excess of the rate when it rises", "orifices.asymmetry": "relative excess of the rate when it rises",
     "orifices.rate": "rate at twenty times the laminar difference",

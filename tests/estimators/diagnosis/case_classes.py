@@ -36,6 +36,11 @@ def saturating(u, a):
     return linear(np.tanh(1.2 * a * (u - 0.3)) / 1.2 / a if a else u)
 
 
+def over_the_top(u, a):
+    """A modulator that is driven past its brightest."""
+    return linear(np.sin(1.3 * a * (u - 0.5)) / 1.3 / a if a else u)
+
+
 def kink(u, a):
     return linear(u + a * np.tanh(6.0 * u))
 
@@ -197,6 +202,11 @@ def softening(u, a):
     return swing(lambda x, v, f, t: 0.06 * (f - (1.0 - 0.5 * a * t / 700.0) * x) - 0.03 * v, u)
 
 
+def charged(u, a):
+    """A line that swings on an accumulator, whose gas is charged more and more."""
+    return swing(lambda x, v, f, t: 0.06 * (1.0 + 0.6 * a * t / 700.0) * (f - x) - 0.03 * v, u)
+
+
 def electrostatic(u, a):
     """A mass on a spring that the voltage softens, beside the force that it exerts."""
     return swing(lambda x, v, f, t: 0.06 * (f - (1.0 - 0.035 * a * f * f) * x) - 0.03 * v, u)
@@ -335,7 +345,7 @@ _LEVEL = {"mean": 4.0, "size": 1.5}
 CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     # key of the effect: (record, order of the linear model, its input)
     "input_exponential": (exponential, 3, {"mean": 0.6, "size": 0.2}), "input_power": (power, 2, _LEVEL),
-    "input_tanh": (saturating, 2, {}), "input_kink": (kink, 2, {}), "relay": (relay, 2, {}),
+    "input_tanh": (saturating, 2, {}), "input_sine": (over_the_top, 2, {}), "input_kink": (kink, 2, {}), "relay": (relay, 2, {}),
     "stiction": (stuck, 2, {}), "clearance": (loose, 2, {}), "clearance_sprung": (sprung, 4, {}),
     "hysteresis_rate": (dragged, 2, {}), "output_sigmoid": (sigmoid, 2, {}), "output_exponential": (logarithm, 2, {}),
     "magnitude": (magnitude, 2, {}), "squared": (squared, 2, {}), "rectified": (rectified, 2, {}),
@@ -346,7 +356,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "through_flow": (through_flow, 2, {"mean": 4.0, "size": 1.2}), "pendulum": (pendulum, 2, {"size": 0.4}),
     "pendulum_pivot": (pivot, 3, {"size": 0.8}), "position_periodic": (eccentric, 2, {"mean": 3.0, "size": 0.6}),
     "inertia_drift": (filling, 2, {}), "stiffness_drift": (softening, 2, {}), "stiffness_squared": (electrostatic, 2, {"mean": 3.0, "size": 0.8}),
-    "gain_heat": (heated_gain, 2, {}),
+    "gain_heat": (heated_gain, 2, {}), "resonance_drift": (charged, 2, {}),
     "integral_curve": (store, 2, {"mean": 1.0, "size": 0.6}), "clock_drift": (clock_drift, 2, {}),
     "lost_samples": (lost_samples, 2, {}), "refreshed": (refreshed, 2, {}),
     "clock_settles": (warming_clock, 4, {}), "sweep": (sweep, 2, {}), "rate_limit_servo": (steered, 3, {}), "input_staircase": (stairs, 2, {}),
@@ -359,7 +369,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
 
 LOOKALIKES = {
     # effect: a record that looks like it and is not
-    "input_exponential": "rise_and_fall", "input_tanh": "input_kink", "relay": "hysteresis_rate", "magnitude": "squared",
+    "input_exponential": "rise_and_fall", "input_tanh": "input_kink", "input_sine": "input_kink", "resonance_drift": "lag_drift", "relay": "hysteresis_rate", "magnitude": "squared",
     "squared": "magnitude", "rectified": "magnitude", "rise_and_fall": "input_power", "orifices": "vessel",
     "loss_cubic": "rise_and_fall", "vessel": "rise_and_fall", "capacity_bump": "loss_cubic", "output_cutoff": "magnitude", "gain_settles": "stiffness_drift", "output_staircase": "wrapped", "multiplexed": "gain_periodic", "pendulum": "inertia_drift", "inertia_drift": "pendulum",
     "stiffness_drift": "inertia_drift", "clock_drift": "inertia_drift", "lost_samples": "stiffness_drift", "refreshed": "lost_samples", "sweep": "pendulum",

@@ -125,3 +125,10 @@ def draw_effect(
     if family == "initial_condition":
         return {"x0": u(1.5, 5) * size * rng.choice([-1, 1])}
     return {family: size}
+
+
+LINEAR = {
+    "lag": [0.6], "clock_drift": [1.5], "interleaved": [0.3], "clock_settles": [2.0, 0.3], "lost_samples": [1.7, 90.3],
+    "refreshed": [3.3, 1.2], "lag_drift": [2.0, 3.0, 0.5], "delay_periodic": [0.1, 1.2, -0.4], "clock_slips": [41.3, 0.2, 2.2],
+}  # fmt: skip
+"""Parameters of every effect with a memory that is linear in the output."""

@@ -133,6 +133,12 @@ def tape(u, a):
     return read(u, np.maximum(k - 2.0 * a * np.cos(0.06 * k + 0.5), 0.0))
 
 
+def slipping(u, a):
+    """A camera whose clock falls behind by three samples in every 71.3, and is then set right."""
+    k = np.arange(len(u))
+    return read(u, np.maximum(k - 3.0 * a * ((k / 71.3 + 0.3) % 1.0), 0.0))
+
+
 def vented(u, a):
     """A vent is opened after 310 samples: the losses rise by 40 %, gain and time constant fall; a sensor lags."""
     x = np.empty(len(u))
@@ -216,7 +222,7 @@ ALL_CLASSES = CLASSES | {
     "gain_of_angle": (rollers, 2, {"mean": 3.0, "size": 0.5}), "gain_fatigue": (tired, 2, {"mean": 2.0}),
     "loss_heat": (thickened, 2, {"mean": 3.0}), "capacity_filled": (vat, 2, {"mean": 2.0, "size": 0.7, "inputs": 2}),
     "gain_decay": (ageing, 2, {"mean": 4.0, "inputs": 2}), "conveyed": (belt, 2, {"mean": 2.0, "size": 0.5, "inputs": 2}),
-    "output_ratio": (gauge, 2, {"mean": 4.0, "size": 1.2}), "delay_periodic": (tape, 2, {}),
+    "output_ratio": (gauge, 2, {"mean": 4.0, "size": 1.2}), "delay_periodic": (tape, 2, {}), "clock_slips": (slipping, 2, {}),
     "plays": (ceramic, 2, {}), "plays_output": (soil, 2, {}), "loss_change": (vented, 2, {}), "interleaved": (interleaved, 2, {}),
     "reported_on_change": (on_change, 2, {}), "integral_curve of two ways": (swung, 2, {}),
     "sweep_input": (beside_a_machine, 2, {}), "sensor_paced": (cups, 2, {}), "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
@@ -234,7 +240,7 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("gain_decay", "product_of_inputs"), ("conveyed", "product_of_inputs"), ("conveyed", "capacity_filled"), ("output_ratio", "loss_cubic"),
     ("output_ratio", "magnitude"), ("delay_periodic", "gain_periodic"), ("gain_periodic", "delay_periodic"),
     ("plays", "hysteresis_rate"), ("plays", "clearance"), ("plays_output", "plays"), ("plays_output", "input_kink"), ("plays_output", "clearance"),
-    ("delay_periodic", "refreshed"), ("delay_periodic", "clock_drift"), ("stiffness_periodic", "delay_periodic"),
+    ("clock_slips", "delay_periodic"), ("clock_slips", "clock_drift"), ("clock_slips", "lost_samples"), ("delay_periodic", "refreshed"), ("delay_periodic", "clock_drift"), ("stiffness_periodic", "delay_periodic"),
     ("gain_periodic", "gain_heat"), ("clearance_sprung", "stiffness_cubic"), ("clearance_sprung", "hysteresis_rate"),
     ("lag_drift", "gain_heat"), ("inertia_drift", "lag_drift"), ("lag_drift", "lost_samples"), ("clock_settles", "lag_drift"),
     ("clock_drift", "clock_settles"), ("lost_samples", "clock_settles"), ("loss_change", "inertia_drift"), ("interleaved", "clock_drift"),

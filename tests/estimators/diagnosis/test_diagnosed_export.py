@@ -65,7 +65,7 @@ NAMED = {
     "paced": ("tf", [("sensor_paced", [0.3, 0.4, 0.2])], {"rest": False}),
     "run up": ("tf", [("sweep_input", [0.2, 0.001, 0.3, 0.2, 1.5])], {}),
     "scans": ("tf", [("input_scanned", [3.0, 1.0])], {"rest": False}),
-    "sine": ("tf", [("output_sine", [0.9, 0.3])], {}),
+    "sine": ("tf", [("output_sine", [0.9, 0.3]), ("input_sine", [0.8, 0.3])], {}),
     "worn": ("tf", [("gain_worn", [0.02, 0.6])], {"rest": False}),
     "on change": ("tf", [("reported_on_change", [0.3, 0.1])], {"rest": False}),
     "store": ("tf", [("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 0.0])], {"rest": False}),
@@ -247,6 +247,7 @@ def test_what_has_no_twin_is_refused_by_name_with_what_to_do():
         "backlash_output": ("tf", [0.2]), "stiffness_drift": ("oscillator", [0.2]), "damping_change": ("oscillator", [0.2, 50.0]),
         "through_flow": ("tf", [0.1, 3.0]), "capacity_filled": ("tf", [0.1, 0.02, 0.5, 1.0, 1.0]),
         "conveyed": ("tf", [3.0, 1.0]), "delay_periodic": ("tf", [0.1, 1.0, 0.5]),
+        "clock_slips": ("tf", [30.0, 0.2, 1.5]), "resonance_drift": ("oscillator", [0.2]),
     }  # fmt: skip
     for key, (layout, q) in refused.items():
         with pytest.raises(

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.linear_model import Prior
-from estimators.diagnosis.effects import Clock, named
+from estimators.diagnosis.effects import CATALOGUE, Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.kernels.recursion_kernels import relay
 from estimators.diagnosis.effects.kernels.spline_kernels import read_between
@@ -25,6 +25,7 @@ from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.free_runs import Start, free_run, lead_in
 from estimators.diagnosis.search.selection import significance
 from oed.data import Record
+from tests.estimators.diagnosis.case_effects import LINEAR
 from tests.estimators.diagnosis.case_hidden import ALL_CLASSES, ALL_LOOKALIKES
 from tests.estimators.diagnosis.case_parts import excitation
 
@@ -286,3 +287,12 @@ def test_a_sweep_of_many_turns_is_found_between_the_rates_of_a_coarse_grid():
         found = min(augmented(channel, base, Menu((named("sweep"),))), key=error)
         assert error(found) < 0.06
         assert np.isclose(abs(found.p[-3]), rate, rtol=1e-3)
+
+
+def test_every_effect_that_is_said_to_be_linear_in_the_output_is():
+    assert {e.key for e in CATALOGUE if e.linear} == set(LINEAR)
+    rng, clock = np.random.default_rng(8), Clock(np.arange(150.0), 150)
+    x, z = rng.standard_normal((2, 150))
+    for key, q in LINEAR.items():
+        of_both, of_x, of_z = (named(key).apply(v, np.array(q), clock) for v in (2.0 * x - 3.0 * z, x, z))
+        np.testing.assert_allclose(of_both, 2.0 * of_x - 3.0 * of_z, atol=1e-11)

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from estimators import diagnose
 from estimators.diagnosis.baseline import blocks_of
-from estimators.diagnosis.baseline.choice import Candidate, run_spread, tried
+from estimators.diagnosis.baseline.choice import Candidate, run_spread, tried, unseen
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.effects import named
@@ -181,6 +181,23 @@ def test_a_model_that_hangs_on_single_blocks_where_it_is_asked_gives_way():
     assert asked is not None
     assert unasked.beyond == alike.beyond == 0.0
     assert asked.charged.mean() > 2.0 * unasked.charged.mean()
+
+
+def test_what_the_curvature_of_the_error_leaves_open_is_counted_where_fits_agree():
+    """Of what a fit has seen it leaves open its parameters by number; one sinusoid tells two of four, and the others any input asks for."""
+    rng, n = np.random.default_rng(3), 800
+    model = LinearModel(np.array([1.0, -1.5, 0.7]), np.array([[0.0, 0.1, 0.05]]))
+    white, tone = 3.0 * rng.standard_normal((n, 1)), np.cos(0.01 * np.arange(n))[:, None]
+    assert unseen(model, [white], [white]) == pytest.approx(4 / n)
+    assert unseen(model, [tone], [tone]) == pytest.approx(4 / n, rel=0.5)
+    assert unseen(model, [white], [tone]) > 1000.0 * unseen(model, [white], [white])
+    candidate = Candidate("OE", "", 4, [model] * 6, Arx(2, 2, (1,), False))
+    y = lfilter(model.num[0], model.den, tone[:, 0]) + 0.02 * rng.standard_normal(n)
+    blocks, prior = blocks_of([Record(tone, y)], 5, 20, 30), Prior(0.0, np.ones(9), 0.02**2)
+    asked, alike = (tried(candidate, [Record(tone, y)], 0, blocks, prior, (u,)) for u in (white, tone))
+    assert asked is not None
+    assert alike is not None
+    assert asked.beyond > 0.02**2 > alike.beyond == 0.0
 
 
 @pytest.mark.parametrize(("pole", "samples"), [(0.999, 20), (0.999, 0), (0.5, 20)])

@@ -27,6 +27,7 @@ from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.model.transfer_kernels import rational
 from estimators.diagnosis.search.candidates import Menu, augmented
+from tests.estimators.diagnosis.case_effects import LINEAR
 
 CURVES = {
     "saturation": lambda x, a, b: min(max(x, -a), a), "saturation_asymmetric": lambda x, a, b: max(min(x, a), b),
@@ -301,6 +302,8 @@ def test_play_at_the_output_is_fitted_to_the_noise_between_and_on_the_samples(ke
          [-2.0, -1.0, 1.0, 0.3, 0.1, 0.3]),
         (Structure(2).adding(Part(named("offset"))).adding(Part(named("initial"))).adding(Part(named("output_cubic"))),
          [-1.2, 0.5, 0.3, 0.2, 0.4, 0.7, -0.3, 0.05]),
+        *((Structure(2).adding(Part(named("output_cubic"))).adding(Part(named(key))), [-1.2, 0.5, 0.3, 0.1, 0.05, *q])
+          for key, q in LINEAR.items()),
     ],
 )  # fmt: skip
 def test_exact_derivatives_agree_with_differences(structure, p):
@@ -337,8 +340,8 @@ def test_coarse_differences_end_at_the_minimum_of_the_fine_ones(monkeypatch):
     )
 
 
-def test_an_effect_with_memory_at_the_output_has_no_exact_derivatives():
-    s, u = Structure(1).adding(Part(named("lag"))), np.ones((30, 1))
+def test_an_effect_with_a_memory_that_is_not_linear_has_no_exact_derivatives():
+    s, u = Structure(1).adding(Part(named("backlash_output"))), np.ones((30, 1))
     assert not dict(exact_columns(s, np.array([-0.5, 0.3, 0.4]), u, Clock(np.arange(30.0), 30)))
 
 
