@@ -181,11 +181,13 @@ UNKNOWN = 1e-6
 def _sensitivities(model: LinearModel, drive: Array) -> Array:
     """Derivatives (N, parameters) of a model's run on inputs (N, nu) from rest."""
     drive = np.nan_to_num(drive)
-    one = np.ones(1)
-    bent = [lfilter(one, model.den, x) for x in drive.T]
-    run = sum(lfilter(b, model.den, x) for b, x in zip(model.num, drive.T, strict=True))
-    sources = [(-lfilter(one, model.den, run), k) for k in range(1, len(model.den))]
-    sources += [(x, k) for b, x in zip(model.num, bent, strict=True) for k in np.flatnonzero(b)]
+    behind = lambda x: np.asarray(lfilter(np.ones(1), model.den, x))
+    entered = [np.asarray(lfilter(b, np.ones(1), x)) for b, x in zip(model.num, drive.T, strict=True)]
+    own = -behind(behind(np.sum(entered, axis=0)))
+    sources = [(own, k) for k in range(1, len(model.den))]
+    sources += [
+        (x, k) for b, x in zip(model.num, map(behind, drive.T), strict=True) for k in np.flatnonzero(b)
+    ]
     out = np.zeros((len(drive), len(sources)))
     for column, (x, k) in zip(out.T, sources, strict=True):
         column[k:] = x[: len(x) - k]
