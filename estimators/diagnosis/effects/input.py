@@ -85,18 +85,15 @@ def power(x: Any, p: Array, clock: Clock) -> Any:
     return np.sign(x) * np.abs(x) ** min(max(p[0], 0.05), 20.0)
 
 
-def sigmoid(x: Any, p: Array, clock: Clock) -> Any:
-    """tanh(c (x - centre))/c from its value at zero, the identity for small c."""
-    if abs(p[0]) < LEAST:
-        return x
-    return (np.tanh(p[0] * (x - p[1])) + np.tanh(p[0] * p[1])) / p[0]
+def odd(f: Callable[[Any], Any]) -> Callable[[Any, Array, Clock], Any]:
+    """The curve f(c (x - centre))/c of an odd f, from its value at zero; the identity for small c."""
 
+    def curve(x: Any, p: Array, clock: Clock) -> Any:
+        if abs(p[0]) < LEAST:
+            return x
+        return (f(p[0] * (x - p[1])) + f(p[0] * p[1])) / p[0]
 
-def _over_the_top(x: Any, p: Array, clock: Clock) -> Any:
-    """sin(c (x - centre))/c from its value at zero, the identity for small c."""
-    if abs(p[0]) < LEAST:
-        return x
-    return (np.sin(p[0] * (x - p[1])) + np.sin(p[0] * p[1])) / p[0]
+    return curve
 
 
 def _arcs(s: Sizes) -> Grid:
@@ -362,10 +359,10 @@ INPUT = (
     _static("input_power", "hammerstein", "the input acts through a power of its size", parameters={"power": "1"}, trials=4,
             apply=power, starts=lambda s: ([[0.5], [1.5], [2.0], [3.0]], [1.0])),
     _static("input_tanh", "input_saturation", "the input saturates smoothly: tanh(c (u - centre))/c",
-            parameters={"c": "1/u", "centre": "u"}, trials=8, apply=sigmoid,
+            parameters={"c": "1/u", "centre": "u"}, trials=8, apply=odd(np.tanh),
             starts=lambda s: ([[f / s.su, m] for f in (0.4, 1.2) for m in s.centres(s.u)], [1 / s.su, s.su])),
     _static("input_sine", "hammerstein", "the input acts through a sine: sin(c (u - centre))/c, light through a modulator, a crank's angle",
-            parameters={"c": "1/u", "centre": "u"}, trials=12, apply=_over_the_top, starts=_arcs),
+            parameters={"c": "1/u", "centre": "u"}, trials=12, apply=odd(np.sin), starts=_arcs),
     LINES,
     _moving("rate_limit", "rate_limiter", "the actuator cannot move faster than the rate", trials=6, reversing=True,
             parameters={"rate": "u/sample"}, family="rates", apply=_rate_limited, starts=_rates),

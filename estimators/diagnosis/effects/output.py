@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, numbered
-from estimators.diagnosis.effects.input import broken_line, dead_zone, exponential, quantiles, sigmoid, zones
+from estimators.diagnosis.effects.input import broken_line, dead_zone, exponential, odd, quantiles, zones
 
 Array = NDArray[Any]
 
@@ -104,7 +104,7 @@ OUTPUT = (
     _sensor("output_ratio", "the sensor saturates as a ratio: y/(1 + c |y|)", {"c": "1/y"}, 4,
             apply=lambda x, p, c: x / (1.0 + np.abs(p[0] * x)), starts=_bends),
     _sensor("output_sigmoid", "the sensor saturates smoothly on either side of a centre: tanh(c (y - centre))/c",
-            {"c": "1/y", "centre": "y"}, 8, apply=sigmoid,
+            {"c": "1/y", "centre": "y"}, 8, apply=odd(np.tanh),
             starts=lambda s: ([[f / s.sy, m] for f in (0.4, 1.0) for m in s.centres(s.y)], [1 / s.sy, s.sy])),
     _sensor("output_clip", "the sensor saturates at +-limit", {"limit": "y"}, 6, two_sided=True,
             apply=lambda x, p, c: np.clip(x, -abs(p[0]), abs(p[0])),
@@ -204,6 +204,16 @@ def _ways(channel: Any) -> list[list[float]]:
     return [[d * abs(mean), i + 1.0] for i, mean in flows for d in CARRIED]
 
 
+def quickly_made(channel: Any, s: Any) -> Array | None:
+    """A linear model's parameters for a channel, behind a quick guess of its poles; None where these are not stable."""
+    from estimators.diagnosis.model.linear import fresh_poles, relinearised
+    from estimators.diagnosis.model.structure import stable_polynomial
+
+    p = np.zeros(s.size)
+    p[: s.order] = fresh_poles(channel.y, channel.u[:, list(s.inputs)], s, channel.keep)
+    return relinearised(channel, s, p) if stable_polynomial(p[: s.order]) else None
+
+
 def mended(
     effect: Callable[[], Effect],
     shapes: Callable[[Any], list[list[float]]],
@@ -221,9 +231,9 @@ def mended(
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         from estimators.diagnosis.model.fitting import fit
-        from estimators.diagnosis.model.linear import fit_linear, fresh_poles, relinearised
+        from estimators.diagnosis.model.linear import fit_linear
         from estimators.diagnosis.model.simulation import simulate
-        from estimators.diagnosis.model.structure import Part, stable_polynomial
+        from estimators.diagnosis.model.structure import Part
 
         s = base.structure if late else replace(base.structure, delay=0)
         if s.layout != "tf" or s.effects or not channel.keep.all():
@@ -235,12 +245,7 @@ def mended(
             if got is None:
                 return
             there = replace(channel, y=got[0])
-            if fitted:
-                p = fit_linear(there, s, rough=True).p
-            else:
-                q = np.zeros(s.size)
-                q[: s.order] = fresh_poles(there.y, there.u[:, list(s.inputs)], s, there.keep)
-                p = relinearised(there, s, q) if stable_polynomial(q[: s.order]) else None
+            p = fit_linear(there, s, rough=True).p if fitted else quickly_made(there, s)
             if p is not None:
                 rest = got[1] * (there.y - simulate(s, p, there.u, there.clock))
                 found.append((float(rest @ rest), shape, p))

@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter1d
 
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
-from estimators.diagnosis.effects.output import in_step, mended, read_at
+from estimators.diagnosis.effects.output import in_step, mended, quickly_made, read_at
 from estimators.diagnosis.effects.profiled import FINEST, ended, firm, of_order, profile
 
 Array = NDArray[Any]
@@ -297,7 +297,9 @@ def _slipped(y: Array, p: Array, clock: Clock) -> Array:
 def _swings(channel: Any, base: Any) -> Iterator[tuple[float, Array]]:
     """Where the time base swings, the residual is the swing times the output's rate, a line in their product: its frequency and its
     cosine and sine parts."""
-    r, n, k = base.residual, len(channel), channel.clock.k
+    s, r, n, k = base.structure, base.residual, len(channel), channel.clock.k
+    if s.layout != "tf" or s.effects or not channel.keep.all():
+        return
     rate = np.gradient(channel.y - r)
     common = np.abs(np.fft.rfft(r * rate, FINER * n))
     common[: LEAST_SWINGS * FINER] = 0.0
@@ -312,31 +314,23 @@ def _swings(channel: Any, base: Any) -> Iterator[tuple[float, Array]]:
 
 def _read_in_time(e: Effect, channel: Any, base: Any, shape: Array) -> Array | None:
     """The linear model's parameters made for the output as its clock should have read it, and a shape of the clock."""
-    from estimators.diagnosis.model.linear import fresh_poles, relinearised
-    from estimators.diagnosis.model.structure import stable_polynomial
-
-    s, there = base.structure, in_step(e, list(shape), channel)
-    if there is None:
+    if (there := in_step(e, list(shape), channel)) is None:
         return None
-    bare, again = np.zeros(s.size), replace(channel, y=there[0])
-    bare[: s.order] = fresh_poles(there[0], channel.u[:, list(s.inputs)], s, channel.keep)
-    q = relinearised(again, s, bare) if stable_polynomial(bare[: s.order]) else None
-    return None if q is None else np.concatenate((q, shape))
+    p = quickly_made(replace(channel, y=there[0]), base.structure)
+    return None if p is None else np.concatenate((p, shape))
 
 
 def _timings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """A time base that swings, with the linear model's poles and with those made for the output read in time."""
     from estimators.diagnosis.model.structure import Part
 
-    s, n = base.structure, len(channel)
-    if s.layout != "tf" or s.effects or not channel.keep.all():
-        return
+    n = len(channel)
     starts: list[Array | None] = []
     for w, c in _swings(channel, base):
         shape = np.array([w, *(c * min(1.0, STEEP / (w * np.hypot(*c))))])
         starts += [np.concatenate((base.p, shape)), _read_in_time(SWUNG, channel, base, shape)]
     begun = (p for p in starts if p is not None)
-    yield from ended(channel, base, Part(SWUNG, s.inputs[0]), begun, [1.0 / n, 1.0, 1.0])
+    yield from ended(channel, base, Part(SWUNG, base.structure.inputs[0]), begun, [1.0 / n, 1.0, 1.0])
 
 
 def _slippings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -344,17 +338,12 @@ def _slippings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
     period are tried before poles are made for it."""
     from estimators.diagnosis.model.structure import Part
 
-    s, n = base.structure, len(channel)
-    if s.layout != "tf" or s.effects or not channel.keep.all():
-        return
-    part, found = Part(SLIPPED, s.inputs[0]), []
+    n, part = len(channel), Part(SLIPPED, base.structure.inputs[0])
+    found: list[tuple[float, Array]] = []
     for w, c in _swings(channel, base):
         for side in (1.0, -1.0):
-            size, place = (
-                side * np.pi * np.hypot(*c),
-                float(np.arctan2(side * c[0], side * c[1])) / (2.0 * np.pi),
-            )
-            best = np.array([2.0 * np.pi / w, place, size])
+            place = float(np.arctan2(side * c[0], side * c[1])) / (2.0 * np.pi)
+            best = np.array([2.0 * np.pi / w, place, side * np.pi * np.hypot(*c)])
             for fine in 0.5 ** np.arange(ROUNDS):
                 p = _read_in_time(SLIPPED, channel, base, best)
                 shapes = [
@@ -364,10 +353,11 @@ def _slippings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
                 tried = profile(channel, base, part, shapes, p)
                 if not tried:
                     break
-                best, left, p = tried[0][1][-3:], *tried[0]
-                found.append((left, p))
-    found = [(left, p) for left, p in sorted(found, key=lambda entry: entry[0])[:2] if firm(base, left)]
-    yield from ended(channel, base, part, (p for _, p in found), [0.0, 0.0, 1.0])
+                found.append(tried[0])
+                best = tried[0][1][-3:]
+    nearest = sorted(found, key=lambda entry: entry[0])[:2]
+    starts = (p for left, p in nearest if firm(base, left))
+    yield from ended(channel, base, part, starts, [0.0, 0.0, 1.0])
 
 
 SWUNG = Effect(
