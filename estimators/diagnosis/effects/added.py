@@ -185,6 +185,20 @@ def turning(k: Array, frequency: float, rate: float) -> Array:
     return np.stack((np.cos(turn), np.sin(turn)), axis=1)
 
 
+def begun_beside(channel: Any, few: Any, p: Array, scales: Array, signal: Array) -> dict[int, float]:
+    """Fills the plant's parameters and scales for a linear model with one more signal (N,) at its input; by how much of it adds to each input."""
+    from estimators.diagnosis.model.linear import fit_linear, plant_scales
+
+    wide = replace(channel, u=np.column_stack((channel.u, signal)))
+    begun = fit_linear(wide, replace(few, inputs=(*few.inputs, channel.u.shape[1]))).p
+    *rows, more = begun[few.order : few.order + (len(few.inputs) + 1) * few.taps].reshape(-1, few.taps)
+    p[: few.plant_size] = begun[: few.plant_size]
+    scales[: few.plant_size] = plant_scales(few, p)
+    return {
+        j: float(row @ more) / (float(row @ row) + 1e-300) for j, row in zip(few.inputs, rows, strict=True)
+    }
+
+
 def swept(y: Array, p: Array, clock: Clock) -> Array:
     """(N,) a signal with a sinusoid of steadily changing frequency added."""
     turn = p[0] * clock.k + 0.5 * p[1] * clock.k**2

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, lfilter
 
-from estimators.diagnosis.effects.added import swept, swept_line, turning
+from estimators.diagnosis.effects.added import begun_beside, swept, swept_line, turning
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
 from estimators.diagnosis.effects.input import BANK, after, any_linear, banked
 
@@ -251,10 +251,9 @@ def _waved(channel: Any, f: Any) -> Iterator[Any]:
 def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """A pulse between the two times at which it explains most, where any mixture of lags stands for the linear part: poles of the
     linear model have bent to follow it."""
-    from estimators.diagnosis.model.linear import fit_linear, plant_scales
     from estimators.diagnosis.model.structure import Part
 
-    s, n, nu, keep = base.structure, len(channel), len(base.structure.inputs), channel.keep
+    s, n, keep = base.structure, len(channel), channel.keep
     if s.layout != "tf" or s.order < 1:
         return
     times = channel.clock.k[0] + np.linspace(0.03, 0.97, TIMES) * n
@@ -275,15 +274,11 @@ def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     if not firm(base, float(r @ r) - float(gains[first, last])):
         return
     few, p, scales = of_order(base, min(s.order, SHORT), min(s.taps, SHORT))
-    wide = replace(channel, u=np.column_stack((channel.u, steps[:, first] - steps[:, last])))
-    begun = fit_linear(wide, replace(few, inputs=(*s.inputs, channel.u.shape[1]))).p
-    b = begun[few.order : few.order + (nu + 1) * few.taps].reshape(nu + 1, few.taps)
-    p[: few.plant_size] = begun[: few.plant_size]
-    scales[: few.plant_size] = plant_scales(few, p)
+    sizes = begun_beside(channel, few, p, scales, steps[:, first] - steps[:, last])
     bare = replace(base, structure=few, p=p, scales=scales)
-    for row, j in zip(b[:-1], s.inputs, strict=True):
-        size, su = float(row @ b[-1]) / (float(row @ row) + 1e-300), float(np.std(channel.u[:, j]))
+    for j, size in sizes.items():
         start = np.concatenate((p, [size, times[first], times[last]]))
+        su = float(np.std(channel.u[:, j]))
         yield from ended(channel, bare, Part(PULSE, j), [start], [su, 1.0, 1.0])
 
 

@@ -1,6 +1,6 @@
 """Sensors that report changes only, lag by what they read, show a sine or steps of it, take turns, or have a clock that swings or slips."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -11,6 +11,7 @@ from scipy.ndimage import maximum_filter1d
 
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.input import moved
 from estimators.diagnosis.effects.output import in_step, mended, quickly_made, read_at
 from estimators.diagnosis.effects.profiled import FINEST, ended, firm, of_order, profile
 
@@ -173,7 +174,7 @@ SINE = Effect(
 GATHERED = 0.6
 """Resultant of the readings' phases in a step, from which on they lie on levels: with noise of a sixth of a step it is that, and that
 of readings that lie anywhere is near none."""
-FLATTER = (0.3, 0.1, 0.03)
+FLATTER = (0.3, 0.1, 0.03, 0.01)
 """Widths of the risers, in steps, that a plant behind a staircase is fitted with one after the other: what is flat has no derivative."""
 RISER = 0.004
 """Width of a riser that stands for an edge: what it leaves, .03 of a step, is under the noise that keeps the levels from being exact."""
@@ -198,30 +199,49 @@ def _levels(y: Array) -> tuple[float, float] | None:
     return step, level + step * round((float(np.mean(y)) - level) / step)
 
 
-def _stepped(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """From the levels that the readings gather on, with ever steeper risers."""
-    from estimators.diagnosis.model.fitting import fit
-    from estimators.diagnosis.model.structure import Part
+def _stepped(
+    effect: Callable[[], Effect], shown: Callable[..., Array], bands: Sequence[list[float]]
+) -> Callable[..., Iterator[Any]]:
+    """The best of some bands, in steps, each from the levels that the readings gather on, with ever steeper risers."""
 
-    s = base.structure
-    if (
-        s.layout != "tf"
-        or s.effects
-        or channel.step > 0
-        or (found := _levels(channel.y[channel.keep])) is None
-    ):
-        return
-    p, scales = np.append(base.p, found), np.append(base.scales, [found[0]] * 2)
-    for width in FLATTER:
-        flatter = replace(TREADS, apply=lambda x, p, clock, width=width: _treads(x, p, width))
-        p = fit(channel, s.adding(Part(flatter)), p, scales, noise=base.noise, iterations=15, colour=False).p
-    yield fit(channel, s.adding(Part(TREADS)), p, scales, noise=base.noise, iterations=10)
+    def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+        from estimators.diagnosis.model.fitting import fit
+        from estimators.diagnosis.model.structure import Part
+
+        s, found = base.structure, []
+        levels = _levels(channel.y[channel.keep])
+        if s.layout != "tf" or s.effects or channel.step > 0 or levels is None:
+            return
+        new = s.adding(Part(effect()))
+        for band in bands:
+            p = np.concatenate((base.p, levels, levels[0] * np.array(band)))
+            scales = np.append(base.scales, [levels[0]] * (2 + len(band)))
+            for width in FLATTER:
+                flatter = replace(effect(), apply=lambda x, p, clock, width=width: shown(x, p, width))
+                flat = s.adding(Part(flatter))
+                p = fit(channel, flat, p, scales, noise=base.noise, iterations=15, colour=False).p
+            found.append(fit(channel, new, p, scales, noise=base.noise, iterations=10))
+        yield from sorted(found, key=lambda f: f.deviance)[:1]
+
+    return search
+
+
+def _banded(x: Array, p: Array, riser: float = RISER) -> Array:
+    """A staircase of a play: each step up or down comes as much after the middle between two levels."""
+    return _treads(moved(x, abs(float(p[2])), 0.0), p, riser)
 
 
 TREADS = Effect(
     key="output_staircase", cause="quantisation", nature=Nature.SAMPLING, slot=Slot.OUTPUT, trials=300,
     sentence="the sensor shows what it reads in whole steps, and noise comes on top", apply=lambda x, p, clock: _treads(x, p),
-    parameters={"step": "y", "level": "y"}, curve=_treads, search=_stepped,
+    parameters={"step": "y", "level": "y"}, curve=_treads,
+    search=_stepped(lambda: TREADS, _treads, [[]]),
+)  # fmt: skip
+BANDED = Effect(
+    key="output_dead_band", cause="quantisation", nature=Nature.SAMPLING, slot=Slot.OUTPUT, trials=300, memory=True,
+    sentence="the sensor shows whole steps, a new one only once its signal is past the middle between two by a band, and noise comes on top",
+    apply=lambda x, p, clock: _banded(x, p), parameters={"step": "y", "level": "y", "band": "y"},
+    search=_stepped(lambda: BANDED, _banded, [[0.1], [0.3], [0.45]]),
 )  # fmt: skip
 
 LONGEST = 24
@@ -372,4 +392,4 @@ SLIPPED = Effect(
     parameters={"period": "sample", "place": "1", "slip": "sample"}, apply=_slipped, search=_slippings,
 )  # fmt: skip
 
-SENSORS = (SINE, REPORTED, PACED, TREADS, TURNS, SWUNG, SLIPPED)
+SENSORS = (SINE, REPORTED, PACED, TREADS, BANDED, TURNS, SWUNG, SLIPPED)

@@ -216,6 +216,33 @@ def scanned(u, a):
     return lfilter([0.0, 0.12], [1.0, -1.5, 0.62], u[np.maximum(k - (k - 2) % 5, 0)] if a else u)
 
 
+def staged(u, a):
+    """A blower whose second stage comes on above a demand and goes off below a lower one."""
+    on, out = False, np.empty(len(u))
+    for k, demand in enumerate(u):
+        on = demand > 0.6 or (on and demand > -0.4)
+        out[k] = demand + 1.5 * a * on
+    return linear(out)
+
+
+def ranged(u, a):
+    """A meter that changes its range above a level, where its zero and its gain are others."""
+    y = linear(u)
+    return y + a * (y > 0.3) * (1.2 + 0.2 * (y - 0.3))
+
+
+def archived(u, a):
+    """A historian that passes on whole steps of a signal, a new one once it is three quarters of a step off the last."""
+    y = linear(u)
+    if not a:
+        return y
+    shown, at = np.empty(len(u)), 1.5 * np.round(y[0] / 1.5)
+    for k, value in enumerate(y):
+        at = 1.5 * np.round(value / 1.5) if abs(value - at) > 1.1 else at
+        shown[k] = at
+    return shown
+
+
 ALL_CLASSES = CLASSES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
@@ -226,11 +253,13 @@ ALL_CLASSES = CLASSES | {
     "plays": (ceramic, 2, {}), "plays_output": (soil, 2, {}), "loss_change": (vented, 2, {}), "interleaved": (interleaved, 2, {}),
     "reported_on_change": (on_change, 2, {}), "integral_curve of two ways": (swung, 2, {}),
     "sweep_input": (beside_a_machine, 2, {}), "sensor_paced": (cups, 2, {}), "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
-    "input_scanned": (scanned, 2, {}),
+    "input_scanned": (scanned, 2, {}), "input_staged": (staged, 2, {}), "output_ranges": (ranged, 2, {}), "output_dead_band": (archived, 2, {}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
+    ("input_staged", "plays"), ("relay", "input_staged"), ("output_ranges", "magnitude"), ("output_ranges", "output_cutoff"),
+    ("output_dead_band", "plays_output"), ("output_staircase", "output_dead_band"), ("plays_output", "output_dead_band"),
     ("input_scanned", "gain_periodic"), ("input_scanned", "delay_periodic"), ("gain_periodic", "input_scanned"), ("refreshed", "input_scanned"),
     ("sweep_input", "gain_periodic"), ("sweep_input", "delay_periodic"), ("sensor_paced", "rise_and_fall"), ("sensor_paced", "output_ratio"), ("rise_and_fall", "sensor_paced"),
     ("rate_loaded", "product_of_inputs"), ("rate_loaded", "capacity_filled"), ("reported_on_change", "refreshed"), ("reported_on_change", "plays_output"),

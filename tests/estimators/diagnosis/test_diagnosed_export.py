@@ -61,6 +61,7 @@ NAMED = {
     "block with zeros": ("tf", [("input_cubic", [-0.4, 0.3, 0.05], {"first": 1, "free": True})], {}),
     "paths": ("tf", [("mode", [0.2, 0.1, -1.2, 0.8], {"size": 2}), ("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 4.0])], {}),
     "treads": ("tf", [("output_staircase", [0.4, 0.1])], {}),
+    "ranges": ("tf", [("output_ranges", [-0.2, 0.7, 0.3])], {}),
     "turns": ("tf", [("multiplexed", [4.0, 1.0, 0.7, 0.2])], {"clock": (-3.0, 1.0, 300)}),
     "paced": ("tf", [("sensor_paced", [0.3, 0.4, 0.2])], {"rest": False}),
     "run up": ("tf", [("sweep_input", [0.2, 0.001, 0.3, 0.2, 1.5])], {}),
@@ -248,6 +249,7 @@ def test_what_has_no_twin_is_refused_by_name_with_what_to_do():
         "through_flow": ("tf", [0.1, 3.0]), "capacity_filled": ("tf", [0.1, 0.02, 0.5, 1.0, 1.0]),
         "conveyed": ("tf", [3.0, 1.0]), "delay_periodic": ("tf", [0.1, 1.0, 0.5]),
         "clock_slips": ("tf", [30.0, 0.2, 1.5]), "resonance_drift": ("oscillator", [0.2]),
+        "input_staged": ("tf", [0.5, 0.3, 0.1]), "output_dead_band": ("tf", [0.4, 0.1, 0.1]),
     }  # fmt: skip
     for key, (layout, q) in refused.items():
         with pytest.raises(

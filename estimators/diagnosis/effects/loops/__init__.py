@@ -5,10 +5,11 @@ from estimators.diagnosis.effects.loops.remembering import (
     PLAYED,
     SCANNED,
     SIDE_BY_SIDE,
+    STAGED,
     STICTION,
     play_widths,
 )
 
 __all__ = ["LOOPS", "PACES", "play_widths", "slowest_rate"]
 
-LOOPS = (SCANNED, STICTION, WINDUP, STEERED, STEERING, RELAY, SIDE_BY_SIDE, PLAYED)
+LOOPS = (SCANNED, STICTION, WINDUP, STEERED, STEERING, RELAY, STAGED, SIDE_BY_SIDE, PLAYED)

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from estimators.diagnosis.effects.added import begun_beside
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
-from estimators.diagnosis.effects.input import aside, moved
+from estimators.diagnosis.effects.input import any_linear, aside, banked, moved
 from estimators.diagnosis.effects.loops.limited import PACES, slowest_rate
 from estimators.diagnosis.effects.output import mended
-from estimators.diagnosis.effects.profiled import BEGUN, ended, entering, firm, profile
+from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, entering, firm, profile
 
 Array = NDArray[Any]
 STUCK, LEFT = np.linspace(0.1, 2.0, 234), np.linspace(0.0, 0.9, 7)
@@ -176,6 +177,58 @@ PLAYED = Effect(
     search=mended(lambda: PLAYED, lambda c: looped(float(np.std(c.y))),
                   lambda c, best: [[best[0] * f, *(np.array(best[1:]) * g)] for f in (0.7, 1.0, 1.4) for g in (0.6, 1.6)],
                   lambda c: _units(float(np.std(c.y))), _unplayed),
+)  # fmt: skip
+
+STAGED_AT, STAGES = np.linspace(0.08, 0.92, 22), (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9, 1.2)
+"""Quantiles of the input at which a second stage may come on or off, and half the gap between the two in its standard deviations, that
+are looked at."""
+
+
+def _stage(x: Array, half: float, level: float) -> Array:
+    """1 while a stage is on, which comes on above `level` + `half`, and goes off below `level` - `half`; 0 while it is off, as at first."""
+    from estimators.diagnosis.effects.kernels.recursion_kernels import relay
+
+    return 0.5 + 0.5 * relay(np.ascontiguousarray(x - level), abs(half))
+
+
+def _stages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """The stage that explains most where any mixture of lags stands for the linear part, and then closer to it."""
+    from estimators.diagnosis.model.structure import Part
+
+    s, keep = base.structure, channel.keep
+    if s.layout != "tf" or s.order < 1:
+        return
+    Z = any_linear(channel.u[:, list(s.inputs)], keep)
+    r = channel.y[keep] - Z @ (Z.T @ channel.y[keep])
+    for j in s.inputs:
+        u, su = channel.u[:, j], float(np.std(channel.u[:, j]))
+        known: dict[tuple[float, float], float] = {}
+
+        def told(
+            shape: tuple[float, float], u: Array = u, known: dict[tuple[float, float], float] = known
+        ) -> float:
+            if shape not in known:
+                D = banked(_stage(u, *shape)[:, None])[keep, 0]
+                D = np.linalg.qr(D - Z @ (Z.T @ D))[0]
+                known[shape] = float(np.sum((D.T @ r) ** 2))
+            return known[shape]
+
+        at = max(((h * su, float(v)) for v in np.quantile(u, STAGED_AT) for h in STAGES), key=told)
+        for size in 0.1 * su * 0.5 ** np.arange(HALVED):
+            around = ((max(at[0] + a * size, 0.0), at[1] + b * size) for a in CLOSER for b in CLOSER)
+            at = max(around, key=told)
+        if not firm(base, float(r @ r) - told(at)):
+            continue
+        p, scales = base.p.copy(), base.scales.copy()
+        size = begun_beside(channel, s, p, scales, _stage(u, *at))[j]
+        bare, steps = replace(base, p=p, scales=scales), [su, *[1e6 * CROSSED * su] * 2]
+        yield from ended(channel, bare, Part(STAGED, j), [np.concatenate((p, [size, *at]))], steps)
+
+
+STAGED = Effect(
+    key="input_staged", cause="relay_with_hysteresis", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=100, reversing=True, search=_stages,
+    sentence="a second stage comes on beside the input as it rises, and goes off at a lower level of it: a jump with hysteresis",
+    parameters={"size": "u", "half_width": "u", "level": "u"}, apply=lambda x, p, clock: x + p[0] * _stage(x, p[1], p[2]),
 )  # fmt: skip
 
 SCANS = 40
