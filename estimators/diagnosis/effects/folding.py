@@ -330,6 +330,8 @@ CUTOFF = Effect(
 
 SPLIT_AT, SPLITS = np.linspace(0.15, 0.85, 15), 2
 """Quantiles of the linear model's output at which a sensor may change its range, and how many of them are gone on from."""
+QUICK, GAINING = 5, 0.999
+"""Steps of a fit before the level is looked for again, and the share of the squares that must be left for another round."""
 
 
 def _ranges(x: Any, p: Array) -> Any:
@@ -362,14 +364,13 @@ def _two_ranges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
     s, y, found = base.structure, channel.y, []
     if s.layout != "tf" or s.effects or not channel.keep.all():
         return
-
     new, size = s.adding(Part(RANGES, s.inputs[0])), float(np.std(y))
     at = [sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET]
     scales = np.concatenate((base.scales, [1e6 * CROSSED * size, size, 1.0]))
 
-    def gone_on(p: Array, steps: int) -> tuple[float, Array]:
+    def gone_on(p: Array) -> tuple[float, Array]:
         """The squares that a few steps leave, and their parameters with the two ranges that the signal and the reading show then."""
-        p = fit(channel, new, p, scales, iterations=steps, colour=False).p.copy()
+        p = fit(channel, new, p, scales, iterations=QUICK, colour=False).p.copy()
         x = simulate(s, p[: s.size], channel.u, channel.clock)
         if not np.all(np.isfinite(x)):
             return np.inf, p
@@ -381,13 +382,12 @@ def _two_ranges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
     for level in np.quantile(x, SPLIT_AT):
         above = (x > level) - float(level < 0.0)
         jump = float(above @ base.residual) / max(float(above @ above), 1e-300)
-        found.append(gone_on(np.append(base.p, [level, jump, 0.0]), 5))
+        found.append(gone_on(np.append(base.p, [level, jump, 0.0])))
     for best in sorted(found, key=lambda entry: entry[0])[:SPLITS]:
-        while (again := gone_on(best[1], 5))[0] < 0.999 * best[0]:
+        while (again := gone_on(best[1]))[0] < GAINING * best[0]:
             best = again
-        if firm(
-            base, best[0]
-        ):  # the linear model's noise is mostly the jumps, and would draw the fit from them
+        # the linear model's noise is mostly the jumps, and would draw the fit from them
+        if firm(base, best[0]):
             yield fit(channel, new, best[1], scales, iterations=10)
 
 
