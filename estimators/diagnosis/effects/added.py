@@ -185,18 +185,18 @@ def turning(k: Array, frequency: float, rate: float) -> Array:
     return np.stack((np.cos(turn), np.sin(turn)), axis=1)
 
 
-def begun_beside(channel: Any, few: Any, p: Array, scales: Array, signal: Array) -> dict[int, float]:
-    """Fills the plant's parameters and scales for a linear model with one more signal (N,) at its input; by how much of it adds to each input."""
+def begun_beside(channel: Any, base: Any, signal: Array) -> tuple[Any, dict[int, float]]:
+    """The fit with the plant of a linear model that has one more signal (N,) at its inputs, and how much of that adds to each of them."""
     from estimators.diagnosis.model.linear import fit_linear, plant_scales
 
+    few, p, scales = base.structure, base.p.copy(), base.scales.copy()
     wide = replace(channel, u=np.column_stack((channel.u, signal)))
     begun = fit_linear(wide, replace(few, inputs=(*few.inputs, channel.u.shape[1]))).p
     *rows, more = begun[few.order : few.order + (len(few.inputs) + 1) * few.taps].reshape(-1, few.taps)
     p[: few.plant_size] = begun[: few.plant_size]
     scales[: few.plant_size] = plant_scales(few, p)
-    return {
-        j: float(row @ more) / (float(row @ row) + 1e-300) for j, row in zip(few.inputs, rows, strict=True)
-    }
+    sizes = (float(row @ more) / (float(row @ row) + 1e-300) for row in rows)
+    return replace(base, p=p, scales=scales), dict(zip(few.inputs, sizes, strict=True))
 
 
 def swept(y: Array, p: Array, clock: Clock) -> Array:

@@ -117,7 +117,6 @@ def _of_order(effect: Effect, fold: _Fold, channel: Any, base: Any, s: Any, size
     """Fits of a linear part of one structure behind a fold."""
     from scipy.signal import lfilter
 
-    from estimators.diagnosis.effects.added import OFFSET
     from estimators.diagnosis.model.fitting import fit
     from estimators.diagnosis.model.linear import fresh_poles
     from estimators.diagnosis.model.structure import Part, stable_polynomial
@@ -206,7 +205,6 @@ def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 
     The model before it was fitted to the jumps: neither its order nor its delay need hold for the angle.
     """
-    from estimators.diagnosis.effects.added import OFFSET
     from estimators.diagnosis.model.fitting import fit
     from estimators.diagnosis.model.linear import fit_linear
     from estimators.diagnosis.model.simulation import simulate

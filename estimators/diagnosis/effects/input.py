@@ -233,6 +233,13 @@ def any_linear(u: Array, rows: NDArray[np.bool_]) -> Array:
     return np.asarray(np.linalg.qr(np.column_stack((known, np.ones(len(u))))[rows])[0])
 
 
+def told_beside(x: Array, Z: Array, rest: Array, rows: NDArray[np.bool_]) -> float:
+    """The squares that a signal (N,) through any linear part explains, on some rows, of a rest that is free of directions Z."""
+    D = banked(x[:, None])[rows, 0]
+    D = np.linalg.qr(D - Z @ (Z.T @ D))[0]
+    return float(np.sum((D.T @ rest) ** 2))
+
+
 def _changed_gain(channel: Any, base: Any, j: int) -> Any:
     """The gain of an input that changes, from linear fits with one numerator before and one after: the poles of one linear model
     for the whole record may be far off, and with them the time at which its score is best; a mixture of lags has another."""
@@ -259,11 +266,7 @@ def _changed_gain(channel: Any, base: Any, j: int) -> Any:
 
     Z = any_linear(channel.u[:, list(s.inputs)], seen)
     rest = channel.y[seen] - Z @ (Z.T @ channel.y[seen])
-
-    def mixed(time: float) -> float:
-        D = banked(later(time)[:, None])[seen, 0]
-        D = np.linalg.qr(D - Z @ (Z.T @ D))[0]
-        return -float(np.sum((D.T @ rest) ** 2))
+    mixed = lambda time: -told_beside(later(time), Z, rest, seen)
 
     def started(squares: Callable[[float], float]) -> tuple[float, Array]:
         time = float(min(k[0] + np.linspace(0.06, 0.94, 23) * n, key=squares))

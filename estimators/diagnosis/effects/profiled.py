@@ -274,10 +274,10 @@ def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     if not firm(base, float(r @ r) - float(gains[first, last])):
         return
     few, p, scales = of_order(base, min(s.order, SHORT), min(s.taps, SHORT))
-    sizes = begun_beside(channel, few, p, scales, steps[:, first] - steps[:, last])
     bare = replace(base, structure=few, p=p, scales=scales)
+    bare, sizes = begun_beside(channel, bare, steps[:, first] - steps[:, last])
     for j, size in sizes.items():
-        start = np.concatenate((p, [size, times[first], times[last]]))
+        start = np.concatenate((bare.p, [size, times[first], times[last]]))
         su = float(np.std(channel.u[:, j]))
         yield from ended(channel, bare, Part(PULSE, j), [start], [su, 1.0, 1.0])
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -187,8 +188,10 @@ def _treads(x: Any, p: Array, riser: float = RISER) -> Any:
     return p[1] + step * (below + 0.5 + 0.5 * np.tanh((z - below - 0.5) / riser) / np.tanh(0.5 / riser))
 
 
-def _levels(y: Array) -> tuple[float, float] | None:
+@lru_cache(maxsize=1)  # for what steps at once, and for what does past a band
+def _levels(channel: Any) -> tuple[float, float] | None:
     """Step of the levels that readings gather on, and one of the levels; None where they lie anywhere."""
+    y = channel.y[channel.keep]
     wide = float(np.ptp(y)) + 1e-300
     waves = np.arange(2.0, FINEST, 0.1) / wide
     resultant = np.exp(2j * np.pi * np.outer(waves, y)).mean(axis=1)
@@ -209,8 +212,7 @@ def _stepped(
         from estimators.diagnosis.model.structure import Part
 
         s, found = base.structure, []
-        levels = _levels(channel.y[channel.keep])
-        if s.layout != "tf" or s.effects or channel.step > 0 or levels is None:
+        if s.layout != "tf" or s.effects or channel.step > 0 or (levels := _levels(channel)) is None:
             return
         new = s.adding(Part(effect()))
         for band in bands:

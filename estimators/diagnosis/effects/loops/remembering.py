@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.added import begun_beside
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
-from estimators.diagnosis.effects.input import any_linear, aside, banked, moved
+from estimators.diagnosis.effects.input import any_linear, aside, moved, told_beside
 from estimators.diagnosis.effects.loops.limited import PACES, slowest_rate
 from estimators.diagnosis.effects.output import mended
 from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, entering, firm, profile
@@ -202,27 +203,16 @@ def _stages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     r = channel.y[keep] - Z @ (Z.T @ channel.y[keep])
     for j in s.inputs:
         u, su = channel.u[:, j], float(np.std(channel.u[:, j]))
-        known: dict[tuple[float, float], float] = {}
-
-        def told(
-            shape: tuple[float, float], u: Array = u, known: dict[tuple[float, float], float] = known
-        ) -> float:
-            if shape not in known:
-                D = banked(_stage(u, *shape)[:, None])[keep, 0]
-                D = np.linalg.qr(D - Z @ (Z.T @ D))[0]
-                known[shape] = float(np.sum((D.T @ r) ** 2))
-            return known[shape]
-
+        told = cache(lambda shape, u=u: told_beside(_stage(u, *shape), Z, r, keep))
         at = max(((h * su, float(v)) for v in np.quantile(u, STAGED_AT) for h in STAGES), key=told)
         for size in 0.1 * su * 0.5 ** np.arange(HALVED):
             around = ((max(at[0] + a * size, 0.0), at[1] + b * size) for a in CLOSER for b in CLOSER)
             at = max(around, key=told)
         if not firm(base, float(r @ r) - told(at)):
             continue
-        p, scales = base.p.copy(), base.scales.copy()
-        size = begun_beside(channel, s, p, scales, _stage(u, *at))[j]
-        bare, steps = replace(base, p=p, scales=scales), [su, *[1e6 * CROSSED * su] * 2]
-        yield from ended(channel, bare, Part(STAGED, j), [np.concatenate((p, [size, *at]))], steps)
+        bare, sizes = begun_beside(channel, base, _stage(u, *at))
+        start = np.concatenate((bare.p, [sizes[j], *at]))
+        yield from ended(channel, bare, Part(STAGED, j), [start], [su, *[1e6 * CROSSED * su] * 2])
 
 
 STAGED = Effect(
