@@ -22,9 +22,11 @@ from estimators.diagnosis.ladder import Kind, Ladder
 from estimators.diagnosis.ladder.claims import Named
 from estimators.diagnosis.ladder.held_out import _order
 from estimators.diagnosis.ladder.outcome import FAILED, SOME, UNSURE, Outcome
+from estimators.diagnosis.ladder.verdicts import Finding, _supported
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
 from estimators.diagnosis.search.examination import Known, _forgetting
 from estimators.diagnosis.search.few import _loose
@@ -217,6 +219,24 @@ def test_a_name_is_not_given_where_causes_of_another_place_explain_as_much(
     assert o.behind("b") is (own < 0.9 and not feedback)  # whatever the named model explains
     assert not o.gainsaid("a")
     assert not o.gainsaid("c")  # of a nature that no regression looks for it says nothing
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_weak_claim_stands_first_where_its_nature_gainsays_the_others(told) -> None:
+    fit = lambda left: SimpleNamespace(residual=np.array([left]))
+    o: Any = SimpleNamespace(
+        examined=SimpleNamespace(attribution=SimpleNamespace(base=fit(1.0), alternatives=())),
+        named=SimpleNamespace(fit=fit(0.25)), share=SimpleNamespace(explainable=True, nature="a"), kept=0.25,
+        gainsaid=lambda nature: told and nature == "b",
+    )  # fmt: skip
+    claims = [
+        Finding(key, key, nature, weight, 0.0, "")
+        for key, nature, weight in (("strong", "b", 0.43), ("weak", "a", 0.003))
+    ]
+    found = _supported(o, claims, Policy())
+    assert [f.key for f in found] == (["weak", "strong"] if told else ["strong", "weak"])
+    assert found[0].weight == 0.43  # of what the model explains, whichever claim it is named by
+    assert _supported(o, [], Policy()) == []
 
 
 @pytest.mark.parametrize(
