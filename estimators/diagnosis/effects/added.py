@@ -13,6 +13,8 @@ from estimators.diagnosis.effects.input import after, kept
 from estimators.residual.algebra import decomposed
 
 Array = NDArray[Any]
+MOST_GROWTH = 6.0
+"""Power of its frequency that the size of a disturbance may go with: what is out of balance has 2."""
 TURNED = 16.0
 """Over the record's length squared, how far apart the rates of change are that a frequency is tried with: half of it off, a line
 keeps nine tenths of its power."""
@@ -203,6 +205,13 @@ def swept(y: Array, p: Array, clock: Clock) -> Array:
     """(N,) a signal with a sinusoid of steadily changing frequency added."""
     turn = p[0] * clock.k + 0.5 * p[1] * clock.k**2
     return y + p[2] * np.cos(turn) + p[3] * np.sin(turn)
+
+
+def run_up(x: Any, p: Array, clock: Clock) -> Any:
+    """The same, its size a power of its frequency: 2 for what is out of balance, 0 for what is pushed."""
+    power = min(max(float(p[4]), -MOST_GROWTH), MOST_GROWTH)
+    grown = np.exp(power * np.log(np.abs(1.0 + p[1] * clock.k / p[0]) + 1e-6))
+    return x + grown * swept(0.0 * x, p, clock)
 
 
 def _added(key: str, cause: str, sentence: str, **fields: Any) -> Effect:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, lfilter
 
-from estimators.diagnosis.effects.added import begun_beside, swept, swept_line, turning
+from estimators.diagnosis.effects.added import begun_beside, run_up, swept_line, turning
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
 from estimators.diagnosis.effects.input import BANK, after, any_linear, banked
 
@@ -22,12 +22,11 @@ FIRM = 60.0
 hundred shapes of three parameters reaches 25 in white noise, twice that in a coloured one."""
 BEGUN, ENDED = 6, 2
 """Shapes that a few steps are made from, and those of them that are fitted to the end."""
-MOST_GROWTH = 6.0
-"""Power of its frequency that the size of a disturbance may go with: what is out of balance has 2."""
 FINEST = 30.0
 """Steps across the input's range: finer ones leave a hundredth of it as an error."""
 CROSSED = 0.02
 """Of a step, by which it and its level are moved for a derivative: as many samples cross an edge that their number says something."""
+NEAREST = 0.02  # of its first step, the smallest by which an edge is moved
 COARSE = 0.1
 """Power of its step by which a staircase is preferred: on an input of few levels, finer ones are the same."""
 HARMONIC = (0.5, 1.6)
@@ -77,6 +76,21 @@ def profile(
         if np.all(np.isfinite(y)):
             found.append((float(np.sum((channel.y - y)[channel.keep] ** 2)), p))
     return sorted(found, key=lambda entry: entry[0])
+
+
+def nearer(
+    channel: Any, base: Any, part: Any, best: tuple[float, Array], steps: Array
+) -> tuple[float, Array]:
+    """(sum of squares, parameters) with the last two parameters moved for as long as the error falls, by ever smaller steps: what
+    the samples that cross an edge tell of it has no derivative."""
+    size = 1.0
+    while size > NEAREST:
+        around = np.array([(a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) if a or b])
+        kept = best[1][len(base.p) : -2]
+        shapes = (np.concatenate((kept, best[1][-2:] + size * steps * d)) for d in around)
+        near = profile(channel, base, part, shapes, best[1])
+        best, size = (near[0], size) if near and near[0][0] < best[0] else (best, 0.5 * size)
+    return best
 
 
 def firm(base: Any, left: float) -> bool:
@@ -302,13 +316,6 @@ def _running_up(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
         yield from ended(channel, base, part, starts, [1.0 / n, 1.0 / n**2, su, su, 1.0])
 
 
-def _run_up(x: Any, p: Array, clock: Clock) -> Any:
-    """Its size a power of its frequency: 2 for what is out of balance, 0 for what is pushed."""
-    power = min(max(float(p[4]), -MOST_GROWTH), MOST_GROWTH)
-    grown = np.exp(power * np.log(np.abs(1.0 + p[1] * clock.k / p[0]) + 1e-6))
-    return x + grown * swept(0.0 * x, p, clock)
-
-
 def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """A staircase is its input less a sawtooth, whose first harmonic over the input's levels tells step and level: the step of
     most in common with the residual is taken, then both are moved as long as the error falls, as they have no derivative."""
@@ -345,16 +352,14 @@ def _moved(channel: Any, base: Any, part: Any, shape: tuple[float, float]) -> It
 
     s, f, sizes = base.structure.adding(part), base, [1e6 * CROSSED * shape[0]] * 2
     for whole in (False, False, True):
-        best, size = profile(channel, base, part, [shape], f.p)[:1], 0.1 * shape[0]
+        best = profile(channel, base, part, [shape], f.p)[:1]
         if whole:
             steps = shape[0] * np.linspace(*WHOLE)
             tried = profile(channel, base, part, ([d, d * np.round(shape[1] / d)] for d in steps), f.p)
             equal = sorted((p[-2], p) for e, p in tried if e < (1.0 + 1e-9) * tried[0][0])
             best = [(tried[0][0], equal[len(equal) // 2][1])] if equal else []
-        while best and not whole and size > 0.002 * shape[0]:
-            around = ((a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) if a or b)
-            near = profile(channel, base, part, (best[0][1][-2:] + size * np.array(d) for d in around), f.p)
-            best, size = (near[:1], size) if near and near[0][0] < best[0][0] else (best, 0.5 * size)
+        if best and not whole:
+            best = [nearer(channel, base, part, best[0], np.full(2, 0.1 * shape[0]))]
         if not best or not firm(base, best[0][0]):
             return
         starts = [best[0][1], *renewed(channel, s, best[0][1])]
@@ -379,7 +384,7 @@ SWAY = Effect(
 
 SWEEP_INPUT = Effect(
     key="sweep_input", cause="periodic_disturbance", nature=Nature.ADDED, slot=Slot.INPUT, per_sample=True, trials=40.0,
-    sentence="a sinusoid of steadily changing frequency, a machine that runs up, acts beside the input", apply=_run_up, search=_running_up,
+    sentence="a sinusoid of steadily changing frequency, a machine that runs up, acts beside the input", apply=run_up, search=_running_up,
     parameters={"frequency": "rad/sample", "rate": "rad/sample^2", "cosine": "u", "sine": "u", "growth": "1"},
 )  # fmt: skip
 

@@ -32,6 +32,7 @@ SET = 200
 DENIED = (
     "the record does not start at rest, as was stated: with a state at its start the error is {:.0%} less"
 )
+LEVEL = "{} does not go about the level where it rested: with a level of its own the error on unused blocks is {:.0%} less"
 PLAIN = 4
 """Order of the model whose start is looked at where none is stated: what has more poles follows a start as dynamics."""
 
@@ -116,7 +117,7 @@ def denied_starts(
     """Which outputs do not start at rest, as was stated, and the linear models and options that go on from there."""
     moving = [starts_moving(records, i, base, n, options) for i, n in enumerate(orders)]
     if not any(moving):
-        return moving, *_levelled(records, base, options)
+        return _levelled(records, base, options)
     # the data then tell the training records' starts, and what was stated holds of the test record alone
     told = replace(options, deviations=None, moving=True)
     return moving, best_linear(records, told), told
@@ -126,20 +127,30 @@ NEAR = 3.0
 """Standard errors of a mean: beyond which a level is none of what the noise makes, and within which samples at rest say nothing of it."""
 
 
-def _levelled(records: Sequence[Record], base: Baseline, options: Options) -> tuple[Baseline, Options]:
+def _levelled(
+    records: Sequence[Record], base: Baseline, options: Options
+) -> tuple[list[Contradiction | None], Baseline, Options]:
     """The linear models and options with a level of each output, where deviations are from means of so few samples at rest that a constant
-    is left: it is no cause, but what has no level bends to it."""
+    is left, which is no cause; or where a model without one is worse than a constant, which is one, if nothing else is. What has no level
+    bends to it."""
+    denied: list[Contradiction | None] = [None] * len(base.outputs)
     for i in range(len(base.outputs)):
         rests = [r.y[:, i] - y[:, i] for r, y in zip(records, base.y_model, strict=True)]
         left = np.concatenate([e[np.isfinite(e)] for e in rests])
         error = float(np.std(left)) / np.sqrt(effective_samples(left - left.mean()))
         scatter = float(np.std(rest_means(records[0].u, left)))
-        if NEAR * error < abs(left.mean()) < NEAR * scatter:
+        shifted = base.rmse_unused[i] >= np.nanstd(np.concatenate([r.y[:, i] for r in records]))
+        if shifted or NEAR * error < abs(left.mean()) < NEAR * scatter:
             told = replace(options, deviations=None)
             other = best_linear(records, told)
             first, second = (float(np.sum(b.rmse_unused**2)) for b in (base, other))
-            return (other, told) if second < (1.0 - FURTHER) ** 2 * first else (base, options)
-    return base, options
+            if not second < (1.0 - FURTHER) ** 2 * first:
+                break
+            if shifted:
+                share = 1.0 - float(other.rmse_unused[i] / base.rmse_unused[i])
+                denied[i] = Contradiction("offset", LEVEL.format(records[0].output_names[i], share), share)
+            return denied, other, told
+    return denied, base, options
 
 
 def lacking(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from estimators.diagnosis.model.edges import cell
 from estimators.diagnosis.model.fitting import Channel, Fit, innovations
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import stable_polynomial
@@ -91,6 +92,13 @@ def parameters_of(f: Fit, channel: Channel, prefix: str = "") -> dict[str, tuple
             error = _followed(f, channel, known, at, float(errors[at]))
             if part.effect.timed and unit == "sample":
                 error = max(error, _other_times(f, channel, at))
+            if part.effect.search is not None and f.scales[at] > 0.0 and len(channel) == len(f.residual):
+                run = lambda q: simulate(f.structure, q, channel.u, channel.clock)
+                ends = cell(run, f.p, at, float(f.scales[at]))
+                if (
+                    ends is not None
+                ):  # where no sample is as near as a difference is wide, the derivatives say nothing
+                    error = max(error if error < np.inf else 0.0, 0.5 * (ends[1] - ends[0]) / NORMAL)
             value = float(f.p[at])
             out[label] = (abs(value) if name in SIZES else value, error, unit)
     return out

@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.derivatives import exact_columns
+from estimators.diagnosis.model.edges import centred
 from estimators.diagnosis.model.rounding import deviance_residual, expected, rounded_deviance, told
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Structure
@@ -261,7 +262,10 @@ def fit(
     )  # fmt: skip
     if not np.isfinite(cost):
         return _unfitted(channel, structure, p, scales, noise)
-    r = np.where(keep, channel.y - simulate(structure, p, channel.u, channel.clock), 0.0)
+    run = lambda q: simulate(structure, q, channel.u, channel.clock)
+    if iterations >= WHOLE and structure.effects:
+        p = centred(run, structure, p, scales)
+    r = np.where(keep, channel.y - run(p), 0.0)
     variance = float(np.sum(_innovation(r, noise) ** 2) / n)
     deviance, whitened = n * np.log(max(variance, 1e-300)), shape
     if colour:

@@ -20,16 +20,21 @@ from estimators.diagnosis.discovery.uncertainty import covariance
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
+from estimators.diagnosis.loop import diagnose
+from estimators.diagnosis.model.edges import cell
 from estimators.diagnosis.model.errors import _followed, parameters_of, spread
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.rounding import expected, rounded_deviance, told
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.residual.measures import stated
 from oed.covariances import NORMAL
+from oed.data import Record
 from tests.benchmarks.test_printed_errors import Row, checked, coverage
+from tests.estimators.diagnosis.case_hidden import staged
 
 RESONANT, QUICK, SPRING = (
     (-0.9854, 0.8187, 0.2155, 0.2012), (-0.5, 0.3, 0.5, 0.3), (np.log(0.3), np.log(0.25), 1.0, 0.0)
@@ -277,3 +282,31 @@ def test_errors_follow_squares_that_are_no_parabola() -> None:
     error = float(np.sqrt(known.covariance[at, at]))
     assert rise(error) < 0.1
     assert rise(_followed(f, channel, known, at, error)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_edge_stands_in_the_middle_of_its_cell_which_its_interval_holds():
+    """A stage that comes on between two samples: nothing says where between, so the middle, and an interval that holds both."""
+    rng, p = np.random.default_rng(2), np.array([1.0, 0.2, 0.31])
+    u = rng.uniform(-1.0, 1.0, 60)
+    run = lambda q: q[0] * (u > q[2]) + q[1] * u
+    low, high = cell(run, p, 2, 1e6 * 0.02) or (np.nan, np.nan)
+    below, above = np.max(u[u <= p[2]]), np.min(u[u > p[2]])
+    assert (low, high) == pytest.approx((below, above), abs=1e-3 * (above - below) + 1e-4)
+    assert cell(run, p, 1, 1.0) is None  # any move changes the run
+    assert cell(lambda q: u, p, 2, 1.0) is None  # no move does
+
+
+def test_thresholds_of_a_second_stage_stand_within_their_intervals():
+    """On above .6, off below -.4: no sample of the record tells more than between which two each is."""
+    rng, records = np.random.default_rng(3), []
+    for n in (600, 300):
+        u = np.repeat(rng.uniform(-1.5, 1.5, n // 3), 3)
+        y = staged(u, 1.0)
+        records.append(Record(u, y + 0.03 * np.std(y) * rng.standard_normal(n)))
+    found = diagnose(*records, Setting(deviations=True, separate=True, effort=Effort.QUICK))
+    (half, half_error, _), (level, error, _) = (
+        found.parameters[f"input_staged.{name}"] for name in ("half_width", "level")
+    )
+    assert abs(half - 0.5) < 2.0 * half_error + 0.02
+    assert abs(level - 0.1) < 2.0 * error + 0.02
+    assert 1e-4 < error < 0.1

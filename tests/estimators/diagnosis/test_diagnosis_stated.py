@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.search import Search
+from estimators.diagnosis.effects import named
 from estimators.diagnosis.ladder.stated import lacking, settling, starts_moving
 from estimators.diagnosis.ladder.steps import climb
 from estimators.diagnosis.loop import diagnose
@@ -156,3 +157,27 @@ def test_a_level_is_no_start_though_a_slow_pole_would_hold_it():
     r = Record(u, y + 0.05 * np.std(y) * noise - 0.1 * np.std(y))
     options = Options(deviations=True)
     assert starts_moving([r], 0, best_linear([r], options), 3, options) is None
+
+
+def loaded(load, seed=5) -> list[Record]:
+    """Two records of deviations, one after the other, beside a load of the clock that stands elsewhere while they rest."""
+    rng, records = np.random.default_rng(seed), []
+    for start, n in ((0, 900), (900, 500)):
+        u = np.concatenate((np.zeros(15), np.repeat(rng.uniform(-1.0, 1.0, n // 25), 25)[: n - 15]))
+        x = lfilter([0.0, 0.1], [1.0, -0.9], u + load(start + np.arange(len(u)), len(u)))
+        records.append(Record(u, x + 0.03 * rng.standard_normal(len(u)), t0=float(start)))
+    return records
+
+
+def test_a_level_beside_a_periodic_load_is_told_by_the_data():
+    """The rests lie where the load is not in its mean: without a level the linear model was worse than a constant, all else bent to that."""
+    load = lambda k, n: 1.5 * (np.cos(2.0 * np.pi * k / 90.0) - 1.0)
+    found = diagnose(*loaded(load), Setting(deviations=True, effort=Effort.QUICK))
+    assert found.effect == "periodic_disturbance"
+    assert found.rmse_after.value < 0.2 * found.rmse_before.value
+
+
+def test_a_level_that_comes_with_the_record_is_named_where_nothing_else_is():
+    load = lambda k, n: np.where(np.arange(n) < 15, 0.0, -3.0)
+    found = diagnose(*loaded(load), Setting(deviations=True, effort=Effort.QUICK))
+    assert found.effect == named("offset").cause

@@ -14,7 +14,7 @@ from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, lev
 from estimators.diagnosis.effects.input import any_linear, aside, moved, told_beside
 from estimators.diagnosis.effects.loops.limited import PACES, slowest_rate
 from estimators.diagnosis.effects.output import mended
-from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, entering, firm, profile
+from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, entering, firm, nearer, profile
 
 Array = NDArray[Any]
 STUCK, LEFT = np.linspace(0.1, 2.0, 234), np.linspace(0.0, 0.9, 7)
@@ -183,6 +183,8 @@ PLAYED = Effect(
 STAGED_AT, STAGES = np.linspace(0.08, 0.92, 22), (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.9, 1.2)
 """Quantiles of the input at which a second stage may come on or off, and half the gap between the two in its standard deviations, that
 are looked at."""
+NEARBY = 0.05
+"""Of its standard deviation, by which both are moved once the linear part is known: before it is, a mixture of lags tells them roughly."""
 
 
 def _stage(x: Array, half: float, level: float) -> Array:
@@ -211,8 +213,15 @@ def _stages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         if not firm(base, float(r @ r) - told(at)):
             continue
         bare, sizes = begun_beside(channel, base, _stage(u, *at))
-        start = np.concatenate((bare.p, [sizes[j], *at]))
-        yield from ended(channel, bare, Part(STAGED, j), [start], [su, *[1e6 * CROSSED * su] * 2])
+        part, start, scales = (
+            Part(STAGED, j),
+            np.concatenate((bare.p, [sizes[j], *at])),
+            [su, *[1e6 * CROSSED * su] * 2],
+        )
+        for f in ended(channel, bare, part, [start], scales):
+            left = float(np.sum(f.residual[channel.keep] ** 2))
+            near = nearer(channel, bare, part, (left, f.p), np.full(2, NEARBY * su))
+            yield from ended(channel, bare, part, [near[1]], scales) if near[0] < left else (f,)
 
 
 STAGED = Effect(
