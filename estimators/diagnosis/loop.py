@@ -21,7 +21,7 @@ from estimators.diagnosis.ladder.asked import begun, outside
 from estimators.diagnosis.ladder.claims import ANYTHING, Named
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, onward
 from estimators.diagnosis.ladder.outcome import Outcome
-from estimators.diagnosis.ladder.stated import Contradiction, denied_starts, lacking, settling, starts_at_rest
+from estimators.diagnosis.ladder.stated import Contradiction, lacking, linear_base, settling, starts_at_rest
 from estimators.diagnosis.ladder.steps import (
     Kind,
     Ladder,
@@ -118,15 +118,13 @@ def diagnose(
     say = progress if progress is not None else lambda stage: None
     say("the best linear model")
     asked = replace(_options(first, setting), asked=() if test is None else (test.u,))
-    base, orders = best_linear(records, asked), setting.orders or (None,) * first.n_outputs
-    rest, moving = bool(setting.deviations), [None] * len(orders)
-    if rest:
-        moving, base, asked = denied_starts(records, base, orders, asked)
+    orders, rest = setting.orders or (None,) * first.n_outputs, bool(setting.deviations)
+    moving, base, asked = linear_base(records, orders, asked)
     setting = replace(setting, deviations=asked.deviations)
     setting = replace(setting, effects=told_from_clock(setting.effects, records))
     say("effects of the catalogue")
     own = base if len(records) == 1 else best_linear([first], asked)
-    parts = [_named(first, i, own, setting, rest) for i in range(first.n_outputs)]
+    parts = [_named(first, i, own, setting, rest, i in asked.later) for i in range(first.n_outputs)]
     also = seen_elsewhere(first, [p[1] for p in parts], [p[2] for p in parts], _options(first, setting))
     parts = [(found, bench, n) for (found, bench, _), n in zip(parts, also, strict=True)]
     say("terms of no catalogue")
@@ -156,8 +154,9 @@ def _options(train: Record, setting: Setting) -> Options:
     return Options(deviations=setting.deviations, diagonal=diagonal)
 
 
-def _named(train: Record, i: int, base: Baseline, setting: Setting, rest: bool) -> Parts:
-    """The named stage of one output: what its samples show, and the effects that hold; `rest` whether records are stated to start so."""
+def _named(train: Record, i: int, base: Baseline, setting: Setting, rest: bool, heard: bool) -> Parts:
+    """The named stage of one output: what its samples show, and the effects that hold; `rest` whether records are stated to start so,
+    `heard` whether a model that acts at once heard the noise."""
     order, delays = base.outputs[i].shared
     delay, left = min(delays), train.y[:, i] - base.y_model[0][:, i]
     echo = has_feedback([train], [left], [base.blocks.counting([train])[0][:, i]])
@@ -166,14 +165,14 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting, rest: bool) 
     long = m.together is None and m.model.num.shape[1] >= LONG
     order, memory = PHYSICAL + 1 if long else order, base.blocks.memory(m.model.radius)
     known = Known(order, max(delay - 1, 0), set_aside(left, m.tones, train.dt), memory)
-    record = early(train) if ahead else train
+    record, inverse = early(train) if ahead else train, echo and (heard or delay == 0)
     rest = rest or (setting.deviations is None and starts_at_rest(train, i, base))
 
     def bench_of(found: Examined) -> Bench:
         return Bench(
             found.last, base, i, train, found.thin_of(found.attribution.final), rest, not setting.deviations,
-            setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead, echo and delay > 0,
-            echo and delay == 0, setting.skip,
+            setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead, echo and not inverse,
+            inverse, setting.skip,
         )  # fmt: skip
 
     motion = as_motion(record, i, setting, known)

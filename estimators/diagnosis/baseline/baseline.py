@@ -24,7 +24,8 @@ class Options:
     published benchmarks allow least; `blocks` blocks of the cross-validation: each fit sees four fifths of
     the data, as a final fit nearly does; `guard` samples beside a held-out block that no fit uses: above the
     largest order; `moving` whether the records are known to begin in a state away from rest: what rings from there
-    on is then dynamics; `asked` (M, nu) inputs on which the model is wanted: one that hangs there on single blocks gives way.
+    on is then dynamics; `asked` (M, nu) inputs on which the model is wanted: one that hangs there on single blocks gives way; `later`
+    outputs on which no input acts in its own sample.
     """
 
     deviations: bool | None = None
@@ -34,6 +35,7 @@ class Options:
     guard: int = 30
     moving: bool = False
     asked: tuple[Array, ...] = ()
+    later: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

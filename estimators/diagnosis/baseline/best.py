@@ -106,7 +106,8 @@ def _output(
     own, inputs = own_inputs(records, i, options)
     prior = prior_of(own, i, options)
     asked = tuple(u[:, list(inputs)] for u in options.asked)
-    search = Search(own, i, blocks, prior, not options.deviations, asked, options.moving)
+    later = i in options.later
+    search = Search(own, i, blocks, prior, not options.deviations, asked, options.moving, later=later)
     parts, places = _pieces(own, blocks)
     screen = search if parts is own else replace(search, records=parts, blocks=places)
     screen, known, lines = _screened(screen)

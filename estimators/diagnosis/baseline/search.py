@@ -98,6 +98,7 @@ class Search:
     moving: bool = False  # whether the records are known to begin away from rest
     limit: float = 1.0  # radius up to which a pole may lie
     patient: bool = False  # whether descents begin from a long ARX too, and go on for long
+    later: bool = False  # whether no input acts in its own sample
     # long ARX that were asked before: of these records, so that a search of others begins without
     long: dict[tuple, LinearModel] = field(default_factory=dict, init=False)
 
@@ -113,7 +114,7 @@ class Search:
 
     def arx(self) -> list[Trial]:
         """Stable ARX over orders, numerators and delays: short ones, and those where the impulse responses begin."""
-        found = self._grid((0,) * self.inputs, DELAYS)
+        found = self._grid((0,) * self.inputs, DELAYS[self.later :])
         first, runs = (0,) * self.inputs, [np.zeros(len(r)) for r in self.records]
         for _ in range(2):  # again in what is left: an input that answers strongly hides the onset of another
             seen = onsets(self.records, self.output, runs)

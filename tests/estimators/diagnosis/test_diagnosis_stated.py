@@ -11,7 +11,7 @@ from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.search import Search
 from estimators.diagnosis.effects import named
-from estimators.diagnosis.ladder.stated import lacking, settling, starts_moving
+from estimators.diagnosis.ladder.stated import lacking, settling, starts_moving, unheard
 from estimators.diagnosis.ladder.steps import climb
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.policy import Effort, Policy, Setting
@@ -181,3 +181,41 @@ def test_a_level_that_comes_with_the_record_is_named_where_nothing_else_is():
     load = lambda k, n: np.where(np.arange(n) < 15, 0.0, -3.0)
     found = diagnose(*loaded(load), Setting(deviations=True, effort=Effort.QUICK))
     assert found.effect == named("offset").cause
+
+
+def held(direct: float, seed: int = 0) -> tuple[Record, Record]:
+    """A plant whose controller answers the noise in its own sample, and the same plant moved by hand; `direct` its own quick path."""
+    rng, n = np.random.default_rng(seed), 1500
+    target = np.repeat(rng.uniform(-1.0, 1.0, n // 30), 30)
+    noise, u, y, x, total = 0.05 * rng.standard_normal(n), np.zeros(n), np.zeros(n), 0.0, 0.0
+    for k in range(n):
+        # the controller knows what a quick path adds before it acts
+        y[k] = (x + noise[k] + direct * (2.0 * target[k] + total)) / (1.0 + 2.0 * direct)
+        total += 0.1 * (target[k] - y[k])
+        u[k] = 2.0 * (target[k] - y[k]) + total
+        y[k] = x + noise[k] + direct * u[k]
+        x = 0.9 * x + 0.1 * u[k]
+    by_hand = np.repeat(rng.uniform(-1.0, 1.0, n // 15), 15)
+    out = lfilter([direct, 0.1 - 0.9 * direct], [1.0, -0.9], by_hand) + 0.05 * rng.standard_normal(n)
+    return Record(u, y), Record(by_hand, out)
+
+
+def test_a_model_that_hears_the_controllers_answer_gives_way_to_one_that_does_not():
+    """Its direct path had taken up the answer to the noise: errors of records in a loop were 4 to 17 % larger where no loop was."""
+    train, test = held(0.0)
+    options = Options(deviations=True)
+    base = best_linear([train], options)
+    other, told = unheard([train], base, options)
+    assert base.outputs[0].delays == (0,)
+    assert told.later == (0,)
+    assert min(other.outputs[0].delays) > 0
+    errors = [np.std(test.y - b.simulate(test, 0)) for b in (base, other)]
+    assert errors[1] < min(errors[0], 1.03 * 0.05)
+
+
+def test_a_plant_that_acts_at_once_keeps_its_direct_path_in_a_loop():
+    train, _ = held(0.5)
+    options = Options(deviations=True)
+    base = best_linear([train], options)
+    assert unheard([train], base, options)[0] is base
+    assert base.outputs[0].delays == (0,)
