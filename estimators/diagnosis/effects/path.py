@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before, numbered
+from estimators.diagnosis.effects.input import after
 from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
@@ -191,6 +192,98 @@ PRODUCT = Effect(
     shape=_product_shape, signal=_product, search=_products,
 )  # fmt: skip
 PATH = (*PATH, PRODUCT)
+
+
+TIMES, NEARER = 40, 0.5 ** np.arange(1, 5)
+"""Of a record, at any of which the way an input acts may change, and shares of what lies between two by which the best is moved."""
+POLES_MORE = (0, 1, 2)
+"""Poles of what comes or goes there, beyond those of the linear model: two stretches of a record have one of their own each."""
+
+
+def _since(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+    """What an input adds from a time on, about a centre, through poles of its own, and these from a state at that time."""
+    from estimators.diagnosis.model.structure import stable_polynomial
+
+    size = len(p) // 2 - 2
+    b, f, (state, delay, centre, time) = p[:size], p[size : 2 * size], p[2 * size :]
+    if not stable_polynomial(f):
+        return np.full(len(U), np.inf)
+    gate = after(clock, time)
+    driven = np.convolve((U[:, channel] - centre) * gate, np.concatenate((np.zeros(int(delay)), b)))[: len(U)]
+    driven += state * np.diff(gate, prepend=gate[0])
+    return np.asarray(lfilter([1.0], np.concatenate(([1.0], f)), driven))
+
+
+def _since_shape(size: int, order: int) -> list[tuple[str, str]]:
+    held = {"state": "y", "delay": "sample", "centre": "u", "time": "sample"}
+    return _rational(size, order) + list(held.items())
+
+
+def _switches(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """The time from which an input, or all of them, beside what it did before, explains most, where any mixture of lags stands for both
+    ways; then a linear fit to the inputs and to these from there on, with poles in common, and last each way with its own."""
+    from estimators.diagnosis.effects.input import any_linear, banked
+    from estimators.diagnosis.effects.profiled import firm
+    from estimators.diagnosis.model.fitting import fit
+
+    s, n, keep = base.structure, len(channel), channel.keep
+    if s.layout != "tf" or s.order < 1 or s.effects or channel.step > 0:
+        return
+    Z = any_linear(channel.u[:, list(s.inputs)], keep)
+    r = channel.y[keep] - Z @ (Z.T @ channel.y[keep])
+    for which in dict.fromkeys((*((j,) for j in s.inputs), s.inputs)):
+        x = channel.u[:, list(which)] - np.mean(channel.u[:, list(which)], axis=0)
+
+        def told(time: float, x: Array = x) -> float:
+            gate = after(channel.clock, time)[:, None]
+            D = np.column_stack((banked(np.column_stack((x * gate, gate))).reshape(n, -1), gate))[keep]
+            return float(np.sum((np.linalg.qr(D - Z @ (Z.T @ D))[0].T @ r) ** 2))
+
+        time = max(channel.clock.k[0] + np.linspace(0.06, 0.94, TIMES) * n, key=told)
+        for share in NEARER:
+            time = max((time + a * share * n / TIMES for a in (0.0, -1.0, 1.0)), key=told)
+        if not firm(base, float(r @ r) - told(time)):
+            continue
+        ways = (_two_ways(channel, base, which, time, more) for more in POLES_MORE)
+        begun = [fit(channel, *way, noise=base.noise, iterations=10, colour=False) for way in ways]
+        for f in sorted(begun, key=lambda f: f.criterion)[:2]:
+            yield fit(channel, f.structure, f.p, f.scales, noise=base.noise, iterations=30)
+
+
+def _two_ways(
+    channel: Any, base: Any, which: tuple[int, ...], time: float, more: int
+) -> tuple[Any, Array, Array]:
+    """Structure, parameters and scales of a linear model, of so many more poles, beside what some inputs add from a time on."""
+    from estimators.diagnosis.effects.profiled import of_order
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.structure import Part
+
+    s, u = base.structure, channel.u
+    centres = np.mean(u[:, list(which)], axis=0)
+    gated = (u[:, list(which)] - centres) * after(channel.clock, time)[:, None]
+    order, count = s.order + more, len(s.inputs)
+    taps = max(order, s.taps)
+    wide = replace(s, order=order, taps=taps, inputs=tuple(range(count + len(which))))
+    f = fit_linear(replace(channel, u=np.column_stack((u[:, list(s.inputs)], gated))), wide, noise=base.noise)
+    new, p, scales = of_order(base, order, taps)
+    p[: new.plant_size], p[new.plant_size :] = f.p[: new.plant_size], f.p[wide.plant_size :]
+    scales[: new.plant_size] = f.scales[: new.plant_size]
+    poles = np.concatenate((f.p[:order], np.zeros(taps - order)))
+    for i, (j, centre) in enumerate(zip(which, centres, strict=True)):
+        at = slice(new.plant_size + i * taps, new.plant_size + (i + 1) * taps)
+        new = new.adding(Part(SINCE, j, taps))
+        p = np.concatenate((p, f.p[at], poles, [0.0, 1.0 + s.delay, centre, time]))
+        own = [float(np.std(channel.y)), 0.0, float(np.std(u[:, j])), 1.0]
+        scales = np.concatenate((scales, f.scales[at], np.ones(taps), own))
+    return new, p, scales
+
+
+SINCE = Effect(
+    key="acts_since", cause="parameter_change", nature=Nature.TIME, slot=Slot.PATH, trials=0.3, per_sample=True, family="changes",
+    sentence="from a time on an input acts in another way", parameters={"time": "sample"},
+    shape=_since_shape, signal=_since, search=_switches,
+)  # fmt: skip
+PATH = (*PATH, SINCE)
 
 
 BENDS = tuple((a, b) for a in (5.0, 10.0, 20.0) for b in (5.0, 10.0, 20.0))

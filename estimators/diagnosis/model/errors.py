@@ -57,7 +57,7 @@ def spread(f: Fit) -> Spread:
     J, norms = J / np.where(told, norms, 1.0), np.where(told, norms, 1.0)
     values, vectors = np.linalg.eigh(J.T @ J)
     null = values < NULL
-    H = (vectors[:, ~null] / values[~null]) @ vectors[:, ~null].T
+    H = (vectors[:, ~null] / values[~null]) @ vectors[:, ~null].T * np.outer(told, told)
     C, own = (H @ S @ H for S in _score_covariances(J, f))
     wider = np.sqrt(np.maximum(np.diag(own) / np.where(np.diag(C) > 0.0, np.diag(C), np.inf), 1.0)) / norms
     C = C * np.outer(wider, wider)
@@ -90,7 +90,7 @@ def parameters_of(f: Fit, channel: Channel, prefix: str = "") -> dict[str, tuple
                 label += f"_{part.channel + 1}"
             at = sl.start + i
             error = _followed(f, channel, known, at, float(errors[at]))
-            if part.effect.timed and unit == "sample":
+            if part.effect.timed and unit == "sample" and f.scales[at] > 0.0:
                 error = max(error, _other_times(f, channel, at))
             if part.effect.search is not None and f.scales[at] > 0.0 and len(channel) == len(f.residual):
                 run = lambda q: simulate(f.structure, q, channel.u, channel.clock)

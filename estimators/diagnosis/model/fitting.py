@@ -226,8 +226,8 @@ def _steps(structure: Structure, scales: Array) -> Array:
     """Steps of the finite differences: a quarter of a sample where nothing happens between samples."""
     steps = 1e-6 * scales
     for part, sl in zip(structure.parts, structure.slices(), strict=True):
-        for i, unit in enumerate(part.effect.units[: sl.stop - sl.start]):
-            if unit == "sample" and part.effect.per_sample:
+        for i, (_, unit) in enumerate(part.parameters(structure.order)):
+            if unit == "sample" and part.effect.per_sample and scales[sl.start + i] > 0.0:
                 steps[sl.start + i] = 0.25
     return steps
 

@@ -20,7 +20,7 @@ PLAIN = {
     "reported_on_change.start": "reading at the start, off the signal", "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start",
     "plays.start": "place in the plays at the start", "plays_output.start": "place in the plays at the start", "multiplexed.place": "place in the cycle",
     "clock_slips.place": "place in the period at the start", "slip": "what it is late by in the end",
-    "input_staged.size": "what the second stage adds", "band": "way past the middle between two steps", "output_ranges.slope": "excess of the gain above the level",
+    "acts_since.centre": "level about which it acts so", "acts_since.state": "state from which it does", "input_staged.size": "what the second stage adds", "band": "way past the middle between two steps", "output_ranges.slope": "excess of the gain above the level",
     "relay_feedback.low": "lower level", "relay_feedback.high": "upper level", "gain_heat.time": "time constant",
     "rise_and_fall.asymmetry": "relative excess of the rate when it rises", "orifices.asymmetry": "relative excess of the rate when it rises",
     "orifices.rate": "rate at twenty times the laminar difference",

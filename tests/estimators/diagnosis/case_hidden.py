@@ -231,6 +231,15 @@ def ranged(u, a):
     return y + a * (y > 0.3) * (1.2 + 0.2 * (y - 0.3))
 
 
+def opened(u, a):
+    """Two vessels, each with an inflow, and a valve between them that is opened in the middle of the record."""
+    x, out = np.array([u[0, 0], u[0, 1]]), np.empty(len(u))
+    for k, flows in enumerate(u):
+        out[k] = x[0]
+        x = x + 0.04 * (flows - x) + 0.06 * a * (k >= 0.45 * len(u)) * (x[::-1] - x)
+    return out
+
+
 def archived(u, a):
     """A historian that passes on whole steps of a signal, a new one once it is three quarters of a step off the last."""
     y = linear(u)
@@ -254,10 +263,12 @@ ALL_CLASSES = CLASSES | {
     "reported_on_change": (on_change, 2, {}), "integral_curve of two ways": (swung, 2, {}),
     "sweep_input": (beside_a_machine, 2, {}), "sensor_paced": (cups, 2, {}), "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
     "input_scanned": (scanned, 2, {}), "input_staged": (staged, 2, {}), "output_ranges": (ranged, 2, {}), "output_dead_band": (archived, 2, {}),
+    "acts_since": (opened, 1, {"mean": 2.0, "inputs": 2}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
+    ("acts_since", "gain_periodic"), ("acts_since", "relay"), ("acts_since", "inertia_drift"), ("acts_since", "capacity_filled"),
     ("input_staged", "plays"), ("relay", "input_staged"), ("output_ranges", "magnitude"), ("output_ranges", "output_cutoff"),
     ("output_dead_band", "plays_output"), ("output_staircase", "output_dead_band"), ("plays_output", "output_dead_band"),
     ("input_scanned", "gain_periodic"), ("input_scanned", "delay_periodic"), ("gain_periodic", "input_scanned"), ("refreshed", "input_scanned"),
