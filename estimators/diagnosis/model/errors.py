@@ -150,8 +150,8 @@ def _beside(f: Fit, channel: Channel, known: Spread, errors: Array) -> Array:
             shift = shifts @ (r - here)
             rise = float(np.sum((r - J @ shift) ** 2) - here @ here)
             near = rise < heights
-            wide = np.abs(shift) + widths * np.sqrt(np.maximum(1.0 - rise / heights, 0.0))
-            ends[near] = np.maximum(ends, wide)[near]
+            wide = np.abs(shift[near]) + widths[near] * np.sqrt(1.0 - rise / heights[near])
+            ends[near] = np.maximum(ends[near], wide)
     out = errors.copy()
     out[~lost] = ends / NORMAL
     return out
